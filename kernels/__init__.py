@@ -1,0 +1,1 @@
+"""Warp device code: one physics term a file. No allocation, no launch, no policy."""

@@ -1,0 +1,1 @@
+"""Assets that ship with wrod: URDF, built-in patterns, the trained controller."""

@@ -1,0 +1,39 @@
+import math
+
+import pytest
+
+import wrod
+from wrod.errors import RodError
+
+
+def test_table_2_stretch_ratio_is_the_section_ratio():
+    rod = wrod.rod("green-vps")
+    assert rod.stretch_ratio == pytest.approx(1600.0)
+    assert rod.stretching_stiffness * rod.gravito_bending_length**2 / rod.bending_stiffness == (
+        pytest.approx(rod.stretch_ratio)
+    )
+
+
+def test_weight_in_dimensionless_units_is_one_half():
+    rod = wrod.rod("rope")
+    unit_force = rod.bending_stiffness / rod.gravito_bending_length**2
+    assert rod.weight * rod.gravito_bending_length / unit_force == pytest.approx(0.5)
+
+
+def test_youngs_modulus_round_trip():
+    rod = wrod.RodMaterial.from_youngs_modulus(1.3e6, 0.0016, 0.9, density=1180.0)
+    assert rod.youngs_modulus == pytest.approx(1.3e6)
+    assert rod.stretching_stiffness == pytest.approx(1.3e6 * math.pi * 0.0016**2)
+
+
+@pytest.mark.parametrize("field", ["radius", "gravito_bending_length", "length", "density"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_unphysical_values_are_named(field, value):
+    values = {"radius": 0.0016, "gravito_bending_length": 0.03, "length": 0.9, field: value}
+    with pytest.raises(RodError, match=field):
+        wrod.RodMaterial(**values)
+
+
+def test_unknown_rod_lists_the_known_ones():
+    with pytest.raises(RodError, match="green-vps"):
+        wrod.rod("spaghetti")

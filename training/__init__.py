@@ -1,0 +1,1 @@
+"""Dataset, network and training loop of the neural controller."""

@@ -1,0 +1,40 @@
+"""wrod plans and proves how a robot lays a rod along a pattern.
+
+Public names are imported when first used, so that `import wrod` stays light.
+"""
+
+import importlib
+
+_PUBLIC = {
+    "RodMaterial": "wrod.material",
+    "rod": "wrod.material",
+    "rod_names": "wrod.material",
+    "Pattern": "wrod.pattern",
+    "pattern": "wrod.pattern",
+    "pattern_names": "wrod.pattern",
+    "Trajectory": "wrod.trajectory",
+    "Grasps": "wrod.grasps",
+    "solve_grasps": "wrod.grasps",
+    "plan": "wrod.planner",
+    "Controller": "wrod.controller",
+    "JointPath": "wrod.robot.joint_path",
+    "solve_joint_path": "wrod.robot.joint_path",
+    "export_usd": "wrod.scene.export",
+    "scan": "wrod.perception.scan",
+    "trace_centerlines": "wrod.perception.trace",
+    "measure_deployment": "wrod.perception.measure",
+}
+
+__all__ = sorted(_PUBLIC)
+
+
+def __getattr__(name: str):
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'wrod' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_PUBLIC[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_PUBLIC])

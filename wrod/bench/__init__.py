@@ -1,0 +1,30 @@
+"""Benchmarks: one file per `wrod bench NAME`, and the line that says where a number was read."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+
+def machine_line(device: str = "cpu") -> str:
+    """Processor, cores, device and library versions, for the head of every benchmark."""
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                cpu = line.split(":", 1)[1].strip()
+                break
+    parts = [f"{cpu}, {os.cpu_count()} cores", f"Python {platform.python_version()}"]
+    for package in ("wrod", "warp-lang", "numpy", "torch"):
+        try:
+            parts.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            continue
+    if device != "cpu":
+        import warp as wp
+
+        parts.insert(1, wp.get_device(device).name)
+    return "; ".join(parts)

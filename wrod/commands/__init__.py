@@ -1,0 +1,58 @@
+"""Command line: one file per command, loaded only when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import warnings
+
+import click
+
+from wrod.errors import WrodError, WrodWarning
+
+COMMANDS = ("bench",)
+
+
+class LazyGroup(click.Group):
+    """Group whose commands live in `<package>.<name>` as `command` and are imported on use."""
+
+    def __init__(self, *args, package: str, names: tuple[str, ...], **kwargs):
+        super().__init__(*args, **kwargs)
+        self.package, self.names = package, names
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.names)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in self.names:
+            return None
+        module = importlib.import_module(f"{self.package}.{name.replace('-', '_')}")
+        return module.command
+
+    def invoke(self, ctx: click.Context):
+        try:
+            return super().invoke(ctx)
+        except WrodError as error:
+            click.echo(f"wrod: {error}", err=True)
+            ctx.exit(2)
+
+
+def _show_warning(message, category, filename, lineno, file=None, line=None):
+    if issubclass(category, WrodWarning):
+        click.echo(f"wrod: warning: {message}", err=True)
+    else:
+        _default_show(message, category, filename, lineno, file, line)
+
+
+_default_show = warnings.showwarning
+
+
+@click.command(
+    cls=LazyGroup,
+    package="wrod.commands",
+    names=COMMANDS,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+@click.version_option(package_name="wrod")
+def main() -> None:
+    """Plan and prove how a robot lays a rod along a pattern."""
+    warnings.showwarning = _show_warning

@@ -1,0 +1,12 @@
+"""`wrod bench NAME`: benchmarks that print their numbers with machine and versions."""
+
+import click
+
+from wrod.commands import LazyGroup
+
+BENCHMARKS: tuple[str, ...] = ()
+
+
+@click.command(name="bench", cls=LazyGroup, package="wrod.bench", names=BENCHMARKS)
+def command() -> None:
+    """Measure speed and accuracy on this machine."""

@@ -1,0 +1,151 @@
+"""Rods: the material and geometry that the plan depends on (paper, Sec. Measurement of Material
+Parameters and Table 2)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from wrod.errors import RodError
+
+# Height of the loop of a heavy rod over its gravito-bending length, as `wrod.loop` derives it from
+# the heavy elastica. The paper's 0.9066 belongs to (k_b/(pi h^2 rho g))^(1/3), 2^(1/3) larger.
+LOOP_HEIGHT_RATIO = 1.14224
+
+
+@dataclass(frozen=True)
+class RodMaterial:
+    """A straight, uniform, isotropic, linearly elastic rod of circular section.
+
+    Args:
+        radius: radius h of the section [m].
+        gravito_bending_length: L_gb = (k_b / (2 pi h^2 rho g))^(1/3) [m]
+            (Eq. nondimensionl_mapping).
+        length: total length L [m].
+        poisson: Poisson's ratio [-].
+        density: mass density rho [kg/m^3].
+        gravity: gravitational acceleration g [m/s^2].
+
+    Raises:
+        RodError: a value is not finite, not positive, or Poisson's ratio is outside (-1, 0.5].
+    """
+
+    radius: float
+    gravito_bending_length: float
+    length: float
+    poisson: float = 0.5
+    density: float = 1180.0
+    gravity: float = 9.81
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "gravito_bending_length", "length", "density", "gravity"):
+            value = getattr(self, name)
+            if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
+                raise RodError(
+                    f"rod {name} is {value!r}; give a positive finite number in SI units"
+                )
+        if not -1.0 < self.poisson <= 0.5:
+            raise RodError(
+                f"rod poisson is {self.poisson!r}; an elastic rod needs a value in (-1, 0.5]"
+            )
+
+    @classmethod
+    def from_youngs_modulus(
+        cls,
+        youngs_modulus: float,
+        radius: float,
+        length: float,
+        *,
+        poisson: float = 0.5,
+        density: float = 1180.0,
+        gravity: float = 9.81,
+    ) -> RodMaterial:
+        """Rod of a known Young's modulus [Pa]: L_gb = (E h^2 / (8 rho g))^(1/3) (Eq. material)."""
+        if not (math.isfinite(youngs_modulus) and youngs_modulus > 0):
+            raise RodError(
+                f"rod youngs_modulus is {youngs_modulus!r}; give a positive number of pascals"
+            )
+        probe = cls(radius, 1.0, length, poisson, density, gravity)  # validates before the division
+        lgb = (youngs_modulus * radius**2 / (8.0 * probe.density * probe.gravity)) ** (1.0 / 3.0)
+        return cls(radius, lgb, length, poisson, density, gravity)
+
+    @classmethod
+    def from_loop_height(
+        cls,
+        loop_height: float,
+        radius: float,
+        length: float,
+        *,
+        poisson: float = 0.5,
+        density: float = 1180.0,
+        gravity: float = 9.81,
+    ) -> RodMaterial:
+        """Rod whose folded loop stands `loop_height` [m] above the table (Fig. material).
+
+        The height is that of the centreline above the flat part's centreline, and is
+        1.14224 L_gb (see `wrod.loop`), not the paper's 0.9066 L_gb.
+        """
+        if not (math.isfinite(loop_height) and loop_height > 0):
+            raise RodError(f"loop height is {loop_height!r}; give a positive number of metres")
+        lgb = loop_height / LOOP_HEIGHT_RATIO
+        return cls(radius, lgb, length, poisson, density, gravity)
+
+    @property
+    def stretch_ratio(self) -> float:
+        """Dimensionless stretching stiffness k_s L_gb^2 / k_b = 4 L_gb^2 / h^2 [-]."""
+        return 4.0 * self.gravito_bending_length**2 / self.radius**2
+
+    @property
+    def weight(self) -> float:
+        """Weight per unit length [N/m]."""
+        return math.pi * self.radius**2 * self.density * self.gravity
+
+    @property
+    def bending_stiffness(self) -> float:
+        """k_b = E pi h^4 / 4 [N m^2]."""
+        return 2.0 * self.weight * self.gravito_bending_length**3
+
+    @property
+    def stretching_stiffness(self) -> float:
+        """k_s = E pi h^2 [N]."""
+        return 4.0 * self.bending_stiffness / self.radius**2
+
+    @property
+    def twisting_stiffness(self) -> float:
+        """k_t = G pi h^4 / 2 = k_b / (1 + nu) [N m^2]."""
+        return self.bending_stiffness / (1.0 + self.poisson)
+
+    @property
+    def youngs_modulus(self) -> float:
+        """E [Pa]."""
+        return 4.0 * self.bending_stiffness / (math.pi * self.radius**4)
+
+
+# Table 2 of the paper; VPS density 1180 kg/m^3 throughout (it drops out of every plan).
+_PRESETS = {
+    "pink-vps": RodMaterial(0.0016, 0.0180, 0.875),
+    "green-vps": RodMaterial(0.0016, 0.0320, 0.885),
+    "rope": RodMaterial(0.0020, 0.0340, 0.89),
+    "pink-vps-thick": RodMaterial(0.0032, 0.0286, 0.84),
+    "cable": RodMaterial(0.0018, 0.0801, 0.87),
+}
+
+
+def rod_names() -> list[str]:
+    """Names of the rods of the paper's Table 2, in its order."""
+    return list(_PRESETS)
+
+
+def rod(name: str) -> RodMaterial:
+    """Rod of the paper's Table 2 by name.
+
+    Raises:
+        RodError: no rod has that name.
+    """
+    try:
+        return _PRESETS[name]
+    except KeyError:
+        raise RodError(
+            f"unknown rod {name!r}; known rods: {', '.join(rod_names())} "
+            "(or build a wrod.RodMaterial of your own)"
+        ) from None

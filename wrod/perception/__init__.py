@@ -1,0 +1,1 @@
+"""Perception: from pictures to metric patterns and measured rods."""

@@ -1,0 +1,1 @@
+"""Robots: URDF, kinematics, joint paths and their timing."""

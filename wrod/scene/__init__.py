@@ -1,0 +1,1 @@
+"""Scenes: USD export and headless rendering."""

@@ -1,0 +1,103 @@
+"""Trajectories of the grip: what a plan returns and what robots, scenes and simulations take."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from wrod.errors import DataError
+from wrod.files import write_atomically
+
+_FORMAT = "wrod-trajectory-1"
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Grip poses of a deployment, one per contact node. SI units, z up.
+
+    Attributes:
+        arc_length: (T,) arc length of the pattern that lies on the table [m].
+        contact: (T, 3) contact point between laid and suspended part [m].
+        position: (T, 3) grip position [m].
+        rotation: (T, 3, 3) grip frame in world coordinates; its first column is the rod's tangent
+            at the grip, pointing out of the suspended part (Alg. OPT: R_t R).
+        force: (T, 3) force of the table on the suspended rod at the contact, world frame [N];
+            NaN where the method does not compute it.
+        metadata: what made the plan (method, closure, rod, pattern, warnings); plain JSON values.
+    """
+
+    arc_length: np.ndarray
+    contact: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    force: np.ndarray
+    metadata: dict = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.arc_length)
+
+    def save(self, path: str | os.PathLike[str]) -> list[Path]:
+        """Write `path` as CSV and NPZ (the suffix of `path` is replaced). Returns both paths."""
+        path = Path(path)
+        columns = ["arc_length [m]"]
+        columns += [f"{name}_{axis} [m]" for name in ("contact", "position") for axis in "xyz"]
+        columns += [f"rotation_{i}{j} [-]" for i in "xyz" for j in "xyz"]
+        columns += [f"force_{axis} [N]" for axis in "xyz"]
+        rows = np.column_stack(
+            [
+                self.arc_length,
+                self.contact,
+                self.position,
+                self.rotation.reshape(len(self), 9),
+                self.force,
+            ]
+        )
+
+        def write_csv(file):
+            file.write(f"# {_FORMAT} {json.dumps(self.metadata, sort_keys=True)}\n")
+            writer = csv.writer(file)
+            writer.writerow(columns)
+            writer.writerows([[f"{value:.12g}" for value in row] for row in rows])
+
+        def write_npz(file):
+            np.savez_compressed(
+                file,
+                format=_FORMAT,
+                arc_length=self.arc_length,
+                contact=self.contact,
+                position=self.position,
+                rotation=self.rotation,
+                force=self.force,
+                units="SI: m, N",
+                metadata=json.dumps(self.metadata, sort_keys=True),
+            )
+
+        return [
+            write_atomically(path.with_suffix(".csv"), write_csv),
+            write_atomically(path.with_suffix(".npz"), write_npz, "wb"),
+        ]
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Trajectory:
+        """Read a trajectory's NPZ file.
+
+        Raises:
+            DataError: the file is missing, truncated or not a trajectory.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                if str(data["format"]) != _FORMAT:
+                    raise DataError(f"{path}: holds {data['format']}, not a {_FORMAT}")
+                names = ("arc_length", "contact", "position", "rotation", "force")
+                return cls(*(data[n] for n in names), json.loads(str(data["metadata"])))
+        except DataError:
+            raise
+        except Exception as error:
+            raise DataError(
+                f"{path}: not a readable trajectory ({error}); give the .npz that `wrod plan` wrote"
+            ) from error
