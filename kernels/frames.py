@@ -1,0 +1,90 @@
+"""Frames of a discrete rod: parallel transport, reference frames, reference twist.
+
+The degrees of freedom of a rod with n nodes are one row `[q_0, theta^0, q_1, ..., theta^(n-2),
+q_(n-1)]` of length 4n - 1 (Bergou et al. 2010): node i starts at column 4 i, the angle of edge i
+stands at 4 i + 3. Edge i runs from node i to node i + 1.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+ZERO = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+TWO = wp.constant(wp.float64(2.0))
+HALF = wp.constant(wp.float64(0.5))
+
+
+@wp.func
+def node(dof: wp.array2d(dtype=wp.float64), r: int, i: int) -> wp.vec3d:
+    return wp.vec3d(dof[r, 4 * i], dof[r, 4 * i + 1], dof[r, 4 * i + 2])
+
+
+@wp.func
+def edge(dof: wp.array2d(dtype=wp.float64), r: int, i: int) -> wp.vec3d:
+    return node(dof, r, i + 1) - node(dof, r, i)
+
+
+@wp.func
+def parallel_transport(v: wp.vec3d, t: wp.vec3d, u: wp.vec3d) -> wp.vec3d:
+    """Turn `v` by the smallest rotation that takes the unit vector `t` to the unit vector `u`."""
+    axis = wp.cross(t, u)
+    cosine = wp.dot(t, u)
+    # 1/(1 + cos) is (1 - cos)/sin^2 without the cancellation; it grows only for a fold by 180 deg,
+    # where the rotation is not unique and any finite answer serves.
+    factor = ONE / wp.max(ONE + cosine, wp.float64(1.0e-12))
+    return cosine * v + wp.cross(axis, v) + (factor * wp.dot(axis, v)) * axis
+
+
+@wp.func
+def signed_angle(v: wp.vec3d, w: wp.vec3d, axis: wp.vec3d) -> wp.float64:
+    """Angle from `v` to `w` about the unit vector `axis`, in (-pi, pi]."""
+    return wp.atan2(wp.dot(axis, wp.cross(v, w)), wp.dot(v, w))
+
+
+@wp.func
+def rotate(v: wp.vec3d, axis: wp.vec3d, angle: wp.float64) -> wp.vec3d:
+    """Turn `v`, perpendicular to the unit vector `axis`, by `angle` about it."""
+    return wp.cos(angle) * v + wp.sin(angle) * wp.cross(axis, v)
+
+
+@wp.kernel
+def transport_reference_frames(
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    dof_in: wp.array2d(dtype=wp.float64),
+    tangent_in: wp.array2d(dtype=wp.vec3d),
+    director_in: wp.array2d(dtype=wp.vec3d),
+    # State out:
+    tangent_out: wp.array2d(dtype=wp.vec3d),
+    director_out: wp.array2d(dtype=wp.vec3d),
+):
+    """Time-parallel transport: carry each edge's reference director to its new tangent."""
+    r, i = wp.tid()
+    if active[r] == 0:
+        return
+    t = wp.normalize(edge(dof_in, r, i))
+    d = parallel_transport(director_in[r, i], tangent_in[r, i], t)
+    d = d - wp.dot(d, t) * t  # rounding must not build up over thousands of steps
+    tangent_out[r, i] = t
+    director_out[r, i] = wp.normalize(d)
+
+
+@wp.kernel
+def reference_twist(
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    tangent_in: wp.array2d(dtype=wp.vec3d),
+    director_in: wp.array2d(dtype=wp.vec3d),
+    twist_in: wp.array2d(dtype=wp.float64),
+    # State out:
+    twist_out: wp.array2d(dtype=wp.float64),
+):
+    """Angle of the reference frames across node i + 1, continuous with `twist_in` beyond a turn."""
+    r, i = wp.tid()
+    if active[r] == 0:
+        return
+    u = tangent_in[r, i + 1]
+    carried = parallel_transport(director_in[r, i], tangent_in[r, i], u)
+    before = rotate(carried, u, twist_in[r, i + 1])
+    twist_out[r, i + 1] = twist_in[r, i + 1] + signed_angle(before, director_in[r, i + 1], u)

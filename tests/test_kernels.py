@@ -1,0 +1,95 @@
+"""Energies, gradients and Hessians against each other, on rods that differ in everything."""
+
+import numpy as np
+import pytest
+
+from wrod.batch import RodBatch, full_hessian
+
+
+def deformed_rods(rod_count=4, node_count=7, seed=0, **changes):
+    """Strongly bent and twisted, anisotropic, naturally curved and twisted rods."""
+    rng = np.random.default_rng(seed)
+    edges = rng.normal(size=(rod_count, node_count - 1, 3)) + [1.2, 0.0, 0.0]
+    position = np.cumsum(np.concatenate([rng.normal(size=(rod_count, 1, 3)), edges], 1), 1)
+    shape = (rod_count, node_count)
+    arguments = dict(
+        rest_length=rng.uniform(0.7, 1.6, (rod_count, node_count - 1)),
+        stretching_stiffness=rng.uniform(1, 5, (rod_count, node_count - 1)),
+        bending_stiffness=rng.uniform(0.5, 3, (*shape, 2)),
+        twisting_stiffness=rng.uniform(0.5, 3, shape),
+        natural_curvature=rng.normal(size=(*shape, 2)),
+        natural_twist=rng.normal(size=shape),
+        node_mass=rng.uniform(0.1, 1, shape),
+        gravity=rng.normal(size=(rod_count, 3)),
+        point_load=rng.normal(size=(*shape, 3)),
+    )
+    arguments.update(changes)
+    batch = RodBatch(position, **arguments)
+    batch.set_configuration(position, angle=rng.normal(size=(rod_count, node_count - 1)))
+    return batch
+
+
+def displaced(batch, change, order):
+    """Derivatives after a change of the degrees of freedom, frames carried along in time."""
+    from wrod.batch import Derivatives, RodState
+
+    state = RodState.zeros(batch.rod_count, batch.node_count, batch.device)
+    state.assign(batch.state)
+    state.dof.assign(batch.state.dof.numpy() + change)
+    batch.transport_frames(batch.state, state, batch.every_rod)
+    out = Derivatives.zeros(batch.rod_count, batch.dof_count, batch.device)
+    return batch.evaluate(order=order, state=state, out=out)
+
+
+def fourth_order(f, step):
+    """Central difference quotient with an error of step^4."""
+    return (8 * (f(step) - f(-step)) - (f(2 * step) - f(-2 * step))) / (12 * step)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gradient_is_the_slope_of_the_energy(seed):
+    batch = deformed_rods(seed=seed)
+    gradient = batch.evaluate(order=1).gradient.numpy()
+    numeric = np.empty_like(gradient)
+    for a in range(batch.dof_count):
+        change = np.zeros(batch.dof_count)
+        change[a] = 1.0
+        numeric[:, a] = fourth_order(
+            lambda h, change=change: displaced(batch, h * change, 1).energy.numpy(), 1e-3
+        )
+    assert np.abs(numeric - gradient).max() < 1e-7 * np.abs(gradient).max()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hessian_is_the_curvature_of_the_energy(seed):
+    """Second differences of the energy alone: independent of the gradient's formula.
+
+    Differencing the gradient would show the holonomy of two successive transports as well, which
+    is antisymmetric and not part of the Hessian; its symmetric part is compared below.
+    """
+    batch = deformed_rods(seed=seed)
+    band = batch.evaluate(order=2).hessian.numpy()
+    jacobian = np.empty((batch.rod_count, batch.dof_count, batch.dof_count))
+    for a in range(batch.dof_count):
+        change = np.zeros(batch.dof_count)
+        change[a] = 1.0
+        jacobian[:, :, a] = fourth_order(
+            lambda h, change=change: displaced(batch, h * change, 1).gradient.numpy(), 1e-3
+        )
+    for r in range(batch.rod_count):
+        dense = full_hessian(band[r])
+        symmetric = 0.5 * (jacobian[r] + jacobian[r].T)
+        assert np.abs(symmetric - dense).max() < 1e-7 * np.abs(dense).max()
+    rng = np.random.default_rng(seed)
+    for _ in range(5):
+        change = rng.normal(size=batch.dof_count)
+
+        def energy(h, change=change):
+            return displaced(batch, h * change, 1).energy.numpy()
+
+        h = 2e-3
+        second = (
+            -energy(2 * h) + 16 * energy(h) - 30 * energy(0.0) + 16 * energy(-h) - energy(-2 * h)
+        ) / (12 * h**2)
+        for r in range(batch.rod_count):
+            assert second[r] == pytest.approx(change @ full_hessian(band[r]) @ change, rel=1e-6)

@@ -1,0 +1,358 @@
+"""A batch of discrete elastic rods: its arrays, and their energies, gradients and Hessians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from wrod.errors import RodError
+from wrod.kernels.assembly import HALF_BANDWIDTH
+from wrod.kernels.bending import bending
+from wrod.kernels.frames import reference_twist, transport_reference_frames
+from wrod.kernels.loads import dead_loads
+from wrod.kernels.stretching import stretching
+from wrod.kernels.twisting import twisting
+
+
+def resolve_device(device: str | None) -> str:
+    """`None` and "auto" mean the first CUDA device if there is one, else the CPU.
+
+    Raises:
+        RodError: the device does not exist on this machine.
+    """
+    if device in (None, "auto"):
+        return "cuda:0" if wp.is_cuda_available() else "cpu"
+    try:
+        return str(wp.get_device(device))
+    except Exception as error:
+        raise RodError(
+            f"device {device!r} is not on this machine; use cpu, auto or one of "
+            f"{', '.join(str(d) for d in wp.get_devices())}"
+        ) from error
+
+
+@dataclass
+class RodState:
+    """Configuration of every rod of a batch (Warp arrays).
+
+    Attributes:
+        dof: (rod, 4 node - 1) degrees of freedom [q_0, theta^0, q_1, ...].
+        tangent: (rod, node - 1) unit tangents that the reference frames belong to.
+        director: (rod, node - 1) first reference directors.
+        reference_twist: (rod, node) angle of the reference frames across each inner node [rad].
+    """
+
+    dof: wp.array
+    tangent: wp.array
+    director: wp.array
+    reference_twist: wp.array
+
+    @classmethod
+    def zeros(cls, rod_count: int, node_count: int, device: str) -> RodState:
+        edges = (rod_count, node_count - 1)
+        return cls(
+            wp.zeros((rod_count, 4 * node_count - 1), dtype=wp.float64, device=device),
+            wp.zeros(edges, dtype=wp.vec3d, device=device),
+            wp.zeros(edges, dtype=wp.vec3d, device=device),
+            wp.zeros((rod_count, node_count), dtype=wp.float64, device=device),
+        )
+
+    def assign(self, other: RodState) -> None:
+        wp.copy(self.dof, other.dof)
+        wp.copy(self.tangent, other.tangent)
+        wp.copy(self.director, other.director)
+        wp.copy(self.reference_twist, other.reference_twist)
+
+
+@dataclass
+class Derivatives:
+    """Energy (rod,), gradient (rod, dof) and lower band of the Hessian (rod, dof, 11)."""
+
+    energy: wp.array
+    gradient: wp.array
+    hessian: wp.array
+
+    @classmethod
+    def zeros(cls, rod_count: int, dof_count: int, device: str) -> Derivatives:
+        return cls(
+            wp.zeros(rod_count, dtype=wp.float64, device=device),
+            wp.zeros((rod_count, dof_count), dtype=wp.float64, device=device),
+            wp.zeros((rod_count, dof_count, HALF_BANDWIDTH + 1), dtype=wp.float64, device=device),
+        )
+
+
+class RodBatch:
+    """Many rods of one node count; everything else may differ from rod to rod.
+
+    The quantities carry any consistent units: SI, or the dimensionless ones of a plan. Every array
+    argument is broadcast to the shape given here.
+
+    Args:
+        position: (rod, node, 3) initial node positions.
+        rest_length: (rod, node - 1) rest length of every edge; default: that of `position`.
+        stretching_stiffness: (rod, node - 1) EA of every edge [force].
+        bending_stiffness: (rod, node) or (rod, node, 2): EI about the two material directors
+            [force length^2]; the values at the end nodes are not used.
+        twisting_stiffness: (rod, node) GJ [force length^2].
+        natural_curvature: (rod, node, 2) curvature at rest in the material frame [1/length].
+        natural_twist: (rod, node) twist at rest [rad/length].
+        node_mass: (rod, node) lumped masses.
+        gravity: (rod, 3) acceleration.
+        point_load: (rod, node, 3) dead force at each node [force].
+        director: (rod, 3) or (rod, node - 1, 3) first material director of the first edge (carried
+            along the rod without twist) or of every edge; default: any direction across the rod.
+        device: "cpu", "cuda:0", "auto".
+
+    Raises:
+        RodError: a shape does not broadcast, a rest length or stiffness is not positive, or a
+            value is not finite.
+    """
+
+    def __init__(
+        self,
+        position: np.ndarray,
+        *,
+        rest_length=None,
+        stretching_stiffness,
+        bending_stiffness,
+        twisting_stiffness,
+        natural_curvature=0.0,
+        natural_twist=0.0,
+        node_mass=0.0,
+        gravity=0.0,
+        point_load=0.0,
+        director=None,
+        device: str | None = "cpu",
+    ):
+        position = np.ascontiguousarray(position, dtype=np.float64)
+        if position.ndim != 3 or position.shape[2] != 3 or position.shape[1] < 3:
+            raise RodError(
+                f"rod positions have shape {position.shape}; give (rod, node, 3) with 3 nodes or "
+                "more"
+            )
+        self.device = resolve_device(device)
+        self.rod_count, self.node_count = position.shape[:2]
+        self.dof_count = 4 * self.node_count - 1
+        rods, nodes = self.rod_count, self.node_count
+        edges = np.diff(position, axis=1)
+        edge_length = np.linalg.norm(edges, axis=2)
+        bending_stiffness = np.asarray(bending_stiffness, dtype=np.float64)
+        if bending_stiffness.ndim < 3:
+            bending_stiffness = bending_stiffness[..., None]
+
+        self.rest_length = self._array(
+            "rest_length",
+            edge_length if rest_length is None else rest_length,
+            (rods, nodes - 1),
+            positive=True,
+        )
+        self.stretching_stiffness = self._array(
+            "stretching_stiffness", stretching_stiffness, (rods, nodes - 1), positive=True
+        )
+        self.bending_stiffness = self._array(
+            "bending_stiffness", bending_stiffness, (rods, nodes, 2), wp.vec2d, positive=True
+        )
+        self.twisting_stiffness = self._array(
+            "twisting_stiffness", twisting_stiffness, (rods, nodes), positive=True
+        )
+        self.natural_curvature = self._array(
+            "natural_curvature", natural_curvature, (rods, nodes, 2), wp.vec2d
+        )
+        self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
+        self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
+        self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)
+        self.point_load = self._array("point_load", point_load, (rods, nodes, 3), wp.vec3d)
+        self.load_factor = wp.ones(rods, dtype=wp.float64, device=self.device)
+        self.free = wp.ones((rods, self.dof_count), dtype=wp.int32, device=self.device)
+        self.every_rod = wp.ones(rods, dtype=wp.int32, device=self.device)
+        self.state = RodState.zeros(rods, nodes, self.device)
+        self.derivatives = Derivatives.zeros(rods, self.dof_count, self.device)
+        self.set_configuration(position, director=director)
+
+    def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
+        try:
+            value = np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
+        except ValueError:
+            raise RodError(
+                f"{name} has shape {np.shape(value)}, which does not broadcast to {shape}"
+            ) from None
+        if not np.isfinite(value).all():
+            raise RodError(f"{name} holds a value that is not finite")
+        if positive and not (value > 0).all():
+            raise RodError(f"{name} holds {value.min():g}; every value must be positive")
+        return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
+
+    def set_configuration(self, position, *, angle=0.0, director=None) -> None:
+        """Put the rods into a configuration.
+
+        Args:
+            position: (rod, node, 3).
+            angle: (rod, node - 1) angles theta from reference to material directors [rad].
+            director: as in the constructor; those of every edge set the reference frames.
+
+        Raises:
+            RodError: two neighbouring nodes coincide, or a director is along its edge.
+        """
+        rods, nodes = self.rod_count, self.node_count
+        position = np.broadcast_to(np.asarray(position, dtype=np.float64), (rods, nodes, 3))
+        edges = np.diff(position, axis=1)
+        length = np.linalg.norm(edges, axis=2, keepdims=True)
+        if not (length > 0).all():
+            raise RodError("two neighbouring nodes of a rod coincide, or are not numbers")
+        tangent = edges / length
+        if director is None:
+            away = np.eye(3)[np.argmin(np.abs(tangent[:, 0]), axis=1)]
+            director = np.cross(tangent[:, 0], away)
+        director = np.array(director, dtype=np.float64)
+        if director.ndim < 3:
+            director = np.broadcast_to(director, (rods, 3))
+            director = transport_along(director, tangent)
+        director = np.broadcast_to(director, (rods, nodes - 1, 3))
+        director = director - np.sum(director * tangent, axis=2, keepdims=True) * tangent
+        size = np.linalg.norm(director, axis=2, keepdims=True)
+        if not (size > 1e-9).all():
+            raise RodError("a rod's director is along its edge; give one across it")
+        dof = np.zeros((rods, nodes, 4))
+        dof[:, :, :3] = position
+        dof[:, :-1, 3] = angle
+        self.state.dof.assign(dof.reshape(rods, -1)[:, :-1])
+        self.state.tangent.assign(tangent)
+        self.state.director.assign(director / size)
+        self.state.reference_twist.zero_()
+        self._launch_twist(self.state, self.every_rod)
+
+    def set_free(self, free: np.ndarray) -> None:
+        """Say which degrees of freedom may move: (rod, dof) of bool, broadcast."""
+        free = np.broadcast_to(np.asarray(free, dtype=bool), (self.rod_count, self.dof_count))
+        self.free.assign(free.astype(np.int32))
+
+    def transport_frames(self, source: RodState, target: RodState, active: wp.array) -> None:
+        """Bring `target`'s frames to its own positions by time-parallel transport from `source`."""
+        wp.launch(
+            transport_reference_frames,
+            dim=(self.rod_count, self.node_count - 1),
+            inputs=[active, target.dof, source.tangent, source.director],
+            outputs=[target.tangent, target.director],
+            device=self.device,
+        )
+        if target is not source:
+            wp.copy(target.reference_twist, source.reference_twist)
+        self._launch_twist(target, active)
+
+    def _launch_twist(self, state: RodState, active: wp.array) -> None:
+        wp.launch(
+            reference_twist,
+            dim=(self.rod_count, self.node_count - 2),
+            inputs=[active, state.tangent, state.director, state.reference_twist],
+            outputs=[state.reference_twist],
+            device=self.device,
+        )
+
+    def evaluate(
+        self,
+        *,
+        order: int = 2,
+        state: RodState | None = None,
+        out: Derivatives | None = None,
+        active: wp.array | None = None,
+    ) -> Derivatives:
+        """Energy and gradient (`order` 1) and Hessian (`order` 2) of every active rod.
+
+        The frames of `state` must belong to its positions.
+        """
+        state = self.state if state is None else state
+        out = self.derivatives if out is None else out
+        active = self.every_rod if active is None else active
+        out.energy.zero_()
+        out.gradient.zero_()
+        if order == 2:
+            out.hessian.zero_()
+        results = [out.energy, out.gradient, out.hessian]
+
+        def launch(kernel, count, inputs, outputs=results):
+            wp.launch(
+                kernel,
+                dim=(self.rod_count, count),
+                inputs=inputs,
+                outputs=outputs,
+                device=self.device,
+            )
+
+        nodes, rest = self.node_count, self.rest_length
+        launch(stretching, nodes - 1, [rest, self.stretching_stiffness, active, state.dof, order])
+        launch(
+            bending,
+            nodes - 2,
+            [
+                rest,
+                self.bending_stiffness,
+                self.natural_curvature,
+                active,
+                state.dof,
+                state.director,
+                order,
+            ],
+        )
+        launch(
+            twisting,
+            nodes - 2,
+            [
+                rest,
+                self.twisting_stiffness,
+                self.natural_twist,
+                active,
+                state.dof,
+                state.reference_twist,
+                order,
+            ],
+        )
+        launch(
+            dead_loads,
+            nodes,
+            [self.node_mass, self.gravity, self.point_load, self.load_factor, active, state.dof],
+            results[:2],
+        )
+        return out
+
+    def positions(self) -> np.ndarray:
+        """(rod, node, 3) node positions."""
+        return node_positions(self.state.dof.numpy())
+
+    def material_directors(self) -> np.ndarray:
+        """(rod, node - 1, 2, 3) material directors m_1, m_2 of every edge."""
+        angle = self.state.dof.numpy()[:, 3::4, None]
+        d1, t = self.state.director.numpy(), self.state.tangent.numpy()
+        d2 = np.cross(t, d1)
+        m1 = np.cos(angle) * d1 + np.sin(angle) * d2
+        return np.stack([m1, np.cross(t, m1)], axis=2)
+
+
+def node_positions(dof: np.ndarray) -> np.ndarray:
+    """(rod, node, 3) positions out of (rod, 4 node - 1) degrees of freedom."""
+    padded = np.pad(dof, ((0, 0), (0, 1)))
+    return padded.reshape(dof.shape[0], -1, 4)[:, :, :3]
+
+
+def transport_along(director: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """Carry (rod, 3) directors of the first edge along (rod, edge, 3) tangents without twist."""
+    carried = np.empty_like(tangent)
+    carried[:, 0] = director
+    for i in range(1, tangent.shape[1]):
+        t, u, v = tangent[:, i - 1], tangent[:, i], carried[:, i - 1]
+        axis = np.cross(t, u)
+        cosine = np.sum(t * u, axis=1, keepdims=True)
+        along = np.sum(axis * v, axis=1, keepdims=True) / np.maximum(1.0 + cosine, 1e-12)
+        carried[:, i] = cosine * v + np.cross(axis, v) + along * axis
+    return carried
+
+
+def full_hessian(band: np.ndarray) -> np.ndarray:
+    """Dense symmetric (dof, dof) matrix out of one rod's lower band (dof, 11)."""
+    n = band.shape[0]
+    dense = np.zeros((n, n))
+    for k in range(min(band.shape[1], n)):
+        rows = np.arange(k, n)
+        dense[rows, rows - k] = dense[rows - k, rows] = band[k:, k]
+    return dense
