@@ -1,6 +1,25 @@
 """Warp device code: one physics term a file. No allocation, no launch, no policy."""
 
+import os
+import sys
+
 import warp as wp
 
-# Warp greets when it starts and warns where there is no CUDA driver; a user of wrod did not ask.
 wp.config.log_level = max(wp.config.log_level, wp.LOG_ERROR)
+
+
+def _start_quietly() -> None:
+    """Start Warp without its note that there is no CUDA driver: it goes to the process's standard
+    error past every setting, and a user of wrod on a CPU did not ask."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+_start_quietly()

@@ -1,7 +1,7 @@
 """Steps of a batched, damped Newton iteration; every rod has its own state of progress."""
 
 import warp as wp
-from wrod.kernels.frames import HALF, ONE, ZERO, edge
+from wrod.kernels.frames import HALF, ZERO, edge
 
 wp.set_module_options({"enable_backward": False})
 
@@ -61,7 +61,6 @@ def measure_residual(
     if active[r] == 0:
         return
     worst = wp.float64(0.0)
-    finite = 1
     for a in range(gradient.shape[1]):
         if free[r, a] != 0:
             value = wp.abs(gradient[r, a])

@@ -171,7 +171,7 @@ class EquilibriumSolver:
             pending &= ~missed | (increment >= _SMALLEST_PROGRESS)
         batch.load_factor.fill_(1.0)
         return Equilibria(
-            converged, iterations, residual, self.system.negative_pivots.numpy(), done
+            converged, iterations, residual, self.system.negative_pivots.numpy().copy(), done
         )
 
     def _place(self, start, begin, target, progress, ramp_loads) -> None:

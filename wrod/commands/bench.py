@@ -4,7 +4,7 @@ import click
 
 from wrod.commands import LazyGroup
 
-BENCHMARKS: tuple[str, ...] = ()
+BENCHMARKS = ("grasp",)
 
 
 @click.command(name="bench", cls=LazyGroup, package="wrod.bench", names=BENCHMARKS)

@@ -1,0 +1,216 @@
+import json
+
+import numpy as np
+import pytest
+
+from wrod.errors import GraspError
+from wrod.grasps import solve_grasps
+
+
+def whole_range(count, seed):
+    """Inputs over the whole range of the physics: half of them short, half long."""
+    rng = np.random.default_rng(seed)
+    ls = np.concatenate(
+        [rng.uniform(1, 50, count - count // 2), np.exp(rng.uniform(0, np.log(50), count // 2))]
+    )
+    return ls, rng.uniform(-3.5, 3.5, count), np.exp(rng.uniform(*np.log([150, 15000]), count))
+
+
+def errors(a, b):
+    return [np.abs(getattr(a, k) - getattr(b, k)).max() for k in ("position", "rotation", "force")]
+
+
+def test_reference_grasps_of_the_continuum(shared):
+    """Twelve grasps of an independent boundary-value solver, at the default resolution."""
+    entries = json.loads((shared / "reference" / "optimal_grasps.json").read_text())
+    ls, kappa, ks = (np.array([e[k] for e in entries]) for k in ("ls", "kappa", "ks"))
+    grasps = solve_grasps(ls, kappa, ks)
+    assert grasps.converged.all()
+    assert grasps.stable.all()
+    for name, key in (("position", "q"), ("rotation", "e"), ("force", "force")):
+        assert np.abs(getattr(grasps, name) - [e[key] for e in entries]).max() < 2e-3
+
+
+def test_order_of_convergence_without_extrapolation(shared):
+    entries = json.loads((shared / "reference" / "optimal_grasps.json").read_text())
+    ls, kappa, ks = (np.array([e[k] for e in entries]) for k in ("ls", "kappa", "ks"))
+    exact = np.array([e["q"] for e in entries])
+    error = [
+        np.linalg.norm(
+            solve_grasps(ls, kappa, ks, edge_count=n, extrapolate=False).position - exact, axis=1
+        )
+        for n in (64, 128, 256)
+    ]
+    assert (np.log2(error[0] / error[1]) > 1.8).all()
+    assert (np.log2(error[1] / error[2]) > 1.8).all()
+
+
+def test_whole_range_converges_and_is_accurate():
+    """Cold starts over the whole range; errors against a mesh four times as fine."""
+    inputs = whole_range(400, seed=1)
+    grasps = solve_grasps(*inputs)
+    assert grasps.converged.mean() >= 0.995
+    assert grasps.stable[grasps.converged].all()
+    some = slice(None, None, 8)
+    fine = solve_grasps(*(i[some] for i in inputs), edge_count=512)
+    ok = grasps.converged[some] & fine.converged
+    for name in ("position", "rotation", "force"):
+        assert np.abs(getattr(grasps, name)[some] - getattr(fine, name))[ok].max() < 2e-3
+
+
+def test_zero_tension_and_weight_at_the_contact():
+    grasps = solve_grasps([5.0, 20.0], [1.0, 2.0], 2000.0)
+    assert np.abs(grasps.force[:, 0]).max() < 1e-8
+
+
+def test_right_turns_mirror_left_turns():
+    left = solve_grasps([8.0, 20.0], [1.3, 0.4], 900.0, sensitivities=True)
+    right = solve_grasps([8.0, 20.0], [-1.3, -0.4], 900.0, sensitivities=True)
+    assert np.allclose(right.position, left.position * [1, -1, 1], atol=1e-12)
+    assert np.allclose(right.rotation, left.rotation * [-1, 1, -1], atol=1e-12)
+    assert np.allclose(right.position_sensitivity[:, 1, 1], left.position_sensitivity[:, 1, 1])
+    assert np.allclose(right.position_sensitivity[:, 0, 1], -left.position_sensitivity[:, 0, 1])
+
+
+@pytest.mark.parametrize(
+    "closure, position, size",
+    [("min_force", (3.77, 0.0, 15.93), 0.695), ("zero_tension", (2.566, 0.0, 16.196), 0.758)],
+)
+def test_published_closures_of_the_straight_pattern(closure, position, size):
+    grasps = solve_grasps(17.68, 0.0, 2087.0, closure=closure)
+    assert grasps.position[0] == pytest.approx(position, abs=0.01)
+    assert np.linalg.norm(grasps.force[0]) == pytest.approx(size, abs=1e-3)
+
+
+@pytest.mark.parametrize("closure", ["min_force", "min_friction"])
+def test_minimising_closures_are_minima_of_the_family(closure):
+    """Neighbouring grasps of the same family, by their thrust, are all worse."""
+    from wrod.grasp_solver import GraspSolver
+    from wrod.grasps import CLOSURES
+
+    inputs = [np.array(v) for v in ([17.68, 6.0], [2.0, 0.8], [2087.0, 500.0])]
+
+    def objective(thrust):
+        solver = GraspSolver(
+            *inputs,
+            edge_count=128,
+            closure=CLOSURES["zero_tension"],
+            device="cpu",
+            guess=best.shape,
+            thrust=thrust,
+        )
+        force = solver.run().solution().force
+        if closure == "min_friction":
+            force[:, 2] = 0.0
+        return np.linalg.norm(force, axis=1)
+
+    best = solve_grasps(*inputs, closure=closure, extrapolate=False)
+    assert best.converged.all()
+    thrust = best.force[:, 0]
+    least = objective(thrust)
+    for offset in (-0.02, 0.02):
+        assert (objective(thrust + offset) > least).all()
+
+
+def test_closures_converge_over_the_whole_range():
+    inputs = whole_range(60, seed=2)
+    for closure in ("min_force", "min_friction"):
+        assert solve_grasps(*inputs, closure=closure).converged.mean() >= 0.95
+
+
+def test_sensitivities_against_differences():
+    ls, kappa, ks = np.array([4.0, 17.68, 40.0]), np.array([1.0, 0.5, 2.5]), np.full(3, 700.0)
+    grasps = solve_grasps(ls, kappa, ks, sensitivities=True)
+    for j, h in enumerate((1e-3, 1e-3, 1.0)):
+        shift = np.zeros(3)
+        shift[j] = h
+        a = solve_grasps(ls + shift[0], kappa + shift[1], ks + shift[2])
+        b = solve_grasps(ls - shift[0], kappa - shift[1], ks - shift[2])
+        for name in ("position", "rotation", "force"):
+            numeric = (getattr(a, name) - getattr(b, name)) / (2 * h)
+            exact = getattr(grasps, f"{name}_sensitivity")[:, :, j]
+            assert np.abs(numeric - exact).max() < 1e-5 * max(1.0, np.abs(exact).max())
+
+
+def test_force_jacobian_against_differences():
+    """Contact force of the held rod, grip moved, contact edge held: by statics alone."""
+    from wrod.grasp_solver import GraspSolver
+    from wrod.statics import solve_equilibrium
+
+    solver = GraspSolver(
+        np.array([8.0]), np.array([1.0]), np.array([900.0]), edge_count=64, closure=0, device="cpu"
+    ).run()
+    jacobian = solver.solution().force_jacobian[0]
+    batch = solver.batch
+    dof = batch.state.dof.numpy().copy()
+    h = 1e-4
+    numeric = np.empty((3, 3))
+    for c in range(3):
+        forces = []
+        for sign in (-1, 1):
+            target = dof.copy()
+            target[:, dof.shape[1] - 3 + c] += sign * h
+            assert solve_equilibrium(batch, prescribed=target).converged.all()
+            forces.append(-batch.evaluate(order=1).gradient.numpy()[0, -3:])
+        numeric[:, c] = (forces[1] - forces[0]) / (2 * h)
+        solve_equilibrium(batch, prescribed=dof)
+    assert np.abs(numeric - jacobian).max() < 1e-5 * np.abs(jacobian).max()
+
+
+def test_gravito_bending_length_drops_out():
+    """Rods in SI units with equal dimensionless numbers hang in the same dimensionless shape."""
+    from wrod.batch import RodBatch
+    from wrod.material import RodMaterial
+    from wrod.statics import prescribe, solve_equilibrium
+
+    shapes = []
+    for radius, lgb, density in ((0.0016, 0.032, 1180.0), (0.004, 0.08, 700.0)):
+        rod = RodMaterial(radius, lgb, 12 * lgb, density=density)
+        s = np.linspace(0, rod.length, 61)
+        edge = s[1]
+        mass = np.full(61, density * np.pi * radius**2 * edge)
+        mass[[0, -1]] /= 2
+        batch = RodBatch(
+            (s[:, None] * [1.0, 0, 0])[None],
+            stretching_stiffness=rod.stretching_stiffness,
+            bending_stiffness=rod.bending_stiffness,
+            twisting_stiffness=rod.twisting_stiffness,
+            node_mass=mass,
+            gravity=(0, 0, -rod.gravity),
+        )
+        prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
+        assert solve_equilibrium(batch).converged.all()
+        shapes.append(batch.positions()[0] / lgb)
+    assert np.abs(shapes[0] - shapes[1]).max() < 1e-6
+
+
+def test_threads_and_batches_do_not_change_results():
+    inputs = whole_range(40, seed=3)
+    together = solve_grasps(*inputs, threads=1)
+    apart = [solve_grasps(*(v[i : i + 1] for v in inputs)) for i in (0, 17, 39)]
+    for i, one in zip((0, 17, 39), apart, strict=True):
+        assert np.abs(one.position[0] - together.position[i]).max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    "inputs, word",
+    [
+        (([np.nan], [0.0], [2000.0]), r"suspended_length\[0\] is nan"),
+        (([5.0, 900.0], [0.0], [2000.0]), r"suspended_length\[1\] is 900"),
+        (([5.0], [9.0], [2000.0]), "curvature"),
+        (([5.0], [0.0], [-1.0]), "stretch_ratio"),
+        (([5.0, 6.0], [0.0, 1.0, 2.0], [2000.0]), "broadcast"),
+    ],
+)
+def test_bad_inputs_are_named(inputs, word):
+    with pytest.raises(GraspError, match=word):
+        solve_grasps(*inputs)
+
+
+def test_unknown_closure_and_hopeless_grasp():
+    with pytest.raises(GraspError, match="zero_tension, min_force, min_friction"):
+        solve_grasps(5.0, 0.0, 2000.0, closure="none")
+    # So short and so strongly bent that no grasp keeps it above the table: flagged, never NaN.
+    grasps = solve_grasps(0.2, 3.0, 2000.0)
+    assert not grasps.converged[0]
+    assert np.isfinite(grasps.residual).all()

@@ -1,0 +1,76 @@
+"""Meshes of the suspended rod and the shapes that its solver starts from. Dimensionless."""
+
+from __future__ import annotations
+
+import numpy as np
+
+WEIGHT = 0.5  # per length in k_b / L_gb^2 per L_gb, by the definition of L_gb
+# Vertical force at the contact of a long rod on a straight pattern.
+_LONG_FORCE = 0.7577
+# Length over which edges stay short: a fraction of the boundary layer at the contact.
+_GRADING = 0.3
+
+
+def rest_lengths(suspended_length: np.ndarray, edge_count: int) -> np.ndarray:
+    """(n, edge_count) rest lengths: short in the boundary layer at the contact, longer above.
+
+    Nodes stand at s = a ((1 + l/a)^xi - 1), xi = 0, 1/N, ..., 1: halving the edges refines the
+    same map, so the solution has an error expansion in 1/N^2.
+    """
+    length = np.asarray(suspended_length, dtype=np.float64)[:, None]
+    xi = np.linspace(0.0, 1.0, edge_count + 1)
+    return np.diff(_GRADING * np.expm1(xi * np.log1p(length / _GRADING)), axis=1)
+
+
+def rest_length_rates(suspended_length: np.ndarray, edge_count: int) -> np.ndarray:
+    """(n, edge_count) derivative of `rest_lengths` by the suspended length."""
+    length = np.asarray(suspended_length, dtype=np.float64)[:, None]
+    xi = np.linspace(0.0, 1.0, edge_count + 1)
+    return np.diff(xi * np.exp((xi - 1.0) * np.log1p(length / _GRADING)), axis=1)
+
+
+def node_weights(rest: np.ndarray) -> np.ndarray:
+    """(n, edge + 1) weight of every node: half that of the edges around it."""
+    weights = np.zeros((rest.shape[0], rest.shape[1] + 1))
+    weights[:, :-1] += WEIGHT * rest / 2
+    weights[:, 1:] += WEIGHT * rest / 2
+    return weights
+
+
+def straight_pattern_guess(rest: np.ndarray) -> np.ndarray:
+    """(n, edge + 1, 3) shape near the grasp of a straight pattern, for Newton to start from.
+
+    Integrates theta'' = (F - w s) cos(theta) from the flat contact with the force that a long (or a
+    short) rod has, and lets the rod hang straight from where it first stands upright.
+    """
+    n, edge_count = rest.shape
+    force = np.minimum(_LONG_FORCE, WEIGHT * rest.sum(axis=1) / 2)
+    theta, rate, s = np.zeros(n), np.zeros(n), np.zeros(n)
+    upright = np.zeros(n, dtype=bool)
+    position = np.zeros((n, edge_count + 1, 3))
+    position[:, 1, 0] = rest[:, 0]  # the first edge leaves the contact flat
+    for i in range(edge_count):
+        h = rest[:, i]
+        theta = theta + 0.5 * h * rate  # now that of the middle of the edge
+        upright |= theta >= np.pi / 2
+        theta = np.where(upright, np.pi / 2, theta)
+        rate = np.where(upright, 0.0, rate + h * (force - WEIGHT * (s + h / 2)) * np.cos(theta))
+        if i > 0:
+            position[:, i + 1, 0] = position[:, i, 0] + h * np.cos(theta)
+            position[:, i + 1, 2] = position[:, i, 2] + h * np.sin(theta)
+        theta = theta + 0.5 * h * rate
+        s = s + h
+    return position
+
+
+def refine(position: np.ndarray) -> np.ndarray:
+    """(n, 2 edge + 1, 3) shape on the mesh of half the edges, by cubics in the node index."""
+    n, nodes, _ = position.shape
+    fine = np.empty((n, 2 * nodes - 1, 3))
+    fine[:, ::2] = position
+    middle = (9 * (position[:, 1:-2] + position[:, 2:-1]) - position[:, :-3] - position[:, 3:]) / 16
+    fine[:, 3:-3:2] = middle
+    ends = np.array([5.0, 15.0, -5.0, 1.0]) / 16
+    fine[:, 1] = np.einsum("k,nkc->nc", ends, position[:, :4])
+    fine[:, -2] = np.einsum("k,nkc->nc", ends, position[:, :-5:-1])
+    return fine

@@ -1,0 +1,370 @@
+"""Grasps of one mesh on one device: allocation, iteration, reading out. Dimensionless."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from wrod.batch import RodBatch
+from wrod.grasp_mesh import (
+    WEIGHT,
+    node_weights,
+    rest_length_rates,
+    rest_lengths,
+    straight_pattern_guess,
+)
+from wrod.kernels import grasp_sensitivity, grasping
+from wrod.kernels.bending import bending_rate
+from wrod.kernels.loads import dead_loads
+from wrod.kernels.stretching import stretching_rate
+from wrod.rotation import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector
+from wrod.statics import BandedSystem
+
+# Largest change of an edge in one step, as a fraction of its length.
+_STEP_LIMIT = 0.4
+# Newton steps on one continuation step before it counts as failed.
+_PATIENCE = 14
+_MAX_ITERATIONS = 400
+_FIRST_INCREMENT = 0.5
+
+
+@dataclass
+class GraspSolution:
+    """Grasps on one mesh (NumPy); n grasps.
+
+    Attributes:
+        position, rotation, force: (n, 3) grip position, its frame as a rotation vector, force on
+            the suspended rod at the contact.
+        force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact edge held.
+        shape: (n, node, 3) nodes from contact to grip.
+        converged, stable: (n,) bool.
+        iterations: (n,) int.
+        residual: (n,) largest unbalanced force.
+        thrust: (n,) F_x.
+        position_sensitivity, rotation_sensitivity, force_sensitivity: (n, 3, 3) derivatives of
+            component i by input j of (l_s, kappa, k_s); None unless asked for.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    force: np.ndarray
+    force_jacobian: np.ndarray
+    shape: np.ndarray
+    converged: np.ndarray
+    stable: np.ndarray
+    iterations: np.ndarray
+    residual: np.ndarray
+    thrust: np.ndarray
+    position_sensitivity: np.ndarray | None = None
+    rotation_sensitivity: np.ndarray | None = None
+    force_sensitivity: np.ndarray | None = None
+
+
+class GraspSolver:
+    """Solves n grasps on meshes of `edge_count` edges; allocates once, then launches.
+
+    Args:
+        suspended_length, curvature, stretch_ratio: (n,) inputs; curvature >= 0.
+        edge_count: edges between contact and grip.
+        closure: one of `wrod.kernels.grasping`'s closures.
+        device: Warp device.
+        guess: (n, edge_count + 1, 3) nodes near the solution at the full curvature; without it
+            the solver starts from the straight pattern and walks up the curvature.
+        thrust: (n,) F_x of the guess.
+    """
+
+    def __init__(
+        self,
+        suspended_length: np.ndarray,
+        curvature: np.ndarray,
+        stretch_ratio: np.ndarray,
+        *,
+        edge_count: int,
+        closure: int,
+        device: str,
+        guess: np.ndarray | None = None,
+        thrust: np.ndarray | None = None,
+    ):
+        n = len(suspended_length)
+        self.inputs = (suspended_length, curvature, stretch_ratio)
+        self.closure, self.device = int(closure), device
+        edges = rest_lengths(suspended_length, edge_count)
+        start = curvature if guess is not None else np.zeros(n)
+        position = self._with_ghost(
+            straight_pattern_guess(edges) if guess is None else guess, edges[:, 0], start
+        )
+        weights = np.pad(node_weights(edges), ((0, 0), (1, 0)))
+        self.batch = batch = RodBatch(
+            position,
+            rest_length=np.concatenate([edges[:, :1], edges], axis=1),
+            stretching_stiffness=stretch_ratio[:, None],
+            bending_stiffness=1.0,
+            # Any positive value: the rod of a grasp carries no twist. It counts for stability.
+            twisting_stiffness=2.0 / 3.0,
+            node_mass=weights,
+            gravity=(0.0, 0.0, -1.0),
+            director=np.broadcast_to([0.0, 0.0, 1.0], (n, 3)),
+            device=device,
+        )
+        free = np.ones(batch.dof_count, dtype=bool)
+        free[:11] = False
+        free[-3:] = False
+        batch.set_free(free)
+        self.system = BandedSystem(batch, right_hand_sides=7)
+
+        def floats(value=0.0):
+            return wp.array(np.broadcast_to(value, (n,)), dtype=wp.float64, device=device)
+
+        def ints(value=0):
+            return wp.full(n, value, dtype=wp.int32, device=device)
+
+        self.weight = floats(WEIGHT * suspended_length)
+        self.target, self.curvature = floats(curvature), floats(start)
+        self.curvature_saved = floats(start)
+        rounding = 8 * np.finfo(float).eps * stretch_ratio / edges.min(axis=1) * suspended_length
+        self.tolerance = floats(np.maximum(1e-9, rounding))
+        self.condensed = wp.zeros(n, dtype=grasping.mat66d, device=device)
+        self.reaction = wp.zeros(n, dtype=grasping.vec6d, device=device)
+        self.dof_saved = wp.clone(batch.state.dof)
+        self.increment = floats(_FIRST_INCREMENT)
+        self.thrust = floats(0.0 if thrust is None else thrust)
+        self.thrust_saved, self.slope_saved = floats(0.0 if thrust is None else thrust), floats()
+        self.residual = floats(np.inf)
+        self.saved, self.waited, self.iterations, self.status = (ints() for _ in range(4))
+        self.active = ints(1)
+
+    @staticmethod
+    def _with_ghost(position: np.ndarray, edge: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+        """Prepend the ghost node and turn the first edge to the contact's curvature."""
+        position = position.copy()
+        half = np.arctan(0.5 * curvature * edge)
+        direction = np.stack([np.cos(half), np.sin(half), np.zeros_like(half)], axis=1)
+        stretched = np.linalg.norm(position[:, 1], axis=1, keepdims=True)
+        position[:, 1] = stretched * direction
+        ghost = edge[:, None] * direction * [-1.0, 1.0, 0.0]
+        return np.concatenate([ghost[:, None], position], axis=1)
+
+    def run(self) -> GraspSolver:
+        """Iterate until every grasp has converged or failed."""
+        batch, out, system = self.batch, self.batch.derivatives, self.system
+        for iteration in range(_MAX_ITERATIONS):
+            batch.evaluate(order=2, active=self.active)
+            self._condense(out.gradient, self.active, self.reaction)
+            wp.launch(
+                grasping.iterate_grasp,
+                dim=batch.rod_count,
+                inputs=[
+                    batch.rest_length,
+                    self.weight,
+                    self.target,
+                    self.closure,
+                    self.tolerance,
+                    wp.float64(_STEP_LIMIT),
+                    _PATIENCE,
+                    batch.free,
+                    out.gradient,
+                    out.hessian,
+                    self.condensed,
+                    self.reaction,
+                    system.x,
+                    batch.state.dof,
+                    self.curvature,
+                    self.thrust,
+                    self.dof_saved,
+                    self.curvature_saved,
+                    self.thrust_saved,
+                    self.slope_saved,
+                    self.saved,
+                    self.increment,
+                    self.waited,
+                    self.iterations,
+                    self.active,
+                    self.status,
+                    self.residual,
+                ],
+                device=self.device,
+            )
+            batch.transport_frames(batch.state, batch.state, self.active)
+            # Asking the device costs a synchronisation; a few spare iterations cost less.
+            if iteration % 3 == 2 and not self.active.numpy().any():
+                break
+        return self
+
+    def _condense(self, gradient: wp.array, active: wp.array, reaction: wp.array) -> None:
+        """Factorise, and condense Hessian and gradient on node 2 and the grip."""
+        batch, system, hessian = self.batch, self.system, self.batch.derivatives.hessian
+        system.factorise(hessian, active)
+        wp.launch(
+            grasping.load_border,
+            dim=system.x.shape,
+            inputs=[active, gradient, hessian],
+            outputs=[system.x],
+            device=self.device,
+        )
+        system.solve(active)
+        wp.launch(
+            grasping.condense,
+            dim=batch.rod_count,
+            inputs=[active, batch.free, gradient, hessian, system.x],
+            outputs=[self.condensed, reaction],
+            device=self.device,
+        )
+
+    def solution(self, *, sensitivities: bool = False) -> GraspSolution:
+        """Read the grasps out."""
+        n = self.batch.rod_count
+        force = -self.reaction.numpy()[:, 3:]
+        force[:, 2] += self.weight.numpy()
+        shape = self.batch.positions()[:, 1:]
+        rotation, _ = self._rotation()
+        result = GraspSolution(
+            position=shape[:, -1].copy(),
+            rotation=rotation,
+            force=force,
+            force_jacobian=-self.condensed.numpy()[:, 3:, 3:],
+            shape=shape,
+            converged=self.status.numpy() == grasping.CONVERGED,
+            stable=self.system.negative_pivots.numpy() == 0,
+            iterations=self.iterations.numpy().copy(),
+            residual=self.residual.numpy().copy(),
+            thrust=self.thrust.numpy().copy(),
+        )
+        if sensitivities:
+            rates = np.zeros((3, n, 3, 3))
+            for j in range(3):
+                rates[0, :, :, j], rates[1, :, :, j], rates[2, :, :, j] = self._rates(j)
+            result.position_sensitivity = rates[0]
+            result.rotation_sensitivity = rates[1]
+            result.force_sensitivity = rates[2]
+        return result
+
+    def _grip_frame(self):
+        """Frame of the last edge, and the small rotation from its middle to the grip.
+
+        The curvature falls linearly to zero at the moment-free grip, so over the last half edge
+        the rod turns by an eighth of an edge times the curvature at the last inner node.
+        """
+        batch = self.batch
+        t = batch.state.tangent.numpy()[:, -2:]
+        m = batch.material_directors()[:, -1]
+        frame = np.stack([t[:, 1], -m[:, 1], m[:, 0]], axis=2)
+        rest = batch.rest_length.numpy()[:, -2:]
+        fraction = rest[:, 1] / (4.0 * rest.sum(axis=1))
+        chi = 1.0 + np.sum(t[:, 0] * t[:, 1], axis=1)
+        binormal = 2.0 * np.cross(t[:, 0], t[:, 1]) / chi[:, None]
+        return frame, t, chi, binormal, fraction
+
+    def _rotation(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n, 3) rotation vectors and (n, 3, 3) matrices of the grip's frame."""
+        frame, _, _, binormal, fraction = self._grip_frame()
+        matrix = rotation_matrix(fraction[:, None] * binormal) @ frame
+        return rotation_vector(matrix), matrix
+
+    def _rates(self, j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Derivatives of position, rotation vector and force by input j."""
+        batch, device = self.batch, self.device
+        rods, nodes = batch.rod_count, batch.node_count
+        length = self.inputs[0]
+        rest_rate = np.zeros((rods, nodes - 1))
+        mass_rate = np.zeros((rods, nodes))
+        if j == 0:
+            edges = rest_length_rates(length, nodes - 2)
+            rest_rate[:, 0], rest_rate[:, 1:] = edges[:, 0], edges
+            mass_rate[:, 1:] = node_weights(edges)
+        every = batch.every_rod
+        rest_rate_wp = wp.array(rest_rate, dtype=wp.float64, device=device)
+        mass_rate_wp = wp.array(mass_rate, dtype=wp.float64, device=device)
+        stiffness_rate = wp.full(
+            (rods, nodes - 1), 1.0 if j == 2 else 0.0, dtype=wp.float64, device=device
+        )
+        gradient_rate = wp.zeros_like(batch.derivatives.gradient)
+        dof, director = batch.state.dof, batch.state.director
+        rest, stretch = batch.rest_length, batch.stretching_stiffness
+        wp.launch(
+            stretching_rate,
+            dim=(rods, nodes - 1),
+            inputs=[rest, stretch, rest_rate_wp, stiffness_rate, dof],
+            outputs=[gradient_rate],
+            device=device,
+        )
+        wp.launch(
+            bending_rate,
+            dim=(rods, nodes - 2),
+            inputs=[rest, batch.bending_stiffness, rest_rate_wp, dof, director],
+            outputs=[gradient_rate],
+            device=device,
+        )
+        wp.launch(
+            dead_loads,
+            dim=(rods, nodes),
+            inputs=[
+                mass_rate_wp,
+                batch.gravity,
+                batch.point_load,
+                batch.load_factor,
+                every,
+                dof,
+            ],
+            outputs=[wp.zeros(rods, dtype=wp.float64, device=device), gradient_rate],
+            device=device,
+        )
+        reaction_rate = wp.zeros_like(self.reaction)
+        batch.evaluate(order=2)
+        self._condense(gradient_rate, every, reaction_rate)
+        force_rate = wp.zeros(rods, dtype=wp.vec3d, device=device)
+        wp.launch(
+            grasp_sensitivity.grasp_rate,
+            dim=rods,
+            inputs=[
+                rest,
+                rest_rate_wp,
+                self.curvature,
+                wp.float64(1.0 if j == 1 else 0.0),
+                wp.float64(WEIGHT if j == 0 else 0.0),
+                batch.free,
+                dof,
+                batch.derivatives.hessian,
+                self.condensed,
+                reaction_rate,
+                self.system.x,
+            ],
+            outputs=[force_rate],
+            device=device,
+        )
+        dof_rate = self.system.x.numpy()[:, 0]
+        return dof_rate[:, -3:], self._rotation_rate(dof_rate, rest_rate), force_rate.numpy()
+
+    def _rotation_rate(self, dof_rate: np.ndarray, rest_rate: np.ndarray) -> np.ndarray:
+        """(n, 3) derivative of the grip's rotation vector along a rate of the dofs."""
+        batch = self.batch
+        frame, t, chi, binormal, fraction = self._grip_frame()
+        dof = batch.state.dof.numpy()
+        length = np.stack(
+            [
+                np.linalg.norm(dof[:, -7:-4] - dof[:, -11:-8], axis=1),
+                np.linalg.norm(dof[:, -3:] - dof[:, -7:-4], axis=1),
+            ],
+            axis=1,
+        )
+        nodes = np.stack([dof_rate[:, -11:-8], dof_rate[:, -7:-4], dof_rate[:, -3:]], axis=1)
+        edge_rate = np.diff(nodes, axis=1) / length[:, :, None]
+        t_rate = edge_rate - np.sum(edge_rate * t, axis=2, keepdims=True) * t
+        # Time-parallel frames spin with their tangent, the material frame by its angle on top.
+        spin = np.cross(t[:, 1], t_rate[:, 1]) + dof_rate[:, -4:-3] * t[:, 1]
+        chi_rate = np.sum(t_rate[:, 0] * t[:, 1] + t[:, 0] * t_rate[:, 1], axis=1)
+        binormal_rate = (
+            2.0 * (np.cross(t_rate[:, 0], t[:, 1]) + np.cross(t[:, 0], t_rate[:, 1]))
+            - chi_rate[:, None] * binormal
+        ) / chi[:, None]
+        rest, rate = batch.rest_length.numpy()[:, -2:], rest_rate[:, -2:]
+        total = rest.sum(axis=1)
+        fraction_rate = (rate[:, 1] - rest[:, 1] * rate.sum(axis=1) / total) / (4.0 * total)
+        bend = fraction[:, None] * binormal
+        bend_rate = fraction_rate[:, None] * binormal + fraction[:, None] * binormal_rate
+        turn = rotation_matrix(bend)
+        omega = np.einsum("nij,nj->ni", left_jacobian(bend), bend_rate)
+        omega += np.einsum("nij,nj->ni", turn, spin)
+        vector = rotation_vector(turn @ frame)
+        return np.einsum("nij,nj->ni", left_jacobian_inverse(vector), omega)

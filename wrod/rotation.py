@@ -1,0 +1,43 @@
+"""Rotation vectors, and how they change with an angular velocity (SciPy does the rotations)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def rotation_matrix(vector: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) matrices of (n, 3) rotation vectors [rad]."""
+    return Rotation.from_rotvec(vector).as_matrix()
+
+
+def rotation_vector(matrix: np.ndarray) -> np.ndarray:
+    """(n, 3) rotation vectors [rad], no longer than pi, of (n, 3, 3) matrices."""
+    return Rotation.from_matrix(matrix).as_rotvec()
+
+
+def _cross_matrix(vector: np.ndarray) -> np.ndarray:
+    zero = np.zeros(len(vector))
+    x, y, z = vector.T
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def left_jacobian(vector: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) J with angular velocity = J d(vector)/dt, in the fixed frame."""
+    angle = np.linalg.norm(vector, axis=1)[:, None, None]
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
+    b = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
+    k = _cross_matrix(vector)
+    return np.eye(3) + a * k + b * (k @ k)
+
+
+def left_jacobian_inverse(vector: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) inverse of `left_jacobian`; finite below a full turn."""
+    angle = np.linalg.norm(vector, axis=1)[:, None, None]
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    c = np.where(small, 1 / 12 + angle**2 / 720, 1 / safe**2 - 0.5 / (safe * np.tan(safe / 2)))
+    k = _cross_matrix(vector)
+    return np.eye(3) - 0.5 * k + c * (k @ k)
