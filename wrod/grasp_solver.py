@@ -123,8 +123,12 @@ class GraspSolver:
         self.weight = floats(WEIGHT * suspended_length)
         self.target, self.curvature = floats(curvature), floats(start)
         self.curvature_saved = floats(start)
-        rounding = 8 * np.finfo(float).eps * stretch_ratio / edges.min(axis=1) * suspended_length
-        self.tolerance = floats(np.maximum(1e-9, rounding))
+        # What rounding positions leaves: in the stiffest edge, over the whole rod, and in the
+        # sharpest bend, near the contact.
+        shortest = edges.min(axis=1)
+        rounding = stretch_ratio / shortest * suspended_length
+        rounding += 4.0 / shortest**3 * np.minimum(suspended_length, 5.0)
+        self.tolerance = floats(np.maximum(1e-9, 8 * np.finfo(float).eps * rounding))
         self.condensed = wp.zeros(n, dtype=grasping.mat66d, device=device)
         self.reaction = wp.zeros(n, dtype=grasping.vec6d, device=device)
         self.dof_saved = wp.clone(batch.state.dof)
