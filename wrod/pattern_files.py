@@ -129,7 +129,9 @@ def _read_text(path: Path) -> RawPoints:
         lines.append(number)
         if len(rows) > _MAX_POINTS:
             raise PatternError(f"{path}: more than {_MAX_POINTS} points; thin the pattern out")
-    return RawPoints(np.array(rows, dtype=float).reshape(len(rows), -1), str(path), units, lines)
+    if not rows:
+        raise PatternError(f"{path}: holds no points; give at least 3")
+    return RawPoints(np.array(rows, dtype=float), str(path), units, lines)
 
 
 def _is_header(content: str) -> bool:

@@ -29,7 +29,8 @@ class Pattern:
     and has negative s, so the pattern runs over [-remainder_length, length].
 
     Attributes:
-        name: what to call it in files and pictures.
+        name: what to call it in pictures.
+        source: what to call it in messages: the file that it was read from, or its name.
         points: (n, 3) points that it was made from [m], or None for a closed form.
         noise: estimated standard deviation of these points across the curve [m].
     """
@@ -40,11 +41,13 @@ class Pattern:
         origin: np.ndarray,
         *,
         name: str = "pattern",
+        source: str | None = None,
         height: float = 0.0,
         points: np.ndarray | None = None,
         noise: float = 0.0,
     ):
         self.name, self.points, self.noise = name, points, noise
+        self.source = name if source is None else source
         self._heading, self._origin, self._height = heading, np.asarray(origin, float), height
         self._position = integrate_heading(heading, self._origin)
 
@@ -102,7 +105,7 @@ class Pattern:
             raise PatternError(
                 "points are not an array of numbers of shape (n, 2) or (n, 3)"
             ) from None
-        return cls._from_raw(RawPoints(values, "points"), units, smoothing, name)
+        return cls._from_raw(RawPoints(values, name), units, smoothing, name)
 
     @classmethod
     def _from_raw(
@@ -114,7 +117,13 @@ class Pattern:
         refuse_spikes(points, raw)
         heading, origin, noise = fit_heading(points[:, :2], smoothing)
         return cls(
-            heading, origin, name=name, height=float(points[0, 2]), points=points, noise=noise
+            heading,
+            origin,
+            name=name,
+            source=raw.source,
+            height=float(points[0, 2]),
+            points=points,
+            noise=noise,
         )
 
     @classmethod
@@ -197,7 +206,7 @@ class Pattern:
         if s.ndim != 1 or np.any(outside):
             what = f"arc length {s[outside][0]:g} m" if s.ndim == 1 else f"an array of {s.shape}"
             raise PatternError(
-                f"{self.name}: {what} is outside the pattern, which runs from {first:g} to "
+                f"{self.source}: {what} is outside the pattern, which runs from {first:g} to "
                 f"{last:g} m"
             )
         return np.clip(s, first, last)
@@ -216,7 +225,7 @@ class Pattern:
         """
         if self.remainder_length > 0.0:
             raise PatternError(
-                f"{self.name}: has a remainder of {self.remainder_length:g} m already"
+                f"{self.source}: has a remainder of {self.remainder_length:g} m already"
             )
         start = abs(float(self._heading(0.0, nu=1)))
         if length is None:
@@ -229,6 +238,7 @@ class Pattern:
             lead_in(self._heading, float(length)),
             self._origin,
             name=self.name,
+            source=self.source,
             height=self._height,
             points=self.points,
             noise=self.noise,

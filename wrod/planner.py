@@ -20,6 +20,7 @@ from wrod.trajectory import Trajectory
 MIN_SUSPENDED_LENGTH = 1.0
 # A dimensionless start curvature above this gets a remainder unless the caller decides.
 CONSIDERABLE_CURVATURE = 0.1
+_MAX_NODES = 20_000
 # Nodes handed to a solver at a time when someone watches the progress.
 _CHUNK = 32
 
@@ -152,11 +153,14 @@ def plan(
     """
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
-    if not (np.isfinite(spacing) and spacing > 0.0):
-        raise PatternError(f"spacing is {spacing!r}; give a positive number of metres")
     pattern = prepare(pattern, rod, remainder)
     first = -pattern.remainder_length
     total = pattern.length - first
+    if not (np.isfinite(spacing) and spacing >= total / _MAX_NODES):
+        raise PatternError(
+            f"spacing is {spacing!r} m; give at least {total / _MAX_NODES:.2g} m, which "
+            f"makes {_MAX_NODES} contact nodes"
+        )
     s = np.linspace(first, pattern.length, int(np.ceil(total / spacing - 1e-9)) + 1)
     contact, tangent, curvature = pattern.sample(s)
     _refuse_tight_bends(pattern, rod, s, curvature)
@@ -233,7 +237,7 @@ def _refuse_long(pattern: Pattern, rod: RodMaterial, spare: float) -> None:
     if pattern.length > 20.0 * rod.length:
         hint = " (are the coordinates in another unit? say so with units)"
     raise PatternError(
-        f"{pattern.name}: is {total:.4g} m long{led}, and a rod of {rod.length:.4g} m that keeps "
+        f"{pattern.source}: is {total:.4g} m long{led}, and a rod of {rod.length:.4g} m that keeps "
         f"{MIN_SUSPENDED_LENGTH:g} L_gb suspended can lay {max(spare, 0.0):.4g} m; shorten the "
         f"pattern by {total - spare:.3g} m or take a longer rod{hint}"
     )
@@ -245,7 +249,7 @@ def _refuse_tight_bends(
     worst = int(np.argmax(np.abs(curvature)))
     if abs(curvature[worst]) * rod.radius >= 1.0:
         raise PatternError(
-            f"{pattern.name}: has a curvature of {curvature[worst]:.0f} 1/m at s = "
+            f"{pattern.source}: has a curvature of {curvature[worst]:.0f} 1/m at s = "
             f"{s[worst]:.3f} m, tighter than the rod's own radius of {rod.radius:g} m; "
             "smooth the pattern or make it larger"
         )

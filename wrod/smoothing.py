@@ -15,6 +15,7 @@ from scipy.interpolate import BSpline, PPoly, make_interp_spline
 from scipy.optimize import brentq, minimize_scalar
 
 _MAX_SITES = 400  # columns of the regression; a rod pattern of 0.8 m then has a knot every 2 mm
+_MIN_SMOOTHED = 8  # fewer points say nothing about their noise and are interpolated
 _GAMMA = 1.4  # weight of a degree of freedom in GCV against undersmoothing (Kim and Gu 2004)
 _NOISE_FLOOR = 1e-9  # of the pattern's length: smaller residuals are rounding, not information
 
@@ -84,7 +85,7 @@ class _PenalisedSpline:
 
     def choose(self, smoothing: float | None) -> float:
         """Smoothing parameter: by cross-validation (None) or for a given noise [length unit]."""
-        if smoothing == 0.0 or not np.any(self.singular > 0.0):
+        if smoothing == 0.0 or self.count < _MIN_SMOOTHED or not np.any(self.singular > 0.0):
             return 0.0
         low, high = self.bounds()
         if smoothing is not None:
