@@ -17,7 +17,7 @@ def test_required_friction_of_a_known_curvature():
     bound = friction_bound(wrod.Pattern.from_points(points[::200]), ROD)
     exact = 2 * 0.032**3 * 12 / 0.05**2 * np.abs(np.sin(bound.arc_length / 0.05))
     np.testing.assert_allclose(bound.required[30:-30], exact[30:-30], atol=2e-3)
-    np.testing.assert_allclose(bound.required, exact, atol=0.1)
+    np.testing.assert_allclose(bound.required[8:-8], exact[8:-8], atol=0.06)
 
 
 def test_stretches_without_enough_friction():

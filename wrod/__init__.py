@@ -12,6 +12,7 @@ _PUBLIC = {
     "Pattern": "wrod.patterns",
     "pattern": "wrod.patterns",
     "pattern_names": "wrod.patterns",
+    "friction_bound": "wrod.friction",
     "Trajectory": "wrod.trajectory",
     "Grasps": "wrod.grasps",
     "solve_grasps": "wrod.grasps",
