@@ -90,7 +90,7 @@ def test_built_in_samples_are_consistent(name):
 
 def test_remainder_starts_straight_and_joins_smoothly():
     pattern = wrod.pattern("circle")
-    led = pattern.with_remainder()
+    led = pattern.with_remainder(0.14)
     assert led.length == pattern.length
     first = -led.remainder_length
     assert led.sample(first)[2] == pytest.approx(0.0, abs=1e-9)
@@ -111,9 +111,15 @@ def test_right_turning_remainder_grows_to_a_negative_curvature():
     assert led.sample(-0.04)[2] < 0.0
 
 
-def test_remainder_of_a_straight_start_is_none():
-    line = wrod.pattern("line")
-    assert line.with_remainder().remainder_length == 0.0
+@pytest.mark.parametrize("length", [0.0, -0.1, np.nan])
+def test_remainder_needs_a_length(length):
+    with pytest.raises(PatternError, match="remainder length"):
+        wrod.pattern("circle").with_remainder(length)
+
+
+def test_remainder_is_laid_once():
+    with pytest.raises(PatternError, match="already"):
+        wrod.pattern("circle").with_remainder(0.1).with_remainder(0.1)
 
 
 def test_sample_refuses_places_outside():

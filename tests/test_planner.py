@@ -106,10 +106,23 @@ def test_remainder_is_left_out_where_not_asked_for_or_not_needed():
     assert plan.metadata["remainder_length"] == pytest.approx(0.2)
 
 
+def test_default_remainder_asks_for_little_friction_or_turns_little():
+    plan = wrod.plan(wrod.pattern("circle"), ROD, "intuitive")
+    assert plan.metadata["required_friction"] == pytest.approx(0.25, rel=0.05)
+    plan = wrod.plan(wrod.pattern("circle"), wrod.rod("cable"), "intuitive")
+    # Curvature grows antisymmetrically about its half: the turn is half of length times curvature.
+    assert plan.metadata["remainder_length"] / 0.085 / 2 == pytest.approx(0.8)
+
+
 def test_default_remainder_shrinks_to_a_short_rod():
-    rod = wrod.RodMaterial(0.0016, 0.032, 0.6)
+    rod = wrod.RodMaterial(0.0016, 0.032, 0.66)  # too short for the 13 cm it would get
     plan = wrod.plan(wrod.pattern("circle"), rod, "intuitive")
-    assert plan.arc_length[-1] == pytest.approx(0.6 - 0.032)
+    assert plan.arc_length[-1] == pytest.approx(0.66 - 0.032)
+
+
+def test_no_remainder_where_there_is_hardly_room():
+    plan = wrod.plan(wrod.pattern("circle"), wrod.RodMaterial(0.0016, 0.032, 0.6), "intuitive")
+    assert plan.metadata["remainder_length"] == 0.0
 
 
 def test_pattern_too_long_says_by_how_much():

@@ -17,10 +17,6 @@ from wrod.pattern_files import RawPoints, checked_points, read_points, refuse_sp
 from wrod.shapes import SHAPES
 from wrod.smoothing import fit_heading
 
-# Turning angle of a default remainder [rad]: its curvature then grows over 1.6 radii, and its
-# friction demand is of the order of the patterns' own.
-_REMAINDER_TURN = 0.8
-
 
 class Pattern:
     """A smooth curve in a horizontal plane, parametrised by its arc length s [m].
@@ -211,14 +207,14 @@ class Pattern:
             )
         return np.clip(s, first, last)
 
-    def with_remainder(self, length: float | None = None) -> Pattern:
+    def with_remainder(self, length: float) -> Pattern:
         """The pattern with a lead-in whose curvature grows smoothly from zero to its own.
 
         Joined with continuous position, tangent, curvature, and two derivatives of the curvature
         (paper, Sec. Accuracy), so that the free end needs little friction.
 
         Args:
-            length: length of the remainder [m]; by default it turns by about 0.8 rad.
+            length: length of the remainder [m]; `wrod.plan` chooses one that suits the rod.
 
         Raises:
             PatternError: the length is not positive, or there is a remainder already.
@@ -227,11 +223,6 @@ class Pattern:
             raise PatternError(
                 f"{self.source}: has a remainder of {self.remainder_length:g} m already"
             )
-        start = abs(float(self._heading(0.0, nu=1)))
-        if length is None:
-            if start * self.length < 1e-6:
-                return self
-            length = min(2.0 * _REMAINDER_TURN / start, 0.5 * self.length)
         if not (np.isfinite(length) and length > 0.0):
             raise PatternError(f"remainder length is {length!r}; give a positive number of metres")
         return Pattern(

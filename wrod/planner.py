@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import GraspError, PatternError, StabilityWarning
 from wrod.friction import friction_bound
+from wrod.grasp_sources import SOURCES, GraspInputs, GraspPoses
 from wrod.material import RodMaterial
 from wrod.patterns import Pattern
 from wrod.trajectory import Trajectory
@@ -18,101 +19,14 @@ from wrod.trajectory import Trajectory
 # The suspended part must stay this long, in L_gb, at the last contact: grasps of a shorter rod
 # put the gripper's fingers on the table, and the studied range begins here.
 MIN_SUSPENDED_LENGTH = 1.0
-# A dimensionless start curvature above this gets a remainder unless the caller decides.
-CONSIDERABLE_CURVATURE = 0.1
+# A dimensionless start curvature above this gets a remainder unless the caller decides. The paper's
+# circle and sine start above it; its letters, laid without a remainder, start below 0.11.
+CONSIDERABLE_CURVATURE = 0.15
+# A default remainder is long enough to ask for this static friction at most...
+_REMAINDER_FRICTION = 0.25
+# ... but turns by no more than this [rad], which binds for stiff rods.
+_REMAINDER_TURN = 0.8
 _MAX_NODES = 20_000
-# Nodes handed to a solver at a time when someone watches the progress.
-_CHUNK = 32
-
-
-@dataclass(frozen=True)
-class GraspInputs:
-    """What a grasp source is given: (T,) dimensionless lengths and curvatures of all nodes."""
-
-    suspended_length: np.ndarray
-    curvature: np.ndarray
-    stretch_ratio: float
-    closure: str
-    device: str | None
-    progress: Callable[[int, int], None] | None
-
-
-@dataclass(frozen=True)
-class GraspPoses:
-    """What a grasp source returns, in the contact frame and dimensionless.
-
-    position, rotation (vector) and force are (T, 3); converged and stable are (T,) or None where
-    the source does not say; shape is (T, nodes, 3) or None.
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-    force: np.ndarray
-    converged: np.ndarray | None = None
-    stable: np.ndarray | None = None
-    shape: np.ndarray | None = None
-
-
-def _intuitive(inputs: GraspInputs) -> GraspPoses:
-    """Grip straight above the contact, the rod hanging from it (Takizawa et al. 2015)."""
-    length = inputs.suspended_length
-    count = len(length)
-    position = np.column_stack([np.zeros((count, 2)), length])
-    rotation = np.tile([0.0, -np.pi / 2.0, 0.0], (count, 1))
-    return GraspPoses(position, rotation, np.full((count, 3), np.nan))
-
-
-def _numeric(inputs: GraspInputs) -> GraspPoses:
-    """Optimal grasps from the rod solver; right turns are the mirror images of left ones."""
-    from wrod.grasps import solve_grasps
-
-    count = len(inputs.suspended_length)
-    chunk = count if inputs.progress is None else _CHUNK
-    parts = []
-    for first in range(0, count, chunk):
-        part = slice(first, min(first + chunk, count))
-        grasps = solve_grasps(
-            inputs.suspended_length[part],
-            np.abs(inputs.curvature[part]),
-            np.full(part.stop - part.start, inputs.stretch_ratio),
-            closure=inputs.closure,
-            device=inputs.device,
-        )
-        parts.append(grasps)
-        if inputs.progress is not None:
-            inputs.progress(part.stop - part.start, count)
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([np.asarray(getattr(grasps, name)) for grasps in parts])
-
-    has_shape = all(getattr(grasps, "shape", None) is not None for grasps in parts)
-    poses = GraspPoses(
-        *(joined(name) for name in ("position", "rotation", "force", "converged", "stable")),
-        shape=joined("shape") if has_shape else None,
-    )
-    return mirrored(poses, inputs.curvature < 0.0)
-
-
-def mirrored(poses: GraspPoses, where: np.ndarray) -> GraspPoses:
-    """Poses with those at `where` (T,) reflected in the contact frame's xz plane."""
-    side = np.where(where, -1.0, 1.0)
-    position, rotation, force = poses.position.copy(), poses.rotation.copy(), poses.force.copy()
-    position[:, 1] *= side
-    force[:, 1] *= side
-    rotation[:, 0] *= side
-    rotation[:, 2] *= side
-    shape = poses.shape
-    if shape is not None:
-        shape = shape.copy()
-        shape[:, :, 1] *= side[:, None]
-    return GraspPoses(position, rotation, force, poses.converged, poses.stable, shape)
-
-
-# A source takes the dimensionless inputs of every node and returns poses in the contact frame.
-SOURCES: dict[str, Callable[[GraspInputs], GraspPoses]] = {
-    "numeric": _numeric,
-    "intuitive": _intuitive,
-}
 
 
 def plan(
@@ -136,7 +50,7 @@ def plan(
         closure: "zero_tension", "min_force" or "min_friction" (numeric only).
         spacing: largest distance between the contact nodes [m].
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
-            curvature is considerable (over 0.1 / L_gb), True, False, or its length [m].
+            curvature is considerable (over 0.15 / L_gb), True, False, or its length [m].
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
         progress: called with the nodes done since the last call and the number of all nodes.
 
@@ -166,9 +80,9 @@ def plan(
     _refuse_tight_bends(pattern, rod, s, curvature)
     lgb = rod.gravito_bending_length
     laid = s - first
-    inputs = GraspInputs(
-        (rod.length - laid) / lgb, curvature * lgb, rod.stretch_ratio, closure, device, progress
-    )
+    # The maximum removes the rounding of a pattern that fills the rod.
+    suspended = np.maximum((rod.length - laid) / lgb, MIN_SUSPENDED_LENGTH)
+    inputs = GraspInputs(suspended, curvature * lgb, rod.stretch_ratio, closure, device, progress)
     poses = SOURCES[method](inputs)
     _refuse_unconverged(poses, inputs, s)
     _warn_unstable(poses, s)
@@ -209,18 +123,32 @@ def prepare(pattern: Pattern, rod: RodMaterial, remainder: bool | float | None) 
     _refuse_long(pattern, rod, spare)
     if remainder is False or pattern.remainder_length > 0.0:
         return pattern
+    start = abs(float(pattern.sample(0.0)[2][0]))
     if remainder is None:
-        start = abs(pattern.sample(0.0)[2][0]) * rod.gravito_bending_length
-        if start < CONSIDERABLE_CURVATURE:
+        if start * rod.gravito_bending_length < CONSIDERABLE_CURVATURE:
             return pattern
-        led = pattern.with_remainder()
-        if led.remainder_length + led.length > spare and pattern.length < spare:
-            # A shorter remainder asks for more friction, which the metadata says, but still helps.
-            led = pattern.with_remainder(spare - pattern.length)
-        return led
-    led = pattern.with_remainder(None if remainder is True else float(remainder))
+        # A shorter remainder asks for more friction, which the metadata says; one much shorter
+        # asks for more than it saves.
+        wanted, room = _remainder_length(start, rod), spare - pattern.length
+        return pattern.with_remainder(min(wanted, room)) if room > 0.5 * wanted else pattern
+    if remainder is True:
+        if start == 0.0:
+            return pattern
+        remainder = _remainder_length(start, rod)
+    led = pattern.with_remainder(float(remainder))
     _refuse_long(led, rod, spare)
     return led
+
+
+def _remainder_length(curvature: float, rod: RodMaterial) -> float:
+    """Length [m] over which the curvature grows from zero with little friction.
+
+    The quintic smoothstep has |kappa''| <= 10 / sqrt(3) kappa / length^2, and mu_s = 2 L_gb^3
+    |kappa''|.
+    """
+    steepest = 10.0 / np.sqrt(3.0) * curvature
+    gentle = np.sqrt(2.0 * rod.gravito_bending_length**3 * steepest / _REMAINDER_FRICTION)
+    return float(min(gentle, 2.0 * _REMAINDER_TURN / curvature))
 
 
 def _refuse_long(pattern: Pattern, rod: RodMaterial, spare: float) -> None:
