@@ -1,4 +1,4 @@
-"""Fixtures of all tests."""
+"""Fixtures that several test files use."""
 
 import os
 from pathlib import Path
@@ -8,8 +8,9 @@ import pytest
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """Folder of reference data that is not part of the project; tests skip where it is missing."""
-    folder = Path(os.environ.get("WROD_SHARED", Path(__file__).parents[2] / "shared"))
+    """The folder of published data that stands beside the repository; tests skip without it."""
+    beside = Path(__file__).resolve().parents[1].parent / "shared"
+    folder = Path(os.environ.get("WROD_SHARED", beside))
     if not folder.is_dir():
-        pytest.skip("no reference data: ../shared is not there")
+        pytest.skip("the folder of published data (../shared) is not here")
     return folder

@@ -37,3 +37,33 @@ def test_unphysical_values_are_named(field, value):
 def test_unknown_rod_lists_the_known_ones():
     with pytest.raises(RodError, match="green-vps"):
         wrod.rod("spaghetti")
+
+
+def test_rod_file_round_trip(tmp_path):
+    rod = wrod.RodMaterial(0.002, 0.03, 0.8, density=1000.0)
+    assert wrod.RodMaterial.load(rod.save(tmp_path / "rod.json")) == rod
+
+
+@pytest.mark.parametrize(
+    "content, says",
+    [
+        ("{", "not a readable rod file"),
+        ("[1]", "not a wrod-rod-1 file"),
+        ('{"radius": 0.001}', "not a wrod-rod-1 file"),
+        ('{"format": "wrod-rod-1", "radius": 0.001}', "gravito_bending_length"),
+        ('{"format": "wrod-rod-1", "colour": 1}', "colour"),
+        (
+            '{"format": "wrod-rod-1", "radius": -1, "gravito_bending_length": 1, "length": 1}',
+            "radius is -1",
+        ),
+        (
+            '{"format": "wrod-rod-1", "radius": "a", "gravito_bending_length": 1, "length": 1}',
+            "radius is 'a'",
+        ),
+    ],
+)
+def test_bad_rod_files_are_named(tmp_path, content, says):
+    path = tmp_path / "rod.json"
+    path.write_text(content)
+    with pytest.raises(RodError, match=rf"rod\.json: .*{says}"):
+        wrod.RodMaterial.load(path)

@@ -3,14 +3,19 @@ Parameters and Table 2)."""
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import dataclass
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 from wrod.errors import RodError
+from wrod.files import write_atomically
 
 # Height of the loop of a heavy rod over its gravito-bending length, as `wrod.loop` derives it from
 # the heavy elastica. The paper's 0.9066 belongs to (k_b/(pi h^2 rho g))^(1/3), 2^(1/3) larger.
 LOOP_HEIGHT_RATIO = 1.14224
+_FORMAT = "wrod-rod-1"
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ class RodMaterial:
                 raise RodError(
                     f"rod {name} is {value!r}; give a positive finite number in SI units"
                 )
-        if not -1.0 < self.poisson <= 0.5:
+        if not (isinstance(self.poisson, (int, float)) and -1.0 < self.poisson <= 0.5):
             raise RodError(
                 f"rod poisson is {self.poisson!r}; an elastic rod needs a value in (-1, 0.5]"
             )
@@ -89,6 +94,32 @@ class RodMaterial:
             raise RodError(f"loop height is {loop_height!r}; give a positive number of metres")
         lgb = loop_height / LOOP_HEIGHT_RATIO
         return cls(radius, lgb, length, poisson, density, gravity)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the rod as JSON, SI units."""
+        content = {"format": _FORMAT, **asdict(self)}
+        return write_atomically(path, lambda file: file.write(json.dumps(content, indent=2) + "\n"))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> RodMaterial:
+        """Read a rod that `save` or `wrod loop` wrote.
+
+        Raises:
+            RodError: the file is missing, not a rod file, or holds unphysical values.
+        """
+        try:
+            content = json.loads(Path(path).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise RodError(f"{path}: not a readable rod file ({error})") from None
+        if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
+            raise RodError(f"{path}: is not a {_FORMAT} file; write one with `wrod loop --out`")
+        try:
+            return cls(**content)
+        except TypeError as error:
+            reason = str(error).replace("RodMaterial.__init__() ", "")
+            raise RodError(f"{path}: {reason}") from None
+        except RodError as error:
+            raise RodError(f"{path}: {error}") from None
 
     @property
     def stretch_ratio(self) -> float:

@@ -21,14 +21,16 @@ class Trajectory:
     """Grip poses of a deployment, one per contact node. SI units, z up.
 
     Attributes:
-        arc_length: (T,) arc length of the pattern that lies on the table [m].
+        arc_length: (T,) length of rod that lies on the table, from 0 and including a remainder [m].
         contact: (T, 3) contact point between laid and suspended part [m].
         position: (T, 3) grip position [m].
         rotation: (T, 3, 3) grip frame in world coordinates; its first column is the rod's tangent
             at the grip, pointing out of the suspended part (Alg. OPT: R_t R).
         force: (T, 3) force of the table on the suspended rod at the contact, world frame [N];
             NaN where the method does not compute it.
-        metadata: what made the plan (method, closure, rod, pattern, warnings); plain JSON values.
+        metadata: what made the plan (method, closure, rod, pattern, ...); plain JSON values.
+        shape: (T, nodes, 3) centrelines of the suspended part from contact to grip [m], or None
+            where the method does not compute them; saved in the NPZ file only.
     """
 
     arc_length: np.ndarray
@@ -37,9 +39,15 @@ class Trajectory:
     rotation: np.ndarray
     force: np.ndarray
     metadata: dict = field(default_factory=dict)
+    shape: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.arc_length)
+
+    @property
+    def pattern_arc_length(self) -> np.ndarray:
+        """(T,) the pattern's own arc length at the contact [m]; negative on the remainder."""
+        return self.arc_length - float(self.metadata.get("remainder_length", 0.0))
 
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write `path` as CSV and NPZ (the suffix of `path` is replaced). Returns both paths."""
@@ -75,6 +83,7 @@ class Trajectory:
                 force=self.force,
                 units="SI: m, N",
                 metadata=json.dumps(self.metadata, sort_keys=True),
+                **({} if self.shape is None else {"shape": self.shape}),
             )
 
         return [
@@ -94,7 +103,8 @@ class Trajectory:
                 if str(data["format"]) != _FORMAT:
                     raise DataError(f"{path}: holds {data['format']}, not a {_FORMAT}")
                 names = ("arc_length", "contact", "position", "rotation", "force")
-                return cls(*(data[n] for n in names), json.loads(str(data["metadata"])))
+                shape = data["shape"] if "shape" in data.files else None
+                return cls(*(data[n] for n in names), json.loads(str(data["metadata"])), shape)
         except DataError:
             raise
         except Exception as error:

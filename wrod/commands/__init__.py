@@ -9,7 +9,7 @@ import click
 
 from wrod.errors import WrodError, WrodWarning
 
-COMMANDS = ("bench",)
+COMMANDS = ("plan", "loop", "bench")
 
 
 class LazyGroup(click.Group):

@@ -1,0 +1,137 @@
+import numpy as np
+import pytest
+
+import wrod
+from wrod.errors import PatternError
+
+_T = np.linspace(0.0, 1.0, 60)
+POINTS = np.stack([0.4 * _T, 0.05 * np.sin(6.0 * _T)], axis=1)
+LENGTH = wrod.Pattern.from_points(POINTS).length
+
+
+def write(path, points, header=""):
+    rows = "\n".join(" ".join(f"{value:.9g}" for value in row) for row in points)
+    path.write_text(header + rows + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    "header, scale",
+    [
+        ("", 1.0),
+        ("# units: mm\n", 1e3),
+        ("x [cm] y [cm]\n", 1e2),
+        ("x_mm,y_mm\n", 1e3),
+        ("% my letter\nmillimetres\n", 1e3),
+    ],
+)
+def test_units_of_a_header(tmp_path, header, scale):
+    pattern = wrod.Pattern.load(write(tmp_path / "p.txt", POINTS * scale, header))
+    assert pattern.length == pytest.approx(LENGTH, rel=1e-6)
+
+
+def test_csv_with_named_columns_in_another_order(tmp_path):
+    path = tmp_path / "p.csv"
+    rows = [f"{i};{y * 1e3:.6f};{x * 1e3:.6f}" for i, (x, y) in enumerate(POINTS)]
+    path.write_text("\ufeffid;y (mm);x (mm)\n" + "\n".join(rows))
+    assert wrod.Pattern.load(path).sample(0.0)[0][0] == pytest.approx([0, 0, 0], abs=1e-6)
+    assert wrod.Pattern.load(path).length == pytest.approx(LENGTH, rel=1e-5)
+
+
+def test_numpy_files(tmp_path):
+    np.save(tmp_path / "a.npy", POINTS * 1e3)
+    np.savez(tmp_path / "b.npz", points=POINTS * 100, units="cm")
+    assert wrod.Pattern.load(tmp_path / "a.npy", units="mm").length == pytest.approx(LENGTH)
+    assert wrod.Pattern.load(tmp_path / "b.npz").length == pytest.approx(LENGTH)
+
+
+def test_height_of_the_plane_is_kept():
+    flat = np.column_stack([POINTS, np.full(len(POINTS), 0.7)])
+    assert wrod.Pattern.from_points(flat).sample([0.0, 0.1])[0][:, 2] == pytest.approx([0.7, 0.7])
+
+
+def changed(index, axis, by):
+    points = np.column_stack([POINTS, np.zeros(len(POINTS))])
+    points[index, axis] += by
+    return points
+
+
+@pytest.mark.parametrize(
+    "points, says",
+    [
+        (changed(20, 1, np.nan), "line 21: a coordinate is nan"),
+        (changed(20, 0, np.inf), "line 21: a coordinate is inf"),
+        (POINTS[:2], "2 distinct points; give at least 3"),
+        (np.zeros((5, 2)), "1 distinct points"),
+        (np.insert(POINTS, 20, POINTS[19], axis=0), "line 21: repeats the point before"),
+        (changed(30, 2, 0.05), "line 31: .*one horizontal plane"),
+        (changed(30, 1, 0.005), "line 31: .*spike of curvature"),
+        (changed(30, 1, 0.0012), "line 31: .*spike of curvature"),
+        ([[0, 0], [0.1, 0], [0.2, 0], [0.2, 0.1], [0.2, 0.2]], "line 3: .*90 degrees"),
+    ],
+)
+def test_bad_points_are_named_by_file_and_line(tmp_path, points, says):
+    path = write(tmp_path / "bad.txt", points)
+    with pytest.raises(PatternError, match=rf"bad\.txt.*{says}"):
+        wrod.Pattern.load(path)
+
+
+@pytest.mark.parametrize(
+    "content, says",
+    [
+        ("", "holds no points"),
+        ("only words\n", "holds no points"),
+        ("0 0\n0.1x 0\n0.2 0.1\n", "line 2: '0.1x 0' is not a row of numbers"),
+        ("0 0\n0.1 0 5\n0.2 0.1\n", "line 2: holds 3 numbers, 2 are expected"),
+        ("1\n2\n3\n", "line 1: holds 1 numbers"),
+        ("x [furlong] y [furlong]\n0 0\n1 0\n2 1\n", "unknown units 'furlong'"),
+        ("x [mm] y [cm]\n0 0\n1 0\n2 1\n", "line 1: the columns have different units"),
+    ],
+)
+def test_bad_files_are_named(tmp_path, content, says):
+    path = tmp_path / "bad.txt"
+    path.write_text(content)
+    with pytest.raises(PatternError, match=rf"bad\.txt.*{says}"):
+        wrod.Pattern.load(path)
+
+
+def test_contradicting_and_unknown_units(tmp_path):
+    path = write(tmp_path / "p.txt", POINTS, "# units: mm\n")
+    with pytest.raises(PatternError, match="drop one"):
+        wrod.Pattern.load(path, units="cm")
+    with pytest.raises(PatternError, match="unknown units 'parsec'"):
+        wrod.Pattern.from_points(POINTS, units="parsec")
+
+
+def test_pickles_binaries_and_missing_files_are_refused(tmp_path):
+    np.save(tmp_path / "evil.npy", np.array([{}, 1], dtype=object))
+    (tmp_path / "binary.txt").write_bytes(bytes(range(256)))
+    for name in ("evil.npy", "binary.txt", "missing.txt"):
+        with pytest.raises(PatternError, match=name):
+            wrod.Pattern.load(tmp_path / name)
+
+
+def test_noise_is_not_taken_for_spikes():
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        noisy = POINTS + 5e-4 * rng.normal(size=POINTS.shape)
+        assert wrod.Pattern.from_points(noisy).noise == pytest.approx(5e-4, rel=0.5)
+
+
+def test_given_noise_level_sets_the_smoothing():
+    noisy = POINTS + 5e-4 * np.random.default_rng(3).normal(size=POINTS.shape)
+    rough = wrod.Pattern.from_points(noisy, smoothing=0.0)
+    smooth = wrod.Pattern.from_points(noisy, smoothing=5e-4)
+    bends = [np.ptp(p.sample(np.linspace(0.0, p.length, 500))[2]) for p in (rough, smooth)]
+    assert bends[0] > 10.0 * bends[1]
+    with pytest.raises(PatternError, match="smoothing"):
+        wrod.Pattern.from_points(POINTS, smoothing=-1.0)
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 6, 7, 8, 9])
+def test_few_points_make_a_curve_through_them(count):
+    angle = np.linspace(0.0, 0.8, count)
+    points = 0.2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    pattern = wrod.Pattern.from_points(points)
+    assert pattern.length == pytest.approx(0.16, rel=2e-3)
+    np.testing.assert_allclose(pattern.sample(pattern.length)[0][0, :2], points[-1], atol=1e-4)

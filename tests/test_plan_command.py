@@ -1,0 +1,90 @@
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import wrod
+from wrod.commands import main
+from wrod.trajectory import Trajectory
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, ["plan", *map(str, arguments)])
+
+
+@pytest.mark.parametrize("name", ["letter-A", "circle"])
+def test_plan_writes_trajectory_and_picture(tmp_path, name):
+    out = tmp_path / "new" / "folder"
+    result = run(name, "--rod", "green-vps", "--method", "intuitive", "--out", out)
+    assert result.exit_code == 0, result.output
+    names = {path.name for path in out.iterdir()}
+    assert names == {"trajectory.csv", "trajectory.npz", "preview.png"}
+    for path in out.iterdir():
+        assert f"wrote {path}" in result.output
+    assert Trajectory.load(out / "trajectory.npz").metadata["pattern"] == name
+    picture = (out / "preview.png").read_bytes()
+    assert picture[:8] == b"\x89PNG\r\n\x1a\n" and len(picture) > 30_000
+
+
+def test_json_has_the_figures_of_the_plan(tmp_path):
+    result = run(
+        "sine", "--radius", 0.0016, "--lgb", 0.03, "--length", 0.9, "--method", "intuitive",
+        "--out", tmp_path, "--json", "--friction", 0.4, "--no-remainder",
+    )  # fmt: skip
+    figures = json.loads(result.stdout)
+    assert figures["rod"]["gravito_bending_length"] == 0.03
+    assert figures["remainder_length"] == 0.0
+    assert figures["insufficient_friction"] and figures["required_friction"] > 0.4
+    assert figures["highest_grip"] == pytest.approx(0.9)
+
+
+def test_rod_file(tmp_path):
+    path = wrod.RodMaterial(0.002, 0.03, 0.8, density=1000.0).save(tmp_path / "rod.json")
+    result = run("line", "--rod", path, "--method", "intuitive", "--out", tmp_path / "o", "--json")
+    assert json.loads(result.stdout)["rod"]["density"] == 1000.0
+
+
+def test_pattern_file_with_units(tmp_path):
+    points = wrod.pattern("letter-S").sample(np.linspace(0.0, 0.5, 150))[0]
+    np.savetxt(tmp_path / "s.txt", points[:, :2] * 1e3)
+    options = ("--rod", "rope", "--method", "intuitive", "--out", tmp_path / "o")
+    assert run(tmp_path / "s.txt", *options).exit_code == 2
+    result = run(tmp_path / "s.txt", *options, "--units", "mm", "--json")
+    assert json.loads(result.stdout)["pattern_length"] == pytest.approx(0.5, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "arguments, says",
+    [
+        (("letter-Z", "--rod", "rope"), "unknown pattern 'letter-Z'"),
+        (("missing.txt", "--rod", "rope"), "missing.txt: no such file"),
+        (("line", "--rod", "yarn"), "unknown rod 'yarn'"),
+        (("line",), "no rod given"),
+        (("line", "--radius", 0.001), "--lgb, --length missing"),
+        (("line", "--rod", "rope", "--length", 1), "were both given"),
+        (("line", "--radius", -1, "--lgb", 0.03, "--length", 1), "radius is -1.0"),
+        (("line", "--radius", 0.001, "--lgb", 0, "--length", 1), "gravito_bending_length is 0.0"),
+        (("line", "--radius", 0.001, "--lgb", 0.03, "--length", "nan"), "length is nan"),
+        (("line", "--radius", 0.001, "--lgb", 0.03, "--length", 0.4), "shorten the pattern"),
+        (("line", "--rod", "rope", "--method", "guess"), "unknown method 'guess'"),
+        (("line", "--rod", "rope", "--units", "mm"), "drop --units"),
+        (("line", "--rod", "rope", "--friction", "-1"), "friction is -1.0"),
+        (("line", "--rod", "missing.json"), "missing.json: not a readable rod file"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_writes_nothing(tmp_path, arguments, says):
+    out = tmp_path / "out"
+    method = () if "--method" in arguments else ("--method", "intuitive")
+    result = run(*arguments, *method, "--out", out)
+    assert result.exit_code == 2
+    assert says in result.stderr
+    assert result.stderr.startswith("wrod: ") and result.stderr.count("\n") == 1
+    assert not out.exists()
+
+
+def test_unwritable_output_is_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("")
+    out = tmp_path / "file" / "below"
+    result = run("line", "--rod", "rope", "--method", "intuitive", "--out", out)
+    assert result.exit_code == 2 and "cannot be written" in result.stderr

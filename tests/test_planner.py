@@ -1,0 +1,197 @@
+import sys
+import types
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import wrod
+from wrod.errors import GraspError, PatternError, StabilityWarning
+from wrod.trajectory import Trajectory
+
+ROD = wrod.rod("green-vps")
+
+
+def fake_grasps(length, curvature, ratio, *, closure, device):
+    """Smooth stand-ins for grasps of left turns: a solver of its own is tested elsewhere."""
+    assert np.all(curvature >= 0.0) and closure == "zero_tension" and np.all(ratio == 1600.0)
+    position = np.column_stack([2.5 + 0 * length, 0.4 * curvature, length - 1.5])
+    rotation = np.column_stack([0.1 * curvature, -1.4 + 0 * length, 0.2 * curvature])
+    force = np.column_stack([0 * length, -curvature, 0.75 + 0 * length])
+    good = np.ones(len(length), dtype=bool)
+    return SimpleNamespace(
+        position=position, rotation=rotation, force=force, converged=good, stable=good, shape=None
+    )
+
+
+@pytest.fixture
+def grasps(monkeypatch):
+    """Put `solve` in the place of the rod solver."""
+
+    def put(solve):
+        module = types.ModuleType("wrod.grasps")
+        module.solve_grasps = solve
+        monkeypatch.setitem(sys.modules, "wrod.grasps", module)
+
+    put(fake_grasps)
+    return put
+
+
+def test_intuitive_grip_hangs_straight_above_the_contact():
+    pattern = wrod.pattern("letter-U")
+    plan = wrod.plan(pattern, ROD, "intuitive")
+    s = plan.arc_length
+    assert s[0] == 0.0 and s[-1] == pattern.length
+    assert np.max(np.diff(s)) <= 0.005 + 1e-12
+    position, tangent, _ = pattern.sample(s)
+    expected = position + (ROD.length - s)[:, None] * [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(plan.position, expected, atol=1e-12)
+    up = np.tile([0.0, 0.0, 1.0], (len(s), 1))
+    np.testing.assert_allclose(plan.rotation[:, :, 0], up, atol=1e-12)
+    # The frame turns with the tangent: what was ahead of the contact is now below.
+    np.testing.assert_allclose(plan.rotation[:, :, 2], -tangent, atol=1e-12)
+    assert np.all(np.isnan(plan.force))
+
+
+def test_rotations_are_proper_and_continuous(grasps):
+    plan = wrod.plan(wrod.pattern("letter-A"), ROD)
+    identity = np.einsum("tji,tjk->tik", plan.rotation, plan.rotation)
+    np.testing.assert_allclose(identity, np.broadcast_to(np.eye(3), identity.shape), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(plan.rotation), 1.0, atol=1e-12)
+    steps = Rotation.from_matrix(plan.rotation[:-1]).inv() * Rotation.from_matrix(plan.rotation[1:])
+    assert np.max(steps.magnitude()) < 0.35
+    assert np.max(np.linalg.norm(np.diff(plan.position, axis=0), axis=1)) < 0.02
+
+
+def test_plan_follows_algorithm_opt(grasps):
+    plan = wrod.plan(wrod.pattern("line"), ROD, spacing=0.01)
+    lgb = ROD.gravito_bending_length
+    s = plan.arc_length
+    expected = np.column_stack([s + 2.5 * lgb, 0 * s, ROD.length - s - 1.5 * lgb])
+    np.testing.assert_allclose(plan.position, expected, atol=1e-12)
+    frame = Rotation.from_rotvec([0.0, -1.4, 0.0]).as_matrix()
+    np.testing.assert_allclose(plan.rotation, np.broadcast_to(frame, plan.rotation.shape))
+    unit = ROD.bending_stiffness / lgb**2
+    np.testing.assert_allclose(plan.force[:, 2], 0.75 * unit)
+
+
+def test_mirrored_pattern_gives_the_mirrored_plan(grasps):
+    angle = np.linspace(0.0, 4.0, 120)
+    points = 0.09 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    left = wrod.plan(wrod.Pattern.from_points(points), ROD, remainder=True)
+    right = wrod.plan(wrod.Pattern.from_points(points * [1.0, -1.0]), ROD, remainder=True)
+    mirror = np.diag([1.0, -1.0, 1.0])
+    np.testing.assert_allclose(right.position, left.position @ mirror, atol=1e-9)
+    # A reflected frame is left-handed; turning its y axis round makes it the mirrored plan's.
+    np.testing.assert_allclose(right.rotation, mirror @ left.rotation @ mirror, atol=1e-7)
+    np.testing.assert_allclose(right.force, left.force @ mirror, atol=1e-9)
+
+
+def test_remainder_counts_as_laid_length():
+    plan = wrod.plan(wrod.pattern("circle"), ROD, "intuitive")
+    remainder = plan.metadata["remainder_length"]
+    assert remainder > 0.05
+    assert plan.pattern_arc_length[0] == pytest.approx(-remainder)
+    assert plan.arc_length[-1] == pytest.approx(wrod.pattern("circle").length + remainder)
+    height = plan.position[:, 2] - plan.contact[:, 2]
+    np.testing.assert_allclose(height, ROD.length - plan.arc_length, atol=1e-12)
+
+
+def test_remainder_is_left_out_where_not_asked_for_or_not_needed():
+    for name, choice in (("circle", False), ("letter-L", None), ("line", True)):
+        plan = wrod.plan(wrod.pattern(name), ROD, "intuitive", remainder=choice)
+        assert plan.metadata["remainder_length"] == 0.0
+    plan = wrod.plan(wrod.pattern("circle"), ROD, "intuitive", remainder=0.2)
+    assert plan.metadata["remainder_length"] == pytest.approx(0.2)
+
+
+def test_default_remainder_asks_for_little_friction_or_turns_little():
+    plan = wrod.plan(wrod.pattern("circle"), ROD, "intuitive")
+    assert plan.metadata["required_friction"] == pytest.approx(0.25, rel=0.05)
+    plan = wrod.plan(wrod.pattern("circle"), wrod.rod("cable"), "intuitive")
+    # Curvature grows antisymmetrically about its half: the turn is half of length times curvature.
+    assert plan.metadata["remainder_length"] / 0.085 / 2 == pytest.approx(0.8)
+
+
+def test_default_remainder_shrinks_to_a_short_rod():
+    rod = wrod.RodMaterial(0.0016, 0.032, 0.66)  # too short for the 13 cm it would get
+    plan = wrod.plan(wrod.pattern("circle"), rod, "intuitive")
+    assert plan.arc_length[-1] == pytest.approx(0.66 - 0.032)
+
+
+def test_no_remainder_where_there_is_hardly_room():
+    plan = wrod.plan(wrod.pattern("circle"), wrod.RodMaterial(0.0016, 0.032, 0.6), "intuitive")
+    assert plan.metadata["remainder_length"] == 0.0
+
+
+def test_pattern_too_long_says_by_how_much():
+    rod = wrod.RodMaterial(0.0016, 0.032, 0.5)
+    with pytest.raises(PatternError, match=r"0\.5 m.*0\.468 m.*by 0\.032 m"):
+        wrod.plan(wrod.pattern("line"), rod, "intuitive")
+    huge = wrod.Pattern.from_points(wrod.pattern("sine").sample(np.linspace(0, 0.5, 90))[0] * 1e3)
+    with pytest.raises(PatternError, match="another unit"):
+        wrod.plan(huge, ROD, "intuitive")
+
+
+def test_bend_tighter_than_the_rod_is_refused():
+    angle = np.linspace(0.0, 3.0, 60)
+    small = wrod.Pattern.from_points(0.0012 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    with pytest.raises(PatternError, match="tighter than the rod's own radius"):
+        wrod.plan(small, ROD, "intuitive", remainder=False)
+
+
+@pytest.mark.parametrize("spacing", [0.0, -0.1, np.nan, 1e-9])
+def test_spacing_is_checked(spacing):
+    with pytest.raises(PatternError, match="spacing"):
+        wrod.plan(wrod.pattern("line"), ROD, "intuitive", spacing=spacing)
+
+
+def test_unknown_method():
+    with pytest.raises(GraspError, match="numeric, intuitive"):
+        wrod.plan(wrod.pattern("line"), ROD, "guess")
+
+
+@pytest.mark.parametrize("field", ["converged", "position"])
+def test_unconverged_grasp_is_named(grasps, field):
+    def solve(*args, **options):
+        result = fake_grasps(*args, **options)
+        getattr(result, field)[7:9] = False if field == "converged" else np.nan
+        return result
+
+    grasps(solve)
+    with pytest.raises(GraspError, match=r"node 7 of 51 \(s = 0\.0700 m.*2 nodes"):
+        wrod.plan(wrod.pattern("line"), ROD, spacing=0.01)
+
+
+def test_unstable_grasps_warn(grasps):
+    def solve(*args, **options):
+        result = fake_grasps(*args, **options)
+        result.stable = result.stable & (np.arange(len(result.stable)) != 3)
+        return result
+
+    grasps(solve)
+    with pytest.warns(StabilityWarning, match=r"1 of 101 .*0\.015"):
+        wrod.plan(wrod.pattern("line"), ROD)
+
+
+def test_progress_counts_every_node_once(grasps):
+    seen = []
+    plan = wrod.plan(
+        wrod.pattern("letter-A"), ROD, progress=lambda count, total: seen.append((count, total))
+    )
+    whole = wrod.plan(wrod.pattern("letter-A"), ROD)
+    assert sum(count for count, _ in seen) == len(plan) == seen[0][1] and len(seen) > 2
+    np.testing.assert_allclose(plan.position, whole.position, atol=1e-12)
+
+
+def test_trajectory_files_carry_units_and_read_back(tmp_path):
+    plan = wrod.plan(wrod.pattern("sine"), ROD, "intuitive")
+    csv_path, npz_path = plan.save(tmp_path / "t")
+    header = csv_path.read_text().splitlines()[1]
+    assert "position_x [m]" in header and "force_z [N]" in header
+    table = np.genfromtxt(csv_path, delimiter=",", skip_header=2)
+    np.testing.assert_allclose(table[:, 4:7], plan.position, atol=1e-10)
+    again = Trajectory.load(npz_path)
+    np.testing.assert_array_equal(again.rotation, plan.rotation)
+    assert again.metadata == plan.metadata and again.shape is None

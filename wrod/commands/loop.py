@@ -1,0 +1,64 @@
+"""`wrod loop`: the material of a rod from the height of its loop."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command(name="loop")
+@click.option("--height", type=float, required=True, help="Height of the loop's centreline [m].")
+@click.option("--radius", type=float, required=True, help="Radius of the section [m].")
+@click.option("--length", type=float, required=True, help="Total length of the rod [m].")
+@click.option("--density", type=float, default=1180.0, show_default=True, help="Density [kg/m^3].")
+@click.option("--poisson", type=float, default=0.5, show_default=True, help="Poisson's ratio.")
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Rod file (.json) to write; `wrod plan --rod` reads it.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    height: float,
+    radius: float,
+    length: float,
+    density: float,
+    poisson: float,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Measure a rod: fold it over on the table and read how high the loop stands.
+
+    The rod lies flat, lifts off, turns over by 180 degrees and lies flat again. HEIGHT is that of
+    the centreline at the top above the centreline of the flat part: the outer height less one
+    diameter.
+    """
+    from wrod.errors import RodError
+    from wrod.material import RodMaterial
+
+    rod = RodMaterial.from_loop_height(height, radius, length, density=density, poisson=poisson)
+    if out is not None:
+        if out.suffix != ".json":
+            raise RodError(f"{out}: is not a .json file name; `wrod plan --rod` knows rods by it")
+        try:
+            rod.save(out)
+        except OSError as error:
+            raise RodError(f"{out}: cannot be written ({error}); choose another --out") from None
+    figures = {
+        "gravito_bending_length": rod.gravito_bending_length,
+        "stretch_ratio": rod.stretch_ratio,
+        "youngs_modulus": rod.youngs_modulus,
+        "bending_stiffness": rod.bending_stiffness,
+        "written": [] if out is None else [str(out)],
+    }
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return
+    click.echo(f"gravito-bending length  {rod.gravito_bending_length * 100:.3f} cm")
+    click.echo(f"stretch ratio           {rod.stretch_ratio:.0f}")
+    click.echo(f"Young's modulus         {rod.youngs_modulus / 1e6:.3f} MPa")
+    click.echo(f"bending stiffness       {rod.bending_stiffness:.4g} N m^2")
+    if out is not None:
+        click.echo(f"wrote {out}")

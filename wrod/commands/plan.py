@@ -1,0 +1,152 @@
+"""`wrod plan PATTERN`: the trajectory of the grip as files and as a picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command(name="plan")
+@click.argument("pattern")
+@click.option("--rod", "rod_name", help="Rod by name (green-vps, ...) or a rod file (.json).")
+@click.option("--radius", type=float, help="Radius of a rod of your own [m].")
+@click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`).")
+@click.option("--length", type=float, help="Its total length [m].")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option("--method", default="numeric", show_default=True, help="numeric or intuitive.")
+@click.option(
+    "--closure",
+    default="zero_tension",
+    show_default=True,
+    help="zero_tension, min_force or min_friction.",
+)
+@click.option("--spacing", default=0.005, show_default=True, help="Distance between nodes [m].")
+@click.option("--units", help="Units of a pattern file: m, cm, mm, um or in.")
+@click.option("--friction", type=float, help="Static friction coefficient to check against.")
+@click.option(
+    "--remainder/--no-remainder",
+    default=None,
+    help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
+)
+@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    pattern: str,
+    rod_name: str | None,
+    radius: float | None,
+    lgb: float | None,
+    length: float | None,
+    out: Path,
+    method: str,
+    closure: str,
+    spacing: float,
+    units: str | None,
+    friction: float | None,
+    remainder: bool | None,
+    device: str,
+    as_json: bool,
+) -> None:
+    """Plan how the grip moves to lay a rod along PATTERN.
+
+    PATTERN is a file of points (text, CSV, NPY or NPZ) or a built-in pattern: line, circle, sine,
+    letter-U, letter-C, letter-L, letter-A, letter-S.
+    """
+    from tqdm import tqdm
+
+    from wrod.errors import DataError
+    from wrod.friction import friction_bound
+    from wrod.picture import draw_plan
+    from wrod.planner import plan, prepare
+
+    rod = _rod(rod_name, radius, lgb, length)
+    curve = prepare(_pattern(pattern, units), rod, remainder)
+    bound = friction_bound(curve, rod, friction)
+    with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=as_json) as bar:
+
+        def progress(count: int, total: int) -> None:
+            bar.total = total
+            bar.update(count)
+
+        trajectory = plan(
+            curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
+            device=None if device == "auto" else device, progress=progress,
+        )  # fmt: skip
+    try:
+        picture = draw_plan(out / "preview.png", curve, trajectory)
+        written = [*trajectory.save(out / "trajectory"), picture]
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    figures = {
+        **trajectory.metadata,
+        "nodes": len(trajectory),
+        "laid_length": float(trajectory.arc_length[-1]),
+        "highest_grip": float(trajectory.position[:, 2].max()),
+        "insufficient_friction": bound.insufficient,
+        "written": [str(path) for path in written],
+    }
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return
+    click.echo(_summary(figures, friction))
+    for path in written:
+        click.echo(f"wrote {path}")
+
+
+def _rod(name: str | None, radius: float | None, lgb: float | None, length: float | None):
+    from wrod.errors import RodError
+    from wrod.material import RodMaterial, rod
+
+    own = {"--radius": radius, "--lgb": lgb, "--length": length}
+    given = [option for option, value in own.items() if value is not None]
+    if name is not None and given:
+        raise RodError(
+            f"--rod {name} and {', '.join(given)} were both given; give one or the other"
+        )
+    if name is not None:
+        return RodMaterial.load(name) if name.endswith(".json") else rod(name)
+    missing = [option for option in own if option not in given]
+    if missing == list(own):
+        raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")
+    if missing:
+        raise RodError(f"{', '.join(missing)} missing; a rod of your own needs all three")
+    return RodMaterial(radius, lgb, length)
+
+
+def _pattern(name: str, units: str | None):
+    from wrod.errors import PatternError
+    from wrod.patterns import Pattern, pattern, pattern_names
+
+    path = Path(name)
+    if name in pattern_names() and not path.is_file():
+        if units is not None:
+            raise PatternError(f"{name} is built in and has its size in metres; drop --units")
+        return pattern(name)
+    if not path.suffix and not path.exists():
+        return pattern(name)
+    return Pattern.load(path, units=units)
+
+
+def _summary(figures: dict, friction: float | None) -> str:
+    lines = [
+        f"{figures['pattern']}: {figures['pattern_length']:.3f} m"
+        + (
+            f" and a remainder of {figures['remainder_length']:.3f} m"
+            if figures["remainder_length"]
+            else ""
+        )
+        + f", {figures['nodes']} nodes, largest curvature {figures['largest_curvature']:.1f} 1/m",
+        f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}",
+        f"required static friction {figures['required_friction']:.2f}",
+    ]
+    if friction is not None:
+        places = figures["insufficient_friction"]
+        lines[-1] += (
+            f"; {friction:g} holds everywhere"
+            if not places
+            else f"; {friction:g} is not enough at s = "
+            + ", ".join(f"{a:.3f} to {b:.3f}" for a, b in places)
+            + " m"
+        )
+    return "\n".join(lines)

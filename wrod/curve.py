@@ -1,0 +1,78 @@
+"""Planar curves given by the heading of their tangent along their arc length."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.interpolate import BPoly, BSpline, PPoly, make_interp_spline
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+
+
+def integrate_heading(heading: PPoly, origin: np.ndarray) -> BSpline:
+    """Position (s -> (n, 2)) of the curve of that heading, with `origin` (2,) at s = 0.
+
+    Gauss-Legendre quadrature of (cos, sin) in cells short against the curve's features, then a
+    quintic through the cells' ends, so that the tangent is a unit vector to rounding.
+    """
+    start, stop = heading.x[0], heading.x[-1]
+    cells = int(np.clip(4 * len(heading.x), 800, 10_000))
+    ends = np.linspace(start, stop, cells + 1)
+    half = (ends[1] - ends[0]) / 2.0
+    angle = heading(ends[:-1, None] + half * (1.0 + _NODES))
+    steps = half * np.stack([np.cos(angle) @ _WEIGHTS, np.sin(angle) @ _WEIGHTS], axis=1)
+    points = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    position = make_interp_spline(ends, points, 5)
+    return BSpline(position.t, position.c + (origin - position(0.0)), 5)
+
+
+def lead_in(heading: PPoly, length: float) -> PPoly:
+    """The same curve, begun `length` earlier at zero curvature.
+
+    The added curvature is the quintic that starts with zero value, slope and second derivative
+    and meets those of the curve at its start: curvature and its two derivatives are continuous.
+    """
+    start = heading.x[0]
+    joint = [float(heading(start, nu=order)) for order in (1, 2, 3)]
+    curvature = PPoly.from_bernstein_basis(
+        BPoly.from_derivatives([start - length, start], [[0.0, 0.0, 0.0], joint])
+    )
+    turned = curvature.antiderivative()
+    rows = max(len(turned.c), len(heading.c))
+    before = np.zeros((rows, turned.c.shape[1]))
+    before[rows - len(turned.c) :] = turned.c
+    before[-1] += float(heading(start)) - float(turned(start))
+    after = np.zeros((rows, heading.c.shape[1]))
+    after[rows - len(heading.c) :] = heading.c
+    return PPoly(np.concatenate([before, after], axis=1), np.append(turned.x[:-1], heading.x))
+
+
+def heading_of_curve(
+    curve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    start: float,
+    stop: float,
+    count: int = 4001,
+) -> tuple[PPoly, np.ndarray]:
+    """Heading along the arc length of an exact parametric curve t -> (x, y), and its first point.
+
+    The curve is interpolated at `count` values of t, to about 1e-9 of its length if its features
+    are longer than a hundredth of it.
+    """
+    t = np.linspace(start, stop, count)
+    x, y = curve(t)
+    position = make_interp_spline(t, np.stack([x, y], axis=1), 7)
+    velocity = position.derivative()
+    half = (t[1] - t[0]) / 2.0
+    speed = np.linalg.norm(velocity(t[:-1, None] + half * (1.0 + _NODES)), axis=-1)
+    arc = np.concatenate([[0.0], np.cumsum(half * speed @ _WEIGHTS)])
+    tangent = velocity(t)
+    heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    return PPoly.from_spline(make_interp_spline(arc, heading, 5)), position(start)
+
+
+def heading_of_curvature(curvature: PPoly, angle: float) -> PPoly:
+    """Heading of a curve of given curvature [1/m] over arc length, starting at `angle` [rad]."""
+    heading = curvature.antiderivative()
+    heading.c[-1] += angle - float(heading(curvature.x[0]))
+    return heading

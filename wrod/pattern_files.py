@@ -1,0 +1,290 @@
+"""Reading and checking the points of a pattern; every refusal names the file, line and value."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wrod.errors import PatternError
+
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
+_UNIT_WORDS = {
+    "metre": "m", "metres": "m", "meter": "m", "meters": "m",
+    "millimetre": "mm", "millimetres": "mm", "millimeter": "mm", "millimeters": "mm",
+    "centimetre": "cm", "centimetres": "cm", "centimeter": "cm", "centimeters": "cm",
+    "inch": "in", "inches": "in", "µm": "um", "μm": "um",
+}  # fmt: skip
+_DECLARED = re.compile(r"\bunits?\b\s*(?:[:=]|\bin\b|[\[(])\s*[\[(\"']?\s*([A-Za-zµμ]+)", re.I)
+_COLUMN = re.compile(r"^\s*[\"']?([xyz])(?:[\s_\[(]+([A-Za-zµμ]+)[\])]*)?[\"']?\s*$", re.I)
+_SPLIT = re.compile(r"[,;\s]+")
+_MAX_POINTS = 1_000_000
+
+
+@dataclass
+class RawPoints:
+    """Points as they stand in a source, in its own unit, and where each one stands."""
+
+    points: np.ndarray
+    source: str
+    units: str | None = None
+    lines: list[int] | None = None
+
+    def where(self, index: int) -> str:
+        """Name of a point for a message, such as `letter.txt, line 12`."""
+        if self.lines is not None:
+            return f"{self.source}, line {self.lines[index]}"
+        return f"{self.source}, point {index + 1}"
+
+
+def unit_scale(units: str, source: str) -> float:
+    """Metres in one unit of that name.
+
+    Raises:
+        PatternError: no such unit.
+    """
+    word = units.strip() if isinstance(units, str) else units
+    name = _UNIT_WORDS.get(str(word).lower(), str(word).lower())
+    if name not in UNITS:
+        raise PatternError(f"{source}: unknown units {units!r}; use one of {', '.join(UNITS)}")
+    return UNITS[name]
+
+
+def read_points(path: str | os.PathLike[str]) -> RawPoints:
+    """Points of a text, CSV, NPY or NPZ file. Nothing in the file is executed.
+
+    Raises:
+        PatternError: the file is missing, unreadable or holds no table of points.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise PatternError(f"{path}: no such file; give a file of points or a built-in pattern")
+    if path.suffix.lower() in (".npy", ".npz"):
+        return _read_numpy(path)
+    return _read_text(path)
+
+
+def _read_numpy(path: Path) -> RawPoints:
+    units = None
+    try:
+        data = np.load(path, allow_pickle=False)
+        if isinstance(data, np.lib.npyio.NpzFile):
+            with data:
+                if "units" in data.files:
+                    units = str(data["units"])
+                names = [name for name in data.files if data[name].ndim == 2]
+                if "points" in data.files:
+                    names = ["points"]
+                if len(names) != 1:
+                    raise PatternError(
+                        f"{path}: holds {len(names)} tables; save the points as the array 'points'"
+                    )
+                data = data[names[0]]
+    except PatternError:
+        raise
+    except Exception as error:
+        raise PatternError(f"{path}: not a readable NumPy file of numbers ({error})") from None
+    if data.dtype.kind not in "fiu":
+        raise PatternError(f"{path}: holds {data.dtype} values; save plain numbers")
+    return RawPoints(np.asarray(data, dtype=float), str(path), units)
+
+
+def _read_text(path: Path) -> RawPoints:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise PatternError(
+            f"{path}: not a readable text file ({error}); give text, CSV, NPY or NPZ"
+        ) from None
+    units, columns, count, rows, lines = None, None, 0, [], []
+    for number, line in enumerate(text.splitlines(), start=1):
+        content = line.strip()
+        if not content:
+            continue
+        if content[0] in "#%" or (not rows and _is_header(content)):
+            units = _declared_units(content, path, number) or units
+            columns = _columns(content) or columns
+            continue
+        cells = [cell for cell in _SPLIT.split(content) if cell]
+        try:
+            values = [float(cell) for cell in cells]
+        except ValueError:
+            raise PatternError(
+                f"{path}, line {number}: {content[:60]!r} is not a row of numbers; "
+                "give x and y (and z) on each line"
+            ) from None
+        if columns is None:
+            columns = list(range(min(len(values), 3)))
+        width = max(columns) + 1
+        if len(values) < max(width, 2) or len(columns) < 2 or (rows and len(values) != count):
+            wanted = count if rows else max(width, 2)
+            raise PatternError(
+                f"{path}, line {number}: holds {len(values)} numbers, {wanted} are expected"
+            )
+        count = len(values)
+        rows.append([values[column] for column in columns])
+        lines.append(number)
+        if len(rows) > _MAX_POINTS:
+            raise PatternError(f"{path}: more than {_MAX_POINTS} points; thin the pattern out")
+    if not rows:
+        raise PatternError(f"{path}: holds no points; give at least 3")
+    return RawPoints(np.array(rows, dtype=float), str(path), units, lines)
+
+
+def _is_header(content: str) -> bool:
+    """Whether no cell of a line is a number."""
+
+    def is_number(cell: str) -> bool:
+        try:
+            float(cell)
+        except ValueError:
+            return False
+        return True
+
+    return not any(is_number(cell) for cell in _SPLIT.split(content))
+
+
+def _named_columns(content: str) -> list[tuple[int, str, str | None]]:
+    """(index, axis, unit) of the columns called x, y or z in a header."""
+    content = re.sub(r"\s+(?=[\[(])", "", content.lstrip("#% "))
+    for cells in (re.split(r"[,;\t]", content), content.split()):
+        found = [(i, m[1].lower(), m[2]) for i, m in enumerate(map(_COLUMN.match, cells)) if m]
+        if {"x", "y"} <= {axis for _, axis, _ in found}:
+            return found
+    return []
+
+
+def _columns(content: str) -> list[int] | None:
+    first = {}
+    for index, axis, _ in _named_columns(content):
+        first.setdefault(axis, index)
+    return [first[axis] for axis in "xyz" if axis in first] or None
+
+
+def _declared_units(content: str, path: Path, number: int) -> str | None:
+    """Unit that a header names: `units: mm`, `x [mm], y [mm]`, `x_mm y_mm` or the unit alone."""
+    match = _DECLARED.search(content)
+    if match:
+        return match[1]
+    found = {unit for _, _, unit in _named_columns(content) if unit}
+    if len(found) > 1:
+        raise PatternError(
+            f"{path}, line {number}: the columns have different units ({', '.join(sorted(found))})"
+        )
+    if found:
+        return found.pop()
+    alone = content.lstrip("#% ").strip("[](). ").lower()
+    return alone if _UNIT_WORDS.get(alone, alone) in UNITS else None
+
+
+def checked_points(raw: RawPoints, units: str | None) -> np.ndarray:
+    """Points in metres, (n, 3), planar and without repetition or spikes.
+
+    Raises:
+        PatternError: says which point is wrong, and what to do.
+    """
+    declared = raw.units
+    scale = unit_scale(units or declared or "m", raw.source)
+    if declared is not None and scale != unit_scale(declared, raw.source):
+        raise PatternError(
+            f"{raw.source}: says its units are {declared!r}, but {units!r} was asked for; "
+            "drop one of them"
+        )
+    points = raw.points
+    if len(points) == 0:
+        raise PatternError(f"{raw.source}: holds no points; give at least 3")
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise PatternError(
+            f"{raw.source}: has shape {points.shape}; give one row of x, y (and z) per point"
+        )
+    bad = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
+    if len(bad):
+        value = next(value for value in points[bad[0]] if not np.isfinite(value))
+        raise PatternError(
+            f"{raw.where(bad[0])}: a coordinate is {value}; remove the point or correct it"
+        )
+    points = points * scale
+    if points.shape[1] == 2:
+        points = np.column_stack([points, np.zeros(len(points))])
+    if len(np.unique(points, axis=0)) < 3:
+        raise PatternError(
+            f"{raw.source}: has {len(np.unique(points, axis=0))} distinct points; give at least 3"
+        )
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    repeated = np.flatnonzero(steps <= 1e-9 * np.sum(steps))
+    if len(repeated):
+        raise PatternError(
+            f"{raw.where(repeated[0] + 1)}: repeats the point before it; remove one of the two"
+        )
+    return _planar(points, raw)
+
+
+def _planar(points: np.ndarray, raw: RawPoints) -> np.ndarray:
+    height = float(np.median(points[:, 2]))
+    off = np.abs(points[:, 2] - height)
+    extent = float(np.max(np.ptp(points[:, :2], axis=0)))
+    if off.max() > 1e-3 * extent:
+        worst = int(np.argmax(off))
+        raise PatternError(
+            f"{raw.where(worst)}: is {off[worst]:.3g} m above or below the other points; "
+            "a pattern lies in one horizontal plane, so give one z for all points"
+        )
+    flat = points.copy()
+    flat[:, 2] = height
+    return flat
+
+
+def refuse_spikes(points: np.ndarray, raw: RawPoints) -> None:
+    """Refuse points that stand off the curve of their neighbours, and corners.
+
+    A point is compared with the cubic through two neighbours on each side: 0.1 of the spacing off
+    it is a change of direction by some 20 degrees and back, unless the other points say that the
+    noise is of that size.
+
+    Raises:
+        PatternError: names the first such point.
+    """
+    flat = points[:, :2]
+    steps = np.diff(flat, axis=0)
+    spacing = np.linalg.norm(steps, axis=1)
+    direction = steps / spacing[:, None]
+    cross = direction[:-1, 0] * direction[1:, 1] - direction[:-1, 1] * direction[1:, 0]
+    angle = np.abs(np.arctan2(cross, np.sum(direction[:-1] * direction[1:], axis=1)))
+    if len(points) >= 5:
+        off, near = _distance_from_neighbours(flat, spacing)
+        noise = 1.4826 * np.median(off)
+        excess = off / np.maximum(8.0 * noise, 0.1 * near)
+        worst = int(np.argmax(excess))
+        if excess[worst] > 1.0:
+            raise PatternError(
+                f"{raw.where(worst + 1)}: stands {off[worst]:.2g} m off the curve of its "
+                "neighbours, a spike of curvature; remove or correct the point"
+            )
+    sharp = np.flatnonzero(angle > max(np.radians(60.0), 8.0 * 1.4826 * np.median(angle)))
+    if len(sharp):
+        raise PatternError(
+            f"{raw.where(sharp[0] + 1)}: the pattern turns by "
+            f"{np.degrees(angle[sharp[0]]):.0f} degrees at one point, which no rod follows; "
+            "round the corner or sample it more finely"
+        )
+
+
+def _distance_from_neighbours(
+    flat: np.ndarray, spacing: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of inner points from Lagrange interpolation by their neighbours, and the spacing."""
+    arc = np.concatenate([[0.0], np.cumsum(spacing)])
+    off = np.empty(len(flat) - 2)
+    for index in range(1, len(flat) - 1):
+        first = min(max(index - 2, 0), len(flat) - 5)
+        around = [k for k in range(first, first + 5) if k != index]
+        places, target = arc[around], arc[index]
+        weights = [
+            np.prod((target - np.delete(places, k)) / (places[k] - np.delete(places, k)))
+            for k in range(4)
+        ]
+        off[index - 1] = np.linalg.norm(flat[index] - weights @ flat[around])
+    return off, np.minimum(spacing[:-1], spacing[1:])

@@ -1,0 +1,209 @@
+"""Plans: from a pattern and a rod to the trajectory of the grip (paper, Alg. OPT)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import asdict
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from wrod.errors import GraspError, PatternError, StabilityWarning
+from wrod.friction import friction_bound
+from wrod.grasp_sources import SOURCES, GraspInputs, GraspPoses
+from wrod.material import RodMaterial
+from wrod.patterns import Pattern
+from wrod.trajectory import Trajectory
+
+# The suspended part must stay this long, in L_gb, at the last contact: grasps of a shorter rod
+# put the gripper's fingers on the table, and the studied range begins here.
+MIN_SUSPENDED_LENGTH = 1.0
+# A dimensionless start curvature above this gets a remainder unless the caller decides. The paper's
+# circle and sine start above it; its letters, laid without a remainder, start below 0.11.
+CONSIDERABLE_CURVATURE = 0.15
+# A default remainder is long enough to ask for this static friction at most...
+_REMAINDER_FRICTION = 0.25
+# ... but turns by no more than this [rad], which binds for stiff rods.
+_REMAINDER_TURN = 0.8
+_MAX_NODES = 20_000
+
+
+def plan(
+    pattern: Pattern,
+    rod: RodMaterial,
+    method: str = "numeric",
+    *,
+    closure: str = "zero_tension",
+    spacing: float = 0.005,
+    remainder: bool | float | None = None,
+    device: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Trajectory of the grip that lays `rod` along `pattern`.
+
+    Args:
+        pattern: where the rod is to lie.
+        rod: its material and length.
+        method: "numeric" (optimal grasps from the rod solver) or "intuitive" (straight above the
+            contact).
+        closure: "zero_tension", "min_force" or "min_friction" (numeric only).
+        spacing: largest distance between the contact nodes [m].
+        remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
+            curvature is considerable (over 0.15 / L_gb), True, False, or its length [m].
+        device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
+        progress: called with the nodes done since the last call and the number of all nodes.
+
+    Returns:
+        One pose per contact node; `metadata` names method, rod, pattern, remainder and friction.
+
+    Raises:
+        PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
+            bend it tighter than its own radius, or spacing is not positive.
+        GraspError: unknown method, or a grasp that did not converge; names node and inputs.
+
+    Warns:
+        StabilityWarning: some grasps are elastically unstable.
+    """
+    if method not in SOURCES:
+        raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
+    pattern = prepare(pattern, rod, remainder)
+    first = -pattern.remainder_length
+    total = pattern.length - first
+    if not (np.isfinite(spacing) and spacing >= total / _MAX_NODES):
+        raise PatternError(
+            f"spacing is {spacing!r} m; give at least {total / _MAX_NODES:.2g} m, which "
+            f"makes {_MAX_NODES} contact nodes"
+        )
+    s = np.linspace(first, pattern.length, int(np.ceil(total / spacing - 1e-9)) + 1)
+    contact, tangent, curvature = pattern.sample(s)
+    _refuse_tight_bends(pattern, rod, s, curvature)
+    lgb = rod.gravito_bending_length
+    laid = s - first
+    # The maximum removes the rounding of a pattern that fills the rod.
+    suspended = np.maximum((rod.length - laid) / lgb, MIN_SUSPENDED_LENGTH)
+    inputs = GraspInputs(suspended, curvature * lgb, rod.stretch_ratio, closure, device, progress)
+    poses = SOURCES[method](inputs)
+    _refuse_unconverged(poses, inputs, s)
+    _warn_unstable(poses, s)
+
+    up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
+    frame = np.stack([tangent, np.cross(up, tangent), up], axis=-1)  # R_t of Alg. OPT
+    force_unit = rod.bending_stiffness / lgb**2
+    shape = None
+    if poses.shape is not None:
+        shape = contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, poses.shape)
+    return Trajectory(
+        arc_length=laid,
+        contact=contact,
+        position=contact + lgb * np.einsum("tij,tj->ti", frame, poses.position),
+        rotation=frame @ Rotation.from_rotvec(poses.rotation).as_matrix(),
+        force=force_unit * np.einsum("tij,tj->ti", frame, poses.force),
+        metadata={
+            "method": method,
+            "closure": closure if method != "intuitive" else None,
+            "pattern": pattern.name,
+            "pattern_length": pattern.length,
+            "remainder_length": pattern.remainder_length,
+            "rod": asdict(rod),
+            "required_friction": float(np.max(friction_bound(pattern, rod).required)),
+            "largest_curvature": float(np.max(np.abs(curvature))),
+        },
+        shape=shape,
+    )
+
+
+def prepare(pattern: Pattern, rod: RodMaterial, remainder: bool | float | None) -> Pattern:
+    """The pattern with the remainder that `plan` lays before it, checked against the rod's length.
+
+    Raises:
+        PatternError: pattern and remainder leave less than 1 L_gb of the rod suspended.
+    """
+    spare = rod.length - MIN_SUSPENDED_LENGTH * rod.gravito_bending_length
+    _refuse_long(pattern, rod, spare)
+    if remainder is False or pattern.remainder_length > 0.0:
+        return pattern
+    start = abs(float(pattern.sample(0.0)[2][0]))
+    if remainder is None:
+        if start * rod.gravito_bending_length < CONSIDERABLE_CURVATURE:
+            return pattern
+        # A shorter remainder asks for more friction, which the metadata says; one much shorter
+        # asks for more than it saves.
+        wanted, room = _remainder_length(start, rod), spare - pattern.length
+        return pattern.with_remainder(min(wanted, room)) if room > 0.5 * wanted else pattern
+    if remainder is True:
+        if start == 0.0:
+            return pattern
+        remainder = _remainder_length(start, rod)
+    led = pattern.with_remainder(float(remainder))
+    _refuse_long(led, rod, spare)
+    return led
+
+
+def _remainder_length(curvature: float, rod: RodMaterial) -> float:
+    """Length [m] over which the curvature grows from zero with little friction.
+
+    The quintic smoothstep has |kappa''| <= 10 / sqrt(3) kappa / length^2, and mu_s = 2 L_gb^3
+    |kappa''|.
+    """
+    steepest = 10.0 / np.sqrt(3.0) * curvature
+    gentle = np.sqrt(2.0 * rod.gravito_bending_length**3 * steepest / _REMAINDER_FRICTION)
+    return float(min(gentle, 2.0 * _REMAINDER_TURN / curvature))
+
+
+def _refuse_long(pattern: Pattern, rod: RodMaterial, spare: float) -> None:
+    total = pattern.length + pattern.remainder_length
+    # The tolerance lets a remainder fill the spare length exactly.
+    if total <= spare * (1.0 + 1e-9):
+        return
+    led = (
+        f" with its remainder of {pattern.remainder_length:.3f} m"
+        if pattern.remainder_length
+        else ""
+    )
+    hint = ""
+    if pattern.length > 20.0 * rod.length:
+        hint = " (are the coordinates in another unit? say so with units)"
+    raise PatternError(
+        f"{pattern.source}: is {total:.4g} m long{led}, and a rod of {rod.length:.4g} m that keeps "
+        f"{MIN_SUSPENDED_LENGTH:g} L_gb suspended can lay {max(spare, 0.0):.4g} m; shorten the "
+        f"pattern by {total - spare:.3g} m or take a longer rod{hint}"
+    )
+
+
+def _refuse_tight_bends(
+    pattern: Pattern, rod: RodMaterial, s: np.ndarray, curvature: np.ndarray
+) -> None:
+    worst = int(np.argmax(np.abs(curvature)))
+    if abs(curvature[worst]) * rod.radius >= 1.0:
+        raise PatternError(
+            f"{pattern.source}: has a curvature of {curvature[worst]:.0f} 1/m at s = "
+            f"{s[worst]:.3f} m, tighter than the rod's own radius of {rod.radius:g} m; "
+            "smooth the pattern or make it larger"
+        )
+
+
+def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -> None:
+    finite = np.all(np.isfinite(poses.position) & np.isfinite(poses.rotation), axis=1)
+    good = finite if poses.converged is None else finite & poses.converged
+    if np.all(good):
+        return
+    node = int(np.argmin(good))
+    raise GraspError(
+        f"no optimal grasp found at node {node} of {len(s)} (s = {s[node]:.4f} m, suspended "
+        f"length {inputs.suspended_length[node]:.3f} L_gb, curvature "
+        f"{inputs.curvature[node]:.3f} / L_gb, stretch ratio {inputs.stretch_ratio:.0f}; "
+        f"{np.sum(~good)} nodes in all); make the pattern gentler there or the rod longer"
+    )
+
+
+def _warn_unstable(poses: GraspPoses, s: np.ndarray) -> None:
+    if poses.stable is None or np.all(poses.stable):
+        return
+    where = s[~np.asarray(poses.stable, dtype=bool)]
+    warnings.warn(
+        f"{len(where)} of {len(s)} grasps are elastically unstable (s from {where.min():.3f} to "
+        f"{where.max():.3f} m); the rod may snap there",
+        StabilityWarning,
+        stacklevel=3,
+    )
