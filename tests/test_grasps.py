@@ -210,7 +210,7 @@ def test_bad_inputs_are_named(inputs, word):
 def test_unknown_closure_and_hopeless_grasp():
     with pytest.raises(GraspError, match="zero_tension, min_force, min_friction"):
         solve_grasps(5.0, 0.0, 2000.0, closure="none")
-    # So short and so strongly bent that no grasp keeps it above the table: flagged, never NaN.
-    grasps = solve_grasps(0.2, 3.0, 2000.0)
-    assert not grasps.converged[0]
+    # No least force to be found for so long and so sharply turned a rod: flagged, never NaN.
+    grasps = solve_grasps([50.0, 5.0], [5.0, 0.5], 2000.0, closure="min_force")
+    assert grasps.converged.tolist() == [False, True]
     assert np.isfinite(grasps.residual).all()
