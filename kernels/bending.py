@@ -1,5 +1,9 @@
 """Bending: E = 1/2 l sum_k B_k (kappa_k / l - kappa0_k)^2 at each inner node (Eq. bending).
 
+A rod that softens as it bends has E = l B (sqrt(1 + c Q) - 1) / c instead, with the excess
+curvatures e_k = kappa_k / l - kappa0_k, Q = sum_k B_k e_k^2 / B, B the mean of B_1 and B_2, and
+c >= 0 its softening [length^2]: in a plane the moment is B e / sqrt(1 + c e^2), linear for c = 0.
+
 l is half the rest length of the two edges around the node. The curvature components in the
 material frames of the edges before (e) and after (f) the node are (Bergou et al. 2010, rewritten)
 
@@ -13,7 +17,7 @@ changes t by a - |a|^2 t / 2 and m_k by -a_k t - a_k a / 2 to second order, a_k 
 
 import warp as wp
 from wrod.kernels.assembly import add_angle_hessian, add_edge_gradient, add_edge_hessian
-from wrod.kernels.frames import HALF, ONE, ZERO, edge, rotate
+from wrod.kernels.frames import HALF, ONE, TWO, ZERO, edge, rotate
 
 wp.set_module_options({"enable_backward": False})
 
@@ -51,6 +55,22 @@ def stencil(
 
 
 @wp.func
+def excess_curvature(s: Stencil, rest: wp.float64, natural: wp.vec2d) -> wp.vec2d:
+    chi = ONE + wp.dot(s.t, s.u)
+    return wp.vec2d(
+        (wp.dot(s.m1e, s.u) - wp.dot(s.m1f, s.t)) / (chi * rest) - natural[0],
+        (wp.dot(s.m2e, s.u) - wp.dot(s.m2f, s.t)) / (chi * rest) - natural[1],
+    )
+
+
+@wp.func
+def softened(stiffness: wp.vec2d, softening: wp.float64, excess: wp.vec2d) -> wp.float64:
+    """sqrt(1 + c Q): what divides the linear moment."""
+    squares = stiffness[0] * excess[0] * excess[0] + stiffness[1] * excess[1] * excess[1]
+    return wp.sqrt(ONE + softening * TWO * squares / (stiffness[0] + stiffness[1]))
+
+
+@wp.func
 def perpendicular(v: wp.vec3d, t: wp.vec3d) -> wp.vec3d:
     return v - wp.dot(v, t) * t
 
@@ -74,6 +94,7 @@ def bending(
     rest_length: wp.array2d(dtype=wp.float64),
     bending_stiffness: wp.array2d(dtype=wp.vec2d),
     natural_curvature: wp.array2d(dtype=wp.vec2d),
+    softening: wp.array2d(dtype=wp.float64),
     # State in:
     active: wp.array(dtype=wp.int32),
     dof_in: wp.array2d(dtype=wp.float64),
@@ -96,6 +117,8 @@ def bending(
     grad_chi_e = perpendicular(s.u, s.t)
     grad_chi_f = perpendicular(s.t, s.u)
 
+    strain = excess_curvature(s, rest, natural_curvature[r, i])
+    root = softened(bending_stiffness[r, i], softening[r, i], strain)
     energy = ZERO
     g_e = wp.vec3d(ZERO, ZERO, ZERO)
     g_f = wp.vec3d(ZERO, ZERO, ZERO)
@@ -111,6 +134,11 @@ def bending(
     te_te = ZERO
     te_tf = ZERO
     tf_tf = ZERO
+    # Derivatives of Q / 2 times B, which couple the two curvatures of a rod that softens.
+    q_e = wp.vec3d(ZERO, ZERO, ZERO)
+    q_f = wp.vec3d(ZERO, ZERO, ZERO)
+    q_te = ZERO
+    q_tf = ZERO
 
     for k in range(2):
         # Director k of each edge, and its derivative by the edge's angle.
@@ -126,10 +154,11 @@ def bending(
         e_u = wp.dot(m_e, s.u)
         f_t = wp.dot(m_f, s.t)
         kappa = (e_u - f_t) / chi
-        stiffness = bending_stiffness[r, i][k]
-        excess = kappa / rest - natural_curvature[r, i][k]
+        stiffness = bending_stiffness[r, i][k] / root
+        excess = strain[k]
         moment = stiffness * excess
-        energy += HALF * moment * excess * rest
+        # (root - 1) / c without the cancellation, for c = 0 as well.
+        energy += moment * excess * rest * root / (ONE + root)
 
         # Gradients of kappa: by the turning of t and u, and by the angles.
         k_e = (-cosine * m_e - perpendicular(m_f, s.t) - kappa * grad_chi_e) / chi
@@ -165,6 +194,24 @@ def bending(
             te_te += b * k_te * k_te - m * e_u
             te_tf += b * k_te * k_tf
             tf_tf += b * k_tf * k_tf + m * f_t
+            q_e += moment * k_e
+            q_f += moment * k_f
+            q_te += moment * k_te
+            q_tf += moment * k_tf
+
+    if order == 2 and softening[r, i] > ZERO:
+        mean = HALF * (bending_stiffness[r, i][0] + bending_stiffness[r, i][1])
+        c = -softening[r, i] / (mean * root * rest)
+        ee += c * wp.outer(q_e, q_e)
+        ef += c * wp.outer(q_e, q_f)
+        ff += c * wp.outer(q_f, q_f)
+        e_te += c * q_te * q_e
+        f_te += c * q_te * q_f
+        e_tf += c * q_tf * q_e
+        f_tf += c * q_tf * q_f
+        te_te += c * q_te * q_te
+        te_tf += c * q_te * q_tf
+        tf_tf += c * q_tf * q_tf
 
     inv_e = ONE / s.length_e
     inv_f = ONE / s.length_f
@@ -195,14 +242,19 @@ def bending_rate(
     # Model:
     rest_length: wp.array2d(dtype=wp.float64),
     bending_stiffness: wp.array2d(dtype=wp.vec2d),
+    natural_curvature: wp.array2d(dtype=wp.vec2d),
+    softening: wp.array2d(dtype=wp.float64),
     rest_length_rate: wp.array2d(dtype=wp.float64),
+    bending_stiffness_rate: wp.array2d(dtype=wp.vec2d),
+    natural_curvature_rate: wp.array2d(dtype=wp.vec2d),
+    softening_rate: wp.array2d(dtype=wp.float64),
     # State in:
     dof_in: wp.array2d(dtype=wp.float64),
     director_in: wp.array2d(dtype=wp.vec3d),
     # Out:
     gradient_rate_out: wp.array2d(dtype=wp.float64),
 ):
-    """Add the derivative of the gradient along a change of rest lengths."""
+    """Add the derivative of the gradient along a change of the model."""
     r, j = wp.tid()
     i = j + 1
     s = stencil(dof_in, director_in, r, i)
@@ -210,6 +262,24 @@ def bending_rate(
     rest_rate = HALF * (rest_length_rate[r, i - 1] + rest_length_rate[r, i])
     cosine = wp.dot(s.t, s.u)
     chi = ONE + cosine
+    stiffness = bending_stiffness[r, i]
+    stiffness_rate = bending_stiffness_rate[r, i]
+    natural = natural_curvature[r, i]
+    excess = excess_curvature(s, rest, natural)
+    excess_rate = -(rest_rate / rest) * (excess + natural) - natural_curvature_rate[r, i]
+    root = softened(stiffness, softening[r, i], excess)
+    # Q and its rate, for root^2 = 1 + c Q.
+    mean = HALF * (stiffness[0] + stiffness[1])
+    mean_rate = HALF * (stiffness_rate[0] + stiffness_rate[1])
+    squares = wp.float64(0.0)
+    squares_rate = wp.float64(0.0)
+    for k in range(2):
+        squares += stiffness[k] * excess[k] * excess[k]
+        squares_rate += stiffness_rate[k] * excess[k] * excess[k]
+        squares_rate += TWO * stiffness[k] * excess[k] * excess_rate[k]
+    q = squares / mean
+    q_rate = (squares_rate - q * mean_rate) / mean
+    root_rate = HALF * (softening_rate[r, i] * q + softening[r, i] * q_rate) / root
     for k in range(2):
         m_e = s.m1e
         m_f = s.m1f
@@ -223,7 +293,8 @@ def bending_rate(
         kappa = (wp.dot(m_e, s.u) - wp.dot(m_f, s.t)) / chi
         k_e = (-cosine * m_e - perpendicular(m_f, s.t) - kappa * perpendicular(s.u, s.t)) / chi
         k_f = (perpendicular(m_e, s.u) + cosine * m_f - kappa * perpendicular(s.t, s.u)) / chi
-        rate = -bending_stiffness[r, i][k] * kappa / (rest * rest) * rest_rate
+        rate = stiffness_rate[k] * excess[k] + stiffness[k] * excess_rate[k]
+        rate = (rate - stiffness[k] * excess[k] * root_rate / root) / root
         add_edge_gradient(
             gradient_rate_out, r, i, (rate / s.length_e) * k_e, (rate / s.length_f) * k_f
         )

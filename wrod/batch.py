@@ -98,6 +98,8 @@ class RodBatch:
         twisting_stiffness: (rod, node) GJ [force length^2].
         natural_curvature: (rod, node, 2) curvature at rest in the material frame [1/length].
         natural_twist: (rod, node) twist at rest [rad/length].
+        softening: (rod, node) c >= 0 of the moment B e / sqrt(1 + c e^2) that belongs to a
+            curvature e [length^2]; 0 is a linear rod.
         node_mass: (rod, node) lumped masses.
         gravity: (rod, 3) acceleration.
         point_load: (rod, node, 3) dead force at each node [force].
@@ -120,6 +122,7 @@ class RodBatch:
         twisting_stiffness,
         natural_curvature=0.0,
         natural_twist=0.0,
+        softening=0.0,
         node_mass=0.0,
         gravity=0.0,
         point_load=0.0,
@@ -161,6 +164,9 @@ class RodBatch:
             "natural_curvature", natural_curvature, (rods, nodes, 2), wp.vec2d
         )
         self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
+        self.softening = self._array("softening", softening, (rods, nodes))
+        if self.softening.numpy().min() < 0.0:
+            raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
         self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
         self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)
         self.point_load = self._array("point_load", point_load, (rods, nodes, 3), wp.vec3d)
@@ -289,6 +295,7 @@ class RodBatch:
                 rest,
                 self.bending_stiffness,
                 self.natural_curvature,
+                self.softening,
                 active,
                 state.dof,
                 state.director,

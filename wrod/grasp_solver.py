@@ -296,7 +296,18 @@ class GraspSolver:
         wp.launch(
             bending_rate,
             dim=(rods, nodes - 2),
-            inputs=[rest, batch.bending_stiffness, rest_rate_wp, dof, director],
+            inputs=[
+                rest,
+                batch.bending_stiffness,
+                batch.natural_curvature,
+                batch.softening,
+                rest_rate_wp,
+                wp.zeros_like(batch.bending_stiffness),
+                wp.zeros_like(batch.natural_curvature),
+                wp.zeros_like(batch.softening),
+                dof,
+                director,
+            ],
             outputs=[gradient_rate],
             device=device,
         )
