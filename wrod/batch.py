@@ -227,7 +227,7 @@ class RodBatch:
         self.state.tangent.assign(tangent)
         self.state.director.assign(director / size)
         self.state.reference_twist.zero_()
-        self._launch_twist(self.state, self.every_rod)
+        self._launch_twist(self.state.reference_twist, self.state, self.every_rod)
 
     def set_free(self, free: np.ndarray) -> None:
         """Say which degrees of freedom may move: (rod, dof) of bool, broadcast."""
@@ -243,15 +243,13 @@ class RodBatch:
             outputs=[target.tangent, target.director],
             device=self.device,
         )
-        if target is not source:
-            wp.copy(target.reference_twist, source.reference_twist)
-        self._launch_twist(target, active)
+        self._launch_twist(source.reference_twist, target, active)
 
-    def _launch_twist(self, state: RodState, active: wp.array) -> None:
+    def _launch_twist(self, before: wp.array, state: RodState, active: wp.array) -> None:
         wp.launch(
             reference_twist,
             dim=(self.rod_count, self.node_count - 2),
-            inputs=[active, state.tangent, state.director, state.reference_twist],
+            inputs=[active, state.tangent, state.director, before],
             outputs=[state.reference_twist],
             device=self.device,
         )

@@ -26,6 +26,7 @@ from wrod.statics import BandedSystem, EquilibriumSolver
 
 COMPLEX_STEP = 1e-30
 _WAYPOINTS = 8
+_PATIENCE, _WALK_PATIENCE = 15, 60
 _WIND_PASSES = 12
 _WIND_TOLERANCE = 1e-7
 
@@ -118,13 +119,34 @@ class ClampedSolver:
                 value = np.where(rods.reshape((-1,) + (1,) * (value.ndim - 1)), value, array.numpy())
             array.assign(value)
 
+    def total_twist(self) -> np.ndarray:
+        """(candidate x trial,) twist of every rod from clamp to clamp [rad]."""
+        state = self.batch.state
+        angle = state.dof.numpy()[:, 3::4]
+        return angle[:, -1] - angle[:, 0] + state.reference_twist.numpy()[:, 1:-1].sum(axis=1)
+
     # ---- equilibria ---------------------------------------------------------------------------
 
-    def solve(self, setups: Sequence[Setup], *, tolerance: float = 1e-9) -> np.ndarray:
-        """Bring every rod to equilibrium with its model; (C, T) whether it got there."""
+    def solve(self, setups: Sequence[Setup], *, walk: bool = True) -> np.ndarray:
+        """Bring every rod to equilibrium with its model; (C, T) whether it got there.
+
+        Without `walk` the clamps go to their new poses at once and a rod that does not follow is
+        given up: for a fit it is cheaper to try a shorter step.
+        """
         self._assign(setups)
         targets = self._prescribed(*_poses(setups), setups)
-        return self._equilibrium(setups, targets, tolerance).reshape(-1, self.trial_count)
+        if not walk:
+            batch, before = self.batch, RodState.zeros(
+                self.batch.rod_count, self.batch.node_count, self.device
+            )
+            before.assign(batch.state)
+            dof = batch.state.dof.numpy().copy()
+            held = batch.free.numpy() == 0
+            dof[held] = targets[held]
+            batch.state.dof.assign(dof)
+            batch.transport_frames(before, batch.state, batch.every_rod)
+            targets = None
+        return self._equilibrium(setups, targets, 1e-9).reshape(-1, self.trial_count)
 
     def _equilibrium(self, setups, targets, tolerance) -> np.ndarray:
         batch = self.batch
@@ -135,7 +157,11 @@ class ClampedSolver:
             load = _wind_load(batch.positions(), wind)
             batch.point_load.assign(load)
             solver = EquilibriumSolver(batch)
-            result = solver.solve(prescribed=targets, tolerance=tolerance, max_iterations=60)
+            result = solver.solve(
+                prescribed=targets,
+                tolerance=tolerance,
+                max_iterations=_PATIENCE if targets is None else _WALK_PATIENCE,
+            )
             scale = solver.force_scale.numpy()[:, None, None]
             if np.abs(load - before).max(axis=None, initial=0, where=np.isfinite(load)) <= (
                 _WIND_TOLERANCE * scale.max()
@@ -155,6 +181,15 @@ class ClampedSolver:
             frame = ra @ Rotation.from_rotvec(f * turn).as_matrix()
             targets = self._prescribed((a, ra), (start + f * (b - start), frame), setups)
             converged = self._equilibrium(setups, targets, 1e-6 if step < _WAYPOINTS else 1e-9)
+        # Large steps may let a slack rod pass through itself and keep a turn too many. The roll of
+        # the clamps is less than half a turn from the untwisted state, so whole turns come out.
+        for _ in range(_WAYPOINTS):
+            turns = np.rint(self.total_twist() / (2 * np.pi))
+            if not turns.any():
+                break
+            targets = self.batch.state.dof.numpy().copy()
+            targets[:, -4] -= 2 * np.pi * turns
+            converged = self._equilibrium(setups, targets, 1e-9)
         if not converged.all():
             trial = int(np.argmin(converged)) % self.trial_count
             raise DataError(
@@ -182,7 +217,7 @@ class ClampedSolver:
         for edge, column, frame in ((0, 3, ra), (-1, -4, rb)):
             carried = _transport(director[:, edge], tangent[:, edge], frame[:, :, 2])
             angle = np.arctan2(
-                np.sum(carried_cross(frame[:, :, 2], carried) * frame[:, :, 0], axis=1),
+                np.sum(np.cross(frame[:, :, 2], carried) * frame[:, :, 0], axis=1),
                 np.sum(carried * frame[:, :, 0], axis=1),
             )
             angle += principal
@@ -372,10 +407,6 @@ class ClampedSolver:
         return 0.0
 
 
-def carried_cross(t: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return np.cross(t, v)
-
-
 def _transport(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
     axis = np.cross(t, u)
     cosine = np.sum(t * u, axis=1, keepdims=True)
@@ -466,19 +497,25 @@ def _marker_weights(setup: Setup) -> np.ndarray:
     """
     n = len(setup.fraction) - 1
     u = setup.marker_arc_length / setup.length * n
+    where = np.real(u)
+    nodes = np.clip(np.floor(where) - 1, 0, n - 3).astype(int)[:, None] + np.arange(1, 5)
+    shares = _lagrange(u[:, None] + 1, nodes)
+    outside = (where < -1e-9) | (where > n + 1e-9)
+    if outside.any():
+        nodes[outside, :2] = np.where(where[outside] < 0, 0, n + 1)[:, None] + np.arange(2)
+        shares[outside] = 0.0
+        shares[outside, :2] = _lagrange(u[outside, None] + 1, nodes[outside, :2])
     weights = np.zeros((len(u), n + 3), dtype=u.dtype)
-    for row, x in zip(weights, u, strict=True):
-        where = np.real(x)
-        if where < -1e-9 or where > n + 1e-9:
-            first = 0 if where < 0 else n + 1
-            nodes = np.arange(first, first + 2)
-        else:
-            first = int(np.clip(np.floor(where) - 1, 0, n - 3)) + 1
-            nodes = np.arange(first, first + 4)
-        for node in nodes:
-            others = nodes[nodes != node]
-            row[node] = np.prod((x + 1 - others) / (node - others))
+    np.put_along_axis(weights, nodes, shares, axis=1)
     return weights
+
+
+def _lagrange(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(M, k) weights of the polynomial through (M, k) nodes at (M, 1) places."""
+    gaps = nodes[:, :, None] - nodes[:, None, :] + np.eye(nodes.shape[1])
+    factors = (x[:, :, None] - nodes[:, None, :]) / gaps
+    same = np.eye(nodes.shape[1], dtype=bool)
+    return np.prod(np.where(same, 1.0, factors), axis=2)
 
 
 def _frames_at(weights: np.ndarray, tangent: np.ndarray, m1: np.ndarray) -> np.ndarray:

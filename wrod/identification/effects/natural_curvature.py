@@ -1,0 +1,26 @@
+"""A rod that is bent at rest, as one off a spool."""
+
+import numpy as np
+
+from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
+
+
+class NaturalCurvature(Effect):
+    name = "natural_curvature"
+    title = "uniform natural curvature in the material frame"
+    reference = "Bergou et al. 2008, Discrete Elastic Rods, Sec. 4.2"
+    parameters = (
+        Parameter("curvature_1", "1/m", 20.0),
+        Parameter("curvature_2", "1/m", 20.0),
+    )
+
+    def apply(self, setup, values):
+        setup.natural_curvature = setup.natural_curvature + np.asarray(values)
+
+    def describe(self, values, covariance, measurements):
+        size, angle = magnitude_and_angle(*values, covariance)
+        return {
+            "curvature": Estimate(*size, "1/m"),
+            "direction": Estimate(*angle, "deg"),
+            **super().describe(values, covariance, measurements),
+        }
