@@ -26,7 +26,7 @@ from wrod.statics import BandedSystem, EquilibriumSolver
 
 COMPLEX_STEP = 1e-30
 _WAYPOINTS = 8
-_PATIENCE, _WALK_PATIENCE = 15, 60
+_PATIENCE, _WALK_PATIENCE = 12, 60
 _WIND_PASSES = 12
 _WIND_TOLERANCE = 1e-7
 

@@ -54,6 +54,7 @@ class Effect:
         reference: where the model comes from.
         parameters: the unknowns.
         stage: effects are applied in this order; those that change the free length come first.
+        follows_shape: whether its load depends on the rod's shape (`Setup.wind`).
     """
 
     name: str
@@ -61,6 +62,7 @@ class Effect:
     reference: str
     parameters: tuple[Parameter, ...]
     stage: int = 1
+    follows_shape: bool = False
 
     def starts(self, measurements: ClampedMeasurements) -> list[np.ndarray]:
         """Values to start fits from; more than one where the fit has several optima."""

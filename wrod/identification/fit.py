@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +16,9 @@ from wrod.identification.setup import Setup
 
 _MAX_ITERATIONS = 30
 _CONVERGED = 0.02
-_DAMPING = (1e-3, 1e8)
+# A candidate that gains less than this share of its distance to the best one has lost.
+_HOPELESS = 0.01
+_DAMPING = (1e-2, 1e6)
 # Candidates in one batch: more share launches, but their Hessians leave the cache.
 _BATCH = 48
 
@@ -29,7 +33,6 @@ class Fit:
         chi_squared: weighted squares of the residuals over the trials fitted, without the prior.
         residual_count: how many residuals those were.
         converged: whether the iteration ended by its own criterion.
-        condition: largest absolute correlation between two parameters of different effects.
     """
 
     model: Model
@@ -61,7 +64,7 @@ class Laboratory:
     """
 
     def __init__(
-        self, measurements: ClampedMeasurements, *, edge_count: int = 90, device: str = "cpu"
+        self, measurements: ClampedMeasurements, *, edge_count: int = 60, device: str = "cpu"
     ):
         self.measurements = measurements
         self.edge_count, self.device = edge_count, device
@@ -170,6 +173,7 @@ class Laboratory:
         *,
         trials: np.ndarray | None = None,
         weights: np.ndarray | None = None,
+        race: bool = True,
         progress=None,
     ) -> list[Fit]:
         """Fit every model from its start, all in one batch.
@@ -178,25 +182,49 @@ class Laboratory:
             models, starts: candidates and their first parameter vectors.
             trials: trial indices to fit on; default: the measurements' train trials.
             weights: (candidate, trial) of 0 and 1: which of `trials` a candidate may see.
-            progress: called with 1 whenever a candidate is finished.
+            race: let a candidate stop early that is far behind the best one of its batch.
+        progress: called with 1 whenever a candidate is finished.
         """
         trials = self.measurements.train if trials is None else trials
         if weights is None:
             weights = np.ones((len(models), len(trials)))
-        fits: list[Fit] = []
-        for first in range(0, len(models), _BATCH):
-            chosen = slice(first, first + _BATCH)
-            run = _Iteration(self, models[chosen], starts[chosen], trials, weights[chosen])
-            fits += run.run(progress)
+        # Launches release the interpreter, so slices of the candidates run side by side. A wind is
+        # iterated over the whole batch: its candidates stay among themselves.
+        windy = [c for c, m in enumerate(models) if any(e.follows_shape for e in m.effects)]
+        still = [c for c in range(len(models)) if c not in windy]
+        slices = max(os.cpu_count() or 1, -(-len(still) // _BATCH))
+        groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]
+        best = _Best(race)
+
+        def run(group):
+            own = ([models[c] for c in group], [starts[c] for c in group])
+            return _Iteration(self, *own, trials, weights[group], best).run(progress)
+
+        fits: list[Fit | None] = [None] * len(models)
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            for group, results in zip(groups, pool.map(run, groups), strict=True):
+                for c, fit in zip(group, results, strict=True):
+                    fits[c] = fit
         return fits
+
+
+class _Best:
+    """The lowest cost of all candidates so far, for the race."""
+
+    def __init__(self, race: bool):
+        self.race, self.cost = race, np.inf
+
+    def behind(self, cost: float) -> float:
+        self.cost = min(self.cost, cost)
+        return cost - self.cost if self.race else 0.0
 
 
 class _Iteration:
     """Levenberg-Marquardt of one batch of candidates; each has its own damping."""
 
-    def __init__(self, laboratory: Laboratory, models, starts, trials, weights):
+    def __init__(self, laboratory: Laboratory, models, starts, trials, weights, best: _Best):
         self.laboratory, self.models, self.trials = laboratory, list(models), trials
-        self.weights = weights
+        self.weights, self.best = weights, best
         self.base = Setup.base(laboratory.measurements, trials, laboratory.edge_count)
         self.values = [np.array(v, dtype=float) for v in starts]
         self.scales = [np.array([p.scale for p in m.parameters]) for m in models]
@@ -238,30 +266,24 @@ class _Iteration:
                     accepted.append(k)
                     mine = slice(k * len(self.trials), (k + 1) * len(self.trials))
                     states[c] = tuple(a[mine] for a in rods)
-                    if gain < _CONVERGED and predicted[c] < _CONVERGED:
-                        converged[c] = True
+                    enough = _CONVERGED + _HOPELESS * self.best.behind(cost)
+                    converged[c] = gain < enough and predicted[c] < enough
                 else:
-                    damping[c] *= 10.0
-                    if predicted[c] < _CONVERGED:
-                        converged[c] = True
+                    damping[c] *= 20.0
+                    converged[c] = predicted[c] < _CONVERGED
             if accepted:
-                rejected = [k for k in range(len(active)) if k not in accepted]
-                values = [self.values[c] if k in accepted else trial_values[c]
-                          for k, c in enumerate(active)]
                 rates = self.laboratory._rates(
-                    solver, [self.models[c] for c in active], values, self.base
+                    solver, [self.models[c] for c in active],
+                    [trial_values[c] for c in active],
+                    self.base,
                 )
                 for k in accepted:
                     c = active[k]
                     normal[c] = self._normal(c, k, setups[k], readings, rates[k])
-                del rejected
             self._put_back(solver, active, states)
             done = []
             for c in active:
-                if normal[c] is None or damping[c] > _DAMPING[1]:
-                    done.append(c)
-                    continue
-                if converged[c]:
+                if normal[c] is None or converged[c] or damping[c] > _DAMPING[1]:
                     done.append(c)
                     continue
                 trial_values[c], predicted[c] = self._step(c, normal[c], damping[c])

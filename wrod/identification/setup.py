@@ -23,7 +23,7 @@ class Setup:
         principal_angle: angle from m1 to the first principal direction of bending [rad].
         twisting: (n + 1,) [N m^2].
         stretching: (n,) EA of each edge [N].
-        natural_curvature: (n + 1, 2) curvature vector at rest along (m1, m2) [1/m].
+        natural_curvature: (n + 1, 2) components of dt/ds at rest along (m1, m2) [1/m].
         natural_twist: (n + 1,) [rad/m].
         softening: (n + 1,) c of the moment B k / sqrt(1 + c k^2) [m^2].
         line_mass: (n + 1,) mass per unstretched length [kg/m].

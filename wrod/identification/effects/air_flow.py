@@ -15,6 +15,7 @@ class AirFlow(Effect):
         "cross-flow principle, f = 1/2 rho_air C_d 2h |u| u with u across the rod; "
         f"speeds are for rho_air = {_AIR_DENSITY} kg/m^3 and C_d = {_DRAG_COEFFICIENT}"
     )
+    follows_shape = True
     # The drag on a rod straight across the flow: the load is nearly linear in it.
     parameters = (
         Parameter("drag_x", "N/m", 0.05),

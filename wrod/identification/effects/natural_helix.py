@@ -8,7 +8,7 @@ from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_an
 class NaturalHelix(Effect):
     name = "natural_helix"
     title = "natural curvature whose direction turns uniformly in the material frame"
-    reference = "Miller et al. 2014, Shapes of a Suspended Curly Hair, with a turning plane"
+    reference = "as natural_curvature, its vector turned about the tangent by turn_rate times arc length"
     parameters = (
         Parameter("curvature_1", "1/m", 20.0),
         Parameter("curvature_2", "1/m", 20.0),
@@ -23,8 +23,8 @@ class NaturalHelix(Effect):
     def apply(self, setup, values):
         angle = values[2] * setup.arc_length
         c, s = np.cos(angle), np.sin(angle)
-        turned = np.stack([c * values[0] - s * values[1], s * values[0] + c * values[1]], axis=1)
-        setup.natural_curvature = setup.natural_curvature + turned
+        first, second = c * values[0] - s * values[1], s * values[0] + c * values[1]
+        setup.natural_curvature = setup.natural_curvature + np.stack([second, -first], axis=1)
 
     def describe(self, values, covariance, measurements):
         size, angle = magnitude_and_angle(*values[:2], covariance[:2, :2])
