@@ -1,8 +1,10 @@
 """Bending: E = 1/2 l sum_k B_k (kappa_k / l - kappa0_k)^2 at each inner node (Eq. bending).
 
-A rod that softens as it bends has E = l B (sqrt(1 + c Q) - 1) / c instead, with the excess
-curvatures e_k = kappa_k / l - kappa0_k, Q = sum_k B_k e_k^2 / B, B the mean of B_1 and B_2, and
-c >= 0 its softening [length^2]: in a plane the moment is B e / sqrt(1 + c e^2), linear for c = 0.
+A rod that softens as it bends, as a cable does whose strands begin to slip, keeps the share r of
+its stiffness and loses the rest: E = l B (r Q / 2 + (1 - r) (sqrt(1 + c Q) - 1) / c), with the
+excess curvatures e_k = kappa_k / l - kappa0_k, Q = sum_k B_k e_k^2 / B, B the mean of B_1 and B_2.
+In a plane the moment is B e (r + (1 - r) / sqrt(1 + c e^2)). `softening` holds (c, r), c >= 0
+[length^2]; c = 0 is a linear rod.
 
 l is half the rest length of the two edges around the node. The curvature components in the
 material frames of the edges before (e) and after (f) the node are (Bergou et al. 2010, rewritten)
@@ -65,7 +67,7 @@ def excess_curvature(s: Stencil, rest: wp.float64, natural: wp.vec2d) -> wp.vec2
 
 @wp.func
 def softened(stiffness: wp.vec2d, softening: wp.float64, excess: wp.vec2d) -> wp.float64:
-    """sqrt(1 + c Q): what divides the linear moment."""
+    """sqrt(1 + c Q): what divides the part of the moment that softens."""
     squares = stiffness[0] * excess[0] * excess[0] + stiffness[1] * excess[1] * excess[1]
     return wp.sqrt(ONE + softening * TWO * squares / (stiffness[0] + stiffness[1]))
 
@@ -94,7 +96,7 @@ def bending(
     rest_length: wp.array2d(dtype=wp.float64),
     bending_stiffness: wp.array2d(dtype=wp.vec2d),
     natural_curvature: wp.array2d(dtype=wp.vec2d),
-    softening: wp.array2d(dtype=wp.float64),
+    softening: wp.array2d(dtype=wp.vec2d),
     # State in:
     active: wp.array(dtype=wp.int32),
     dof_in: wp.array2d(dtype=wp.float64),
@@ -118,7 +120,9 @@ def bending(
     grad_chi_f = perpendicular(s.t, s.u)
 
     strain = excess_curvature(s, rest, natural_curvature[r, i])
-    root = softened(bending_stiffness[r, i], softening[r, i], strain)
+    root = softened(bending_stiffness[r, i], softening[r, i][0], strain)
+    kept = softening[r, i][1]
+    secant = kept + (ONE - kept) / root
     energy = ZERO
     g_e = wp.vec3d(ZERO, ZERO, ZERO)
     g_f = wp.vec3d(ZERO, ZERO, ZERO)
@@ -154,11 +158,11 @@ def bending(
         e_u = wp.dot(m_e, s.u)
         f_t = wp.dot(m_f, s.t)
         kappa = (e_u - f_t) / chi
-        stiffness = bending_stiffness[r, i][k] / root
-        excess = strain[k]
-        moment = stiffness * excess
+        linear = bending_stiffness[r, i][k] * strain[k]
+        stiffness = bending_stiffness[r, i][k] * secant
+        moment = linear * secant
         # (root - 1) / c without the cancellation, for c = 0 as well.
-        energy += moment * excess * rest * root / (ONE + root)
+        energy += linear * strain[k] * rest * (HALF * kept + (ONE - kept) / (ONE + root))
 
         # Gradients of kappa: by the turning of t and u, and by the angles.
         k_e = (-cosine * m_e - perpendicular(m_f, s.t) - kappa * grad_chi_e) / chi
@@ -194,14 +198,14 @@ def bending(
             te_te += b * k_te * k_te - m * e_u
             te_tf += b * k_te * k_tf
             tf_tf += b * k_tf * k_tf + m * f_t
-            q_e += moment * k_e
-            q_f += moment * k_f
-            q_te += moment * k_te
-            q_tf += moment * k_tf
+            q_e += linear * k_e
+            q_f += linear * k_f
+            q_te += linear * k_te
+            q_tf += linear * k_tf
 
-    if order == 2 and softening[r, i] > ZERO:
+    if order == 2 and softening[r, i][0] > ZERO:
         mean = HALF * (bending_stiffness[r, i][0] + bending_stiffness[r, i][1])
-        c = -softening[r, i] / (mean * root * rest)
+        c = -(ONE - kept) * softening[r, i][0] / (mean * root * root * root * rest)
         ee += c * wp.outer(q_e, q_e)
         ef += c * wp.outer(q_e, q_f)
         ff += c * wp.outer(q_f, q_f)
@@ -243,11 +247,11 @@ def bending_rate(
     rest_length: wp.array2d(dtype=wp.float64),
     bending_stiffness: wp.array2d(dtype=wp.vec2d),
     natural_curvature: wp.array2d(dtype=wp.vec2d),
-    softening: wp.array2d(dtype=wp.float64),
+    softening: wp.array2d(dtype=wp.vec2d),
     rest_length_rate: wp.array2d(dtype=wp.float64),
     bending_stiffness_rate: wp.array2d(dtype=wp.vec2d),
     natural_curvature_rate: wp.array2d(dtype=wp.vec2d),
-    softening_rate: wp.array2d(dtype=wp.float64),
+    softening_rate: wp.array2d(dtype=wp.vec2d),
     # State in:
     dof_in: wp.array2d(dtype=wp.float64),
     director_in: wp.array2d(dtype=wp.vec3d),
@@ -267,7 +271,10 @@ def bending_rate(
     natural = natural_curvature[r, i]
     excess = excess_curvature(s, rest, natural)
     excess_rate = -(rest_rate / rest) * (excess + natural) - natural_curvature_rate[r, i]
-    root = softened(stiffness, softening[r, i], excess)
+    root = softened(stiffness, softening[r, i][0], excess)
+    kept = softening[r, i][1]
+    kept_rate = softening_rate[r, i][1]
+    secant = kept + (ONE - kept) / root
     # Q and its rate, for root^2 = 1 + c Q.
     mean = HALF * (stiffness[0] + stiffness[1])
     mean_rate = HALF * (stiffness_rate[0] + stiffness_rate[1])
@@ -279,7 +286,8 @@ def bending_rate(
         squares_rate += TWO * stiffness[k] * excess[k] * excess_rate[k]
     q = squares / mean
     q_rate = (squares_rate - q * mean_rate) / mean
-    root_rate = HALF * (softening_rate[r, i] * q + softening[r, i] * q_rate) / root
+    root_rate = HALF * (softening_rate[r, i][0] * q + softening[r, i][0] * q_rate) / root
+    secant_rate = kept_rate * (ONE - ONE / root) - (ONE - kept) * root_rate / (root * root)
     for k in range(2):
         m_e = s.m1e
         m_f = s.m1f
@@ -294,7 +302,7 @@ def bending_rate(
         k_e = (-cosine * m_e - perpendicular(m_f, s.t) - kappa * perpendicular(s.u, s.t)) / chi
         k_f = (perpendicular(m_e, s.u) + cosine * m_f - kappa * perpendicular(s.t, s.u)) / chi
         rate = stiffness_rate[k] * excess[k] + stiffness[k] * excess_rate[k]
-        rate = (rate - stiffness[k] * excess[k] * root_rate / root) / root
+        rate = rate * secant + stiffness[k] * excess[k] * secant_rate
         add_edge_gradient(
             gradient_rate_out, r, i, (rate / s.length_e) * k_e, (rate / s.length_f) * k_f
         )

@@ -98,8 +98,8 @@ class RodBatch:
         twisting_stiffness: (rod, node) GJ [force length^2].
         natural_curvature: (rod, node, 2) curvature at rest in the material frame [1/length].
         natural_twist: (rod, node) twist at rest [rad/length].
-        softening: (rod, node) c >= 0 of the moment B e / sqrt(1 + c e^2) that belongs to a
-            curvature e [length^2]; 0 is a linear rod.
+        softening: (rod, node, 2) c >= 0 [length^2] and r of the moment
+            B e (r + (1 - r) / sqrt(1 + c e^2)) that belongs to a curvature e; c = 0 is linear.
         node_mass: (rod, node) lumped masses.
         gravity: (rod, 3) acceleration.
         point_load: (rod, node, 3) dead force at each node [force].
@@ -164,8 +164,8 @@ class RodBatch:
             "natural_curvature", natural_curvature, (rods, nodes, 2), wp.vec2d
         )
         self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
-        self.softening = self._array("softening", softening, (rods, nodes))
-        if self.softening.numpy().min() < 0.0:
+        self.softening = self._array("softening", softening, (rods, nodes, 2), wp.vec2d)
+        if self.softening.numpy()[..., 0].min() < 0.0:
             raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
         self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
         self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)

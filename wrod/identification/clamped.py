@@ -448,7 +448,7 @@ def _arrays(setups: Sequence[Setup]) -> _Arrays:
         rows["twisting_stiffness"].append(_with_ghosts(s.twisting / share))
         rows["natural_curvature"].append(_with_ghosts(principal * share[:, None]))
         rows["natural_twist"].append(_with_ghosts(s.natural_twist * share))
-        rows["softening"].append(_with_ghosts(s.softening / share**2))
+        rows["softening"].append(_with_ghosts(s.softening / np.stack([share**2, np.ones(n + 1)], axis=1)))
         rows["node_mass"].append(np.pad(s.line_mass * h * share + s.node_mass, 1))
         rows["gravity"].append(s.gravity)
     trials = len(setups[0].clamp_position)

@@ -25,7 +25,7 @@ class Setup:
         stretching: (n,) EA of each edge [N].
         natural_curvature: (n + 1, 2) components of dt/ds at rest along (m1, m2) [1/m].
         natural_twist: (n + 1,) [rad/m].
-        softening: (n + 1,) c of the moment B k / sqrt(1 + c k^2) [m^2].
+        softening: (n + 1, 2) c [m^2] and r of the moment B k (r + (1 - r) / sqrt(1 + c k^2)).
         line_mass: (n + 1,) mass per unstretched length [kg/m].
         node_mass: (n + 1,) masses on top of it [kg].
         gravity: (3,) [m/s^2].
@@ -68,7 +68,7 @@ class Setup:
             stretching=np.full(edge_count, rod.stretching_stiffness),
             natural_curvature=np.zeros((nodes, 2)),
             natural_twist=np.zeros(nodes),
-            softening=np.zeros(nodes),
+            softening=np.zeros((nodes, 2)),
             line_mass=np.full(nodes, rod.weight / rod.gravity),
             node_mass=np.zeros(nodes),
             gravity=np.array([0.0, 0.0, -rod.gravity]),

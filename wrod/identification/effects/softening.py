@@ -1,4 +1,4 @@
-"""A rod whose moment grows less than its curvature."""
+"""A rod whose moment falls behind its curvature, as a cable does whose strands begin to slip."""
 
 import numpy as np
 
@@ -7,20 +7,27 @@ from wrod.identification.effect import Effect, Estimate, Parameter
 
 class Softening(Effect):
     name = "softening"
-    title = "moment that falls behind the curvature, B k / sqrt(1 + (k / k_c)^2)"
-    reference = "one-parameter moment-curvature law; to second order any symmetric law is one"
-    parameters = (Parameter("softening", "m^2", 1e-2, lower=0.0),)
+    title = "bending stiffness that falls with curvature, from B to r B"
+    reference = (
+        "M = B k (r + (1 - r) / sqrt(1 + (k / k_c)^2)), a smooth form of the stick-slip law of "
+        "stranded cables (Papailiou 1997)"
+    )
+    parameters = (
+        Parameter("log_critical_curvature", "", 10.0),
+        Parameter("kept_stiffness", "", 1.0, lower=-0.5, upper=1.0),
+    )
 
     def starts(self, measurements):
-        return [np.array([1e-5]), np.array([1e-3])]
+        return [np.array([np.log(k), kept]) for k in (3.0, 30.0) for kept in (0.9, 0.3)]
 
     def apply(self, setup, values):
-        setup.softening = setup.softening + values[0]
+        own = np.array([np.exp(-2.0 * values[0]), values[1]])
+        setup.softening = setup.softening + own
 
     def describe(self, values, covariance, measurements):
-        c, error = float(values[0]), float(np.sqrt(covariance[0, 0]))
-        own = super().describe(values, covariance, measurements)
-        if c <= 0.0:
-            return own
-        critical = c**-0.5
-        return {"critical_curvature": Estimate(critical, 0.5 * critical * error / c, "1/m"), **own}
+        errors = np.sqrt(np.diag(covariance))
+        critical = float(np.exp(values[0]))
+        return {
+            "critical_curvature": Estimate(critical, float(critical * errors[0]), "1/m"),
+            "kept_stiffness": Estimate(float(values[1]), float(errors[1]), ""),
+        }
