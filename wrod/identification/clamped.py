@@ -134,6 +134,7 @@ class ClampedSolver:
         given up: for a fit it is cheaper to try a shorter step.
         """
         self._assign(setups)
+        twist = self.total_twist()
         targets = self._prescribed(*_poses(setups), setups)
         if not walk:
             batch, before = self.batch, RodState.zeros(
@@ -146,7 +147,10 @@ class ClampedSolver:
             batch.state.dof.assign(dof)
             batch.transport_frames(before, batch.state, batch.every_rod)
             targets = None
-        return self._equilibrium(setups, targets, 1e-9).reshape(-1, self.trial_count)
+        reached = self._equilibrium(setups, targets, 1e-9)
+        # A rod that gained a turn has jumped to another equilibrium.
+        reached &= np.abs(self.total_twist() - twist) < np.pi
+        return reached.reshape(-1, self.trial_count)
 
     def _equilibrium(self, setups, targets, tolerance) -> np.ndarray:
         batch = self.batch

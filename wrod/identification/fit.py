@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod.errors import DataError
 from wrod.identification.clamped import COMPLEX_STEP, ClampedSolver, Prediction
 from wrod.identification.effect import Model
 from wrod.identification.measurements import ClampedMeasurements
@@ -19,6 +20,7 @@ _CONVERGED = 0.02
 # A candidate that gains less than this share of its distance to the best one has lost.
 _HOPELESS = 0.01
 _DAMPING = (1e-2, 1e6)
+_SMALLEST_STEP = 1.0 / 64
 # Candidates in one batch: more share launches, but their Hessians leave the cache.
 _BATCH = 48
 
@@ -95,20 +97,36 @@ class Laboratory:
         fine = self.observe(model, values, corrected=False)
         half = Setup.base(self.measurements, self.trials, self.edge_count // 2)
         solver = ClampedSolver([half], device=self.device)
-        coarse = self._walk(solver, half, model, values)
+        setup = self._lead(solver, half, model, values)
+        coarse = self._observed(model, values, setup, solver.predict([setup]), 0).real
         self.mesh_correction = (fine - coarse) / 3.0
 
-    def _walk(self, solver: ClampedSolver, base: Setup, model: Model, values) -> np.ndarray:
-        setup = model.setup(base, values)
-        solver.solve([setup])
-        return self._observed(model, values, setup, solver.predict([setup]), 0).real
+    def adopt(self, other: Laboratory) -> None:
+        """Take the mesh of another laboratory of the same measurements."""
+        self.__dict__.update(other.__dict__)
 
     def solver_at(self, model: Model, values: np.ndarray) -> tuple[ClampedSolver, Setup]:
         """All trials at equilibrium with a model."""
-        setup = model.setup(self.base, values)
         solver = ClampedSolver([self.base], device=self.device, start=self.base_state)
-        solver.solve([setup])
-        return solver, setup
+        return solver, self._lead(solver, self.base, model, values)
+
+    def _lead(self, solver: ClampedSolver, base: Setup, model: Model, values) -> Setup:
+        """Lead the rods from the base model to another, in steps that keep them on their branch."""
+        setup, done, step = base, 0.0, 0.5
+        while done < 1.0 and len(values):
+            before = solver.saved()
+            setup = model.setup(base, min(done + step, 1.0) * values)
+            if solver.solve([setup]).all():
+                done, step = done + step, 2.0 * step
+            elif step > _SMALLEST_STEP:
+                solver.restore(before)
+                step *= 0.5
+            else:
+                raise DataError(
+                    f"{self.measurements.name}: no equilibrium with {', '.join(model.names)} at "
+                    "the values asked for"
+                )
+        return setup
 
     def observe(self, model: Model, values: np.ndarray, *, corrected: bool = True) -> np.ndarray:
         """(T, R) what the sensors would read, all trials."""
@@ -173,6 +191,8 @@ class Laboratory:
         *,
         trials: np.ndarray | None = None,
         weights: np.ndarray | None = None,
+        origin: Fit | None = None,
+        least_gain: float = 0.0,
         race: bool = True,
         progress=None,
     ) -> list[Fit]:
@@ -182,6 +202,8 @@ class Laboratory:
             models, starts: candidates and their first parameter vectors.
             trials: trial indices to fit on; default: the measurements' train trials.
             weights: (candidate, trial) of 0 and 1: which of `trials` a candidate may see.
+                origin: a fit whose shapes to start from; by default those of the base model.
+            least_gain: a candidate stops at once where the linearised problem promises less.
             race: let a candidate stop early that is far behind the best one of its batch.
         progress: called with 1 whenever a candidate is finished.
         """
@@ -195,10 +217,15 @@ class Laboratory:
         slices = max(os.cpu_count() or 1, -(-len(still) // _BATCH))
         groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]
         best = _Best(race)
+        state = self.base_state
+        if origin is not None:
+            state = self.solver_at(origin.model, origin.values)[0].saved()
+        state = tuple(a[trials] for a in state)
 
         def run(group):
             own = ([models[c] for c in group], [starts[c] for c in group])
-            return _Iteration(self, *own, trials, weights[group], best).run(progress)
+            iteration = _Iteration(self, *own, trials, weights[group], best, state, least_gain)
+            return iteration.run(progress)
 
         fits: list[Fit | None] = [None] * len(models)
         with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
@@ -222,7 +249,7 @@ class _Best:
 class _Iteration:
     """Levenberg-Marquardt of one batch of candidates; each has its own damping."""
 
-    def __init__(self, laboratory: Laboratory, models, starts, trials, weights, best: _Best):
+    def __init__(self, laboratory: Laboratory, models, starts, trials, weights, best, state, least):
         self.laboratory, self.models, self.trials = laboratory, list(models), trials
         self.weights, self.best = weights, best
         self.base = Setup.base(laboratory.measurements, trials, laboratory.edge_count)
@@ -231,7 +258,7 @@ class _Iteration:
         self.target = laboratory.target[trials]
         self.deviation = laboratory.deviation[trials]
         self.correction = laboratory.mesh_correction[trials]
-        self.start = tuple(a[trials] for a in laboratory.base_state)
+        self.start, self.least_gain = state, least
 
     def run(self, progress) -> list[Fit]:
         count = len(self.models)
@@ -259,8 +286,8 @@ class _Iteration:
                 cost = np.inf
                 if (reached[k] | (self.weights[c] == 0)).all():
                     cost = self._cost(c, k, trial_values[c], setups[k], readings)
-                if cost <= costs[c]:
-                    gain = costs[c] - cost
+                if cost <= costs[c] and np.isfinite(cost):
+                    gain = costs[c] - cost if np.isfinite(costs[c]) else np.inf
                     self.values[c], costs[c] = trial_values[c].copy(), cost
                     damping[c] = max(damping[c] / 10.0, 1e-9)
                     accepted.append(k)
@@ -279,7 +306,11 @@ class _Iteration:
                 )
                 for k in accepted:
                     c = active[k]
+                    first = normal[c] is None
                     normal[c] = self._normal(c, k, setups[k], readings, rates[k])
+                    matrix, rhs = normal[c]
+                    if first and rhs @ np.linalg.solve(matrix, rhs) < self.least_gain:
+                        converged[c] = True
             self._put_back(solver, active, states)
             done = []
             for c in active:

@@ -14,14 +14,14 @@ class Softening(Effect):
     )
     parameters = (
         Parameter("log_critical_curvature", "", 10.0),
-        Parameter("kept_stiffness", "", 1.0, lower=-0.5, upper=1.0),
+        Parameter("lost_stiffness", "", 1.0, lower=-0.5, upper=1.0),
     )
 
     def starts(self, measurements):
-        return [np.array([np.log(k), kept]) for k in (3.0, 30.0) for kept in (0.9, 0.3)]
+        return [np.array([np.log(k), lost]) for k in (3.0, 30.0) for lost in (0.1, 0.7)]
 
     def apply(self, setup, values):
-        own = np.array([np.exp(-2.0 * values[0]), values[1]])
+        own = np.array([np.exp(-2.0 * values[0]), 1.0 - values[1]])
         setup.softening = setup.softening + own
 
     def describe(self, values, covariance, measurements):
@@ -29,5 +29,5 @@ class Softening(Effect):
         critical = float(np.exp(values[0]))
         return {
             "critical_curvature": Estimate(critical, float(critical * errors[0]), "1/m"),
-            "kept_stiffness": Estimate(float(values[1]), float(errors[1]), ""),
+            "kept_stiffness": Estimate(1.0 - float(values[1]), float(errors[1]), ""),
         }
