@@ -116,7 +116,9 @@ class ClampedSolver:
             repeats = self.batch.rod_count // len(value)
             value = np.tile(value, (repeats,) + (1,) * (value.ndim - 1))
             if rods is not None:
-                value = np.where(rods.reshape((-1,) + (1,) * (value.ndim - 1)), value, array.numpy())
+                value = np.where(
+                    rods.reshape((-1,) + (1,) * (value.ndim - 1)), value, array.numpy()
+                )
             array.assign(value)
 
     def total_twist(self) -> np.ndarray:
@@ -137,8 +139,9 @@ class ClampedSolver:
         twist = self.total_twist()
         targets = self._prescribed(*_poses(setups), setups)
         if not walk:
-            batch, before = self.batch, RodState.zeros(
-                self.batch.rod_count, self.batch.node_count, self.device
+            batch, before = (
+                self.batch,
+                RodState.zeros(self.batch.rod_count, self.batch.node_count, self.device),
             )
             before.assign(batch.state)
             dof = batch.state.dof.numpy().copy()
@@ -158,7 +161,7 @@ class ClampedSolver:
         windy = bool(np.any(wind))
         for _ in range(_WIND_PASSES if windy else 1):
             before = batch.point_load.numpy().copy()
-            load = _wind_load(batch.positions(), wind)
+            load = _wind_load(batch.positions(), wind) + np.real(self._dead_force(setups))
             batch.point_load.assign(load)
             solver = EquilibriumSolver(batch)
             result = solver.solve(
@@ -173,11 +176,19 @@ class ClampedSolver:
                 break
         return result.converged
 
+    def _dead_force(self, setups: Sequence[Setup]) -> np.ndarray:
+        """(rod, node, 3) forces of the setups, none on the ghosts."""
+        shape = (self.trial_count, self.edge_count + 1, 3)
+        force = np.concatenate([np.broadcast_to(s.force, shape) for s in setups])
+        return np.pad(force, ((0, 0), (1, 1), (0, 0)))
+
     def _walk_to(self, setups: Sequence[Setup], poses) -> None:
         """From straight and untwisted to the reported poses, the gripper turning the short way."""
         (a, ra), (b, rb) = poses
-        start = a + np.repeat([np.real(s.length) for s in setups], self.trial_count)[:, None] * (
-            ra[:, :, 2]
+        start = (
+            a
+            + np.repeat([np.real(s.length) for s in setups], self.trial_count)[:, None]
+            * (ra[:, :, 2])
         )
         turn = Rotation.from_matrix(np.swapaxes(ra, 1, 2) @ rb).as_rotvec()
         for step in range(1, _WAYPOINTS + 1):
@@ -271,7 +282,9 @@ class ClampedSolver:
         for _ in range(_WIND_PASSES if windy else 1):
             if windy:
                 for j in range(count):
-                    load_rate[:, j] = self._wind_rate(wind, wind_rate[j], step[:, j] + free_step[:, j])
+                    load_rate[:, j] = self._wind_rate(
+                        wind, wind_rate[j], step[:, j] + free_step[:, j]
+                    )
             system.x.assign(load_rate - gradient_rate - product)
             system.solve(batch.every_rod)
             change = np.abs(system.x.numpy() - free_step).max(initial=0.0)
@@ -356,7 +369,10 @@ class ClampedSolver:
                 outputs=[no_energy, out],
                 device=device,
             )
-        return out.numpy()
+        rate = out.numpy().copy()
+        force = np.imag(self._dead_force(setups)) / COMPLEX_STEP
+        rate -= np.pad(force, ((0, 0), (0, 0), (0, 1))).reshape(rods, -1)[:, :-1]
+        return rate
 
     def _prescribed_rate(self, setups: Sequence[Setup]) -> np.ndarray:
         """(rod, dof) rates of the clamps' degrees of freedom."""
@@ -392,7 +408,6 @@ class ClampedSolver:
         force = gradient[:, -7:-4] + gradient[:, -3:]
         arm = q[:, -1] - q[:, -2]
         torque = np.cross(arm, gradient[:, -3:]) + gradient[:, -4:-3] * tangent[:, -1]
-        torque = torque + self._holonomy(step)
         shape = (self.candidate_count, self.trial_count)
         markers, frames = [], []
         for c, setup in enumerate(setups):
@@ -406,9 +421,6 @@ class ClampedSolver:
             force.reshape(*shape, 3),
             torque.reshape(*shape, 3),
         )
-
-    def _holonomy(self, step) -> np.ndarray:
-        return 0.0
 
 
 def _transport(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -452,7 +464,9 @@ def _arrays(setups: Sequence[Setup]) -> _Arrays:
         rows["twisting_stiffness"].append(_with_ghosts(s.twisting / share))
         rows["natural_curvature"].append(_with_ghosts(principal * share[:, None]))
         rows["natural_twist"].append(_with_ghosts(s.natural_twist * share))
-        rows["softening"].append(_with_ghosts(s.softening / np.stack([share**2, np.ones(n + 1)], axis=1)))
+        rows["softening"].append(
+            _with_ghosts(s.softening / np.stack([share**2, np.ones(n + 1)], axis=1))
+        )
         rows["node_mass"].append(np.pad(s.line_mass * h * share + s.node_mass, 1))
         rows["gravity"].append(s.gravity)
     trials = len(setups[0].clamp_position)
@@ -488,7 +502,10 @@ def _edge_frames(batch: RodBatch, step: np.ndarray, principal: np.ndarray):
     t = edge / length
     t_rate = (edge_rate - np.sum(edge_rate * t, axis=2, keepdims=True) * t) / length
     p = batch.material_directors()
-    angle, spin = -np.real(principal)[..., None], (step[:, 3::4] - np.imag(principal) / COMPLEX_STEP)
+    angle, spin = (
+        -np.real(principal)[..., None],
+        (step[:, 3::4] - np.imag(principal) / COMPLEX_STEP),
+    )
     m1 = np.cos(angle) * p[:, :, 0] + np.sin(angle) * p[:, :, 1]
     m1_rate = spin[..., None] * np.cross(t, m1) - np.sum(t_rate * m1, axis=2, keepdims=True) * t
     return t + i * t_rate, m1 + i * m1_rate

@@ -135,9 +135,7 @@ class Model:
     def setup(self, base: Setup, values: np.ndarray) -> Setup:
         """The base model changed by every effect."""
         setup = copy.copy(base)
-        order = sorted(
-            zip(self.effects, self.split(values), strict=True), key=lambda e: e[0].stage
-        )
+        order = sorted(zip(self.effects, self.split(values), strict=True), key=lambda e: e[0].stage)
         for effect, part in order:
             effect.apply(setup, part)
         return setup

@@ -300,7 +300,8 @@ class _Iteration:
                     converged[c] = predicted[c] < _CONVERGED
             if accepted:
                 rates = self.laboratory._rates(
-                    solver, [self.models[c] for c in active],
+                    solver,
+                    [self.models[c] for c in active],
                     [trial_values[c] for c in active],
                     self.base,
                 )

@@ -33,7 +33,7 @@ class Round:
     current: tuple[str, ...]
     fits: list[Fit]
     gains: list[float]
-    accepted: str | None
+    accepted: tuple[str, ...] | None
     reason: str
 
 
@@ -47,6 +47,7 @@ class Selection:
         rounds: the steps that led there.
         cross_validation: (before, after) RMS of held-out marker errors [m] of the chosen model.
         confounded: pairs of names that these data cannot tell apart, with the evidence.
+        ranking: every effect alone on the base model, best first.
         leading: the chosen model even where the verdict names no effect.
     """
 
@@ -54,6 +55,7 @@ class Selection:
     reason: str
     fit: Fit
     leading: Fit
+    ranking: list[Fit]
     rounds: list[Round]
     base_chi_squared: float
     cross_validation: tuple[float, float]
@@ -85,7 +87,7 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -
             ahead = _held_out(laboratory, best)
             if ahead[1] >= held_out[1]:
                 reason = "trials held out get worse"
-        accepted = None if reason else best.model.names[-1]
+        accepted = None if reason else best.model.names
         rounds.append(
             Round(
                 current.model.names,
@@ -253,7 +255,14 @@ def _judged(laboratory, fit: Fit, empty: Fit, rounds, cross_validation) -> Selec
         )
     named = _base_fit(laboratory) if verdict == "unexplained" else fit
     selection = Selection(
-        verdict, reason, named, fit, rounds, empty.chi_squared, cross_validation
+        verdict,
+        reason,
+        named,
+        fit,
+        rounds[0].fits if rounds else [],
+        rounds,
+        empty.chi_squared,
+        cross_validation,
     )
     selection.confounded = _confounded(fit, rounds)
     return selection
@@ -269,7 +278,11 @@ def _confounded(fit: Fit, rounds: list[Round]) -> list[dict]:
         best = step.fits[0]
         for rival in step.fits[1:]:
             gap = rival.bic - best.bic
-            if gap < BIC_MARGIN and rival.model.names[-1] not in chosen:
+            # A rival that contains the winner and adds nothing is no rival.
+            empty = len(rival.values) > len(best.values) and (
+                rival.chi_squared > best.chi_squared - BIC_MARGIN
+            )
+            if gap < BIC_MARGIN and not empty and rival.model.names[-1] not in chosen:
                 found.append(
                     {
                         "effects": [best.model.names[-1], rival.model.names[-1]],

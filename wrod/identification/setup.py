@@ -30,6 +30,7 @@ class Setup:
         node_mass: (n + 1,) masses on top of it [kg].
         gravity: (3,) [m/s^2].
         wind: (3,) w of the force |w_perp| w_perp per length, w_perp across the rod [(N/m)^1/2].
+        force: (T, n + 1, 3), broadcast: dead force on each node [N].
         clamp_position, grip_position: (T, 3) [m].
         clamp_rotation, grip_rotation: (T, 3, 3), columns m1, m2, tangent.
         marker_arc_length: (M,) unstretched arc length of each marker from the clamp [m].
@@ -48,6 +49,7 @@ class Setup:
     node_mass: np.ndarray
     gravity: np.ndarray
     wind: np.ndarray
+    force: np.ndarray
     clamp_position: np.ndarray
     clamp_rotation: np.ndarray
     grip_position: np.ndarray
@@ -73,6 +75,7 @@ class Setup:
             node_mass=np.zeros(nodes),
             gravity=np.array([0.0, 0.0, -rod.gravity]),
             wind=np.zeros(3),
+            force=np.zeros((1, 1, 3)),
             clamp_position=m.clamp_position[trials],
             clamp_rotation=m.clamp_rotation[trials],
             grip_position=m.grip_position[trials],

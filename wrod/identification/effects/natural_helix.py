@@ -8,7 +8,9 @@ from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_an
 class NaturalHelix(Effect):
     name = "natural_helix"
     title = "natural curvature whose direction turns uniformly in the material frame"
-    reference = "as natural_curvature, its vector turned about the tangent by turn_rate times arc length"
+    reference = (
+        "as natural_curvature, its vector turned about the tangent by turn_rate times arc length"
+    )
     parameters = (
         Parameter("curvature_1", "1/m", 20.0),
         Parameter("curvature_2", "1/m", 20.0),
