@@ -88,7 +88,7 @@ class ClampedSolver:
             **vars(arrays),
         )
         free = np.ones(self.batch.dof_count, dtype=bool)
-        free[:8] = False
+        free[:7] = False
         free[-7:] = False
         self.batch.set_free(free)
         self.system: BandedSystem | None = None
@@ -408,6 +408,9 @@ class ClampedSolver:
         force = gradient[:, -7:-4] + gradient[:, -3:]
         arm = q[:, -1] - q[:, -2]
         torque = np.cross(arm, gradient[:, -3:]) + gradient[:, -4:-3] * tangent[:, -1]
+        # The banded Hessian is symmetric. The rate of the gradient in the frames that moved along
+        # also holds the holonomy of turning the end's tangent, half the twisting moment across it.
+        torque = torque - 0.5j * np.real(gradient[:, -4:-3]) * np.imag(tangent[:, -1])
         shape = (self.candidate_count, self.trial_count)
         markers, frames = [], []
         for c, setup in enumerate(setups):

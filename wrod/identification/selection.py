@@ -4,7 +4,8 @@ Stopping rule. An effect joins the model if it lowers the Bayesian information c
 train trials by `BIC_MARGIN` or more, takes away at least `LEAST_SHARE` of the base model's excess
 of squares (an effect's law is never exactly the rod's: smaller gains would only mend its form),
 and lowers the squared error of trials held out in cross-validation. No model has more than
-`MOST_EFFECTS`.
+`MOST_EFFECTS`, and where two effects leave more than half of the excess a third is not tried:
+what so many small effects mend is not theirs.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from wrod.identification.fit import Fit, Laboratory
 
 BIC_MARGIN = 10.0
 LEAST_SHARE = 0.005
-MOST_EFFECTS = 4
+MOST_EFFECTS = 3
 AT_NOISE = 1.1
 PARTLY = 0.75
 _FOLDS = 4
@@ -100,6 +101,9 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -
         if reason:
             break
         current, held_out = best, ahead
+        left = current.chi_squared - current.residual_count
+        if len(current.model.effects) > 1 and left > 0.5 * excess:
+            break
     current = _pruned(laboratory, current)
     final = _polished(laboratory, current)
     return _judged(laboratory, final, empty, rounds, (base_held_out[0], held_out[0]))
