@@ -197,7 +197,7 @@ def test_an_effect_that_no_plug_in_covers_is_not_named_explained():
 
     def apply(setup):
         force = np.zeros((12, len(setup.fraction), 3))
-        force[:, 70] = np.random.default_rng(5).normal(size=(12, 3)) * 0.05
+        force[:, 70] = np.random.default_rng(5).normal(size=(12, 3)) * 0.01
         setup.force = force
 
     data = measurements_from_arrays(synthetic(apply, seed=4))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from wrod.errors import DataError
 from wrod.identification.effect import Effect, Model
 from wrod.identification.fit import Fit, Laboratory
 
@@ -85,9 +86,12 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -
         elif share < LEAST_SHARE:
             reason = f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
         else:
-            ahead = _held_out(laboratory, best)
+            try:
+                ahead = _held_out(laboratory, best)
+            except DataError:
+                reason = "a trial held out has no equilibrium with it"
             if ahead[1] >= held_out[1]:
-                reason = "trials held out get worse"
+                reason = reason or "trials held out get worse"
         accepted = None if reason else best.model.names
         rounds.append(
             Round(
