@@ -7,9 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Nodes handed to a solver at a time when someone watches the progress.
-_CHUNK = 32
-
 
 @dataclass(frozen=True)
 class GraspInputs:
@@ -49,49 +46,27 @@ def _intuitive(inputs: GraspInputs) -> GraspPoses:
 
 
 def _numeric(inputs: GraspInputs) -> GraspPoses:
-    """Optimal grasps from the rod solver; right turns are the mirror images of left ones."""
+    """Optimal grasps from the rod solver."""
     from wrod.grasps import solve_grasps
 
     count = len(inputs.suspended_length)
-    chunk = count if inputs.progress is None else _CHUNK
-    parts = []
-    for first in range(0, count, chunk):
-        part = slice(first, min(first + chunk, count))
-        grasps = solve_grasps(
-            inputs.suspended_length[part],
-            np.abs(inputs.curvature[part]),
-            np.full(part.stop - part.start, inputs.stretch_ratio),
-            closure=inputs.closure,
-            device=inputs.device,
-        )
-        parts.append(grasps)
-        if inputs.progress is not None:
-            inputs.progress(part.stop - part.start, count)
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([np.asarray(getattr(grasps, name)) for grasps in parts])
-
-    has_shape = all(getattr(grasps, "shape", None) is not None for grasps in parts)
-    poses = GraspPoses(
-        *(joined(name) for name in ("position", "rotation", "force", "converged", "stable")),
-        shape=joined("shape") if has_shape else None,
+    watch = inputs.progress
+    grasps = solve_grasps(
+        inputs.suspended_length,
+        inputs.curvature,
+        inputs.stretch_ratio,
+        closure=inputs.closure,
+        device=inputs.device,
+        progress=None if watch is None else lambda done: watch(done, count),
     )
-    return mirrored(poses, inputs.curvature < 0.0)
-
-
-def mirrored(poses: GraspPoses, where: np.ndarray) -> GraspPoses:
-    """Poses with those at `where` (T,) reflected in the contact frame's xz plane."""
-    side = np.where(where, -1.0, 1.0)
-    position, rotation, force = poses.position.copy(), poses.rotation.copy(), poses.force.copy()
-    position[:, 1] *= side
-    force[:, 1] *= side
-    rotation[:, 0] *= side
-    rotation[:, 2] *= side
-    shape = poses.shape
-    if shape is not None:
-        shape = shape.copy()
-        shape[:, :, 1] *= side[:, None]
-    return GraspPoses(position, rotation, force, poses.converged, poses.stable, shape)
+    return GraspPoses(
+        grasps.position,
+        grasps.rotation,
+        grasps.force,
+        grasps.converged,
+        grasps.stable,
+        grasps.shape,
+    )
 
 
 # A source takes the dimensionless inputs of every node and returns poses in the contact frame.

@@ -4,7 +4,7 @@ import click
 
 from wrod.commands import LazyGroup
 
-BENCHMARKS = ("grasp",)
+BENCHMARKS = ("grasp", "plan")
 
 
 @click.command(name="bench", cls=LazyGroup, package="wrod.bench", names=BENCHMARKS)
