@@ -15,7 +15,6 @@ import numpy as np
 
 from wrod.batch import resolve_device
 from wrod.errors import GraspError
-from wrod.grasp_mesh import refine
 from wrod.grasp_solver import GraspSolution, GraspSolver
 from wrod.kernels import grasping
 
@@ -53,7 +52,7 @@ class Grasps:
         iterations: (n,) Newton iterations, all meshes together.
         residual: (n,) largest unbalanced force on the finest mesh [k_b/L_gb^2].
         force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact held.
-        shape: (n, node, 3) the rod from contact to grip on the finest mesh [L_gb].
+        shape: (n, node, 3) the rod from contact to grip on the finest mesh [L_gb], or None.
         position_sensitivity, rotation_sensitivity, force_sensitivity: (n, 3, 3) derivatives of
             component i by input j of (suspended_length, curvature, stretch_ratio), or None.
     """
@@ -66,7 +65,7 @@ class Grasps:
     iterations: np.ndarray
     residual: np.ndarray
     force_jacobian: np.ndarray
-    shape: np.ndarray
+    shape: np.ndarray | None = None
     position_sensitivity: np.ndarray | None = None
     rotation_sensitivity: np.ndarray | None = None
     force_sensitivity: np.ndarray | None = None
@@ -83,6 +82,7 @@ def solve_grasps(
     closure: str = "zero_tension",
     device: str | None = None,
     sensitivities: bool = False,
+    shapes: bool = True,
     edge_count: int = EDGE_COUNT,
     extrapolate: bool = True,
     threads: int | None = None,
@@ -101,6 +101,7 @@ def solve_grasps(
             leaves is used.
         device: "cpu", "cuda:0", "auto" or None (the first CUDA device if there is one).
         sensitivities: return the derivatives by the inputs as well ("zero_tension" only).
+        shapes: return the rods' shapes as well.
         edge_count: edges of the finest mesh, even.
         extrapolate: combine both meshes; without it the results are those of the finest mesh.
         threads: CPU threads; default: one per core.
@@ -132,6 +133,7 @@ def solve_grasps(
             edge_count,
             extrapolate,
             sensitivities,
+            shapes,
         )
         if progress is not None:
             progress(len(result.position))
@@ -165,11 +167,11 @@ def _check_inputs(*inputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _solve_chunk(
-    ls, kappa, ks, closure, device, edge_count, extrapolate, sensitivities
+    ls, kappa, ks, closure, device, edge_count, extrapolate, sensitivities, shapes
 ) -> GraspSolution:
     """Coarse from a cold start, fine from coarse, then both combined."""
 
-    def level(chosen, edges, guess=None, thrust=None) -> GraspSolution:
+    def level(chosen, edges, guess=None, thrust=None) -> tuple[GraspSolver, GraspSolution]:
         solver = GraspSolver(
             ls[chosen],
             kappa[chosen],
@@ -179,29 +181,30 @@ def _solve_chunk(
             device=device,
             guess=guess,
             thrust=thrust,
-        )
-        return solver.run().solution(sensitivities=sensitivities)
+        ).run()
+        return solver, solver.solution(sensitivities=sensitivities, shapes=shapes)
 
-    everything = np.arange(len(ls))
-    coarse = level(everything, edge_count // 2)
-    lost = np.flatnonzero(~coarse.converged)
-    if lost.size:
-        # Too coarse a mesh to start from: start on the fine one and come back from there.
-        cold = level(lost, edge_count)
-        back = level(lost, edge_count // 2, cold.shape[:, ::2], cold.thrust)
-        back.iterations += cold.iterations
-        back.converged &= cold.converged
-        _put(coarse, lost, back)
-    fine = level(everything, edge_count, refine(coarse.shape), coarse.thrust)
+    everything = slice(None)
+    solver, coarse = level(everything, edge_count // 2)
+    _, fine = level(everything, edge_count, solver.refined(), coarse.thrust)
     fine.converged &= coarse.converged
     fine.iterations += coarse.iterations
+    lost = np.flatnonzero(~fine.converged)
+    if lost.size:
+        # Too coarse a mesh to start from: start on the fine one and come back from there.
+        solver, cold = level(lost, edge_count)
+        _, back = level(lost, edge_count // 2, solver.coarsened(), cold.thrust)
+        cold.converged &= back.converged
+        cold.iterations += back.iterations + fine.iterations[lost]
+        _put(coarse, lost, back)
+        _put(fine, lost, cold)
     if extrapolate:
         for name in _EXTRAPOLATED:
             value = getattr(fine, name)
             if value is not None:
                 setattr(fine, name, (4.0 * value - getattr(coarse, name)) / 3.0)
-    admissible = (fine.shape[:, :, 2].min(axis=1) > -1e-6) & (fine.force[:, 2] > 0)
-    fine.converged &= admissible & (_turning(fine.shape) < _GENTLE)
+    admissible = (fine.lowest > -1e-6) & (fine.force[:, 2] > 0)
+    fine.converged &= admissible & (fine.turning < _GENTLE)
     return fine
 
 
@@ -216,13 +219,6 @@ _EXTRAPOLATED = (
 )
 # Grasps on the gentle branch turn by less than this, those that have looped by more.
 _GENTLE = 2.0 * np.pi
-
-
-def _turning(shape: np.ndarray) -> np.ndarray:
-    """(n,) total turning of the rod [rad]."""
-    edges = np.diff(shape, axis=1)
-    cross = np.linalg.norm(np.cross(edges[:, :-1], edges[:, 1:]), axis=2)
-    return np.arctan2(cross, np.sum(edges[:, :-1] * edges[:, 1:], axis=2)).sum(axis=1)
 
 
 def _put(target: GraspSolution, where: np.ndarray, source: GraspSolution) -> None:
@@ -240,11 +236,13 @@ def _grasps(parts: list[GraspSolution], kappa: np.ndarray, sensitivities: bool) 
 
     right = kappa < 0
     position, rotation, force = join("position"), join("rotation"), join("force")
-    jacobian, shape = join("force_jacobian"), join("shape")
+    jacobian = join("force_jacobian")
+    shape = None if parts[0].shape is None else join("shape")
     position[right] *= _MIRROR
     force[right] *= _MIRROR
     rotation[right] *= _MIRROR_ROTATION
-    shape[right] *= _MIRROR
+    if shape is not None:
+        shape[right] *= _MIRROR
     jacobian[right] *= np.outer(_MIRROR, _MIRROR)
     extra = {}
     if sensitivities:

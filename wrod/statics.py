@@ -57,11 +57,11 @@ class BandedSystem:
             device=self.batch.device,
         )
 
-    def solve(self, active: wp.array) -> None:
-        """Overwrite every right-hand side in `x` with its solution."""
+    def solve(self, active: wp.array, columns: int | None = None) -> None:
+        """Overwrite the first (default: all) right-hand sides in `x` with their solutions."""
         wp.launch(
             banded.solve,
-            dim=self.x.shape[:2],
+            dim=(self.x.shape[0], columns or self.x.shape[1]),
             inputs=[active, self.batch.free, self.factor],
             outputs=[self.x],
             device=self.batch.device,
