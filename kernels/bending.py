@@ -50,6 +50,23 @@ def stencil(
     return s
 
 
+@wp.struct
+class Component:
+    """One component of the curvature, and its gradient."""
+
+    # Director of each edge, and its derivative by the edge's angle.
+    m_e: wp.vec3d
+    m_f: wp.vec3d
+    dm_e: wp.vec3d
+    dm_f: wp.vec3d
+    kappa: wp.float64
+    # Gradient by the turning of t and of u, and by the angles.
+    e: wp.vec3d
+    f: wp.vec3d
+    te: wp.float64
+    tf: wp.float64
+
+
 @wp.func
 def perpendicular(v: wp.vec3d, t: wp.vec3d) -> wp.vec3d:
     return v - wp.dot(v, t) * t
@@ -66,6 +83,28 @@ def project(m: wp.mat33d, t: wp.vec3d, u: wp.vec3d) -> wp.mat33d:
 @wp.func
 def symmetric(v: wp.vec3d, w: wp.vec3d) -> wp.mat33d:
     return wp.outer(v, w) + wp.outer(w, v)
+
+
+@wp.func
+def component(s: Stencil, k: int) -> Component:
+    c = Component()
+    c.m_e = s.m1e
+    c.m_f = s.m1f
+    c.dm_e = s.m2e
+    c.dm_f = s.m2f
+    if k == 1:
+        c.m_e = s.m2e
+        c.m_f = s.m2f
+        c.dm_e = -s.m1e
+        c.dm_f = -s.m1f
+    cosine = wp.dot(s.t, s.u)
+    chi = ONE + cosine
+    c.kappa = (wp.dot(c.m_e, s.u) - wp.dot(c.m_f, s.t)) / chi
+    c.e = (-cosine * c.m_e - perpendicular(c.m_f, s.t) - c.kappa * perpendicular(s.u, s.t)) / chi
+    c.f = (perpendicular(c.m_e, s.u) + cosine * c.m_f - c.kappa * perpendicular(s.t, s.u)) / chi
+    c.te = wp.dot(c.dm_e, s.u) / chi
+    c.tf = -wp.dot(c.dm_f, s.t) / chi
+    return c
 
 
 @wp.kernel
@@ -95,6 +134,7 @@ def bending(
     chi = ONE + cosine
     grad_chi_e = perpendicular(s.u, s.t)
     grad_chi_f = perpendicular(s.t, s.u)
+    eye = wp.identity(3, dtype=wp.float64)
 
     energy = ZERO
     g_e = wp.vec3d(ZERO, ZERO, ZERO)
@@ -113,58 +153,41 @@ def bending(
     tf_tf = ZERO
 
     for k in range(2):
-        # Director k of each edge, and its derivative by the edge's angle.
-        m_e = s.m1e
-        m_f = s.m1f
-        dm_e = s.m2e
-        dm_f = s.m2f
-        if k == 1:
-            m_e = s.m2e
-            m_f = s.m2f
-            dm_e = -s.m1e
-            dm_f = -s.m1f
-        e_u = wp.dot(m_e, s.u)
-        f_t = wp.dot(m_f, s.t)
-        kappa = (e_u - f_t) / chi
+        c = component(s, k)
         stiffness = bending_stiffness[r, i][k]
-        excess = kappa / rest - natural_curvature[r, i][k]
+        excess = c.kappa / rest - natural_curvature[r, i][k]
         moment = stiffness * excess
         energy += HALF * moment * excess * rest
-
-        # Gradients of kappa: by the turning of t and u, and by the angles.
-        k_e = (-cosine * m_e - perpendicular(m_f, s.t) - kappa * grad_chi_e) / chi
-        k_f = (perpendicular(m_e, s.u) + cosine * m_f - kappa * grad_chi_f) / chi
-        k_te = wp.dot(dm_e, s.u) / chi
-        k_tf = -wp.dot(dm_f, s.t) / chi
-        g_e += moment * k_e
-        g_f += moment * k_f
-        g_te += moment * k_te
-        g_tf += moment * k_tf
+        g_e += moment * c.e
+        g_f += moment * c.f
+        g_te += moment * c.te
+        g_tf += moment * c.tf
 
         if order == 2:
             b = stiffness / rest
-            eye = wp.identity(3, dtype=wp.float64)
-            h = (f_t + kappa * cosine) * eye - HALF * symmetric(m_e, s.u)
-            h = (project(h, s.t, s.t) - symmetric(k_e, grad_chi_e)) / chi
-            # The unit tangent's own second derivative by the edge vector.
-            h = h - symmetric(k_e, s.t)
-            ee += b * wp.outer(k_e, k_e) + moment * h
-            h = (kappa * cosine - e_u) * eye + HALF * symmetric(m_f, s.t)
-            h = (project(h, s.u, s.u) - symmetric(k_f, grad_chi_f)) / chi
-            h = h - symmetric(k_f, s.u)
-            ff += b * wp.outer(k_f, k_f) + moment * h
-            h = wp.outer(s.u, m_f) - wp.outer(m_e, s.t) - kappa * eye
-            h = project(h, s.t, s.u) - wp.outer(k_e, grad_chi_f) - wp.outer(grad_chi_e, k_f)
-            ef += b * wp.outer(k_e, k_f) + moment / chi * h
-
             m = moment / chi
-            e_te += b * k_te * k_e + m * (-cosine * dm_e - k_te * grad_chi_e)
-            f_te += b * k_te * k_f + m * (perpendicular(dm_e, s.u) - k_te * grad_chi_f)
-            e_tf += b * k_tf * k_e - m * (perpendicular(dm_f, s.t) + k_tf * grad_chi_e)
-            f_tf += b * k_tf * k_f + m * (cosine * dm_f - k_tf * grad_chi_f)
-            te_te += b * k_te * k_te - m * e_u
-            te_tf += b * k_te * k_tf
-            tf_tf += b * k_tf * k_tf + m * f_t
+            e_u = wp.dot(c.m_e, s.u)
+            f_t = wp.dot(c.m_f, s.t)
+            h = (f_t + c.kappa * cosine) * eye - HALF * symmetric(c.m_e, s.u)
+            h = (project(h, s.t, s.t) - symmetric(c.e, grad_chi_e)) / chi
+            # The unit tangent's own second derivative by the edge vector.
+            h = h - symmetric(c.e, s.t)
+            ee += b * wp.outer(c.e, c.e) + moment * h
+            h = (c.kappa * cosine - e_u) * eye + HALF * symmetric(c.m_f, s.t)
+            h = (project(h, s.u, s.u) - symmetric(c.f, grad_chi_f)) / chi
+            h = h - symmetric(c.f, s.u)
+            ff += b * wp.outer(c.f, c.f) + moment * h
+            h = wp.outer(s.u, c.m_f) - wp.outer(c.m_e, s.t) - c.kappa * eye
+            h = project(h, s.t, s.u) - wp.outer(c.e, grad_chi_f) - wp.outer(grad_chi_e, c.f)
+            ef += b * wp.outer(c.e, c.f) + m * h
+
+            e_te += b * c.te * c.e + m * (-cosine * c.dm_e - c.te * grad_chi_e)
+            f_te += b * c.te * c.f + m * (perpendicular(c.dm_e, s.u) - c.te * grad_chi_f)
+            e_tf += b * c.tf * c.e - m * (perpendicular(c.dm_f, s.t) + c.tf * grad_chi_e)
+            f_tf += b * c.tf * c.f + m * (cosine * c.dm_f - c.tf * grad_chi_f)
+            te_te += b * c.te * c.te - m * e_u
+            te_tf += b * c.te * c.tf
+            tf_tf += b * c.tf * c.tf + m * f_t
 
     inv_e = ONE / s.length_e
     inv_f = ONE / s.length_f
@@ -208,24 +231,11 @@ def bending_rate(
     s = stencil(dof_in, director_in, r, i)
     rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
     rest_rate = HALF * (rest_length_rate[r, i - 1] + rest_length_rate[r, i])
-    cosine = wp.dot(s.t, s.u)
-    chi = ONE + cosine
     for k in range(2):
-        m_e = s.m1e
-        m_f = s.m1f
-        dm_e = s.m2e
-        dm_f = s.m2f
-        if k == 1:
-            m_e = s.m2e
-            m_f = s.m2f
-            dm_e = -s.m1e
-            dm_f = -s.m1f
-        kappa = (wp.dot(m_e, s.u) - wp.dot(m_f, s.t)) / chi
-        k_e = (-cosine * m_e - perpendicular(m_f, s.t) - kappa * perpendicular(s.u, s.t)) / chi
-        k_f = (perpendicular(m_e, s.u) + cosine * m_f - kappa * perpendicular(s.t, s.u)) / chi
-        rate = -bending_stiffness[r, i][k] * kappa / (rest * rest) * rest_rate
+        c = component(s, k)
+        rate = -bending_stiffness[r, i][k] * c.kappa / (rest * rest) * rest_rate
         add_edge_gradient(
-            gradient_rate_out, r, i, (rate / s.length_e) * k_e, (rate / s.length_f) * k_f
+            gradient_rate_out, r, i, (rate / s.length_e) * c.e, (rate / s.length_f) * c.f
         )
-        wp.atomic_add(gradient_rate_out, r, 4 * i - 1, rate * wp.dot(dm_e, s.u) / chi)
-        wp.atomic_add(gradient_rate_out, r, 4 * i + 3, -rate * wp.dot(dm_f, s.t) / chi)
+        wp.atomic_add(gradient_rate_out, r, 4 * i - 1, rate * c.te)
+        wp.atomic_add(gradient_rate_out, r, 4 * i + 3, rate * c.tf)
