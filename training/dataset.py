@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from wrod.training import store
+from wrod.training.sampling import sample
 
 from wrod.errors import DataError
 from wrod.grasps import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
-from wrod.training import store
-from wrod.training.sampling import sample
 
 SHARD_SIZE = 2048
 # Samples solved at once on a GPU, as far as whole shards go; a CPU takes one shard at a time.
@@ -41,7 +41,9 @@ class Rank:
         try:
             values = [int(os.environ.get(n, d)) for n, d in zip(names, default, strict=True)]
         except ValueError:
-            raise DataError(f"{', '.join(names)} in the environment must be whole numbers") from None
+            raise DataError(
+                f"{', '.join(names)} in the environment must be whole numbers"
+            ) from None
         if not (0 <= values[0] < values[1] and 0 <= values[2] < values[3]):
             raise DataError(f"RANK {values[0]} of WORLD_SIZE {values[1]} in the environment")
         return cls(*values)
@@ -206,9 +208,7 @@ class GraspTable:
     @classmethod
     def solve(cls, inputs: np.ndarray, device: str = "auto", sensitivities: bool = True):
         """Grasps solved here and now, of (n, 3) inputs."""
-        grasps = solve_grasps(
-            *inputs.T, device=device, sensitivities=sensitivities, shapes=False
-        )
+        grasps = solve_grasps(*inputs.T, device=device, sensitivities=sensitivities, shapes=False)
         names = [*store.COLUMNS, *(store.SENSITIVITIES if sensitivities else ())]
         rows = {name: getattr(grasps, name) for name in names if name != "inputs"}
         return cls.of({"inputs": inputs, **rows})

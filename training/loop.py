@@ -13,15 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-
-from wrod.controller import Controller
-from wrod.errors import DataError
-from wrod.files import write_atomically
 from wrod.training.dataset import GraspTable
 from wrod.training.network import GraspNetwork
 from wrod.training.optimizer import Soap
 from wrod.training.recipes import Recipe
 from wrod.training.sampling import RANGE, sample_worst
+
+from wrod.controller import Controller
+from wrod.errors import DataError
+from wrod.files import write_atomically
 
 CHECKPOINT = "checkpoint.pt"
 _FORMAT = "wrod-checkpoint-1"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
+from wrod.training.dataset import GraspTable
 
 from wrod import controller_model
-from wrod.training.dataset import GraspTable
 
 
 class GraspNetwork(torch.nn.Module):
@@ -41,7 +43,7 @@ class GraspNetwork(torch.nn.Module):
         self.register_buffer("scale", torch.tensor(standardised.std(axis=0)))
         sizes = [first, *[width] * depth, last]
         self.weights, self.biases = torch.nn.ParameterList(), torch.nn.ParameterList()
-        for layer, (fan_in, fan_out) in enumerate(zip(sizes, sizes[1:], strict=False)):
+        for layer, (fan_in, fan_out) in enumerate(itertools.pairwise(sizes)):
             spread = (gain if layer < depth else 0.1) * fan_in**-0.5
             noise = torch.randn(fan_out, fan_in, generator=generator, dtype=torch.float64)
             self.weights.append(torch.nn.Parameter(spread * noise))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from wrod.training.loop import figures
 
 from wrod.bench.grasp import whole_range
 from wrod.controller import Controller
 from wrod.grasps import solve_grasps
-from wrod.training.loop import figures
 
 
 def score(controller: Controller, count: int, *, seed: int, device: str = "cpu") -> dict:

@@ -15,10 +15,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
+from wrod.training.sampling import INPUTS
 
 from wrod.errors import DataError
 from wrod.files import write_atomically
-from wrod.training.sampling import INPUTS
 
 FORMAT = "wrod-grasps-1"
 MANIFEST = "manifest.json"

@@ -119,7 +119,9 @@ def _predicted(controller, inputs: GraspInputs) -> GraspPoses:
     position, rotation, force = controller.predict_with_force(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     )
-    return GraspPoses(position, rotation, np.full_like(position, np.nan) if force is None else force)
+    return GraspPoses(
+        position, rotation, np.full_like(position, np.nan) if force is None else force
+    )
 
 
 # A source takes the dimensionless inputs of every node and returns poses in the contact frame.
