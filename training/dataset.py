@@ -132,6 +132,7 @@ def generate(
     )
     store.create(folder, manifest)
     mine = range(rank.index, manifest.shard_count, rank.count)
+    store.sweep(folder, mine)
     samples = sum(manifest.rows(shard)[1] for shard in mine)
     counts = np.zeros(3, dtype=int)  # solved, unconverged, unstable
 

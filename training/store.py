@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -168,6 +168,14 @@ def write_shard(folder: Path, manifest: Manifest, shard: int, columns: dict) -> 
     # One key only: the order of several would not be the same in every process.
     content = save(arrays, metadata={"wrod": json.dumps(label)})
     return write_atomically(shard_path(folder, shard), lambda file: file.write(content), "wb")
+
+
+def sweep(folder: Path, mine: Iterable[int]) -> None:
+    """Remove what a killed process left of writing these shards."""
+    names = {shard_path(folder, shard).name for shard in mine}
+    for path in Path(folder).glob(".grasps-*"):
+        if path.name[1:].rpartition(".")[0] in names:
+            path.unlink(missing_ok=True)
 
 
 def read_shard(folder: Path, manifest: Manifest, shard: int, count: int | None = None) -> dict:
