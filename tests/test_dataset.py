@@ -10,12 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from click.testing import CliRunner
-
-from wrod.commands import main
-from wrod.errors import DataError
 from wrod.training import dataset, store
 from wrod.training.dataset import Rank, generate, load
 from wrod.training.sampling import RANGE, sample, sample_worst
+
+from wrod.commands import main
+from wrod.errors import DataError
 
 SIZE, SHARD = 72, 8
 OPTIONS = ["--size", str(SIZE), "--shard-size", str(SHARD), "--seed", "3", "--device", "cpu"]
