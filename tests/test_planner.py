@@ -57,7 +57,7 @@ def test_intuitive_grip_hangs_straight_above_the_contact():
 
 
 def test_rotations_are_proper_and_continuous(grasps):
-    plan = wrod.plan(wrod.pattern("letter-A"), ROD)
+    plan = wrod.plan(wrod.pattern("letter-A"), ROD, "numeric")
     identity = np.einsum("tji,tjk->tik", plan.rotation, plan.rotation)
     np.testing.assert_allclose(identity, np.broadcast_to(np.eye(3), identity.shape), atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(plan.rotation), 1.0, atol=1e-12)
@@ -67,7 +67,7 @@ def test_rotations_are_proper_and_continuous(grasps):
 
 
 def test_plan_follows_algorithm_opt(grasps):
-    plan = wrod.plan(wrod.pattern("line"), ROD, spacing=0.01)
+    plan = wrod.plan(wrod.pattern("line"), ROD, "numeric", spacing=0.01)
     lgb = ROD.gravito_bending_length
     s = plan.arc_length
     expected = np.column_stack([s + 2.5 * lgb, 0 * s, ROD.length - s - 1.5 * lgb])
@@ -81,8 +81,10 @@ def test_plan_follows_algorithm_opt(grasps):
 def test_mirrored_pattern_gives_the_mirrored_plan(grasps):
     angle = np.linspace(0.0, 4.0, 120)
     points = 0.09 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    left = wrod.plan(wrod.Pattern.from_points(points), ROD, remainder=True)
-    right = wrod.plan(wrod.Pattern.from_points(points * [1.0, -1.0]), ROD, remainder=True)
+    left = wrod.plan(wrod.Pattern.from_points(points), ROD, "numeric", remainder=True)
+    right = wrod.plan(
+        wrod.Pattern.from_points(points * [1.0, -1.0]), ROD, "numeric", remainder=True
+    )
     mirror = np.diag([1.0, -1.0, 1.0])
     np.testing.assert_allclose(right.position, left.position @ mirror, atol=1e-9)
     # A reflected frame is left-handed; turning its y axis round makes it the mirrored plan's.
@@ -163,7 +165,7 @@ def test_unconverged_grasp_is_named(grasps, field):
 
     grasps(solve)
     with pytest.raises(GraspError, match=r"node 7 of 51 \(s = 0\.0700 m.*2 nodes"):
-        wrod.plan(wrod.pattern("line"), ROD, spacing=0.01)
+        wrod.plan(wrod.pattern("line"), ROD, "numeric", spacing=0.01)
 
 
 def test_unstable_grasps_warn(grasps):
@@ -174,15 +176,18 @@ def test_unstable_grasps_warn(grasps):
 
     grasps(solve)
     with pytest.warns(StabilityWarning, match=r"1 of 101 .*0\.015"):
-        wrod.plan(wrod.pattern("line"), ROD)
+        wrod.plan(wrod.pattern("line"), ROD, "numeric")
 
 
 def test_progress_counts_every_node_once(grasps):
     seen = []
     plan = wrod.plan(
-        wrod.pattern("letter-A"), ROD, progress=lambda count, total: seen.append((count, total))
+        wrod.pattern("letter-A"),
+        ROD,
+        "numeric",
+        progress=lambda count, total: seen.append((count, total)),
     )
-    whole = wrod.plan(wrod.pattern("letter-A"), ROD)
+    whole = wrod.plan(wrod.pattern("letter-A"), ROD, "numeric")
     assert sum(count for count, _ in seen) == len(plan) == seen[0][1]
     np.testing.assert_allclose(plan.position, whole.position, atol=1e-12)
 

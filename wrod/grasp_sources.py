@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from wrod.errors import GraspError
 
 
 @dataclass(frozen=True)
@@ -18,6 +20,11 @@ class GraspInputs:
     closure: str
     device: str | None
     progress: Callable[[int, int], None] | None
+
+    def at(self, nodes: np.ndarray) -> GraspInputs:
+        """The inputs of some nodes."""
+        length, curvature = self.suspended_length[nodes], self.curvature[nodes]
+        return replace(self, suspended_length=length, curvature=curvature)
 
 
 @dataclass(frozen=True)
@@ -69,8 +76,58 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
     )
 
 
+def _neural(inputs: GraspInputs) -> GraspPoses:
+    """Optimal grasps from the trained controller; out of its range it warns."""
+    from wrod.controller import Controller
+
+    controller = Controller.load()
+    if inputs.closure != controller.closure:
+        raise GraspError(
+            f"method 'neural' knows closure {controller.closure!r} only, not {inputs.closure!r}; "
+            "use method 'numeric' or 'auto'"
+        )
+    return _predicted(controller, inputs)
+
+
+def _auto(inputs: GraspInputs) -> GraspPoses:
+    """The controller where it was trained for closure and inputs, elsewhere the rod solver."""
+    from wrod.controller import Controller
+
+    controller = Controller.load()
+    known = ~controller.out_of_range(
+        inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
+    )
+    known &= inputs.closure == controller.closure
+    if known.all():
+        return _predicted(controller, inputs)
+    solved = _numeric(inputs.at(~known))
+    if not known.any():
+        return solved
+    predicted = _predicted(controller, inputs.at(known))
+    whole = {}
+    for name in ("position", "rotation", "force", "converged", "stable"):
+        value = getattr(solved, name)
+        whole[name] = np.empty((len(known), *value.shape[1:]), dtype=value.dtype)
+        whole[name][~known] = value
+        # The controller learnt from grasps that converged and are stable.
+        given = getattr(predicted, name)
+        whole[name][known] = True if given is None else given
+    return GraspPoses(**whole)
+
+
+def _predicted(controller, inputs: GraspInputs) -> GraspPoses:
+    position, rotation, force = controller.predict_with_force(
+        inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
+    )
+    return GraspPoses(
+        position, rotation, np.full_like(position, np.nan) if force is None else force
+    )
+
+
 # A source takes the dimensionless inputs of every node and returns poses in the contact frame.
 SOURCES: dict[str, Callable[[GraspInputs], GraspPoses]] = {
+    "neural": _neural,
+    "auto": _auto,
     "numeric": _numeric,
     "intuitive": _intuitive,
 }

@@ -9,7 +9,7 @@ from dataclasses import asdict
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.errors import GraspError, PatternError, StabilityWarning
+from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
 from wrod.friction import friction_bound
 from wrod.grasp_sources import SOURCES, GraspInputs, GraspPoses
 from wrod.material import RodMaterial
@@ -32,7 +32,7 @@ _MAX_NODES = 20_000
 def plan(
     pattern: Pattern,
     rod: RodMaterial,
-    method: str = "numeric",
+    method: str = "neural",
     *,
     closure: str = "zero_tension",
     spacing: float = 0.005,
@@ -45,9 +45,10 @@ def plan(
     Args:
         pattern: where the rod is to lie.
         rod: its material and length.
-        method: "numeric" (optimal grasps from the rod solver) or "intuitive" (straight above the
-            contact).
-        closure: "zero_tension", "min_force" or "min_friction" (numeric only).
+        method: "neural" (optimal grasps from the trained controller), "numeric" (from the rod
+            solver), "auto" (neural where the controller was trained, numeric elsewhere) or
+            "intuitive" (straight above the contact).
+        closure: "zero_tension", "min_force" or "min_friction"; "neural" knows the first only.
         spacing: largest distance between the contact nodes [m].
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
             curvature is considerable (over 0.15 / L_gb), True, False, or its length [m].
@@ -55,7 +56,8 @@ def plan(
         progress: called with the nodes done since the last call and the number of all nodes.
 
     Returns:
-        One pose per contact node; `metadata` names method, rod, pattern, remainder and friction.
+        One pose per contact node; `metadata` names method, rod, pattern, remainder,
+        friction and the warnings given.
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
@@ -64,6 +66,7 @@ def plan(
 
     Warns:
         StabilityWarning: some grasps are elastically unstable.
+        OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
@@ -83,9 +86,13 @@ def plan(
     # The maximum removes the rounding of a pattern that fills the rod.
     suspended = np.maximum((rod.length - laid) / lgb, MIN_SUSPENDED_LENGTH)
     inputs = GraspInputs(suspended, curvature * lgb, rod.stretch_ratio, closure, device, progress)
-    poses = SOURCES[method](inputs)
-    _refuse_unconverged(poses, inputs, s)
-    _warn_unstable(poses, s)
+    with warnings.catch_warnings(record=True) as reservations:
+        warnings.simplefilter("always")
+        poses = SOURCES[method](inputs)
+        _refuse_unconverged(poses, inputs, s)
+        _warn_unstable(poses, s)
+    for reservation in reservations:
+        warnings.warn(reservation.message, reservation.category, stacklevel=2)
 
     up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
     frame = np.stack([tangent, np.cross(up, tangent), up], axis=-1)  # R_t of Alg. OPT
@@ -108,6 +115,11 @@ def plan(
             "rod": asdict(rod),
             "required_friction": float(np.max(friction_bound(pattern, rod).required)),
             "largest_curvature": float(np.max(np.abs(curvature))),
+            "warnings": [
+                f"{warning.category.__name__}: {warning.message}"
+                for warning in reservations
+                if issubclass(warning.category, WrodWarning)
+            ],
         },
         shape=shape,
     )

@@ -9,7 +9,7 @@ import click
 
 from wrod.errors import WrodError, WrodWarning
 
-COMMANDS = ("plan", "loop", "bench")
+COMMANDS = ("plan", "loop", "dataset", "train", "bench")
 
 
 class LazyGroup(click.Group):

@@ -15,7 +15,9 @@ import click
 @click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`).")
 @click.option("--length", type=float, help="Its total length [m].")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--method", default="numeric", show_default=True, help="numeric or intuitive.")
+@click.option(
+    "--method", default="neural", show_default=True, help="neural, numeric, auto or intuitive."
+)
 @click.option(
     "--closure",
     default="zero_tension",
