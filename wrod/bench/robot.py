@@ -34,7 +34,7 @@ def command(method: str, patterns: str | None, as_json: bool) -> None:
     click.echo(machine_line())
     click.echo(
         f"{'pattern':10s} {'rod':10s} {'CPU s':>6s} {'error mm':>9s} {'degrees':>9s} {'limit':>6s}"
-        f" {'gap mm':>7s} {'step':>6s} {'minutes':>8s}"
+        f" {'gap mm':>7s} {'turn':>6s} {'step':>6s} {'beyond':>6s} {'minutes':>8s}"
     )
     for row in rows:
         if "error" in row:
@@ -43,11 +43,13 @@ def command(method: str, patterns: str | None, as_json: bool) -> None:
         click.echo(
             f"{row['pattern']:10s} {row['rod']:10s} {row['cpu']:6.2f} {row['position_mm']:9.1e}"
             f" {row['rotation_deg']:9.1e} {row['limit_margin']:6.2f} {row['gap_mm']:7.1f}"
-            f" {row['step']:6.3f} {row['duration'] / 60:8.2f}"
+            f" {row['turn']:6.3f} {row['step']:6.3f} {row['beyond']:6.3f}"
+            f" {row['duration'] / 60:8.2f}"
         )
     click.echo(
-        f"{solved} of {len(rows)} solved; limit: least distance from a joint limit [rad]; step: "
-        "largest joint step per 5 mm of the grip's travel [rad]"
+        f"{solved} of {len(rows)} solved; limit: least distance from a joint limit [rad]; turn and "
+        "step: most that the rod's frame and a joint turn between nodes [rad]; beyond: most that a "
+        "joint turns more than the rod's frame [rad per 5 mm of the grip's way]"
     )
 
 
@@ -81,7 +83,9 @@ def run_case(pattern: str, rod_name: str, method: str, folder) -> dict:
         "limit_margin": figures["limit_margin"],
         "gap_mm": 1e3 * min(figures["gap"].values()),
         "manipulability": figures["manipulability"],
+        "turn": figures["largest_turn"],
         "step": figures["largest_step"],
+        "beyond": figures["step_beyond_turn"],
         "grip_angle": figures["grip_angle"],
         "duration": figures["duration"],
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from math import degrees
 from pathlib import Path
 
 import click
@@ -32,6 +33,20 @@ import click
     default=None,
     help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
 )
+@click.option(
+    "--robot/--no-robot",
+    "with_robot",
+    default=True,
+    help="Also write the arm's joint path, a USD scene and a picture of it (default).",
+)
+@click.option("--arm", default="sawyer", show_default=True, help="sawyer, or a URDF file.")
+@click.option(
+    "--placement",
+    default="auto",
+    show_default=True,
+    help="auto, or x,y,z,yaw of the pattern from the robot's base [m, degrees]; z is the table.",
+)
+@click.option("--view", is_flag=True, help="Then play the scene in a browser on this machine.")
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
@@ -47,6 +62,10 @@ def command(
     units: str | None,
     friction: float | None,
     remainder: bool | None,
+    with_robot: bool,
+    arm: str,
+    placement: str,
+    view: bool,
     device: str,
     as_json: bool,
 ) -> None:
@@ -75,9 +94,14 @@ def command(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
             device=None if device == "auto" else device, progress=progress,
         )  # fmt: skip
+    joint_path = _joint_path(trajectory, rod, arm, placement) if with_robot else None
     try:
         picture = draw_plan(out / "preview.png", curve, trajectory)
         written = [*trajectory.save(out / "trajectory"), picture]
+        if joint_path is not None:
+            from wrod.scene.deliver import deliver
+
+            written += deliver(out, trajectory, joint_path, curve, rod)
     except OSError as error:
         raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
     figures = {
@@ -86,6 +110,7 @@ def command(
         "laid_length": float(trajectory.arc_length[-1]),
         "highest_grip": float(trajectory.position[:, 2].max()),
         "insufficient_friction": bound.insufficient,
+        "joint_path": None if joint_path is None else joint_path.metadata,
         "written": [str(path) for path in written],
     }
     if as_json:
@@ -94,6 +119,26 @@ def command(
     click.echo(_summary(figures, friction))
     for path in written:
         click.echo(f"wrote {path}")
+    if view and joint_path is not None:
+        from wrod.scene.view import view as show
+
+        show(out / "scene.usdc")
+
+
+def _joint_path(trajectory, rod, arm: str, placement: str):
+    """Joint path of the arm, before anything is written."""
+    from wrod.errors import RobotError
+    from wrod.robot.joint_path import solve_joint_path
+
+    try:
+        return solve_joint_path(trajectory, arm, placement, rod_radius=rod.radius)
+    except ImportError as error:
+        raise RobotError(
+            f"joint paths and scenes need {error.name}; install wrod[robot,scene,newton], or plan "
+            "with --no-robot"
+        ) from error
+    except RobotError as error:
+        raise RobotError(f"{error} (--no-robot plans the trajectory alone)") from error
 
 
 def _rod(name: str | None, radius: float | None, lgb: float | None, length: float | None):
@@ -142,9 +187,19 @@ def _summary(figures: dict, friction: float | None) -> str:
         f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}",
         f"required static friction {figures['required_friction']:.2f}",
     ]
+    if figures["joint_path"] is not None:
+        path = figures["joint_path"]
+        place = path["placement"]
+        lines.append(
+            f"joint path of {path['duration']:.0f} s at {path['rate']:g} Hz, at least "
+            f"{path['limit_margin']:.2f} rad from the joint limits and "
+            f"{1e3 * min(path['gap'].values()):.0f} mm clear; pattern at x {place['x']:.3f}, "
+            f"y {place['y']:.3f}, z {place['z']:.3f} m, yaw {degrees(place['yaw']):.0f} degrees "
+            "from the robot's base"
+        )
     if friction is not None:
         places = figures["insufficient_friction"]
-        lines[-1] += (
+        lines[2] += (
             f"; {friction:g} holds everywhere"
             if not places
             else f"; {friction:g} is not enough at s = "

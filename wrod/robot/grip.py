@@ -48,6 +48,7 @@ class GripPath:
     Attributes:
         travel: (T,) at the nodes: length of the grip's path, a turn counting `TURN_LENGTH` per
             radian [m]; the curve's parameter.
+        distance, turn: (T - 1,) from node to node, of the grip [m] and of the rod's frame [rad].
     """
 
     def __init__(self, trajectory: Trajectory):
@@ -64,8 +65,9 @@ class GripPath:
             node = int(np.argmax(off))
             raise RobotError(f"the trajectory's rotation at node {node} is off by {off[node]:.1e}")
         turns = Rotation.from_matrix(rotation)
-        angle = (turns[:-1].inv() * turns[1:]).magnitude()
-        step = np.hypot(np.linalg.norm(np.diff(position, axis=0), axis=1), TURN_LENGTH * angle)
+        self.turn = (turns[:-1].inv() * turns[1:]).magnitude()
+        self.distance = np.linalg.norm(np.diff(position, axis=0), axis=1)
+        step = np.hypot(self.distance, TURN_LENGTH * self.turn)
         if step.min() < 1e-9:
             raise RobotError(
                 f"the trajectory's nodes {int(np.argmin(step))} and {int(np.argmin(step)) + 1} "

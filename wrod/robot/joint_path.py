@@ -34,7 +34,9 @@ class JointPath:
         placement: where the pattern lies before the robot.
         grip: how the gripper holds the rod.
         robot: the arm, with its gripper; None after `load`.
-        metadata: margins, errors and settings; plain JSON values.
+        metadata: settings, errors and margins; plain JSON values. `largest_step` [rad] is between
+            nodes, `largest_turn` [rad] that of the rod's frame between nodes, which the last joint
+            must follow, and `step_beyond_turn` [rad per 5 mm of the grip's way] the rest.
     """
 
     names: tuple[str, ...]

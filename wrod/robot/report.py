@@ -14,6 +14,7 @@ from wrod.robot.redundancy import Surroundings, gaps
 
 POSITION_TOLERANCE = 1e-4  # [m]
 ROTATION_TOLERANCE = np.radians(0.1)
+JUMP = 0.15  # [rad] between dense samples, which are under 2 mm of travel apart
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ def inspect(
     problem, shortfall = None, 0.0
     missed = np.maximum(off / POSITION_TOLERANCE, turned / ROTATION_TOLERANCE)
     passed = room.min(1) < limit_margin
+    jumps = np.abs(np.diff(positions, axis=0)).max(1)
     touching = np.minimum.reduce([gap.min(1) for gap in distances.values()]) < clearance
     if missed.max() > 1:
         k = int(missed.argmax())
@@ -95,6 +97,11 @@ def inspect(
             f"nearer than the margin of {limit_margin:g} rad,"
         )
         problem = f"joint {robot.joint_names[joint]} {what} {where(k)}"
+    elif jumps.max() > JUMP:
+        k = int(jumps.argmax())
+        shortfall = 5.0 + jumps[k]
+        joint = robot.joint_names[int(np.abs(positions[k + 1] - positions[k]).argmax())]
+        problem = f"joint {joint} jumps by {jumps[k]:.2f} rad {where(k)}, near a singularity"
     elif touching.any():
         kind = min(distances, key=lambda name: distances[name].min())
         k, column = np.unravel_index(distances[kind].argmin(), distances[kind].shape)

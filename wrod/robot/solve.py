@@ -180,6 +180,7 @@ def _timed(
     report, branch = solution.report, solution.branch
     nodes = solution.spline(path.travel)
     place = branch.placement
+    steps = np.abs(np.diff(nodes, axis=0)).max(1)
     metadata = {
         "robot": arm.name,
         "gripper_length": arm.gripper_length,
@@ -194,7 +195,11 @@ def _timed(
         "limit_margin": report.limit_margin,
         "gap": report.gap,
         "manipulability": report.manipulability,
-        "largest_step": float(np.abs(np.diff(nodes, axis=0)).max()),
+        "largest_step": float(steps.max()),
+        "largest_turn": float(path.turn.max()),
+        "step_beyond_turn": float(
+            ((steps - path.turn) * 0.005 / np.maximum(path.distance, 0.005)).max()
+        ),
         "load": dict(zip(("velocity", "acceleration", "jerk"), timing.load, strict=True)),
         "seconds": round(seconds, 3),
         "units": "m, rad, s",
