@@ -14,7 +14,7 @@ import numpy as np
 
 from wrod.errors import SceneError
 from wrod.files import write_atomically
-from wrod.robot.grip import Grip
+from wrod.robot.grip import Grip, GripPath
 from wrod.scene.arm import add_arm, add_visuals
 from wrod.scene.primitives import Materials, set_pose
 from wrod.scene.rod_shapes import whole_rod
@@ -85,7 +85,7 @@ def export_usd(
         bounds.append(_add_deployment(stage, number, item, shift, materials))
     low = np.min([b[0] for b in bounds], axis=0)
     high = np.max([b[1] for b in bounds], axis=0)
-    room = 2.5  # [m] of floor around everything
+    room = 8.0  # [m] of floor around everything
     add_floor(
         stage,
         "/World/floor",
@@ -95,13 +95,13 @@ def export_usd(
         materials,
     )
     add_lights(stage)
-    tables = np.concatenate([item.corners for item in deployments])
+    patterns = np.concatenate([item.corners for item in deployments])
     add_cameras(
         stage,
         low,
         high,
         deployments[0].front,
-        np.stack([tables.min(0), tables.max(0)]),
+        np.stack([patterns.min(0), patterns.max(0)]),
     )
     stage.GetRootLayer().customLayerData = {"creator": "wrod", "deployments": len(deployments)}
     with tempfile.TemporaryDirectory() as folder:
@@ -200,7 +200,9 @@ def _add_deployment(stage, number: int, item, shift, materials) -> tuple[np.ndar
     add_pattern(stage, f"{root}/pattern", item.points, item.radius, materials)
     name = _rod_name(trajectory, item.rod)
     add_rod(stage, f"{root}/rod", item.shapes, item.radius, name, times, materials)
-    add_grip_path(stage, f"{root}/grip_path", trajectory.position, materials)
+    smooth = GripPath(trajectory)
+    way = smooth.poses(smooth.samples(0.005))[:, :3, 3]
+    add_grip_path(stage, f"{root}/grip_path", way, materials)
     seen = [table.corners(), trajectory.position, item.shapes.reshape(-1, 3)]
     base = np.eye(4)
     if joint_path is None:
@@ -219,7 +221,7 @@ def _add_deployment(stage, number: int, item, shift, materials) -> tuple[np.ndar
         if robot.name == "sawyer":
             seen.append(base[None, :3, 3] - [0.0, 0.0, BASE_HEIGHT])
     item.front = front
-    item.corners = table.corners() + shift
+    item.corners = np.concatenate([item.points - 0.10, item.points + 0.10]) + shift
     figures = {**trajectory.metadata}
     if joint_path is not None:
         figures["joint_path"] = joint_path.metadata

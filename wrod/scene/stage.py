@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 FRAMES_PER_SECOND = 24.0
@@ -52,26 +54,31 @@ def add_camera(stage, name: str, eye, target, up=(0.0, 0.0, 1.0), fov: float = 4
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 200.0))
 
 
-def add_cameras(stage, low: np.ndarray, high: np.ndarray, front: np.ndarray, table=None) -> None:
-    """`top` over the pattern and `perspective` on everything.
+def add_cameras(stage, low: np.ndarray, high: np.ndarray, front: np.ndarray, pattern) -> None:
+    """`top`, high over the pattern, and `perspective` on everything.
 
     Args:
         low, high: (3,) corners of what `perspective` must see [m].
         front: (2,) horizontal direction that the robot faces.
-        table: (2, 3) corners of what `top` must see; `low` and `high` by default.
+        pattern: (2, 3) corners of what `top` must see [m].
     """
     low, high, front = (np.asarray(v, dtype=float) for v in (low, high, front))
-    corners = np.array([low, high]) if table is None else np.asarray(table, dtype=float)
-    fov, middle = 26.0, corners.mean(0)
+    corners = np.asarray(pattern, dtype=float)
+    fov, middle = 14.0, corners.mean(0)
     half = np.ptp(corners[:, :2], axis=0) / 2
     # The image is 4:3 with its upper edge towards +y, as a camera hung over the table gives it.
     height = 1.08 * max(half[1], half[0] * 3 / 4) / np.tan(np.radians(fov) / 2)
     eye = (middle[0], middle[1], corners[:, 2].max() + height)
     add_camera(stage, "top", eye, middle, (0.0, 1.0, 0.0), fov)
 
-    middle, radius = (low + high) / 2, np.linalg.norm(high - low) / 2
+    middle, fov = (low + high) / 2, 36.0
     side = np.array([front[1], -front[0]])
-    away = np.array([*(0.80 * front + 0.95 * side), 0.50])
-    away /= np.linalg.norm(away)
-    distance = 0.86 * radius / np.sin(np.radians(36.0) / 2)
-    add_camera(stage, "perspective", middle + distance * away, middle, fov=36.0)
+    back = np.array([*(0.80 * front + 0.95 * side), 0.50])
+    back /= np.linalg.norm(back)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    up = np.cross(back, right)
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) - middle
+    wide, tall = np.abs(corners @ right) * 3 / 4, np.abs(corners @ up)
+    distance = (corners @ back + np.maximum(wide, tall) / np.tan(np.radians(fov) / 2)).max()
+    add_camera(stage, "perspective", middle + distance * back, middle, fov=fov)
