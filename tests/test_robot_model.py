@@ -6,14 +6,14 @@ import subprocess
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from wrod.scenes import sawyer
 
 from wrod.errors import RobotError
 from wrod.robot.kinematics import grasp_poses, one_torch_thread, pose_error, solve_poses
 from wrod.robot.model import load_robot
 from wrod.robot.urdf import read_urdf
-from wrod.scenes import sawyer
 
-# The manufacturer's table, typed again: xyz [m], roll pitch yaw [rad] of j0 ... j6 in their parents.
+# The manufacturer's table, typed again: xyz [m] and roll, pitch, yaw [rad] of j0 ... j6.
 TABLE = [
     ((0, 0, 0.08), (0, 0, 0)),
     ((0.081, 0.05, 0.237), (-math.pi / 2, math.pi / 2, 0)),
@@ -34,7 +34,7 @@ def rotation(axis, angle):
 
 
 def composed(positions, gripper_length):
-    """Links l0 ... l6 and the grasp from the table: T = T xyz, Rz(yaw) Ry(pitch) Rx(roll), Rz(q)."""
+    """Links l0 ... l6 and the grasp: each joint is xyz, Rz(yaw) Ry(pitch) Rx(roll), Rz(q)."""
     origin, turn, links = np.zeros(3), np.eye(3), []
     for (xyz, (roll, pitch, yaw)), angle in zip(TABLE, positions, strict=True):
         origin = origin + turn @ np.array(xyz, float)
@@ -189,7 +189,7 @@ def test_own_urdf_gets_the_gripper_on_its_last_link(tmp_path):
     ],
 )
 def test_broken_urdf_is_named(tmp_path, changes, says):
-    with pytest.raises(RobotError, match="own.urdf") as error:
+    with pytest.raises(RobotError, match=r"own\.urdf") as error:
         load_robot(own_arm(tmp_path, **changes))
     assert says in str(error.value)
 
@@ -201,7 +201,7 @@ def test_missing_file_link_and_name(tmp_path):
         load_robot("baxter")
     with pytest.raises(RobotError, match="no link 'wrist' for the gripper's flange; its links are"):
         load_robot("sawyer", flange="wrist")
-    with pytest.raises(RobotError, match="gripper length is 0.01"):
+    with pytest.raises(RobotError, match=r"gripper length is 0\.01"):
         load_robot("sawyer", gripper_length=0.01)
 
 

@@ -63,11 +63,13 @@ def schedule(robot: Robot, spline, length: float, grip_speed: float = GRIP_SPEED
         raise RobotError(f"grip speed is {grip_speed!r}; give a positive number of m/s")
     limits = np.array([grip_speed, grip_speed / _RAMP, 4 * grip_speed / _RAMP**2])
     profile = _profile(length, limits)
-    slow = max(1.0, *_slowdown(robot, spline, profile, limits[2]))
-    if slow > 1.0:
+    factors = _slowdown(robot, spline, profile, limits[2])
+    while max(factors) > 1.0:
+        # A little more than asked: the peaks are read at samples, which the new run shifts.
+        slow = 1.001 * max(factors)
         limits = limits / np.array([slow, slow**2, slow**3])
         profile = _profile(length, limits)
-    factors = _slowdown(robot, spline, profile, limits[2])
+        factors = _slowdown(robot, spline, profile, limits[2])
     load = (factors[0], factors[1] ** 2, factors[2] ** 3)
     return Timing(float(profile.duration), float(limits[0]), tuple(map(float, load)), profile)
 

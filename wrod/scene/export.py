@@ -79,9 +79,11 @@ def export_usd(
     materials = Materials(stage)
     pitch = _pitch(deployments)
     columns = math.ceil(math.sqrt(len(deployments)))
+    floor = min(item.floor for item in deployments)  # all stand on one
     bounds = []
     for number, item in enumerate(deployments):
-        shift = np.array([pitch[0] * (number % columns), -pitch[1] * (number // columns), 0.0])
+        row, column = divmod(number, columns)
+        shift = np.array([pitch[0] * column, -pitch[1] * row, floor - item.floor])
         bounds.append(_add_deployment(stage, number, item, shift, materials))
     low = np.min([b[0] for b in bounds], axis=0)
     high = np.max([b[1] for b in bounds], axis=0)
@@ -91,7 +93,7 @@ def export_usd(
         "/World/floor",
         (low + high)[:2] / 2,
         (high - low)[:2] + 2 * room,
-        min(item.floor for item in deployments),
+        floor,
         materials,
     )
     add_lights(stage)
@@ -156,6 +158,7 @@ def _complete(item: SimpleNamespace, number: int) -> SimpleNamespace:
     item.radius = _DEFAULT_RADIUS if item.rod is None else float(item.rod.radius)
     placement = None if joint_path is None else joint_path.placement
     item.table = table_under(trajectory.contact, placement, item.radius)
+    item.floor = float(item.table.pose[2, 3] + item.table.floor)
     return item
 
 
@@ -208,13 +211,11 @@ def _add_deployment(stage, number: int, item, shift, materials) -> tuple[np.ndar
     if joint_path is None:
         _add_gripper(stage, f"{root}/gripper", trajectory, times, materials)
         front = np.array([0.0, -1.0])
-        item.floor = table.floor + shift[2]
     else:
         robot = joint_path.robot
         base = joint_path.placement.world_from_base
         add_arm(stage, f"{root}/robot", robot, base, joint_path.node_positions, times, materials)
         front = base[:2, 0]
-        item.floor = base[2, 3] + table.floor + shift[2]
         poses = robot.link_poses(joint_path.node_positions[:: max(1, len(trajectory) // 20)])
         for link in poses.values():
             seen.append(link[:, :3, 3] @ base[:3, :3].T + base[:3, 3])

@@ -54,8 +54,8 @@ def set_pose(prim, poses: np.ndarray, times=None) -> None:
     xform = UsdGeom.Xformable(prim)
 
     def write(op, values, make):
+        op.Set(make(values[0]))  # what readers see that know no time
         if times is None or np.ptp(values, axis=0).max() < 1e-12:
-            op.Set(make(values[0]))
             return
         for code, value in zip(times, values, strict=True):
             op.Set(make(value), float(code))
@@ -125,7 +125,7 @@ def add_curve(
         times: (T,) time codes of a moving one.
         pose: (4, 4) of the curve in its parent.
     """
-    from pxr import UsdGeom, Vt
+    from pxr import Usd, UsdGeom, Vt
 
     points = np.asarray(points, dtype=np.float32)
     moving = points.ndim == 3
@@ -138,17 +138,14 @@ def add_curve(
     curve.SetWidthsInterpolation(UsdGeom.Tokens.constant)
     position, extent = curve.CreatePointsAttr(), curve.CreateExtentAttr()
     pad = np.float32(width / 2)
-    codes = [None] * len(frames) if not moving else [float(code) for code in times]
+    codes = [Usd.TimeCode.Default()]  # what readers see that know no time
+    if moving:
+        frames = np.concatenate([frames[:1], frames])
+        codes += [Usd.TimeCode(float(code)) for code in times]
     for code, frame in zip(codes, frames, strict=True):
         bounds = np.stack([frame.min(0) - pad, frame.max(0) + pad])
-        values = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(frame))
-        limits = Vt.Vec3fArray.FromNumpy(bounds)
-        if code is None:
-            position.Set(values)
-            extent.Set(limits)
-        else:
-            position.Set(values, code)
-            extent.Set(limits, code)
+        position.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(frame)), code)
+        extent.Set(Vt.Vec3fArray.FromNumpy(bounds), code)
     if pose is not None:
         set_pose(curve.GetPrim(), pose)
     materials.bind(curve.GetPrim(), color)
