@@ -210,3 +210,29 @@ def test_package_meshes_are_found_beside_the_urdf(tmp_path):
     folder.mkdir()
     path = own_arm(folder, mesh="package://own_description/meshes/tool.stl")
     assert read_urdf(path).shapes("visual")[0].mesh == folder / "meshes" / "tool.stl"
+
+
+def test_mesh_arm_goes_through_path_and_scene(tmp_path, letter, letter_path):
+    """A Sawyer whose forearm is a mesh, as the manufacturer's file has it."""
+    import wrod
+    from wrod.scene.validate import open_stage, validation_errors
+
+    own_arm(tmp_path)  # for its mesh
+    mesh = '<mesh filename="meshes/tool.stl" scale="0.003 0.003 0.003"/>'
+    text = sawyer.PATH.read_text(encoding="utf-8")
+    link = text.index('<link name="right_l4">') + len('<link name="right_l4">')
+    text = text[:link] + f"<visual><geometry>{mesh}</geometry></visual>" + text[link:]
+    (tmp_path / "mesh.urdf").write_text(text)
+    path = wrod.solve_joint_path(
+        letter, robot=tmp_path / "mesh.urdf", placement=letter_path.placement
+    )
+    assert np.abs(path.positions - letter_path.positions).max() < 1.0
+    scene = wrod.export_usd(tmp_path / "s.usdc", trajectory=letter, joint_path=path)
+    assert validation_errors(scene) == []
+    stage = open_stage(scene)
+    from pxr import UsdGeom
+
+    shown = next(p for p in stage.Traverse() if p.IsA(UsdGeom.Mesh))
+    assert shown.GetParent().GetName() == "right_l4"
+    extent = np.array(UsdGeom.Mesh(shown).GetExtentAttr().Get())
+    assert np.abs(extent[1] - [0.09, 0.09, 0.18]).max() < 1e-6

@@ -102,6 +102,17 @@ def test_whole_rod_keeps_its_length_and_ends(letter):
     assert np.abs(laid[:, 2]).max() < 1e-9
 
 
+def test_taut_rod_is_straight_and_an_unknown_shape_is_left_out():
+    taut = wrod.plan(wrod.pattern("line"), wrod.rod("rope"), method="intuitive")
+    rods = whole_rod(taut)
+    assert np.abs(rods[:, -1] - taut.position).max() < 1e-9
+    laid = np.linspace(0, 0.89, 201) <= taut.arc_length[40]
+    assert np.abs(rods[40][laid, 2]).max() < 1e-9
+    assert np.abs(rods[40][~laid, :2] - taut.contact[40, :2]).max() < 1e-9
+    slack = dataclasses.replace(taut, position=taut.position * [1, 1, 0.8])
+    assert np.abs(whole_rod(slack)[:, -1] - taut.contact).max() < 1e-9
+
+
 def test_figures_of_the_plan_are_on_the_stage(scene, letter, letter_path):
     stage = open_stage(scene)
     prim = stage.GetPrimAtPath("/World/Deployment_000")

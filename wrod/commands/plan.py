@@ -33,13 +33,8 @@ import click
     default=None,
     help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
 )
-@click.option(
-    "--robot/--no-robot",
-    "with_robot",
-    default=True,
-    help="Also write the arm's joint path, a USD scene and a picture of it (default).",
-)
-@click.option("--arm", default="sawyer", show_default=True, help="sawyer, or a URDF file.")
+@click.option("--robot", default="sawyer", show_default=True, help="sawyer, or a URDF file.")
+@click.option("--no-robot", is_flag=True, help="Leave out joint path and scene.")
 @click.option(
     "--placement",
     default="auto",
@@ -62,8 +57,8 @@ def command(
     units: str | None,
     friction: float | None,
     remainder: bool | None,
-    with_robot: bool,
-    arm: str,
+    robot: str,
+    no_robot: bool,
     placement: str,
     view: bool,
     device: str,
@@ -94,7 +89,7 @@ def command(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
             device=None if device == "auto" else device, progress=progress,
         )  # fmt: skip
-    joint_path = _joint_path(trajectory, rod, arm, placement) if with_robot else None
+    joint_path = None if no_robot else _joint_path(trajectory, rod, robot, placement)
     try:
         picture = draw_plan(out / "preview.png", curve, trajectory)
         written = [*trajectory.save(out / "trajectory"), picture]
@@ -125,13 +120,13 @@ def command(
         show(out / "scene.usdc")
 
 
-def _joint_path(trajectory, rod, arm: str, placement: str):
+def _joint_path(trajectory, rod, robot: str, placement: str):
     """Joint path of the arm, before anything is written."""
     from wrod.errors import RobotError
     from wrod.robot.joint_path import solve_joint_path
 
     try:
-        return solve_joint_path(trajectory, arm, placement, rod_radius=rod.radius)
+        return solve_joint_path(trajectory, robot, placement, rod_radius=rod.radius)
     except ImportError as error:
         raise RobotError(
             f"joint paths and scenes need {error.name}; install wrod[robot,scene,newton], or plan "

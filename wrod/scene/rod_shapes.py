@@ -13,9 +13,10 @@ POINTS = 201  # of the centreline; 4 mm apart on the rods of Table 2
 def whole_rod(trajectory: Trajectory, points: int = POINTS) -> np.ndarray:
     """Points of the rod at each node, at the same places of the material throughout.
 
-    The laid part follows the contact points; the suspended part is the trajectory's `shape`.
-    Where the trajectory has none, the last point follows the laid end only and the curve stops at
-    the contact.
+    The laid part follows the contact points; the suspended part is the trajectory's `shape`. A
+    trajectory without one whose grip is as far from the contact as the rod is long (the intuitive
+    one) leaves the rod no shape but the straight line. Where neither holds, the shape is not
+    known: the curve stops at the contact.
 
     Args:
         trajectory: grip poses, with `shape` (T, nodes, 3) where the planner computed it [m].
@@ -25,8 +26,10 @@ def whole_rod(trajectory: Trajectory, points: int = POINTS) -> np.ndarray:
         (T, points, 3) [m], from the free end to the grip.
     """
     laid = np.asarray(trajectory.arc_length) - trajectory.arc_length[0]
-    table = CubicSpline(laid, trajectory.contact) if len(laid) > 1 else None
-    shape = getattr(trajectory, "shape", None)
+    table = CubicSpline(laid, trajectory.contact)
+    shape = trajectory.shape
+    if shape is None:
+        shape = _straight(trajectory, laid)
     rods = np.empty((len(laid), points, 3))
     if shape is None:
         for k, end in enumerate(laid):
@@ -39,7 +42,17 @@ def whole_rod(trajectory: Trajectory, points: int = POINTS) -> np.ndarray:
     for k, end in enumerate(laid):
         below = material <= end
         rods[k, below] = table(material[below])
-        # Chords of a bent rod are a little short of its length; the ends are kept exact.
         share = (material[~below] - end) / (total - end)
         rods[k, ~below] = CubicSpline(hanging[k], shape[k])(share * hanging[k, -1])
     return rods
+
+
+def _straight(trajectory: Trajectory, laid: np.ndarray) -> np.ndarray | None:
+    """Straight suspended parts (T, 2, 3) where the rod is taut within 1 %, else None."""
+    rod = trajectory.metadata.get("rod")
+    if not isinstance(rod, dict) or "length" not in rod:
+        return None
+    distance = np.linalg.norm(trajectory.position - trajectory.contact, axis=1)
+    if np.abs(distance - (rod["length"] - laid)).max() > 0.01 * rod["length"]:
+        return None
+    return np.stack([trajectory.contact, trajectory.position], axis=1)
