@@ -50,7 +50,8 @@ def export_usd(
     the attributes `wrod:arcLength` [m] and `wrod:time` [s] over time. Cameras `top` and
     `perspective` are under /World/Cameras.
 
-    Each argument may be a sequence, one entry per deployment; they are then laid out in a grid.
+    Each argument may be a sequence, one entry per deployment; they are then laid out in a
+    grid, each turned so that its arm faces +x.
 
     Args:
         path: the file, .usdc, .usda or .usd.
@@ -80,14 +81,15 @@ def export_usd(
     pitch = _pitch(deployments)
     columns = math.ceil(math.sqrt(len(deployments)))
     floor = min(item.floor for item in deployments)  # all stand on one
-    bounds = []
+    seen = []
     for number, item in enumerate(deployments):
         row, column = divmod(number, columns)
         shift = np.array([pitch[0] * column, -pitch[1] * row, floor - item.floor])
-        bounds.append(_add_deployment(stage, number, item, shift, materials))
-    low = np.min([b[0] for b in bounds], axis=0)
-    high = np.max([b[1] for b in bounds], axis=0)
-    room = 8.0  # [m] of floor around everything
+        shift[:2] -= item.centre
+        seen.append(_add_deployment(stage, number, item, shift, materials))
+    points = np.concatenate(seen)
+    low, high = points.min(0), points.max(0)
+    room = 4.0  # [m] of floor around everything
     add_floor(
         stage,
         "/World/floor",
@@ -100,10 +102,9 @@ def export_usd(
     patterns = np.concatenate([item.corners for item in deployments])
     add_cameras(
         stage,
-        low,
-        high,
+        points,
         deployments[0].front,
-        np.stack([patterns.min(0), patterns.max(0)]),
+        np.stack([patterns.min(0) - 0.10, patterns.max(0) + 0.10]),
     )
     stage.GetRootLayer().customLayerData = {"creator": "wrod", "deployments": len(deployments)}
     with tempfile.TemporaryDirectory() as folder:
@@ -159,6 +160,9 @@ def _complete(item: SimpleNamespace, number: int) -> SimpleNamespace:
     placement = None if joint_path is None else joint_path.placement
     item.table = table_under(trajectory.contact, placement, item.radius)
     item.floor = float(item.table.pose[2, 3] + item.table.floor)
+    item.ground = item.table.corners()[:, :2]  # what it covers
+    if placement is not None:
+        item.ground = np.vstack([item.ground, placement.world_from_base[:2, 3]])
     return item
 
 
@@ -176,20 +180,25 @@ def _pattern_points(pattern, trajectory) -> np.ndarray:
 
 
 def _pitch(deployments) -> np.ndarray:
-    """Distance of neighbours in the grid [m]: the largest extent of any, and a passage."""
-    if len(deployments) == 1:
-        return np.zeros(2)
-    spans = []
+    """Distance of neighbours in the grid [m]: the largest extent of any, and a passage.
+
+    Sets `centre` and `turn` of each: what is taken off and how it is turned in its cell.
+    """
+    spans = [np.zeros(2)]
     for item in deployments:
-        points = [item.table.corners()[:, :2]]
-        if item.joint_path is not None:
-            points.append(item.joint_path.placement.world_from_base[None, :2, 3])
-        spans.append(np.ptp(np.concatenate(points), axis=0))
+        item.centre, item.turn = np.zeros(2), np.eye(3)
+        if len(deployments) == 1:
+            continue
+        if item.joint_path is not None:  # all arms of a grid face the same way
+            item.turn = item.joint_path.placement.base_from_world[:3, :3]
+        ground = item.ground @ item.turn[:2, :2].T
+        item.centre = (ground.min(0) + ground.max(0)) / 2
+        spans.append(np.ptp(ground, axis=0))
     return np.max(spans, axis=0) + 0.9
 
 
-def _add_deployment(stage, number: int, item, shift, materials) -> tuple[np.ndarray, np.ndarray]:
-    """Add one deployment; returns the corners of what there is to see of it [m]."""
+def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
+    """Add one deployment; returns points (n, 3) of what there is to see of it [m]."""
     from pxr import Sdf, UsdGeom
 
     trajectory, joint_path, table = item.trajectory, item.joint_path, item.table
@@ -197,7 +206,7 @@ def _add_deployment(stage, number: int, item, shift, materials) -> tuple[np.ndar
     root = f"/World/Deployment_{number:03d}"
     prim = UsdGeom.Xform.Define(stage, root).GetPrim()
     pose = np.eye(4)
-    pose[:3, 3] = shift
+    pose[:3, :3], pose[:3, 3] = item.turn, shift
     set_pose(prim, pose)
     add_table(stage, f"{root}/table", table, materials)
     add_pattern(stage, f"{root}/pattern", item.points, item.radius, materials)
@@ -206,7 +215,13 @@ def _add_deployment(stage, number: int, item, shift, materials) -> tuple[np.ndar
     smooth = GripPath(trajectory)
     way = smooth.poses(smooth.samples(0.005))[:, :3, 3]
     add_grip_path(stage, f"{root}/grip_path", way, materials)
-    seen = [table.corners(), trajectory.position, item.shapes.reshape(-1, 3)]
+    below = np.array([0.0, 0.0, table.floor - table.top])
+    seen = [
+        table.corners(),
+        table.corners() + below,
+        trajectory.position,
+        item.shapes.reshape(-1, 3),
+    ]
     base = np.eye(4)
     if joint_path is None:
         _add_gripper(stage, f"{root}/gripper", trajectory, times, materials)
@@ -220,9 +235,10 @@ def _add_deployment(stage, number: int, item, shift, materials) -> tuple[np.ndar
         for link in poses.values():
             seen.append(link[:, :3, 3] @ base[:3, :3].T + base[:3, 3])
         if robot.name == "sawyer":
-            seen.append(base[None, :3, 3] - [0.0, 0.0, BASE_HEIGHT])
-    item.front = front
-    item.corners = np.concatenate([item.points - 0.10, item.points + 0.10]) + shift
+            feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
+            seen.append(base[:3, 3] + feet)
+    item.front = item.turn[:2, :2] @ front
+    item.corners = item.points @ item.turn.T + shift
     figures = {**trajectory.metadata}
     if joint_path is not None:
         figures["joint_path"] = joint_path.metadata
@@ -230,8 +246,7 @@ def _add_deployment(stage, number: int, item, shift, materials) -> tuple[np.ndar
     _sampled(prim, "wrod:arcLength", trajectory.arc_length, times, Sdf)
     if joint_path is not None:
         _sampled(prim, "wrod:time", joint_path.node_time, times, Sdf)
-    seen = np.concatenate(seen) + shift
-    return seen.min(0) - 0.05, seen.max(0) + 0.05
+    return np.concatenate(seen) @ item.turn.T + shift
 
 
 def _add_gripper(stage, path: str, trajectory, times, materials) -> None:

@@ -46,7 +46,12 @@ class NewtonScene:
     """
 
     def __init__(self, path: str | os.PathLike[str], hidden: tuple[str, ...] = ()):
-        import newton
+        import wrod.kernels  # noqa: F401  # before Newton: starts Warp quietly
+
+        try:
+            import newton
+        except ImportError as error:
+            raise SceneError("showing a scene needs Newton; install wrod[newton]") from error
 
         self.stage = open_stage(path)
         self.start, self.end = self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()

@@ -47,6 +47,8 @@ class Renderer:
     ):
         if min(size) < 1 or max(size) > 8192:
             raise SceneError(f"picture size {size[0]} x {size[1]} is not within 1 ... 8192 pixels")
+        import wrod.kernels  # noqa: F401  # before Newton: starts Warp quietly
+
         try:
             import newton  # noqa: F401
         except ImportError as error:
@@ -56,7 +58,6 @@ class Renderer:
 
         from wrod.scene.newton_model import NewtonScene
 
-        wp.config.log_level = wp.LOG_WARNING
         self.scene = NewtonScene(path, hidden)
         stage = self.scene.stage
         cameras = find_cameras(stage)

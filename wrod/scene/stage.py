@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 FRAMES_PER_SECOND = 24.0
@@ -54,15 +52,14 @@ def add_camera(stage, name: str, eye, target, up=(0.0, 0.0, 1.0), fov: float = 4
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 200.0))
 
 
-def add_cameras(stage, low: np.ndarray, high: np.ndarray, front: np.ndarray, pattern) -> None:
+def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarray) -> None:
     """`top`, high over the pattern, and `perspective` on everything.
 
     Args:
-        low, high: (3,) corners of what `perspective` must see [m].
+        points: (n, 3) of what `perspective` must see [m].
         front: (2,) horizontal direction that the robot faces.
         pattern: (2, 3) corners of what `top` must see [m].
     """
-    low, high, front = (np.asarray(v, dtype=float) for v in (low, high, front))
     corners = np.asarray(pattern, dtype=float)
     fov, middle = 14.0, corners.mean(0)
     half = np.ptp(corners[:, :2], axis=0) / 2
@@ -71,14 +68,17 @@ def add_cameras(stage, low: np.ndarray, high: np.ndarray, front: np.ndarray, pat
     eye = (middle[0], middle[1], corners[:, 2].max() + height)
     add_camera(stage, "top", eye, middle, (0.0, 1.0, 0.0), fov)
 
-    middle, fov = (low + high) / 2, 36.0
+    fov, margin = 36.0, 1.12
     side = np.array([front[1], -front[0]])
     back = np.array([*(0.80 * front + 0.95 * side), 0.50])
     back /= np.linalg.norm(back)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
     up = np.cross(back, right)
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True)))) - middle
-    wide, tall = np.abs(corners @ right) * 3 / 4, np.abs(corners @ up)
-    distance = (corners @ back + np.maximum(wide, tall) / np.tan(np.radians(fov) / 2)).max()
+    frame = np.stack([right, up, back])
+    local = points @ frame.T
+    middle = (local.min(0) + local.max(0)) / 2
+    across = np.maximum(*(np.abs(local - middle)[:, :2] * [3 / 4, 1]).T)
+    distance = (local[:, 2] - middle[2] + margin * across / np.tan(np.radians(fov) / 2)).max()
+    middle = middle @ frame
     add_camera(stage, "perspective", middle + distance * back, middle, fov=fov)
