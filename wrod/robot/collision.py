@@ -18,6 +18,8 @@ from wrod.robot.urdf import LinkShape
 if TYPE_CHECKING:
     import torch
 
+_NOTHING = 10.0  # [m] gap to a rod of which nothing lies yet; finite for the gradient
+
 
 def capsule_of(shape: LinkShape) -> tuple[np.ndarray, np.ndarray, float]:
     """Ends (3,), (3,) and radius [m] of a capsule around a shape, in its link's frame."""
@@ -174,7 +176,7 @@ class CollisionModel:
         near = offset - share.clamp(0, 1)[..., None] * axis[:, :, None]
         gap = near.norm(dim=-1)
         later = torch.arange(len(contacts))[None] >= laid[:, None]
-        gap = gap.masked_fill(later[:, None], float("inf")).amin(-1)
+        gap = gap.masked_fill(later[:, None], _NOTHING).amin(-1)
         return gap - torch.from_numpy(self.radius[low]) - rod_radius
 
 

@@ -108,7 +108,8 @@ def candidates(trajectory: Trajectory, robot: Robot, count: int = 24) -> list[Pl
     ranked = []
     for radius, side, height, yaw in grid:
         turned = Placement(0.0, 0.0, 0.0, yaw).base_from_world[:2, :2] @ middle
-        placement = Placement(radius - turned[0], side - turned[1], height, yaw)
+        x, y = float(radius - turned[0]), float(side - turned[1])
+        placement = Placement(x, y, height, float(yaw))
         contact = contact_in_base(trajectory, placement)
         near = np.linalg.norm(contact[:, :2], axis=1).min()
         if near < PEDESTAL_CLEARANCE + TABLE_MARGIN or contact[:, 0].min() < PEDESTAL_CLEARANCE:

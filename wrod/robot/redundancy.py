@@ -42,21 +42,27 @@ class Surroundings:
 
 def gaps(model: CollisionModel, positions, around: Surroundings) -> dict:
     """Gaps [m] at joint positions (K, n), as torch tensors: "links" (K, pairs), "table" and
-    "laid rod" (K, low capsules)."""
+    "laid rod" (K, low capsules).
+
+    The laid rod lies on the table: poses that keep `GAP_ROOM` above it need no closer look, and
+    get the height above the rod for their gap.
+    """
     import torch
 
     start, end = model.points(model.robot.chain.forward_kinematics_tensor(positions))
-    return {
-        "links": model.self_distances(start, end),
-        "table": model.table_distances(start, end, around.table_height),
-        "laid rod": model.laid_distances(
-            start,
-            end,
+    table = model.table_distances(start, end, around.table_height)
+    laid = table - around.rod_radius
+    close = torch.nonzero(laid.detach().amin(1) < GAP_ROOM).squeeze(1)
+    if len(close):
+        near = model.laid_distances(
+            start[close],
+            end[close],
             torch.from_numpy(around.contact),
-            torch.from_numpy(around.laid),
+            torch.from_numpy(around.laid)[close],
             around.rod_radius,
-        ),
-    }
+        )
+        laid = laid.index_copy(0, close, near)
+    return {"links": model.self_distances(start, end), "table": table, "laid rod": laid}
 
 
 def improve(
@@ -92,7 +98,7 @@ def improve(
             cost = 20.0 * (LIMIT_ROOM - room).clamp_min(0).square().sum()
             distances = gaps(model, variable, around)
             for gap in distances.values():
-                cost = cost + 400.0 * (GAP_ROOM - gap).clamp_min(0).square().sum()
+                cost = cost + 2000.0 * (GAP_ROOM - gap).clamp_min(0).square().sum()
             measure = manipulability(robot.chain.jacobian_tensor(variable))
             cost = cost + 200.0 * (MANIPULABILITY_ROOM - measure).clamp_min(0).square().sum()
         if gradient:

@@ -16,7 +16,7 @@ from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import one_torch_thread, refine
 from wrod.robot.model import Robot, load_robot
 from wrod.robot.placement import Placement, candidates, contact_in_base
-from wrod.robot.redundancy import Surroundings, improve
+from wrod.robot.redundancy import GAP_ROOM, Surroundings, gaps, improve
 from wrod.robot.report import PathReport, inspect
 from wrod.robot.search import Branch, find_branches
 from wrod.robot.timing import schedule
@@ -25,6 +25,8 @@ from wrod.trajectory import Trajectory
 GRIP_ANGLES = tuple(math.radians(angle) for angle in (0, 30, 60, 90))
 _COARSE = 0.025  # [m] of travel between the samples that are searched and improved
 _DENSE = 0.0015  # [m] between those that the joint splines go through
+_LAID = 0.004  # [m] between the points of the laid rod that gaps are measured to
+_RANKED = 24  # different branches whose obstacles are looked at
 _TRIED = 4  # branches that are improved and compared
 
 
@@ -108,8 +110,14 @@ def _solve_angle(
     count = max(24, math.ceil(path.travel[-1] / _COARSE))
     travel = np.linspace(0.0, path.travel[-1], count)
     branches = find_branches(arm, path, travel, choices, seeds=12 if len(places) > 1 else 40)
+    ranked = sorted(
+        _distinct(branches, _RANKED),
+        key=lambda branch: (
+            branch.cost + _crowding(model, trajectory, path, travel, branch, margins)
+        ),
+    )
     best = None
-    for branch in _distinct(branches):
+    for branch in ranked[:_TRIED]:
         solution = _finish(arm, model, trajectory, path, travel, branch, margins)
         key = (solution.report.shortfall, -solution.report.quality)
         if best is None or key < (best.report.shortfall, -best.report.quality):
@@ -117,7 +125,7 @@ def _solve_angle(
     return best
 
 
-def _distinct(branches: list[Branch]) -> list[Branch]:
+def _distinct(branches: list[Branch], count: int) -> list[Branch]:
     """The first few that differ from each other by more than rounding."""
     kept: list[Branch] = []
     for branch in branches:
@@ -127,26 +135,47 @@ def _distinct(branches: list[Branch]) -> list[Branch]:
             for other in kept
         ):
             kept.append(branch)
-        if len(kept) == _TRIED:
+        if len(kept) == count:
             break
     return kept
+
+
+def _crowding(model, trajectory, path: GripPath, travel, branch: Branch, margins) -> float:
+    """Cost of a branch that comes near obstacles; the elbow may still gain a few centimetres."""
+    import torch
+
+    with torch.no_grad():
+        near = gaps(
+            model,
+            torch.from_numpy(branch.positions.copy()),
+            _surroundings(trajectory, path, branch.placement, travel, margins),
+        )
+    least = min(float(gap.min()) for gap in near.values())
+    return 10.0 * max(0.0, GAP_ROOM - least)
+
+
+def _surroundings(trajectory, path: GripPath, placement: Placement, travel, margins):
+    """Obstacles at samples `travel` of the path."""
+    # Points of the laid rod a few millimetres apart are enough for gaps of that size.
+    length = trajectory.arc_length[-1] - trajectory.arc_length[0]
+    stride = max(1, int(_LAID * (len(path) - 1) / max(length, 1e-9)))
+    contact = contact_in_base(trajectory, placement)[::stride]
+    laid = np.searchsorted(path.travel[::stride], travel + 1e-12, side="right")
+    return Surroundings(placement.z, contact, laid, margins[2])
 
 
 def _finish(
     arm: Robot, model, trajectory, path: GripPath, travel, branch: Branch, margins
 ) -> _Solution:
     """Improve a branch, fill it in between the samples, and check it."""
-    limit_margin, clearance, rod_radius = margins
+    limit_margin, clearance, _ = margins
     pose = branch.placement.base_from_world
-    contact = contact_in_base(trajectory, branch.placement)
-    height = branch.placement.z
 
     def targets(at):
         return grasp_targets(path.poses(at), branch.grip, pose)
 
     def around(at):
-        laid = np.searchsorted(path.travel, at + 1e-12, side="right")
-        return Surroundings(height, contact, laid, rod_radius)
+        return _surroundings(trajectory, path, branch.placement, at, margins)
 
     coarse = branch.positions
     if branch.miss.max() < 0.01:
