@@ -73,6 +73,15 @@ def test_grip_is_held_between_the_nodes(letter, letter_path):
     assert np.degrees(letter_path.metadata["rotation_error"]) < 1e-3
 
 
+def test_between_the_nodes_it_is_what_a_finer_plan_gives(letter, letter_path):
+    from wrod.bench.robot import against_finer
+
+    found = against_finer(
+        letter_path, wrod.pattern("letter-C"), wrod.rod("green-vps"), "numeric", letter
+    )
+    assert found["finer_mm"] < 0.02 and found["finer_deg"] < 0.01
+
+
 def test_path_is_one_branch_within_the_limits(letter_path):
     robot = letter_path.robot
     assert letter_path.names == tuple(f"right_j{i}" for i in range(7))
@@ -93,6 +102,8 @@ def test_timing_keeps_the_limits_and_the_rate(letter_path):
     assert (np.abs(acceleration) <= robot.acceleration).all()
     assert (np.abs(jerk) <= robot.jerk).all()
     assert np.abs(letter_path.velocities[[0, -1]]).max() < 1e-9
+    assert letter_path.arc_length[[0, -1]] == pytest.approx([0.0, 0.46], abs=0.01)
+    assert (np.diff(letter_path.arc_length) > -1e-12).all()
     middle = (letter_path.velocities[1:] + letter_path.velocities[:-1]) / 2
     assert np.abs(middle - velocity).max() < 1e-4
     assert (np.diff(letter_path.node_time) > 0).all()
@@ -236,6 +247,10 @@ def test_bad_arguments_are_named(letter):
             wrod.solve_joint_path(letter, **options)
     broken = letter.position.copy()
     broken[7, 1] = np.nan
+    still = letter.arc_length.copy()
+    still[20] = still[19]
+    with pytest.raises(RobotError, match="arc length does not grow after node 19"):
+        wrod.solve_joint_path(dataclasses.replace(letter, arc_length=still))
     with pytest.raises(RobotError, match="not finite at node 7"):
         wrod.solve_joint_path(dataclasses.replace(letter, position=broken))
 

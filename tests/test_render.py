@@ -49,7 +49,7 @@ def test_laid_rod_appears_where_the_camera_sees_it(renderer, letter):
     ]
     assert np.mean(hits) > 0.95
     table = green[SIZE[1] // 8 : SIZE[1] // 8 + 4, SIZE[0] // 8 : SIZE[0] // 8 + 4]
-    assert table.max() < 0
+    assert table.max() < 10
 
 
 def test_rod_grows_on_the_table(renderer, letter):

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -20,6 +21,8 @@ from wrod.errors import RobotError
 from wrod.trajectory import Trajectory
 
 TURN_LENGTH = 0.05  # [m] a turn of one radian counts as this much travel of the grip
+_FINE = 20  # pieces between two nodes in which the travel is integrated
+_SLOWEST = 1e-3  # [m/m] travel per laid length counts at least so much: the grip may stand still
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,10 @@ class Grip:
 
 
 class GripPath:
-    """A trajectory as a smooth curve of poses: C2 splines through its nodes.
+    """A trajectory as a smooth curve of poses: C2 splines through its nodes over the arc length.
+
+    Grip poses are smooth functions of the laid length: where the grip swings by centimetres from
+    node to node, splines over the laid length stay closest to what a finer plan gives between them.
 
     Attributes:
         travel: (T,) at the nodes: length of the grip's path, a turn counting `TURN_LENGTH` per
@@ -67,15 +73,20 @@ class GripPath:
         turns = Rotation.from_matrix(rotation)
         self.turn = (turns[:-1].inv() * turns[1:]).magnitude()
         self.distance = np.linalg.norm(np.diff(position, axis=0), axis=1)
-        step = np.hypot(self.distance, TURN_LENGTH * self.turn)
-        if step.min() < 1e-9:
-            raise RobotError(
-                f"the trajectory's nodes {int(np.argmin(step))} and {int(np.argmin(step)) + 1} "
-                "are the same pose; remove one"
-            )
-        self.travel = np.concatenate([[0.0], np.cumsum(step)])
-        self._position = CubicSpline(self.travel, position)
-        self._rotation = RotationSpline(self.travel, turns)
+        arc = np.asarray(trajectory.arc_length, dtype=np.float64)
+        if np.diff(arc).min() <= 0.0:
+            node = int(np.diff(arc).argmin())
+            raise RobotError(f"the trajectory's arc length does not grow after node {node}")
+        self._position = CubicSpline(arc, position)
+        self._rotation = RotationSpline(arc, turns)
+        fine = np.interp(np.arange((len(arc) - 1) * _FINE + 1) / _FINE, np.arange(len(arc)), arc)
+        rate = np.hypot(
+            np.linalg.norm(self._position(fine, 1), axis=1),
+            TURN_LENGTH * np.linalg.norm(self._rotation(fine, 1), axis=1),
+        )
+        travel = cumulative_simpson(np.maximum(rate, _SLOWEST), x=fine, initial=0.0)
+        self._arc = CubicSpline(travel, fine)
+        self.travel = travel[::_FINE]
 
     def __len__(self) -> int:
         return len(self.travel)
@@ -83,9 +94,14 @@ class GripPath:
     def poses(self, travel: np.ndarray) -> np.ndarray:
         """(K, 4, 4) rod's frame at the grip, in the trajectory's frame [m]."""
         poses = np.tile(np.eye(4), (len(travel), 1, 1))
-        poses[:, :3, 3] = self._position(travel)
-        poses[:, :3, :3] = self._rotation(travel).as_matrix()
+        arc = self.arc_length(travel)
+        poses[:, :3, 3] = self._position(arc)
+        poses[:, :3, :3] = self._rotation(arc).as_matrix()
         return poses
+
+    def arc_length(self, travel: np.ndarray) -> np.ndarray:
+        """(K,) laid length at points of the curve [m]."""
+        return np.clip(self._arc(travel), *self._position.x[[0, -1]])
 
     def node_of(self, travel: float) -> int:
         """Nearest node of a point of the curve."""

@@ -29,6 +29,7 @@ class JointPath:
         time: (T,) [s], evenly spaced from 0.
         positions: (T, n) [rad].
         velocities: (T, n) [rad/s].
+        arc_length: (T,) length of rod that lies on the table [m].
         node_time: (N,) when each node of the trajectory is passed [s].
         node_positions: (N, n) joint positions at the trajectory's nodes [rad].
         placement: where the pattern lies before the robot.
@@ -43,6 +44,7 @@ class JointPath:
     time: np.ndarray
     positions: np.ndarray
     velocities: np.ndarray
+    arc_length: np.ndarray
     node_time: np.ndarray
     node_positions: np.ndarray
     placement: Placement
@@ -73,6 +75,7 @@ class JointPath:
                 time=self.time,
                 positions=self.positions,
                 velocities=self.velocities,
+                arc_length=self.arc_length,
                 node_time=self.node_time,
                 node_positions=self.node_positions,
                 placement=np.array([place.x, place.y, place.z, place.yaw]),
@@ -93,7 +96,7 @@ class JointPath:
         Raises:
             DataError: the file is missing, truncated or not a joint path.
         """
-        names = ("time", "positions", "velocities", "node_time", "node_positions")
+        names = ("time", "positions", "velocities", "arc_length", "node_time", "node_positions")
         try:
             with np.load(path, allow_pickle=False) as data:
                 if str(data["format"]) != _FORMAT:

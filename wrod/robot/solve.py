@@ -238,6 +238,7 @@ def _timed(
         time=time,
         positions=solution.spline(travel),
         velocities=solution.spline(travel, 1) * speed[:, None],
+        arc_length=path.arc_length(travel),
         node_time=timing.time_of(path.travel),
         node_positions=nodes,
         placement=place,
