@@ -21,7 +21,9 @@ def shared() -> Path:
 @pytest.fixture(scope="session")
 def letter():
     """An optimal trajectory of a letter C for rod 2, with the shapes of the rod."""
-    return wrod.plan(wrod.pattern("letter-C"), wrod.rod("green-vps"), device="cpu")
+    return wrod.plan(
+        wrod.pattern("letter-C"), wrod.rod("green-vps"), method="numeric", device="cpu"
+    )
 
 
 @pytest.fixture(scope="session")

@@ -113,6 +113,19 @@ def test_taut_rod_is_straight_and_an_unknown_shape_is_left_out():
     assert np.abs(whole_rod(slack)[:, -1] - taut.contact).max() < 1e-9
 
 
+def test_rod_of_a_controllers_plan_is_the_solvers(letter):
+    bare = dataclasses.replace(letter, shape=None)
+    pattern = wrod.pattern("letter-C")
+    assert np.abs(whole_rod(bare, pattern) - whole_rod(letter)).max() < 1e-5
+    assert np.abs(whole_rod(bare) - whole_rod(letter)).max() < 2e-4
+    neural = wrod.plan(pattern, wrod.rod("green-vps"), method="neural")
+    rods = whole_rod(neural, pattern)
+    assert np.abs(rods[:, -1] - neural.position).max() < 1e-9
+    assert np.abs(rods - whole_rod(letter)).max() < 5e-4
+    moved = dataclasses.replace(bare, position=letter.position + [0.004, 0.0, 0.0])
+    assert np.abs(whole_rod(moved)[:, -1] - letter.contact).max() < 1e-9
+
+
 def test_figures_of_the_plan_are_on_the_stage(scene, letter, letter_path):
     stage = open_stage(scene)
     prim = stage.GetPrimAtPath("/World/Deployment_000")

@@ -89,16 +89,25 @@ def command(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
             device=None if device == "auto" else device, progress=progress,
         )  # fmt: skip
-    joint_path = None if no_robot else _joint_path(trajectory, rod, robot, placement)
-    try:
-        picture = draw_plan(out / "preview.png", curve, trajectory)
-        written = [*trajectory.save(out / "trajectory"), picture]
-        if joint_path is not None:
-            from wrod.scene.deliver import deliver
+    steps = tqdm(total=4, unit="step", leave=False, delay=1.0, disable=as_json or no_robot)
+    with steps:
 
-            written += deliver(out, trajectory, joint_path, curve, rod)
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+        def step(what: str) -> None:
+            steps.set_description(what)
+            steps.update(1)
+
+        step("joint path")
+        joint_path = None if no_robot else _joint_path(trajectory, rod, robot, placement)
+        try:
+            step("plan")
+            picture = draw_plan(out / "preview.png", curve, trajectory)
+            written = [*trajectory.save(out / "trajectory"), picture]
+            if joint_path is not None:
+                from wrod.scene.deliver import deliver
+
+                written += deliver(out, trajectory, joint_path, curve, rod, step)
+        except OSError as error:
+            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
     figures = {
         **trajectory.metadata,
         "nodes": len(trajectory),
@@ -126,6 +135,9 @@ def _joint_path(trajectory, rod, robot: str, placement: str):
     from wrod.robot.joint_path import solve_joint_path
 
     try:
+        import newton  # noqa: F401  # the scene's picture needs it: say so before writing
+        import pxr  # noqa: F401
+
         return solve_joint_path(trajectory, robot, placement, rod_radius=rod.radius)
     except ImportError as error:
         raise RobotError(

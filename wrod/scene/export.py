@@ -149,7 +149,9 @@ def _complete(item: SimpleNamespace, number: int) -> SimpleNamespace:
                 f"{where}the joint path has {len(joint_path.node_positions)} nodes and the "
                 f"trajectory {count}; solve it from this trajectory"
             )
-    item.shapes = whole_rod(trajectory) if item.shapes is None else np.asarray(item.shapes)
+    item.shapes = (
+        whole_rod(trajectory, item.pattern) if item.shapes is None else np.asarray(item.shapes)
+    )
     shape = item.shapes.shape
     if len(shape) != 3 or shape[0] != count or shape[1] < 2 or shape[2] != 3:
         raise SceneError(f"{where}shapes are {shape}; give ({count}, points, 3), one rod per node")
