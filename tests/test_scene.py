@@ -126,6 +126,17 @@ def test_rod_of_a_controllers_plan_is_the_solvers(letter):
     assert np.abs(whole_rod(moved)[:, -1] - letter.contact).max() < 1e-9
 
 
+def test_pattern_is_given_as_it_was_planned(tmp_path):
+    """`plan` lays a remainder before a circle, which the pattern in hand does not have."""
+    circle = wrod.pattern("circle")
+    plan = wrod.plan(circle, wrod.rod("green-vps"), method="neural")
+    assert plan.metadata["remainder_length"] > 0.05
+    rods = whole_rod(plan, circle)
+    assert np.abs(rods[:, -1] - plan.position).max() < 1e-9
+    shown = wrod.export_usd(tmp_path / "c.usdc", trajectory=plan, pattern=circle)
+    assert validation_errors(shown) == []
+
+
 def test_figures_of_the_plan_are_on_the_stage(scene, letter, letter_path):
     stage = open_stage(scene)
     prim = stage.GetPrimAtPath("/World/Deployment_000")

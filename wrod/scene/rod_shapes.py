@@ -83,9 +83,7 @@ def _solved(
     curvature = forward[:, 0] * bend[:, 1] - forward[:, 1] * bend[:, 0]
     curvature /= np.linalg.norm(forward[:, :2], axis=1) ** 3
     if hasattr(pattern, "sample"):
-        there, _, known = pattern.sample(trajectory.pattern_arc_length)
-        if np.abs(there - trajectory.contact).max() < 1e-6:
-            curvature = known
+        curvature = _own_curvature(pattern, trajectory, curvature)
     try:
         grasps = solve_grasps(
             (rod.length - laid) / unit,
@@ -105,3 +103,17 @@ def _solved(
     # What is left (3e-4 L_gb with the pattern's own curvature) fades out towards the contact.
     share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
     return shape + share[None, :, None] * miss[:, None]
+
+
+def _own_curvature(pattern, trajectory: Trajectory, curvature: np.ndarray) -> np.ndarray:
+    """Curvature (T,) of the pattern where it is the one that was laid, else as given [1/m]."""
+    lead = float(trajectory.metadata.get("remainder_length", 0.0))
+    if lead > 0.0 and pattern.remainder_length == 0.0:
+        pattern = pattern.with_remainder(lead)  # as `plan` does
+    places = trajectory.pattern_arc_length
+    within = np.clip(places, -pattern.remainder_length, pattern.length)
+    contact, _, known = pattern.sample(within)
+    same = (
+        np.abs(within - places).max() < 1e-9 and np.abs(contact - trajectory.contact).max() < 1e-6
+    )
+    return known if same else curvature
