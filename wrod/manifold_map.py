@@ -27,6 +27,10 @@ OFFSET = 0.12
 class ForceMap:
     """The manifold of one (l_s, k_s).
 
+    The force alone is least, and zero, on the tight edge, where the clamp holds the rod by a couple
+    that no table can give. Optimal grasps (Eq. optimize) have no curvature at the contact and none
+    at the grip: they stand on the low edge, and the closure chooses among them.
+
     Attributes:
         suspended_length, stretch_ratio, closure, offset: inputs.
         boundary: rays through the manifold.
