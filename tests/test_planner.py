@@ -13,9 +13,9 @@ from wrod.trajectory import Trajectory
 ROD = wrod.rod("green-vps")
 
 
-def fake_grasps(length, curvature, ratio, *, closure, device, progress):
+def fake_grasps(length, curvature, ratio, *, closure, device, eigenvalues, progress):
     """Smooth stand-ins for grasps: the solver is tested elsewhere."""
-    assert closure == "zero_tension" and ratio == 1600.0
+    assert closure == "zero_tension" and ratio == 1600.0 and eigenvalues
     if progress is not None:
         progress(len(length))
     position = np.column_stack([2.5 + 0 * length, 0.4 * curvature, length - 1.5])
@@ -23,7 +23,13 @@ def fake_grasps(length, curvature, ratio, *, closure, device, progress):
     force = np.column_stack([0 * length, -curvature, 0.75 + 0 * length])
     good = np.ones(len(length), dtype=bool)
     return SimpleNamespace(
-        position=position, rotation=rotation, force=force, converged=good, stable=good, shape=None
+        position=position,
+        rotation=rotation,
+        force=force,
+        converged=good,
+        stable=good,
+        shape=None,
+        eigenvalue=1.0 / length,
     )
 
 
@@ -176,6 +182,17 @@ def test_unstable_grasps_warn(grasps):
 
     grasps(solve)
     with pytest.warns(StabilityWarning, match=r"1 of 101 .*0\.015"):
+        wrod.plan(wrod.pattern("line"), ROD, "numeric")
+
+
+def test_grasps_close_to_instability_warn(grasps):
+    def solve(*args, **options):
+        result = fake_grasps(*args, **options)
+        result.eigenvalue[5] *= 0.1
+        return result
+
+    grasps(solve)
+    with pytest.warns(StabilityWarning, match=r"1 of 101 .*close.*0\.025.*14%"):
         wrod.plan(wrod.pattern("line"), ROD, "numeric")
 
 

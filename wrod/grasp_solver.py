@@ -20,6 +20,7 @@ from wrod.kernels.bending import bending_rate
 from wrod.kernels.loads import dead_loads
 from wrod.kernels.stretching import stretching_rate
 from wrod.rotation import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector
+from wrod.stability import smallest_eigenvalue
 from wrod.statics import BandedSystem
 
 # Largest change of an edge in one step, as a fraction of its length.
@@ -41,6 +42,7 @@ class GraspSolution:
         shape: (n, node, 3) nodes from contact to grip; None unless asked for.
         lowest, turning: (n,) lowest node and total turning of the rod [rad].
         converged, stable: (n,) bool.
+        eigenvalue: (n,) smallest eigenvalue of the constrained Hessian; None unless asked for.
         iterations: (n,) int.
         residual: (n,) largest unbalanced force.
         thrust: (n,) F_x.
@@ -60,6 +62,7 @@ class GraspSolution:
     residual: np.ndarray
     thrust: np.ndarray
     shape: np.ndarray | None = None
+    eigenvalue: np.ndarray | None = None
     position_sensitivity: np.ndarray | None = None
     rotation_sensitivity: np.ndarray | None = None
     force_sensitivity: np.ndarray | None = None
@@ -249,7 +252,9 @@ class GraspSolver:
         nodes = np.ascontiguousarray(self.batch.positions()[:, 1::2])
         return wp.array(nodes, dtype=wp.vec3d, device=self.device)
 
-    def solution(self, *, sensitivities: bool = False, shapes: bool = True) -> GraspSolution:
+    def solution(
+        self, *, sensitivities: bool = False, eigenvalues: bool = False, shapes: bool = True
+    ) -> GraspSolution:
         """Read the grasps out; only what is asked for leaves the device."""
         batch, n = self.batch, self.batch.rod_count
         force = -self.reaction.numpy()[:, 3:]
@@ -277,6 +282,13 @@ class GraspSolver:
             thrust=self.thrust.numpy().copy(),
             shape=batch.positions()[:, 1:] if shapes else None,
         )
+        if eigenvalues:
+            # The factorisation that showed each grasp to be in balance is still here.
+            result.eigenvalue = smallest_eigenvalue(
+                batch,
+                factor=self.system.factor,
+                negative_pivots=self.system.negative_pivots.numpy(),
+            )
         if sensitivities:
             rates = np.zeros((3, n, 3, 3))
             batch.evaluate(order=2)

@@ -31,8 +31,9 @@ class GraspInputs:
 class GraspPoses:
     """What a grasp source returns, in the contact frame and dimensionless.
 
-    position, rotation (vector) and force are (T, 3); converged and stable are (T,) or None where
-    the source does not say; shape is (T, nodes, 3) or None.
+    position, rotation (vector) and force are (T, 3); converged, stable and eigenvalue (of the
+    softest motion, see `Grasps`) are (T,) or None where the source does not say; shape is
+    (T, nodes, 3) or None.
     """
 
     position: np.ndarray
@@ -41,6 +42,7 @@ class GraspPoses:
     converged: np.ndarray | None = None
     stable: np.ndarray | None = None
     shape: np.ndarray | None = None
+    eigenvalue: np.ndarray | None = None
 
 
 def _intuitive(inputs: GraspInputs) -> GraspPoses:
@@ -64,6 +66,7 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
         inputs.stretch_ratio,
         closure=inputs.closure,
         device=inputs.device,
+        eigenvalues=True,
         progress=None if watch is None else lambda done: watch(done, count),
     )
     return GraspPoses(
@@ -73,6 +76,7 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
         grasps.converged,
         grasps.stable,
         grasps.shape,
+        grasps.eigenvalue,
     )
 
 
@@ -112,6 +116,9 @@ def _auto(inputs: GraspInputs) -> GraspPoses:
         # The controller learnt from grasps that converged and are stable.
         given = getattr(predicted, name)
         whole[name][known] = True if given is None else given
+    # Nobody has looked how close the predicted ones are to instability.
+    whole["eigenvalue"] = np.full(len(known), np.inf)
+    whole["eigenvalue"][~known] = solved.eigenvalue
     return GraspPoses(**whole)
 
 

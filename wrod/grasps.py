@@ -46,9 +46,11 @@ class Grasps:
         rotation: (n, 3) rotation vector of the rod's frame at the grip: R x is the tangent there,
             without twist between contact and grip [rad].
         force: (n, 3) force on the suspended rod at the contact [k_b/L_gb^2].
-        converged: (n,) an admissible equilibrium to the tolerance: z >= 0 everywhere, F_z >= 0.
-            Only these are results.
+        converged: (n,) an admissible and stable equilibrium to the tolerance: z >= 0 everywhere,
+            F_z >= 0. Only these are results.
         stable: (n,) the held grasp is stable (no negative eigenvalue of the constrained Hessian).
+        eigenvalue: (n,) how far the held grasp is from instability: the smallest eigenvalue of that
+            Hessian, the stiffness per length of its softest motion [k_b/L_gb^4]; or None.
         iterations: (n,) Newton iterations, all meshes together.
         residual: (n,) largest unbalanced force on the finest mesh [k_b/L_gb^2].
         force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact held.
@@ -66,6 +68,7 @@ class Grasps:
     residual: np.ndarray
     force_jacobian: np.ndarray
     shape: np.ndarray | None = None
+    eigenvalue: np.ndarray | None = None
     position_sensitivity: np.ndarray | None = None
     rotation_sensitivity: np.ndarray | None = None
     force_sensitivity: np.ndarray | None = None
@@ -82,6 +85,7 @@ def solve_grasps(
     closure: str = "zero_tension",
     device: str | None = None,
     sensitivities: bool = False,
+    eigenvalues: bool = False,
     shapes: bool = True,
     edge_count: int = EDGE_COUNT,
     extrapolate: bool = True,
@@ -101,6 +105,7 @@ def solve_grasps(
             leaves is used.
         device: "cpu", "cuda:0", "auto" or None (the first CUDA device if there is one).
         sensitivities: return the derivatives by the inputs as well ("zero_tension" only).
+        eigenvalues: return the smallest eigenvalue of each grasp as well.
         shapes: return the rods' shapes as well.
         edge_count: edges of the finest mesh, even.
         extrapolate: combine both meshes; without it the results are those of the finest mesh.
@@ -116,7 +121,7 @@ def solve_grasps(
         raise GraspError(f"sensitivities need closure 'zero_tension', not {closure!r}")
     if edge_count < 16 or edge_count % 2:
         raise GraspError(f"edge_count is {edge_count}; use an even number from 16")
-    ls, kappa, ks = _check_inputs(suspended_length, curvature, stretch_ratio)
+    ls, kappa, ks = check_inputs(suspended_length, curvature, stretch_ratio)
     device = resolve_device(device)
     size = _CPU_CHUNK if device == "cpu" else _CUDA_CHUNK
     workers = 1 if device != "cpu" else (threads or os.cpu_count() or 1)
@@ -133,6 +138,7 @@ def solve_grasps(
             edge_count,
             extrapolate,
             sensitivities,
+            eigenvalues,
             shapes,
         )
         if progress is not None:
@@ -147,7 +153,8 @@ def solve_grasps(
     return _grasps(parts, kappa, sensitivities)
 
 
-def _check_inputs(*inputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def check_inputs(*inputs) -> tuple[np.ndarray, ...]:
+    """(l_s, kappa, k_s) and anything after them as arrays of one shape (n,), or GraspError."""
     arrays = [np.asarray(value, dtype=np.float64) for value in inputs]
     try:
         arrays = [np.atleast_1d(a) for a in np.broadcast_arrays(*arrays)]
@@ -156,7 +163,7 @@ def _check_inputs(*inputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         raise GraspError(f"grasp inputs have shapes {shapes}, which do not broadcast") from None
     if arrays[0].ndim != 1:
         raise GraspError(f"grasp inputs have shape {arrays[0].shape}; give one-dimensional arrays")
-    for (name, (low, high)), value in zip(LIMITS.items(), arrays, strict=True):
+    for (name, (low, high)), value in zip(LIMITS.items(), arrays, strict=False):
         bad = np.flatnonzero(~((value >= low) & (value <= high)))
         if bad.size:
             raise GraspError(
@@ -167,7 +174,7 @@ def _check_inputs(*inputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _solve_chunk(
-    ls, kappa, ks, closure, device, edge_count, extrapolate, sensitivities, shapes
+    ls, kappa, ks, closure, device, edge_count, extrapolate, sensitivities, eigenvalues, shapes
 ) -> GraspSolution:
     """Coarse from a cold start, fine from coarse, then both combined."""
 
@@ -182,7 +189,12 @@ def _solve_chunk(
             guess=guess,
             thrust=thrust,
         ).run()
-        return solver, solver.solution(sensitivities=sensitivities, shapes=shapes)
+        return solver, solver.solution(
+            sensitivities=sensitivities,
+            # Those of the coarse mesh are of no use: nothing is extrapolated from them.
+            eigenvalues=eigenvalues and edges == edge_count,
+            shapes=shapes,
+        )
 
     everything = slice(None)
     solver, coarse = level(everything, edge_count // 2)
@@ -204,7 +216,7 @@ def _solve_chunk(
             if value is not None:
                 setattr(fine, name, (4.0 * value - getattr(coarse, name)) / 3.0)
     admissible = (fine.lowest > -1e-6) & (fine.force[:, 2] > 0)
-    fine.converged &= admissible & (fine.turning < _GENTLE)
+    fine.converged &= admissible & fine.stable & (fine.turning < _GENTLE)
     return fine
 
 
@@ -224,7 +236,7 @@ _GENTLE = 2.0 * np.pi
 def _put(target: GraspSolution, where: np.ndarray, source: GraspSolution) -> None:
     for field in fields(GraspSolution):
         value = getattr(target, field.name)
-        if value is not None:
+        if value is not None and getattr(source, field.name) is not None:
             value[where] = getattr(source, field.name)
 
 
@@ -245,6 +257,8 @@ def _grasps(parts: list[GraspSolution], kappa: np.ndarray, sensitivities: bool) 
         shape[right] *= _MIRROR
     jacobian[right] *= np.outer(_MIRROR, _MIRROR)
     extra = {}
+    if parts[0].eigenvalue is not None:
+        extra["eigenvalue"] = join("eigenvalue")
     if sensitivities:
         for name, mirror in (
             ("position_sensitivity", _MIRROR),

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
 from wrod.friction import friction_bound
+from wrod.grasp_mesh import WEIGHT
 from wrod.grasp_sources import SOURCES, GraspInputs, GraspPoses
 from wrod.material import RodMaterial
 from wrod.patterns import Pattern
@@ -27,6 +28,11 @@ _REMAINDER_FRICTION = 0.25
 # ... but turns by no more than this [rad], which binds for stiff rods.
 _REMAINDER_TURN = 0.8
 _MAX_NODES = 20_000
+# Stiffness of a rod's softest motion over weight per length by suspended length. A chain that hangs
+# without bending stiffness has (j_0 / 2)^2; optimal grasps have more, and one with a third of it
+# would swing out three times as far as a chain.
+CHAIN_MARGIN = 1.446
+SMALL_STABILITY_MARGIN = CHAIN_MARGIN / 3.0
 
 
 def plan(
@@ -65,7 +71,7 @@ def plan(
         GraspError: unknown method, or a grasp that did not converge; names node and inputs.
 
     Warns:
-        StabilityWarning: some grasps are elastically unstable.
+        StabilityWarning: some grasps are elastically unstable, or close to it.
         OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
     if method not in SOURCES:
@@ -90,7 +96,7 @@ def plan(
         warnings.simplefilter("always")
         poses = SOURCES[method](inputs)
         _refuse_unconverged(poses, inputs, s)
-        _warn_unstable(poses, s)
+        _warn_unstable(poses, inputs, s)
     for reservation in reservations:
         warnings.warn(reservation.message, reservation.category, stacklevel=2)
 
@@ -209,13 +215,27 @@ def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -
     )
 
 
-def _warn_unstable(poses: GraspPoses, s: np.ndarray) -> None:
-    if poses.stable is None or np.all(poses.stable):
+def _warn_unstable(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -> None:
+    if poses.stable is not None and not np.all(poses.stable):
+        where = s[~np.asarray(poses.stable, dtype=bool)]
+        warnings.warn(
+            f"{len(where)} of {len(s)} grasps are elastically unstable (s from {where.min():.3f} "
+            f"to {where.max():.3f} m); the rod may snap there",
+            StabilityWarning,
+            stacklevel=3,
+        )
         return
-    where = s[~np.asarray(poses.stable, dtype=bool)]
-    warnings.warn(
-        f"{len(where)} of {len(s)} grasps are elastically unstable (s from {where.min():.3f} to "
-        f"{where.max():.3f} m); the rod may snap there",
-        StabilityWarning,
-        stacklevel=3,
-    )
+    if poses.eigenvalue is None:
+        return
+    margin = poses.eigenvalue * inputs.suspended_length / WEIGHT
+    close = margin < SMALL_STABILITY_MARGIN
+    if np.any(close):
+        where, worst = s[close], int(np.argmin(margin))
+        warnings.warn(
+            f"{len(where)} of {len(s)} grasps come close to elastic instability (s from "
+            f"{where.min():.3f} to {where.max():.3f} m; at {s[worst]:.3f} m the softest motion has "
+            f"{margin[worst] / CHAIN_MARGIN:.0%} of a hanging chain's stiffness); "
+            "hold the grip steady there or make the pattern gentler",
+            StabilityWarning,
+            stacklevel=3,
+        )

@@ -9,7 +9,7 @@ import click
 
 from wrod.errors import WrodError, WrodWarning
 
-COMMANDS = ("plan", "loop", "render", "dataset", "train", "bench")
+COMMANDS = ("plan", "loop", "manifold", "dataset", "train", "render", "bench")
 
 
 class LazyGroup(click.Group):
