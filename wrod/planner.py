@@ -41,7 +41,7 @@ def plan(
     method: str = "neural",
     *,
     closure: str = "zero_tension",
-    spacing: float = 0.005,
+    spacing: float = 0.0025,
     remainder: bool | float | None = None,
     device: str | None = None,
     progress: Callable[[int, int], None] | None = None,

@@ -25,7 +25,7 @@ import click
     show_default=True,
     help="zero_tension, min_force or min_friction.",
 )
-@click.option("--spacing", default=0.005, show_default=True, help="Distance between nodes [m].")
+@click.option("--spacing", default=0.0025, show_default=True, help="Distance between nodes [m].")
 @click.option("--units", help="Units of a pattern file: m, cm, mm, um or in.")
 @click.option("--friction", type=float, help="Static friction coefficient to check against.")
 @click.option(
