@@ -17,7 +17,9 @@ import numpy as np
 from wrod.perception.skeleton import Skeleton
 
 # Energies are made dimensionless with the strand's radius r: E = r * integral of curvature^2.
-HIDDEN_END = 0.8  # price of a strand end at a junction: a bridge that turns by some 50 degrees
+HIDDEN_END = 1.5  # price of a strand end at a junction: a bridge that turns by some 70 degrees
+SHARED_WIDTH = 1.3  # clearance of a visibly shared stretch, in units of one strand's
+SHARED_PRICE = 0.15  # price of a shared stretch that looks like one strand, per strand radius
 MISFIT = 0.06  # price of an area r^2 of the mask that the bridges leave bare or overshoot
 CLOSE = 4.0  # pairings within this factor of the best (and HIDDEN_END) call on the mask
 CLEAN = 1.18  # a strand alone has at most this clearance, in units of its own
@@ -209,51 +211,66 @@ def _adopt_free_ends(network: Network) -> None:
 
 # ------------------------------------------------------------------ stretches shared by two strands
 def _share_stretches(network: Network) -> None:
-    """Join two junctions of three ports along the arm between them where two strands share it.
+    """Merge junctions with an odd number of ports along the arms between them.
 
-    Strands that meet at a small angle merge into one arm. Alone, each junction would have to end
-    a strand; together they pair their four outer ports.
+    Strands that meet at a small angle merge into one arm. Alone, each of its junctions would have
+    to end a strand; together they pair all their outer ports. Mergers are made while they lower
+    the energy of the whole picture, the best first.
     """
-    skeleton = network.skeleton
-    home = {(p.chain, p.side): j for j in network.junctions for p in j.ports}
-    lengths = {n: last - first for n, (first, last) in network.arms.items()}
-    for number in sorted(lengths, key=lengths.get):
-        start, end = home.get((number, 0)), home.get((number, 1))
-        if start is None or end is None or start is end:
-            continue
-        if len(start.ports) != 3 or len(end.ports) != 3:
-            continue
-        chain = skeleton.chains[number].pixels
-        first, last = network.arms[number]
-        spine = skeleton.points[chain[first:last]]
-        joined = Junction(
-            [p for j in (start, end) for p in j.ports if p.chain != number],
-            np.concatenate([start.pixels, chain[first:last], end.pixels]),
-            spine,
-        )
-        if len({(p.chain, p.side) for p in joined.ports}) != 4:
-            continue
-        outer = [p for p in start.ports if p.chain != number], [
-            p for p in end.ports if p.chain != number
-        ]
-        apart = sum(best_pairing(j, network.radius)[0] for j in (start, end))
-        width = np.median(skeleton.clearance[chain[first:last]])
-        alone = np.mean(
-            [
-                np.median(skeleton.clearance[skeleton.chains[p.chain].pixels])
-                for side in outer
-                for p in side
-            ]
-        )
-        # A shared stretch wider than one strand is seen to be shared; else it must not be long.
-        limit = 60.0 if width > 1.3 * alone else 12.0
-        if lengths[number] > limit * network.radius:
-            continue
-        if best_pairing(joined, network.radius)[0] < apart:
-            network.junctions = [j for j in network.junctions if j is not start and j is not end]
-            network.junctions.append(joined)
+    while True:
+        odd = [j for j in network.junctions if len(j.ports) % 2]
+        if len(odd) < 2:
+            return
+        trials = [_merged(network, route) for route in _routes_between(network, odd)]
+        trials = [(gain, *rest) for gain, *rest in trials if gain > 0]
+        if not trials:
+            return
+        _, joined, parts, shared = max(trials, key=lambda trial: trial[0])
+        network.junctions = [j for j in network.junctions if all(j is not p for p in parts)]
+        network.junctions.append(joined)
+        for number in shared:
             del network.arms[number]
-            home.update({(p.chain, p.side): joined for p in joined.ports})
+
+
+def _routes_between(network: Network, odd: list[Junction]) -> list[tuple[list, list]]:
+    """(junctions, arms between them) from one odd junction to another, over at most one even."""
+    home = {(p.chain, p.side): j for j in network.junctions for p in j.ports}
+    routes = []
+    for start in odd:
+        for port in start.ports:
+            middle = home.get((port.chain, 1 - port.side))
+            if middle is None or middle is start:
+                continue
+            if len(middle.ports) % 2:
+                if id(start) < id(middle):
+                    routes.append(([start, middle], [port.chain]))
+                continue
+            for onward in middle.ports:
+                end = home.get((onward.chain, 1 - onward.side))
+                if end is None or end is start or end is middle or len(end.ports) % 2 == 0:
+                    continue
+                if onward.chain != port.chain and id(start) < id(end):
+                    routes.append(([start, middle, end], [port.chain, onward.chain]))
+    return routes
+
+
+def _merged(network: Network, route: tuple[list, list]) -> tuple[float, Junction, list, list]:
+    """Energy gained by merging the junctions of a route, and the merged junction."""
+    parts, shared = route
+    skeleton = network.skeleton
+    stretches = [
+        skeleton.chains[n].pixels[slice(*network.arms[n])] for n in shared
+    ]
+    ports = [p for j in parts for p in j.ports if p.chain not in shared]
+    pixels = np.concatenate([*(j.pixels for j in parts), *stretches])
+    length = sum(map(len, stretches)) / network.radius
+    spine = skeleton.points[stretches[0]] if len(shared) == 1 and length > 4.0 else None
+    joined = Junction(ports, pixels, spine)
+    alone = np.median([np.median(skeleton.clearance[skeleton.chains[p.chain].pixels]) for p in ports])
+    narrow = sum(np.count_nonzero(skeleton.clearance[s] < SHARED_WIDTH * alone) for s in stretches)
+    price = SHARED_PRICE * narrow / network.radius
+    gain = sum(best_pairing(j, network.radius)[0] for j in parts)
+    return gain - best_pairing(joined, network.radius)[0] - price, joined, parts, shared
 
 
 # ------------------------------------------------------------------ bending energy of bridges
