@@ -14,6 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from wrod.perception.refine import arc_length, smooth
 from wrod.perception.skeleton import Skeleton
 
 # Energies are made dimensionless with the strand's radius r: E = r * integral of curvature^2.
@@ -277,45 +278,35 @@ def _merged(network: Network, route: tuple[list, list]) -> tuple[float, Junction
 class _Unrolled:
     """Coordinates along and across the spine of a junction, in which the spine is straight."""
 
-    def __init__(self, spine: np.ndarray):
-        k = min(len(spine), 8)
-        start, end = spine[k - 1] - spine[0], spine[-1] - spine[-k]
-        self.ends = np.array([spine[0], spine[-1]])
-        self.tangents = np.array([start / np.hypot(*start), end / np.hypot(*end)])
-        steps = np.hypot(*np.diff(spine, axis=0).T)
-        self.arc, self.spine = np.r_[0.0, np.cumsum(steps)], spine
-        smooth = np.gradient(spine, axis=0)
-        width = min(9, len(spine) // 2 * 2 - 1)
-        if width >= 3:
-            pad = np.pad(smooth, ((width // 2, width // 2), (0, 0)), mode="edge")
-            kernel = np.ones(width) / width
-            smooth = np.column_stack([np.convolve(pad[:, i], kernel, "valid") for i in (0, 1)])
-        self.frame = smooth / np.hypot(*smooth.T)[:, None]
+    def __init__(self, spine: np.ndarray, radius: float):
+        self.spine = smooth(spine, np.ones(len(spine)), 6.0 * max(radius, 1.5))
+        self.arc = arc_length(self.spine)
+        tangent = np.gradient(self.spine, axis=0)
+        self.tangents = tangent / np.hypot(*tangent.T)[:, None]
 
     def flatten(self, position: np.ndarray, direction: np.ndarray):
-        side = int(
-            np.hypot(*(position - self.ends[1])) < np.hypot(*(position - self.ends[0]))
-        )
-        t = self.tangents[side]
+        ends, tangents = self.spine[[0, -1]], self.tangents[[0, -1]]
+        side = int(np.argmin(((position - ends) ** 2).sum(1)))
+        t = tangents[side]
         rotation = np.array([t, [-t[1], t[0]]])
-        offset = rotation @ (position - self.ends[side])
+        offset = rotation @ (position - ends[side])
         return offset + [side * self.arc[-1], 0.0], rotation @ direction
 
     def restore(self, points: np.ndarray) -> np.ndarray:
         along, across = points.T
         inside = np.clip(along, 0.0, self.arc[-1])
         base = np.column_stack([np.interp(inside, self.arc, self.spine[:, i]) for i in (0, 1)])
-        t = np.column_stack([np.interp(inside, self.arc, self.frame[:, i]) for i in (0, 1)])
+        t = np.column_stack([np.interp(inside, self.arc, self.tangents[:, i]) for i in (0, 1)])
         t /= np.hypot(*t.T)[:, None]
         normal = np.column_stack([-t[:, 1], t[:, 0]])
         return base + (along - inside)[:, None] * t + across[:, None] * normal
 
 
-def _flat_ports(junction: Junction) -> tuple[np.ndarray, np.ndarray]:
+def _flat_ports(junction: Junction, radius: float) -> tuple[np.ndarray, np.ndarray]:
     positions = np.array([p.position for p in junction.ports])
     directions = np.array([p.direction for p in junction.ports])
     if junction.spine is not None:
-        unrolled = _Unrolled(junction.spine)
+        unrolled = _Unrolled(junction.spine, radius)
         flat = [unrolled.flatten(*pair) for pair in zip(positions, directions, strict=True)]
         positions, directions = (np.array(a) for a in zip(*flat, strict=True))
     return positions, directions
@@ -355,7 +346,7 @@ def _pairings(k: int) -> tuple[tuple[tuple[int, int], ...], ...]:
 
 def ranked_pairings(junction: Junction, radius: float) -> list[tuple[float, tuple]]:
     """Pairings of the junction's ports with their energies, least first."""
-    positions, directions = _flat_ports(junction)
+    positions, directions = _flat_ports(junction, radius)
     k = len(positions)
     energy = bending_energy(positions, directions, radius)
     if k == 2:
@@ -391,7 +382,7 @@ def _matching(energy: np.ndarray) -> tuple[float, tuple]:
 
 def bridge(junction: Junction, a: int, b: int, radius: float) -> np.ndarray:
     """Points (n, 2) of the least-energy bridge from port a to port b, without the ports."""
-    positions, directions = _flat_ports(junction)
+    positions, directions = _flat_ports(junction, radius)
     p, q, u, v = positions[a], positions[b], directions[a], -directions[b]
     chord = np.hypot(*(q - p))
     n = max(int(chord), 2)
@@ -403,7 +394,7 @@ def bridge(junction: Junction, a: int, b: int, radius: float) -> np.ndarray:
         + (t**3 - t**2) * chord * v
     )
     if junction.spine is not None:
-        points = _Unrolled(junction.spine).restore(points)
+        points = _Unrolled(junction.spine, radius).restore(points)
     return points
 
 
