@@ -21,8 +21,10 @@ from wrod.perception.skeleton import Skeleton
 HIDDEN_END = 1.5  # price of a strand end at a junction: a bridge that turns by some 70 degrees
 SHARED_WIDTH = 1.3  # clearance of a visibly shared stretch, in units of one strand's
 SHARED_PRICE = 0.15  # price of a shared stretch that looks like one strand, per strand radius
-MISFIT = 0.06  # price of an area r^2 of the mask that the bridges leave bare or overshoot
+MISFIT = 0.03  # price of leaving bare or overshooting the whole shared patch of the mask
 CLOSE = 4.0  # pairings within this factor of the best (and HIDDEN_END) call on the mask
+MARGIN, MARGIN_FROM = 0.75, 4.0
+WINDOW = 6.0
 CLEAN = 1.18  # a strand alone has at most this clearance, in units of its own
 ADOPTION = 7.0  # how far a junction looks for a free end that it lacks, in strand radii
 LARGEST_ENUMERATION = 8  # ports; beyond it the pairing is a minimum-weight matching
@@ -145,9 +147,11 @@ def _is_burr(skeleton: Skeleton, chain, radius: float) -> bool:
     if chain.closed or (chain.nodes[0] < 0) == (chain.nodes[1] < 0):
         return False
     node = max(chain.nodes)
-    tip = chain.pixels[-1] if chain.nodes[1] < 0 else chain.pixels[0]
-    reach = np.hypot(*(skeleton.points[tip] - skeleton.points[node]))
-    return bool(reach < skeleton.clearance[node] + 0.5 * radius + 1.5)
+    away = np.hypot(*(skeleton.points[chain.pixels] - skeleton.points[node]).T)
+    if away.max(initial=0.0) < skeleton.clearance[node] + 0.5 * radius + 1.5:
+        return True
+    outside = skeleton.clearance[chain.pixels][away > skeleton.clearance[node]]
+    return bool(len(chain.pixels) < 4.0 * radius and outside.max(initial=0.0) < 0.7 * radius)
 
 
 def _clean(skeleton: Skeleton, chain, radius: float) -> tuple[int, int]:
@@ -169,6 +173,10 @@ def _clean(skeleton: Skeleton, chain, radius: float) -> tuple[int, int]:
         alone = (offset**2).sum(1) > (skeleton.clearance[node] + 1.0) ** 2
         alone &= ~wide[away]
         limits.append(int(alone.argmax()) if alone.any() else n)
+    # Next to where strands part, the skeleton still leans towards the other one.
+    spare = n - sum(limits) - int(MARGIN_FROM * radius)
+    margin = int(np.clip(spare / 2, 0, MARGIN * radius))
+    limits = [a + margin * (node >= 0) for a, node in zip(limits, chain.nodes, strict=True)]
     return limits[0], n - limits[1]
 
 
@@ -185,7 +193,7 @@ def _port(network: Network, number: int, side: int) -> Port:
     pixels = skeleton.chains[number].pixels[first:last]
     if side:
         pixels = pixels[::-1]
-    window = min(len(pixels), max(int(4.5 * network.radius), 8))
+    window = min(len(pixels), max(int(WINDOW * network.radius), 12))
     position, inward = _end_fit(window) @ skeleton.points[pixels[:window]]
     return Port(number, side, position, -inward / np.hypot(*inward))
 
@@ -460,13 +468,14 @@ def _misfits(network: Network, junction: Junction, close: list, mask: np.ndarray
         drawn[pair] = np.zeros(patch.shape, np.uint8)
         _draw(drawn[pair], points - low, thickness)
     misfits = []
+    extent = max(np.count_nonzero(zone), 1)
     for _, pairs in close:
         covered = arms > 0
         beside = 0
         for pair in pairs:
             covered |= drawn[pair] > 0
             beside += np.count_nonzero((drawn[pair] > 0) & ~patch)
-        misfits.append((np.count_nonzero(zone & ~covered) + beside) / radius**2)
+        misfits.append((np.count_nonzero(zone & ~covered) + beside) / extent)
     return misfits
 
 
