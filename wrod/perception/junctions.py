@@ -23,8 +23,9 @@ SHARED_WIDTH = 1.3  # clearance of a visibly shared stretch, in units of one str
 SHARED_PRICE = 0.15  # price of a shared stretch that looks like one strand, per strand radius
 MISFIT = 0.03  # price of leaving bare or overshooting the whole shared patch of the mask
 CLOSE = 4.0  # pairings within this factor of the best (and HIDDEN_END) call on the mask
+LAYER = 2.0
 MARGIN, MARGIN_FROM = 0.75, 4.0
-WINDOW = 6.0
+WINDOW = 8.0
 CLEAN = 1.18  # a strand alone has at most this clearance, in units of its own
 ADOPTION = 7.0  # how far a junction looks for a free end that it lacks, in strand radii
 LARGEST_ENUMERATION = 8  # ports; beyond it the pairing is a minimum-weight matching
@@ -37,12 +38,14 @@ class Port:
     Attributes:
         chain: index of the chain; side: 0 at its first, 1 at its last clean pixel.
         position: (2,) [px]; direction: (2,) unit tangent that points into the junction.
+        curvature: signed, as seen when travelling into the junction [1/px].
     """
 
     chain: int
     side: int
     position: np.ndarray
     direction: np.ndarray
+    curvature: float
 
 
 @dataclass
@@ -182,10 +185,10 @@ def _clean(skeleton: Skeleton, chain, radius: float) -> tuple[int, int]:
 
 @lru_cache(maxsize=256)
 def _end_fit(n: int) -> np.ndarray:
-    """Weights (2, n) of value and slope at the first of n points, by least squares."""
+    """Weights (3, n) of a parabola's coefficients from the first of n points, least squares."""
     u = np.arange(n, dtype=float)
     order = 3 if n >= 8 else 2
-    return np.linalg.pinv(np.vander(u, order, increasing=True))[:2]
+    return np.pad(np.linalg.pinv(np.vander(u, order, increasing=True)), ((0, 3 - order), (0, 0)))
 
 
 def _port(network: Network, number: int, side: int) -> Port:
@@ -194,8 +197,11 @@ def _port(network: Network, number: int, side: int) -> Port:
     if side:
         pixels = pixels[::-1]
     window = min(len(pixels), max(int(WINDOW * network.radius), 12))
-    position, inward = _end_fit(window) @ skeleton.points[pixels[:window]]
-    return Port(number, side, position, -inward / np.hypot(*inward))
+    position, outward, bend = _end_fit(window) @ skeleton.points[pixels[:window]]
+    speed = np.hypot(*outward)
+    # Travelling the other way turns the sign of the curvature.
+    curvature = 2.0 * (outward[1] * bend[0] - outward[0] * bend[1]) / speed**3
+    return Port(number, side, position, -outward / speed, float(curvature))
 
 
 def _adopt_free_ends(network: Network) -> None:
@@ -291,6 +297,9 @@ class _Unrolled:
         self.arc = arc_length(self.spine)
         tangent = np.gradient(self.spine, axis=0)
         self.tangents = tangent / np.hypot(*tangent.T)[:, None]
+        (ax, ay), (bx, by) = self.tangents[[0, -1]]
+        # Mean curvature along the spine [1/px].
+        self.curvature = np.arctan2(ax * by - ay * bx, ax * bx + ay * by) / self.arc[-1]
 
     def flatten(self, position: np.ndarray, direction: np.ndarray):
         ends, tangents = self.spine[[0, -1]], self.tangents[[0, -1]]
@@ -310,21 +319,26 @@ class _Unrolled:
         return base + (along - inside)[:, None] * t + across[:, None] * normal
 
 
-def _flat_ports(junction: Junction, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def _flat_ports(junction: Junction, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     positions = np.array([p.position for p in junction.ports])
     directions = np.array([p.direction for p in junction.ports])
+    curvatures = np.array([p.curvature for p in junction.ports])
     if junction.spine is not None:
         unrolled = _Unrolled(junction.spine, radius)
         flat = [unrolled.flatten(*pair) for pair in zip(positions, directions, strict=True)]
         positions, directions = (np.array(a) for a in zip(*flat, strict=True))
-    return positions, directions
+        curvatures = curvatures - np.where(directions[:, 0] > 0, 1.0, -1.0) * unrolled.curvature
+    return positions, directions, curvatures
 
 
-def bending_energy(positions: np.ndarray, directions: np.ndarray, radius: float) -> np.ndarray:
+def bending_energy(
+    positions: np.ndarray, directions: np.ndarray, curvatures: np.ndarray, radius: float
+) -> np.ndarray:
     """Least bending energy (k, k) of a bridge from each port to each other, times the radius.
 
     A clamped cubic over the chord d that starts at angle a and ends at angle b to it stores
-    the integral of curvature^2 = 4 (a^2 + a b + b^2) / d.
+    the integral of curvature^2 = 4 (a^2 + a b + b^2) / d. Where its curvature does not continue
+    that of the arms, a layer of length l is bent by the jump: l jump^2 at either end.
     """
     chord = positions[None] - positions[:, None]
     length = np.maximum(np.hypot(chord[..., 0], chord[..., 1]), radius)
@@ -332,7 +346,11 @@ def bending_energy(positions: np.ndarray, directions: np.ndarray, radius: float)
     out = np.arctan2(directions[:, 1], directions[:, 0])
     turn = (out[:, None] - heading + np.pi) % (2 * np.pi) - np.pi
     arrive = (out[None] + np.pi - heading + np.pi) % (2 * np.pi) - np.pi
-    return 4.0 * radius * (turn**2 + turn * arrive + arrive**2) / length
+    jump_out = curvatures[:, None] + (4.0 * turn + 2.0 * arrive) / length
+    jump_in = curvatures[None] + (2.0 * turn + 4.0 * arrive) / length
+    layer = np.minimum(LAYER * radius, length / 4)
+    bent = 4.0 * (turn**2 + turn * arrive + arrive**2) / length
+    return radius * (bent + layer * (jump_out**2 + jump_in**2))
 
 
 @lru_cache(maxsize=32)
@@ -354,9 +372,9 @@ def _pairings(k: int) -> tuple[tuple[tuple[int, int], ...], ...]:
 
 def ranked_pairings(junction: Junction, radius: float) -> list[tuple[float, tuple]]:
     """Pairings of the junction's ports with their energies, least first."""
-    positions, directions = _flat_ports(junction, radius)
+    positions, directions, curvatures = _flat_ports(junction, radius)
     k = len(positions)
-    energy = bending_energy(positions, directions, radius)
+    energy = bending_energy(positions, directions, curvatures, radius)
     if k == 2:
         # Two arms and nothing else: one strand with a burr, whatever its bend.
         return [(float(energy[0, 1]), ((0, 1),))]
@@ -390,7 +408,7 @@ def _matching(energy: np.ndarray) -> tuple[float, tuple]:
 
 def bridge(junction: Junction, a: int, b: int, radius: float) -> np.ndarray:
     """Points (n, 2) of the least-energy bridge from port a to port b, without the ports."""
-    positions, directions = _flat_ports(junction, radius)
+    positions, directions, _ = _flat_ports(junction, radius)
     p, q, u, v = positions[a], positions[b], directions[a], -directions[b]
     chord = np.hypot(*(q - p))
     n = max(int(chord), 2)

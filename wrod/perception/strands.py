@@ -71,7 +71,9 @@ def _gaps(network: Network) -> list[Junction]:
     # A free arm is cut back from its tip; both cuts belong to the distance.
     positions = np.array([p.position for p in free])
     directions = np.array([p.direction for p in free])
-    energy = bending_energy(positions, directions, network.radius)
+    energy = bending_energy(
+        positions, directions, np.array([p.curvature for p in free]), network.radius
+    )
     distance = np.hypot(*(positions[None] - positions[:, None]).transpose(2, 0, 1))
     facing = ((positions[None] - positions[:, None]) * directions[:, None]).sum(-1) > 0
     allowed = facing & facing.T & (distance < (GAP + 5.0) * network.radius)
