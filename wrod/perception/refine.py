@@ -6,6 +6,7 @@ import numpy as np
 
 SMOOTHING = 6.0  # wavelength that the smoothing halves, in strand radii: no rod bends that often
 REACH = 2.2  # how far across the strand edges are looked for, in strand radii
+EDGE = 127.5  # foreground value at which a strand ends
 ONE_SIDED = 0.3  # weight of a point of which one edge only is visible, the other being covered
 
 
@@ -90,20 +91,23 @@ def edge_distances(
     """Distance (2, n) from each point to where the strand ends on either side [px].
 
     Args:
-        foreground: (H, W) float32, 1 on strands and 0 beside them; the edge is at one half.
+        foreground: (H, W) uint8; strands end where it passes 127.5.
         reach: [px] how far to look; infinity where the foreground goes on beyond it.
     """
     steps = np.arange(0.0, np.ceil(reach) + 1.0)
     both = np.concatenate([normal, -normal])
     rays = np.concatenate([points, points])[:, None] + steps[None, :, None] * both[:, None]
     # cv2.remap takes at most 32767 rows.
-    value = np.vstack([sample(foreground, rays[i : i + 30000]) for i in range(0, len(rays), 30000)])
-    below = value < 0.5
+    pieces = [sample(foreground, rays[i : i + 30000]) for i in range(0, len(rays), 30000)]
+    value = np.vstack(pieces)
+    below = value < EDGE
     found = below.any(1)
     index = below.argmax(1)
     row = np.arange(len(value))
-    inner, outer = value[row, np.maximum(index - 1, 0)], value[row, index]
-    distance = index - 1 + (inner - 0.5) / np.maximum(inner - outer, 1e-6)
+    inner, outer = (
+        value[row, i].astype(float) for i in (np.maximum(index - 1, 0), index)
+    )
+    distance = index - 1 + (inner - EDGE) / np.maximum(inner - outer, 1e-6)
     distance[index == 0] = 0.0
     distance[~found] = np.inf
     return distance.reshape(2, -1)

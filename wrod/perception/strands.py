@@ -16,7 +16,7 @@ from wrod.perception.junctions import (
 
 GAP = 6.0  # longest break of a strand that is bridged, in strand radii
 GAP_ENERGY = 0.15  # largest bending energy of such a bridge (some 20 degrees at either side)
-LOOP = 0.01  # most that is paid to dissolve a loop beside strands with ends
+LOOP = 0.005  # most that is paid to dissolve a loop beside strands with ends
 
 
 @dataclass

@@ -8,11 +8,14 @@ import numpy as np
 
 from wrod.errors import PerceptionError
 from wrod.perception import refine
+from wrod.perception.image import as_image, is_mask
 from wrod.perception.junctions import build_network, resolve
+from wrod.perception.segment import segment
 from wrod.perception.skeleton import skeletonize
 from wrod.perception.strands import Strand, link_strands
 
 SHORTEST = 6.0  # shortest strand that is reported, in strand radii; less is dirt
+HALVED = 4.0  # strand radius from which the skeleton is taken from every other pixel [px]
 THICKEST = 1 / 12  # largest strand radius, as a share of the picture's shorter side
 
 
@@ -44,13 +47,39 @@ class Centerline:
         return np.array(self.points, dtype=dtype)
 
 
+def trace_centerlines(
+    image: np.ndarray,
+    *,
+    mask: np.ndarray | None = None,
+    kind: str = "auto",
+    color: tuple[int, int, int] | None = None,
+) -> list[Centerline]:
+    """Ordered centreline and width of every rod or stroke in a picture, longest first.
+
+    Args:
+        image: (H, W, 3) RGB or (H, W) grey picture; an array of two values is taken as a mask,
+            bright on the strands.
+        mask: (H, W) non-zero on the strands; replaces the segmentation, edges included.
+        kind: "rod" for rods on a plain table, "ink" for strokes on paper, or "auto".
+        color: RGB of the rods, where other things lie on the table too.
+
+    Raises:
+        PerceptionError: blank, nothing thin in it, or not a picture.
+    """
+    if mask is not None:
+        return trace_mask(mask)
+    image = as_image(image)
+    if is_mask(image):
+        return trace_mask(image > int(image.max()) // 2)
+    return trace_mask(*segment(image, kind, color))
+
+
 def trace_mask(mask: np.ndarray, foreground: np.ndarray | None = None) -> list[Centerline]:
     """Centrelines of all strands of a mask, longest first.
 
     Args:
         mask: (H, W) bool or uint8, non-zero on the strands.
-        foreground: (H, W) float32 in [0, 1], the share of each pixel that a strand covers; edges
-            are measured in it where it is half. None measures them in the mask.
+        foreground: (H, W) uint8; strands end where it passes 127.5. None measures the mask.
 
     Raises:
         PerceptionError: nothing, or nothing thin, is in the mask.
@@ -58,23 +87,31 @@ def trace_mask(mask: np.ndarray, foreground: np.ndarray | None = None) -> list[C
     import cv2
 
     mask = _checked(mask)
-    clean = _close_seams(_fill_pinholes(mask))
-    skeleton = skeletonize(clean)
-    network = build_network(skeleton)
+    clean, radius = _tidy(mask)
+    # Half the pixels carry the topology of thick strands as well, in a fifth of the time.
+    scale = 2 if radius > HALVED else 1
+    small = clean
+    if scale == 2:
+        small = cv2.resize(clean * np.uint8(2), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        small = (small > 0).view(np.uint8)
+    network = build_network(skeletonize(small))
     if not network.arms:
         raise PerceptionError(
             "the picture holds no rod or stroke (only specks or blobs); check mask and exposure"
         )
-    if network.radius > THICKEST * min(mask.shape):
+    radius = scale * network.radius
+    if radius > THICKEST * min(mask.shape):
         raise PerceptionError(
-            f"the foreground is {2 * network.radius:.0f} px thick, too much for a rod or stroke in "
+            f"the foreground is {2 * radius:.0f} px thick, too much for a rod or stroke in "
             f"a picture of {mask.shape[1]} x {mask.shape[0]} px; is the mask inverted?"
         )
-    strands = link_strands(network, resolve(network, clean))
+    strands = link_strands(network, resolve(network, small))
+    for strand in strands:
+        strand.points = scale * strand.points + (scale - 1) / 2
     if foreground is None:
-        foreground = cv2.blur(clean.astype(np.float32), (3, 3))
-    lines = _refine(strands, foreground, network.radius)
-    lines = [line for line in lines if line.length > SHORTEST * network.radius]
+        foreground = cv2.blur(clean * np.uint8(255), (3, 3))
+    lines = _refine(strands, foreground, radius, scale)
+    lines = [line for line in lines if line.length > SHORTEST * radius]
     if not lines:
         raise PerceptionError(
             "the picture holds no rod or stroke (only specks); check mask and exposure"
@@ -100,40 +137,43 @@ def _checked(mask: np.ndarray) -> np.ndarray:
     return mask
 
 
-def _fill_pinholes(mask: np.ndarray, area: float = 4.0) -> np.ndarray:
-    """Close holes of a few pixels: noise, which would turn the skeleton into rings."""
+def _tidy(mask: np.ndarray) -> tuple[np.ndarray, float]:
+    """Mask without pinholes, specks and slits of one pixel, and a first guess of the radius.
+
+    Pinholes would turn the skeleton into rings; labels and sharpening leave slits between
+    crossing strands.
+    """
     import cv2
 
-    contours, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    out = mask.copy()
+    x, y, width, height = cv2.boundingRect(mask)
+    out = np.zeros_like(mask)
+    inner = mask[y : y + height, x : x + width]
+    inner = cv2.morphologyEx(inner, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    contours, tree = cv2.findContours(inner, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    perimeter = 0
     for contour, (_, _, _, parent) in zip(contours, tree[0], strict=True):
-        # The contour of a hole runs over the pixels around it.
-        if parent >= 0 and len(contour) <= 12 and cv2.contourArea(contour) <= 2 * area + 4:
-            cv2.drawContours(out, [contour], 0, 1, -1)
-        elif parent < 0 and len(contour) <= 8:
-            cv2.drawContours(out, [contour], 0, 0, -1)
-    return out
+        perimeter += len(contour)
+        if len(contour) <= 12:
+            # The contour of a hole runs over the pixels around it.
+            cv2.drawContours(inner, [contour], 0, int(parent >= 0), -1)
+    out[y : y + height, x : x + width] = inner
+    return out, 0.9 * cv2.countNonZero(inner) / max(perimeter, 1)
 
 
-def _close_seams(mask: np.ndarray) -> np.ndarray:
-    """Close slits of one pixel, which labels and sharpening leave between crossing strands."""
-    import cv2
+def _refine(
+    strands: list[Strand], foreground: np.ndarray, radius: float, spacing: float
+) -> list[Centerline]:
+    """Measure all strands' edges in one pass, smooth, and set the ends.
 
-    x, y, w, h = cv2.boundingRect(mask)
-    inner = mask[y : y + h, x : x + w]
-    inner[:] = cv2.morphologyEx(inner, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    return mask
-
-
-def _refine(strands: list[Strand], foreground: np.ndarray, radius: float) -> list[Centerline]:
-    """Measure all strands' edges in one pass, smooth, and set the ends."""
+    `spacing` is the distance of the strands' raw points [px].
+    """
     step = float(np.clip(radius / 4, 1.0, 2.0))
     courses = []
     for strand in strands:
         if len(strand.points) < 4:
             continue
         weight = np.where(strand.alone, 1.0, 0.05)
-        points = refine.smooth(strand.points, weight, 4.0 * max(radius, 1.5), strand.closed)
+        points = refine.smooth(strand.points, weight, 4.0 * max(radius, 1.5) / spacing, strand.closed)
         alone = strand.alone.astype(float)
         if strand.closed:
             points, alone = np.vstack([points, points[:1]]), np.r_[alone, alone[:1]]
@@ -175,7 +215,8 @@ def _refine(strands: list[Strand], foreground: np.ndarray, radius: float) -> lis
 
 def _end_tangent(points: np.ndarray, radius: float) -> np.ndarray:
     """Unit tangent out of the last of the points."""
-    n = min(len(points), max(int(3 * radius), 4))
+    step = np.hypot(*(points[-1] - points[-2])) or 1.0
+    n = min(len(points), max(int(3 * radius / step), 4))
     out = points[-1] - points[-n]
     return out / max(np.hypot(*out), 1e-12)
 
@@ -188,7 +229,7 @@ def _extend(points, alone, foreground, radius):
         beyond = points[-1] + np.arange(1, int(5 * radius) + 2)[:, None] * tangent
         height, width = foreground.shape
         inside = ((beyond >= 0) & (beyond <= [width - 1, height - 1])).all(1)
-        inside &= refine.sample(foreground, beyond[None])[0] > 0.5
+        inside &= refine.sample(foreground, beyond[None])[0] > refine.EDGE
         n = len(beyond) if inside.all() else int(inside.argmin())
         points = np.vstack([points, beyond[:n]])
         alone = np.r_[alone, np.ones(n)]
@@ -204,7 +245,7 @@ def _cut_ends(points, width, foreground, radius):
         beyond = points[-1] + np.arange(0, int(3 * radius) + 4)[:, None] * tangent
         inside = ((beyond >= 0) & (beyond <= [width_px - 1, height_px - 1])).all(1)
         value = refine.sample(foreground, beyond[None])[0]
-        end = int(np.argmin(inside & (value > 0.5)))
+        end = int(np.argmin(inside & (value > refine.EDGE)))
         if not inside.all() and end == int(np.argmin(inside)):
             points = np.vstack([points, beyond[1:end]])
             width = np.r_[width, np.repeat(width[-1], max(end - 1, 0))]
