@@ -26,6 +26,7 @@ CLOSE = 4.0  # pairings within this factor of the best (and HIDDEN_END) call on 
 LAYER = 2.0
 MARGIN, MARGIN_FROM = 0.75, 4.0
 WINDOW = 8.0
+SLACK = 0.5
 CLEAN = 1.18  # a strand alone has at most this clearance, in units of its own
 ADOPTION = 7.0  # how far a junction looks for a free end that it lacks, in strand radii
 LARGEST_ENUMERATION = 8  # ports; beyond it the pairing is a minimum-weight matching
@@ -164,7 +165,7 @@ def _clean(skeleton: Skeleton, chain, radius: float) -> tuple[int, int]:
     if n == 0:
         return 0, 0
     own = np.partition(clearance, n // 4)[n // 4]
-    wide = clearance > CLEAN * own + 0.5
+    wide = clearance > CLEAN * own + SLACK
     limits = []
     for side, node in enumerate(chain.nodes):
         away = slice(None) if side == 0 else slice(None, None, -1)
