@@ -9,7 +9,9 @@ import numpy as np
 from wrod.perception import refine
 from wrod.perception.trace import Centerline
 
-SAME_COLOR = 30.0  # strands whose colours differ by less are told apart by their edges [grey levels]
+SAME_COLOR = (
+    30.0  # strands whose colours differ by less are told apart by their edges [grey levels]
+)
 CERTAIN = 0.25  # least lead of one strand's evidence over the other's, as a share of both
 
 

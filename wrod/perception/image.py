@@ -36,7 +36,9 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     except FileNotFoundError:
         raise PerceptionError(f"{path}: no such picture") from None
     except UnidentifiedImageError:
-        raise PerceptionError(f"{path}: not a picture that can be read; give a JPEG or PNG") from None
+        raise PerceptionError(
+            f"{path}: not a picture that can be read; give a JPEG or PNG"
+        ) from None
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise PerceptionError(
             f"{path}: the picture is damaged or truncated ({error}); copy it again"

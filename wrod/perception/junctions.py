@@ -24,6 +24,7 @@ SHARED_PRICE = 0.15  # price of a shared stretch that looks like one strand, per
 MISFIT = 0.03  # price of leaving bare or overshooting the whole shared patch of the mask
 CLOSE = 4.0  # pairings within this factor of the best (and HIDDEN_END) call on the mask
 LAYER = 2.0
+DOUBT = 0.2
 MARGIN, MARGIN_FROM = 0.75, 4.0
 WINDOW = 8.0
 SLACK = 0.5
@@ -274,15 +275,15 @@ def _merged(network: Network, route: tuple[list, list]) -> tuple[float, Junction
     """Energy gained by merging the junctions of a route, and the merged junction."""
     parts, shared = route
     skeleton = network.skeleton
-    stretches = [
-        skeleton.chains[n].pixels[slice(*network.arms[n])] for n in shared
-    ]
+    stretches = [skeleton.chains[n].pixels[slice(*network.arms[n])] for n in shared]
     ports = [p for j in parts for p in j.ports if p.chain not in shared]
     pixels = np.concatenate([*(j.pixels for j in parts), *stretches])
     length = sum(map(len, stretches)) / network.radius
     spine = skeleton.points[stretches[0]] if len(shared) == 1 and length > 4.0 else None
     joined = Junction(ports, pixels, spine)
-    alone = np.median([np.median(skeleton.clearance[skeleton.chains[p.chain].pixels]) for p in ports])
+    alone = np.median(
+        [np.median(skeleton.clearance[skeleton.chains[p.chain].pixels]) for p in ports]
+    )
     narrow = sum(np.count_nonzero(skeleton.clearance[s] < SHARED_WIDTH * alone) for s in stretches)
     price = SHARED_PRICE * narrow / network.radius
     gain = sum(best_pairing(j, network.radius)[0] for j in parts)
@@ -447,6 +448,16 @@ def resolve(network: Network, mask: np.ndarray) -> list[list[tuple[float, tuple]
             ranked = sorted(charged, key=lambda item: item[0]) + ranked[len(close) :]
         choices.append(ranked)
     return choices
+
+
+def is_doubtful(network: Network, choices: list[list[tuple[float, tuple]]]) -> bool:
+    """Whether some junction is not a plain crossing, or its next best pairing is hardly worse."""
+    for junction, ranked in zip(network.junctions, choices, strict=True):
+        if len(junction.ports) not in (2, 4) or junction.spine is not None:
+            return True
+        if len(ranked) > 1 and ranked[1][0] - ranked[0][0] < DOUBT:
+            return True
+    return not network.arms
 
 
 def _misfits(network: Network, junction: Junction, close: list, mask: np.ndarray) -> list[float]:

@@ -164,7 +164,9 @@ class MarkerLayout:
                 f'{path}: a marker layout holds "marker_corners_m": four corners [x, y] in metres '
                 "for each of the ids 0 to 3"
             ) from None
-        if sorted(corners) != [0, 1, 2, 3] or not all(np.isfinite(c).all() for c in corners.values()):
+        if sorted(corners) != [0, 1, 2, 3] or not all(
+            np.isfinite(c).all() for c in corners.values()
+        ):
             raise PerceptionError(f"{path}: the layout must place the markers 0, 1, 2 and 3")
         dictionary = data.get("dictionary", "DICT_4X4_50")
         if dictionary != "DICT_4X4_50":
@@ -228,7 +230,7 @@ def find_sheet(image: np.ndarray) -> np.ndarray:
     import cv2
 
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    level, bright = cv2.threshold(
+    _, bright = cv2.threshold(
         cv2.GaussianBlur(grey, (5, 5), 0), 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU
     )
     bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
@@ -261,7 +263,10 @@ def _fit_edges(outline: np.ndarray, corners: np.ndarray) -> np.ndarray:
         vx, vy, x, y = cv2.fitLine(side.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01).ravel()
         lines.append(np.array([vy, -vx, vy * x - vx * y]))
     return np.array(
-        [np.linalg.solve([p[:2], q[:2]], [p[2], q[2]]) for p, q in zip([lines[-1], *lines], lines)]
+        [
+            np.linalg.solve([p[:2], q[:2]], [p[2], q[2]])
+            for p, q in zip(lines[-1:] + lines[:-1], lines, strict=True)
+        ]
     )
 
 

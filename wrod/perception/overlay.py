@@ -11,7 +11,14 @@ from wrod.files import write_atomically
 from wrod.perception.crossings import Crossing
 from wrod.perception.trace import Centerline
 
-COLORS = ((230, 75, 53), (0, 114, 178), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233))
+COLORS = (
+    (230, 75, 53),
+    (0, 114, 178),
+    (0, 158, 115),
+    (204, 121, 167),
+    (230, 159, 0),
+    (86, 180, 233),
+)
 
 
 def draw_overlay(
@@ -64,7 +71,9 @@ def draw_overlay(
             t = step / max(np.hypot(*step), 1e-9)
             n = np.array([-t[1], t[0]])
             size = 5.0
-            head = line.points[m] + size * np.array([1.2 * t, -0.8 * t + 0.8 * n, -0.8 * t - 0.8 * n])
+            head = line.points[m] + size * np.array(
+                [1.2 * t, -0.8 * t + 0.8 * n, -0.8 * t - 0.8 * n]
+            )
             cv2.fillConvexPoly(canvas, place(head), color, cv2.LINE_AA, shift=4)
         if not line.closed:
             for end, inner in ((0, paper), (-1, color)):

@@ -104,9 +104,7 @@ def edge_distances(
     found = below.any(1)
     index = below.argmax(1)
     row = np.arange(len(value))
-    inner, outer = (
-        value[row, i].astype(float) for i in (np.maximum(index - 1, 0), index)
-    )
+    inner, outer = (value[row, i].astype(float) for i in (np.maximum(index - 1, 0), index))
     distance = index - 1 + (inner - EDGE) / np.maximum(inner - outer, 1e-6)
     distance[index == 0] = 0.0
     distance[~found] = np.inf

@@ -82,7 +82,7 @@ def read_scan(
         dots = _take_dots(found)
         lines = trace_mask(found, foreground)
     except PerceptionError as error:
-        if isinstance(image, np.ndarray) or str(error).startswith(str(image)):
+        if isinstance(image, np.ndarray):
             raise
         raise PerceptionError(f"{image}: {error}") from None
     return Scan(name, picture, found, lines, plane, dots)
@@ -132,9 +132,7 @@ def scan(
         image, markers=markers, sheet=sheet, scale=scale, camera=camera, mask=mask, kind=kind,
         color=color,
     )  # fmt: skip
-    return Pattern.from_points(
-        oriented(result, start), smoothing=smoothing, name=result.name
-    )
+    return Pattern.from_points(oriented(result, start), smoothing=smoothing, name=result.name)
 
 
 def oriented(result: Scan, start: str | tuple[float, float] = "lower-left") -> np.ndarray:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.perception.junctions import (
-    HIDDEN_END,
     Junction,
     Network,
     bending_energy,
