@@ -35,7 +35,9 @@ def draw_overlay(
     zoom = max(1, round(1200 / max(height, width)))
     rgb = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
     bright = np.median(rgb[::8, ::8]) > 100
-    faded = cv2.addWeighted(rgb, 0.55, np.full_like(rgb, 255 if bright else 40), 0.45, 0)
+    # Without its own colours, so that the lines' stand out.
+    grey = cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    faded = cv2.addWeighted(grey, 0.55, np.full_like(rgb, 255 if bright else 40), 0.45, 0)
     canvas = cv2.resize(faded, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_CUBIC)
     paper = (255, 255, 255) if bright else (15, 15, 15)
 
@@ -70,11 +72,13 @@ def draw_overlay(
             step = line.points[min(m + 1, len(line.points) - 1)] - line.points[max(m - 1, 0)]
             t = step / max(np.hypot(*step), 1e-9)
             n = np.array([-t[1], t[0]])
-            size = 5.0
+            size = 3.0 + 1.2 * line.radius
             head = line.points[m] + size * np.array(
                 [1.2 * t, -0.8 * t + 0.8 * n, -0.8 * t - 0.8 * n]
             )
             cv2.fillConvexPoly(canvas, place(head), color, cv2.LINE_AA, shift=4)
+            outline = place(head)[:, None]
+            cv2.polylines(canvas, [outline], True, paper, zoom, cv2.LINE_AA, shift=4)
         if not line.closed:
             for end, inner in ((0, paper), (-1, color)):
                 centre = place(line.points[end]).tolist()

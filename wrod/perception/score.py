@@ -89,6 +89,7 @@ def _offsets(line: Centerline, rod: np.ndarray, others: np.ndarray) -> np.ndarra
     at = at.clip(0, np.array(rod.shape[::-1]) - 1)
     clear = inside & rod[at[:, 1], at[:, 0]]
     clear &= distance_transform_edt(~others)[at[:, 1], at[:, 0]] > 3 * line.radius
+    left, right = np.minimum(left, 1e6), np.minimum(right, 1e6)
     width = left + right
     clear &= (width > 1.2 * line.radius) & (width < 3 * line.radius + 1)
     return np.abs(left - right)[clear] / 2
