@@ -11,9 +11,11 @@ import numpy as np
 from wrod.errors import PerceptionError
 from wrod.perception.image import as_image, is_mask, read_image
 from wrod.perception.metric import Camera, MarkerLayout, Plane
+from wrod.perception.refine import arc_length, resample
 from wrod.perception.segment import segment
 from wrod.perception.trace import Centerline, trace_mask
 
+PATTERN_POINTS = 400
 CORNERS = ("lower-left", "lower-right", "upper-left", "upper-right")
 
 
@@ -132,7 +134,13 @@ def scan(
         image, markers=markers, sheet=sheet, scale=scale, camera=camera, mask=mask, kind=kind,
         color=color,
     )  # fmt: skip
-    return Pattern.from_points(oriented(result, start), smoothing=smoothing, name=result.name)
+    points = oriented(result, start)
+    # Errors of the centreline are alike over a strand's width. Points closer than that would look
+    # exact to the pattern's estimate of their noise, which would then fit it.
+    length, line = arc_length(points)[-1], result.lines[0]
+    spacing = max(2.0 * line.radius * length / line.length, length / PATTERN_POINTS)
+    (points,) = resample(points, spacing)
+    return Pattern.from_points(points, smoothing=smoothing, name=result.name)
 
 
 def oriented(result: Scan, start: str | tuple[float, float] = "lower-left") -> np.ndarray:

@@ -211,9 +211,9 @@ def _refine(
         courses, np.split(distances, splits, axis=1), strict=True
     ):
         offset, weight, width = refine.centre_offsets(pair, alone)
-        own = float(np.nanmedian(width))
-        if not np.isfinite(own):
-            continue
+        if not np.isfinite(width).all():
+            continue  # its edges are nowhere to be seen
+        own = float(np.median(width))
         target = points + offset[:, None] * normal
         wavelength = refine.SMOOTHING * max(own, 1.5) / step
         # Where nothing was measured the raw course still tells shared stretches from straight.
