@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 import wrod
 from wrod.errors import PerceptionError
 from wrod.perception import refine
+from wrod.perception.bridges import bending_energy
 from wrod.perception.crossings import find_crossings
-from wrod.perception.junctions import bending_energy
 
 SIZE = (480, 640)
 

@@ -6,12 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.perception.junctions import (
-    Junction,
-    Network,
-    bending_energy,
-    bridge,
-)
+from wrod.perception.bridges import bending_energy, bridge
+from wrod.perception.network import Junction, Network
 
 GAP = 6.0  # longest break of a strand that is bridged, in strand radii
 GAP_ENERGY = 0.15  # largest bending energy of such a bridge (some 20 degrees at either side)

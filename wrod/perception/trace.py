@@ -9,7 +9,8 @@ import numpy as np
 from wrod.errors import PerceptionError
 from wrod.perception import refine
 from wrod.perception.image import as_image, is_mask
-from wrod.perception.junctions import Network, build_network, is_doubtful, resolve
+from wrod.perception.junctions import is_doubtful, resolve, share_stretches
+from wrod.perception.network import Network, build_network
 from wrod.perception.segment import segment
 from wrod.perception.skeleton import skeletonize
 from wrod.perception.strands import Strand, link_strands
@@ -128,6 +129,7 @@ def _resolved(mask: np.ndarray, scale: int) -> tuple[Network, list]:
         )
         mask = (mask > 0).view(np.uint8)
     network = build_network(skeletonize(mask))
+    share_stretches(network)
     return network, resolve(network, mask)
 
 
