@@ -110,6 +110,14 @@ def test_measure_deployment_reads_markers_and_draws(camera, layout, tmp_path):
     assert read_image(tmp_path / "error.png").shape[2] == 3
 
 
+def test_rod_on_a_dark_table_between_markers(camera, layout):
+    table = MarkerLayout(layout.corners)  # markers laid on the table, no sheet
+    rod = np.column_stack([wave(), np.zeros(len(wave()))])
+    picture = camera.render(rod, 0.0016, layout=table, table=(60, 60, 60), color=(220, 120, 140))
+    measured = wrod.measure_deployment(picture, wrod.Pattern.from_points(wave(200)), markers=table)
+    assert measured.error_mean < 3e-4
+
+
 def test_metric_follows_the_paper():
     # Eq. metric: N = 50 points by arc length, mean and deviation of their distances.
     line = np.column_stack([np.linspace(0, 1, 11), np.zeros(11)])

@@ -78,8 +78,8 @@ def read_scan(
         if camera is not None and not isinstance(camera, Camera):
             camera = Camera.load(camera)
         plane, region = _plane(picture, markers, sheet, scale, camera)
-        if region is not None and kind == "auto" and color is None:
-            kind = "ink"
+        if region is not None and not region.any():
+            raise PerceptionError("the sheet lies outside the picture; is it the right layout?")
         found, foreground = _foreground(picture, mask, kind, color, region)
         dots = _take_dots(found)
         lines = trace_mask(found, foreground)

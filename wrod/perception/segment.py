@@ -21,7 +21,7 @@ def segment(
     Args:
         image: (H, W) or (H, W, 3) uint8 RGB.
         kind: "rod" for rods on a plain table, "ink" for strokes on paper under uneven light,
-            "auto" takes ink on a bright ground.
+            "auto" takes ink on a bright ground, or where the region's exceptions are dark.
         color: RGB of the rods; None takes whatever differs from the table.
         region: (H, W) uint8, zero where nothing is to be looked for.
 
@@ -35,8 +35,16 @@ def segment(
     if kind not in ("auto", "rod", "ink"):
         raise PerceptionError(f"kind {kind!r} is unknown; choose auto, rod or ink")
     if kind == "auto":
-        kind = "ink" if color is None and np.median(image[::8, ::8]) > BRIGHT else "rod"
+        kind = "ink" if color is None and _is_paper(image, region) else "rod"
     return segment_ink(image, region) if kind == "ink" else segment_rods(image, color, region)
+
+
+def _is_paper(image: np.ndarray, region: np.ndarray | None) -> bool:
+    if region is None:
+        return bool(np.median(image[::8, ::8]) > BRIGHT)
+    grey = image if image.ndim == 2 else image[..., 1]
+    dark, ground, bright = np.percentile(grey[region > 0], [0.3, 50, 99.7])
+    return bool(ground - dark > bright - ground)
 
 
 def segment_rods(
@@ -47,7 +55,8 @@ def segment_rods(
     """Rods on a plain table, as in `segment`."""
     import cv2
 
-    ground = np.atleast_1d(np.median(image[::4, ::4].reshape(-1, *image.shape[2:]), axis=0))
+    plain = image[::4, ::4].reshape(-1, *image.shape[2:]) if region is None else image[region > 0]
+    ground = np.atleast_1d(np.median(plain, axis=0))
     difference = _largest(cv2.absdiff(image, (*ground.tolist(), 0.0, 0.0, 0.0)[:4]))
     if color is not None:
         if image.ndim == 2:
