@@ -200,6 +200,13 @@ def test_thick_blob_is_refused():
         wrod.trace_centerlines(blob)
 
 
+def test_things_that_are_no_strands_are_not_traced():
+    mask = draw([spline((60, 60), (200, 80), (420, 60), (580, 100))], 4.0)
+    mask[150:260, 200:400] = True
+    with pytest.raises(PerceptionError, match="shape of rods"):
+        wrod.trace_centerlines(mask)
+
+
 def test_grey_float_and_16_bit_pictures_agree():
     truth = spline((60, 400), (200, 100), (420, 90), (580, 380))
     grey = np.where(draw([truth], 5.0), 190, 15).astype(np.uint8)

@@ -15,6 +15,7 @@ from wrod.perception.segment import segment
 from wrod.perception.skeleton import skeletonize
 from wrod.perception.strands import Strand, link_strands
 
+EXPLAINED = 0.9  # least share of the foreground that the strands must cover
 SHORTEST = 6.0  # shortest strand that is reported, in strand radii; less is dirt
 HALVED = 4.0  # strand radius from which the skeleton is taken from every other pixel [px]
 THICKEST = 1 / 12  # largest strand radius, as a share of the picture's shorter side
@@ -116,6 +117,14 @@ def trace_mask(mask: np.ndarray, foreground: np.ndarray | None = None) -> list[C
     if not lines:
         raise PerceptionError(
             "the picture holds no rod or stroke (only specks); check mask and exposure"
+        )
+    drawn = sum(line.radius * (2.0 * line.length + np.pi * line.radius) for line in lines)
+    share = drawn / cv2.countNonZero(clean)
+    if share < EXPLAINED:
+        raise PerceptionError(
+            f"only {100 * share:.0f} % of what stands out of the background has the shape of rods "
+            "or strokes; crop the picture to the plain sheet or table, or give markers, the rod's "
+            "colour or a mask"
         )
     return sorted(lines, key=lambda line: -line.length)
 
