@@ -113,7 +113,7 @@ class TopCamera:
         canvas[:] = table
         if layout is not None:
             self._draw_sheet(canvas, layout)
-        pieces = []
+        strokes = []
         for line in centerlines:
             line = np.asarray(line, float)
             if line.ndim != 2 or line.shape[1] not in (2, 3) or not np.isfinite(line).all():
@@ -122,27 +122,27 @@ class TopCamera:
                 )
             if line.shape[1] == 2:
                 line = np.column_stack([line, np.full(len(line), radius)])
-            pixels = self.project(line)
             depth = (line - self.position) @ self._rotation[2]
-            half = self.focal_length * radius / depth
-            pieces += [
-                (z, a, b, r, k == 0 or k == len(line) - 2)
-                for k, (z, a, b, r) in enumerate(
-                    zip(line[:-1, 2] + line[1:, 2], pixels[:-1], pixels[1:], half[:-1], strict=True)
-                )
-            ]
-        # Painter's order; shading makes the upper rod's outline visible on the lower one.
-        shades = ((1.0, 0.55), (0.8, 0.8), (0.5, 1.0))
-        for level in sorted({round(p[0] / radius) for p in pieces}):
-            layer = [p for p in pieces if round(p[0] / radius) == level]
-            for share, light in shades:
+            pixels = np.round(((self.project(line) + 0.5) * fine - 0.5) * 16).astype(int).tolist()
+            half = fine * self.focal_length * radius / depth
+            level = np.round((line[:-1, 2] + line[1:, 2]) / (2 * radius)).astype(int)
+            length = np.hypot(*np.diff(line[:, :2], axis=0).T).mean()
+            strokes.append((pixels, half, level, int(np.ceil(3 * radius / max(length, 1e-9)))))
+        # Painter's order; shaded sides make the upper rod's outline visible on the lower one.
+        for height_level in sorted({int(v) for stroke in strokes for v in stroke[2]}):
+            for share, light in ((1.0, 0.55), (0.8, 0.8), (0.5, 1.0)):
                 shade = tuple(int(light * c) for c in color)
-                for _, a, b, r, _ in layer:
-                    ends = [
-                        np.round(((p + 0.5) * fine - 0.5) * 16).astype(int).tolist() for p in (a, b)
-                    ]
-                    thickness = max(round(2 * share * r * fine), 1)
-                    cv2.line(canvas, *ends, shade, thickness, cv2.LINE_8, shift=4)
+                for pixels, half, level, near in strokes:
+                    drawn = level == height_level
+                    if share < 1.0:
+                        # The dark end of a piece would mark where it meets the one below.
+                        drawn = np.convolve(drawn, np.ones(2 * near + 1), "full") > 0
+                        drawn = drawn[near : near + len(level)] & (level <= height_level)
+                    for k in np.flatnonzero(drawn):
+                        thickness = max(round(2 * share * half[k]), 1)
+                        cv2.line(
+                            canvas, pixels[k], pixels[k + 1], shade, thickness, cv2.LINE_8, shift=4
+                        )
         picture = cv2.resize(canvas, self.size, interpolation=cv2.INTER_AREA)
         picture = cv2.GaussianBlur(picture, (0, 0), 0.6)
         if noise > 0:
