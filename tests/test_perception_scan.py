@@ -307,6 +307,20 @@ def test_command_scans_the_good_pictures_and_names_the_bad(tmp_path):
     assert sorted(p.name for p in (tmp_path / "o").iterdir()) == ["good-overlay.png", "good.npz"]
 
 
+def test_plan_takes_a_picture(tmp_path, camera, layout):
+    x = np.linspace(0.05, 0.24, 400)
+    bow = np.column_stack([x, 0.08 + 3.0 * (x - 0.145) ** 2])
+    Image.fromarray(drawing(camera, layout, bow)).save(tmp_path / "bow.png")
+    rod = ["--rod", "green-vps", "--spacing", "0.05", "--out", str(tmp_path / "plan")]
+    markers = ["--markers", str(tmp_path / "layout.json"), "--start", "lower-right"]
+    result = CliRunner().invoke(main, ["plan", str(tmp_path / "bow.png"), *markers, *rod])
+    assert result.exit_code == 0, result.output
+    trajectory = wrod.Trajectory.load(tmp_path / "plan" / "trajectory.npz")
+    assert np.hypot(*(trajectory.contact[-1, :2] - bow[0])) < 1.5e-3
+    result = CliRunner().invoke(main, ["plan", "letter-U", *markers, *rod])
+    assert result.exit_code == 2 and "picture" in result.output
+
+
 def test_published_drawings_within_a_tenth_of_a_millimetre(shared):
     folder = shared / "images" / "drawn"
     for file in sorted((folder / "images").glob("*.jpg")):
