@@ -9,7 +9,7 @@ import click
 
 from wrod.errors import WrodError, WrodWarning
 
-COMMANDS = ("plan", "loop", "manifold", "dataset", "train", "render", "bench")
+COMMANDS = ("plan", "loop", "scan", "manifold", "dataset", "train", "render", "bench")
 
 
 class LazyGroup(click.Group):

@@ -27,6 +27,18 @@ import click
 )
 @click.option("--spacing", default=0.0025, show_default=True, help="Distance between nodes [m].")
 @click.option("--units", help="Units of a pattern file: m, cm, mm, um or in.")
+@click.option(
+    "--markers",
+    type=click.Path(path_type=Path),
+    help="A picture's scale: layout of its ArUco markers (JSON).",
+)
+@click.option("--sheet", help="Or the size of the bright sheet drawn on: WIDTHxHEIGHT [m].")
+@click.option("--scale", type=float, help="Or its metres per pixel, seen from above [m/px].")
+@click.option("--camera", type=click.Path(path_type=Path), help="Camera matrix and distortion.")
+@click.option(
+    "--start",
+    help="Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left).",
+)
 @click.option("--friction", type=float, help="Static friction coefficient to check against.")
 @click.option(
     "--remainder/--no-remainder",
@@ -55,6 +67,11 @@ def command(
     closure: str,
     spacing: float,
     units: str | None,
+    markers: Path | None,
+    sheet: str | None,
+    scale: float | None,
+    camera: Path | None,
+    start: str | None,
     friction: float | None,
     remainder: bool | None,
     robot: str,
@@ -66,7 +83,8 @@ def command(
 ) -> None:
     """Plan how the grip moves to lay a rod along PATTERN.
 
-    PATTERN is a file of points (text, CSV, NPY or NPZ) or a built-in pattern: line, circle, sine,
+    PATTERN is a file of points (text, CSV, NPY or NPZ), a picture of a drawn curve (with
+    --markers, --sheet or --scale), or a built-in pattern: line, circle, sine,
     letter-U, letter-C, letter-L, letter-A, letter-S.
     """
     from tqdm import tqdm
@@ -77,7 +95,10 @@ def command(
     from wrod.planner import plan, prepare
 
     rod = _rod(rod_name, radius, lgb, length)
-    curve = prepare(_pattern(pattern, units), rod, remainder)
+    reading = {
+        "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
+    }  # fmt: skip
+    curve = prepare(_pattern(pattern, units, reading), rod, remainder)
     bound = friction_bound(curve, rod, friction)
     with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=as_json) as bar:
 
@@ -168,11 +189,20 @@ def _rod(name: str | None, radius: float | None, lgb: float | None, length: floa
     return RodMaterial(radius, lgb, length)
 
 
-def _pattern(name: str, units: str | None):
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+
+
+def _pattern(name: str, units: str | None, reading: dict):
     from wrod.errors import PatternError
     from wrod.patterns import Pattern, pattern, pattern_names
 
     path = Path(name)
+    given = {option: value for option, value in reading.items() if value is not None}
+    if path.suffix.lower() in _PICTURES:
+        return _scanned(path, units, given)
+    if given:
+        options = ", ".join(f"--{option}" for option in given)
+        raise PatternError(f"{options} belong to a picture, and {name} is none; drop them")
     if name in pattern_names() and not path.is_file():
         if units is not None:
             raise PatternError(f"{name} is built in and has its size in metres; drop --units")
@@ -180,6 +210,20 @@ def _pattern(name: str, units: str | None):
     if not path.suffix and not path.exists():
         return pattern(name)
     return Pattern.load(path, units=units)
+
+
+def _scanned(path: Path, units: str | None, given: dict):
+    from wrod.commands.scan import parse_numbers, parse_start
+    from wrod.errors import PatternError
+    from wrod.perception.scan import scan
+
+    if units is not None:
+        raise PatternError(f"{path}: a picture's scale is not --units; drop it")
+    if "sheet" in given:
+        given["sheet"] = parse_numbers(given["sheet"], 2, "--sheet", "x")
+    if "start" in given:
+        given["start"] = parse_start(given["start"])
+    return scan(path, **given)
 
 
 def _summary(figures: dict, friction: float | None) -> str:
