@@ -182,7 +182,7 @@ def test_unstable_grasps_warn(grasps):
 
     grasps(solve)
     with pytest.warns(StabilityWarning, match=r"1 of 101 .*0\.015"):
-        wrod.plan(wrod.pattern("line"), ROD, "numeric")
+        wrod.plan(wrod.pattern("line"), ROD, "numeric", spacing=0.005)
 
 
 def test_grasps_close_to_instability_warn(grasps):
@@ -193,7 +193,7 @@ def test_grasps_close_to_instability_warn(grasps):
 
     grasps(solve)
     with pytest.warns(StabilityWarning, match=r"1 of 101 .*close.*0\.025.*14%"):
-        wrod.plan(wrod.pattern("line"), ROD, "numeric")
+        wrod.plan(wrod.pattern("line"), ROD, "numeric", spacing=0.005)
 
 
 def test_progress_counts_every_node_once(grasps):
