@@ -207,3 +207,16 @@ def test_bad_options_are_one_sentence(tmp_path, arguments, says):
     result = CliRunner().invoke(main, ["dataset", "--size", "5", "--out", str(out), *arguments])
     assert result.exit_code == 2 and says in result.stderr
     assert not out.exists()
+
+
+def test_manifest_names_solver_and_command(whole, tmp_path):
+    """The version is the code's own, whether or not the package is installed."""
+    import wrod
+
+    manifest = store.read_manifest(whole)
+    assert manifest.solver == wrod.__version__
+    words = manifest.command(tmp_path / "again").split()
+    assert words[0] == "wrod"
+    result = CliRunner().invoke(main, [*words[1:], "--device", "cpu"])
+    assert result.exit_code == 0, result.output
+    assert contents(tmp_path / "again") == contents(whole)

@@ -7,7 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import wrod
-from wrod.errors import GraspError, PatternError, StabilityWarning
+from wrod.errors import (
+    GraspError,
+    OutOfRangeWarning,
+    PatternError,
+    StabilityWarning,
+    WrodWarning,
+)
 from wrod.trajectory import Trajectory
 
 ROD = wrod.rod("green-vps")
@@ -219,3 +225,34 @@ def test_trajectory_files_carry_units_and_read_back(tmp_path):
     again = Trajectory.load(npz_path)
     np.testing.assert_array_equal(again.rotation, plan.rotation)
     assert again.metadata == plan.metadata and again.shape is None
+
+
+def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
+    from wrod.planner import with_shapes
+
+    circle, rod = wrod.pattern("circle"), wrod.rod("green-vps")
+    plain = wrod.plan(circle, rod, spacing=0.1)
+    assert plain.shape is None and plain.metadata["remainder_length"] > 0.0
+    shown = with_shapes(plain, circle, rod, device="cpu")
+    numeric = wrod.plan(circle, rod, "numeric", spacing=0.1, device="cpu")
+    np.testing.assert_allclose(shown.shape, numeric.shape, atol=1e-9)
+    np.testing.assert_array_equal(shown.position, plain.position)
+    apart = np.linalg.norm(numeric.position - plain.position, axis=1).max()
+    assert shown.metadata["shapes"] == {
+        "method": "numeric",
+        "largest_grip_difference": pytest.approx(apart, abs=1e-12),
+    }
+    assert with_shapes(numeric, circle, rod) is numeric
+    intuitive = wrod.plan(circle, rod, "intuitive", spacing=0.1)
+    assert with_shapes(intuitive, circle, rod) is intuitive
+    assert not recwarn.list
+
+
+def test_shapes_that_cannot_be_solved_are_left_out():
+    from wrod.planner import with_shapes
+
+    soft = wrod.RodMaterial(0.0016, 0.008, 1.2)  # 150 L_gb
+    with pytest.warns(OutOfRangeWarning):
+        plan = wrod.plan(wrod.pattern("line"), soft, spacing=0.2)
+    with pytest.warns(WrodWarning, match="shapes are left out: suspended_length"):
+        assert with_shapes(plan, wrod.pattern("line"), soft, device="cpu").shape is None

@@ -12,6 +12,7 @@ import numpy as np
 from wrod.training import store
 from wrod.training.sampling import sample
 
+from wrod import __version__
 from wrod.errors import DataError
 from wrod.grasps import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
 
@@ -128,7 +129,7 @@ def generate(
         closure=closure,
         edge_count=edge_count,
         sensitivities=sensitivities and closure == "zero_tension",
-        solver=store.solver_version(),
+        solver=__version__,
     )
     store.create(folder, manifest)
     mine = range(rank.index, manifest.shard_count, rank.count)

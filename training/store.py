@@ -11,7 +11,6 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, fields
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -75,18 +74,17 @@ class Manifest:
         content = {**asdict(self), "size": None}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
+    def command(self, folder: Path) -> str:
+        """The `wrod dataset` command that makes this dataset in `folder`, on any device."""
+        words = ["wrod dataset", f"--size {self.size}", f"--seed {self.seed}"]
+        words += [f"--closure {self.closure}", f"--shard-size {self.shard_size}"]
+        words += [] if self.sensitivities else ["--no-sensitivities"]
+        return " ".join([*words, f"--out {folder}"])
+
     def rows(self, shard: int) -> tuple[int, int]:
         """(first, count) sample numbers of a shard."""
         first = shard * self.shard_size
         return first, min(self.shard_size, self.size - first)
-
-
-def solver_version() -> str:
-    """Version of the installed package, which is that of the solver."""
-    try:
-        return version("wrod")
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def create(folder: Path, manifest: Manifest) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -89,9 +89,9 @@ def plan(
     _refuse_tight_bends(pattern, rod, s, curvature)
     lgb = rod.gravito_bending_length
     laid = s - first
-    # The maximum removes the rounding of a pattern that fills the rod.
-    suspended = np.maximum((rod.length - laid) / lgb, MIN_SUSPENDED_LENGTH)
-    inputs = GraspInputs(suspended, curvature * lgb, rod.stretch_ratio, closure, device, progress)
+    inputs = GraspInputs(
+        *_dimensionless(rod, laid, curvature), rod.stretch_ratio, closure, device, progress
+    )
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
         poses = SOURCES[method](inputs)
@@ -100,16 +100,13 @@ def plan(
     for reservation in reservations:
         warnings.warn(reservation.message, reservation.category, stacklevel=2)
 
-    up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
-    frame = np.stack([tangent, np.cross(up, tangent), up], axis=-1)  # R_t of Alg. OPT
+    frame = _contact_frame(tangent)
     force_unit = rod.bending_stiffness / lgb**2
-    shape = None
-    if poses.shape is not None:
-        shape = contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, poses.shape)
+    shape = None if poses.shape is None else _placed(poses.shape, contact, frame, lgb)
     return Trajectory(
         arc_length=laid,
         contact=contact,
-        position=contact + lgb * np.einsum("tij,tj->ti", frame, poses.position),
+        position=_placed(poses.position[:, None], contact, frame, lgb)[:, 0],
         rotation=frame @ Rotation.from_rotvec(poses.rotation).as_matrix(),
         force=force_unit * np.einsum("tij,tj->ti", frame, poses.force),
         metadata={
@@ -129,6 +126,75 @@ def plan(
         },
         shape=shape,
     )
+
+
+def with_shapes(
+    trajectory: Trajectory,
+    pattern: Pattern,
+    rod: RodMaterial,
+    *,
+    device: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """The trajectory with the shapes of the suspended rod, where its method gave none.
+
+    They are those of the optimal grasps of the same inputs, from the rod solver. It thereby checks
+    the controller: `metadata["shapes"]` says how far its grips are from the solver's at most [m].
+    A trajectory that is not of optimal grasps, or has shapes, comes back as it is.
+
+    Args:
+        trajectory: what `plan` returned for `pattern` and `rod`.
+        pattern: as given to `plan`, or as `prepare` returned it.
+        rod: its material and length.
+        device, progress: see `plan`.
+
+    Warns:
+        WrodWarning: the solver gives no shapes; the trajectory comes back without.
+    """
+    closure = trajectory.metadata.get("closure")
+    if trajectory.shape is not None or closure is None:
+        return trajectory
+    s = trajectory.pattern_arc_length
+    if pattern.remainder_length == 0.0 and s[0] < 0.0:
+        pattern = pattern.with_remainder(-float(s[0]))
+    contact, tangent, curvature = pattern.sample(s)
+    lgb = rod.gravito_bending_length
+    inputs = GraspInputs(
+        *_dimensionless(rod, trajectory.arc_length, curvature),
+        rod.stretch_ratio, closure, device, progress,
+    )  # fmt: skip
+    try:
+        poses = SOURCES["numeric"](inputs)
+        _refuse_unconverged(poses, inputs, s)
+    except GraspError as error:
+        warnings.warn(f"the rod's shapes are left out: {error}", WrodWarning, stacklevel=2)
+        return trajectory
+    frame = _contact_frame(tangent)
+    shape = _placed(poses.shape, contact, frame, lgb)
+    grip = _placed(poses.position[:, None], contact, frame, lgb)[:, 0]
+    apart = np.linalg.norm(grip - trajectory.position, axis=1)
+    said = {"method": "numeric", "largest_grip_difference": float(apart.max())}
+    return replace(trajectory, shape=shape, metadata={**trajectory.metadata, "shapes": said})
+
+
+def _dimensionless(
+    rod: RodMaterial, laid: np.ndarray, curvature: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Suspended length [L_gb] and curvature [1/L_gb] at each node."""
+    lgb = rod.gravito_bending_length
+    # The maximum removes the rounding of a pattern that fills the rod.
+    return np.maximum((rod.length - laid) / lgb, MIN_SUSPENDED_LENGTH), curvature * lgb
+
+
+def _contact_frame(tangent: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) R_t of Alg. OPT."""
+    up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
+    return np.stack([tangent, np.cross(up, tangent), up], axis=-1)
+
+
+def _placed(points: np.ndarray, contact: np.ndarray, frame: np.ndarray, lgb: float) -> np.ndarray:
+    """(T, n, 3) points on the table [m] from those in contact frames [L_gb]."""
+    return contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, points)
 
 
 def prepare(pattern: Pattern, rod: RodMaterial, remainder: bool | float | None) -> Pattern:

@@ -60,7 +60,7 @@ def command(
     The same command resumes from the last checkpoint in --out. With equal seed and steps (without
     --minutes) it gives the same weights on the same machine.
     """
-    from dataclasses import replace
+    from dataclasses import asdict, replace
 
     from tqdm import tqdm
 
@@ -104,18 +104,22 @@ def command(
             training.run(minutes=minutes, progress=progress)
         except OSError as error:
             raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
-    from wrod.training.score import score
+    from wrod.training.score import held_out, score
+    from wrod.training.store import read_manifest
 
-    described = _describe(dataset)
+    manifest = read_manifest(dataset)
     controller = training.controller(
         {
-            "closure": described["closure"],
+            "closure": manifest.closure,
+            # With --generate, the dataset is part of the one command.
+            "dataset_command": None if generate else manifest.command(dataset),
             "command": "wrod train " + " ".join(_arguments()),
             "machine": machine_line(device),
-            "dataset": described,
+            "dataset": asdict(manifest),
         }
     )
-    controller.metadata["held_out"] = score(controller, test, seed=10_000 + seed, device=device)
+    fresh = held_out(test, seed=10_000 + seed, device=device)
+    controller.metadata["held_out"] = score(controller, *fresh)
     summary = {k: v for k, v in controller.metadata.items()}
     written = [
         controller.save(out / "controller.safetensors"),
@@ -164,11 +168,3 @@ def _arguments() -> list[str]:
     """The command's own arguments as they were given."""
     given = sys.argv[1:]
     return given[given.index("train") + 1 :] if "train" in given else given
-
-
-def _describe(folder: Path) -> dict:
-    from dataclasses import asdict
-
-    from wrod.training.store import read_manifest
-
-    return asdict(read_manifest(folder))
