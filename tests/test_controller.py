@@ -131,8 +131,19 @@ def test_saved_controller_reads_back_and_foreign_files_do_not(controller, tmp_pa
     save_file({"weight.0": np.zeros((3, 3))}, path, metadata={"wrod": label})
     with pytest.raises(DataError, match="do not fit together"):
         Controller.load(path)
+    wrong = {name: value * np.nan for name, value in controller._parameters.items()}
+    save_file(wrong, path, metadata={"wrod": label})
+    with pytest.raises(DataError, match="do not fit together"):
+        Controller.load(path)
+    from safetensors.torch import save_file as save_tensors
+
+    halves = {k: torch.tensor(v).bfloat16() for k, v in controller._parameters.items()}
+    save_tensors(halves, path, metadata={"wrod": label})
     with pytest.raises(DataError, match="not a readable controller"):
-        Controller.load(tmp_path / "missing")
+        Controller.load(path)
+    for missing in (tmp_path / "missing", tmp_path):
+        with pytest.raises(DataError, match="not a readable controller"):
+            Controller.load(missing)
 
 
 def test_default_says_how_it_was_made(controller):

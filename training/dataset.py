@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from wrod.training import store
-from wrod.training.sampling import sample
+from wrod.training.sampling import MAX_INDEX, sample
 
 from wrod import __version__
 from wrod.errors import DataError
@@ -117,6 +117,8 @@ def generate(
     start = time.perf_counter()
     if size < 1 or shard_size < 1:
         raise DataError(f"size is {size} and shard size {shard_size}; give positive numbers")
+    if size > MAX_INDEX:
+        raise DataError(f"size is {size}; the sampling sequence ends at {MAX_INDEX}")
     folder = Path(folder)
     rank = rank or Rank.from_environment()
     if closure not in CLOSURES:

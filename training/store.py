@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
@@ -168,11 +168,11 @@ def write_shard(folder: Path, manifest: Manifest, shard: int, columns: dict) -> 
     return write_atomically(shard_path(folder, shard), lambda file: file.write(content), "wb")
 
 
-def sweep(folder: Path, mine: Iterable[int]) -> None:
+def sweep(folder: Path, mine: range) -> None:
     """Remove what a killed process left of writing these shards."""
-    names = {shard_path(folder, shard).name for shard in mine}
-    for path in Path(folder).glob(".grasps-*"):
-        if path.name[1:].rpartition(".")[0] in names:
+    for path in Path(folder).glob(".grasps-*.safetensors.*"):
+        number = path.name.removeprefix(".grasps-").partition(".")[0]
+        if number.isdecimal() and int(number) in mine:
             path.unlink(missing_ok=True)
 
 
@@ -234,7 +234,7 @@ def _open(path: Path) -> tuple[dict, dict]:
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except FileNotFoundError:
         raise DataError(f"{path}: is missing; run the same `wrod dataset` again") from None
-    except (OSError, ValueError, SafetensorError) as error:
+    except (OSError, TypeError, ValueError, SafetensorError) as error:
         raise DataError(f"{path}: is truncated or no shard ({error}); delete the file") from None
     if not isinstance(label, dict) or label.get("format") != FORMAT:
         raise DataError(f"{path}: is not a shard of a {FORMAT} dataset; delete the file")

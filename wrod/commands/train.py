@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -82,7 +83,8 @@ def command(
     refine = 0
     if generate is not None:
         refine = generate // 5
-        dataset = _generate(out / "dataset", generate - refine, seed, device, as_json)
+        with _writing(out):
+            dataset = _generate(out / "dataset", generate - refine, seed, device, as_json)
     table = load(dataset, rows)
     training = Training(
         recipe,
@@ -100,10 +102,10 @@ def command(
             bar.set_postfix(validation_mae=f"{error:.2e}")
             bar.update(done - bar.n)
 
-        try:
+        with _writing(out):
+            if not resumed:
+                training.checkpoint()  # says now, not after the training, if it cannot be written
             training.run(minutes=minutes, progress=progress)
-        except OSError as error:
-            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
     from wrod.training.score import held_out, score
     from wrod.training.store import read_manifest
 
@@ -147,6 +149,17 @@ def command(
     click.echo(summary["machine"])
     for path in written:
         click.echo(f"wrote {path}")
+
+
+@contextmanager
+def _writing(out: Path):
+    """Say in one sentence what cannot be written."""
+    from wrod.errors import DataError
+
+    try:
+        yield
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
 
 
 def _generate(folder: Path, size: int, seed: int, device: str, quiet: bool) -> Path:
