@@ -119,7 +119,7 @@ def test_arm_that_cannot_is_one_sentence_and_writes_nothing(tmp_path, arguments,
 
 
 def test_default_plan_has_shapes_to_draw_unless_told_not_to(tmp_path):
-    options = ("line", "--rod", "green-vps", "--spacing", 0.1, "--device", "cpu", "--no-robot")
+    options = ("line", "--rod", "green-vps", "--spacing", 0.1, "--device", "cpu")
     result = run(*options, "--out", tmp_path / "a")
     assert "the rod solver's grips differ by" in result.output
     trajectory = Trajectory.load(tmp_path / "a" / "trajectory.npz")

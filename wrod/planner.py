@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
@@ -33,6 +34,8 @@ _MAX_NODES = 20_000
 # would swing out three times as far as a chain.
 CHAIN_MARGIN = 1.446
 SMALL_STABILITY_MARGIN = CHAIN_MARGIN / 3.0
+# Grips closer than this [L_gb] are of one grasp, with a curvature that is off by a spline's noise.
+_SAME_GRASP = 0.06
 
 
 def plan(
@@ -130,34 +133,33 @@ def plan(
 
 def with_shapes(
     trajectory: Trajectory,
-    pattern: Pattern,
-    rod: RodMaterial,
+    pattern: Pattern | None = None,
     *,
     device: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
     """The trajectory with the shapes of the suspended rod, where its method gave none.
 
-    They are those of the optimal grasps of the same inputs, from the rod solver. It thereby checks
-    the controller: `metadata["shapes"]` says how far its grips are from the solver's at most [m].
-    A trajectory that is not of optimal grasps, or has shapes, comes back as it is.
+    They are those of the optimal grasps of the same inputs, from the rod solver, ended at the
+    trajectory's grips. It thereby checks the controller: `metadata["shapes"]` says how far its
+    grips are from the solver's at most [m]. A trajectory that is not of optimal grasps, or has
+    shapes, comes back as it is.
 
     Args:
-        trajectory: what `plan` returned for `pattern` and `rod`.
-        pattern: as given to `plan`, or as `prepare` returned it.
-        rod: its material and length.
+        trajectory: what `plan` returned, or read from its file.
+        pattern: of the trajectory; without it, the curvature is that of a spline through the
+            contacts.
         device, progress: see `plan`.
 
     Warns:
-        WrodWarning: the solver gives no shapes; the trajectory comes back without.
+        WrodWarning: the solver gives no shapes, or has its grips elsewhere; the trajectory comes
+            back without.
     """
-    closure = trajectory.metadata.get("closure")
-    if trajectory.shape is not None or closure is None:
+    closure, rod = trajectory.metadata.get("closure"), trajectory.metadata.get("rod")
+    if trajectory.shape is not None or closure is None or rod is None:
         return trajectory
-    s = trajectory.pattern_arc_length
-    if pattern.remainder_length == 0.0 and s[0] < 0.0:
-        pattern = pattern.with_remainder(-float(s[0]))
-    contact, tangent, curvature = pattern.sample(s)
+    rod, s = RodMaterial(**rod), trajectory.pattern_arc_length
+    tangent, curvature = _course(trajectory, pattern)
     lgb = rod.gravito_bending_length
     inputs = GraspInputs(
         *_dimensionless(rod, trajectory.arc_length, curvature),
@@ -166,15 +168,34 @@ def with_shapes(
     try:
         poses = SOURCES["numeric"](inputs)
         _refuse_unconverged(poses, inputs, s)
+        frame = _contact_frame(tangent)
+        grip = _placed(poses.position[:, None], trajectory.contact, frame, lgb)[:, 0]
+        apart = float(np.linalg.norm(grip - trajectory.position, axis=1).max())
+        if apart > _SAME_GRASP * lgb:
+            raise GraspError(f"the solver's grips are up to {apart:.2g} m from the planned ones")
     except GraspError as error:
         warnings.warn(f"the rod's shapes are left out: {error}", WrodWarning, stacklevel=2)
         return trajectory
-    frame = _contact_frame(tangent)
-    shape = _placed(poses.shape, contact, frame, lgb)
-    grip = _placed(poses.position[:, None], contact, frame, lgb)[:, 0]
-    apart = np.linalg.norm(grip - trajectory.position, axis=1)
-    said = {"method": "numeric", "largest_grip_difference": float(apart.max())}
+    shape = _placed(poses.shape, trajectory.contact, frame, lgb)
+    # What is left, of the controller and of the mesh, fades out towards the contact.
+    share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
+    shape += share[None, :, None] * (trajectory.position - shape[:, -1])[:, None]
+    said = {"method": "numeric", "largest_grip_difference": apart}
     return replace(trajectory, shape=shape, metadata={**trajectory.metadata, "shapes": said})
+
+
+def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray, np.ndarray]:
+    """Unit tangent (T, 3) and signed curvature (T,) [1/m] at the contacts."""
+    if pattern is not None:
+        s = trajectory.pattern_arc_length
+        if pattern.remainder_length == 0.0 and s[0] < 0.0:
+            pattern = pattern.with_remainder(-float(s[0]))
+        return pattern.sample(s)[1:]
+    curve = CubicSpline(trajectory.arc_length, trajectory.contact)
+    forward, bend = (curve(trajectory.arc_length, order) for order in (1, 2))
+    speed = np.linalg.norm(forward, axis=1)
+    curvature = (forward[:, 0] * bend[:, 1] - forward[:, 1] * bend[:, 0]) / speed**3
+    return forward / speed[:, None], curvature
 
 
 def _dimensionless(

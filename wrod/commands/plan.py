@@ -119,7 +119,7 @@ def command(
         )  # fmt: skip
         if shapes:
             bar.n = 0
-            trajectory = with_shapes(trajectory, curve, rod, device=chosen, progress=progress)
+            trajectory = with_shapes(trajectory, curve, device=chosen, progress=progress)
     steps = tqdm(total=4, unit="step", leave=False, delay=1.0, disable=as_json or no_robot)
     with steps:
 
