@@ -147,8 +147,8 @@ def with_shapes(
 
     Args:
         trajectory: what `plan` returned, or read from its file.
-        pattern: of the trajectory; without it, the curvature is that of a spline through the
-            contacts.
+        pattern: of the trajectory; without it, or where the contacts are not on it, the curvature
+            is that of a spline through the contacts.
         device, progress: see `plan`.
 
     Warns:
@@ -186,16 +186,19 @@ def with_shapes(
 
 def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray, np.ndarray]:
     """Unit tangent (T, 3) and signed curvature (T,) [1/m] at the contacts."""
-    if pattern is not None:
-        s = trajectory.pattern_arc_length
-        if pattern.remainder_length == 0.0 and s[0] < 0.0:
-            pattern = pattern.with_remainder(-float(s[0]))
-        return pattern.sample(s)[1:]
     curve = CubicSpline(trajectory.arc_length, trajectory.contact)
     forward, bend = (curve(trajectory.arc_length, order) for order in (1, 2))
     speed = np.linalg.norm(forward, axis=1)
     curvature = (forward[:, 0] * bend[:, 1] - forward[:, 1] * bend[:, 0]) / speed**3
-    return forward / speed[:, None], curvature
+    own = forward / speed[:, None], curvature
+    if pattern is None:
+        return own
+    s = trajectory.pattern_arc_length
+    if pattern.remainder_length == 0.0 and s[0] < 0.0:
+        pattern = pattern.with_remainder(-float(s[0]))
+    contact, *course = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
+    laid = np.abs(contact - trajectory.contact).max() < 1e-6
+    return tuple(course) if laid else own
 
 
 def _dimensionless(
