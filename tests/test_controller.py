@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from wrod.training.score import score
+from wrod.training.score import held_out, score
 
 import wrod
 from wrod.controller import Controller
@@ -25,7 +25,7 @@ def inputs(count=50, seed=0):
 
 
 def test_default_controller_is_accurate_where_it_was_not_trained(controller):
-    figures = score(controller, 400, seed=123, device="cpu")
+    figures = score(controller, *held_out(400, seed=123, device="cpu"))
     assert figures["left_out"] == 0
     assert figures["mean_absolute_error"] <= 3e-4
     assert figures["position_error_p99"] <= 5e-3
@@ -131,8 +131,19 @@ def test_saved_controller_reads_back_and_foreign_files_do_not(controller, tmp_pa
     save_file({"weight.0": np.zeros((3, 3))}, path, metadata={"wrod": label})
     with pytest.raises(DataError, match="do not fit together"):
         Controller.load(path)
+    wrong = {name: value * np.nan for name, value in controller._parameters.items()}
+    save_file(wrong, path, metadata={"wrod": label})
+    with pytest.raises(DataError, match="do not fit together"):
+        Controller.load(path)
+    from safetensors.torch import save_file as save_tensors
+
+    halves = {k: torch.tensor(v).bfloat16() for k, v in controller._parameters.items()}
+    save_tensors(halves, path, metadata={"wrod": label})
     with pytest.raises(DataError, match="not a readable controller"):
-        Controller.load(tmp_path / "missing")
+        Controller.load(path)
+    for missing in (tmp_path / "missing", tmp_path):
+        with pytest.raises(DataError, match="not a readable controller"):
+            Controller.load(missing)
 
 
 def test_default_says_how_it_was_made(controller):
@@ -194,3 +205,18 @@ def test_neural_plan_needs_neither_torch_nor_the_solver():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.stdout.strip() == "[]", result.stderr
+
+
+def test_bench_prints_errors_and_times(controller, tmp_path):
+    from click.testing import CliRunner
+
+    from wrod.commands import main
+
+    path = controller.save(tmp_path / "copy.safetensors")
+    options = ["--count", "20", "--device", "cpu", "--json"]
+    result = CliRunner().invoke(main, ["bench", "controller", str(path), *options])
+    (row,) = json.loads(result.stdout)["rows"]
+    assert row["controller"] == str(path) and row["grasps"] == 20
+    assert 0.0 < row["mean_absolute_error"] <= row["position_error_max"]
+    assert 0.0 < row["predict_seconds"] <= row["predict_seconds_max"]
+    assert row["cold_seconds"] > row["predict_seconds"]

@@ -1,5 +1,4 @@
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -21,14 +20,8 @@ SIZE, SHARD = 72, 8
 OPTIONS = ["--size", str(SIZE), "--shard-size", str(SHARD), "--seed", "3", "--device", "cpu"]
 
 
-def start(out, **environment):
-    code = "from wrod.commands import main; main()"
-    return subprocess.Popen(
-        [sys.executable, "-c", code, "dataset", *OPTIONS, "--out", str(out), "--json"],
-        env={**os.environ, **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
+CODE = "from wrod.commands import main; main()"
+COMMAND = [sys.executable, "-c", CODE, "dataset", *OPTIONS, "--json"]
 
 
 def contents(folder):
@@ -91,7 +84,9 @@ def test_rows_are_the_solver_s_grasps(whole):
 
 
 def test_killed_and_run_again_gives_the_same_bytes(whole, tmp_path):
-    process = start(tmp_path)
+    process = subprocess.Popen(
+        [*COMMAND, "--out", str(tmp_path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     limit = time.monotonic() + 60
     while len(list(tmp_path.glob("grasps-*"))) < 2 and time.monotonic() < limit:
         time.sleep(0.002)
@@ -105,12 +100,18 @@ def test_killed_and_run_again_gives_the_same_bytes(whole, tmp_path):
     assert contents(tmp_path) == contents(whole)
 
 
-def test_two_processes_give_the_same_bytes(whole, tmp_path):
-    """As torchrun starts them: each with its rank in the environment."""
-    two = {"WORLD_SIZE": "2", "LOCAL_WORLD_SIZE": "2"}
-    processes = [start(tmp_path, RANK=str(i), LOCAL_RANK=str(i), **two) for i in (0, 1)]
-    reports = [json.loads(process.communicate(timeout=120)[0]) for process in processes]
-    assert [report["samples"] for report in reports] == [40, 32]
+def test_torchrun_gives_the_same_bytes(whole, tmp_path):
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
+    result = subprocess.run(
+        [*torchrun, "--nproc-per-node", "2", "--no-python", *COMMAND, "--out", str(tmp_path)],
+        capture_output=True, text=True, timeout=180,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    reports = [json.loads(line) for line in result.stdout.splitlines() if line.startswith("{")]
+    assert sorted((r["rank"], r["ranks"], r["samples"]) for r in reports) == [
+        (0, 2, 40),
+        (1, 2, 32),
+    ]
     assert contents(tmp_path) == contents(whole)
 
 
@@ -200,6 +201,7 @@ def test_memory_stays_flat(tmp_path, monkeypatch):
     [
         (["--closure", "none"], "unknown closure"),
         (["--device", "cuda:99"], "not on this machine"),
+        (["--size", str(2**31)], "the sampling sequence ends at"),
     ],
 )
 def test_bad_options_are_one_sentence(tmp_path, arguments, says):
@@ -207,3 +209,16 @@ def test_bad_options_are_one_sentence(tmp_path, arguments, says):
     result = CliRunner().invoke(main, ["dataset", "--size", "5", "--out", str(out), *arguments])
     assert result.exit_code == 2 and says in result.stderr
     assert not out.exists()
+
+
+def test_manifest_names_solver_and_command(whole, tmp_path):
+    """The version is the code's own, whether or not the package is installed."""
+    import wrod
+
+    manifest = store.read_manifest(whole)
+    assert manifest.solver == wrod.__version__
+    words = manifest.command(tmp_path / "again").split()
+    assert words[0] == "wrod"
+    result = CliRunner().invoke(main, [*words[1:], "--device", "cpu"])
+    assert result.exit_code == 0, result.output
+    assert contents(tmp_path / "again") == contents(whole)

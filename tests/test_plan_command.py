@@ -116,3 +116,14 @@ def test_arm_that_cannot_is_one_sentence_and_writes_nothing(tmp_path, arguments,
     result = CliRunner().invoke(main, [*fixed, *arguments])
     assert result.exit_code == 2 and says in result.stderr
     assert result.stderr.count("\n") == 1 and not out.exists()
+
+
+def test_default_plan_has_shapes_to_draw_unless_told_not_to(tmp_path):
+    options = ("line", "--rod", "green-vps", "--spacing", 0.1, "--device", "cpu")
+    result = run(*options, "--out", tmp_path / "a")
+    assert "the rod solver's grips differ by" in result.output
+    trajectory = Trajectory.load(tmp_path / "a" / "trajectory.npz")
+    assert trajectory.metadata["method"] == "neural" and trajectory.shape.shape[0] == 6
+    assert trajectory.metadata["shapes"]["largest_grip_difference"] < 1e-5
+    run(*options, "--out", tmp_path / "b", "--no-shapes")
+    assert Trajectory.load(tmp_path / "b" / "trajectory.npz").shape is None

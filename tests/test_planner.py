@@ -7,7 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import wrod
-from wrod.errors import GraspError, PatternError, StabilityWarning
+from wrod.errors import (
+    GraspError,
+    OutOfRangeWarning,
+    PatternError,
+    StabilityWarning,
+    WrodWarning,
+)
 from wrod.trajectory import Trajectory
 
 ROD = wrod.rod("green-vps")
@@ -219,3 +225,58 @@ def test_trajectory_files_carry_units_and_read_back(tmp_path):
     again = Trajectory.load(npz_path)
     np.testing.assert_array_equal(again.rotation, plan.rotation)
     assert again.metadata == plan.metadata and again.shape is None
+
+
+def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
+    from wrod.planner import with_shapes
+
+    circle, rod = wrod.pattern("circle"), wrod.rod("green-vps")
+    plain = wrod.plan(circle, rod, spacing=0.1)
+    assert plain.shape is None and plain.metadata["remainder_length"] > 0.0
+    shown = with_shapes(plain, circle, device="cpu")
+    numeric = wrod.plan(circle, rod, "numeric", spacing=0.1, device="cpu")
+    np.testing.assert_allclose(shown.shape, numeric.shape, atol=5e-5)
+    np.testing.assert_allclose(shown.shape[:, -1], plain.position, atol=1e-12)
+    np.testing.assert_array_equal(shown.position, plain.position)
+    apart = np.linalg.norm(numeric.position - plain.position, axis=1).max()
+    assert shown.metadata["shapes"] == {
+        "method": "numeric",
+        "largest_grip_difference": pytest.approx(apart, abs=1e-12),
+    }
+    assert with_shapes(numeric, circle) is numeric
+    intuitive = wrod.plan(circle, rod, "intuitive", spacing=0.1)
+    assert with_shapes(intuitive, circle) is intuitive
+    assert not recwarn.list
+
+
+def test_shapes_of_a_trajectory_from_a_file_follow_its_contacts(tmp_path):
+    from wrod.planner import with_shapes
+
+    letter = wrod.pattern("letter-U")
+    plan = wrod.plan(letter, ROD, spacing=0.005)
+    read = wrod.Trajectory.load(plan.save(tmp_path / "t")[1])
+    ours, known = with_shapes(read, device="cpu"), with_shapes(plan, letter, device="cpu")
+    assert np.linalg.norm(ours.shape - known.shape, axis=2).max() < 1e-3
+    assert ours.metadata["shapes"]["largest_grip_difference"] < 1e-3
+
+
+def test_shapes_of_other_grips_are_left_out():
+    from dataclasses import replace
+
+    from wrod.planner import with_shapes
+
+    line = wrod.pattern("line")
+    plan = wrod.plan(line, ROD, spacing=0.25)
+    moved = replace(plan, position=plan.position + 0.01)
+    with pytest.warns(WrodWarning, match="from the planned ones"):
+        assert with_shapes(moved, line, device="cpu").shape is None
+
+
+def test_shapes_that_cannot_be_solved_are_left_out():
+    from wrod.planner import with_shapes
+
+    soft = wrod.RodMaterial(0.0016, 0.008, 1.2)  # 150 L_gb
+    with pytest.warns(OutOfRangeWarning):
+        plan = wrod.plan(wrod.pattern("line"), soft, spacing=0.2)
+    with pytest.warns(WrodWarning, match="shapes are left out: suspended_length"):
+        assert with_shapes(plan, device="cpu").shape is None

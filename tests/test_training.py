@@ -249,6 +249,20 @@ def test_train_from_nothing_is_one_command_that_resumes(tmp_path):
     assert again["resumed"] and again["validation"] == report["validation"]
 
 
+@pytest.mark.parametrize("source", [["--generate", "100"], ["--dataset", "ready"]])
+def test_out_that_cannot_be_written_is_said_before_training(tmp_path, monkeypatch, source, table):
+    from wrod.training import dataset
+
+    monkeypatch.setattr(dataset, "load", lambda folder, most: table)
+    (tmp_path / "file").touch()
+    trained = []
+    monkeypatch.setattr(Training, "run", lambda self, **options: trained.append(self))
+    out = str(tmp_path / "file" / "out")
+    result = CliRunner().invoke(main, ["train", *source, "--out", out, "--device", "cpu"])
+    assert result.exit_code == 2 and "cannot be written" in result.stderr
+    assert not trained
+
+
 @pytest.mark.parametrize(
     "arguments, says",
     [

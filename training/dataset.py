@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 from wrod.training import store
-from wrod.training.sampling import sample
+from wrod.training.sampling import MAX_INDEX, sample
 
+from wrod import __version__
 from wrod.errors import DataError
 from wrod.grasps import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
 
@@ -116,6 +117,8 @@ def generate(
     start = time.perf_counter()
     if size < 1 or shard_size < 1:
         raise DataError(f"size is {size} and shard size {shard_size}; give positive numbers")
+    if size > MAX_INDEX:
+        raise DataError(f"size is {size}; the sampling sequence ends at {MAX_INDEX}")
     folder = Path(folder)
     rank = rank or Rank.from_environment()
     if closure not in CLOSURES:
@@ -128,7 +131,7 @@ def generate(
         closure=closure,
         edge_count=edge_count,
         sensitivities=sensitivities and closure == "zero_tension",
-        solver=store.solver_version(),
+        solver=__version__,
     )
     store.create(folder, manifest)
     mine = range(rank.index, manifest.shard_count, rank.count)

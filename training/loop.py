@@ -18,6 +18,7 @@ from wrod.training.network import GraspNetwork
 from wrod.training.optimizer import Soap
 from wrod.training.recipes import Recipe
 from wrod.training.sampling import RANGE, sample_worst
+from wrod.training.score import figures
 
 from wrod.controller import Controller
 from wrod.errors import DataError
@@ -42,21 +43,6 @@ def errors(network, table: GraspTable, device: str = "cpu") -> np.ndarray:
             inputs = torch.from_numpy(table.inputs[rows]).to(device)
             parts.append(network(inputs)[:, :6].cpu().numpy() - table.outputs[rows, :6])
     return np.concatenate(parts)
-
-
-def figures(error: np.ndarray) -> dict:
-    """Figures of (n, 6) errors: mean absolute, and of the position's and rotation's length."""
-    position = np.linalg.norm(error[:, :3], axis=1)
-    rotation = np.linalg.norm(error[:, 3:], axis=1)
-    return {
-        "grasps": len(error),
-        "mean_absolute_error": float(np.abs(error).mean()),
-        "position_error_mean": float(position.mean()),
-        "position_error_p99": float(np.quantile(position, 0.99)),
-        "position_error_max": float(position.max()),
-        "rotation_error_p99": float(np.quantile(rotation, 0.99)),
-        "rotation_error_max": float(rotation.max()),
-    }
 
 
 class Training:

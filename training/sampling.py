@@ -26,7 +26,7 @@ _SAMPLED = {
     "stretch_ratio": (135.0, 16500.0),
 }
 _LOG_SHARE = 0.7
-_MAX_INDEX = 2**30
+MAX_INDEX = 2**30
 
 
 def sample(first: int, count: int, seed: int) -> np.ndarray:
@@ -37,8 +37,8 @@ def sample(first: int, count: int, seed: int) -> np.ndarray:
     Raises:
         DataError: the sequence has no such numbers.
     """
-    if first < 0 or count < 0 or first + count > _MAX_INDEX:
-        raise DataError(f"samples {first} to {first + count} asked for; there are {_MAX_INDEX}")
+    if first < 0 or count < 0 or first + count > MAX_INDEX:
+        raise DataError(f"samples {first} to {first + count} asked for; there are {MAX_INDEX}")
     sequence = qmc.Sobol(d=3, scramble=True, bits=30, rng=np.random.default_rng(seed))
     if count == 0:
         return np.empty((0, 3))

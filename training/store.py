@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -75,18 +74,17 @@ class Manifest:
         content = {**asdict(self), "size": None}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
+    def command(self, folder: Path) -> str:
+        """The `wrod dataset` command that makes this dataset in `folder`, on any device."""
+        words = ["wrod dataset", f"--size {self.size}", f"--seed {self.seed}"]
+        words += [f"--closure {self.closure}", f"--shard-size {self.shard_size}"]
+        words += [] if self.sensitivities else ["--no-sensitivities"]
+        return " ".join([*words, f"--out {folder}"])
+
     def rows(self, shard: int) -> tuple[int, int]:
         """(first, count) sample numbers of a shard."""
         first = shard * self.shard_size
         return first, min(self.shard_size, self.size - first)
-
-
-def solver_version() -> str:
-    """Version of the installed package, which is that of the solver."""
-    try:
-        return version("wrod")
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def create(folder: Path, manifest: Manifest) -> None:
@@ -170,11 +168,11 @@ def write_shard(folder: Path, manifest: Manifest, shard: int, columns: dict) -> 
     return write_atomically(shard_path(folder, shard), lambda file: file.write(content), "wb")
 
 
-def sweep(folder: Path, mine: Iterable[int]) -> None:
+def sweep(folder: Path, mine: range) -> None:
     """Remove what a killed process left of writing these shards."""
-    names = {shard_path(folder, shard).name for shard in mine}
-    for path in Path(folder).glob(".grasps-*"):
-        if path.name[1:].rpartition(".")[0] in names:
+    for path in Path(folder).glob(".grasps-*.safetensors.*"):
+        number = path.name.removeprefix(".grasps-").partition(".")[0]
+        if number.isdecimal() and int(number) in mine:
             path.unlink(missing_ok=True)
 
 
@@ -236,7 +234,7 @@ def _open(path: Path) -> tuple[dict, dict]:
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except FileNotFoundError:
         raise DataError(f"{path}: is missing; run the same `wrod dataset` again") from None
-    except (OSError, ValueError, SafetensorError) as error:
+    except (OSError, TypeError, ValueError, SafetensorError) as error:
         raise DataError(f"{path}: is truncated or no shard ({error}); delete the file") from None
     if not isinstance(label, dict) or label.get("format") != FORMAT:
         raise DataError(f"{path}: is not a shard of a {FORMAT} dataset; delete the file")

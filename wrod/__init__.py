@@ -5,6 +5,9 @@ Public names are imported when first used, so that `import wrod` stays light.
 
 import importlib
 
+# The only place of it: the package, datasets and benchmarks read it here.
+__version__ = "0.1.0"
+
 _PUBLIC = {
     "RodMaterial": "wrod.material",
     "rod": "wrod.material",

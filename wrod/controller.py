@@ -56,7 +56,7 @@ class Controller:
                 label = (file.metadata() or {}).get("wrod", "null")
                 parameters = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
             metadata = json.loads(label)
-        except (OSError, ValueError, SafetensorError) as error:
+        except (OSError, TypeError, ValueError, SafetensorError) as error:
             raise DataError(
                 f"{path}: not a readable controller ({error}); make one with `wrod train`"
             ) from None
@@ -64,9 +64,10 @@ class Controller:
             raise DataError(f"{path}: is not a {_FORMAT} file; make one with `wrod train`")
         try:
             controller = cls(parameters, metadata)
-            probe = np.array([[low, low, low] for low in (1.0,)])
+            probe = np.array([[low for low, _ in controller.range.values()]])
             position, rotation, _ = controller._network(np, parameters, probe)
             whole = position.shape == rotation.shape == (1, 3)
+            whole &= bool(np.isfinite(position).all() and np.isfinite(rotation).all())
         except (KeyError, TypeError, ValueError, IndexError):
             whole = False
         if not whole:

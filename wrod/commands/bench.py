@@ -4,7 +4,7 @@ import click
 
 from wrod.commands import LazyGroup
 
-BENCHMARKS = ("grasp", "manifold", "perception", "plan", "robot", "table4")
+BENCHMARKS = ("controller", "grasp", "manifold", "perception", "plan", "robot", "table4")
 
 
 @click.command(name="bench", cls=LazyGroup, package="wrod.bench", names=BENCHMARKS)

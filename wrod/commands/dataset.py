@@ -33,8 +33,11 @@ def command(
 ) -> None:
     """Solve grasps at low-discrepancy samples of (l_s, kappa, k_s).
 
-    The same command goes on where a killed one was. With `torchrun --no-python wrod dataset ...`
-    every process takes its share of the shards, and a GPU of its own where there are several.
+    The same command goes on where a killed one was. Every process that torchrun starts takes its
+    share of the shards, and a GPU of its own where there are several; the dataset stays the same:
+
+    \b
+      torchrun --nproc-per-node 4 --no-python wrod dataset --size 1000000 --out DIR
     """
     from tqdm import tqdm
 
@@ -44,7 +47,9 @@ def command(
 
     rank = Rank.from_environment()
     label = "grasps" if rank.count == 1 else f"grasps of rank {rank.index}"
-    with tqdm(unit="grasp", desc=label, position=rank.local_index, disable=as_json) as bar:
+    with tqdm(
+        unit="grasp", desc=label, position=rank.local_index, delay=1.0, disable=as_json
+    ) as bar:
 
         def progress(count: int, total: int) -> None:
             bar.total = total

@@ -41,6 +41,11 @@ import click
 )
 @click.option("--friction", type=float, help="Static friction coefficient to check against.")
 @click.option(
+    "--shapes/--no-shapes",
+    default=True,
+    help="Let the rod solver compute the rod's shapes where the method gives none (default).",
+)
+@click.option(
     "--remainder/--no-remainder",
     default=None,
     help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
@@ -73,6 +78,7 @@ def command(
     camera: Path | None,
     start: str | None,
     friction: float | None,
+    shapes: bool,
     remainder: bool | None,
     robot: str,
     no_robot: bool,
@@ -92,7 +98,7 @@ def command(
     from wrod.errors import DataError
     from wrod.friction import friction_bound
     from wrod.picture import draw_plan
-    from wrod.planner import plan, prepare
+    from wrod.planner import plan, prepare, with_shapes
 
     rod = _rod(rod_name, radius, lgb, length)
     reading = {
@@ -106,10 +112,14 @@ def command(
             bar.total = total
             bar.update(count)
 
+        chosen = None if device == "auto" else device
         trajectory = plan(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
-            device=None if device == "auto" else device, progress=progress,
+            device=chosen, progress=progress,
         )  # fmt: skip
+        if shapes:
+            bar.n = 0
+            trajectory = with_shapes(trajectory, curve, device=chosen, progress=progress)
     steps = tqdm(total=4, unit="step", leave=False, delay=1.0, disable=as_json or no_robot)
     with steps:
 
@@ -238,6 +248,9 @@ def _summary(figures: dict, friction: float | None) -> str:
         f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}",
         f"required static friction {figures['required_friction']:.2f}",
     ]
+    if "shapes" in figures:
+        apart = 1e3 * figures["shapes"]["largest_grip_difference"]
+        lines[1] += f"; the rod solver's grips differ by {apart:.2g} mm at most"
     if figures["joint_path"] is not None:
         path = figures["joint_path"]
         place = path["placement"]

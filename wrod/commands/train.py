@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -60,7 +61,7 @@ def command(
     The same command resumes from the last checkpoint in --out. With equal seed and steps (without
     --minutes) it gives the same weights on the same machine.
     """
-    from dataclasses import replace
+    from dataclasses import asdict, replace
 
     from tqdm import tqdm
 
@@ -82,7 +83,8 @@ def command(
     refine = 0
     if generate is not None:
         refine = generate // 5
-        dataset = _generate(out / "dataset", generate - refine, seed, device, as_json)
+        with _writing(out):
+            dataset = _generate(out / "dataset", generate - refine, seed, device, as_json)
     table = load(dataset, rows)
     training = Training(
         recipe,
@@ -100,22 +102,26 @@ def command(
             bar.set_postfix(validation_mae=f"{error:.2e}")
             bar.update(done - bar.n)
 
-        try:
+        with _writing(out):
+            if not resumed:
+                training.checkpoint()  # says now, not after the training, if it cannot be written
             training.run(minutes=minutes, progress=progress)
-        except OSError as error:
-            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
-    from wrod.training.score import score
+    from wrod.training.score import held_out, score
+    from wrod.training.store import read_manifest
 
-    described = _describe(dataset)
+    manifest = read_manifest(dataset)
     controller = training.controller(
         {
-            "closure": described["closure"],
+            "closure": manifest.closure,
+            # With --generate, the dataset is part of the one command.
+            "dataset_command": None if generate else manifest.command(dataset),
             "command": "wrod train " + " ".join(_arguments()),
             "machine": machine_line(device),
-            "dataset": described,
+            "dataset": asdict(manifest),
         }
     )
-    controller.metadata["held_out"] = score(controller, test, seed=10_000 + seed, device=device)
+    fresh = held_out(test, seed=10_000 + seed, device=device)
+    controller.metadata["held_out"] = score(controller, *fresh)
     summary = {k: v for k, v in controller.metadata.items()}
     written = [
         controller.save(out / "controller.safetensors"),
@@ -145,6 +151,17 @@ def command(
         click.echo(f"wrote {path}")
 
 
+@contextmanager
+def _writing(out: Path):
+    """Say in one sentence what cannot be written."""
+    from wrod.errors import DataError
+
+    try:
+        yield
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+
+
 def _generate(folder: Path, size: int, seed: int, device: str, quiet: bool) -> Path:
     from tqdm import tqdm
 
@@ -164,11 +181,3 @@ def _arguments() -> list[str]:
     """The command's own arguments as they were given."""
     given = sys.argv[1:]
     return given[given.index("train") + 1 :] if "train" in given else given
-
-
-def _describe(folder: Path) -> dict:
-    from dataclasses import asdict
-
-    from wrod.training.store import read_manifest
-
-    return asdict(read_manifest(folder))

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from wrod.errors import GraspError
+from wrod.planner import with_shapes
 from wrod.trajectory import Trajectory
 
-_AGREE = 0.06  # [L_gb] distance of two grips that are the same grasp, curvature off by its noise
 POINTS = 201  # of the centreline; 4 mm apart on the rods of Table 2
 
 
@@ -35,7 +34,7 @@ def whole_rod(trajectory: Trajectory, pattern=None, points: int = POINTS) -> np.
     if shape is None:
         shape = _straight(trajectory, laid)
     if shape is None:
-        shape = _solved(trajectory, laid, table, pattern)
+        shape = with_shapes(trajectory, pattern if hasattr(pattern, "sample") else None).shape
     rods = np.empty((len(laid), points, 3))
     if shape is None:
         for k, end in enumerate(laid):
@@ -62,58 +61,3 @@ def _straight(trajectory: Trajectory, laid: np.ndarray) -> np.ndarray | None:
     if np.abs(distance - (rod["length"] - laid)).max() > 0.01 * rod["length"]:
         return None
     return np.stack([trajectory.contact, trajectory.position], axis=1)
-
-
-def _solved(
-    trajectory: Trajectory, laid: np.ndarray, table: CubicSpline, pattern
-) -> np.ndarray | None:
-    """Suspended parts (T, nodes, 3) of the rod solver's grasps, ended at the trajectory's grips.
-
-    None where the solver knows no such grasps, or has its grips elsewhere.
-    """
-    from wrod.grasps import CLOSURES, solve_grasps
-    from wrod.material import RodMaterial
-
-    figures = trajectory.metadata
-    if not isinstance(figures.get("rod"), dict) or figures.get("closure") not in CLOSURES:
-        return None
-    rod = RodMaterial(**figures["rod"])
-    unit = rod.gravito_bending_length
-    forward, bend = table(laid, 1), table(laid, 2)
-    curvature = forward[:, 0] * bend[:, 1] - forward[:, 1] * bend[:, 0]
-    curvature /= np.linalg.norm(forward[:, :2], axis=1) ** 3
-    if hasattr(pattern, "sample"):
-        curvature = _own_curvature(pattern, trajectory, curvature)
-    try:
-        grasps = solve_grasps(
-            (rod.length - laid) / unit,
-            curvature * unit,
-            rod.stretch_ratio,
-            closure=figures["closure"],
-        )
-    except GraspError:
-        return None
-    tangent = forward / np.linalg.norm(forward, axis=1, keepdims=True)
-    up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
-    frame = np.stack([tangent, np.cross(up, tangent), up], axis=-1)
-    shape = trajectory.contact[:, None] + unit * np.einsum("tij,tnj->tni", frame, grasps.shape)
-    miss = trajectory.position - shape[:, -1]
-    if not grasps.converged.all() or np.linalg.norm(miss, axis=1).max() > _AGREE * unit:
-        return None
-    # What is left (3e-4 L_gb with the pattern's own curvature) fades out towards the contact.
-    share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
-    return shape + share[None, :, None] * miss[:, None]
-
-
-def _own_curvature(pattern, trajectory: Trajectory, curvature: np.ndarray) -> np.ndarray:
-    """Curvature (T,) of the pattern where it is the one that was laid, else as given [1/m]."""
-    lead = float(trajectory.metadata.get("remainder_length", 0.0))
-    if lead > 0.0 and pattern.remainder_length == 0.0:
-        pattern = pattern.with_remainder(lead)  # as `plan` does
-    places = trajectory.pattern_arc_length
-    within = np.clip(places, -pattern.remainder_length, pattern.length)
-    contact, _, known = pattern.sample(within)
-    same = (
-        np.abs(within - places).max() < 1e-9 and np.abs(contact - trajectory.contact).max() < 1e-6
-    )
-    return known if same else curvature
