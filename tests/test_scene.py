@@ -215,7 +215,7 @@ def test_nothing_of_the_workplace_floats_or_intersects(scene, letter):
     [
         ({"trajectory": None}, "needs a trajectory"),
         ({"trajectory": []}, "the list is empty"),
-        ({"shapes": np.zeros((3, 10, 3))}, r"shapes are \(3, 10, 3\); give \(93, points, 3\)"),
+        ({"shapes": np.zeros((3, 10, 3))}, r"shapes are \(3, 10, 3\); give \(185, points, 3\)"),
         ({"pattern": np.zeros((4, 5))}, r"pattern's points are \(4, 5\)"),
     ],
 )
@@ -230,7 +230,7 @@ def test_mismatched_joint_path_and_suffix_are_named(tmp_path, letter, letter_pat
         letter, **{n: getattr(letter, n)[:50] for n in ("arc_length", "contact", "position")},
         rotation=letter.rotation[:50], shape=letter.shape[:50],
     )  # fmt: skip
-    with pytest.raises(SceneError, match="has 93 nodes and the trajectory 50"):
+    with pytest.raises(SceneError, match="has 185 nodes and the trajectory 50"):
         wrod.export_usd(tmp_path / "s.usdc", trajectory=shorter, joint_path=letter_path)
     with pytest.raises(SceneError, match=r"suffixes \.usdc"):
         wrod.export_usd(tmp_path / "s.obj", trajectory=letter)
