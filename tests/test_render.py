@@ -70,7 +70,7 @@ def test_command_draws_frames_and_stills(tmp_path, scene):
     )
     assert result.exit_code == 0, result.output
     names = sorted(path.name for path in (tmp_path / "frames").iterdir())
-    assert names == ["top_0000.png", "top_0092.png"]
+    assert names == ["top_0000.png", "top_0184.png"]
     assert all(f"wrote {tmp_path / 'frames' / name}" in result.output for name in names)
     from matplotlib import image
 
