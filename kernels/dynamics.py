@@ -27,25 +27,27 @@ def begin_step(
     rounding: wp.array(dtype=wp.vec2d),
     until: wp.array(dtype=wp.float64),
     # State in:
+    starting: wp.array(dtype=wp.int32),
     time: wp.array(dtype=wp.float64),
     step_before: wp.array(dtype=wp.float64),
     wanted_step: wp.array(dtype=wp.float64),
-    running: wp.array(dtype=wp.int32),
     # State out:
     step_out: wp.array(dtype=wp.float64),
     coefficient_out: wp.array(dtype=wp.vec3d),
     tolerance_out: wp.array(dtype=wp.float64),
+    iteration_out: wp.array(dtype=wp.int32),
     active_out: wp.array(dtype=wp.int32),
     converged_out: wp.array(dtype=wp.int32),
     negative_pivots_out: wp.array(dtype=wp.int32),
 ):
     """Choose the step, which ends on `until` without a crumb before it, and its coefficients."""
     r = wp.tid()
-    active_out[r] = running[r]
+    if starting[r] == 0:
+        return
+    iteration_out[r] = 0
+    active_out[r] = 1
     converged_out[r] = 0
     negative_pivots_out[r] = 0
-    if running[r] == 0:
-        return
     left = until[r] - time[r]
     dt = wp.float64(wanted_step[r])
     if left <= wp.float64(1.0001) * dt:
@@ -66,16 +68,22 @@ def begin_step(
 @wp.kernel
 def predict(
     # State in:
-    running: wp.array(dtype=wp.int32),
+    starting: wp.array(dtype=wp.int32),
     free: wp.array2d(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
     velocity: wp.array2d(dtype=wp.float64),
+    gradient: wp.array2d(dtype=wp.float64),
     # State in and out:
     dof: wp.array2d(dtype=wp.float64),
+    # State out:
+    gradient_before_out: wp.array2d(dtype=wp.float64),
 ):
     """Newton starts where the free degrees of freedom would be without acceleration."""
     r, a = wp.tid()
-    if running[r] != 0 and free[r, a] != 0:
+    if starting[r] == 0:
+        return
+    gradient_before_out[r, a] = gradient[r, a]
+    if free[r, a] != 0:
         dof[r, a] = dof[r, a] + step[r] * velocity[r, a]
 
 
@@ -153,6 +161,7 @@ def take_newton_step(
 def judge_step(
     # Model:
     until: wp.array(dtype=wp.float64),
+    max_iterations: int,
     largest_step: wp.float64,
     smallest_step: wp.float64,
     growth: wp.float64,
@@ -161,26 +170,37 @@ def judge_step(
     negative_pivots: wp.array(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
     # State in and out:
+    iteration: wp.array(dtype=wp.int32),
+    active: wp.array(dtype=wp.int32),
     time: wp.array(dtype=wp.float64),
     step_before: wp.array(dtype=wp.float64),
     wanted_step: wp.array(dtype=wp.float64),
     running: wp.array(dtype=wp.int32),
     step_count: wp.array(dtype=wp.int32),
+    iteration_count: wp.array(dtype=wp.int32),
     # State out:
+    starting_out: wp.array(dtype=wp.int32),
     accepted_out: wp.array(dtype=wp.int32),
     rejected_out: wp.array(dtype=wp.int32),
     diverged_out: wp.array(dtype=wp.int32),
 ):
     """Accept a converged step; halve a failed one; cut out a rod whose step falls too far.
 
-    A step that ends where its matrix is indefinite sits on an unstable state, which a long
-    implicit step would hold for ever: only a shorter one lets the rod leave it.
+    Every rod has its own iteration, so that none waits for the slowest. A step that ends where its
+    matrix is indefinite sits on an unstable state, which a long implicit step would hold for ever:
+    only a shorter one lets the rod leave it.
     """
     r = wp.tid()
+    starting_out[r] = 0
     accepted_out[r] = 0
     rejected_out[r] = 0
     if running[r] == 0:
         return
+    if active[r] != 0 and iteration[r] < max_iterations:
+        iteration[r] = iteration[r] + 1
+        iteration_count[r] = iteration_count[r] + 1
+        return
+    active[r] = 0
     dt = step[r]
     if converged[r] != 0 and negative_pivots[r] == 0:
         accepted_out[r] = 1
@@ -196,6 +216,7 @@ def judge_step(
         if wanted_step[r] < smallest_step:
             diverged_out[r] = 1
             running[r] = 0
+    starting_out[r] = running[r]
 
 
 @wp.kernel

@@ -158,8 +158,10 @@ def simulate_deployments(
     trials: list[Trial],
     *,
     hold: float = 0.05,
+    release: float | None = None,
     speed: float = 0.02,
     spacing: float = 0.005,
+    node_count: int | None = None,
     step: float = 0.01,
     scheme: str = "euler",
     air_damping: float = 1.0,
@@ -174,9 +176,13 @@ def simulate_deployments(
 
     Args:
         trials: what to simulate.
-        hold: length of the free end that is held along the pattern at first [m].
-        speed: at which the contact moves [m/s]; the tail is laid twice as fast.
+        hold: length of the free end that is laid and held along the pattern at first [m].
+        release: laid length at which the free end is let go [m]; default: twice `hold`.
+        speed: at which the contact moves [m/s], slower where the grip has far to go; the tail is
+            laid twice as fast.
         spacing: length of the edges where the rod is laid [m].
+        node_count: nodes of every rod instead, so that results do not depend on which trials are
+            simulated together; default: what the longest needs.
         step: largest time step [s].
         scheme: "euler" or "bdf2".
         air_damping: drag per mass and velocity [1/s].
@@ -193,7 +199,10 @@ def simulate_deployments(
     if not trials:
         return []
     device = resolve_device(device)
-    setups = _prepare(trials, hold, speed, spacing)
+    release = 2.0 * hold if release is None else release
+    if not release >= hold:
+        raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
+    setups = _prepare(trials, hold, release, speed, spacing, node_count)
     options = dict(
         step=step,
         scheme=scheme,
@@ -227,6 +236,11 @@ def simulate_deployments(
     return [deployment for part in parts for deployment in part]
 
 
+def nodes_needed(trials: list[Trial], spacing: float) -> int:
+    """Nodes for edges of that length [m] where each rod is laid."""
+    return max(len(mesh(t.rod, t.trajectory.arc_length[-1], spacing)) for t in trials)
+
+
 def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
     """The pattern with the remainder that the trajectory lays before it."""
     length = float(trajectory.metadata.get("remainder_length", 0.0))
@@ -235,9 +249,9 @@ def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
     return pattern
 
 
-def _prepare(trials: list[Trial], hold, speed, spacing) -> list[Setup]:
+def _prepare(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
     """All rods of a batch share one number of nodes: the largest that the spacing asks for."""
-    count = max(len(mesh(t.rod, t.trajectory.arc_length[-1], spacing)) for t in trials)
+    count = node_count or nodes_needed(trials, spacing)
     setups = []
     for trial in trials:
         pattern = with_remainder_of(trial.pattern, trial.trajectory)
@@ -250,6 +264,7 @@ def _prepare(trials: list[Trial], hold, speed, spacing) -> list[Setup]:
                 trial.disturbance,
                 trial.tail or tail(pattern, trial.rod, trial.trajectory),
                 hold=hold,
+                release=release,
                 speed=speed,
             )
         )

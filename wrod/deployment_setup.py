@@ -12,7 +12,7 @@ from wrod.errors import PatternError
 from wrod.grasp_mesh import rest_lengths
 from wrod.grasp_sources import SOURCES, GraspInputs
 from wrod.grasps import solve_grasps
-from wrod.grip import KEY_INTERVAL, GripPath, GripSchedule, smooth_noise, travel
+from wrod.grip import KEY_INTERVAL, GripPath, GripSchedule, smooth_noise
 from wrod.material import RodMaterial
 from wrod.patterns import Pattern
 from wrod.planner import MIN_SUSPENDED_LENGTH
@@ -170,6 +170,7 @@ def prepare_deployment(
     tail: Tail,
     *,
     hold: float,
+    release: float,
     speed: float,
 ) -> Setup:
     """Lay the first `hold` metres along the pattern and hang the rest from the grip.
@@ -207,7 +208,7 @@ def prepare_deployment(
     tip = position[-1] - position[-2]
     begin = position[-1], _frame_without_twist(frame, position, on_table, tip)
     schedule, measure_time, end_time = _schedule(
-        path, tail, begin, start, hold, int(on_table.sum()), speed, disturbance
+        path, tail, begin, release, int(on_table.sum()), speed, disturbance
     )
     turn = Rotation.from_euler("z", disturbance.yaw)
     shift = np.array([*disturbance.offset, 0.0])
@@ -243,22 +244,22 @@ def _frame_without_twist(frame, position, on_table, tip) -> np.ndarray:
     return np.column_stack([x, side, np.cross(x, side)])
 
 
-def _schedule(path, tail, begin, start, hold, held_nodes, speed, disturbance):
+def _schedule(path, tail, begin, release, held_nodes, speed, disturbance):
     """Approach, deploy, rest, lay the tail, let go, rest."""
-    deploy, covered = travel(path.last - start, speed)
+    deploy, laid = path.timed(speed)
     tail_path = None
-    lay, tail_covered = 0.0, None
+    lay, tail_laid = 0.0, None
     if len(tail.laid) > 3:
         tail_path = GripPath(tail.laid, tail.position, tail.rotation)
-        lay, tail_covered = travel(tail_path.last - tail_path.first, 2.0 * speed)
+        lay, tail_laid = tail_path.timed(2.0 * speed)
     measure_time = _APPROACH + deploy + _REST
     let_go_time = measure_time + lay + 0.5 * _REST
     end_time = let_go_time + _FALL
     t = np.arange(0.0, let_go_time + 2 * KEY_INTERVAL, KEY_INTERVAL)
-    position, rotation = path(start + covered(t - _APPROACH))
+    position, rotation = path(laid(t - _APPROACH))
     if tail_path is not None:
         late = t > measure_time
-        after = tail_path(tail_path.first + tail_covered(t[late] - measure_time))
+        after = tail_path(tail_laid(t[late] - measure_time))
         position[late] = after[0]
         rotation = Rotation.concatenate([rotation[~late], after[1]])
     # From where the rod hangs at first to where the trajectory begins.
@@ -271,11 +272,11 @@ def _schedule(path, tail, begin, start, hold, held_nodes, speed, disturbance):
         rng = np.random.default_rng(disturbance.seed)
         shaking = smooth_noise(rng, len(t), disturbance.jitter, 0.05 / KEY_INTERVAL)
         position += (1.0 - blend)[:, None] * shaking
-    # The free end is let go when as much again has been laid.
-    at = np.searchsorted(covered(t - _APPROACH), hold)
-    release = float(t[min(int(at), len(t) - 1)])
+    # Not before the rod has come to rest at the trajectory's first pose.
+    at = np.searchsorted(laid(t - _APPROACH), release)
+    let_free = max(float(t[min(int(at), len(t) - 1)]), _APPROACH)
     schedule = GripSchedule(
-        position, _one_hemisphere(rotation.as_quat()), held_nodes, release, let_go_time
+        position, _one_hemisphere(rotation.as_quat()), held_nodes, let_free, let_go_time
     )
     return schedule, measure_time, end_time
 

@@ -40,13 +40,13 @@ class Progress:
         diverged: (rod,) whether the rod was cut out because no step converged; its state is the
             last good one.
         steps: (rod,) accepted steps since the start of the simulation.
-        iterations: Newton iterations of the whole batch in this call.
+        iterations: (rod,) Newton iterations since then.
     """
 
     time: np.ndarray
     diverged: np.ndarray
     steps: np.ndarray
-    iterations: int
+    iterations: np.ndarray
 
 
 class Dynamics:
@@ -111,7 +111,8 @@ class Dynamics:
         self.time, self.until, self.step, self.step_before = (floats() for _ in range(4))
         self.wanted_step = floats()
         self.coefficient = wp.zeros(rods, dtype=wp.vec3d, device=device)
-        self.running, self.active, self.converged = ints(), ints(), ints()
+        self.running, self.starting, self.active, self.converged = (ints() for _ in range(4))
+        self.iteration, self.iteration_count = ints(), ints()
         self.accepted, self.rejected, self.diverged, self.step_count = (ints() for _ in range(4))
         self.count = wp.zeros(1, dtype=wp.int32, device=device)
         shape = (rods, batch.dof_count)
@@ -170,18 +171,22 @@ class Dynamics:
         self.running.assign(going.astype(np.int32))
         wanted = self.wanted_step.numpy().copy()
         self.wanted_step.assign(np.where(wanted > 0, np.minimum(wanted, step), step))
-        iterations, rounds = 0, 0
-        while self._any(self.running):
-            iterations += self._attempt_step()
-            self._finish_step(step, smallest, frames, frame_interval)
+        wp.copy(self.starting, self.running)
+        rounds = 0
+        # Asking a GPU whether anything still runs makes it wait.
+        patience = 1 if batch.device == "cpu" else 16
+        while rounds % patience or self._any(self.running):
+            self._begin()
+            self._iterate(step, smallest)
+            self._finish(frames, frame_interval)
             rounds += 1
-            if progress is not None and rounds % 50 == 0:
+            if progress is not None and rounds % 128 == 0:
                 progress(self.time.numpy().copy())
         return Progress(
             self.time.numpy().copy(),
             self.diverged.numpy() != 0,
             self.step_count.numpy().copy(),
-            iterations,
+            self.iteration_count.numpy().copy(),
         )
 
     def _rounding(self) -> np.ndarray:
@@ -207,9 +212,9 @@ class Dynamics:
         dim = (batch.rod_count, batch.dof_count)
         wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
 
-    def _attempt_step(self) -> int:
-        batch, start, out = self.batch, self.start, self.batch.derivatives
-        state, dof = batch.state, batch.state.dof
+    def _begin(self) -> None:
+        """Begin a step of the rods that have finished their last."""
+        batch = self.batch
         self._per_rod(
             kernels.begin_step,
             [
@@ -217,79 +222,74 @@ class Dynamics:
                 wp.float64(self.tolerance),
                 self.rounding,
                 self.until,
+                self.starting,
                 self.time,
                 self.step_before,
                 self.wanted_step,
-                self.running,
             ],
             [
                 self.step,
                 self.coefficient,
                 self.step_tolerance,
+                self.iteration,
                 self.active,
                 self.converged,
                 self.system.negative_pivots,
             ],
         )
         if self._has_internal_damping:
-            batch.evaluate(order=1, active=self.running)
-            wp.copy(self.gradient_before, out.gradient)
+            batch.evaluate(order=1, active=self.starting)
         if self.motion is not None:
-            self.motion.prescribe(self.running, self.time, self.step, start)
-        self._per_dof(kernels.predict, [self.running, batch.free, self.step, self.velocity], [dof])
-        for iteration in range(self.max_iterations + 1):
-            batch.transport_frames(start, state, self.active)
-            batch.evaluate(order=2, active=self.active)
-            self._per_dof(
-                kernels.add_inertia,
-                [
-                    self.mass,
-                    self.air_damping,
-                    self.internal_damping,
-                    self.active,
-                    self.step,
-                    self.coefficient,
-                    dof,
-                    start.dof,
-                    self.dof_older,
-                    self.velocity,
-                    self.velocity_older,
-                    self.gradient_before,
-                ],
-                [out.gradient, out.hessian],
-            )
-            if self.contact is not None:
-                self.contact.add(self.active, dof, start.dof)
-            self._per_rod(
-                newton.measure_residual,
-                [
-                    batch.free,
-                    self.force_scale,
-                    self.length_scale,
-                    self.step_tolerance,
-                    out.gradient,
-                    self.active,
-                ],
-                [self.residual, self.converged],
-            )
-            if iteration == self.max_iterations or not self._any(self.active):
-                break
-            self.system.factorise(out.hessian, self.active)
-            wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
-            self.system.solve(self.active)
-            self._per_rod(
-                kernels.take_newton_step,
-                [wp.float64(_STEP_LIMIT), self.active, self.system.x],
-                [dof],
-            )
-        return iteration
+            self.motion.prescribe(self.starting, self.time, self.step, self.start)
+        self._per_dof(
+            kernels.predict,
+            [self.starting, batch.free, self.step, self.velocity, batch.derivatives.gradient],
+            [batch.state.dof, self.gradient_before],
+        )
 
-    def _finish_step(self, largest, smallest, frames, frame_interval) -> None:
-        batch, start, dof = self.batch, self.start, self.batch.state.dof
+    def _iterate(self, largest: float, smallest: float) -> None:
+        """One Newton iteration of every rod, or the verdict on its step."""
+        batch, start, out = self.batch, self.start, self.batch.derivatives
+        dof = batch.state.dof
+        batch.transport_frames(start, batch.state, self.active)
+        batch.evaluate(order=2, active=self.active)
+        self._per_dof(
+            kernels.add_inertia,
+            [
+                self.mass,
+                self.air_damping,
+                self.internal_damping,
+                self.active,
+                self.step,
+                self.coefficient,
+                dof,
+                start.dof,
+                self.dof_older,
+                self.velocity,
+                self.velocity_older,
+                self.gradient_before,
+            ],
+            [out.gradient, out.hessian],
+        )
+        if self.contact is not None:
+            self.contact.add(self.active, dof, start.dof)
+        self._per_rod(
+            newton.measure_residual,
+            [
+                batch.free,
+                self.force_scale,
+                self.length_scale,
+                self.step_tolerance,
+                out.gradient,
+                self.active,
+            ],
+            [self.residual, self.converged],
+        )
         self._per_rod(
             kernels.judge_step,
             [
                 self.until,
+                self.max_iterations,
                 wp.float64(largest),
                 wp.float64(smallest),
                 wp.float64(_GROWTH),
@@ -298,16 +298,32 @@ class Dynamics:
                 self.step,
             ],
             [
+                self.iteration,
+                self.active,
                 self.time,
                 self.step_before,
                 self.wanted_step,
                 self.running,
                 self.step_count,
+                self.iteration_count,
+                self.starting,
                 self.accepted,
                 self.rejected,
                 self.diverged,
             ],
         )
+        self.system.factorise(out.hessian, self.active)
+        wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
+        self.system.solve(self.active)
+        self._per_rod(
+            kernels.take_newton_step,
+            [wp.float64(_STEP_LIMIT), self.active, self.system.x],
+            [dof],
+        )
+
+    def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
+        """Carry accepted steps over to the next, and take failed ones back."""
+        batch, start, dof = self.batch, self.start, self.batch.state.dof
         if self.contact is not None:
             self.contact.settle(self.accepted, dof, start.dof)
         if frames is not None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from wrod.batch import RodBatch, RodState
@@ -14,6 +16,8 @@ from wrod.kernels import grip as kernels
 
 # Spacing of the keys between which the grip moves smoothly [s].
 KEY_INTERVAL = 0.02
+# The grip's pace is looked at every millimetre, and changes over a centimetre of laid rod [m].
+_PACE_SPACING, _PACE_WIDTH = 0.001, 0.01
 
 
 class GripPath:
@@ -30,12 +34,30 @@ class GripPath:
         self._rotation = RotationSpline(laid, Rotation.from_matrix(rotation))
         self.first, self.last = float(laid[0]), float(laid[-1])
 
+    def timed(self, speed: float) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
+        """Time law along the path: its duration [s], and the laid length [m] at t (n,).
+
+        The contact moves at `speed` [m/s], and slower where the grip would have to move faster
+        than on a straight line, where it goes down as fast as forward.
+        """
+        count = max(int((self.last - self.first) / _PACE_SPACING), 8) + 1
+        laid = np.linspace(self.first, self.last, count)
+        pace = np.linalg.norm(self._position(laid, 1), axis=1) / np.sqrt(2.0)
+        pace = gaussian_filter1d(np.maximum(pace, 1.0), _PACE_WIDTH / _PACE_SPACING)
+        cell = laid[1] - laid[0]
+        way = np.concatenate([[0.0], np.cumsum(0.5 * cell * (pace[1:] + pace[:-1]))])
+        duration, covered = travel(float(way[-1]), speed)
+        laid_at = PchipInterpolator(way, laid)
+        return duration, lambda t: laid_at(np.clip(covered(t), 0.0, way[-1]))
+
     def __call__(self, laid: np.ndarray) -> tuple[np.ndarray, Rotation]:
         laid = np.clip(laid, self.first, self.last)
         return self._position(laid), self._rotation(laid)
 
 
-def travel(distance: float, speed: float, ease: float = 0.4) -> tuple[float, callable]:
+def travel(
+    distance: float, speed: float, ease: float = 0.4
+) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
     """Smooth time law over `distance`: its duration [s], and the distance covered at t (n,).
 
     Speed rises and falls over `ease` seconds each with the quintic smoothstep.
