@@ -26,7 +26,8 @@ SHORT = ["--radius", "0.0016", "--lgb", "0.018", "--length", "0.25"]
 
 def test_deploys_and_writes_what_it_says(arc, tmp_path):
     out = tmp_path / "laid"
-    args = ["deploy", str(arc), *SHORT, "--out", str(out), "--device", "cpu", "--json"]
+    args = ["deploy", str(arc), *SHORT, "--out", str(out), "--json"]
+    args += ["--method", "numeric", "--device", "cpu"]
     result = CliRunner().invoke(main, [*args, "--speed", "0.03", "--trials", "2"])
     assert result.exit_code == 0, result.output
     figures = json.loads(result.output)

@@ -11,7 +11,7 @@ from wrod.grip import smooth_noise, travel
 
 # A soft rod of 30 cm along an eased quarter turn: short tails and a coarse mesh keep it quick.
 ROD = wrod.RodMaterial(0.0016, 0.018, 0.30)
-QUICK = dict(spacing=0.006, speed=0.03, threads=1)
+QUICK = dict(spacing=0.006, speed=0.03, step=0.02, threads=1)
 
 
 def quarter_turn():

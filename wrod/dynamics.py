@@ -205,7 +205,14 @@ class Dynamics:
 
     def _per_rod(self, kernel, inputs, outputs=()) -> None:
         batch = self.batch
-        wp.launch(kernel, batch.rod_count, inputs=inputs, outputs=outputs, device=batch.device)
+        wp.launch(
+            kernel,
+            batch.rod_count,
+            inputs=inputs,
+            outputs=outputs,
+            device=batch.device,
+            block_dim=self.system.block_dim,
+        )
 
     def _per_dof(self, kernel, inputs, outputs=()) -> None:
         batch = self.batch

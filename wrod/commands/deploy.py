@@ -22,7 +22,7 @@ from wrod.commands.plan import _pattern, _rod
     type=click.Path(dir_okay=False, path_type=Path),
     help="Trajectory (.npz) that `wrod plan` wrote, instead of a new plan.",
 )
-@click.option("--method", default="numeric", show_default=True, help="numeric or intuitive.")
+@click.option("--method", default="neural", show_default=True, help="As for `wrod plan`.")
 @click.option("--closure", default="zero_tension", show_default=True, help="As for `wrod plan`.")
 @click.option("--units", help="Units of a pattern file: m, cm, mm, um or in.")
 @click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient.")
