@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import wrod
-from wrod.deployment import Deployment, Trial, deployment_error, simulate_deployments
+from wrod.deployment import Trial, simulate_deployments
+from wrod.deployment_result import Deployment, deployment_error
 from wrod.deployment_setup import mesh, tail
 from wrod.errors import DataError, PatternError, RodError
 from wrod.grip import smooth_noise, travel

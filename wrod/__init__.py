@@ -22,7 +22,7 @@ _PUBLIC = {
     "plan": "wrod.planner",
     "simulate_deployment": "wrod.deployment",
     "simulate_deployments": "wrod.deployment",
-    "Deployment": "wrod.deployment",
+    "Deployment": "wrod.deployment_result",
     "Trial": "wrod.deployment",
     "Disturbance": "wrod.deployment_setup",
     "Friction": "wrod.substrate",

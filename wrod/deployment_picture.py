@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.deployment import Deployment, errors_along
+from wrod.deployment_result import Deployment, errors_along
 from wrod.files import write_atomically
 from wrod.patterns import Pattern
 
