@@ -81,8 +81,10 @@ def command(
                 options["step"] = 0.01 * 2**level
             laid, row = simulate(**options)
             curves.append([np.interp(s, laid.arc_length, laid.centerline[:, c]) for c in range(2)])
-            gap = np.hypot(*(np.subtract(curves[-1], curves[-2]))) if level else [np.nan]
-            study.append({**row, "change_cm": 100 * float(np.max(gap))})
+            change = None
+            if level:
+                change = 100 * float(np.hypot(*np.subtract(curves[-1], curves[-2])).max())
+            study.append({**row, "change_cm": change})
         rows[f"convergence in {what}"] = study
     figures = {"machine": machine_line(device), "device": device, "rows": rows}
     if as_json:
@@ -100,7 +102,8 @@ def command(
         what = title.split()[-1]
         click.echo(f"{title}: largest change of the laid curve from the line before")
         for row in study:
+            change = "" if row["change_cm"] is None else f"{row['change_cm']:.4f} cm"
             click.echo(
                 f"  {what} {row[what]:<8g} error {row['error_mean']:.4f} cm  change "
-                f"{row['change_cm']:.4f} cm  cpu {row['cpu_seconds']:.1f} s"
+                f"{change:<10}  cpu {row['cpu_seconds']:.1f} s"
             )
