@@ -70,7 +70,7 @@ def command(
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
-    rod, curve = _rod(rod_name, radius, lgb, length), _pattern(pattern, units)
+    rod, curve = _rod(rod_name, radius, lgb, length), _pattern(pattern, units, {})
     law = Friction(friction, kinetic, rolling)
     if trajectory is None:
         path = plan(
