@@ -41,6 +41,15 @@ def resolve_device(device: str | None) -> str:
         ) from error
 
 
+def threads_per_block(rod_count: int, device: str) -> int:
+    """Block size for kernels of one thread a rod: small, so that few rods reach every processor of
+    a GPU; each thread's work is long and does not share memory accesses with its neighbours'."""
+    if device == "cpu":
+        return 256
+    wanted = rod_count / (4 * wp.get_device(device).sm_count)
+    return int(2 ** np.clip(np.ceil(np.log2(max(wanted, 1.0))), 3, 7))
+
+
 @dataclass
 class RodState:
     """Configuration of every rod of a batch (Warp arrays).
