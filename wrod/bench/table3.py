@@ -61,7 +61,7 @@ def command(
     ledger = Ledger(out / "trials.jsonl", settings)
     curves = {name: _pattern(name, patterns) for name in PATTERNS}
     start = time.perf_counter()
-    plans = _plans(curves, as_json)
+    plans = _plans(curves, device, as_json)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
         (rod, substrate, name, method, trial)
@@ -142,7 +142,7 @@ def _pattern(name: str, folder: Path | None):
     return Pattern.load(folder / f"{name.replace('-', '')}.txt", name=name)
 
 
-def _plans(curves: dict, quiet: bool) -> dict:
+def _plans(curves: dict, device: str, quiet: bool) -> dict:
     """(rod, pattern, method) -> pattern with remainder, rod, trajectory, tail."""
     from tqdm import tqdm
 
@@ -156,7 +156,7 @@ def _plans(curves: dict, quiet: bool) -> dict:
     jobs = list(product(RODS, curves, METHODS))
     for name, curve, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
         material = rod(name)
-        trajectory = plan(curves[curve], material, method, device="cpu")
+        trajectory = plan(curves[curve], material, method, device=device)
         led = with_remainder_of(curves[curve], trajectory)
         plans[name, curve, method] = (led, material, trajectory, tail(led, material, trajectory))
     return plans
