@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from scipy.spatial.transform import Rotation
 
 from wrod.batch import RodBatch, full_hessian, node_positions
@@ -142,3 +143,19 @@ def test_rods_far_apart_in_a_batch_do_not_mix():
         assert alone.energy.numpy()[r] == pytest.approx(energy[r], rel=1e-14)
         assert np.allclose(alone.hessian.numpy()[r], hessian[r], rtol=1e-13, atol=1e-13)
         assert (alone.energy.numpy()[active == 0] == 0).all()
+
+
+def test_frames_of_inactive_rods_are_left_alone():
+    """A rod that has converged keeps its twist while others are tried again."""
+    from wrod.batch import RodState
+
+    batch = deformed_rods(rod_count=2, seed=9)
+    target = RodState.zeros(2, batch.node_count, batch.device)
+    target.assign(batch.state)
+    twist = target.reference_twist.numpy()
+    twist[:] = 7.0
+    active = wp.array([1, 0], dtype=wp.int32, device=batch.device)
+    batch.transport_frames(batch.state, target, active)
+    assert (target.reference_twist.numpy()[1] == 7.0).all()
+    moved = target.reference_twist.numpy()[0, 1:-1]
+    assert np.allclose(moved, batch.state.reference_twist.numpy()[0, 1:-1], atol=1e-12)

@@ -258,7 +258,7 @@ class RodBatch:
                 else f"a director of rod {r} is along its edge; give one across it"
             )
         state.reference_twist.zero_()
-        self._launch_twist(state, self.every_rod)
+        self._launch_twist(state, state, self.every_rod)
 
     def set_free(self, free: np.ndarray) -> None:
         """Say which degrees of freedom may move: (rod, dof) of bool, broadcast."""
@@ -274,16 +274,14 @@ class RodBatch:
             outputs=[target.tangent, target.director],
             device=self.device,
         )
-        if target is not source:
-            wp.copy(target.reference_twist, source.reference_twist)
-        self._launch_twist(target, active)
+        self._launch_twist(source, target, active)
 
-    def _launch_twist(self, state: RodState, active: wp.array) -> None:
+    def _launch_twist(self, source: RodState, target: RodState, active: wp.array) -> None:
         wp.launch(
             reference_twist,
             dim=(self.rod_count, self.node_count - 2),
-            inputs=[active, state.tangent, state.director, state.reference_twist],
-            outputs=[state.reference_twist],
+            inputs=[active, target.tangent, target.director, source.reference_twist],
+            outputs=[target.reference_twist],
             device=self.device,
         )
 
