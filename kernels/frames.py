@@ -88,3 +88,73 @@ def reference_twist(
     carried = parallel_transport(director_in[r, i], tangent_in[r, i], u)
     before = rotate(carried, u, twist_in[r, i + 1])
     twist_out[r, i + 1] = twist_in[r, i + 1] + signed_angle(before, director_in[r, i + 1], u)
+
+
+@wp.kernel
+def set_configuration(
+    # In:
+    position: wp.array2d(dtype=wp.vec3d),
+    angle: wp.array2d(dtype=wp.float64),
+    # Out:
+    dof_out: wp.array2d(dtype=wp.float64),
+):
+    r, i = wp.tid()
+    for c in range(3):
+        dof_out[r, 4 * i + c] = position[r, i][c]
+    if i < position.shape[1] - 1:
+        dof_out[r, 4 * i + 3] = angle[r, i]
+
+
+@wp.func
+def across(t: wp.vec3d) -> wp.vec3d:
+    """Some vector that is well away from the direction of `t`."""
+    if wp.abs(t[0]) <= wp.abs(t[1]) and wp.abs(t[0]) <= wp.abs(t[2]):
+        return wp.vec3d(ONE, ZERO, ZERO)
+    if wp.abs(t[1]) <= wp.abs(t[2]):
+        return wp.vec3d(ZERO, ONE, ZERO)
+    return wp.vec3d(ZERO, ZERO, ONE)
+
+
+# Where directors come from: anywhere across the first edge, given for it, given for every edge.
+ANY_DIRECTOR = wp.constant(0)
+FIRST_DIRECTOR = wp.constant(1)
+EVERY_DIRECTOR = wp.constant(2)
+
+
+@wp.kernel
+def set_reference_frames(
+    # In:
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
+    source: int,
+    # Out:
+    tangent_out: wp.array2d(dtype=wp.vec3d),
+    director_out: wp.array2d(dtype=wp.vec3d),
+    problem_out: wp.array(dtype=wp.int32),
+):
+    """Frames of a new configuration: directors as given, or carried along the rod without twist.
+
+    `problem_out` is 1 where neighbouring nodes coincide, 2 where a director is along its edge.
+    """
+    r = wp.tid()
+    for i in range(tangent_out.shape[1]):
+        e = edge(dof, r, i)
+        length = wp.length(e)
+        if not (length > ZERO):
+            problem_out[r] = 1
+        t = e / length
+        d = t
+        if source == EVERY_DIRECTOR:
+            d = director[r, i]
+        elif i > 0:
+            d = parallel_transport(director_out[r, i - 1], tangent_out[r, i - 1], t)
+        elif source == FIRST_DIRECTOR:
+            d = director[r, 0]
+        else:
+            d = wp.cross(t, across(t))
+        d = d - wp.dot(d, t) * t
+        size = wp.length(d)
+        if not (size > wp.float64(1.0e-9)) and problem_out[r] == 0:
+            problem_out[r] = 2
+        tangent_out[r, i] = t
+        director_out[r, i] = d / size

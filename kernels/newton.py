@@ -91,8 +91,10 @@ def choose_shift(
 ):
     """Where the free Hessian is indefinite, raise its shift and ask for another factorisation."""
     r = wp.tid()
+    # Read before it is written: on a retry `active` is `retry_out` itself.
+    indefinite = active[r] != 0 and negative_pivots[r] > 0
     retry_out[r] = 0
-    if active[r] == 0 or negative_pivots[r] == 0:
+    if not indefinite:
         return
     largest = wp.float64(0.0)
     for a in range(hessian.shape[1]):

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+import wrod
+
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
@@ -14,3 +16,20 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip("the folder of published data (../shared) is not here")
     return folder
+
+
+@pytest.fixture(scope="session")
+def letter():
+    """An optimal trajectory of a letter C for rod 2, with the shapes of the rod."""
+    return wrod.plan(
+        wrod.pattern("letter-C"), wrod.rod("green-vps"), method="numeric", device="cpu"
+    )
+
+
+@pytest.fixture(scope="session")
+def letter_path(letter):
+    """Its joint path, placed automatically."""
+    import torch
+
+    torch.set_num_threads(1)
+    return wrod.solve_joint_path(letter)

@@ -10,7 +10,7 @@ from wrod.trajectory import Trajectory
 
 
 def run(*arguments):
-    return CliRunner().invoke(main, ["plan", *map(str, arguments)])
+    return CliRunner().invoke(main, ["plan", "--no-robot", *map(str, arguments)])
 
 
 @pytest.mark.parametrize("name", ["letter-A", "circle"])
@@ -88,3 +88,42 @@ def test_unwritable_output_is_one_sentence(tmp_path):
     out = tmp_path / "file" / "below"
     result = run("line", "--rod", "rope", "--method", "intuitive", "--out", out)
     assert result.exit_code == 2 and "cannot be written" in result.stderr
+
+
+def test_main_command_ends_in_joint_path_scene_and_picture(tmp_path):
+    arguments = ["plan", "letter-C", "--rod", "green-vps", "--out", str(tmp_path)]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    names = {"trajectory.csv", "trajectory.npz", "preview.png", "joint_path.csv"}
+    names |= {"joint_path.npz", "scene.usdc", "scene.png"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert all(f"wrote {path}" in result.output for path in tmp_path.iterdir())
+    assert "rad from the joint limits" in result.output
+    assert (tmp_path / "scene.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.mark.parametrize(
+    "arguments, says",
+    [
+        (("--placement", "2,0,-0.3,0"), "out of reach at node"),
+        (("--placement", "table"), "placement 'table' is not 'auto'"),
+        (("--robot", "gone.urdf"), "gone.urdf: no such URDF file"),
+    ],
+)
+def test_arm_that_cannot_is_one_sentence_and_writes_nothing(tmp_path, arguments, says):
+    out = tmp_path / "out"
+    fixed = ["plan", "line", "--rod", "rope", "--method", "intuitive", "--out", str(out)]
+    result = CliRunner().invoke(main, [*fixed, *arguments])
+    assert result.exit_code == 2 and says in result.stderr
+    assert result.stderr.count("\n") == 1 and not out.exists()
+
+
+def test_default_plan_has_shapes_to_draw_unless_told_not_to(tmp_path):
+    options = ("line", "--rod", "green-vps", "--spacing", 0.1, "--device", "cpu")
+    result = run(*options, "--out", tmp_path / "a")
+    assert "the rod solver's grips differ by" in result.output
+    trajectory = Trajectory.load(tmp_path / "a" / "trajectory.npz")
+    assert trajectory.metadata["method"] == "neural" and trajectory.shape.shape[0] == 6
+    assert trajectory.metadata["shapes"]["largest_grip_difference"] < 1e-5
+    run(*options, "--out", tmp_path / "b", "--no-shapes")
+    assert Trajectory.load(tmp_path / "b" / "trajectory.npz").shape is None

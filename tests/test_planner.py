@@ -7,21 +7,35 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import wrod
-from wrod.errors import GraspError, PatternError, StabilityWarning
+from wrod.errors import (
+    GraspError,
+    OutOfRangeWarning,
+    PatternError,
+    StabilityWarning,
+    WrodWarning,
+)
 from wrod.trajectory import Trajectory
 
 ROD = wrod.rod("green-vps")
 
 
-def fake_grasps(length, curvature, ratio, *, closure, device):
-    """Smooth stand-ins for grasps of left turns: a solver of its own is tested elsewhere."""
-    assert np.all(curvature >= 0.0) and closure == "zero_tension" and np.all(ratio == 1600.0)
+def fake_grasps(length, curvature, ratio, *, closure, device, eigenvalues, progress):
+    """Smooth stand-ins for grasps: the solver is tested elsewhere."""
+    assert closure == "zero_tension" and ratio == 1600.0 and eigenvalues
+    if progress is not None:
+        progress(len(length))
     position = np.column_stack([2.5 + 0 * length, 0.4 * curvature, length - 1.5])
     rotation = np.column_stack([0.1 * curvature, -1.4 + 0 * length, 0.2 * curvature])
     force = np.column_stack([0 * length, -curvature, 0.75 + 0 * length])
     good = np.ones(len(length), dtype=bool)
     return SimpleNamespace(
-        position=position, rotation=rotation, force=force, converged=good, stable=good, shape=None
+        position=position,
+        rotation=rotation,
+        force=force,
+        converged=good,
+        stable=good,
+        shape=None,
+        eigenvalue=1.0 / length,
     )
 
 
@@ -55,7 +69,7 @@ def test_intuitive_grip_hangs_straight_above_the_contact():
 
 
 def test_rotations_are_proper_and_continuous(grasps):
-    plan = wrod.plan(wrod.pattern("letter-A"), ROD)
+    plan = wrod.plan(wrod.pattern("letter-A"), ROD, "numeric")
     identity = np.einsum("tji,tjk->tik", plan.rotation, plan.rotation)
     np.testing.assert_allclose(identity, np.broadcast_to(np.eye(3), identity.shape), atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(plan.rotation), 1.0, atol=1e-12)
@@ -65,7 +79,7 @@ def test_rotations_are_proper_and_continuous(grasps):
 
 
 def test_plan_follows_algorithm_opt(grasps):
-    plan = wrod.plan(wrod.pattern("line"), ROD, spacing=0.01)
+    plan = wrod.plan(wrod.pattern("line"), ROD, "numeric", spacing=0.01)
     lgb = ROD.gravito_bending_length
     s = plan.arc_length
     expected = np.column_stack([s + 2.5 * lgb, 0 * s, ROD.length - s - 1.5 * lgb])
@@ -79,8 +93,10 @@ def test_plan_follows_algorithm_opt(grasps):
 def test_mirrored_pattern_gives_the_mirrored_plan(grasps):
     angle = np.linspace(0.0, 4.0, 120)
     points = 0.09 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    left = wrod.plan(wrod.Pattern.from_points(points), ROD, remainder=True)
-    right = wrod.plan(wrod.Pattern.from_points(points * [1.0, -1.0]), ROD, remainder=True)
+    left = wrod.plan(wrod.Pattern.from_points(points), ROD, "numeric", remainder=True)
+    right = wrod.plan(
+        wrod.Pattern.from_points(points * [1.0, -1.0]), ROD, "numeric", remainder=True
+    )
     mirror = np.diag([1.0, -1.0, 1.0])
     np.testing.assert_allclose(right.position, left.position @ mirror, atol=1e-9)
     # A reflected frame is left-handed; turning its y axis round makes it the mirrored plan's.
@@ -161,7 +177,7 @@ def test_unconverged_grasp_is_named(grasps, field):
 
     grasps(solve)
     with pytest.raises(GraspError, match=r"node 7 of 51 \(s = 0\.0700 m.*2 nodes"):
-        wrod.plan(wrod.pattern("line"), ROD, spacing=0.01)
+        wrod.plan(wrod.pattern("line"), ROD, "numeric", spacing=0.01)
 
 
 def test_unstable_grasps_warn(grasps):
@@ -172,16 +188,30 @@ def test_unstable_grasps_warn(grasps):
 
     grasps(solve)
     with pytest.warns(StabilityWarning, match=r"1 of 101 .*0\.015"):
-        wrod.plan(wrod.pattern("line"), ROD)
+        wrod.plan(wrod.pattern("line"), ROD, "numeric", spacing=0.005)
+
+
+def test_grasps_close_to_instability_warn(grasps):
+    def solve(*args, **options):
+        result = fake_grasps(*args, **options)
+        result.eigenvalue[5] *= 0.1
+        return result
+
+    grasps(solve)
+    with pytest.warns(StabilityWarning, match=r"1 of 101 .*close.*0\.025.*14%"):
+        wrod.plan(wrod.pattern("line"), ROD, "numeric", spacing=0.005)
 
 
 def test_progress_counts_every_node_once(grasps):
     seen = []
     plan = wrod.plan(
-        wrod.pattern("letter-A"), ROD, progress=lambda count, total: seen.append((count, total))
+        wrod.pattern("letter-A"),
+        ROD,
+        "numeric",
+        progress=lambda count, total: seen.append((count, total)),
     )
-    whole = wrod.plan(wrod.pattern("letter-A"), ROD)
-    assert sum(count for count, _ in seen) == len(plan) == seen[0][1] and len(seen) > 2
+    whole = wrod.plan(wrod.pattern("letter-A"), ROD, "numeric")
+    assert sum(count for count, _ in seen) == len(plan) == seen[0][1]
     np.testing.assert_allclose(plan.position, whole.position, atol=1e-12)
 
 
@@ -195,3 +225,58 @@ def test_trajectory_files_carry_units_and_read_back(tmp_path):
     again = Trajectory.load(npz_path)
     np.testing.assert_array_equal(again.rotation, plan.rotation)
     assert again.metadata == plan.metadata and again.shape is None
+
+
+def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
+    from wrod.planner import with_shapes
+
+    circle, rod = wrod.pattern("circle"), wrod.rod("green-vps")
+    plain = wrod.plan(circle, rod, spacing=0.1)
+    assert plain.shape is None and plain.metadata["remainder_length"] > 0.0
+    shown = with_shapes(plain, circle, device="cpu")
+    numeric = wrod.plan(circle, rod, "numeric", spacing=0.1, device="cpu")
+    np.testing.assert_allclose(shown.shape, numeric.shape, atol=5e-5)
+    np.testing.assert_allclose(shown.shape[:, -1], plain.position, atol=1e-12)
+    np.testing.assert_array_equal(shown.position, plain.position)
+    apart = np.linalg.norm(numeric.position - plain.position, axis=1).max()
+    assert shown.metadata["shapes"] == {
+        "method": "numeric",
+        "largest_grip_difference": pytest.approx(apart, abs=1e-12),
+    }
+    assert with_shapes(numeric, circle) is numeric
+    intuitive = wrod.plan(circle, rod, "intuitive", spacing=0.1)
+    assert with_shapes(intuitive, circle) is intuitive
+    assert not recwarn.list
+
+
+def test_shapes_of_a_trajectory_from_a_file_follow_its_contacts(tmp_path):
+    from wrod.planner import with_shapes
+
+    letter = wrod.pattern("letter-U")
+    plan = wrod.plan(letter, ROD, spacing=0.005)
+    read = wrod.Trajectory.load(plan.save(tmp_path / "t")[1])
+    ours, known = with_shapes(read, device="cpu"), with_shapes(plan, letter, device="cpu")
+    assert np.linalg.norm(ours.shape - known.shape, axis=2).max() < 1e-3
+    assert ours.metadata["shapes"]["largest_grip_difference"] < 1e-3
+
+
+def test_shapes_of_other_grips_are_left_out():
+    from dataclasses import replace
+
+    from wrod.planner import with_shapes
+
+    line = wrod.pattern("line")
+    plan = wrod.plan(line, ROD, spacing=0.25)
+    moved = replace(plan, position=plan.position + 0.01)
+    with pytest.warns(WrodWarning, match="from the planned ones"):
+        assert with_shapes(moved, line, device="cpu").shape is None
+
+
+def test_shapes_that_cannot_be_solved_are_left_out():
+    from wrod.planner import with_shapes
+
+    soft = wrod.RodMaterial(0.0016, 0.008, 1.2)  # 150 L_gb
+    with pytest.warns(OutOfRangeWarning):
+        plan = wrod.plan(wrod.pattern("line"), soft, spacing=0.2)
+    with pytest.warns(WrodWarning, match="shapes are left out: suspended_length"):
+        assert with_shapes(plan, device="cpu").shape is None

@@ -5,6 +5,9 @@ Public names are imported when first used, so that `import wrod` stays light.
 
 import importlib
 
+# The only place of it: the package, datasets and benchmarks read it here.
+__version__ = "0.1.0"
+
 _PUBLIC = {
     "RodMaterial": "wrod.material",
     "rod": "wrod.material",
@@ -17,6 +20,12 @@ _PUBLIC = {
     "Grasps": "wrod.grasps",
     "solve_grasps": "wrod.grasps",
     "plan": "wrod.planner",
+    "simulate_deployment": "wrod.deployment",
+    "simulate_deployments": "wrod.deployment",
+    "Deployment": "wrod.deployment_result",
+    "Trial": "wrod.deployment",
+    "Disturbance": "wrod.deployment_setup",
+    "Friction": "wrod.substrate",
     "Controller": "wrod.controller",
     "JointPath": "wrod.robot.joint_path",
     "solve_joint_path": "wrod.robot.joint_path",

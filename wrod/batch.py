@@ -10,7 +10,15 @@ import warp as wp
 from wrod.errors import RodError
 from wrod.kernels.assembly import HALF_BANDWIDTH
 from wrod.kernels.bending import bending
-from wrod.kernels.frames import reference_twist, transport_reference_frames
+from wrod.kernels.frames import (
+    ANY_DIRECTOR,
+    EVERY_DIRECTOR,
+    FIRST_DIRECTOR,
+    reference_twist,
+    set_configuration,
+    set_reference_frames,
+    transport_reference_frames,
+)
 from wrod.kernels.loads import dead_loads
 from wrod.kernels.stretching import stretching
 from wrod.kernels.twisting import twisting
@@ -31,6 +39,15 @@ def resolve_device(device: str | None) -> str:
             f"device {device!r} is not on this machine; use cpu, auto or one of "
             f"{', '.join(str(d) for d in wp.get_devices())}"
         ) from error
+
+
+def threads_per_block(rod_count: int, device: str) -> int:
+    """Block size for kernels of one thread a rod: small, so that few rods reach every processor of
+    a GPU; each thread's work is long and does not share memory accesses with its neighbours'."""
+    if device == "cpu":
+        return 256
+    wanted = rod_count / (4 * wp.get_device(device).sm_count)
+    return int(2 ** np.clip(np.ceil(np.log2(max(wanted, 1.0))), 3, 7))
 
 
 @dataclass
@@ -90,8 +107,9 @@ class RodBatch:
     argument is broadcast to the shape given here.
 
     Args:
-        position: (rod, node, 3) initial node positions.
+        position: (rod, node, 3) initial node positions, or a Warp array (rod, node) of vec3d.
         rest_length: (rod, node - 1) rest length of every edge; default: that of `position`.
+            Like `position` it may be a Warp array on the device, which is taken as it is.
         stretching_stiffness: (rod, node - 1) EA of every edge [force].
         bending_stiffness: (rod, node) or (rod, node, 2): EI about the two material directors
             [force length^2]; the values at the end nodes are not used.
@@ -129,25 +147,23 @@ class RodBatch:
         director=None,
         device: str | None = "cpu",
     ):
-        position = np.ascontiguousarray(position, dtype=np.float64)
-        if position.ndim != 3 or position.shape[2] != 3 or position.shape[1] < 3:
+        shape = np.shape(position) if not isinstance(position, wp.array) else (*position.shape, 3)
+        if len(shape) != 3 or shape[2] != 3 or shape[1] < 3:
             raise RodError(
-                f"rod positions have shape {position.shape}; give (rod, node, 3) with 3 nodes or "
-                "more"
+                f"rod positions have shape {shape}; give (rod, node, 3) with 3 nodes or more"
             )
         self.device = resolve_device(device)
-        self.rod_count, self.node_count = position.shape[:2]
+        self.rod_count, self.node_count = rods, nodes = shape[:2]
         self.dof_count = 4 * self.node_count - 1
-        rods, nodes = self.rod_count, self.node_count
-        edges = np.diff(position, axis=1)
-        edge_length = np.linalg.norm(edges, axis=2)
+        if rest_length is None:
+            rest_length = np.linalg.norm(np.diff(position, axis=1), axis=2)
         bending_stiffness = np.asarray(bending_stiffness, dtype=np.float64)
         if bending_stiffness.ndim < 3:
             bending_stiffness = bending_stiffness[..., None]
 
         self.rest_length = self._array(
             "rest_length",
-            edge_length if rest_length is None else rest_length,
+            rest_length,
             (rods, nodes - 1),
             positive=True,
         )
@@ -165,7 +181,7 @@ class RodBatch:
         )
         self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
         self.softening = self._array("softening", softening, (rods, nodes, 2), wp.vec2d)
-        if self.softening.numpy()[..., 0].min() < 0.0:
+        if np.min(np.atleast_1d(softening)[..., 0]) < 0.0:
             raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
         self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
         self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)
@@ -178,56 +194,77 @@ class RodBatch:
         self.set_configuration(position, director=director)
 
     def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
-        try:
-            value = np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
-        except ValueError:
-            raise RodError(
-                f"{name} has shape {np.shape(value)}, which does not broadcast to {shape}"
-            ) from None
+        if isinstance(value, wp.array):
+            return value
+        value = np.asarray(value, dtype=np.float64)
         if not np.isfinite(value).all():
             raise RodError(f"{name} holds a value that is not finite")
         if positive and not (value > 0).all():
             raise RodError(f"{name} holds {value.min():g}; every value must be positive")
+        if value.size == 1 and value.ndim <= len(shape):
+            # One value for all does not have to travel to the device.
+            size = shape if dtype == wp.float64 else shape[:-1]
+            fill = dtype(*[value.item()] * (1 if dtype == wp.float64 else shape[-1]))
+            return wp.full(size, fill, dtype=dtype, device=self.device)
+        try:
+            value = np.broadcast_to(value, shape)
+        except ValueError:
+            raise RodError(
+                f"{name} has shape {value.shape}, which does not broadcast to {shape}"
+            ) from None
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
 
     def set_configuration(self, position, *, angle=0.0, director=None) -> None:
         """Put the rods into a configuration.
 
         Args:
-            position: (rod, node, 3).
+            position: (rod, node, 3), or a Warp array (rod, node) of vec3d on the batch's device.
             angle: (rod, node - 1) angles theta from reference to material directors [rad].
             director: as in the constructor; those of every edge set the reference frames.
 
         Raises:
             RodError: two neighbouring nodes coincide, or a director is along its edge.
         """
-        rods, nodes = self.rod_count, self.node_count
-        position = np.broadcast_to(np.asarray(position, dtype=np.float64), (rods, nodes, 3))
-        edges = np.diff(position, axis=1)
-        length = np.linalg.norm(edges, axis=2, keepdims=True)
-        if not (length > 0).all():
-            raise RodError("two neighbouring nodes of a rod coincide, or are not numbers")
-        tangent = edges / length
-        if director is None:
-            away = np.eye(3)[np.argmin(np.abs(tangent[:, 0]), axis=1)]
-            director = np.cross(tangent[:, 0], away)
-        director = np.array(director, dtype=np.float64)
-        if director.ndim < 3:
-            director = np.broadcast_to(director, (rods, 3))
-            director = transport_along(director, tangent)
-        director = np.broadcast_to(director, (rods, nodes - 1, 3))
-        director = director - np.sum(director * tangent, axis=2, keepdims=True) * tangent
-        size = np.linalg.norm(director, axis=2, keepdims=True)
-        if not (size > 1e-9).all():
-            raise RodError("a rod's director is along its edge; give one across it")
-        dof = np.zeros((rods, nodes, 4))
-        dof[:, :, :3] = position
-        dof[:, :-1, 3] = angle
-        self.state.dof.assign(dof.reshape(rods, -1)[:, :-1])
-        self.state.tangent.assign(tangent)
-        self.state.director.assign(director / size)
-        self.state.reference_twist.zero_()
-        self._launch_twist(self.state.reference_twist, self.state, self.every_rod)
+        rods, nodes, device = self.rod_count, self.node_count, self.device
+        state = self.state
+        if not isinstance(position, wp.array):
+            position = self._array("position", position, (rods, nodes, 3), wp.vec3d)
+        angle = self._array("angle", angle, (rods, nodes - 1))
+        source, shape = ANY_DIRECTOR, (0, 0)
+        if director is not None:
+            every = np.ndim(director) == 3
+            source, shape = (EVERY_DIRECTOR, nodes - 1) if every else (FIRST_DIRECTOR, 1)
+            director = np.asarray(director, dtype=np.float64)
+            if not every:
+                director = np.broadcast_to(director, (rods, 3))[:, None]
+            director = self._array("director", director, (rods, shape, 3), wp.vec3d)
+        else:
+            director = wp.empty(shape, dtype=wp.vec3d, device=device)
+        wp.launch(
+            set_configuration,
+            dim=(rods, nodes),
+            inputs=[position, angle],
+            outputs=[state.dof],
+            device=device,
+        )
+        problem = wp.zeros(rods, dtype=wp.int32, device=device)
+        wp.launch(
+            set_reference_frames,
+            dim=rods,
+            inputs=[state.dof, director, source],
+            outputs=[state.tangent, state.director, problem],
+            device=device,
+        )
+        problem = problem.numpy()
+        if problem.any():
+            r = int(np.flatnonzero(problem)[0])
+            raise RodError(
+                f"two neighbouring nodes of rod {r} coincide, or are not numbers"
+                if problem[r] == 1
+                else f"a director of rod {r} is along its edge; give one across it"
+            )
+        state.reference_twist.zero_()
+        self._launch_twist(state, state, self.every_rod)
 
     def set_free(self, free: np.ndarray) -> None:
         """Say which degrees of freedom may move: (rod, dof) of bool, broadcast."""
@@ -243,14 +280,14 @@ class RodBatch:
             outputs=[target.tangent, target.director],
             device=self.device,
         )
-        self._launch_twist(source.reference_twist, target, active)
+        self._launch_twist(source, target, active)
 
-    def _launch_twist(self, before: wp.array, state: RodState, active: wp.array) -> None:
+    def _launch_twist(self, source: RodState, target: RodState, active: wp.array) -> None:
         wp.launch(
             reference_twist,
             dim=(self.rod_count, self.node_count - 2),
-            inputs=[active, state.tangent, state.director, before],
-            outputs=[state.reference_twist],
+            inputs=[active, target.tangent, target.director, source.reference_twist],
+            outputs=[target.reference_twist],
             device=self.device,
         )
 
@@ -338,19 +375,6 @@ def node_positions(dof: np.ndarray) -> np.ndarray:
     """(rod, node, 3) positions out of (rod, 4 node - 1) degrees of freedom."""
     padded = np.pad(dof, ((0, 0), (0, 1)))
     return padded.reshape(dof.shape[0], -1, 4)[:, :, :3]
-
-
-def transport_along(director: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Carry (rod, 3) directors of the first edge along (rod, edge, 3) tangents without twist."""
-    carried = np.empty_like(tangent)
-    carried[:, 0] = director
-    for i in range(1, tangent.shape[1]):
-        t, u, v = tangent[:, i - 1], tangent[:, i], carried[:, i - 1]
-        axis = np.cross(t, u)
-        cosine = np.sum(t * u, axis=1, keepdims=True)
-        along = np.sum(axis * v, axis=1, keepdims=True) / np.maximum(1.0 + cosine, 1e-12)
-        carried[:, i] = cosine * v + np.cross(axis, v) + along * axis
-    return carried
 
 
 def full_hessian(band: np.ndarray) -> np.ndarray:

@@ -61,16 +61,3 @@ def straight_pattern_guess(rest: np.ndarray) -> np.ndarray:
         theta = theta + 0.5 * h * rate
         s = s + h
     return position
-
-
-def refine(position: np.ndarray) -> np.ndarray:
-    """(n, 2 edge + 1, 3) shape on the mesh of half the edges, by cubics in the node index."""
-    n, nodes, _ = position.shape
-    fine = np.empty((n, 2 * nodes - 1, 3))
-    fine[:, ::2] = position
-    middle = (9 * (position[:, 1:-2] + position[:, 2:-1]) - position[:, :-3] - position[:, 3:]) / 16
-    fine[:, 3:-3:2] = middle
-    ends = np.array([5.0, 15.0, -5.0, 1.0]) / 16
-    fine[:, 1] = np.einsum("k,nkc->nc", ends, position[:, :4])
-    fine[:, -2] = np.einsum("k,nkc->nc", ends, position[:, :-5:-1])
-    return fine

@@ -15,11 +15,12 @@ from wrod.grasp_mesh import (
     rest_lengths,
     straight_pattern_guess,
 )
-from wrod.kernels import grasp_sensitivity, grasping
+from wrod.kernels import grasp_sensitivity, grasp_start, grasping
 from wrod.kernels.bending import bending_rate
 from wrod.kernels.loads import dead_loads
 from wrod.kernels.stretching import stretching_rate
 from wrod.rotation import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector
+from wrod.stability import smallest_eigenvalue
 from wrod.statics import BandedSystem
 
 # Largest change of an edge in one step, as a fraction of its length.
@@ -38,8 +39,10 @@ class GraspSolution:
         position, rotation, force: (n, 3) grip position, its frame as a rotation vector, force on
             the suspended rod at the contact.
         force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact edge held.
-        shape: (n, node, 3) nodes from contact to grip.
+        shape: (n, node, 3) nodes from contact to grip; None unless asked for.
+        lowest, turning: (n,) lowest node and total turning of the rod [rad].
         converged, stable: (n,) bool.
+        eigenvalue: (n,) smallest eigenvalue of the constrained Hessian; None unless asked for.
         iterations: (n,) int.
         residual: (n,) largest unbalanced force.
         thrust: (n,) F_x.
@@ -51,12 +54,15 @@ class GraspSolution:
     rotation: np.ndarray
     force: np.ndarray
     force_jacobian: np.ndarray
-    shape: np.ndarray
+    lowest: np.ndarray
+    turning: np.ndarray
     converged: np.ndarray
     stable: np.ndarray
     iterations: np.ndarray
     residual: np.ndarray
     thrust: np.ndarray
+    shape: np.ndarray | None = None
+    eigenvalue: np.ndarray | None = None
     position_sensitivity: np.ndarray | None = None
     rotation_sensitivity: np.ndarray | None = None
     force_sensitivity: np.ndarray | None = None
@@ -70,8 +76,9 @@ class GraspSolver:
         edge_count: edges between contact and grip.
         closure: one of `wrod.kernels.grasping`'s closures.
         device: Warp device.
-        guess: (n, edge_count + 1, 3) nodes near the solution at the full curvature; without it
-            the solver starts from the straight pattern and walks up the curvature.
+        guess: nodes near the solution at the full curvature, (n, edge_count + 1, 3) or a Warp
+            array of vec3d; without it the solver starts from the straight pattern and walks up
+            the curvature.
         thrust: (n,) F_x of the guess.
     """
 
@@ -84,28 +91,48 @@ class GraspSolver:
         edge_count: int,
         closure: int,
         device: str,
-        guess: np.ndarray | None = None,
+        guess: np.ndarray | wp.array | None = None,
         thrust: np.ndarray | None = None,
     ):
         n = len(suspended_length)
         self.inputs = (suspended_length, curvature, stretch_ratio)
         self.closure, self.device = int(closure), device
         edges = rest_lengths(suspended_length, edge_count)
-        start = curvature if guess is not None else np.zeros(n)
-        position = self._with_ghost(
-            straight_pattern_guess(edges) if guess is None else guess, edges[:, 0], start
+        cold = guess is None
+        if cold:
+            guess = straight_pattern_guess(edges)
+        if isinstance(guess, np.ndarray):
+            guess = wp.array(guess, dtype=wp.vec3d, device=device)
+        rest = wp.array(
+            np.concatenate([edges[:, :1], edges], axis=1), dtype=wp.float64, device=device
         )
-        weights = np.pad(node_weights(edges), ((0, 0), (1, 0)))
+
+        def floats(value=0.0):
+            return wp.array(np.broadcast_to(value, (n,)), dtype=wp.float64, device=device)
+
+        def ints(value=0):
+            return wp.full(n, value, dtype=wp.int32, device=device)
+
+        start = np.zeros(n) if cold else curvature
+        self.target, self.curvature = floats(curvature), floats(start)
+        position = wp.empty((n, edge_count + 2), dtype=wp.vec3d, device=device)
+        wp.launch(
+            grasp_start.place_ghost,
+            dim=position.shape,
+            inputs=[guess, rest, self.curvature],
+            outputs=[position],
+            device=device,
+        )
         self.batch = batch = RodBatch(
             position,
-            rest_length=np.concatenate([edges[:, :1], edges], axis=1),
+            rest_length=rest,
             stretching_stiffness=stretch_ratio[:, None],
             bending_stiffness=1.0,
             # Any positive value: the rod of a grasp carries no twist. It counts for stability.
             twisting_stiffness=2.0 / 3.0,
-            node_mass=weights,
+            node_mass=np.pad(node_weights(edges), ((0, 0), (1, 0))),
             gravity=(0.0, 0.0, -1.0),
-            director=np.broadcast_to([0.0, 0.0, 1.0], (n, 3)),
+            director=(0.0, 0.0, 1.0),
             device=device,
         )
         free = np.ones(batch.dof_count, dtype=bool)
@@ -114,14 +141,7 @@ class GraspSolver:
         batch.set_free(free)
         self.system = BandedSystem(batch, right_hand_sides=7)
 
-        def floats(value=0.0):
-            return wp.array(np.broadcast_to(value, (n,)), dtype=wp.float64, device=device)
-
-        def ints(value=0):
-            return wp.full(n, value, dtype=wp.int32, device=device)
-
         self.weight = floats(WEIGHT * suspended_length)
-        self.target, self.curvature = floats(curvature), floats(start)
         self.curvature_saved = floats(start)
         # What rounding positions leaves: in the stiffest edge, over the whole rod, and in the
         # sharpest bend, near the contact.
@@ -138,17 +158,6 @@ class GraspSolver:
         self.residual = floats(np.inf)
         self.saved, self.waited, self.iterations, self.status = (ints() for _ in range(4))
         self.active = ints(1)
-
-    @staticmethod
-    def _with_ghost(position: np.ndarray, edge: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-        """Prepend the ghost node and turn the first edge to the contact's curvature."""
-        position = position.copy()
-        half = np.arctan(0.5 * curvature * edge)
-        direction = np.stack([np.cos(half), np.sin(half), np.zeros_like(half)], axis=1)
-        stretched = np.linalg.norm(position[:, 1], axis=1, keepdims=True)
-        position[:, 1] = stretched * direction
-        ghost = edge[:, None] * direction * [-1.0, 1.0, 0.0]
-        return np.concatenate([ghost[:, None], position], axis=1)
 
     def run(self) -> GraspSolver:
         """Iterate until every grasp has converged or failed."""
@@ -198,45 +207,92 @@ class GraspSolver:
 
     def _condense(self, gradient: wp.array, active: wp.array, reaction: wp.array) -> None:
         """Factorise, and condense Hessian and gradient on node 2 and the grip."""
-        batch, system, hessian = self.batch, self.system, self.batch.derivatives.hessian
+        system, hessian = self.system, self.batch.derivatives.hessian
         system.factorise(hessian, active)
+        self._load(gradient, active, 7)
+        system.solve(active)
+        self._reduce(gradient, active, reaction)
+
+    def _load(self, gradient: wp.array, active: wp.array, columns: int) -> None:
+        """Fill the first right-hand sides: the gradient, then the border's columns."""
+        x = self.system.x
         wp.launch(
             grasping.load_border,
-            dim=system.x.shape,
-            inputs=[active, gradient, hessian],
-            outputs=[system.x],
+            dim=(x.shape[0], columns, x.shape[2]),
+            inputs=[active, gradient, self.batch.derivatives.hessian],
+            outputs=[x],
             device=self.device,
         )
-        system.solve(active)
+
+    def _reduce(self, gradient: wp.array, active: wp.array, reaction: wp.array) -> None:
+        batch = self.batch
         wp.launch(
             grasping.condense,
             dim=batch.rod_count,
-            inputs=[active, batch.free, gradient, hessian, system.x],
+            inputs=[active, batch.free, gradient, batch.derivatives.hessian, self.system.x],
             outputs=[self.condensed, reaction],
             device=self.device,
         )
 
-    def solution(self, *, sensitivities: bool = False) -> GraspSolution:
-        """Read the grasps out."""
-        n = self.batch.rod_count
+    def refined(self) -> wp.array:
+        """Guess (rod, 2 edges + 1) for the mesh of half the edges, on the device."""
+        nodes = 2 * (self.batch.node_count - 2) + 1
+        shape = wp.empty((self.batch.rod_count, nodes), dtype=wp.vec3d, device=self.device)
+        wp.launch(
+            grasp_start.refine_shape,
+            dim=shape.shape,
+            inputs=[self.batch.state.dof],
+            outputs=[shape],
+            device=self.device,
+        )
+        return shape
+
+    def coarsened(self) -> wp.array:
+        """Guess (rod, edges / 2 + 1) for the mesh of twice the edges."""
+        nodes = np.ascontiguousarray(self.batch.positions()[:, 1::2])
+        return wp.array(nodes, dtype=wp.vec3d, device=self.device)
+
+    def solution(
+        self, *, sensitivities: bool = False, eigenvalues: bool = False, shapes: bool = True
+    ) -> GraspSolution:
+        """Read the grasps out; only what is asked for leaves the device."""
+        batch, n = self.batch, self.batch.rod_count
         force = -self.reaction.numpy()[:, 3:]
         force[:, 2] += self.weight.numpy()
-        shape = self.batch.positions()[:, 1:]
-        rotation, _ = self._rotation()
+        lowest = wp.empty(n, dtype=wp.float64, device=self.device)
+        turning = wp.empty(n, dtype=wp.float64, device=self.device)
+        wp.launch(
+            grasp_start.check_shape,
+            dim=n,
+            inputs=[batch.state.dof],
+            outputs=[lowest, turning],
+            device=self.device,
+        )
         result = GraspSolution(
-            position=shape[:, -1].copy(),
-            rotation=rotation,
+            position=batch.state.dof[:, -3:].numpy().copy(),
+            rotation=self._rotation(),
             force=force,
             force_jacobian=-self.condensed.numpy()[:, 3:, 3:],
-            shape=shape,
+            lowest=lowest.numpy(),
+            turning=turning.numpy(),
             converged=self.status.numpy() == grasping.CONVERGED,
             stable=self.system.negative_pivots.numpy() == 0,
             iterations=self.iterations.numpy().copy(),
             residual=self.residual.numpy().copy(),
             thrust=self.thrust.numpy().copy(),
+            shape=batch.positions()[:, 1:] if shapes else None,
         )
+        if eigenvalues:
+            # The factorisation that showed each grasp to be in balance is still here.
+            result.eigenvalue = smallest_eigenvalue(
+                batch,
+                factor=self.system.factor,
+                negative_pivots=self.system.negative_pivots.numpy(),
+            )
         if sensitivities:
             rates = np.zeros((3, n, 3, 3))
+            batch.evaluate(order=2)
+            self._condense(batch.derivatives.gradient, batch.every_rod, wp.clone(self.reaction))
             for j in range(3):
                 rates[0, :, :, j], rates[1, :, :, j], rates[2, :, :, j] = self._rates(j)
             result.position_sensitivity = rates[0]
@@ -250,91 +306,95 @@ class GraspSolver:
         The curvature falls linearly to zero at the moment-free grip, so over the last half edge
         the rod turns by an eighth of an edge times the curvature at the last inner node.
         """
-        batch = self.batch
-        t = batch.state.tangent.numpy()[:, -2:]
-        m = batch.material_directors()[:, -1]
-        frame = np.stack([t[:, 1], -m[:, 1], m[:, 0]], axis=2)
-        rest = batch.rest_length.numpy()[:, -2:]
+        state = self.batch.state
+        t = state.tangent[:, -2:].numpy()
+        d1 = state.director[:, -1:].numpy()[:, 0]
+        angle = state.dof[:, -4:-3].numpy()
+        d2 = np.cross(t[:, 1], d1)
+        m1 = np.cos(angle) * d1 + np.sin(angle) * d2
+        # The contact's frame has its z along m1; its y is along -m2.
+        frame = np.stack([t[:, 1], np.cross(m1, t[:, 1]), m1], axis=2)
+        rest = self.batch.rest_length[:, -2:].numpy()
         fraction = rest[:, 1] / (4.0 * rest.sum(axis=1))
         chi = 1.0 + np.sum(t[:, 0] * t[:, 1], axis=1)
         binormal = 2.0 * np.cross(t[:, 0], t[:, 1]) / chi[:, None]
         return frame, t, chi, binormal, fraction
 
-    def _rotation(self) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 3) rotation vectors and (n, 3, 3) matrices of the grip's frame."""
+    def _rotation(self) -> np.ndarray:
+        """(n, 3) rotation vectors of the grip's frame."""
         frame, _, _, binormal, fraction = self._grip_frame()
-        matrix = rotation_matrix(fraction[:, None] * binormal) @ frame
-        return rotation_vector(matrix), matrix
+        return rotation_vector(rotation_matrix(fraction[:, None] * binormal) @ frame)
 
     def _rates(self, j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives of position, rotation vector and force by input j."""
+        """Derivatives of position, rotation vector and force by input j.
+
+        The factorisation and the border's solutions in `system.x` are those of the solution.
+        """
         batch, device = self.batch, self.device
         rods, nodes = batch.rod_count, batch.node_count
-        length = self.inputs[0]
-        rest_rate = np.zeros((rods, nodes - 1))
-        mass_rate = np.zeros((rods, nodes))
-        if j == 0:
-            edges = rest_length_rates(length, nodes - 2)
-            rest_rate[:, 0], rest_rate[:, 1:] = edges[:, 0], edges
-            mass_rate[:, 1:] = node_weights(edges)
         every = batch.every_rod
-        rest_rate_wp = wp.array(rest_rate, dtype=wp.float64, device=device)
-        mass_rate_wp = wp.array(mass_rate, dtype=wp.float64, device=device)
+        rest_rate = wp.zeros((rods, nodes - 1), dtype=wp.float64, device=device)
+        gradient_rate = wp.zeros_like(batch.derivatives.gradient)
+        dof = batch.state.dof
+        if j == 0:
+            edges = rest_length_rates(self.inputs[0], nodes - 2)
+            rest_rate.assign(np.concatenate([edges[:, :1], edges], axis=1))
+            mass_rate = wp.array(
+                np.pad(node_weights(edges), ((0, 0), (1, 0))), dtype=wp.float64, device=device
+            )
+            wp.launch(
+                bending_rate,
+                dim=(rods, nodes - 2),
+                inputs=[
+                    batch.rest_length,
+                    batch.bending_stiffness,
+                    batch.natural_curvature,
+                    batch.softening,
+                    rest_rate,
+                    wp.zeros_like(batch.bending_stiffness),
+                    wp.zeros_like(batch.natural_curvature),
+                    wp.zeros_like(batch.softening),
+                    dof,
+                    batch.state.director,
+                ],
+                outputs=[gradient_rate],
+                device=device,
+            )
+            wp.launch(
+                dead_loads,
+                dim=(rods, nodes),
+                inputs=[
+                    mass_rate,
+                    batch.gravity,
+                    batch.point_load,
+                    batch.load_factor,
+                    every,
+                    dof,
+                ],
+                outputs=[wp.zeros(rods, dtype=wp.float64, device=device), gradient_rate],
+                device=device,
+            )
         stiffness_rate = wp.full(
             (rods, nodes - 1), 1.0 if j == 2 else 0.0, dtype=wp.float64, device=device
         )
-        gradient_rate = wp.zeros_like(batch.derivatives.gradient)
-        dof, director = batch.state.dof, batch.state.director
-        rest, stretch = batch.rest_length, batch.stretching_stiffness
         wp.launch(
             stretching_rate,
             dim=(rods, nodes - 1),
-            inputs=[rest, stretch, rest_rate_wp, stiffness_rate, dof],
+            inputs=[batch.rest_length, batch.stretching_stiffness, rest_rate, stiffness_rate, dof],
             outputs=[gradient_rate],
-            device=device,
-        )
-        wp.launch(
-            bending_rate,
-            dim=(rods, nodes - 2),
-            inputs=[
-                rest,
-                batch.bending_stiffness,
-                batch.natural_curvature,
-                batch.softening,
-                rest_rate_wp,
-                wp.zeros_like(batch.bending_stiffness),
-                wp.zeros_like(batch.natural_curvature),
-                wp.zeros_like(batch.softening),
-                dof,
-                director,
-            ],
-            outputs=[gradient_rate],
-            device=device,
-        )
-        wp.launch(
-            dead_loads,
-            dim=(rods, nodes),
-            inputs=[
-                mass_rate_wp,
-                batch.gravity,
-                batch.point_load,
-                batch.load_factor,
-                every,
-                dof,
-            ],
-            outputs=[wp.zeros(rods, dtype=wp.float64, device=device), gradient_rate],
             device=device,
         )
         reaction_rate = wp.zeros_like(self.reaction)
-        batch.evaluate(order=2)
-        self._condense(gradient_rate, every, reaction_rate)
+        self._load(gradient_rate, every, 1)
+        self.system.solve(every, columns=1)
+        self._reduce(gradient_rate, every, reaction_rate)
         force_rate = wp.zeros(rods, dtype=wp.vec3d, device=device)
         wp.launch(
             grasp_sensitivity.grasp_rate,
             dim=rods,
             inputs=[
-                rest,
-                rest_rate_wp,
+                batch.rest_length,
+                rest_rate,
                 self.curvature,
                 wp.float64(1.0 if j == 1 else 0.0),
                 wp.float64(WEIGHT if j == 0 else 0.0),
@@ -348,32 +408,33 @@ class GraspSolver:
             outputs=[force_rate],
             device=device,
         )
-        dof_rate = self.system.x.numpy()[:, 0]
-        return dof_rate[:, -3:], self._rotation_rate(dof_rate, rest_rate), force_rate.numpy()
+        # Only the rod's end counts: the last three nodes and the angle of the last edge.
+        end_rate = self.system.x[:, 0, -11:].numpy()
+        rotation_rate = self._rotation_rate(end_rate, rest_rate[:, -2:].numpy())
+        return end_rate[:, -3:], rotation_rate, force_rate.numpy()
 
-    def _rotation_rate(self, dof_rate: np.ndarray, rest_rate: np.ndarray) -> np.ndarray:
-        """(n, 3) derivative of the grip's rotation vector along a rate of the dofs."""
+    def _rotation_rate(self, end_rate: np.ndarray, rest_rate: np.ndarray) -> np.ndarray:
+        """(n, 3) derivative of the grip's rotation vector.
+
+        Args:
+            end_rate: (n, 11) rates of the last three nodes and the angles between them.
+            rest_rate: (n, 2) rates of the last two rest lengths.
+        """
         batch = self.batch
         frame, t, chi, binormal, fraction = self._grip_frame()
-        dof = batch.state.dof.numpy()
-        length = np.stack(
-            [
-                np.linalg.norm(dof[:, -7:-4] - dof[:, -11:-8], axis=1),
-                np.linalg.norm(dof[:, -3:] - dof[:, -7:-4], axis=1),
-            ],
-            axis=1,
-        )
-        nodes = np.stack([dof_rate[:, -11:-8], dof_rate[:, -7:-4], dof_rate[:, -3:]], axis=1)
-        edge_rate = np.diff(nodes, axis=1) / length[:, :, None]
+        nodes = batch.state.dof[:, -11:].numpy()[:, [0, 1, 2, 4, 5, 6, 8, 9, 10]].reshape(-1, 3, 3)
+        length = np.linalg.norm(np.diff(nodes, axis=1), axis=2)
+        node_rate = end_rate[:, [0, 1, 2, 4, 5, 6, 8, 9, 10]].reshape(-1, 3, 3)
+        edge_rate = np.diff(node_rate, axis=1) / length[:, :, None]
         t_rate = edge_rate - np.sum(edge_rate * t, axis=2, keepdims=True) * t
         # Time-parallel frames spin with their tangent, the material frame by its angle on top.
-        spin = np.cross(t[:, 1], t_rate[:, 1]) + dof_rate[:, -4:-3] * t[:, 1]
+        spin = np.cross(t[:, 1], t_rate[:, 1]) + end_rate[:, 7:8] * t[:, 1]
         chi_rate = np.sum(t_rate[:, 0] * t[:, 1] + t[:, 0] * t_rate[:, 1], axis=1)
         binormal_rate = (
             2.0 * (np.cross(t_rate[:, 0], t[:, 1]) + np.cross(t[:, 0], t_rate[:, 1]))
             - chi_rate[:, None] * binormal
         ) / chi[:, None]
-        rest, rate = batch.rest_length.numpy()[:, -2:], rest_rate[:, -2:]
+        rest, rate = batch.rest_length[:, -2:].numpy(), rest_rate
         total = rest.sum(axis=1)
         fraction_rate = (rate[:, 1] - rest[:, 1] * rate.sum(axis=1) / total) / (4.0 * total)
         bend = fraction[:, None] * binormal

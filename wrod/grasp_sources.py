@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-# Nodes handed to a solver at a time when someone watches the progress.
-_CHUNK = 32
+from wrod.errors import GraspError
 
 
 @dataclass(frozen=True)
@@ -22,13 +21,19 @@ class GraspInputs:
     device: str | None
     progress: Callable[[int, int], None] | None
 
+    def at(self, nodes: np.ndarray) -> GraspInputs:
+        """The inputs of some nodes."""
+        length, curvature = self.suspended_length[nodes], self.curvature[nodes]
+        return replace(self, suspended_length=length, curvature=curvature)
+
 
 @dataclass(frozen=True)
 class GraspPoses:
     """What a grasp source returns, in the contact frame and dimensionless.
 
-    position, rotation (vector) and force are (T, 3); converged and stable are (T,) or None where
-    the source does not say; shape is (T, nodes, 3) or None.
+    position, rotation (vector) and force are (T, 3); converged, stable and eigenvalue (of the
+    softest motion, see `Grasps`) are (T,) or None where the source does not say; shape is
+    (T, nodes, 3) or None.
     """
 
     position: np.ndarray
@@ -37,6 +42,7 @@ class GraspPoses:
     converged: np.ndarray | None = None
     stable: np.ndarray | None = None
     shape: np.ndarray | None = None
+    eigenvalue: np.ndarray | None = None
 
 
 def _intuitive(inputs: GraspInputs) -> GraspPoses:
@@ -49,53 +55,86 @@ def _intuitive(inputs: GraspInputs) -> GraspPoses:
 
 
 def _numeric(inputs: GraspInputs) -> GraspPoses:
-    """Optimal grasps from the rod solver; right turns are the mirror images of left ones."""
+    """Optimal grasps from the rod solver."""
     from wrod.grasps import solve_grasps
 
     count = len(inputs.suspended_length)
-    chunk = count if inputs.progress is None else _CHUNK
-    parts = []
-    for first in range(0, count, chunk):
-        part = slice(first, min(first + chunk, count))
-        grasps = solve_grasps(
-            inputs.suspended_length[part],
-            np.abs(inputs.curvature[part]),
-            np.full(part.stop - part.start, inputs.stretch_ratio),
-            closure=inputs.closure,
-            device=inputs.device,
-        )
-        parts.append(grasps)
-        if inputs.progress is not None:
-            inputs.progress(part.stop - part.start, count)
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([np.asarray(getattr(grasps, name)) for grasps in parts])
-
-    has_shape = all(getattr(grasps, "shape", None) is not None for grasps in parts)
-    poses = GraspPoses(
-        *(joined(name) for name in ("position", "rotation", "force", "converged", "stable")),
-        shape=joined("shape") if has_shape else None,
+    watch = inputs.progress
+    grasps = solve_grasps(
+        inputs.suspended_length,
+        inputs.curvature,
+        inputs.stretch_ratio,
+        closure=inputs.closure,
+        device=inputs.device,
+        eigenvalues=True,
+        progress=None if watch is None else lambda done: watch(done, count),
     )
-    return mirrored(poses, inputs.curvature < 0.0)
+    return GraspPoses(
+        grasps.position,
+        grasps.rotation,
+        grasps.force,
+        grasps.converged,
+        grasps.stable,
+        grasps.shape,
+        grasps.eigenvalue,
+    )
 
 
-def mirrored(poses: GraspPoses, where: np.ndarray) -> GraspPoses:
-    """Poses with those at `where` (T,) reflected in the contact frame's xz plane."""
-    side = np.where(where, -1.0, 1.0)
-    position, rotation, force = poses.position.copy(), poses.rotation.copy(), poses.force.copy()
-    position[:, 1] *= side
-    force[:, 1] *= side
-    rotation[:, 0] *= side
-    rotation[:, 2] *= side
-    shape = poses.shape
-    if shape is not None:
-        shape = shape.copy()
-        shape[:, :, 1] *= side[:, None]
-    return GraspPoses(position, rotation, force, poses.converged, poses.stable, shape)
+def _neural(inputs: GraspInputs) -> GraspPoses:
+    """Optimal grasps from the trained controller; out of its range it warns."""
+    from wrod.controller import Controller
+
+    controller = Controller.load()
+    if inputs.closure != controller.closure:
+        raise GraspError(
+            f"method 'neural' knows closure {controller.closure!r} only, not {inputs.closure!r}; "
+            "use method 'numeric' or 'auto'"
+        )
+    return _predicted(controller, inputs)
+
+
+def _auto(inputs: GraspInputs) -> GraspPoses:
+    """The controller where it was trained for closure and inputs, elsewhere the rod solver."""
+    from wrod.controller import Controller
+
+    controller = Controller.load()
+    known = ~controller.out_of_range(
+        inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
+    )
+    known &= inputs.closure == controller.closure
+    if known.all():
+        return _predicted(controller, inputs)
+    solved = _numeric(inputs.at(~known))
+    if not known.any():
+        return solved
+    predicted = _predicted(controller, inputs.at(known))
+    whole = {}
+    for name in ("position", "rotation", "force", "converged", "stable"):
+        value = getattr(solved, name)
+        whole[name] = np.empty((len(known), *value.shape[1:]), dtype=value.dtype)
+        whole[name][~known] = value
+        # The controller learnt from grasps that converged and are stable.
+        given = getattr(predicted, name)
+        whole[name][known] = True if given is None else given
+    # Nobody has looked how close the predicted ones are to instability.
+    whole["eigenvalue"] = np.full(len(known), np.inf)
+    whole["eigenvalue"][~known] = solved.eigenvalue
+    return GraspPoses(**whole)
+
+
+def _predicted(controller, inputs: GraspInputs) -> GraspPoses:
+    position, rotation, force = controller.predict_with_force(
+        inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
+    )
+    return GraspPoses(
+        position, rotation, np.full_like(position, np.nan) if force is None else force
+    )
 
 
 # A source takes the dimensionless inputs of every node and returns poses in the contact frame.
 SOURCES: dict[str, Callable[[GraspInputs], GraspPoses]] = {
+    "neural": _neural,
+    "auto": _auto,
     "numeric": _numeric,
     "intuitive": _intuitive,
 }

@@ -15,7 +15,6 @@ import numpy as np
 
 from wrod.batch import resolve_device
 from wrod.errors import GraspError
-from wrod.grasp_mesh import refine
 from wrod.grasp_solver import GraspSolution, GraspSolver
 from wrod.kernels import grasping
 
@@ -47,13 +46,15 @@ class Grasps:
         rotation: (n, 3) rotation vector of the rod's frame at the grip: R x is the tangent there,
             without twist between contact and grip [rad].
         force: (n, 3) force on the suspended rod at the contact [k_b/L_gb^2].
-        converged: (n,) an admissible equilibrium to the tolerance: z >= 0 everywhere, F_z >= 0.
-            Only these are results.
+        converged: (n,) an admissible and stable equilibrium to the tolerance: z >= 0 everywhere,
+            F_z >= 0. Only these are results.
         stable: (n,) the held grasp is stable (no negative eigenvalue of the constrained Hessian).
+        eigenvalue: (n,) how far the held grasp is from instability: the smallest eigenvalue of that
+            Hessian, the stiffness per length of its softest motion [k_b/L_gb^4]; or None.
         iterations: (n,) Newton iterations, all meshes together.
         residual: (n,) largest unbalanced force on the finest mesh [k_b/L_gb^2].
         force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact held.
-        shape: (n, node, 3) the rod from contact to grip on the finest mesh [L_gb].
+        shape: (n, node, 3) the rod from contact to grip on the finest mesh [L_gb], or None.
         position_sensitivity, rotation_sensitivity, force_sensitivity: (n, 3, 3) derivatives of
             component i by input j of (suspended_length, curvature, stretch_ratio), or None.
     """
@@ -66,7 +67,8 @@ class Grasps:
     iterations: np.ndarray
     residual: np.ndarray
     force_jacobian: np.ndarray
-    shape: np.ndarray
+    shape: np.ndarray | None = None
+    eigenvalue: np.ndarray | None = None
     position_sensitivity: np.ndarray | None = None
     rotation_sensitivity: np.ndarray | None = None
     force_sensitivity: np.ndarray | None = None
@@ -83,6 +85,8 @@ def solve_grasps(
     closure: str = "zero_tension",
     device: str | None = None,
     sensitivities: bool = False,
+    eigenvalues: bool = False,
+    shapes: bool = True,
     edge_count: int = EDGE_COUNT,
     extrapolate: bool = True,
     threads: int | None = None,
@@ -101,6 +105,8 @@ def solve_grasps(
             leaves is used.
         device: "cpu", "cuda:0", "auto" or None (the first CUDA device if there is one).
         sensitivities: return the derivatives by the inputs as well ("zero_tension" only).
+        eigenvalues: return the smallest eigenvalue of each grasp as well.
+        shapes: return the rods' shapes as well.
         edge_count: edges of the finest mesh, even.
         extrapolate: combine both meshes; without it the results are those of the finest mesh.
         threads: CPU threads; default: one per core.
@@ -115,7 +121,7 @@ def solve_grasps(
         raise GraspError(f"sensitivities need closure 'zero_tension', not {closure!r}")
     if edge_count < 16 or edge_count % 2:
         raise GraspError(f"edge_count is {edge_count}; use an even number from 16")
-    ls, kappa, ks = _check_inputs(suspended_length, curvature, stretch_ratio)
+    ls, kappa, ks = check_inputs(suspended_length, curvature, stretch_ratio)
     device = resolve_device(device)
     size = _CPU_CHUNK if device == "cpu" else _CUDA_CHUNK
     workers = 1 if device != "cpu" else (threads or os.cpu_count() or 1)
@@ -132,6 +138,8 @@ def solve_grasps(
             edge_count,
             extrapolate,
             sensitivities,
+            eigenvalues,
+            shapes,
         )
         if progress is not None:
             progress(len(result.position))
@@ -145,7 +153,8 @@ def solve_grasps(
     return _grasps(parts, kappa, sensitivities)
 
 
-def _check_inputs(*inputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def check_inputs(*inputs) -> tuple[np.ndarray, ...]:
+    """(l_s, kappa, k_s) and anything after them as arrays of one shape (n,), or GraspError."""
     arrays = [np.asarray(value, dtype=np.float64) for value in inputs]
     try:
         arrays = [np.atleast_1d(a) for a in np.broadcast_arrays(*arrays)]
@@ -154,7 +163,7 @@ def _check_inputs(*inputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         raise GraspError(f"grasp inputs have shapes {shapes}, which do not broadcast") from None
     if arrays[0].ndim != 1:
         raise GraspError(f"grasp inputs have shape {arrays[0].shape}; give one-dimensional arrays")
-    for (name, (low, high)), value in zip(LIMITS.items(), arrays, strict=True):
+    for (name, (low, high)), value in zip(LIMITS.items(), arrays, strict=False):
         bad = np.flatnonzero(~((value >= low) & (value <= high)))
         if bad.size:
             raise GraspError(
@@ -165,11 +174,11 @@ def _check_inputs(*inputs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _solve_chunk(
-    ls, kappa, ks, closure, device, edge_count, extrapolate, sensitivities
+    ls, kappa, ks, closure, device, edge_count, extrapolate, sensitivities, eigenvalues, shapes
 ) -> GraspSolution:
     """Coarse from a cold start, fine from coarse, then both combined."""
 
-    def level(chosen, edges, guess=None, thrust=None) -> GraspSolution:
+    def level(chosen, edges, guess=None, thrust=None) -> tuple[GraspSolver, GraspSolution]:
         solver = GraspSolver(
             ls[chosen],
             kappa[chosen],
@@ -179,29 +188,35 @@ def _solve_chunk(
             device=device,
             guess=guess,
             thrust=thrust,
+        ).run()
+        return solver, solver.solution(
+            sensitivities=sensitivities,
+            # Those of the coarse mesh are of no use: nothing is extrapolated from them.
+            eigenvalues=eigenvalues and edges == edge_count,
+            shapes=shapes,
         )
-        return solver.run().solution(sensitivities=sensitivities)
 
-    everything = np.arange(len(ls))
-    coarse = level(everything, edge_count // 2)
-    lost = np.flatnonzero(~coarse.converged)
-    if lost.size:
-        # Too coarse a mesh to start from: start on the fine one and come back from there.
-        cold = level(lost, edge_count)
-        back = level(lost, edge_count // 2, cold.shape[:, ::2], cold.thrust)
-        back.iterations += cold.iterations
-        back.converged &= cold.converged
-        _put(coarse, lost, back)
-    fine = level(everything, edge_count, refine(coarse.shape), coarse.thrust)
+    everything = slice(None)
+    solver, coarse = level(everything, edge_count // 2)
+    _, fine = level(everything, edge_count, solver.refined(), coarse.thrust)
     fine.converged &= coarse.converged
     fine.iterations += coarse.iterations
+    lost = np.flatnonzero(~fine.converged)
+    if lost.size:
+        # Too coarse a mesh to start from: start on the fine one and come back from there.
+        solver, cold = level(lost, edge_count)
+        _, back = level(lost, edge_count // 2, solver.coarsened(), cold.thrust)
+        cold.converged &= back.converged
+        cold.iterations += back.iterations + fine.iterations[lost]
+        _put(coarse, lost, back)
+        _put(fine, lost, cold)
     if extrapolate:
         for name in _EXTRAPOLATED:
             value = getattr(fine, name)
             if value is not None:
                 setattr(fine, name, (4.0 * value - getattr(coarse, name)) / 3.0)
-    admissible = (fine.shape[:, :, 2].min(axis=1) > -1e-6) & (fine.force[:, 2] > 0)
-    fine.converged &= admissible & (_turning(fine.shape) < _GENTLE)
+    admissible = (fine.lowest > -1e-6) & (fine.force[:, 2] > 0)
+    fine.converged &= admissible & fine.stable & (fine.turning < _GENTLE)
     return fine
 
 
@@ -218,17 +233,10 @@ _EXTRAPOLATED = (
 _GENTLE = 2.0 * np.pi
 
 
-def _turning(shape: np.ndarray) -> np.ndarray:
-    """(n,) total turning of the rod [rad]."""
-    edges = np.diff(shape, axis=1)
-    cross = np.linalg.norm(np.cross(edges[:, :-1], edges[:, 1:]), axis=2)
-    return np.arctan2(cross, np.sum(edges[:, :-1] * edges[:, 1:], axis=2)).sum(axis=1)
-
-
 def _put(target: GraspSolution, where: np.ndarray, source: GraspSolution) -> None:
     for field in fields(GraspSolution):
         value = getattr(target, field.name)
-        if value is not None:
+        if value is not None and getattr(source, field.name) is not None:
             value[where] = getattr(source, field.name)
 
 
@@ -240,13 +248,17 @@ def _grasps(parts: list[GraspSolution], kappa: np.ndarray, sensitivities: bool) 
 
     right = kappa < 0
     position, rotation, force = join("position"), join("rotation"), join("force")
-    jacobian, shape = join("force_jacobian"), join("shape")
+    jacobian = join("force_jacobian")
+    shape = None if parts[0].shape is None else join("shape")
     position[right] *= _MIRROR
     force[right] *= _MIRROR
     rotation[right] *= _MIRROR_ROTATION
-    shape[right] *= _MIRROR
+    if shape is not None:
+        shape[right] *= _MIRROR
     jacobian[right] *= np.outer(_MIRROR, _MIRROR)
     extra = {}
+    if parts[0].eigenvalue is not None:
+        extra["eigenvalue"] = join("eigenvalue")
     if sensitivities:
         for name, mirror in (
             ("position_sensitivity", _MIRROR),

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from wrod.errors import GraspError, PatternError, StabilityWarning
+from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
 from wrod.friction import friction_bound
+from wrod.grasp_mesh import WEIGHT
 from wrod.grasp_sources import SOURCES, GraspInputs, GraspPoses
 from wrod.material import RodMaterial
 from wrod.patterns import Pattern
@@ -27,15 +29,22 @@ _REMAINDER_FRICTION = 0.25
 # ... but turns by no more than this [rad], which binds for stiff rods.
 _REMAINDER_TURN = 0.8
 _MAX_NODES = 20_000
+# Stiffness of a rod's softest motion over weight per length by suspended length. A chain that hangs
+# without bending stiffness has (j_0 / 2)^2; optimal grasps have more, and one with a third of it
+# would swing out three times as far as a chain.
+CHAIN_MARGIN = 1.446
+SMALL_STABILITY_MARGIN = CHAIN_MARGIN / 3.0
+# Grips closer than this [L_gb] are of one grasp, with a curvature that is off by a spline's noise.
+_SAME_GRASP = 0.06
 
 
 def plan(
     pattern: Pattern,
     rod: RodMaterial,
-    method: str = "numeric",
+    method: str = "neural",
     *,
     closure: str = "zero_tension",
-    spacing: float = 0.005,
+    spacing: float = 0.0025,
     remainder: bool | float | None = None,
     device: str | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -45,9 +54,10 @@ def plan(
     Args:
         pattern: where the rod is to lie.
         rod: its material and length.
-        method: "numeric" (optimal grasps from the rod solver) or "intuitive" (straight above the
-            contact).
-        closure: "zero_tension", "min_force" or "min_friction" (numeric only).
+        method: "neural" (optimal grasps from the trained controller), "numeric" (from the rod
+            solver), "auto" (neural where the controller was trained, numeric elsewhere) or
+            "intuitive" (straight above the contact).
+        closure: "zero_tension", "min_force" or "min_friction"; "neural" knows the first only.
         spacing: largest distance between the contact nodes [m].
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
             curvature is considerable (over 0.15 / L_gb), True, False, or its length [m].
@@ -55,7 +65,8 @@ def plan(
         progress: called with the nodes done since the last call and the number of all nodes.
 
     Returns:
-        One pose per contact node; `metadata` names method, rod, pattern, remainder and friction.
+        One pose per contact node; `metadata` names method, rod, pattern, remainder,
+        friction and the warnings given.
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
@@ -63,7 +74,8 @@ def plan(
         GraspError: unknown method, or a grasp that did not converge; names node and inputs.
 
     Warns:
-        StabilityWarning: some grasps are elastically unstable.
+        StabilityWarning: some grasps are elastically unstable, or close to it.
+        OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
@@ -80,23 +92,24 @@ def plan(
     _refuse_tight_bends(pattern, rod, s, curvature)
     lgb = rod.gravito_bending_length
     laid = s - first
-    # The maximum removes the rounding of a pattern that fills the rod.
-    suspended = np.maximum((rod.length - laid) / lgb, MIN_SUSPENDED_LENGTH)
-    inputs = GraspInputs(suspended, curvature * lgb, rod.stretch_ratio, closure, device, progress)
-    poses = SOURCES[method](inputs)
-    _refuse_unconverged(poses, inputs, s)
-    _warn_unstable(poses, s)
+    inputs = GraspInputs(
+        *_dimensionless(rod, laid, curvature), rod.stretch_ratio, closure, device, progress
+    )
+    with warnings.catch_warnings(record=True) as reservations:
+        warnings.simplefilter("always")
+        poses = SOURCES[method](inputs)
+        _refuse_unconverged(poses, inputs, s)
+        _warn_unstable(poses, inputs, s)
+    for reservation in reservations:
+        warnings.warn(reservation.message, reservation.category, stacklevel=2)
 
-    up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
-    frame = np.stack([tangent, np.cross(up, tangent), up], axis=-1)  # R_t of Alg. OPT
+    frame = _contact_frame(tangent)
     force_unit = rod.bending_stiffness / lgb**2
-    shape = None
-    if poses.shape is not None:
-        shape = contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, poses.shape)
+    shape = None if poses.shape is None else _placed(poses.shape, contact, frame, lgb)
     return Trajectory(
         arc_length=laid,
         contact=contact,
-        position=contact + lgb * np.einsum("tij,tj->ti", frame, poses.position),
+        position=_placed(poses.position[:, None], contact, frame, lgb)[:, 0],
         rotation=frame @ Rotation.from_rotvec(poses.rotation).as_matrix(),
         force=force_unit * np.einsum("tij,tj->ti", frame, poses.force),
         metadata={
@@ -108,9 +121,104 @@ def plan(
             "rod": asdict(rod),
             "required_friction": float(np.max(friction_bound(pattern, rod).required)),
             "largest_curvature": float(np.max(np.abs(curvature))),
+            "warnings": [
+                f"{warning.category.__name__}: {warning.message}"
+                for warning in reservations
+                if issubclass(warning.category, WrodWarning)
+            ],
         },
         shape=shape,
     )
+
+
+def with_shapes(
+    trajectory: Trajectory,
+    pattern: Pattern | None = None,
+    *,
+    device: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """The trajectory with the shapes of the suspended rod, where its method gave none.
+
+    They are those of the optimal grasps of the same inputs, from the rod solver, ended at the
+    trajectory's grips. It thereby checks the controller: `metadata["shapes"]` says how far its
+    grips are from the solver's at most [m]. A trajectory that is not of optimal grasps, or has
+    shapes, comes back as it is.
+
+    Args:
+        trajectory: what `plan` returned, or read from its file.
+        pattern: of the trajectory; without it, or where the contacts are not on it, the curvature
+            is that of a spline through the contacts.
+        device, progress: see `plan`.
+
+    Warns:
+        WrodWarning: the solver gives no shapes, or has its grips elsewhere; the trajectory comes
+            back without.
+    """
+    closure, rod = trajectory.metadata.get("closure"), trajectory.metadata.get("rod")
+    if trajectory.shape is not None or closure is None or rod is None:
+        return trajectory
+    rod, s = RodMaterial(**rod), trajectory.pattern_arc_length
+    tangent, curvature = _course(trajectory, pattern)
+    lgb = rod.gravito_bending_length
+    inputs = GraspInputs(
+        *_dimensionless(rod, trajectory.arc_length, curvature),
+        rod.stretch_ratio, closure, device, progress,
+    )  # fmt: skip
+    try:
+        poses = SOURCES["numeric"](inputs)
+        _refuse_unconverged(poses, inputs, s)
+        frame = _contact_frame(tangent)
+        grip = _placed(poses.position[:, None], trajectory.contact, frame, lgb)[:, 0]
+        apart = float(np.linalg.norm(grip - trajectory.position, axis=1).max())
+        if apart > _SAME_GRASP * lgb:
+            raise GraspError(f"the solver's grips are up to {apart:.2g} m from the planned ones")
+    except GraspError as error:
+        warnings.warn(f"the rod's shapes are left out: {error}", WrodWarning, stacklevel=2)
+        return trajectory
+    shape = _placed(poses.shape, trajectory.contact, frame, lgb)
+    # What is left, of the controller and of the mesh, fades out towards the contact.
+    share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
+    shape += share[None, :, None] * (trajectory.position - shape[:, -1])[:, None]
+    said = {"method": "numeric", "largest_grip_difference": apart}
+    return replace(trajectory, shape=shape, metadata={**trajectory.metadata, "shapes": said})
+
+
+def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray, np.ndarray]:
+    """Unit tangent (T, 3) and signed curvature (T,) [1/m] at the contacts."""
+    curve = CubicSpline(trajectory.arc_length, trajectory.contact)
+    forward, bend = (curve(trajectory.arc_length, order) for order in (1, 2))
+    speed = np.linalg.norm(forward, axis=1)
+    curvature = (forward[:, 0] * bend[:, 1] - forward[:, 1] * bend[:, 0]) / speed**3
+    own = forward / speed[:, None], curvature
+    if pattern is None:
+        return own
+    s = trajectory.pattern_arc_length
+    if pattern.remainder_length == 0.0 and s[0] < 0.0:
+        pattern = pattern.with_remainder(-float(s[0]))
+    contact, *course = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
+    laid = np.abs(contact - trajectory.contact).max() < 1e-6
+    return tuple(course) if laid else own
+
+
+def _dimensionless(
+    rod: RodMaterial, laid: np.ndarray, curvature: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Suspended length [L_gb] and curvature [1/L_gb] at each node."""
+    lgb = rod.gravito_bending_length
+    # The maximum removes the rounding of a pattern that fills the rod.
+    return np.maximum((rod.length - laid) / lgb, MIN_SUSPENDED_LENGTH), curvature * lgb
+
+
+def _contact_frame(tangent: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) R_t of Alg. OPT."""
+    up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
+    return np.stack([tangent, np.cross(up, tangent), up], axis=-1)
+
+
+def _placed(points: np.ndarray, contact: np.ndarray, frame: np.ndarray, lgb: float) -> np.ndarray:
+    """(T, n, 3) points on the table [m] from those in contact frames [L_gb]."""
+    return contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, points)
 
 
 def prepare(pattern: Pattern, rod: RodMaterial, remainder: bool | float | None) -> Pattern:
@@ -197,13 +305,27 @@ def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -
     )
 
 
-def _warn_unstable(poses: GraspPoses, s: np.ndarray) -> None:
-    if poses.stable is None or np.all(poses.stable):
+def _warn_unstable(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -> None:
+    if poses.stable is not None and not np.all(poses.stable):
+        where = s[~np.asarray(poses.stable, dtype=bool)]
+        warnings.warn(
+            f"{len(where)} of {len(s)} grasps are elastically unstable (s from {where.min():.3f} "
+            f"to {where.max():.3f} m); the rod may snap there",
+            StabilityWarning,
+            stacklevel=3,
+        )
         return
-    where = s[~np.asarray(poses.stable, dtype=bool)]
-    warnings.warn(
-        f"{len(where)} of {len(s)} grasps are elastically unstable (s from {where.min():.3f} to "
-        f"{where.max():.3f} m); the rod may snap there",
-        StabilityWarning,
-        stacklevel=3,
-    )
+    if poses.eigenvalue is None:
+        return
+    margin = poses.eigenvalue * inputs.suspended_length / WEIGHT
+    close = margin < SMALL_STABILITY_MARGIN
+    if np.any(close):
+        where, worst = s[close], int(np.argmin(margin))
+        warnings.warn(
+            f"{len(where)} of {len(s)} grasps come close to elastic instability (s from "
+            f"{where.min():.3f} to {where.max():.3f} m; at {s[worst]:.3f} m the softest motion has "
+            f"{margin[worst] / CHAIN_MARGIN:.0%} of a hanging chain's stiffness); "
+            "hold the grip steady there or make the pattern gentler",
+            StabilityWarning,
+            stacklevel=3,
+        )

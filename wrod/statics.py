@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wrod.batch import Derivatives, RodBatch, RodState
+from wrod.batch import Derivatives, RodBatch, RodState, threads_per_block
 from wrod.errors import RodError
 from wrod.kernels import banded, continuation, newton
 from wrod.kernels.assembly import HALF_BANDWIDTH
@@ -43,6 +43,7 @@ class BandedSystem:
     def __init__(self, batch: RodBatch, right_hand_sides: int = 1):
         rods, dofs, device = batch.rod_count, batch.dof_count, batch.device
         self.batch = batch
+        self.block_dim = threads_per_block(rods, device)
         self.factor = wp.zeros((rods, dofs, HALF_BANDWIDTH + 1), dtype=wp.float64, device=device)
         self.shift = wp.zeros(rods, dtype=wp.float64, device=device)
         self.negative_pivots = wp.zeros(rods, dtype=wp.int32, device=device)
@@ -55,16 +56,18 @@ class BandedSystem:
             inputs=[active, self.batch.free, hessian, self.shift],
             outputs=[self.factor, self.negative_pivots],
             device=self.batch.device,
+            block_dim=self.block_dim,
         )
 
-    def solve(self, active: wp.array) -> None:
-        """Overwrite every right-hand side in `x` with its solution."""
+    def solve(self, active: wp.array, columns: int | None = None) -> None:
+        """Overwrite the first (default: all) right-hand sides in `x` with their solutions."""
         wp.launch(
             banded.solve,
-            dim=self.x.shape[:2],
+            dim=(self.x.shape[0], columns or self.x.shape[1]),
             inputs=[active, self.batch.free, self.factor],
             outputs=[self.x],
             device=self.batch.device,
+            block_dim=self.block_dim,
         )
 
 

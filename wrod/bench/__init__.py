@@ -7,6 +7,8 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from wrod import __version__
+
 
 def machine_line(device: str = "cpu") -> str:
     """Processor, cores, device and library versions, for the head of every benchmark."""
@@ -18,7 +20,8 @@ def machine_line(device: str = "cpu") -> str:
                 cpu = line.split(":", 1)[1].strip()
                 break
     parts = [f"{cpu}, {os.cpu_count()} cores", f"Python {platform.python_version()}"]
-    for package in ("wrod", "warp-lang", "numpy", "torch"):
+    parts.append(f"wrod {__version__}")
+    for package in ("warp-lang", "numpy", "torch"):
         try:
             parts.append(f"{package} {version(package)}")
         except PackageNotFoundError:

@@ -7,9 +7,21 @@ import warnings
 
 import click
 
+from wrod import __version__
 from wrod.errors import WrodError, WrodWarning
 
-COMMANDS = ("plan", "loop", "identify", "bench")
+COMMANDS = (
+    "plan",
+    "deploy",
+    "loop",
+    "scan",
+    "manifold",
+    "identify",
+    "dataset",
+    "train",
+    "render",
+    "bench",
+)
 
 
 class LazyGroup(click.Group):
@@ -52,7 +64,7 @@ _default_show = warnings.showwarning
     names=COMMANDS,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-@click.version_option(package_name="wrod")
+@click.version_option(__version__, prog_name="wrod")
 def main() -> None:
     """Plan and prove how a robot lays a rod along a pattern."""
     warnings.showwarning = _show_warning

@@ -4,7 +4,17 @@ import click
 
 from wrod.commands import LazyGroup
 
-BENCHMARKS = ("grasp",)
+BENCHMARKS = (
+    "controller",
+    "grasp",
+    "manifold",
+    "perception",
+    "plan",
+    "robot",
+    "table4",
+    "table3",
+    "deploy",
+)
 
 
 @click.command(name="bench", cls=LazyGroup, package="wrod.bench", names=BENCHMARKS)

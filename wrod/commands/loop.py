@@ -15,6 +15,11 @@ import click
 @click.option("--density", type=float, default=1180.0, show_default=True, help="Density [kg/m^3].")
 @click.option("--poisson", type=float, default=0.5, show_default=True, help="Poisson's ratio.")
 @click.option(
+    "--derive",
+    is_flag=True,
+    help="Solve the loop's equilibrium afresh (seconds) instead of taking its known height.",
+)
+@click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Rod file (.json) to write; `wrod plan --rod` reads it.",
@@ -26,6 +31,7 @@ def command(
     length: float,
     density: float,
     poisson: float,
+    derive: bool,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -36,9 +42,15 @@ def command(
     diameter.
     """
     from wrod.errors import RodError
-    from wrod.material import RodMaterial
+    from wrod.material import LOOP_HEIGHT_RATIO, RodMaterial
 
+    ratio = LOOP_HEIGHT_RATIO
     rod = RodMaterial.from_loop_height(height, radius, length, density=density, poisson=poisson)
+    if derive:
+        from wrod.loop import loop_height
+
+        ratio = loop_height()
+        rod = RodMaterial(radius, height / ratio, length, poisson, density)
     if out is not None:
         if out.suffix != ".json":
             raise RodError(f"{out}: is not a .json file name; `wrod plan --rod` knows rods by it")
@@ -47,6 +59,7 @@ def command(
         except OSError as error:
             raise RodError(f"{out}: cannot be written ({error}); choose another --out") from None
     figures = {
+        "loop_height_ratio": ratio,
         "gravito_bending_length": rod.gravito_bending_length,
         "stretch_ratio": rod.stretch_ratio,
         "youngs_modulus": rod.youngs_modulus,
@@ -56,6 +69,7 @@ def command(
     if as_json:
         click.echo(json.dumps(figures, indent=2))
         return
+    click.echo(f"loop height             {ratio:.5f} L_gb")
     click.echo(f"gravito-bending length  {rod.gravito_bending_length * 100:.3f} cm")
     click.echo(f"stretch ratio           {rod.stretch_ratio:.0f}")
     click.echo(f"Young's modulus         {rod.youngs_modulus / 1e6:.3f} MPa")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from math import degrees
 from pathlib import Path
 
 import click
@@ -15,21 +16,49 @@ import click
 @click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`).")
 @click.option("--length", type=float, help="Its total length [m].")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--method", default="numeric", show_default=True, help="numeric or intuitive.")
+@click.option(
+    "--method", default="neural", show_default=True, help="neural, numeric, auto or intuitive."
+)
 @click.option(
     "--closure",
     default="zero_tension",
     show_default=True,
     help="zero_tension, min_force or min_friction.",
 )
-@click.option("--spacing", default=0.005, show_default=True, help="Distance between nodes [m].")
+@click.option("--spacing", default=0.0025, show_default=True, help="Distance between nodes [m].")
 @click.option("--units", help="Units of a pattern file: m, cm, mm, um or in.")
+@click.option(
+    "--markers",
+    type=click.Path(path_type=Path),
+    help="A picture's scale: layout of its ArUco markers (JSON).",
+)
+@click.option("--sheet", help="Or the size of the bright sheet drawn on: WIDTHxHEIGHT [m].")
+@click.option("--scale", type=float, help="Or its metres per pixel, seen from above [m/px].")
+@click.option("--camera", type=click.Path(path_type=Path), help="Camera matrix and distortion.")
+@click.option(
+    "--start",
+    help="Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left).",
+)
 @click.option("--friction", type=float, help="Static friction coefficient to check against.")
+@click.option(
+    "--shapes/--no-shapes",
+    default=True,
+    help="Let the rod solver compute the rod's shapes where the method gives none (default).",
+)
 @click.option(
     "--remainder/--no-remainder",
     default=None,
     help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
 )
+@click.option("--robot", default="sawyer", show_default=True, help="sawyer, or a URDF file.")
+@click.option("--no-robot", is_flag=True, help="Leave out joint path and scene.")
+@click.option(
+    "--placement",
+    default="auto",
+    show_default=True,
+    help="auto, or x,y,z,yaw of the pattern from the robot's base [m, degrees]; z is the table.",
+)
+@click.option("--view", is_flag=True, help="Then play the scene in a browser on this machine.")
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
@@ -43,14 +72,25 @@ def command(
     closure: str,
     spacing: float,
     units: str | None,
+    markers: Path | None,
+    sheet: str | None,
+    scale: float | None,
+    camera: Path | None,
+    start: str | None,
     friction: float | None,
+    shapes: bool,
     remainder: bool | None,
+    robot: str,
+    no_robot: bool,
+    placement: str,
+    view: bool,
     device: str,
     as_json: bool,
 ) -> None:
     """Plan how the grip moves to lay a rod along PATTERN.
 
-    PATTERN is a file of points (text, CSV, NPY or NPZ) or a built-in pattern: line, circle, sine,
+    PATTERN is a file of points (text, CSV, NPY or NPZ), a picture of a drawn curve (with
+    --markers, --sheet or --scale), or a built-in pattern: line, circle, sine,
     letter-U, letter-C, letter-L, letter-A, letter-S.
     """
     from tqdm import tqdm
@@ -58,10 +98,13 @@ def command(
     from wrod.errors import DataError
     from wrod.friction import friction_bound
     from wrod.picture import draw_plan
-    from wrod.planner import plan, prepare
+    from wrod.planner import plan, prepare, with_shapes
 
     rod = _rod(rod_name, radius, lgb, length)
-    curve = prepare(_pattern(pattern, units), rod, remainder)
+    reading = {
+        "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
+    }  # fmt: skip
+    curve = prepare(_pattern(pattern, units, reading), rod, remainder)
     bound = friction_bound(curve, rod, friction)
     with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=as_json) as bar:
 
@@ -69,21 +112,40 @@ def command(
             bar.total = total
             bar.update(count)
 
+        chosen = None if device == "auto" else device
         trajectory = plan(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
-            device=None if device == "auto" else device, progress=progress,
+            device=chosen, progress=progress,
         )  # fmt: skip
-    try:
-        picture = draw_plan(out / "preview.png", curve, trajectory)
-        written = [*trajectory.save(out / "trajectory"), picture]
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+        if shapes:
+            bar.n = 0
+            trajectory = with_shapes(trajectory, curve, device=chosen, progress=progress)
+    steps = tqdm(total=4, unit="step", leave=False, delay=1.0, disable=as_json or no_robot)
+    with steps:
+
+        def step(what: str) -> None:
+            steps.set_description(what)
+            steps.update(1)
+
+        step("joint path")
+        joint_path = None if no_robot else _joint_path(trajectory, rod, robot, placement)
+        try:
+            step("plan")
+            picture = draw_plan(out / "preview.png", curve, trajectory)
+            written = [*trajectory.save(out / "trajectory"), picture]
+            if joint_path is not None:
+                from wrod.scene.deliver import deliver
+
+                written += deliver(out, trajectory, joint_path, curve, rod, step)
+        except OSError as error:
+            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
     figures = {
         **trajectory.metadata,
         "nodes": len(trajectory),
         "laid_length": float(trajectory.arc_length[-1]),
         "highest_grip": float(trajectory.position[:, 2].max()),
         "insufficient_friction": bound.insufficient,
+        "joint_path": None if joint_path is None else joint_path.metadata,
         "written": [str(path) for path in written],
     }
     if as_json:
@@ -92,6 +154,29 @@ def command(
     click.echo(_summary(figures, friction))
     for path in written:
         click.echo(f"wrote {path}")
+    if view and joint_path is not None:
+        from wrod.scene.view import view as show
+
+        show(out / "scene.usdc")
+
+
+def _joint_path(trajectory, rod, robot: str, placement: str):
+    """Joint path of the arm, before anything is written."""
+    from wrod.errors import RobotError
+    from wrod.robot.joint_path import solve_joint_path
+
+    try:
+        import newton  # noqa: F401  # the scene's picture needs it: say so before writing
+        import pxr  # noqa: F401
+
+        return solve_joint_path(trajectory, robot, placement, rod_radius=rod.radius)
+    except ImportError as error:
+        raise RobotError(
+            f"joint paths and scenes need {error.name}; install wrod[robot,scene,newton], or plan "
+            "with --no-robot"
+        ) from error
+    except RobotError as error:
+        raise RobotError(f"{error} (--no-robot plans the trajectory alone)") from error
 
 
 def _rod(name: str | None, radius: float | None, lgb: float | None, length: float | None):
@@ -114,11 +199,20 @@ def _rod(name: str | None, radius: float | None, lgb: float | None, length: floa
     return RodMaterial(radius, lgb, length)
 
 
-def _pattern(name: str, units: str | None):
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+
+
+def _pattern(name: str, units: str | None, reading: dict):
     from wrod.errors import PatternError
     from wrod.patterns import Pattern, pattern, pattern_names
 
     path = Path(name)
+    given = {option: value for option, value in reading.items() if value is not None}
+    if path.suffix.lower() in _PICTURES:
+        return _scanned(path, units, given)
+    if given:
+        options = ", ".join(f"--{option}" for option in given)
+        raise PatternError(f"{options} belong to a picture, and {name} is none; drop them")
     if name in pattern_names() and not path.is_file():
         if units is not None:
             raise PatternError(f"{name} is built in and has its size in metres; drop --units")
@@ -126,6 +220,20 @@ def _pattern(name: str, units: str | None):
     if not path.suffix and not path.exists():
         return pattern(name)
     return Pattern.load(path, units=units)
+
+
+def _scanned(path: Path, units: str | None, given: dict):
+    from wrod.commands.scan import parse_numbers, parse_start
+    from wrod.errors import PatternError
+    from wrod.perception.scan import scan
+
+    if units is not None:
+        raise PatternError(f"{path}: a picture's scale is not --units; drop it")
+    if "sheet" in given:
+        given["sheet"] = parse_numbers(given["sheet"], 2, "--sheet", "x")
+    if "start" in given:
+        given["start"] = parse_start(given["start"])
+    return scan(path, **given)
 
 
 def _summary(figures: dict, friction: float | None) -> str:
@@ -140,9 +248,22 @@ def _summary(figures: dict, friction: float | None) -> str:
         f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}",
         f"required static friction {figures['required_friction']:.2f}",
     ]
+    if "shapes" in figures:
+        apart = 1e3 * figures["shapes"]["largest_grip_difference"]
+        lines[1] += f"; the rod solver's grips differ by {apart:.2g} mm at most"
+    if figures["joint_path"] is not None:
+        path = figures["joint_path"]
+        place = path["placement"]
+        lines.append(
+            f"joint path of {path['duration']:.0f} s at {path['rate']:g} Hz, at least "
+            f"{path['limit_margin']:.2f} rad from the joint limits and "
+            f"{1e3 * min(path['gap'].values()):.0f} mm clear; pattern at x {place['x']:.3f}, "
+            f"y {place['y']:.3f}, z {place['z']:.3f} m, yaw {degrees(place['yaw']):.0f} degrees "
+            "from the robot's base"
+        )
     if friction is not None:
         places = figures["insufficient_friction"]
-        lines[-1] += (
+        lines[2] += (
             f"; {friction:g} holds everywhere"
             if not places
             else f"; {friction:g} is not enough at s = "

@@ -1,1 +1,11 @@
-"""Scenes: USD export and headless rendering."""
+"""The scene for review: a USD stage of a deployment, and pictures of it without a viewer.
+
+rod_shapes      centreline of the whole rod at every node of a trajectory
+stage           units, time, lights, cameras
+primitives      shapes, curves and materials on a stage
+arm, workplace  the robot; table, floor, pattern, rod
+export          all of it: `export_usd`
+validate        OpenUSD's own checks
+newton_model    a stage as a Newton model, for rendering and viewers
+render          headless pictures
+"""

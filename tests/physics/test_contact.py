@@ -1,0 +1,196 @@
+"""Contact and friction against what a rigid block, a wheel and a rope do."""
+
+import numpy as np
+import pytest
+
+from wrod.batch import RodBatch
+from wrod.dynamics import Dynamics
+from wrod.errors import RodError
+from wrod.substrate import Box, Contact, Cylinder, Friction, Plane
+
+G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
+WEIGHT = np.pi * RADIUS**2 * DENSITY * G
+STIFFNESS = 2 * WEIGHT * LGB**3
+CONTACT = 600 * WEIGHT / RADIUS
+
+
+def rods(position, gravity=(0.0, 0.0, -G)):
+    position = np.asarray(position, dtype=float)
+    edge = np.linalg.norm(np.diff(position, axis=1), axis=2)
+    mass = np.zeros(position.shape[:2])
+    mass[:, :-1] += WEIGHT / G * edge / 2
+    mass[:, 1:] += WEIGHT / G * edge / 2
+    return RodBatch(
+        position,
+        stretching_stiffness=4 * STIFFNESS / RADIUS**2,
+        bending_stiffness=STIFFNESS,
+        twisting_stiffness=STIFFNESS / 1.5,
+        node_mass=mass,
+        gravity=gravity,
+    )
+
+
+def straight(count=1, nodes=15, axis=0, height=RADIUS, length=0.07):
+    position = np.zeros((count, nodes, 3))
+    position[:, :, axis] = np.linspace(0, length, nodes)
+    position[:, :, 2] = height
+    return position
+
+
+def on_slope(angles, friction, axis=0, **options):
+    """Rods that have come to rest on a level table, which is then tilted by `angles` [deg]."""
+    angles = np.radians(angles)
+    batch = rods(straight(len(angles), axis=axis))
+    contact = Contact(batch, RADIUS, CONTACT, friction)
+    dynamics = Dynamics(
+        batch, scheme="euler", radius=RADIUS, contact=contact, tolerance=1e-9, **options
+    )
+    dynamics.advance(0.02, 2e-3)
+    gravity = np.zeros((len(angles), 3))
+    for part in np.linspace(0.0, 1.0, 17)[1:]:  # a sudden tilt would jerk it loose
+        gravity[:, 0], gravity[:, 2] = G * np.sin(part * angles), -G * np.cos(part * angles)
+        batch.gravity.assign(gravity)
+        dynamics.advance(0.02 + 0.16 * part, 2e-3)
+    return dynamics
+
+
+def acceleration(dynamics, start=0.3, stop=0.5):
+    dynamics.advance(start, 2e-3)
+    before = dynamics.velocities().mean(axis=1)[:, 0]
+    dynamics.advance(stop, 2e-3)
+    return (dynamics.velocities().mean(axis=1)[:, 0] - before) / (stop - start)
+
+
+def test_rest_on_the_table():
+    """Its own weight sinks a rod by less than 5 % of its radius, and the table carries it all."""
+    batch = rods(straight(height=1.5 * RADIUS))
+    contact = Contact(batch, RADIUS, CONTACT, Friction(0.5))
+    Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact).advance(0.3, 2e-3)
+    z = batch.positions()[0, :, 2]
+    assert 0.95 * RADIUS < z.min() <= z.max() < RADIUS
+    assert contact.force.numpy()[0].sum(axis=0)[2] == pytest.approx(WEIGHT * 0.07, rel=1e-4)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_block_on_a_slope(axis):
+    """Slides if and only if tan(angle) > mu, with a = g (sin - mu cos)."""
+    angles = np.array([10.0, 25.0, 30.5, 31.5, 50.0])  # arctan(0.6) = 30.96
+    got = acceleration(on_slope(angles, Friction(0.6), axis))
+    a = np.radians(angles)
+    expected = np.where(np.tan(a) > 0.6, G * (np.sin(a) - 0.6 * np.cos(a)), 0.0)
+    assert got == pytest.approx(expected, abs=1e-5 * G)
+
+
+def test_static_and_kinetic_friction_differ():
+    angles = np.array([20.0, 29.0, 33.0])
+    got = acceleration(on_slope(angles, Friction(0.6, 0.3)))
+    a = np.radians(angles)
+    expected = np.where(np.tan(a) > 0.6, G * (np.sin(a) - 0.3 * np.cos(a)), 0.0)
+    assert got == pytest.approx(expected, abs=1e-5 * G)
+
+
+def test_each_rod_has_its_own_friction():
+    coefficients = [Friction(0.0), Friction(0.2), Friction(0.5)]
+    got = acceleration(on_slope([20.0] * 3, coefficients))
+    a = np.radians(20.0)
+    expected = [G * np.sin(a), G * (np.sin(a) - 0.2 * np.cos(a)), 0.0]
+    assert got == pytest.approx(expected, abs=1e-5 * G)
+
+
+def test_wheel_rolls_down_a_slope():
+    """A rod across the slope rolls: a = 2/3 g sin(angle) of a solid cylinder, while it grips."""
+    got = acceleration(on_slope([10.0, 25.0], Friction(0.6, rolling=True), axis=1))
+    assert got == pytest.approx(2 / 3 * G * np.sin(np.radians([10.0, 25.0])), rel=1e-4)
+
+
+def test_sticking_does_not_creep():
+    """A simulated minute on a slope that asks for 95 % of the friction that there is."""
+    dynamics = on_slope(np.degrees([np.arctan(0.57)]), Friction(0.6))
+    dynamics.advance(1.0, 0.01)
+    before, slip = dynamics.batch.positions().copy(), dynamics.contact.slip.numpy().copy()
+    dynamics.advance(61.0, 0.02)
+    assert np.abs(dynamics.batch.positions() - before).max() < 1e-9
+    assert (dynamics.contact.slip.numpy() == slip).all()
+
+
+def test_sliding_rod_stops_and_stays():
+    """From speed v it slides v^2 / (2 mu g), then sticks."""
+    batch = rods(straight())
+    contact = Contact(batch, RADIUS, CONTACT, Friction(0.4))
+    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact)
+    dynamics.advance(0.1, 2e-3)
+    before = batch.positions()[0, :, 0].mean()
+    velocity = np.zeros((1, 15, 3))
+    velocity[:, :, 1] = 0.3
+    dynamics.set_velocity(velocity)
+    dynamics.advance(0.5, 2.5e-4)
+    distance = 0.3**2 / (2 * 0.4 * G)
+    assert batch.positions()[0, :, 1].mean() == pytest.approx(distance, rel=0.01)
+    assert contact.slip.numpy().mean() == pytest.approx(distance, rel=0.01)
+    assert abs(batch.positions()[0, :, 0].mean() - before) < 1e-6
+    resting = batch.positions().copy()
+    dynamics.advance(2.0, 5e-3)
+    assert np.abs(batch.positions() - resting).max() < 1e-6
+
+
+def test_tilted_plane_is_a_slope():
+    """The same acceleration when the table is turned instead of gravity."""
+    angle = np.radians(40.0)
+    normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    down = np.array([np.cos(angle), 0.0, -np.sin(angle)])
+    s = np.linspace(0.0, 0.07, 15)
+    batch = rods((s[:, None] * down + RADIUS * normal)[None])
+    contact = Contact(batch, RADIUS, CONTACT, Friction(0.5), shapes=(Plane(normal=tuple(normal)),))
+    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact)
+    dynamics.advance(0.2, 2e-3)
+    before = dynamics.velocities()[0].mean(axis=0) @ down
+    dynamics.advance(0.4, 2e-3)
+    got = (dynamics.velocities()[0].mean(axis=0) @ down - before) / 0.2
+    assert got == pytest.approx(G * (np.sin(angle) - 0.5 * np.cos(angle)), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("shape", "distance"),
+    [
+        (
+            Cylinder((0.0, 0.0, 0.0), radius=0.01, half_height=0.05, axis=(0, 1, 0)),
+            lambda q: np.hypot(q[:, 0], q[:, 2]) - 0.01,
+        ),
+        (
+            Box((0.0, 0.0, 0.0), half_size=(0.02, 0.05, 0.01)),
+            lambda q: np.linalg.norm(np.maximum(np.abs(q) - [0.02, 0.05, 0.01], 0.0), axis=1),
+        ),
+    ],
+    ids=["cylinder", "box"],
+)
+def test_rod_hangs_over_a_fixture(shape, distance):
+    """A rod dropped over a fixture drapes over it: it touches, it does not pass through, and
+    friction keeps it from sliding off."""
+    position = straight(nodes=81, height=0.012 + RADIUS, length=0.32)
+    position[:, :, 0] -= 0.16
+    batch = rods(position)
+    # A point that carries the whole rod needs a stiffer contact than a table does.
+    contact = Contact(batch, RADIUS, 8 * CONTACT, Friction(0.6), shapes=(shape,))
+    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=10.0)
+    assert not dynamics.advance(1.5, 4e-3).diverged.any()
+    q = batch.positions()[0]
+    gap = distance(q)
+    assert 0.95 * RADIUS < gap.min() < RADIUS
+    assert q[0, 2] < -0.03
+    assert q[-1, 2] < -0.03
+    force = contact.force.numpy()[0].sum(axis=0)
+    assert force[2] == pytest.approx(WEIGHT * 0.32, rel=0.02)
+
+
+def test_bad_contacts_are_refused():
+    batch = rods(straight())
+    with pytest.raises(RodError, match="friction"):
+        Friction(0.3, 0.4)
+    with pytest.raises(RodError, match="friction"):
+        Friction(float("nan"))
+    with pytest.raises(RodError, match="radius"):
+        Contact(batch, 0.0, CONTACT, Friction(0.3))
+    with pytest.raises(RodError, match="direction"):
+        Contact(batch, RADIUS, CONTACT, Friction(0.3), shapes=(Plane(normal=(0, 0, 0)),))
+    with pytest.raises(RodError, match="sizes"):
+        Contact(batch, RADIUS, CONTACT, Friction(0.3), shapes=(Box((0, 0, 0), (1, 0, 1)),))

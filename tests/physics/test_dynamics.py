@@ -1,0 +1,228 @@
+"""Motion of rods against closed forms and conservation laws."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from wrod.batch import RodBatch
+from wrod.dynamics import Dynamics
+from wrod.errors import RodError
+from wrod.statics import prescribe
+
+ROOT = 1.875104068711961  # first root of cos(x) cosh(x) = -1
+
+
+def masses(nodes, length=1.0):
+    mass = np.full(nodes, length / (nodes - 1))
+    mass[[0, -1]] /= 2
+    return mass
+
+
+def cantilever(nodes=41, amplitude=0.01, rod_count=1):
+    """Unit length, stiffness and mass; in the first mode of vibration, with a ghost edge that
+    makes the clamp second order."""
+    h = 1.0 / (nodes - 1)
+    x = np.maximum(np.arange(-1, nodes) * h, 0.0)
+    ratio = (np.sinh(ROOT) - np.sin(ROOT)) / (np.cosh(ROOT) + np.cos(ROOT))
+    mid = 0.5 * (x[1:] + x[:-1])
+    slope = ROOT * (
+        np.sinh(ROOT * mid)
+        + np.sin(ROOT * mid)
+        - ratio * (np.cosh(ROOT * mid) - np.cos(ROOT * mid))
+    )
+    slope[0] = 0.0
+    angle = np.arctan(0.5 * amplitude * slope)
+    steps = h * np.column_stack([np.cos(angle), np.zeros(nodes), np.sin(angle)])
+    position = np.concatenate([[[-h, 0, 0]], np.cumsum(steps, axis=0) - [h, 0, 0]])
+    batch = RodBatch(
+        np.broadcast_to(position, (rod_count, *position.shape)),
+        rest_length=h,
+        stretching_stiffness=1e5,
+        bending_stiffness=np.where(np.arange(nodes + 1) == 1, 2.0, 1.0),
+        twisting_stiffness=1.0,
+        node_mass=np.concatenate([[h], masses(nodes)]),
+    )
+    prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
+    return batch
+
+
+def vibrate(dynamics, periods, samples, steps_per_sample=1):
+    """Times, tip heights and energies."""
+    period = 2 * np.pi / ROOT**2
+    t = np.arange(1, int(periods * samples) + 1) * period / samples
+    tips, energies = [], []
+    for time in t:
+        dynamics.advance(time, period / samples / steps_per_sample)
+        tips.append(dynamics.batch.positions()[:, -1, 2].copy())
+        energies.append(dynamics.energy())
+    return t, np.array(tips), np.array(energies)
+
+
+def test_frequency_of_a_cantilever_and_no_gain_of_energy():
+    """omega = 1.8751^2 sqrt(EI / (rho A L^4)) for small vibrations."""
+    dynamics = Dynamics(cantilever(), scheme="bdf2", radius=0.01)
+    first = dynamics.energy()[0]
+    t, tips, energies = vibrate(dynamics, 2.0, 60)
+    z = tips[:, 0]
+    i = np.flatnonzero(z[:-1] * z[1:] < 0)
+    crossings = t[i] + (t[1] - t[0]) * z[i] / (z[i] - z[i + 1])
+    period = 2 * np.diff(crossings).mean()
+    assert period == pytest.approx(2 * np.pi / ROOT**2, rel=0.01)
+    # Its own dissipation is small: nine tenths of the energy are there after two periods.
+    assert energies.max() <= first * (1 + 1e-9)
+    assert energies[-1, 0] > 0.9 * first
+
+
+def test_euler_never_gains_energy():
+    dynamics = Dynamics(cantilever(21, amplitude=0.3), scheme="euler", radius=0.01)
+    first = dynamics.energy()[0]
+    _, _, energies = vibrate(dynamics, 1.0, 30)
+    assert (np.diff(np.concatenate([[first], energies[:, 0]])) <= 1e-9 * first).all()
+
+
+@pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("bdf2", 2)])
+def test_order_in_the_time_step(scheme, order):
+    tips = []
+    for n in (40, 80, 160, 320):
+        dynamics = Dynamics(
+            cantilever(11, amplitude=0.2), scheme=scheme, radius=0.01, tolerance=1e-9
+        )
+        dynamics.advance(0.3, 0.3 / n)
+        tips.append(dynamics.batch.positions()[0, -1].copy())
+    gaps = [np.linalg.norm(b - a) for a, b in itertools.pairwise(tips)]
+    assert np.log2(gaps[-2] / gaps[-1]) > order - 0.25
+
+
+def test_frequency_converges_with_the_mesh():
+    """The tip after a quarter of a period, against a fine mesh: second order."""
+    tips = []
+    for nodes in (11, 21, 41):
+        dynamics = Dynamics(cantilever(nodes), scheme="bdf2", radius=0.01, tolerance=1e-9)
+        dynamics.advance(np.pi / 2 / ROOT**2, 0.005)
+        tips.append(dynamics.batch.positions()[0, -1, 2])
+    assert np.log2(abs(tips[0] - tips[1]) / abs(tips[1] - tips[2])) > 1.7
+
+
+def free_rod(seed=0, nodes=9, gravity=(0.0, 0.0, 0.0)):
+    """A bent, twisted, tumbling rod that nothing holds."""
+    rng = np.random.default_rng(seed)
+    edges = rng.normal(size=(1, nodes - 1, 3)) * 0.2 + [1.0, 0.0, 0.0]
+    position = np.cumsum(np.concatenate([np.zeros((1, 1, 3)), edges], axis=1), axis=1)
+    batch = RodBatch(
+        position,
+        stretching_stiffness=50.0,
+        bending_stiffness=1.0,
+        twisting_stiffness=0.7,
+        natural_curvature=rng.normal(size=2) * 0.3,
+        node_mass=rng.uniform(0.5, 1.5, nodes),
+        gravity=gravity,
+    )
+    return batch, rng.normal(size=(1, nodes, 3)) * 0.3
+
+
+def momenta(dynamics):
+    """Linear and angular momentum of the nodes, and the spin of the edges about their axes."""
+    batch = dynamics.batch
+    q, v = batch.positions()[0], dynamics.velocities()[0]
+    mass = batch.node_mass.numpy()[0][:, None]
+    inertia = dynamics.mass.numpy()[0, 3::4, None]
+    spin = inertia * dynamics.velocity.numpy()[0, 3::4, None] * batch.state.tangent.numpy()[0]
+    return (mass * v).sum(axis=0), np.cross(q, mass * v).sum(axis=0) + spin.sum(axis=0)
+
+
+def test_momentum_of_a_free_rod_is_conserved():
+    """Linear momentum to the solver's tolerance; angular momentum with the scheme's order.
+
+    The rod is thin: the gyroscopic forces of its spin, which DER leaves out, are of radius^2.
+    """
+    drifts = []
+    for step in (0.01, 0.005):
+        batch, velocity = free_rod()
+        dynamics = Dynamics(batch, scheme="bdf2", radius=1e-3, tolerance=1e-9)
+        dynamics.set_velocity(velocity)
+        linear, angular = momenta(dynamics)
+        assert not dynamics.advance(1.0, step).diverged.any()
+        linear_now, angular_now = momenta(dynamics)
+        assert np.abs(linear_now - linear).max() < 1e-9 * np.abs(linear).max()
+        drifts.append(np.abs(angular_now - angular).max() / np.abs(angular).max())
+    assert drifts[1] < 1e-3
+    assert np.log2(drifts[0] / drifts[1]) > 1.7
+
+
+def test_free_fall_with_air():
+    """v = (g / c) (1 - exp(-c t)) for drag c m v."""
+    batch, _ = free_rod(gravity=(0.0, 0.0, -9.81))
+    dynamics = Dynamics(batch, scheme="bdf2", radius=0.05, air_damping=2.0)
+    dynamics.advance(1.0, 0.005)
+    mass = batch.node_mass.numpy()[0]
+    mean = (mass[:, None] * dynamics.velocities()[0]).sum(axis=0) / mass.sum()
+    assert mean[2] == pytest.approx(-9.81 / 2.0 * (1.0 - np.exp(-2.0)), rel=1e-4)
+    assert np.abs(mean[:2]).max() < 1e-6
+
+
+def test_internal_damping_of_a_cantilever():
+    """Kelvin-Voigt: the amplitude falls by exp(-b omega^2 t / 2)."""
+    b, omega = 0.02, ROOT**2
+    dynamics = Dynamics(cantilever(), scheme="bdf2", radius=0.01, internal_damping=b)
+    start = dynamics.batch.positions()[0, -1, 2]
+    dynamics.advance(4 * np.pi / omega / np.sqrt(1 - (b * omega / 2) ** 2), 0.004)
+    expected = start * np.exp(-b * omega / 2 * 4 * np.pi)
+    assert dynamics.batch.positions()[0, -1, 2] == pytest.approx(expected, rel=0.03)
+
+
+def test_strut_leaves_an_unstable_state():
+    """A clamped strut under four times Euler's load buckles though every step is long against the
+    time in which it would by itself."""
+    batch = cantilever(21, amplitude=1e-6)
+    load = np.zeros((1, 22, 3))
+    load[0, -1, 0] = -4 * np.pi**2 / 4
+    batch.point_load.assign(load)
+    dynamics = Dynamics(batch, scheme="euler", radius=0.01, air_damping=1.0)
+    assert not dynamics.advance(8.0, 1.0).diverged.any()
+    assert np.linalg.norm(batch.positions()[0, -1, 1:]) > 0.1
+
+
+def test_diverging_rod_is_cut_out_and_others_go_on():
+    """The first rod's gravity throws it farther in the shortest step than Newton can follow."""
+    alone, together = cantilever(11), cantilever(11, rod_count=3)
+    gravity = np.zeros((3, 3))
+    gravity[0, 2] = -1e14
+    together.gravity.assign(gravity)
+    dynamics = Dynamics(together, radius=0.01, force_scale=1.0)
+    result = dynamics.advance(0.1, 0.01)
+    assert result.diverged.tolist() == [True, False, False]
+    assert result.time[0] < 0.1
+    assert result.time[1:] == pytest.approx(0.1)
+    assert np.isfinite(together.positions()).all()
+    Dynamics(alone, radius=0.01, force_scale=1.0).advance(0.1, 0.01)
+    assert np.abs(together.positions()[1:] - alone.positions()).max() < 1e-12
+
+
+def test_frames_are_recorded_at_their_times():
+    import warp as wp
+
+    batch = cantilever(11)
+    dynamics = Dynamics(batch, radius=0.01)
+    frames = wp.zeros((1, 6, batch.dof_count), dtype=wp.float64)
+    dynamics.advance(0.1, 0.01, frames=frames, frame_interval=0.02)
+    film = frames.numpy().copy()
+    again = Dynamics(cantilever(11), radius=0.01)
+    again.advance(0.06, 0.01)
+    assert np.abs(film[0, 3] - again.batch.state.dof.numpy()[0]).max() < 1e-9
+    assert np.abs(film[0, 5] - batch.state.dof.numpy()[0]).max() < 1e-12
+
+
+def test_bad_options_are_refused():
+    batch = cantilever(11)
+    with pytest.raises(RodError, match="scheme"):
+        Dynamics(batch, scheme="magic", radius=0.01)
+    with pytest.raises(RodError, match="radius"):
+        Dynamics(batch, radius=0.0)
+    with pytest.raises(RodError, match="step"):
+        Dynamics(batch, radius=0.01).advance(1.0, 0.0)
+    massless = RodBatch(
+        batch.positions(), stretching_stiffness=1.0, bending_stiffness=1.0, twisting_stiffness=1.0
+    )
+    with pytest.raises(RodError, match="mass"):
+        Dynamics(massless, radius=0.01)

@@ -1,0 +1,70 @@
+"""`wrod deploy` from the command line."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import wrod
+from wrod.commands import main
+from wrod.deployment_result import Deployment
+
+
+@pytest.fixture(scope="module")
+def arc(tmp_path_factory):
+    """A file of points along a gentle arc, short enough to be laid in a second or two."""
+    path = tmp_path_factory.mktemp("pattern") / "arc.csv"
+    angle = np.linspace(0.0, 0.7, 60)
+    points = 0.2 * np.column_stack([np.sin(angle), 1.0 - np.cos(angle)])
+    np.savetxt(path, points, delimiter=",")
+    return path
+
+
+SHORT = ["--radius", "0.0016", "--lgb", "0.018", "--length", "0.25"]
+
+
+def test_deploys_and_writes_what_it_says(arc, tmp_path):
+    out = tmp_path / "laid"
+    args = ["deploy", str(arc), *SHORT, "--out", str(out), "--json"]
+    args += ["--method", "numeric", "--device", "cpu"]
+    result = CliRunner().invoke(main, [*args, "--speed", "0.03", "--trials", "2"])
+    assert result.exit_code == 0, result.output
+    figures = json.loads(result.output)
+    assert len(figures["trials"]) == 2
+    assert figures["trials"][0]["error_mean"] < 3e-3
+    assert figures["trials"][0]["error_mean"] != figures["trials"][1]["error_mean"]
+    names = sorted(path.name for path in out.iterdir())
+    assert names == ["deployment-0.npz", "deployment-1.npz", "deployment.png"]
+    assert sorted(figures["written"]) == sorted(str(out / name) for name in names)
+    saved = Deployment.load(out / "deployment-0.npz")
+    assert saved.error_mean == pytest.approx(figures["trials"][0]["error_mean"])
+
+
+def test_takes_a_saved_trajectory(arc, tmp_path):
+    rod = wrod.RodMaterial(0.0016, 0.018, 0.25)
+    path = wrod.plan(wrod.Pattern.load(arc), rod, "intuitive").save(tmp_path / "plan")[1]
+    args = ["deploy", str(arc), *SHORT, "--trajectory", str(path), "--out", str(tmp_path / "o")]
+    result = CliRunner().invoke(main, [*args, "--device", "cpu", "--speed", "0.03"])
+    assert result.exit_code == 0, result.output
+    assert "grip holding" in result.output
+    assert f"wrote {tmp_path / 'o' / 'deployment.npz'}" in result.output
+
+
+@pytest.mark.parametrize(
+    ("extra", "word"),
+    [
+        (["--friction", "-1"], "friction"),
+        (["--trials", "0"], "trials"),
+        (["--speed", "0"], "speed"),
+        (["--trajectory", "missing.npz"], "missing.npz"),
+        (["--device", "cuda:9"], "device"),
+    ],
+)
+def test_bad_input_is_one_sentence(arc, tmp_path, extra, word):
+    out = tmp_path / "out"
+    result = CliRunner().invoke(main, ["deploy", str(arc), *SHORT, "--out", str(out), *extra])
+    assert result.exit_code == 2
+    assert word in result.output
+    assert "Traceback" not in result.output
+    assert not out.exists()

@@ -1,0 +1,192 @@
+"""Deployments in simulation, on short rods that take a second each."""
+
+import numpy as np
+import pytest
+
+import wrod
+from wrod.deployment import Trial, simulate_deployments
+from wrod.deployment_result import Deployment, deployment_error
+from wrod.deployment_setup import mesh, tail
+from wrod.errors import DataError, PatternError, RodError
+from wrod.grip import smooth_noise, travel
+
+# A soft rod of 30 cm along an eased quarter turn: short tails and a coarse mesh keep it quick.
+ROD = wrod.RodMaterial(0.0016, 0.018, 0.30)
+QUICK = dict(spacing=0.006, speed=0.03, step=0.02, threads=1)
+
+
+def quarter_turn():
+    from scipy.interpolate import PPoly
+
+    from wrod.shapes import straight, strokes, turn
+
+    heading, origin = strokes(0.0, straight(0.06), turn(90.0, 0.05, 0.06), straight(0.03))
+    assert isinstance(heading, PPoly)
+    return wrod.Pattern(heading, origin, name="quarter turn")
+
+
+@pytest.fixture(scope="module")
+def plans():
+    pattern = quarter_turn()
+    return pattern, {m: wrod.plan(pattern, ROD, m, device="cpu") for m in ("numeric", "intuitive")}
+
+
+@pytest.fixture(scope="module")
+def laid(plans):
+    """Both methods on good friction, and the optimal one without any."""
+    pattern, by_method = plans
+    jobs = [
+        Trial(pattern, ROD, by_method["numeric"], wrod.Friction(0.8)),
+        Trial(pattern, ROD, by_method["intuitive"], wrod.Friction(0.8)),
+        Trial(pattern, ROD, by_method["numeric"], wrod.Friction(0.0)),
+    ]
+    return pattern, jobs, simulate_deployments(jobs, frame_interval=0.5, **QUICK)
+
+
+def test_optimal_plan_lays_the_pattern_and_the_intuitive_one_does_not(laid):
+    _, _, (optimal, intuitive, slippery) = laid
+    assert not any(d.diverged for d in (optimal, intuitive, slippery))
+    assert optimal.error_mean < 1e-3
+    assert intuitive.error_mean > 5 * optimal.error_mean
+    # A bend needs friction: with none, the free end straightens out.
+    assert slippery.error_mean > 5 * optimal.error_mean
+
+
+def test_laid_rod_rests_on_the_table(laid):
+    pattern, _, deployments = laid
+    for deployment in deployments[:2]:
+        on_table = deployment.arc_length < 0.5 * pattern.length
+        z = deployment.centerline[on_table, 2]
+        assert -0.05 * ROD.radius < z.min()
+        assert np.abs(z).max() < 0.05 * ROD.radius
+        # Let go, all of it rests; friction keeps a little of the stretch that it hung with.
+        assert np.abs(deployment.released_centerline[:, 2]).max() < 0.05 * ROD.radius
+        edges = np.linalg.norm(np.diff(deployment.released_centerline, axis=0), axis=1)
+        assert edges.sum() == pytest.approx(ROD.length, rel=1e-3)
+
+
+def test_contact_force_obeys_friction(laid):
+    _, jobs, deployments = laid
+    for job, deployment in zip(jobs, deployments, strict=True):
+        normal = deployment.contact_force[:, 2]
+        tangential = np.hypot(*deployment.contact_force[:, :2].T)
+        assert normal.min() >= 0.0
+        assert (tangential <= job.friction.static * normal + 1e-12).all()
+        assert normal.sum() > 0.3 * ROD.weight * ROD.length
+
+
+def test_frames_show_the_deployment(laid):
+    _, _, (deployment, *_) = laid
+    frames = deployment.frames
+    assert len(frames) == int(deployment.duration / 0.5) + 1
+    assert frames[0, -1, 2] > 0.8 * (ROD.length - 0.05)
+    lengths = np.linalg.norm(np.diff(frames, axis=1), axis=2).sum(axis=1)
+    # Hanging, it is stretched by its own weight: 1.6 % at the grip when all of it hangs.
+    assert (lengths > 0.999 * ROD.length).all()
+    assert (lengths < 1.008 * ROD.length).all()
+    assert lengths[-1] == pytest.approx(ROD.length, rel=1e-3)
+    # The held stretch stands still until twice its length is laid.
+    assert np.abs(frames[2, 0] - frames[0, 0]).max() < 1e-12
+
+
+def test_batch_and_single_rod_agree(laid):
+    pattern, jobs, deployments = laid
+    job = jobs[0]
+    alone = wrod.simulate_deployment(pattern, ROD, job.trajectory, job.friction, **QUICK)
+    assert np.abs(alone.centerline - deployments[0].centerline).max() < 1e-6
+    assert alone.error_mean == pytest.approx(deployments[0].error_mean, abs=1e-7)
+
+
+def test_disturbances_move_what_they_name(plans):
+    """A robot that is placed wrongly lays the same shape elsewhere; seeds give different trials."""
+    pattern, by_method = plans
+    shifted = wrod.Disturbance(offset=(3e-3, -2e-3))
+    jobs = [
+        Trial(pattern, ROD, by_method["numeric"], wrod.Friction(0.8), disturbance)
+        for disturbance in (
+            wrod.Disturbance(),
+            shifted,
+            wrod.Disturbance.random(1),
+            wrod.Disturbance.random(2),
+        )
+    ]
+    ideal, moved, one, two = simulate_deployments(jobs, **QUICK)
+    gap = moved.centerline - ideal.centerline
+    assert np.abs(gap - [3e-3, -2e-3, 0.0]).max() < 1e-6
+    assert moved.error_mean == pytest.approx(np.hypot(3e-3, 2e-3), rel=0.1)
+    assert np.abs(one.centerline - two.centerline).max() > 1e-4
+    assert wrod.Disturbance.random(1) == wrod.Disturbance.random(1)
+
+
+def test_error_metric():
+    """Eq. metric of a rod beside the pattern: its distance, without scatter."""
+    pattern = wrod.pattern("line")
+    s = np.linspace(0.0, 0.6, 61)
+    beside = np.column_stack([s, np.full(61, 0.004), np.full(61, 0.1)])
+    mean, std = deployment_error(pattern, s, beside)
+    assert mean == pytest.approx(0.004)
+    assert std == pytest.approx(0.0, abs=1e-12)
+    skew = np.column_stack([s, 0.01 * s, 0 * s])
+    mean, std = deployment_error(pattern, s, skew)
+    assert mean == pytest.approx(0.01 * 0.25, rel=1e-6)
+    assert std == pytest.approx(0.01 * np.linspace(0, 0.5, 50).std(), rel=1e-6)
+
+
+def test_deployment_is_saved_and_read(laid, tmp_path):
+    _, _, (deployment, *_) = laid
+    path = deployment.save(tmp_path / "laid")
+    again = Deployment.load(path)
+    assert (again.centerline == deployment.centerline).all()
+    assert again.error_mean == deployment.error_mean
+    assert again.frames.shape == deployment.frames.shape
+    (tmp_path / "broken.npz").write_bytes(path.read_bytes()[:200])
+    for name in ("broken.npz", "missing.npz"):
+        with pytest.raises(DataError, match=name):
+            Deployment.load(tmp_path / name)
+
+
+def test_mesh_is_fine_where_the_rod_is_laid():
+    s = mesh(ROD, 0.15, 0.005)
+    edges = np.diff(s)
+    assert s[-1] == pytest.approx(ROD.length)
+    assert edges[s[1:] < 0.15].max() <= 0.005 + 1e-12
+    assert edges[-1] == pytest.approx(3 * edges[0])
+    assert len(mesh(ROD, 0.10, 0.005, 60)) == 60
+
+
+def test_tail_goes_on_from_the_last_pose(plans):
+    pattern, by_method = plans
+    for trajectory in by_method.values():
+        after = tail(pattern, ROD, trajectory)
+        assert (after.position[0] == trajectory.position[-1]).all()
+        steps = np.linalg.norm(np.diff(after.position, axis=0), axis=1)
+        assert steps.max() < 0.03
+        assert after.position[-1, 2] < 2.0 * ROD.gravito_bending_length
+
+
+def test_time_law_is_smooth_and_exact():
+    duration, covered = travel(0.5, 0.05)
+    t = np.linspace(0.0, duration, 2001)
+    s = covered(t)
+    assert s[0] == 0.0
+    assert s[-1] == pytest.approx(0.5, rel=1e-12)
+    speed = np.diff(s) / np.diff(t)
+    assert speed.min() > -1e-12
+    assert speed.max() == pytest.approx(0.05, rel=1e-6)
+    assert np.abs(np.diff(speed)).max() < 0.05 * 0.03
+    noise = smooth_noise(np.random.default_rng(0), 20000, 1e-3, 2.5)
+    assert noise.std() == pytest.approx(1e-3, rel=0.05)
+
+
+def test_bad_input_is_refused(plans):
+    pattern, by_method = plans
+    trajectory = by_method["numeric"]
+    with pytest.raises(PatternError, match="held"):
+        wrod.simulate_deployment(pattern, ROD, trajectory, hold=0.5)
+    with pytest.raises(RodError, match="speed"):
+        wrod.simulate_deployment(pattern, ROD, trajectory, speed=-1.0)
+    with pytest.raises(RodError, match="friction"):
+        wrod.simulate_deployment(pattern, ROD, trajectory, friction=-0.1)
+    with pytest.raises(RodError, match="scheme"):
+        wrod.simulate_deployment(pattern, ROD, trajectory, scheme="magic")
+    assert simulate_deployments([]) == []

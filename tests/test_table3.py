@@ -1,0 +1,105 @@
+"""The accuracy campaign: its ledger, its tables, and that a stopped run goes on."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from wrod.bench import table3_paper
+from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
+from wrod.bench.table3_report import Ledger, cells, markdown, summary
+from wrod.commands import main
+from wrod.errors import DataError
+
+
+def row(method="numeric", trial=0, error=0.1, diverged=False, **key):
+    base = dict(rod="rope", substrate="steel", pattern="circle", method=method, trial=trial)
+    errors = dict(
+        error_mean=error,
+        error_std=error / 2,
+        released_error_mean=2 * error,
+        released_error_std=error,
+    )
+    return {**base, **key, **errors, "diverged": diverged, "steps": 10, "curve": [[0, 0]]}
+
+
+def test_paper_table_is_complete():
+    table = measured()
+    assert len(table) == len(RODS) * len(SUBSTRATES) * len(PATTERNS) * len(METHODS) == 126
+    assert table["pink-vps", "fabric", "line", "intuitive"] == (0.40, 0.22)
+    assert table["rope", "foam", "letter-A", "numeric"] == (0.52, 0.20)
+    for key in table:
+        if key[3] == "numeric":
+            assert table[key][0] < table[*key[:3], "intuitive"][0]
+
+
+def test_paper_table_matches_the_paper(shared):
+    """Every number, read from the table's source."""
+    import re
+
+    text = (shared / "paper.tex").read_text(encoding="utf-8")
+    body = text[text.index("label{tab:timeDiff}") - 40000 : text.index("label{tab:results}")]
+    lines = [re.split("& (?:INT|OPT) &", line) for line in body.split("\n")]
+    numbers = [
+        [float(x) for x in re.findall(r"\d+\.\d+", parts[1])] for parts in lines if len(parts) == 2
+    ]
+    rows = [[float(x) for x in line.split()] for line in table3_paper._ROWS.split("\n") if line]
+    assert numbers == rows
+
+
+def test_friction_words():
+    """Table 2: VPS slips most on fabric, rope on steel."""
+    assert friction("green-vps", "fabric") < friction("green-vps", "steel")
+    assert friction("rope", "steel") < friction("rope", "fabric") < friction("rope", "foam")
+
+
+def test_ledger_goes_on_where_it_was_killed(tmp_path):
+    path = tmp_path / "trials.jsonl"
+    ledger = Ledger(path, {"speed": 0.02})
+    ledger.add([row(trial=0), row(trial=1)])
+    with open(path, "a") as file:
+        file.write('{"rod": "ro')  # killed while it wrote
+    again = Ledger(path, {"speed": 0.02})
+    assert again.done() == {("rope", "steel", "circle", "numeric", k) for k in (0, 1)}
+    again.add([row(trial=2)])
+    assert len(Ledger(path, {"speed": 0.02}).rows) == 3
+    with pytest.raises(DataError, match="other settings"):
+        Ledger(path, {"speed": 0.05})
+    path.write_text("what is this")
+    with pytest.raises(DataError, match="not a readable"):
+        Ledger(path, {"speed": 0.02})
+
+
+def test_cells_leave_diverged_trials_out_and_count_them():
+    table = cells([row(error=0.1), row(error=0.3, trial=1), row(error=9.0, trial=2, diverged=True)])
+    cell = table["rope", "steel", "circle", "numeric"]
+    assert cell.held == pytest.approx((0.2, 0.1))
+    assert cell.released == pytest.approx((0.4, 0.2))
+    assert (cell.trials, cell.diverged) == (3, 1)
+
+
+def test_summary_names_the_cells_that_fall_short():
+    good = cells([row(error=0.1), row("intuitive", error=2.0)])
+    assert summary(good)[0].endswith("in 1 of 1 cells, and at or below the paper's error in 1.")
+    bad = cells([row(error=3.0), row("intuitive", error=2.0)])
+    text = " ".join(summary(bad))
+    assert "in 0 of 1 cells" in text
+    assert "INT lays better: rope steel circle (3.00 cm)" in text
+    assert "0.29 ± 0.13" in markdown(good, "head")  # the paper's cell
+
+
+@pytest.mark.slow
+def test_campaign_is_written_and_resumed(tmp_path):
+    """On coarse meshes and long steps; the second call finds everything done."""
+    args = ["bench", "table3", "--out", str(tmp_path), "--trials", "1", "--device", "cpu"]
+    args += ["--speed", "0.1", "--step", "0.05", "--spacing", "0.02", "--json"]
+    first = CliRunner().invoke(main, args)
+    assert first.exit_code == 0, first.output
+    figures = json.loads(first.output)
+    assert figures["simulated_now"] == figures["trials"] == 126
+    table = (tmp_path / "table3.md").read_text()
+    lines = (tmp_path / "trials.jsonl").read_text().splitlines()
+    (tmp_path / "trials.jsonl").write_text("\n".join(lines[:101]) + "\n")
+    figures = json.loads(CliRunner().invoke(main, args).output)
+    assert figures["simulated_now"] == 26
+    assert (tmp_path / "table3.md").read_text() == table

@@ -1,0 +1,251 @@
+"""Datasets of optimal grasps at scale: solved in batches, stored in shards, split over ranks."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from wrod.training import store
+from wrod.training.sampling import MAX_INDEX, sample
+
+from wrod import __version__
+from wrod.errors import DataError
+from wrod.grasps import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
+
+SHARD_SIZE = 2048
+# Samples solved at once on a GPU, as far as whole shards go; a CPU takes one shard at a time.
+_CUDA_BATCH = 32768
+
+
+@dataclass(frozen=True)
+class Rank:
+    """Which part of the work is this process's, as `torchrun` says in the environment."""
+
+    index: int = 0
+    count: int = 1
+    local_index: int = 0
+    local_count: int = 1
+
+    @classmethod
+    def from_environment(cls) -> Rank:
+        """RANK, WORLD_SIZE, LOCAL_RANK and LOCAL_WORLD_SIZE; one process without them.
+
+        Raises:
+            DataError: they contradict each other.
+        """
+        names = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
+        default = (0, 1, 0, 1)
+        try:
+            values = [int(os.environ.get(n, d)) for n, d in zip(names, default, strict=True)]
+        except ValueError:
+            raise DataError(
+                f"{', '.join(names)} in the environment must be whole numbers"
+            ) from None
+        if not (0 <= values[0] < values[1] and 0 <= values[2] < values[3]):
+            raise DataError(f"RANK {values[0]} of WORLD_SIZE {values[1]} in the environment")
+        return cls(*values)
+
+    def device(self, wanted: str) -> str:
+        """Device of this rank: with several to a machine, "auto" gives each a GPU of its own."""
+        from wrod.batch import resolve_device
+
+        device = resolve_device(None if wanted == "auto" else wanted)
+        if wanted == "auto" and device != "cpu":
+            import warp as wp
+
+            return f"cuda:{self.local_index % wp.get_cuda_device_count()}"
+        return device
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a call of `generate` did, and the honest count of what its shards hold.
+
+    Attributes:
+        samples: in all shards of this rank.
+        solved: of these, in this call; the others were there.
+        unconverged, unstable: among `samples`, by number; readers leave them out.
+        seconds: spent in this call.
+    """
+
+    samples: int
+    solved: int
+    unconverged: int
+    unstable: int
+    seconds: float
+
+
+def generate(
+    folder: str | os.PathLike[str],
+    size: int,
+    *,
+    seed: int = 0,
+    closure: str = "zero_tension",
+    sensitivities: bool = True,
+    shard_size: int = SHARD_SIZE,
+    edge_count: int = EDGE_COUNT,
+    device: str = "auto",
+    rank: Rank | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Outcome:
+    """Solve the first `size` grasps of a sampling sequence into `folder`.
+
+    What is there already is kept, so a killed call goes on where it was, to the same bytes; the
+    work in hand, one shard on a CPU, is lost. Every rank solves every rank.count-th shard. Memory
+    does not grow with `size`.
+
+    Args:
+        folder: of the dataset; made if missing.
+        size: number of samples.
+        seed: of the sequence.
+        closure: see `wrod.solve_grasps`.
+        sensitivities: store the derivatives by the inputs ("zero_tension" only).
+        shard_size: samples per file.
+        edge_count: resolution of the solver.
+        device: "auto", "cpu" or "cuda:0".
+        rank: this process's part; by default read from the environment.
+        progress: called with the samples done since the last call and those of this rank.
+
+    Raises:
+        DataError: the folder holds something else, or a shard in it is damaged.
+        GraspError: unknown closure.
+    """
+    start = time.perf_counter()
+    if size < 1 or shard_size < 1:
+        raise DataError(f"size is {size} and shard size {shard_size}; give positive numbers")
+    if size > MAX_INDEX:
+        raise DataError(f"size is {size}; the sampling sequence ends at {MAX_INDEX}")
+    folder = Path(folder)
+    rank = rank or Rank.from_environment()
+    if closure not in CLOSURES:
+        solve_grasps([5.0], [0.0], [1e3], closure=closure)  # raises with the names
+    device = rank.device(device)
+    manifest = store.Manifest(
+        size=size,
+        shard_size=shard_size,
+        seed=seed,
+        closure=closure,
+        edge_count=edge_count,
+        sensitivities=sensitivities and closure == "zero_tension",
+        solver=__version__,
+    )
+    store.create(folder, manifest)
+    mine = range(rank.index, manifest.shard_count, rank.count)
+    store.sweep(folder, mine)
+    samples = sum(manifest.rows(shard)[1] for shard in mine)
+    counts = np.zeros(3, dtype=int)  # solved, unconverged, unstable
+
+    def count(columns: dict, solved: bool) -> None:
+        converged, stable = columns["converged"], columns["stable"]
+        rows = len(converged)
+        counts[:] += [rows * solved, np.sum(~converged), np.sum(converged & ~stable)]
+        if progress is not None:
+            progress(rows, samples)
+
+    def solve(group: list[int]) -> None:
+        inputs = np.concatenate([sample(*manifest.rows(shard), seed) for shard in group])
+        grasps = solve_grasps(
+            *inputs.T,
+            closure=closure,
+            device=device,
+            sensitivities=manifest.sensitivities,
+            shapes=False,
+            edge_count=edge_count,
+            threads=max(1, (os.cpu_count() or 1) // rank.local_count),
+        )
+        columns, begin = _columns(inputs, grasps, manifest), 0
+        for shard in group:
+            rows = manifest.rows(shard)[1]
+            part = {name: column[begin : begin + rows] for name, column in columns.items()}
+            store.write_shard(folder, manifest, shard, part)
+            count(part, True)
+            begin += rows
+
+    group_size = 1 if device == "cpu" else max(1, _CUDA_BATCH // shard_size)
+    group: list[int] = []
+    for shard in mine:
+        if store.is_solved(folder, manifest, shard):
+            count(store.read_shard(folder, manifest, shard), False)
+            continue
+        group.append(shard)
+        if len(group) == group_size:
+            solve(group)
+            group = []
+    if group:
+        solve(group)
+    return Outcome(samples, *(int(c) for c in counts), time.perf_counter() - start)
+
+
+def _columns(inputs: np.ndarray, grasps: Grasps, manifest: store.Manifest) -> dict:
+    names = [name for name in manifest.columns if name != "inputs"]
+    return {"inputs": inputs, **{name: getattr(grasps, name) for name in names}}
+
+
+@dataclass
+class GraspTable:
+    """Grasps to learn from, float64 NumPy: inputs (n, 3), position, rotation, force (n, 3), and
+    their derivatives by the inputs (n, 9, 3) in that order, or None."""
+
+    inputs: np.ndarray
+    outputs: np.ndarray
+    sensitivity: np.ndarray | None
+
+    def __len__(self) -> int:
+        return len(self.inputs)
+
+    @classmethod
+    def of(cls, columns: dict) -> GraspTable:
+        """Those rows of a shard that are results."""
+        good = columns["converged"] & columns["stable"]
+        names = ("position", "rotation", "force")
+        outputs = np.concatenate([columns[name][good] for name in names], axis=1)
+        sensitivity = None
+        if "position_sensitivity" in columns:
+            parts = [columns[f"{name}_sensitivity"][good] for name in names]
+            sensitivity = np.concatenate(parts, axis=1)
+        return cls(columns["inputs"][good], outputs, sensitivity)
+
+    @classmethod
+    def solve(cls, inputs: np.ndarray, device: str = "auto", sensitivities: bool = True):
+        """Grasps solved here and now, of (n, 3) inputs."""
+        grasps = solve_grasps(*inputs.T, device=device, sensitivities=sensitivities, shapes=False)
+        names = [*store.COLUMNS, *(store.SENSITIVITIES if sensitivities else ())]
+        rows = {name: getattr(grasps, name) for name in names if name != "inputs"}
+        return cls.of({"inputs": inputs, **rows})
+
+    @classmethod
+    def join(cls, parts: list[GraspTable]) -> GraspTable:
+        """All rows of several tables."""
+        sensitivity = None
+        if all(part.sensitivity is not None for part in parts):
+            sensitivity = np.concatenate([part.sensitivity for part in parts])
+        return cls(
+            np.concatenate([part.inputs for part in parts]),
+            np.concatenate([part.outputs for part in parts]),
+            sensitivity,
+        )
+
+    def take(self, rows) -> GraspTable:
+        sensitivity = None if self.sensitivity is None else self.sensitivity[rows]
+        return GraspTable(self.inputs[rows], self.outputs[rows], sensitivity)
+
+
+def load(folder: str | os.PathLike[str], most: int | None = None) -> GraspTable:
+    """Usable rows of a dataset; at most the first `most`, so that memory has a bound.
+
+    Raises:
+        DataError: the dataset is incomplete, damaged or foreign.
+    """
+    parts, rows = [], 0
+    for columns in store.shards(Path(folder)):
+        parts.append(GraspTable.of(columns))
+        rows += len(parts[-1])
+        if most is not None and rows >= most:
+            break
+    if not rows:
+        raise DataError(f"{folder}: holds no usable grasp")
+    return GraspTable.join(parts).take(slice(most))

@@ -1,0 +1,92 @@
+"""Where the grasp map is sampled: low-discrepancy points, dense where the map bends most.
+
+Inputs are dimensionless, in the order (l_s [L_gb], kappa [1/L_gb], k_s [-]), kappa >= 0: right
+turns are mirror images of left turns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.stats import qmc
+
+from wrod.errors import DataError
+
+INPUTS = ("suspended_length", "curvature", "stretch_ratio")
+# What the controller is made for (Sec. Training the Neural Controller covers the same rods).
+RANGE = {
+    "suspended_length": (1.0, 50.0),
+    "curvature": (0.0, 3.5),
+    "stretch_ratio": (150.0, 15000.0),
+}
+# Samples reach a little over the range, so that its faces are interpolated as well.
+_SAMPLED = {
+    "suspended_length": (0.94, 53.0),
+    "curvature": (0.0, 3.65),
+    "stretch_ratio": (135.0, 16500.0),
+}
+_LOG_SHARE = 0.7
+MAX_INDEX = 2**30
+
+
+def sample(first: int, count: int, seed: int) -> np.ndarray:
+    """(count, 3) inputs number `first`, `first` + 1, ... of the scrambled Sobol' sequence `seed`.
+
+    Every input depends on its number and the seed alone, however the sequence is cut up.
+
+    Raises:
+        DataError: the sequence has no such numbers.
+    """
+    if first < 0 or count < 0 or first + count > MAX_INDEX:
+        raise DataError(f"samples {first} to {first + count} asked for; there are {MAX_INDEX}")
+    sequence = qmc.Sobol(d=3, scramble=True, bits=30, rng=np.random.default_rng(seed))
+    if count == 0:
+        return np.empty((0, 3))
+    # SciPy warns where a first draw is no power of two; one point is.
+    head = sequence.random(1) if first == 0 else np.empty((0, 3))
+    if first:
+        sequence.fast_forward(first)
+    return to_inputs(np.concatenate([head, sequence.random(count - len(head))]))
+
+
+def to_inputs(unit: np.ndarray) -> np.ndarray:
+    """(n, 3) inputs of points of the unit cube.
+
+    The map bends most where the rod is short: l_s has the density a / l_s + b. It depends on k_s
+    through powers of 1 / k_s, hence log-uniform, and on kappa evenly.
+    """
+    low, high = _SAMPLED["suspended_length"]
+    # The distribution function of a mixture has no inverse in closed form: tabulate it.
+    length = np.geomspace(low, high, 4097)
+    share = _LOG_SHARE * np.log(length / low) / np.log(high / low)
+    share += (1.0 - _LOG_SHARE) * (length - low) / (high - low)
+    ls = np.interp(unit[:, 0], share, length)
+    low, high = _SAMPLED["curvature"]
+    kappa = low + (high - low) * unit[:, 1]
+    low, high = _SAMPLED["stretch_ratio"]
+    return np.stack([ls, kappa, low * (high / low) ** unit[:, 2]], axis=1)
+
+
+def sample_worst(
+    inputs: np.ndarray, error: np.ndarray, first: int, count: int, seed: int
+) -> np.ndarray:
+    """(count, 3) new inputs where a model errs most.
+
+    Args:
+        inputs: (n, 3) where the model was validated.
+        error: (n,) its errors there.
+        first: number of the first candidate in the sequence; those before are known.
+        count: inputs wanted; four times as many candidates compete.
+        seed: of the sequence.
+    """
+    candidates = sample(first, 4 * count, seed)
+    _, nearest = cKDTree(_even(inputs)).query(_even(candidates))
+    # The Gumbel trick draws without replacement in proportion to the error.
+    noise = np.random.default_rng((seed, first)).gumbel(size=len(candidates))
+    score = np.log(error[nearest] + 1e-12) + noise
+    return candidates[np.sort(np.argsort(-score)[:count])]
+
+
+def _even(inputs: np.ndarray) -> np.ndarray:
+    """Coordinates in which the samples lie about evenly."""
+    return np.stack([np.log(inputs[:, 0]), inputs[:, 1], 0.3 * np.log(inputs[:, 2])], axis=1)

@@ -1,0 +1,249 @@
+"""Datasets of grasps on disk: a manifest, and shards of a range of sample numbers each.
+
+A shard is a safetensors file, written atomically, that names its dataset and carries a checksum;
+its bytes follow from the manifest and its number alone. Whoever solves a shard, in whatever order,
+writes the same file, so ranks need no word with each other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from wrod.training.sampling import INPUTS
+
+from wrod.errors import DataError
+from wrod.files import write_atomically
+
+FORMAT = "wrod-grasps-1"
+MANIFEST = "manifest.json"
+# Columns by name: type and shape of a row, dimensionless as in `wrod.grasps.Grasps`.
+COLUMNS = {
+    "inputs": (np.float64, (3,)),
+    "position": (np.float64, (3,)),
+    "rotation": (np.float64, (3,)),
+    "force": (np.float64, (3,)),
+    "residual": (np.float64, ()),
+    "converged": (np.bool_, ()),
+    "stable": (np.bool_, ()),
+}
+SENSITIVITIES = {
+    f"{name}_sensitivity": (np.float64, (3, 3)) for name in ("position", "rotation", "force")
+}
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a dataset is: everything that its rows follow from.
+
+    Attributes:
+        size: number of samples.
+        shard_size: samples per shard; the last may hold fewer.
+        seed: of the Sobol' sequence.
+        closure: see `wrod.solve_grasps`.
+        edge_count: edges of the finest mesh.
+        sensitivities: whether rows carry the derivatives by the inputs.
+        solver: version that solved them.
+        inputs: names of the input columns.
+    """
+
+    size: int
+    shard_size: int
+    seed: int
+    closure: str
+    edge_count: int
+    sensitivities: bool
+    solver: str
+    inputs: tuple[str, ...] = INPUTS
+
+    @property
+    def shard_count(self) -> int:
+        return -(-self.size // self.shard_size)
+
+    @property
+    def columns(self) -> dict:
+        return {**COLUMNS, **(SENSITIVITIES if self.sensitivities else {})}
+
+    @property
+    def identity(self) -> str:
+        """Name of the family of datasets that this one begins: all but the size counts."""
+        content = {**asdict(self), "size": None}
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+    def command(self, folder: Path) -> str:
+        """The `wrod dataset` command that makes this dataset in `folder`, on any device."""
+        words = ["wrod dataset", f"--size {self.size}", f"--seed {self.seed}"]
+        words += [f"--closure {self.closure}", f"--shard-size {self.shard_size}"]
+        words += [] if self.sensitivities else ["--no-sensitivities"]
+        return " ".join([*words, f"--out {folder}"])
+
+    def rows(self, shard: int) -> tuple[int, int]:
+        """(first, count) sample numbers of a shard."""
+        first = shard * self.shard_size
+        return first, min(self.shard_size, self.size - first)
+
+
+def create(folder: Path, manifest: Manifest) -> None:
+    """Begin a dataset, or go on with the one that the folder holds.
+
+    Raises:
+        DataError: the folder holds another dataset.
+    """
+    path = folder / MANIFEST
+    if path.exists():
+        found = read_manifest(folder)
+        if found.identity != manifest.identity:
+            new, old = asdict(manifest), asdict(found)
+            other = ", ".join(
+                f"{k} {old[k]!r} (now {new[k]!r})" for k in new if k != "size" and new[k] != old[k]
+            )
+            raise DataError(
+                f"{folder}: holds a dataset with {other}; choose another --out or its options"
+            )
+        if found.size >= manifest.size:
+            if found.size > manifest.size:
+                raise DataError(
+                    f"{folder}: holds a dataset of {found.size} samples; "
+                    f"ask for at least as many or choose another --out"
+                )
+            return
+    content = {"format": FORMAT, **asdict(manifest)}
+    write_atomically(path, lambda file: file.write(json.dumps(content, indent=2) + "\n"))
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a dataset.
+
+    Raises:
+        DataError: there is none, or it is not one of ours.
+    """
+    path = Path(folder) / MANIFEST
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: not readable ({error}); make one with `wrod dataset`") from None
+    if not isinstance(content, dict) or content.pop("format", None) != FORMAT:
+        raise DataError(f"{path}: is not the manifest of a {FORMAT} dataset")
+    try:
+        manifest = Manifest(**{**content, "inputs": tuple(content.get("inputs", ()))})
+    except TypeError as error:
+        raise DataError(f"{path}: {str(error).replace('Manifest.__init__() ', '')}") from None
+    for field in fields(Manifest):
+        kind = {"int": int, "str": str, "bool": bool}.get(str(field.type))
+        value = getattr(manifest, field.name)
+        if kind is not None and (type(value) is not kind or (kind is int and value < 0)):
+            raise DataError(f"{path}: {field.name} is {value!r}")
+    if manifest.shard_size < 1 or manifest.inputs != INPUTS:
+        raise DataError(f"{path}: is not a dataset of ({', '.join(INPUTS)}) in shards")
+    return manifest
+
+
+def shard_path(folder: Path, shard: int) -> Path:
+    return Path(folder) / f"grasps-{shard:05d}.safetensors"
+
+
+def write_shard(folder: Path, manifest: Manifest, shard: int, columns: dict) -> Path:
+    """Write one shard, whole or not at all."""
+    from safetensors.numpy import save
+
+    first, count = manifest.rows(shard)
+    arrays = {}
+    for name, (kind, shape) in manifest.columns.items():
+        arrays[name] = np.ascontiguousarray(columns[name], dtype=kind)
+        if arrays[name].shape != (count, *shape):
+            raise DataError(f"shard {shard}: column {name} has shape {arrays[name].shape}")
+    label = {
+        "format": FORMAT,
+        "dataset": manifest.identity,
+        "first": first,
+        "count": count,
+        "sha256": _checksum(arrays),
+    }
+    # One key only: the order of several would not be the same in every process.
+    content = save(arrays, metadata={"wrod": json.dumps(label)})
+    return write_atomically(shard_path(folder, shard), lambda file: file.write(content), "wb")
+
+
+def sweep(folder: Path, mine: range) -> None:
+    """Remove what a killed process left of writing these shards."""
+    for path in Path(folder).glob(".grasps-*.safetensors.*"):
+        number = path.name.removeprefix(".grasps-").partition(".")[0]
+        if number.isdecimal() and int(number) in mine:
+            path.unlink(missing_ok=True)
+
+
+def read_shard(folder: Path, manifest: Manifest, shard: int, count: int | None = None) -> dict:
+    """Columns of one shard by name.
+
+    Args:
+        count: rows to expect, where not all that the manifest gives the shard.
+
+    Raises:
+        DataError: the shard is missing, truncated, damaged or of another dataset.
+    """
+    first, whole = manifest.rows(shard)
+    path = shard_path(folder, shard)
+    label, arrays = _open(path)
+    if label.get("dataset") != manifest.identity or label.get("first") != first:
+        raise DataError(f"{path}: belongs to another dataset or place; delete it to solve it again")
+    if label.get("count") != (whole if count is None else count):
+        raise DataError(f"{path}: holds {label.get('count')} of {whole} rows; run `wrod dataset`")
+    for name, (kind, shape) in manifest.columns.items():
+        array = arrays.get(name)
+        if array is None or array.dtype != kind or array.shape != (label["count"], *shape):
+            raise DataError(f"{path}: column {name} is missing or misshapen; delete the file")
+    if label.get("sha256") != _checksum(arrays):
+        raise DataError(f"{path}: is damaged (checksum); delete it to solve it again")
+    return arrays
+
+
+def is_solved(folder: Path, manifest: Manifest, shard: int) -> bool:
+    """Whether a shard is there with all its rows.
+
+    Raises:
+        DataError: a file stands in its place that is damaged or of another dataset.
+    """
+    path = shard_path(folder, shard)
+    if not path.exists():
+        return False
+    label, _ = _open(path)
+    # A dataset that grows solves its last shard again.
+    if label.get("dataset") == manifest.identity and label.get("count") != manifest.rows(shard)[1]:
+        return False
+    read_shard(folder, manifest, shard)
+    return True
+
+
+def shards(folder: Path) -> Iterator[dict]:
+    """The shards of a complete dataset, one at a time."""
+    manifest = read_manifest(folder)
+    for shard in range(manifest.shard_count):
+        yield read_shard(folder, manifest, shard)
+
+
+def _open(path: Path) -> tuple[dict, dict]:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="numpy") as file:
+            label = json.loads((file.metadata() or {}).get("wrod", "null"))
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except FileNotFoundError:
+        raise DataError(f"{path}: is missing; run the same `wrod dataset` again") from None
+    except (OSError, TypeError, ValueError, SafetensorError) as error:
+        raise DataError(f"{path}: is truncated or no shard ({error}); delete the file") from None
+    if not isinstance(label, dict) or label.get("format") != FORMAT:
+        raise DataError(f"{path}: is not a shard of a {FORMAT} dataset; delete the file")
+    return label, arrays
+
+
+def _checksum(arrays: dict) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(arrays[name]).data)
+    return digest.hexdigest()

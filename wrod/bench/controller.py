@@ -1,0 +1,102 @@
+"""`wrod bench controller`: errors over the whole range, and time of a trajectory."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import click
+
+NODES = 200  # of the trajectory that is timed: the paper's rods at 4 mm
+_COLD = (
+    "import sys, numpy as np, wrod\n"
+    "name = sys.argv[1] if len(sys.argv) > 1 else None\n"
+    f"wrod.Controller.load(name).predict(np.linspace(1.0, 50.0, {NODES}), 1.0, 1500.0)\n"
+)
+
+
+@click.command(name="controller")
+@click.argument("weights", nargs=-1, type=click.Path(dir_okay=False, path_type=Path))
+@click.option("--count", type=click.IntRange(min=1), default=2000, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--device", default="auto", show_default=True, help="Of the numeric solver.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_json: bool) -> None:
+    """Compare controllers with the numeric solver on the same random inputs.
+
+    WEIGHTS are controller files; without any, the one that ships. The inputs cover the whole
+    range; no training has seen them. Times are those of a trajectory of 200 nodes: warm, and in a
+    new process with all imports.
+    """
+    from wrod.batch import resolve_device
+    from wrod.bench import machine_line
+    from wrod.controller import Controller
+    from wrod.training.score import held_out, score
+
+    device = resolve_device(device)
+    controllers = {str(path): Controller.load(path) for path in weights}
+    controllers = controllers or {"default": Controller.load()}
+    inputs, grasps = held_out(count, seed=seed, device=device)
+    rows = []
+    for name, controller in controllers.items():
+        cold = [] if name == "default" else [name]
+        rows.append(
+            {
+                "controller": name,
+                **score(controller, inputs, grasps),
+                **_warm(controller),
+                **_cold(cold),
+            }
+        )
+    if as_json:
+        click.echo(json.dumps({"machine": machine_line(device), "seed": seed, "rows": rows}))
+        return
+    click.echo(machine_line(device))
+    click.echo(f"{count} random inputs of the whole range, seed {seed}; lengths in L_gb")
+    for row in rows:
+        click.echo(
+            f"{row['controller']}:\n"
+            f"  six outputs   MAE {row['mean_absolute_error']:.2e}\n"
+            f"  position      mean {row['position_error_mean']:.2e}, 99th percentile "
+            f"{row['position_error_p99']:.2e}, largest {row['position_error_max']:.2e}\n"
+            f"  rotation      99th percentile {row['rotation_error_p99']:.2e}, largest "
+            f"{row['rotation_error_max']:.2e} rad\n"
+            f"  left out      {row['left_out']} that the solver gave no result for\n"
+            f"  {NODES} nodes     {1e3 * row['predict_seconds']:.2f} ms (median; slowest of 50 "
+            f"{1e3 * row['predict_seconds_max']:.2f} ms)\n"
+            f"  cold process  {row['cold_seconds']:.2f} s with imports (user and system "
+            f"{row['cold_cpu_seconds']:.2f} s)"
+        )
+
+
+def _warm(controller) -> dict:
+    """Wall time [s] of predicting a trajectory in a process that has done so before."""
+    import numpy as np
+
+    inputs = (np.linspace(1.0, 50.0, NODES), np.linspace(-3.5, 3.5, NODES), 1500.0)
+    controller.predict(*inputs)
+    times = []
+    for _ in range(50):
+        clock = time.perf_counter()
+        controller.predict(*inputs)
+        times.append(time.perf_counter() - clock)
+    return {"predict_seconds": float(np.median(times)), "predict_seconds_max": max(times)}
+
+
+def _cold(arguments: list[str]) -> dict:
+    """Wall and processor time [s] of a new process that imports, loads and predicts once."""
+    import resource
+
+    def processor() -> float:
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return usage.ru_utime + usage.ru_stime
+
+    clock, before = time.perf_counter(), processor()
+    subprocess.run([sys.executable, "-c", _COLD, *arguments], check=True)
+    return {
+        "cold_seconds": time.perf_counter() - clock,
+        "cold_cpu_seconds": processor() - before,
+    }

@@ -1,0 +1,108 @@
+"""`wrod bench manifold`: held grips per second, the boundary for many lengths, stability's cost."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import click
+
+
+def held_inputs(count: int, seed: int = 0):
+    """Grip positions about the optimal grasps of rods of 2 to 30 L_gb, all directions above."""
+    import numpy as np
+
+    rng = np.random.default_rng(seed)
+    length = np.exp(rng.uniform(np.log(2.0), np.log(30.0), count))
+    angle = rng.uniform(0.2, 2.0, count)
+    side = rng.uniform(-0.3, 0.3, count)
+    radius = length * rng.uniform(0.85, 0.97, count)
+    direction = np.stack([np.cos(angle), np.sin(side), np.sin(angle)], axis=1)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return radius[:, None] * direction, length, np.full(count, 2087.0)
+
+
+@click.command(name="manifold")
+@click.option("--count", default=512, show_default=True, help="Held grips.")
+@click.option("--lengths", default=50, show_default=True, help="Values of l_s for the boundary.")
+@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--threads", default=0, show_default=True, help="CPU threads; 0: one per core.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def command(count: int, lengths: int, device: str, threads: int, as_json: bool) -> None:
+    """Equilibria for given grips, the manifold's boundary, and what stability adds to a plan."""
+    import numpy as np
+
+    from wrod.batch import resolve_device
+    from wrod.bench import machine_line
+    from wrod.grasps import solve_grasps
+    from wrod.manifold import equilibrium
+    from wrod.manifold_boundary import DIPS, EMPTY, FOLDS, TOUCHES, boundary
+
+    device = resolve_device(device)
+    options = {"device": device, "threads": threads or None}
+
+    def clocked(work):
+        work_clock, cpu = time.perf_counter(), time.process_time()
+        result = work()
+        return result, time.perf_counter() - work_clock, time.process_time() - cpu
+
+    # Compile the kernels outside the clock.
+    equilibrium([2.5, 0.0, 3.0], 5.0, 2087.0, **options)
+    solve_grasps([5.0], [0.5], [2087.0], eigenvalues=True, **options)
+
+    position, length, ratio = held_inputs(count)
+    held, wall, cpu = clocked(lambda: equilibrium(position, length, ratio, **options))
+    figures = {
+        "machine": machine_line(device),
+        "device": device,
+        "equilibria": count,
+        "equilibria_per_second": count / wall,
+        "equilibria_cpu_ms": 1e3 * cpu / count,
+        "converged": float(held.converged.mean()),
+        "admissible": float(held.admissible.mean()),
+        "iterations": float(held.iterations.mean()),
+    }
+    ls = np.exp(np.linspace(np.log(2.0), np.log(50.0), lengths))
+    edge, wall, cpu = clocked(lambda: boundary(ls, 2087.0, **options))
+    ends = {"dips": DIPS, "touches": TOUCHES, "folds": FOLDS, "empty": EMPTY}
+    figures |= {
+        "boundary_lengths": lengths,
+        "boundary_rays": len(edge.angle),
+        "boundary_seconds": wall,
+        "boundary_cpu_seconds": cpu,
+        "boundary_ends": {name: int(np.sum(edge.kind == kind)) for name, kind in ends.items()},
+    }
+    # Grasps of a whole trajectory; medians, since the difference is small.
+    ls, kappa = np.linspace(25.0, 5.0, 200), 1.5 * np.sin(np.linspace(0.0, 9.0, 200))
+    times = {False: [], True: []}
+    for _ in range(5):
+        for eigenvalues, seen in times.items():
+            _, _, cpu = clocked(
+                lambda e=eigenvalues: solve_grasps(ls, kappa, 2087.0, eigenvalues=e, **options)
+            )
+            seen.append(cpu)
+    solving, both = (float(np.median(times[key])) for key in (False, True))
+    figures |= {
+        "trajectory_grasps": 200,
+        "solving_cpu_seconds": solving,
+        "stability_cpu_seconds": both - solving,
+    }
+    if as_json:
+        click.echo(json.dumps(figures))
+        return
+    click.echo(figures["machine"])
+    click.echo(
+        f"{count} held grips on {device}: {figures['equilibria_per_second']:.1f} per s, "
+        f"{figures['equilibria_cpu_ms']:.2f} CPU ms each, {figures['iterations']:.1f} iterations, "
+        f"{figures['converged']:.1%} converged, {figures['admissible']:.1%} admissible"
+    )
+    counts = ", ".join(f"{n} {name}" for name, n in figures["boundary_ends"].items())
+    click.echo(
+        f"boundary for {lengths} suspended lengths, {len(edge.angle)} rays each: "
+        f"{figures['boundary_seconds']:.1f} s ({figures['boundary_cpu_seconds']:.1f} CPU s); "
+        f"low ends: {counts}"
+    )
+    click.echo(
+        f"200 grasps of a trajectory: solving {solving:.3f} CPU s, their stability "
+        f"{both - solving:.3f} CPU s"
+    )

@@ -1,0 +1,88 @@
+"""`wrod bench perception`: accuracy and time of the centrelines of labelled photographs."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import click
+
+
+@click.command(name="perception")
+@click.option(
+    "--images",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("../shared/images/dlo"),
+    show_default=True,
+    help="Folder with SET/images/*.jpg, SET/gt/*.png (labels) and SET/crossings.json.",
+)
+@click.option("--source", type=click.Choice(["mask", "photo"]), default="mask", show_default=True)
+@click.option("--repeats", default=5, show_default=True, help="Timed runs per picture.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
+    """Trace every picture from its union mask or from the photograph, and score it.
+
+    Dice is that of the paths drawn with their radius, the best match of paths and labels; count
+    and order are the share of pictures with the right number of paths and of crossings.
+    """
+    import cv2
+    import numpy as np
+    from tqdm import tqdm
+
+    from wrod.bench import machine_line
+    from wrod.errors import DataError, WrodError
+    from wrod.perception.image import read_image
+    from wrod.perception.score import score_paths
+    from wrod.perception.trace import trace_centerlines
+
+    sets = sorted(p.parent for p in images.glob("*/gt") if p.is_dir())
+    if not sets:
+        raise DataError(f"{images}: no SET/gt folder with labels; give --images FOLDER")
+    cv2.setNumThreads(1)
+    rows = []
+    for folder in sets:
+        counts = folder / "crossings.json"
+        crossings = json.loads(counts.read_text()) if counts.exists() else {}
+        labels = sorted((folder / "gt").glob("*.png"))
+        for file in tqdm(
+            labels, unit="picture", leave=False, desc=folder.name, disable=as_json or None
+        ):
+            label = read_image(file)
+            photo = label > 0
+            if source == "photo":
+                photo = read_image(folder / "images" / f"{file.stem}.jpg")
+            lines, times = [], []
+            for _ in range(repeats):
+                clock = time.process_time()
+                try:
+                    lines = trace_centerlines(photo)
+                except WrodError:
+                    lines = []
+                times.append(time.process_time() - clock)
+            score = score_paths(lines, label, crossings.get(file.stem))
+            rows.append(
+                {"set": folder.name, "image": file.stem, "ms": 1e3 * float(np.median(times))}
+                | score
+            )
+    names = ("dice", "count", "order", "offset_px")
+    table = [
+        {"set": name, "pictures": len(part)}
+        | {key: float(np.nanmean([row[key] for row in part])) for key in names}
+        | {"ms": float(np.median([row["ms"] for row in part]))}
+        for name in sorted({row["set"] for row in rows})
+        if (part := [row for row in rows if row["set"] == name])
+    ]
+    if as_json:
+        click.echo(json.dumps({"machine": machine_line(), "sets": table, "rows": rows}))
+        return
+    click.echo(machine_line())
+    click.echo(f"from the {source}, one thread, median CPU time")
+    click.echo(f"{'set':>6} {'pictures':>9} {'Dice %':>7} {'count %':>8} {'order %':>8} "
+               f"{'offset px':>10} {'ms':>6}")  # fmt: skip
+    for row in table:
+        click.echo(
+            f"{row['set']:>6} {row['pictures']:9d} {100 * row['dice']:7.2f} "
+            f"{100 * row['count']:8.1f} {100 * row['order']:8.1f} {row['offset_px']:10.3f} "
+            f"{row['ms']:6.1f}"
+        )

@@ -1,0 +1,55 @@
+"""`wrod bench plan`: time of numeric plans, pattern by pattern and rod by rod."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import click
+
+
+@click.command(name="plan")
+@click.option(
+    "--patterns",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder of pattern files (*.txt, *.csv); default: the built-in patterns.",
+)
+@click.option("--method", default="numeric", show_default=True)
+@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def command(patterns: Path | None, method: str, device: str, as_json: bool) -> None:
+    """Plan every pattern for the paper's rods 1 to 3, at a node every 5 mm."""
+    import wrod
+    from wrod.batch import resolve_device
+    from wrod.bench import machine_line
+    from wrod.errors import PatternError
+
+    device = resolve_device(device)
+    if patterns is None:
+        curves = [wrod.pattern(name) for name in wrod.pattern_names()]
+    else:
+        files = sorted([*patterns.glob("*.txt"), *patterns.glob("*.csv")])
+        if not files:
+            raise PatternError(f"{patterns}: holds no pattern files (*.txt, *.csv)")
+        curves = [wrod.Pattern.load(file) for file in files]
+    rods = wrod.rod_names()[:3]
+    wrod.plan(curves[0], wrod.rod(rods[0]), method, device=device, spacing=0.1)  # compile
+    rows = []
+    for name in rods:
+        for curve in curves:
+            clock = time.perf_counter()
+            trajectory = wrod.plan(curve, wrod.rod(name), method, device=device)
+            seconds = time.perf_counter() - clock
+            rows.append(
+                {"rod": name, "pattern": curve.name, "nodes": len(trajectory), "seconds": seconds}
+            )
+    total = sum(row["seconds"] for row in rows)
+    if as_json:
+        click.echo(json.dumps({"machine": machine_line(device), "rows": rows, "seconds": total}))
+        return
+    click.echo(machine_line(device))
+    click.echo(f"{'rod':>12} {'pattern':>12} {'nodes':>6} {'seconds':>8}")
+    for row in rows:
+        click.echo(f"{row['rod']:>12} {row['pattern']:>12} {row['nodes']:6d} {row['seconds']:8.2f}")
+    click.echo(f"{len(rows)} plans in {total:.1f} s")

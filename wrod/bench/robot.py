@@ -1,0 +1,121 @@
+"""`wrod bench robot`: joint paths for the seven patterns and rods 1 to 3."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import click
+
+PATTERNS = ("line", "circle", "sine", "letter-U", "letter-C", "letter-L", "letter-A")
+RODS = ("pink-vps", "green-vps", "rope")
+
+
+@click.command(name="robot")
+@click.option("--method", default="numeric", show_default=True, help="Planner of the trajectories.")
+@click.option("--patterns", help="Folder of points files to use for the built-in patterns.")
+@click.option("--finer", is_flag=True, help="Compare with plans at a tenth of the node distance.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(method: str, patterns: str | None, finer: bool, as_json: bool) -> None:
+    """Solve 21 joint paths with automatic placement and print what they keep."""
+    from pathlib import Path
+
+    from tqdm import tqdm
+
+    from wrod.bench import machine_line
+
+    cases = [(pattern, rod) for rod in RODS for pattern in PATTERNS]
+    rows = []
+    for pattern, rod in tqdm(cases, leave=False, disable=as_json):
+        folder = None if patterns is None else Path(patterns)
+        rows.append(run_case(pattern, rod, method, folder, finer))
+    solved = sum("error" not in row for row in rows)
+    if as_json:
+        click.echo(json.dumps({"machine": machine_line(), "paths": rows, "solved": solved}))
+        return
+    click.echo(machine_line())
+    click.echo(
+        f"{'pattern':10s} {'rod':10s} {'CPU s':>6s} {'error mm':>9s} {'degrees':>9s} {'limit':>6s}"
+        f" {'gap mm':>7s} {'turn':>6s} {'step':>6s} {'beyond':>6s} {'minutes':>8s}"
+        + (f" {'finer mm':>9s} {'degrees':>9s}" if finer else "")
+    )
+    for row in rows:
+        if "error" in row:
+            click.echo(f"{row['pattern']:10s} {row['rod']:10s} {row['error']}")
+            continue
+        click.echo(
+            f"{row['pattern']:10s} {row['rod']:10s} {row['cpu']:6.2f} {row['position_mm']:9.1e}"
+            f" {row['rotation_deg']:9.1e} {row['limit_margin']:6.2f} {row['gap_mm']:7.1f}"
+            f" {row['turn']:6.3f} {row['step']:6.3f} {row['beyond']:6.3f}"
+            f" {row['duration'] / 60:8.2f}"
+            + (f" {row['finer_mm']:9.3f} {row['finer_deg']:9.4f}" if finer else "")
+        )
+    click.echo(
+        f"{solved} of {len(rows)} solved; limit: least distance from a joint limit [rad]; turn and "
+        "step: most that the rod's frame and a joint turn between nodes [rad]; beyond: most that a "
+        "joint turns more than the rod's frame [rad per 5 mm of the grip's way]"
+    )
+
+
+def against_finer(path, curve, rod, method: str, trajectory) -> dict:
+    """Largest distance of the sent path from a plan with ten times the nodes, between them too."""
+    import numpy as np
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation, RotationSpline
+
+    import wrod
+    from wrod.robot.kinematics import grasp_poses
+
+    fine = wrod.plan(curve, rod, method=method, spacing=trajectory.arc_length[1] / 10)
+    some = slice(None, None, 10)
+    arc = path.arc_length[some]
+    poses = path.placement.world_from_base @ grasp_poses(path.robot, path.positions[some])
+    position = CubicSpline(fine.arc_length, fine.position)(arc)
+    frames = RotationSpline(fine.arc_length, Rotation.from_matrix(fine.rotation))(arc)
+    held = Rotation.from_matrix(poses[:, :3, :3] @ path.grip.rotation.T)
+    return {
+        "finer_mm": float(1e3 * np.linalg.norm(poses[:, :3, 3] - position, axis=1).max()),
+        "finer_deg": float(np.degrees((held.inv() * frames).magnitude().max())),
+    }
+
+
+def run_case(
+    pattern: str, rod_name: str, method: str = "numeric", folder=None, finer: bool = False
+) -> dict:
+    """Plan and solve one case; figures of its joint path, or the error."""
+    import warnings
+
+    import numpy as np
+
+    import wrod
+    from wrod.errors import WrodError, WrodWarning
+
+    row = {"pattern": pattern, "rod": rod_name}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", WrodWarning)
+            if folder is None:
+                curve = wrod.pattern(pattern)
+            else:
+                curve = wrod.Pattern.load(folder / f"{pattern.replace('-', '')}.txt")
+            trajectory = wrod.plan(curve, wrod.rod(rod_name), method=method)
+        started = time.process_time()
+        path = wrod.solve_joint_path(trajectory)
+        row["cpu"] = time.process_time() - started
+        if finer:
+            row |= against_finer(path, curve, wrod.rod(rod_name), method, trajectory)
+    except WrodError as error:
+        return row | {"error": str(error)}
+    figures = path.metadata
+    return row | {
+        "position_mm": 1e3 * figures["position_error"],
+        "rotation_deg": float(np.degrees(figures["rotation_error"])),
+        "limit_margin": figures["limit_margin"],
+        "gap_mm": 1e3 * min(figures["gap"].values()),
+        "manipulability": figures["manipulability"],
+        "turn": figures["largest_turn"],
+        "step": figures["largest_step"],
+        "beyond": figures["step_beyond_turn"],
+        "grip_angle": figures["grip_angle"],
+        "duration": figures["duration"],
+    }

@@ -1,0 +1,213 @@
+"""Results of the campaign: kept line by line, and told as CSV, Markdown and a picture."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
+from wrod.errors import DataError
+from wrod.files import write_atomically
+
+_FORMAT = "wrod-table3-1"
+SHORT = {"intuitive": "INT", "numeric": "OPT"}
+KEYS = ("rod", "substrate", "pattern", "method", "trial")
+
+
+class Ledger:
+    """A file of one finished trial a line; what a killed run wrote is there for the next.
+
+    Raises:
+        DataError: the file belongs to a campaign with other settings, or is not one.
+    """
+
+    def __init__(self, path: Path, settings: dict):
+        self.path, self.rows = path, []
+        head = {"format": _FORMAT, **settings}
+        if not path.exists():
+            write_atomically(path, lambda file: file.write(json.dumps(head) + "\n"))
+            return
+        lines = path.read_text(encoding="utf-8").split("\n")
+        whole, broken = lines[:-1], lines[-1]  # a killed run may leave half a line
+        try:
+            found = json.loads(whole[0])
+            self.rows = [json.loads(line) for line in whole[1:]]
+        except (IndexError, ValueError):
+            raise DataError(f"{path}: is not a readable campaign; choose another --out") from None
+        if found != json.loads(json.dumps(head)):
+            raise DataError(
+                f"{path}: was begun with other settings ({found}); choose another --out or delete "
+                "it"
+            )
+        if broken:
+            write_atomically(path, lambda file: file.write("\n".join(whole) + "\n"))
+
+    def done(self) -> set[tuple]:
+        return {tuple(row[key] for key in KEYS) for row in self.rows}
+
+    def add(self, rows: list[dict]) -> None:
+        with open(self.path, "a", encoding="utf-8") as file:
+            file.writelines(json.dumps(row) + "\n" for row in rows)
+        self.rows += rows
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Means over the trials of one cell that did not diverge [cm]."""
+
+    held: tuple[float, float]
+    released: tuple[float, float]
+    trials: int
+    diverged: int
+
+
+def cells(rows: list[dict]) -> dict[tuple[str, str, str, str], Cell]:
+    groups = defaultdict(list)
+    for row in rows:
+        groups[tuple(row[key] for key in KEYS[:4])].append(row)
+    out = {}
+    for key, group in groups.items():
+        good = [row for row in group if not row["diverged"]]
+
+        def mean(*names, good=good):
+            return tuple(float(np.mean([r[n] for r in good])) if good else np.nan for n in names)
+
+        out[key] = Cell(
+            mean("error_mean", "error_std"),
+            mean("released_error_mean", "released_error_std"),
+            len(group),
+            len(group) - len(good),
+        )
+    return out
+
+
+def write_csv(path: Path, table: dict) -> Path:
+    paper = measured()
+
+    def write(file):
+        writer = csv.writer(file)
+        writer.writerow(
+            ["rod", "substrate", "friction", "method", "pattern", "e_mean [cm]", "sigma [cm]"]
+            + ["released e_mean [cm]", "released sigma [cm]", "paper e_mean [cm]"]
+            + ["paper sigma [cm]", "trials", "diverged"]
+        )
+        for rod, substrate, name, method in sorted(table, key=_order):
+            cell = table[rod, substrate, name, method]
+            writer.writerow(
+                [rod, substrate, friction(rod, substrate), SHORT[method], name]
+                + [f"{x:.4f}" for x in (*cell.held, *cell.released)]
+                + [f"{x:.2f}" for x in paper[rod, substrate, name, method]]
+                + [cell.trials, cell.diverged]
+            )
+
+    return write_atomically(path, write)
+
+
+def _order(key) -> tuple[int, ...]:
+    rod, substrate, name, method = key
+    return (
+        RODS.index(rod),
+        SUBSTRATES.index(substrate),
+        METHODS.index(method),
+        PATTERNS.index(name),
+    )
+
+
+def markdown(table: dict, head: str) -> str:
+    """Simulated over measured in every cell, with what the comparison comes to below."""
+    paper = measured()
+    lines = [head, "", "| rod | substrate, mu | | " + " | ".join(PATTERNS) + " |"]
+    lines.append("|" + " --- |" * (3 + len(PATTERNS)))
+    for rod in RODS:
+        for substrate in SUBSTRATES:
+            for method in METHODS:
+                row = [rod, f"{substrate}, {friction(rod, substrate):g}", SHORT[method]]
+                for name in PATTERNS:
+                    cell = table.get((rod, substrate, name, method))
+                    if cell is None:
+                        row.append("")
+                        continue
+                    there = paper[rod, substrate, name, method]
+                    lost = f" ({cell.diverged} diverged)" if cell.diverged else ""
+                    row.append(
+                        f"**{cell.held[0]:.2f} ± {cell.held[1]:.2f}**{lost}<br>"
+                        f"let go {cell.released[0]:.2f} ± {cell.released[1]:.2f}<br>"
+                        f"paper {there[0]:.2f} ± {there[1]:.2f}"
+                    )
+                lines.append("| " + " | ".join(row) + " |")
+    return "\n".join([*lines, "", *summary(table), ""])
+
+
+def summary(table: dict) -> list[str]:
+    """Where the optimal controller wins, and where it is at or below the paper's error."""
+    paper = measured()
+    both = [k for k in table if k[3] == "numeric" and (*k[:3], "intuitive") in table]
+    wins = [k for k in both if table[k].held[0] < table[*k[:3], "intuitive"].held[0]]
+    close = [k for k in both if table[k].held[0] <= paper[k][0]]
+    lines = [
+        f"OPT lays better than INT in {len(wins)} of {len(both)} cells, and at or below the "
+        f"paper's error in {len(close)}."
+    ]
+    for text, good in (("INT lays better", wins), ("OPT above the paper", close)):
+        worse = [k for k in both if k not in good]
+        if worse:
+            names = [
+                f"{k[0]} {k[1]} {k[2]} ({table[k].held[0]:.2f} cm)"
+                for k in sorted(worse, key=_order)
+            ]
+            lines.append(f"{text}: " + ", ".join(names) + ".")
+    lost = sum(cell.diverged for cell in table.values())
+    lines.append(f"{lost} of {sum(cell.trials for cell in table.values())} trials diverged.")
+    return lines
+
+
+def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
+    """Every laid curve of every trial, one panel a pattern and rod (like the paper's figure)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    colors = {"intuitive": "#c2533c", "numeric": "#2f8f5b"}
+    figure = Figure(figsize=(14.0, 6.6), facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(RODS), len(PATTERNS))
+    for i, rod in enumerate(RODS):
+        for j, name in enumerate(PATTERNS):
+            panel = axes[i, j]
+            target = patterns[name].sample(np.linspace(0.0, patterns[name].length, 300))[0]
+            panel.plot(target[:, 0], target[:, 1], color="#0b5fa5", lw=4.0, alpha=0.35)
+            for method in METHODS:
+                for row in rows:
+                    if row["rod"] != rod or row["pattern"] != name or row["method"] != method:
+                        continue
+                    curve = np.array(row["curve"])
+                    panel.plot(*curve.T, color=colors[method], lw=0.7, alpha=0.6)
+            panel.set_aspect("equal", adjustable="datalim")
+            panel.margins(0.12)
+            panel.set_axis_off()
+            if i == 0:
+                panel.set_title(name, fontsize=11, color="#22262b")
+        figure.text(0.012, 0.77 - 0.29 * i, rod, fontsize=11, color="#22262b", rotation=90)
+    figure.subplots_adjust(0.03, 0.02, 0.995, 0.87, 0.05, 0.05)
+    figure.legend(
+        handles=[
+            Line2D([], [], color="#0b5fa5", lw=4, alpha=0.35, label="pattern"),
+            Line2D([], [], color=colors["intuitive"], lw=1.5, label="INT"),
+            Line2D([], [], color=colors["numeric"], lw=1.5, label="OPT"),
+        ],
+        loc="upper right", ncol=3, fontsize=10, frameon=False,
+    )  # fmt: skip
+    figure.text(
+        0.03, 0.955, "Laid curves of all trials on all substrates, the grip still holding",
+        fontsize=14, weight="bold", color="#22262b",
+    )  # fmt: skip
+
+    def write(file):
+        figure.savefig(file, format="png", dpi=90)
+
+    return write_atomically(path, write, "wb")

@@ -1,0 +1,136 @@
+"""`wrod bench table4`: the paper's Table 4, times and errors of the controller, measured here."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import click
+
+RODS = ("pink-vps", "green-vps", "rope")
+# Published in Table 4 for rods 1 to 3: numeric solver [s], network [s], position error [m],
+# orientation error, pattern by pattern.
+PATTERNS = ("line", "circle", "sine", "letterU", "letterC", "letterL", "letterA")
+PAPER = {
+    "pink-vps": (
+        (1572.68, 2036.11, 2897.17, 3954.12, 4015.24, 4777.30, 4666.55),
+        (0.402, 0.393, 0.395, 0.431, 0.431, 0.400, 0.417),
+        (0.0008, 0.0007, 0.0009, 0.0008, 0.0007, 0.0008, 0.0008),
+        (0.0012, 0.0010, 0.0032, 0.0025, 0.0020, 0.0020, 0.0021),
+    ),
+    "green-vps": (
+        (776.56, 1213.14, 1769.66, 2286.66, 2226.73, 2720.08, 2933.90),
+        (0.397, 0.391, 0.396, 0.419, 0.408, 0.404, 0.406),
+        (0.0016, 0.0016, 0.0019, 0.0018, 0.0016, 0.0020, 0.0017),
+        (0.0012, 0.0078, 0.0050, 0.0042, 0.0020, 0.0058, 0.0030),
+    ),
+    "rope": (
+        (666.01, 1041.71, 1561.12, 1984.63, 1972.39, 2405.71, 2639.44),
+        (0.400, 0.407, 0.395, 0.407, 0.420, 0.405, 0.411),
+        (0.0016, 0.0017, 0.0020, 0.0020, 0.0016, 0.0021, 0.0018),
+        (0.0010, 0.0087, 0.0052, 0.0055, 0.0023, 0.0054, 0.0032),
+    ),
+}
+NODES = dict(zip(PATTERNS, (101, 156, 138, 190, 190, 190, 194), strict=True))
+
+
+def cell(curve, rod, controller, device: str, nodes: int) -> dict:
+    """One cell of the table: numeric grasps against the controller's.
+
+    The position error is the mean distance [m], the orientation error the mean absolute
+    difference of the quaternions' components; both also as the largest over the nodes.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from wrod.errors import GraspError
+    from wrod.grasps import solve_grasps
+
+    s = np.linspace(0.0, curve.length, nodes)
+    lgb = rod.gravito_bending_length
+    inputs = ((rod.length - s) / lgb, curve.sample(s)[2] * lgb, np.full(nodes, rod.stretch_ratio))
+    clock = time.perf_counter()
+    grasps = solve_grasps(*inputs, device=device, shapes=False)
+    numeric = time.perf_counter() - clock
+    if not grasps.converged.all():
+        raise GraspError(f"{curve.name}: {np.sum(~grasps.converged)} grasps did not converge")
+    times = []
+    for _ in range(7):
+        clock = time.perf_counter()
+        position, rotation = controller.predict(*inputs)
+        times.append(time.perf_counter() - clock)
+    distance = lgb * np.linalg.norm(position - grasps.position, axis=1)
+    quaternion = [Rotation.from_rotvec(r).as_quat() for r in (rotation, grasps.rotation)]
+    # q and -q are one rotation.
+    sign = np.where(np.sum(quaternion[0] * quaternion[1], axis=1) < 0.0, -1.0, 1.0)
+    turn = np.abs(quaternion[0] - sign[:, None] * quaternion[1])
+    return {
+        "nodes": nodes,
+        "numeric_seconds": numeric,
+        "neural_seconds": float(np.median(times)),
+        "position_error": float(distance.mean()),
+        "position_error_max": float(distance.max()),
+        "orientation_error": float(turn.mean()),
+        "orientation_error_max": float(turn.max()),
+    }
+
+
+@click.command(name="table4")
+@click.option(
+    "--patterns",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    required=True,
+    help="Folder with the paper's patterns: line.txt, circle.txt, ..., letterA.txt.",
+)
+@click.option(
+    "--controller",
+    "weights",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Controller file; default: the one that ships.",
+)
+@click.option("--device", default="auto", show_default=True, help="Of the numeric solver.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def command(patterns: Path, weights: Path | None, device: str, as_json: bool) -> None:
+    """Compare controller and numeric solver on rods 1 to 3 and the paper's seven patterns."""
+    from tqdm import tqdm
+
+    from wrod.batch import resolve_device
+    from wrod.bench import machine_line
+    from wrod.controller import Controller
+    from wrod.grasps import solve_grasps
+    from wrod.material import rod
+    from wrod.patterns import Pattern
+
+    device = resolve_device(device)
+    controller = Controller.load(weights)
+    curves = {name: Pattern.load(patterns / f"{name}.txt") for name in PATTERNS}
+    solve_grasps([5.0], [0.5], [1e3], device=device)  # compile outside the clock
+    rows = []
+    for name in tqdm(RODS, unit="rod", leave=False, disable=as_json):
+        for column, pattern in enumerate(PATTERNS):
+            figures = cell(curves[pattern], rod(name), controller, device, NODES[pattern])
+            published = [row[column] for row in PAPER[name]]
+            keys = ("numeric_seconds", "neural_seconds", "position_error", "orientation_error")
+            paper = dict(zip(keys, published, strict=True))
+            rows.append({"rod": name, "pattern": pattern, **figures, "paper": paper})
+    if as_json:
+        click.echo(json.dumps({"machine": machine_line(device), "rows": rows}))
+        return
+    click.echo(machine_line(device))
+    click.echo("each figure beside the paper's; errors are means over the nodes, (largest)")
+    click.echo(
+        f"{'rod':>10} {'pattern':>8} {'nodes':>5} {'numeric [s]':>16} {'network [ms]':>14} "
+        f"{'position [mm]':>22} {'quaternion [1e-3]':>22}"
+    )
+    for row in rows:
+        p = row["paper"]
+        click.echo(
+            f"{row['rod']:>10} {row['pattern']:>8} {row['nodes']:5d} "
+            f"{row['numeric_seconds']:7.2f} {p['numeric_seconds']:8.0f} "
+            f"{1e3 * row['neural_seconds']:8.2f} {1e3 * p['neural_seconds']:5.0f} "
+            f"{1e3 * row['position_error']:9.4f} ({1e3 * row['position_error_max']:.4f}) "
+            f"{1e3 * p['position_error']:4.1f} "
+            f"{1e3 * row['orientation_error']:9.4f} ({1e3 * row['orientation_error_max']:.4f}) "
+            f"{1e3 * p['orientation_error']:4.1f}"
+        )

@@ -1,0 +1,86 @@
+"""`wrod dataset`: optimal grasps over the whole range, in shards."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command(name="dataset")
+@click.option("--size", type=click.IntRange(min=1), required=True, help="Number of samples.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--closure", default="zero_tension", show_default=True)
+@click.option(
+    "--sensitivities/--no-sensitivities",
+    default=True,
+    help="Store the derivatives by the inputs (zero_tension only).",
+)
+@click.option("--shard-size", type=click.IntRange(min=1), help="Samples per file; default 2048.")
+@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    size: int,
+    out: Path,
+    seed: int,
+    closure: str,
+    sensitivities: bool,
+    shard_size: int | None,
+    device: str,
+    as_json: bool,
+) -> None:
+    """Solve grasps at low-discrepancy samples of (l_s, kappa, k_s).
+
+    The same command goes on where a killed one was. Every process that torchrun starts takes its
+    share of the shards, and a GPU of its own where there are several; the dataset stays the same:
+
+    \b
+      torchrun --nproc-per-node 4 --no-python wrod dataset --size 1000000 --out DIR
+    """
+    from tqdm import tqdm
+
+    from wrod.bench import machine_line
+    from wrod.errors import DataError
+    from wrod.training.dataset import SHARD_SIZE, Rank, generate
+
+    rank = Rank.from_environment()
+    label = "grasps" if rank.count == 1 else f"grasps of rank {rank.index}"
+    with tqdm(
+        unit="grasp", desc=label, position=rank.local_index, delay=1.0, disable=as_json
+    ) as bar:
+
+        def progress(count: int, total: int) -> None:
+            bar.total = total
+            bar.update(count)
+
+        try:
+            outcome = generate(
+                out, size, seed=seed, closure=closure, sensitivities=sensitivities,
+                shard_size=shard_size or SHARD_SIZE, device=device, rank=rank, progress=progress,
+            )  # fmt: skip
+        except OSError as error:
+            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    figures = {
+        "samples": outcome.samples,
+        "solved_now": outcome.solved,
+        "unconverged": outcome.unconverged,
+        "unstable": outcome.unstable,
+        "seconds": outcome.seconds,
+        "per_second": outcome.solved / outcome.seconds,
+        "rank": rank.index,
+        "ranks": rank.count,
+        "machine": machine_line(rank.device(device)),
+        "written": [str(out)],
+    }
+    if as_json:
+        click.echo(json.dumps(figures))
+        return
+    click.echo(
+        f"{label}: {outcome.samples}, {outcome.solved} solved now in {outcome.seconds:.1f} s "
+        f"({figures['per_second']:.0f} per second)"
+    )
+    click.echo(f"not converged {outcome.unconverged}, unstable {outcome.unstable}; left out")
+    click.echo(figures["machine"])
+    click.echo(f"wrote {out}")

@@ -1,0 +1,136 @@
+"""`wrod deploy PATTERN`: lay the rod in simulation and measure how well it lies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from wrod.commands.plan import _pattern, _rod
+
+
+@click.command(name="deploy")
+@click.argument("pattern")
+@click.option("--rod", "rod_name", help="Rod by name (green-vps, ...) or a rod file (.json).")
+@click.option("--radius", type=float, help="Radius of a rod of your own [m].")
+@click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`).")
+@click.option("--length", type=float, help="Its total length [m].")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option(
+    "--trajectory",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Trajectory (.npz) that `wrod plan` wrote, instead of a new plan.",
+)
+@click.option("--method", default="neural", show_default=True, help="As for `wrod plan`.")
+@click.option("--closure", default="zero_tension", show_default=True, help="As for `wrod plan`.")
+@click.option("--units", help="Units of a pattern file: m, cm, mm, um or in.")
+@click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient.")
+@click.option("--kinetic", type=float, help="Kinetic friction coefficient; default: the static.")
+@click.option("--rolling", is_flag=True, help="Let the laid rod roll freely.")
+@click.option("--trials", default=1, show_default=True, help="Disturbed trials; 1 is the ideal.")
+@click.option("--speed", default=0.02, show_default=True, help="Speed of the contact [m/s].")
+@click.option("--frames", type=float, help="Keep the rod's states at this interval [s].")
+@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    pattern: str,
+    rod_name: str | None,
+    radius: float | None,
+    lgb: float | None,
+    length: float | None,
+    out: Path,
+    trajectory: Path | None,
+    method: str,
+    closure: str,
+    units: str | None,
+    friction: float,
+    kinetic: float | None,
+    rolling: bool,
+    trials: int,
+    speed: float,
+    frames: float | None,
+    device: str,
+    as_json: bool,
+) -> None:
+    """Lay a rod along PATTERN in simulation, and measure it.
+
+    The free end's first 5 cm are held at first. The rod is measured at the end of the pattern with
+    the grip holding, and again after the grip laid the tail straight ahead and let go.
+    """
+    from tqdm import tqdm
+
+    from wrod.deployment import Trial, simulate_deployments, with_remainder_of
+    from wrod.deployment_picture import draw_deployments
+    from wrod.deployment_setup import Disturbance, tail
+    from wrod.errors import DataError, RodError
+    from wrod.planner import plan
+    from wrod.substrate import Friction
+    from wrod.trajectory import Trajectory
+
+    if trials < 1:
+        raise RodError(f"trials is {trials}; give 1 or more")
+    rod, curve = _rod(rod_name, radius, lgb, length), _pattern(pattern, units, {})
+    law = Friction(friction, kinetic, rolling)
+    if trajectory is None:
+        path = plan(
+            curve, rod, method, closure=closure, device=None if device == "auto" else device
+        )
+    else:
+        path = Trajectory.load(trajectory)
+    curve = with_remainder_of(curve, path)
+    rest = tail(curve, rod, path)
+    jobs = [
+        Trial(
+            curve, rod, path, law, Disturbance() if trials == 1 else Disturbance.random(seed), rest
+        )
+        for seed in range(trials)
+    ]
+    shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+    with tqdm(
+        total=100, leave=False, delay=1.0, desc="laid", disable=as_json, bar_format=shown
+    ) as bar:
+        deployments = simulate_deployments(
+            jobs,
+            speed=speed,
+            frame_interval=frames,
+            device=device,
+            progress=lambda fraction: bar.update(100 * fraction),
+        )
+    title = f"{curve.name} · {path.metadata.get('method', '')} · friction {friction:g}"
+    try:
+        names = ["deployment"] if trials == 1 else [f"deployment-{k}" for k in range(trials)]
+        written = [d.save(out / name) for d, name in zip(deployments, names, strict=True)]
+        written.append(draw_deployments(out / "deployment.png", curve, deployments, title))
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    figures = {
+        "pattern": curve.name,
+        "method": path.metadata.get("method"),
+        "friction": {"static": friction, "kinetic": kinetic or friction, "rolling": rolling},
+        "trials": [
+            {
+                "error_mean": d.error_mean,
+                "error_std": d.error_std,
+                "released_error_mean": d.released_error_mean,
+                "released_error_std": d.released_error_std,
+                "largest_slip": float(d.slip.max()),
+                "diverged": d.diverged,
+            }
+            for d in deployments
+        ],
+        "written": [str(name) for name in written],
+    }
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return
+    for k, d in enumerate(deployments):
+        click.echo(
+            f"trial {k}: "
+            + ("diverged; the last good state is " if d.diverged else "")
+            + f"{100 * d.error_mean:.3f} ± {100 * d.error_std:.3f} cm with the grip holding, "
+            f"{100 * d.released_error_mean:.3f} ± {100 * d.released_error_std:.3f} cm let go; "
+            f"largest slip {100 * d.slip.max():.2f} cm"
+        )
+    for name in written:
+        click.echo(f"wrote {name}")

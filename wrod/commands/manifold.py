@@ -1,0 +1,136 @@
+"""`wrod manifold`: the admissible grips of a straight pattern, their optima and stability."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command(name="manifold")
+@click.option("--length", required=True, type=float, help="Suspended length [L_gb].")
+@click.option("--stretch-ratio", default=2087.0, show_default=True, help="k_s [-].")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option(
+    "--closure",
+    default="zero_tension",
+    show_default=True,
+    help="zero_tension, min_force or min_friction.",
+)
+@click.option("--rays", default=69, show_default=True, help="Rays from 5 to 175 degrees.")
+@click.option("--nudge", default=0.12, show_default=True, help="Sideways offset [L_gb].")
+@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    length: float,
+    stretch_ratio: float,
+    out: Path,
+    closure: str,
+    rays: int,
+    nudge: float,
+    device: str,
+    as_json: bool,
+) -> None:
+    """Map the grips that lay a straight pattern, and test which optimal grasps are stable.
+
+    Writes the manifold with the force at the contact and the sideways deflection under a nudge
+    (manifold.png), the optimal grasps under growing nudges (nudges.png), and the numbers
+    (manifold.npz).
+    """
+    from tqdm import tqdm
+
+    from wrod.errors import DataError, GraspError
+    from wrod.manifold_map import force_map, save_map
+    from wrod.manifold_picture import draw_map, draw_nudges
+
+    if rays < 5:
+        raise GraspError(f"--rays is {rays}; use at least 5")
+    if not 0.0 < nudge < length:
+        raise GraspError(f"--nudge is {nudge:g}; give an offset between 0 and --length")
+    with tqdm(total=4, leave=False, disable=as_json, bar_format="{desc}: {n}/{total} {bar}") as bar:
+
+        def progress(stage: str) -> None:
+            bar.set_description(stage)
+            bar.update()
+
+        manifold = force_map(
+            length,
+            stretch_ratio,
+            closure=closure,
+            rays=rays,
+            offset=nudge,
+            device=device,
+            progress=progress,
+        )
+    try:
+        written = [
+            draw_map(out / "manifold.png", manifold),
+            draw_nudges(out / "nudges.png", manifold),
+            save_map(out / "manifold.npz", manifold),
+        ]
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    figures = {**_figures(manifold), "written": [str(path) for path in written]}
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return
+    click.echo(_summary(figures))
+    for path in written:
+        click.echo(f"wrote {path}")
+
+
+def _figures(manifold) -> dict:
+    import numpy as np
+
+    tests = manifold.tests()
+    return {
+        "suspended_length": manifold.suspended_length,
+        "stretch_ratio": manifold.stretch_ratio,
+        "closure": manifold.closure,
+        "optima": [
+            {
+                "position": optimum.position.tolist(),
+                "force": optimum.force.tolist(),
+                "eigenvalue": optimum.eigenvalue,
+                "stable": optimum.stable,
+                "snaps_at": optimum.snaps_at if np.isfinite(optimum.snaps_at) else None,
+            }
+            for optimum in manifold.optima
+        ],
+        "largest_nudge": float(manifold.nudges.offset[-1]),
+        "tested_grips": tests["tested"],
+        "stable_grips": tests["stable"],
+        "disagreeing_grips": tests["disagreeing"],
+        "disagreeing_eigenvalue": tests["eigenvalue"],
+    }
+
+
+def _summary(figures: dict) -> str:
+    lines = [
+        f"suspended length {figures['suspended_length']:g} L_gb, stretch ratio "
+        f"{figures['stretch_ratio']:g}, closure {figures['closure']}"
+    ]
+    for number, optimum in enumerate(figures["optima"], start=1):
+        x, _, z = optimum["position"]
+        word = "stable" if optimum["stable"] else "UNSTABLE"
+        size = sum(f * f for f in optimum["force"]) ** 0.5
+        snaps = (
+            f"snaps when nudged by {optimum['snaps_at']:.3g}"
+            if optimum["snaps_at"] is not None
+            else f"holds when nudged by {figures['largest_nudge']:g}"
+        )
+        lines.append(
+            f"optimum {number}: grip ({x:.4f}, {z:.4f}), |F| {size:.4f}, softest motion "
+            f"{optimum['eigenvalue']:+.4f}: {word}; {snaps}"
+        )
+    lines.append(
+        f"{figures['stable_grips']} of {figures['tested_grips']} grips of the map are stable; "
+        f"eigenvalue and nudge disagree at {figures['disagreeing_grips']}"
+        + (
+            f" (|eigenvalue| up to {figures['disagreeing_eigenvalue']:.2g} there)"
+            if figures["disagreeing_grips"]
+            else ""
+        )
+    )
+    return "\n".join(lines)

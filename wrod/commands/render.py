@@ -1,0 +1,67 @@
+"""`wrod render SCENE`: pictures of a scene through its cameras, or a page for the browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+def _size(ctx, param, value: str) -> tuple[int, int]:
+    try:
+        width, height = (int(part) for part in value.lower().split("x"))
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is not WIDTHxHEIGHT, like 960x720") from None
+    return width, height
+
+
+@click.command(name="render")
+@click.argument("scene", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder, PNG or HTML.")
+@click.option("--camera", default="perspective", show_default=True, help="top, perspective, ...")
+@click.option("--frames", type=int, help="Pictures from first to last; 24, or 1 for a PNG.")
+@click.option("--size", default="960x720", show_default=True, callback=_size, help="Pixels.")
+@click.option("--hide", multiple=True, help="Leave out prims of this name (robot, ...).")
+def command(
+    scene: Path,
+    out: Path,
+    camera: str,
+    frames: int | None,
+    size: tuple[int, int],
+    hide: tuple[str, ...],
+) -> None:
+    """Draw SCENE, a USD stage, without a display.
+
+    A folder gets one PNG per frame; a .png the last one; a .html the whole deployment as a page
+    that plays in any browser.
+    """
+    from tqdm import tqdm
+
+    from wrod.errors import DataError
+    from wrod.scene.render import render
+    from wrod.scene.view import write_page
+
+    with tqdm(unit="frame", leave=False, delay=1.0) as bar:
+
+        def progress(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        try:
+            if out.suffix.lower() == ".html":
+                written = [write_page(scene, out, hidden=hide, progress=progress)]
+            else:
+                count = frames if frames is not None else (1 if out.suffix else 24)
+                written = render(
+                    scene,
+                    out,
+                    camera=camera,
+                    frames=count,
+                    size=size,
+                    hidden=hide,
+                    progress=progress,
+                )
+        except OSError as error:
+            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    for path in written:
+        click.echo(f"wrote {path}")

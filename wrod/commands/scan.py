@@ -1,0 +1,145 @@
+"""`wrod scan IMAGE...`: ordered centrelines of the rods or strokes in pictures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command(name="scan")
+@click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option("--mask", is_flag=True, help="The pictures are masks, white on black.")
+@click.option(
+    "--kind",
+    type=click.Choice(["auto", "rod", "ink"]),
+    default="auto",
+    show_default=True,
+    help="Rods on a plain table, or strokes on paper.",
+)
+@click.option("--color", help="Colour of the rods as R,G,B; default: all that differs.")
+@click.option("--markers", type=click.Path(path_type=Path), help="Layout of the ArUco markers.")
+@click.option("--sheet", help="Size of the bright sheet drawn on, as WIDTHxHEIGHT [m].")
+@click.option("--scale", type=float, help="Metres per pixel of a camera that looks down [m/px].")
+@click.option("--camera", type=click.Path(path_type=Path), help="Camera matrix and distortion.")
+@click.option(
+    "--start",
+    default="lower-left",
+    show_default=True,
+    help="Where a metric curve begins: X,Y [m], dot, or a corner such as upper-right.",
+)
+@click.option("--several", is_flag=True, help="Allow several curves in a metric picture.")
+@click.option("--overlay/--no-overlay", default=True, help="Write a picture of what was found.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    images: tuple[Path, ...],
+    out: Path,
+    mask: bool,
+    kind: str,
+    color: str | None,
+    markers: Path | None,
+    sheet: str | None,
+    scale: float | None,
+    camera: Path | None,
+    start: str,
+    several: bool,
+    overlay: bool,
+    as_json: bool,
+) -> None:
+    """Write STEM.npz and STEM-overlay.png for each picture.
+
+    The NPZ holds `paths` (polylines x, y in pixels, end to end), `radius_px`, `labels` (H, W) and
+    the crossings; with a scale also `path_m` in metres.
+    """
+    from tqdm import tqdm
+
+    from wrod.errors import DataError, PerceptionError
+    from wrod.perception.crossings import find_crossings
+    from wrod.perception.export import write_scan
+    from wrod.perception.metric import Camera, MarkerLayout
+    from wrod.perception.overlay import draw_overlay, write_picture
+    from wrod.perception.refine import arc_length
+    from wrod.perception.scan import read_scan
+
+    stems = [image.stem for image in images]
+    twice = sorted({stem for stem in stems if stems.count(stem) > 1})
+    if twice:
+        raise PerceptionError(
+            f"several pictures are called {', '.join(twice)}; scan them into different folders"
+        )
+    reading = {
+        "markers": None if markers is None else MarkerLayout.load(markers),
+        "sheet": None if sheet is None else parse_numbers(sheet, 2, "--sheet", "x"),
+        "scale": scale,
+        "camera": None if camera is None else Camera.load(camera),
+        "mask": mask,
+        "kind": kind,
+        "color": None if color is None else parse_numbers(color, 3, "--color"),
+    }
+    begin = parse_start(start)
+    rows, failures = [], []
+    for image in tqdm(images, unit="picture", leave=False, delay=1.0, disable=as_json or None):
+        try:
+            result = read_scan(image, **reading)
+            crossings = find_crossings(result.lines, None if mask else result.image)
+            written = [write_scan(out / f"{image.stem}.npz", result, crossings, begin, several)]
+        except PerceptionError as error:
+            failures.append(str(error) if str(image) in str(error) else f"{image}: {error}")
+            continue  # one bad picture must not cost the others
+        except OSError as error:
+            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+        if overlay:
+            picture = draw_overlay(result.image, result.lines, crossings)
+            written.append(write_picture(out / f"{image.stem}-overlay.png", picture))
+        row = {
+            "image": str(image),
+            "curves": len(result.lines),
+            "crossings": len(crossings),
+            "length_px": [round(line.length, 1) for line in result.lines],
+            "radius_px": [round(line.radius, 2) for line in result.lines],
+            "written": [str(path) for path in written],
+        }
+        if result.plane is not None:
+            row["length_m"] = [float(arc_length(p)[-1]) for p in result.metric_lines()]
+        rows.append(row)
+        if not as_json:
+            tqdm.write(_summary(row))
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+    if failures:
+        raise PerceptionError("\nwrod: ".join(failures))
+
+
+def parse_start(text: str) -> str | tuple[float, float]:
+    """A point "x,y" [m], or a name as it is."""
+    return parse_numbers(text, 2, "--start") if "," in text else text
+
+
+def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> tuple[float, ...]:
+    """`count` numbers, separated; raises a PerceptionError that names the option."""
+    from wrod.errors import PerceptionError
+
+    try:
+        numbers = tuple(float(part) for part in text.lower().split(separator))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise PerceptionError(f"{option} {text}: give {count} numbers separated by {separator!r}")
+    return numbers
+
+
+def _summary(row: dict) -> str:
+    lengths = row.get("length_m")
+    sizes = (
+        ", ".join(f"{length:.4f} m" for length in lengths)
+        if lengths
+        else ", ".join(f"{length:.0f} px" for length in row["length_px"])
+    )
+    curves, crossings = row["curves"], row["crossings"]
+    head = (
+        f"{row['image']}: {curves} curve{'s' * (curves != 1)} ({sizes}), "
+        f"{crossings} crossing{'s' * (crossings != 1)}"
+    )
+    return "\n".join([head, *(f"wrote {path}" for path in row["written"])])

@@ -1,0 +1,183 @@
+"""`wrod train`: a controller from a dataset, or from nothing with --generate."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+
+@click.command(name="train")
+@click.option(
+    "--dataset",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Dataset that `wrod dataset` wrote.",
+)
+@click.option(
+    "--generate",
+    type=click.IntRange(min=100),
+    metavar="N",
+    help="Solve N grasps first; a fifth of them during training, where the network errs most.",
+)
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option("--recipe", "name", default="default", show_default=True, help="default or paper.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--steps", type=click.IntRange(min=1), help="Optimiser steps; default: the recipe's.")
+@click.option("--batch", type=click.IntRange(min=1), help="Grasps per step (the first).")
+@click.option("--width", type=click.IntRange(min=1), help="Units of a hidden layer.")
+@click.option("--sensitivity-weight", type=click.FloatRange(min=0), help="Of the derivatives.")
+@click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Stop by then.")
+@click.option("--rows", type=click.IntRange(min=100), help="Most grasps of the dataset to hold.")
+@click.option(
+    "--test",
+    type=click.IntRange(min=1),
+    default=2000,
+    show_default=True,
+    help="Fresh random inputs that the result is scored on.",
+)
+@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    dataset: Path | None,
+    generate: int | None,
+    out: Path,
+    name: str,
+    seed: int,
+    steps: int | None,
+    batch: int | None,
+    width: int | None,
+    sensitivity_weight: float | None,
+    minutes: float | None,
+    rows: int | None,
+    test: int,
+    device: str,
+    as_json: bool,
+) -> None:
+    """Train the neural controller and score it against the numeric solver.
+
+    The same command resumes from the last checkpoint in --out. With equal seed and steps (without
+    --minutes) it gives the same weights on the same machine.
+    """
+    from dataclasses import asdict, replace
+
+    from tqdm import tqdm
+
+    from wrod.batch import resolve_device
+    from wrod.bench import machine_line
+    from wrod.errors import DataError
+    from wrod.files import write_atomically
+    from wrod.training.dataset import GraspTable, load
+    from wrod.training.loop import Training
+    from wrod.training.recipes import recipe as find
+
+    changes = {"steps": steps, "batch": batch, "width": width}
+    changes["sensitivity_weight"] = sensitivity_weight
+    recipe = replace(find(name), **{k: v for k, v in changes.items() if v is not None})
+    recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
+    device = resolve_device(device)
+    if (dataset is None) == (generate is None):
+        raise DataError("give either --dataset DIR or --generate N")
+    refine = 0
+    if generate is not None:
+        refine = generate // 5
+        with _writing(out):
+            dataset = _generate(out / "dataset", generate - refine, seed, device, as_json)
+    table = load(dataset, rows)
+    training = Training(
+        recipe,
+        table,
+        seed=seed,
+        device=device,
+        folder=out,
+        refine=refine,
+        solve=lambda inputs: GraspTable.solve(inputs, device, table.sensitivity is not None),
+    )
+    resumed = training.resume()
+    with tqdm(unit="step", initial=training.step, total=recipe.steps, disable=as_json) as bar:
+
+        def progress(done: int, total: int, error: float) -> None:
+            bar.set_postfix(validation_mae=f"{error:.2e}")
+            bar.update(done - bar.n)
+
+        with _writing(out):
+            if not resumed:
+                training.checkpoint()  # says now, not after the training, if it cannot be written
+            training.run(minutes=minutes, progress=progress)
+    from wrod.training.score import held_out, score
+    from wrod.training.store import read_manifest
+
+    manifest = read_manifest(dataset)
+    controller = training.controller(
+        {
+            "closure": manifest.closure,
+            # With --generate, the dataset is part of the one command.
+            "dataset_command": None if generate else manifest.command(dataset),
+            "command": "wrod train " + " ".join(_arguments()),
+            "machine": machine_line(device),
+            "dataset": asdict(manifest),
+        }
+    )
+    fresh = held_out(test, seed=10_000 + seed, device=device)
+    controller.metadata["held_out"] = score(controller, *fresh)
+    summary = {k: v for k, v in controller.metadata.items()}
+    written = [
+        controller.save(out / "controller.safetensors"),
+        write_atomically(
+            out / "controller.json", lambda file: file.write(json.dumps(summary, indent=2) + "\n")
+        ),
+        training.write_history(out / "history.csv"),
+    ]
+    summary["resumed"] = resumed
+    summary["written"] = [str(path) for path in written]
+    if as_json:
+        click.echo(json.dumps(summary, indent=2))
+        return
+    click.echo(
+        f"{recipe.name}: {training.step} steps in {training.seconds:.0f} s on "
+        f"{summary['samples']} grasps"
+    )
+    for key in ("validation", "held_out"):
+        values = summary[key]
+        click.echo(
+            f"{key.replace('_', ' '):>10}: MAE {values['mean_absolute_error']:.2e}, position error "
+            f"p99 {values['position_error_p99']:.2e} L_gb, largest "
+            f"{values['position_error_max']:.2e} ({values['grasps']} grasps)"
+        )
+    click.echo(summary["machine"])
+    for path in written:
+        click.echo(f"wrote {path}")
+
+
+@contextmanager
+def _writing(out: Path):
+    """Say in one sentence what cannot be written."""
+    from wrod.errors import DataError
+
+    try:
+        yield
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+
+
+def _generate(folder: Path, size: int, seed: int, device: str, quiet: bool) -> Path:
+    from tqdm import tqdm
+
+    from wrod.training.dataset import generate
+
+    with tqdm(unit="grasp", desc="grasps", disable=quiet) as bar:
+
+        def progress(count: int, total: int) -> None:
+            bar.total = total
+            bar.update(count)
+
+        generate(folder, size, seed=seed, device=device, progress=progress)
+    return folder
+
+
+def _arguments() -> list[str]:
+    """The command's own arguments as they were given."""
+    given = sys.argv[1:]
+    return given[given.index("train") + 1 :] if "train" in given else given

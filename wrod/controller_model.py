@@ -1,0 +1,142 @@
+"""The neural controller's formula, once for NumPy and torch: `xp` is either module.
+
+A chain hangs from a learnt boundary layer: the network gives the forces F_y, F_z at the contact,
+the closed form of the elastic catenary carries them up to the grip, and the network adds what
+bending changes, which no longer grows with the length. Even outputs see kappa squared only and odd
+ones carry a factor kappa, so right turns mirror left turns exactly. The rotation is a normalised
+quaternion, so it is one. Everything is dimensionless.
+"""
+
+from __future__ import annotations
+
+import math
+
+WEIGHT = 0.5
+OUTPUTS = 9  # x, y and z beyond the catenary; F_y, F_z; quaternion (w, x, y, z)
+ODD = (1, 3, 6, 8)
+FEATURES = 8
+_LONGEST, _SOFTEST = 50.0, 150.0
+_THREADED, _TRAJECTORY = 2**18, 4096
+# Bending rounds the catenary's kink where the rod's weight balances F_z; any value near 1 will do.
+_ROUNDING = 1.0
+
+
+def features(xp, inputs):
+    """(n, FEATURES) what the network sees of (n, 3) inputs; even in kappa."""
+    ls, kappa, ks = inputs[:, 0], inputs[:, 1], inputs[:, 2]
+    bend = kappa * kappa
+    return xp.stack(
+        [
+            2.0 * xp.log(ls) / math.log(_LONGEST) - 1.0,
+            2.0 / ls - 1.0,
+            2.0 * xp.exp(-0.25 * ls) - 1.0,
+            xp.sqrt(bend + 0.25) - 1.7,
+            2.0 / (1.0 + bend) - 1.0,
+            2.0 * _SOFTEST / ks - 1.0,
+            xp.log(ks / 1500.0) / math.log(10.0),
+            0.5 * ls / xp.sqrt(ks) - 0.5,
+        ],
+        -1,
+    )
+
+
+def hanging_chain(xp, ls, ks, force_y, force_z):
+    """(y, z) end of an elastic chain that carries -F at its start and its weight above.
+
+    Its slope is ((0, -F_y, w s - F_z) rounded by bending) / T, stretched by T / k_s.
+    """
+    pull = xp.sqrt(force_y * force_y + _ROUNDING**2)
+    top = WEIGHT * ls - force_z
+    angle = xp.asinh(top / pull) + xp.asinh(force_z / pull)
+    rise = xp.sqrt(top * top + pull * pull) - xp.sqrt(force_z * force_z + pull * pull)
+    y = -force_y * (angle / WEIGHT + ls / ks)
+    z = rise / WEIGHT + 0.5 * ls * (top - force_z) / ks
+    return y, z
+
+
+def decode(xp, inputs, raw):
+    """Outputs (position (n, 3), quaternion (n, 4), force (n, 3)) of `raw` (n, OUTPUTS)."""
+    ls, ks = inputs[:, 0], inputs[:, 2]
+    odd = inputs[:, 1] / xp.sqrt(1.0 + inputs[:, 1] ** 2)
+    force_y, force_z = inputs[:, 1] * raw[:, 3], raw[:, 4]
+    y, z = hanging_chain(xp, ls, ks, force_y, force_z)
+    position = xp.stack([raw[:, 0], y + odd * raw[:, 1], z + raw[:, 2]], -1)
+    quaternion = xp.stack([raw[:, 5], odd * raw[:, 6], raw[:, 7], odd * raw[:, 8]], -1)
+    quaternion = quaternion / xp.sqrt(xp.sum(quaternion * quaternion, -1))[:, None]
+    return position, quaternion, xp.stack([0.0 * force_y, force_y, force_z], -1)
+
+
+def encode(xp, inputs, position, quaternion, force):
+    """The raw outputs that `decode` turns into these grasps; kappa must not be zero."""
+    ls, kappa, ks = inputs[:, 0], inputs[:, 1], inputs[:, 2]
+    odd = kappa / xp.sqrt(1.0 + kappa**2)
+    y, z = hanging_chain(xp, ls, ks, force[:, 1], force[:, 2])
+    return xp.stack(
+        [
+            position[:, 0],
+            (position[:, 1] - y) / odd,
+            position[:, 2] - z,
+            force[:, 1] / kappa,
+            force[:, 2],
+            quaternion[:, 0],
+            quaternion[:, 1] / odd,
+            quaternion[:, 2],
+            quaternion[:, 3] / odd,
+        ],
+        -1,
+    )
+
+
+def rotation_vector(xp, quaternion):
+    """(n, 3) rotation vectors [rad] of (n, 4) unit quaternions (w, x, y, z) with w > 0."""
+    vector = quaternion[:, 1:]
+    # The offset is far below rounding of any rotation but zero.
+    sine = xp.sqrt(xp.sum(vector * vector, -1) + 1e-30)
+    return (2.0 * xp.atan2(sine, quaternion[:, 0]) / sine)[:, None] * vector
+
+
+def _product(xp, left, right):
+    """left @ right, for a trajectory's worth of rows without the threads of NumPy's BLAS.
+
+    It starts them above 2^18 products and waits for the last, which on a busy machine takes a
+    hundred times as long as the product itself.
+    """
+    rows = max(1, _THREADED // math.prod(right.shape)) if xp.__name__ == "numpy" else len(left)
+    if rows >= len(left) or len(left) > _TRAJECTORY:
+        return left @ right
+    return xp.concatenate([left[i : i + rows] @ right for i in range(0, len(left), rows)])
+
+
+def _layers(xp, parameters, hidden, activation):
+    count = sum(name.startswith("weight.") for name in parameters)
+    for layer in range(count):
+        hidden = _product(xp, hidden, parameters[f"weight.{layer}"].T) + parameters[f"bias.{layer}"]
+        if layer < count - 1:
+            hidden = activation(hidden)
+    return hidden
+
+
+def chain(xp, parameters, inputs):
+    """The default network: tanh layers, then `decode`."""
+    hidden = _layers(xp, parameters, features(xp, inputs), xp.tanh)
+    raw = parameters["mean"] + parameters["scale"] * hidden
+    position, quaternion, force = decode(xp, inputs, raw)
+    return position, rotation_vector(xp, quaternion), force
+
+
+def paper(xp, parameters, inputs):
+    """The paper's network: standardised inputs, ReLU, position and rotation vector; no force.
+
+    It is trained on left turns; right turns are their mirror images.
+    """
+    side = xp.where(inputs[:, 1] < 0.0, -1.0, 1.0)
+    left = xp.stack([inputs[:, 0], side * inputs[:, 1], inputs[:, 2]], -1)
+    hidden = (left - parameters["mean"]) / parameters["scale"]
+    out = _layers(xp, parameters, hidden, lambda value: value * (value > 0.0))
+    rotation = xp.stack([side * out[:, 3], out[:, 4], side * out[:, 5]], -1)
+    return xp.stack([out[:, 0], side * out[:, 1], out[:, 2]], -1), rotation, None
+
+
+# Networks by name: (position, rotation vector, force or None), each (n, 3), of (n, 3) inputs.
+# Parameters are "weight.i" and "bias.i" of the layers, "mean" and "scale" of what is standardised.
+ARCHITECTURES = {"chain": chain, "paper": paper}

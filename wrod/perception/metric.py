@@ -1,0 +1,287 @@
+"""From pixels to metres on the table: lens, homography, and where the scale comes from."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wrod.errors import PerceptionError
+
+MARKER_MISFIT = 0.02  # largest rms of the marker corners to their layout, in marker sides
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of a camera.
+
+    Attributes:
+        matrix: (3, 3) camera matrix [px].
+        distortion: (k,) OpenCV distortion coefficients; zeros for none.
+    """
+
+    matrix: np.ndarray
+    distortion: np.ndarray
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Camera:
+        """Read {"camera_matrix": 3 x 3, "distortion": [k1, k2, p1, p2, ...]} from a JSON file."""
+        data = _read_json(path, "a camera file")
+        try:
+            matrix = np.array(data["camera_matrix"], float).reshape(3, 3)
+            distortion = np.array(data.get("distortion", [0.0] * 5), float).ravel()
+        except (KeyError, TypeError, ValueError):
+            raise PerceptionError(
+                f'{path}: a camera file holds "camera_matrix" (3 x 3) and "distortion"'
+            ) from None
+        if not (np.isfinite(matrix).all() and np.isfinite(distortion).all() and matrix[0, 0] > 0):
+            raise PerceptionError(f"{path}: the camera matrix is not that of a camera")
+        return cls(matrix, distortion)
+
+    def undistort(self, points: np.ndarray) -> np.ndarray:
+        """Where (n, 2) pixels would lie without lens distortion [px]."""
+        import cv2
+
+        if len(points) == 0:
+            return np.zeros((0, 2))
+        points = np.asarray(points, float).reshape(-1, 1, 2)
+        return cv2.undistortPoints(points, self.matrix, self.distortion, P=self.matrix)[:, 0]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The table as seen by the camera.
+
+    Attributes:
+        homography: (3, 3) from undistorted pixels to metres.
+        camera: lens of the picture, None for none.
+    """
+
+    homography: np.ndarray
+    camera: Camera | None = None
+
+    def to_metres(self, points: np.ndarray) -> np.ndarray:
+        """(n, 2) pixels -> (n, 2) positions on the table [m]."""
+        points = np.asarray(points, float)
+        if self.camera is not None:
+            points = self.camera.undistort(points)
+        return _project(self.homography, points)
+
+    def to_pixels(self, points: np.ndarray) -> np.ndarray:
+        """(n, 2) positions on the table [m] -> (n, 2) undistorted pixels."""
+        return _project(np.linalg.inv(self.homography), np.asarray(points, float))
+
+    @classmethod
+    def from_markers(
+        cls, image: np.ndarray, layout: MarkerLayout, camera: Camera | None = None
+    ) -> Plane:
+        """From the ArUco markers (DICT_4X4_50, ids 0 to 3) in a picture.
+
+        Raises:
+            PerceptionError: a marker is missing or there twice, or they do not lie as laid out.
+        """
+        import cv2
+
+        corners = find_markers(image, layout)
+        pixels = np.vstack([corners[i] for i in sorted(corners)])
+        if camera is not None:
+            pixels = camera.undistort(pixels)
+        metres = np.vstack([layout.corners[i] for i in sorted(corners)])
+        homography, _ = cv2.findHomography(pixels, metres, 0)
+        side = np.hypot(*(metres[1] - metres[0]))
+        misfit = _project(homography, pixels) - metres
+        rms = float(np.sqrt((misfit**2).sum(1).mean())) if homography is not None else np.inf
+        if rms > MARKER_MISFIT * side:
+            raise PerceptionError(
+                f"the markers lie {1e3 * rms:.1f} mm off their layout; is it the layout of this "
+                "sheet, is the sheet flat, and does the camera need its distortion?"
+            )
+        return cls(homography, camera)
+
+    @classmethod
+    def from_sheet(
+        cls, image: np.ndarray, size: tuple[float, float], camera: Camera | None = None
+    ) -> Plane:
+        """From the four corners of a bright sheet (width, height) [m] on a darker table.
+
+        The origin is its lower left corner in the picture, x right and y up.
+        """
+        import cv2
+
+        if not (len(size) == 2 and all(np.isfinite(s) and s > 0 for s in size)):
+            raise PerceptionError(f"sheet size {size!r}: give width and height in metres")
+        corners = find_sheet(image)
+        if camera is not None:
+            corners = camera.undistort(corners)
+        width, height = size
+        metres = np.array([[0, height], [width, height], [width, 0], [0, 0]], float)
+        return cls(cv2.findHomography(corners, metres, 0)[0], camera)
+
+    @classmethod
+    def from_scale(
+        cls, metres_per_pixel: float, height: int, camera: Camera | None = None
+    ) -> Plane:
+        """A camera that looks straight down: origin at the picture's lower left pixel, y up.
+
+        Args:
+            metres_per_pixel: [m/px].
+            height: of the picture [px].
+        """
+        if not (np.isfinite(metres_per_pixel) and metres_per_pixel > 0):
+            raise PerceptionError(f"scale is {metres_per_pixel!r}; give metres per pixel, above 0")
+        k = metres_per_pixel
+        return cls(np.array([[k, 0, 0], [0, -k, k * (height - 1)], [0, 0, 1.0]]), camera)
+
+
+@dataclass(frozen=True)
+class MarkerLayout:
+    """Where the markers lie on the sheet.
+
+    Attributes:
+        corners: id -> (4, 2) corners in the order in which `detectMarkers` returns them [m].
+        paper: (width, height) of the sheet [m] with the origin at its lower left corner, or None.
+    """
+
+    corners: dict[int, np.ndarray]
+    paper: tuple[float, float] | None = None
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> MarkerLayout:
+        """Read {"marker_corners_m": {"0": 4 x [x, y], ...}, "paper_size_m": [w, h]} (JSON)."""
+        data = _read_json(path, "a marker layout")
+        try:
+            corners = {
+                int(i): np.array(c, float).reshape(4, 2)
+                for i, c in data["marker_corners_m"].items()
+            }
+            paper = data.get("paper_size_m")
+            paper = None if paper is None else (float(paper[0]), float(paper[1]))
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+            raise PerceptionError(
+                f'{path}: a marker layout holds "marker_corners_m": four corners [x, y] in metres '
+                "for each of the ids 0 to 3"
+            ) from None
+        if sorted(corners) != [0, 1, 2, 3] or not all(
+            np.isfinite(c).all() for c in corners.values()
+        ):
+            raise PerceptionError(f"{path}: the layout must place the markers 0, 1, 2 and 3")
+        dictionary = data.get("dictionary", "DICT_4X4_50")
+        if dictionary != "DICT_4X4_50":
+            raise PerceptionError(f"{path}: dictionary {dictionary} is not used; DICT_4X4_50 is")
+        return cls(corners, paper)
+
+    def region(self, plane: Plane, shape: tuple[int, int]) -> np.ndarray:
+        """(H, W) uint8, 255 on the sheet and beside its markers, where strokes may be."""
+        import cv2
+
+        region = np.zeros(shape, np.uint8)
+        every = np.vstack(list(self.corners.values()))
+        side = np.hypot(*(self.corners[0][1] - self.corners[0][0]))
+        if self.paper is None:
+            low, high = every.min(0), every.max(0)
+        else:
+            # A sheet's rim is in the shade of its edge.
+            low, high = np.array([0.15, 0.15]) * side, np.array(self.paper) - 0.15 * side
+        sheet = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+        cv2.fillConvexPoly(region, np.round(plane.to_pixels(sheet)).astype(np.int32), 255)
+        for corners in self.corners.values():
+            middle = corners.mean(0)
+            grown = middle + 1.2 * (corners - middle)
+            cv2.fillConvexPoly(region, np.round(plane.to_pixels(grown)).astype(np.int32), 0)
+        return region
+
+
+def find_markers(image: np.ndarray, layout: MarkerLayout) -> dict[int, np.ndarray]:
+    """id -> (4, 2) sub-pixel corners [px] of the layout's markers.
+
+    Raises:
+        PerceptionError: one is missing or there twice.
+    """
+    import cv2
+
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    found, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(grey)
+    ids = [] if ids is None else [int(i) for i in np.ravel(ids)]
+    wanted = sorted(layout.corners)
+    missing = [i for i in wanted if i not in ids]
+    if len(missing) == len(wanted):
+        raise PerceptionError(
+            "no marker of the layout is in the picture; show the whole sheet, flat and sharp, or "
+            "give the scale another way"
+        )
+    if missing:
+        names = ", ".join(map(str, missing))
+        raise PerceptionError(f"marker {names} is not in the picture; all four must be visible")
+    twice = sorted({i for i in wanted if ids.count(i) > 1})
+    if twice:
+        names = ", ".join(map(str, twice))
+        raise PerceptionError(f"marker {names} is in the picture twice; cover one of them")
+    return {i: found[ids.index(i)].reshape(4, 2).astype(float) for i in wanted}
+
+
+def find_sheet(image: np.ndarray) -> np.ndarray:
+    """(4, 2) corners [px] of the one bright sheet: upper left, upper right, lower right, left."""
+    import cv2
+
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    _, bright = cv2.threshold(
+        cv2.GaussianBlur(grey, (5, 5), 0), 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU
+    )
+    bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
+    contours, _ = cv2.findContours(bright, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    outline = max(contours, key=cv2.contourArea, default=None)
+    if outline is not None and cv2.contourArea(outline) > 0.1 * grey.size:
+        corners = cv2.approxPolyDP(outline, 0.03 * cv2.arcLength(outline, True), True)[:, 0]
+        border = (corners < 2) | (corners > np.array(grey.shape[::-1]) - 3)
+        if len(corners) == 4 and not border.any():
+            edges = _fit_edges(outline[:, 0].astype(float), corners.astype(float))
+            by_height = edges[np.argsort(edges[:, 1])]
+            top, bottom = (half[np.argsort(half[:, 0])] for half in (by_height[:2], by_height[2:]))
+            return np.array([top[0], top[1], bottom[1], bottom[0]])
+    raise PerceptionError(
+        "no whole sheet with four corners stands out of the table; show it all, or use markers"
+    )
+
+
+def _fit_edges(outline: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Corners as intersections of straight lines through the outline between rough corners."""
+    import cv2
+
+    lines = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = (b - a) / np.hypot(*(b - a))
+        offset = outline - a
+        s = offset @ along / np.hypot(*(b - a))
+        near = np.abs(offset @ [-along[1], along[0]]) < 0.02 * np.hypot(*(b - a)) + 2
+        side = outline[near & (s > 0.1) & (s < 0.9)]
+        vx, vy, x, y = cv2.fitLine(side.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01).ravel()
+        lines.append(np.array([vy, -vx, vy * x - vx * y]))
+    return np.array(
+        [
+            np.linalg.solve([p[:2], q[:2]], [p[2], q[2]])
+            for p, q in zip(lines[-1:] + lines[:-1], lines, strict=True)
+        ]
+    )
+
+
+def _project(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
+    lifted = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    return lifted[:, :2] / lifted[:, 2:]
+
+
+def _read_json(path: str | os.PathLike[str], what: str) -> dict:
+    try:
+        data = json.loads(Path(path).read_text())
+    except OSError as error:
+        raise PerceptionError(f"{path}: {what} that cannot be read ({error.strerror})") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise PerceptionError(f"{path}: {what} must be JSON ({error})") from None
+    if not isinstance(data, dict):
+        raise PerceptionError(f"{path}: {what} must be a JSON object")
+    return data

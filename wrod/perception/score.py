@@ -1,0 +1,95 @@
+"""Scores of centrelines against labelled pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrod.perception import refine
+from wrod.perception.crossings import find_crossings
+from wrod.perception.trace import Centerline
+
+
+def score_paths(
+    lines: list[Centerline], labels: np.ndarray, crossings: int | None = None
+) -> dict[str, float]:
+    """Agreement of centrelines with instance labels.
+
+    Args:
+        lines: centrelines [px].
+        labels: (H, W) 0 for background, 1..K for the rods; the upper rod at a crossing.
+        crossings: number of crossings in the picture, None if unknown.
+
+    Returns:
+        dice: mean over the rods of 2 |A and B| / (|A| + |B|), A the path drawn with its radius,
+            for the best one-to-one match; count: 1 for the right number of paths; order: 1 if
+            they also cross as often as the rods and 95 % of each path lies on its rod or within
+            its width of it; offset_px: mean distance to the middle between a label's edges, away
+            from crossings [px].
+    """
+    from scipy.ndimage import distance_transform_edt
+    from scipy.optimize import linear_sum_assignment
+
+    rods = [labels == k for k in range(1, int(labels.max()) + 1)]
+    drawn = [_draw(line, labels.shape) for line in lines]
+    dice = np.array(
+        [[2.0 * (a & b).sum() / max(a.sum() + b.sum(), 1) for b in rods] for a in drawn]
+    ).reshape(len(drawn), len(rods))
+    rows, columns = linear_sum_assignment(-dice)
+    count = float(len(lines) == len(rods))
+    order, offsets = count, []
+    for row, column in zip(rows, columns, strict=True):
+        line, rod = lines[row], rods[column]
+        distance = distance_transform_edt(~rod)
+        at = np.round(line.points).astype(int).clip(0, np.array(labels.shape[::-1]) - 1)
+        near = distance[at[:, 1], at[:, 0]] <= 2.5 * line.radius + 2
+        order *= float(near.mean() >= 0.95)
+        offsets.append(_offsets(line, rod, (labels > 0) & ~rod))
+    if crossings is not None and lines:
+        order *= float(len(find_crossings(lines)) == crossings)
+    every = np.concatenate(offsets) if offsets else np.array([np.nan])
+    return {
+        "dice": float(dice[rows, columns].sum() / len(rods)),
+        "count": count,
+        "order": order,
+        "offset_px": float(np.nanmean(every)) if len(every) else float("nan"),
+    }
+
+
+def _draw(line: Centerline, shape: tuple[int, int]) -> np.ndarray:
+    """All pixels whose centre is within the radius of the path."""
+    from scipy.spatial import cKDTree
+
+    low = np.floor(line.points.min(0) - line.radius).astype(int).clip(0)
+    high = np.ceil(line.points.max(0) + line.radius).astype(int) + 1
+    high = np.minimum(high, shape[::-1])
+    x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+    (dense,) = refine.resample(line.points, 0.25)
+    distance, _ = cKDTree(dense).query(
+        np.column_stack([x.ravel(), y.ravel()]), distance_upper_bound=line.radius + 1e-9
+    )
+    out = np.zeros(shape, bool)
+    out[low[1] : high[1], low[0] : high[0]] = (distance <= line.radius).reshape(x.shape)
+    return out
+
+
+def _offsets(line: Centerline, rod: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Distances of the path from the middle of the rod's label, away from crossings [px]."""
+    from scipy.ndimage import distance_transform_edt
+
+    (points,) = refine.resample(line.points, 1.0)
+    skip = int(2 * line.radius) + 2
+    points, normal = points[skip:-skip], refine.normals(points)[skip:-skip]
+    if len(points) < 3:
+        return np.zeros(0)
+    reach = 2.5 * line.radius + 2
+    label = rod.astype(np.uint8) * np.uint8(255)
+    left, right = refine.edge_distances(label, points, normal, reach)
+    at = np.round(points).astype(int)
+    inside = ((at > skip) & (at < np.array(rod.shape[::-1]) - 1 - skip)).all(1)
+    at = at.clip(0, np.array(rod.shape[::-1]) - 1)
+    clear = inside & rod[at[:, 1], at[:, 0]]
+    clear &= distance_transform_edt(~others)[at[:, 1], at[:, 0]] > 3 * line.radius
+    left, right = np.minimum(left, 1e6), np.minimum(right, 1e6)
+    width = left + right
+    clear &= (width > 1.2 * line.radius) & (width < 3 * line.radius + 1)
+    return np.abs(left - right)[clear] / 2

@@ -1,0 +1,134 @@
+"""Segmentation: what of a picture is rod or ink, pixel by pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrod.errors import PerceptionError
+
+LEAST_CONTRAST = 12  # grey levels between strand and ground, below which there is only noise
+BRIGHT = 100  # median grey level from which a ground counts as paper
+
+
+def segment(
+    image: np.ndarray,
+    kind: str = "auto",
+    color: tuple[int, int, int] | None = None,
+    region: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mask and foreground of the rods or strokes in a picture.
+
+    Args:
+        image: (H, W) or (H, W, 3) uint8 RGB.
+        kind: "rod" for rods on a plain table, "ink" for strokes on paper under uneven light,
+            "auto" takes ink on a bright ground, or where the region's exceptions are dark.
+        color: RGB of the rods; None takes whatever differs from the table.
+        region: (H, W) uint8, zero where nothing is to be looked for.
+
+    Returns:
+        mask (H, W) uint8, 255 on the foreground; foreground (H, W) uint8, its grey level 127.5
+        is where the edge of a strand runs.
+
+    Raises:
+        PerceptionError: blank, or no strand stands out.
+    """
+    if kind not in ("auto", "rod", "ink"):
+        raise PerceptionError(f"kind {kind!r} is unknown; choose auto, rod or ink")
+    if kind == "auto":
+        kind = "ink" if color is None and _is_paper(image, region) else "rod"
+    return segment_ink(image, region) if kind == "ink" else segment_rods(image, color, region)
+
+
+def _is_paper(image: np.ndarray, region: np.ndarray | None) -> bool:
+    if region is None:
+        return bool(np.median(image[::8, ::8]) > BRIGHT)
+    grey = image if image.ndim == 2 else image[..., 1]
+    dark, ground, bright = np.percentile(grey[region > 0], [0.3, 50, 99.7])
+    return bool(ground - dark > bright - ground)
+
+
+def segment_rods(
+    image: np.ndarray,
+    color: tuple[int, int, int] | None = None,
+    region: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rods on a plain table, as in `segment`."""
+    import cv2
+
+    plain = image[::4, ::4].reshape(-1, *image.shape[2:]) if region is None else image[region > 0]
+    ground = np.atleast_1d(np.median(plain, axis=0))
+    difference = _largest(cv2.absdiff(image, (*ground.tolist(), 0.0, 0.0, 0.0)[:4]))
+    if color is not None:
+        if image.ndim == 2:
+            raise PerceptionError("a rod colour was given, but the picture is grey; leave it out")
+        other = _largest(cv2.absdiff(image, (*map(float, color), 0.0)))
+        # Nearer to the rod's colour than to the table's.
+        difference = np.uint8(
+            255.0 * difference.astype(np.float32) / (difference.astype(np.float32) + other + 1.0)
+        )
+        return _cut(difference, 127.5, region)
+    inside = difference if region is None else difference[region > 0]
+    level, _ = cv2.threshold(inside, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    strands = inside[inside > level]
+    if len(strands) == 0 or np.median(strands) < LEAST_CONTRAST:
+        raise PerceptionError("the picture is blank: no rod stands out of its background")
+    # A rod is darker at its sides: its edge lies below half of its middle's brightness.
+    return _cut(difference, min(level, 0.4 * float(np.median(strands))), region)
+
+
+def segment_ink(
+    image: np.ndarray, region: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Strokes darker than the paper around them, as in `segment`."""
+    import cv2
+
+    height, width = image.shape[:2]
+    # The paper's own brightness: strokes are closed over, light varies slowly.
+    small = cv2.resize(image, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    size = max(int(0.02 * max(height, width)) // 2 * 2 + 1, 5)
+    paper = cv2.morphologyEx(
+        small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    )
+    paper = cv2.GaussianBlur(paper, (0, 0), size / 3)
+    paper = cv2.resize(paper, (width, height), interpolation=cv2.INTER_LINEAR)
+    # Share of the paper's light that is missing, in the channel where most is.
+    bright = cv2.divide(image, paper, scale=220.0)
+    darkness = 220 - np.minimum(_smallest(bright), 220)
+    darkness = cv2.GaussianBlur(darkness, (3, 3), 0)
+    inside = darkness if region is None else darkness[region > 0]
+    level, _ = cv2.threshold(inside, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    strokes, noise = inside[inside > level], inside[inside <= level]
+    ink = float(np.median(strokes)) if len(strokes) else 0.0
+    if ink < max(LEAST_CONTRAST, 4.0 * float(noise.std())):
+        raise PerceptionError("the picture is blank: no stroke stands out of the paper")
+    return _cut(darkness, max(0.5 * ink, LEAST_CONTRAST / 2), region)
+
+
+def _cut(
+    value: np.ndarray, level: float, region: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    import cv2
+
+    foreground = cv2.convertScaleAbs(value, alpha=127.5 / max(level, 1.0))
+    if region is not None:
+        foreground[region == 0] = 0
+    _, mask = cv2.threshold(foreground, 127, 255, cv2.THRESH_BINARY)
+    return mask, foreground
+
+
+def _largest(image: np.ndarray) -> np.ndarray:
+    import cv2
+
+    if image.ndim == 2:
+        return image
+    red, green, blue = cv2.split(image)
+    return cv2.max(cv2.max(red, green), blue)
+
+
+def _smallest(image: np.ndarray) -> np.ndarray:
+    import cv2
+
+    if image.ndim == 2:
+        return image
+    red, green, blue = cv2.split(image)
+    return cv2.min(cv2.min(red, green), blue)

@@ -1,0 +1,123 @@
+"""How the gripper holds the rod, and the path that the grasp then follows.
+
+The rod's frame at the grip (columns of `Trajectory.rotation`) has its tangent first, pointing out
+of the suspended rod. The grasp frame has +z along the fingers and closes along y. The pads press
+across the rod's axis: y stands perpendicular to the tangent, and the rod lies in the pads' plane,
+at `angle` to the fingers: at 0 it leaves the gripper along the fingers, at pi/2 it crosses them.
+`roll` turns the gripper about the tangent. Both are constant over a path: an isotropic rod does
+not feel which of its sides is held, but a roll that varied would twist it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import cumulative_simpson
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from wrod.errors import RobotError
+from wrod.trajectory import Trajectory
+
+TURN_LENGTH = 0.05  # [m] a turn of one radian counts as this much travel of the grip
+_FINE = 20  # pieces between two nodes in which the travel is integrated
+_SLOWEST = 1e-3  # [m/m] travel per laid length counts at least so much: the grip may stand still
+
+
+@dataclass(frozen=True)
+class Grip:
+    """A constant hold of the rod.
+
+    Attributes:
+        angle: between the fingers and the rod that leaves the gripper [rad].
+        roll: of the gripper about the rod's tangent [rad].
+    """
+
+    angle: float = 0.0
+    roll: float = 0.0
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """(3, 3) grasp frame in the rod's frame at the grip."""
+        hold = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # z = -tangent
+        tilt = Rotation.from_rotvec([0.0, self.angle, 0.0]).as_matrix()
+        return Rotation.from_rotvec([self.roll, 0.0, 0.0]).as_matrix() @ tilt @ hold
+
+
+class GripPath:
+    """A trajectory as a smooth curve of poses: C2 splines through its nodes over the arc length.
+
+    Grip poses are smooth functions of the laid length: where the grip swings by centimetres from
+    node to node, splines over the laid length stay closest to what a finer plan gives between them.
+
+    Attributes:
+        travel: (T,) at the nodes: length of the grip's path, a turn counting `TURN_LENGTH` per
+            radian [m]; the curve's parameter.
+        distance, turn: (T - 1,) from node to node, of the grip [m] and of the rod's frame [rad].
+    """
+
+    def __init__(self, trajectory: Trajectory):
+        position = np.asarray(trajectory.position, dtype=np.float64)
+        rotation = np.asarray(trajectory.rotation, dtype=np.float64)
+        if len(position) < 3:
+            raise RobotError(f"the trajectory has {len(position)} nodes; a joint path needs three")
+        bad = ~(np.isfinite(position).all(1) & np.isfinite(rotation).all((1, 2)))
+        if bad.any():
+            raise RobotError(f"the trajectory is not finite at node {int(np.argmax(bad))}")
+        off = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max((1, 2))
+        off = np.maximum(off, np.abs(np.linalg.det(rotation) - 1.0))
+        if off.max() > 1e-6:
+            node = int(np.argmax(off))
+            raise RobotError(f"the trajectory's rotation at node {node} is off by {off[node]:.1e}")
+        turns = Rotation.from_matrix(rotation)
+        self.turn = (turns[:-1].inv() * turns[1:]).magnitude()
+        self.distance = np.linalg.norm(np.diff(position, axis=0), axis=1)
+        arc = np.asarray(trajectory.arc_length, dtype=np.float64)
+        if np.diff(arc).min() <= 0.0:
+            node = int(np.diff(arc).argmin())
+            raise RobotError(f"the trajectory's arc length does not grow after node {node}")
+        self._position = CubicSpline(arc, position)
+        self._rotation = RotationSpline(arc, turns)
+        fine = np.interp(np.arange((len(arc) - 1) * _FINE + 1) / _FINE, np.arange(len(arc)), arc)
+        rate = np.hypot(
+            np.linalg.norm(self._position(fine, 1), axis=1),
+            TURN_LENGTH * np.linalg.norm(self._rotation(fine, 1), axis=1),
+        )
+        travel = cumulative_simpson(np.maximum(rate, _SLOWEST), x=fine, initial=0.0)
+        self._arc = CubicSpline(travel, fine)
+        self.travel = travel[::_FINE]
+
+    def __len__(self) -> int:
+        return len(self.travel)
+
+    def poses(self, travel: np.ndarray) -> np.ndarray:
+        """(K, 4, 4) rod's frame at the grip, in the trajectory's frame [m]."""
+        poses = np.tile(np.eye(4), (len(travel), 1, 1))
+        arc = self.arc_length(travel)
+        poses[:, :3, 3] = self._position(arc)
+        poses[:, :3, :3] = self._rotation(arc).as_matrix()
+        return poses
+
+    def arc_length(self, travel: np.ndarray) -> np.ndarray:
+        """(K,) laid length at points of the curve [m]."""
+        return np.clip(self._arc(travel), *self._position.x[[0, -1]])
+
+    def node_of(self, travel: float) -> int:
+        """Nearest node of a point of the curve."""
+        return int(np.abs(self.travel - travel).argmin())
+
+    def samples(self, step: float) -> np.ndarray:
+        """Travel of the nodes and of evenly spaced points between them, at most `step` apart."""
+        pieces = [
+            np.linspace(a, b, max(1, int(np.ceil((b - a) / step))), endpoint=False)
+            for a, b in zip(self.travel[:-1], self.travel[1:], strict=True)
+        ]
+        return np.concatenate([*pieces, self.travel[-1:]])
+
+
+def grasp_targets(poses: np.ndarray, grip: Grip, base_from_world: np.ndarray) -> np.ndarray:
+    """Rod frames (K, 4, 4) in the trajectory's frame -> grasp poses in the robot's base frame."""
+    targets = base_from_world @ poses
+    targets[:, :3, :3] = targets[:, :3, :3] @ grip.rotation
+    return targets

@@ -1,0 +1,171 @@
+"""Batched kinematics of the grasp on pytorch-kinematics: pose errors, Newton steps, null spaces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from wrod.robot.model import Robot
+
+if TYPE_CHECKING:
+    import torch
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Many small matrices are slower on several threads, by far on a busy machine."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def pose_error(pose: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """Twist that takes `pose` to `target`, both (..., 4, 4): (..., 6) as [m] and [rad], base frame.
+
+    Exact in direction, and in length up to 90 degrees (sine of the angle beyond small ones).
+    """
+    import torch
+
+    position = target[..., :3, 3] - pose[..., :3, 3]
+    relative = target[..., :3, :3] @ pose[..., :3, :3].mT
+    axis = 0.5 * torch.stack(
+        [
+            relative[..., 2, 1] - relative[..., 1, 2],
+            relative[..., 0, 2] - relative[..., 2, 0],
+            relative[..., 1, 0] - relative[..., 0, 1],
+        ],
+        -1,
+    )
+    cosine = 0.5 * (relative.diagonal(dim1=-2, dim2=-1).sum(-1) - 1.0)
+    sine = axis.norm(dim=-1)
+    angle = torch.atan2(sine, cosine)
+    scale = torch.where(sine > 1e-9, angle / sine.clamp_min(1e-12), torch.ones_like(sine))
+    return torch.cat([position, axis * scale.unsqueeze(-1)], -1)
+
+
+def newton_step(
+    robot: Robot, positions: torch.Tensor, target: torch.Tensor, damping: float = 1e-8
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """One least-norm step of the grasp towards `target`.
+
+    Args:
+        positions: (B, n) joint positions [rad].
+        target: (B, 4, 4) poses of the grasp in the base frame [m].
+        damping: added to J J^T; keeps the step finite at a singularity.
+
+    Returns:
+        step (B, n) [rad], Jacobian (B, 6, n), error (B, 6) before the step.
+    """
+    import torch
+
+    jacobian, pose = robot.chain.jacobian_tensor(positions, ret_eef_pose=True)
+    error = pose_error(pose, target)
+    eye = torch.eye(6, dtype=positions.dtype)
+    # Damping that grows with the error (Levenberg): far targets do not throw the arm about.
+    level = damping + 0.05 * error.square().sum(-1)[:, None, None]
+    solved = torch.linalg.solve(jacobian @ jacobian.mT + level * eye, error.unsqueeze(-1))
+    return (jacobian.mT @ solved).squeeze(-1), jacobian, error
+
+
+def null_projection(jacobian: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
+    """Part of `vector` (B, n) that does not move the grasp; `jacobian` is (B, 6, n)."""
+    import torch
+
+    eye = torch.eye(6, dtype=vector.dtype)
+    along = (jacobian @ vector.unsqueeze(-1)).squeeze(-1)
+    solved = torch.linalg.solve(jacobian @ jacobian.mT + 1e-8 * eye, along.unsqueeze(-1))
+    return vector - (jacobian.mT @ solved).squeeze(-1)
+
+
+def null_basis(jacobian: torch.Tensor) -> torch.Tensor:
+    """Orthonormal basis (B, n, n - 6) of the motions that leave the grasp where it is."""
+    import torch
+
+    _, _, right = torch.linalg.svd(jacobian, full_matrices=True)
+    return right[:, 6:, :].mT
+
+
+def manipulability(jacobian: torch.Tensor) -> torch.Tensor:
+    """sqrt(det(J J^T)) (Yoshikawa), 0 at a singularity; `jacobian` (..., 6, n) -> (...)."""
+    import torch
+
+    return torch.linalg.det(jacobian @ jacobian.mT).clamp_min(0.0).sqrt()
+
+
+def refine(
+    robot: Robot,
+    positions: np.ndarray,
+    target: np.ndarray,
+    iterations: int = 12,
+    tolerance: float = 1e-10,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Newton iterations from nearby joint positions onto grasp poses, least motion.
+
+    Args:
+        positions: (B, n) start [rad].
+        target: (B, 4, 4) [m].
+
+    Returns:
+        joint positions (B, n) and the remaining error (B, 6) [m], [rad].
+    """
+    import torch
+
+    q = torch.from_numpy(np.array(positions, dtype=np.float64))
+    goal = torch.from_numpy(np.ascontiguousarray(target, dtype=np.float64))
+    with torch.no_grad():
+        for _ in range(iterations):
+            step, _, error = newton_step(robot, q, goal)
+            if error.abs().max() < tolerance:
+                break
+            size = step.abs().amax(-1, keepdim=True)
+            q = q + step * (0.3 / size.clamp_min(0.3))
+        pose = robot.chain.jacobian_tensor(q, ret_eef_pose=True)[1]
+        return q.numpy(), pose_error(pose, goal).numpy()
+
+
+def grasp_poses(robot: Robot, positions: np.ndarray) -> np.ndarray:
+    """Poses (B, 4, 4) of the grasp in the base frame [m] at joint positions (B, n) [rad]."""
+    import torch
+
+    q = torch.from_numpy(np.array(np.atleast_2d(positions), dtype=np.float64))
+    with torch.no_grad():
+        frames = robot.chain.forward_kinematics_tensor(q)
+    return frames[robot.chain._serial_eef_frame_idx].numpy()
+
+
+def solve_poses(
+    robot: Robot, target: np.ndarray, seeds: np.ndarray, iterations: int = 40
+) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse kinematics of several poses from several seeds each (`PseudoInverseIK`).
+
+    Args:
+        target: (P, 4, 4) poses of the grasp in the base frame [m].
+        seeds: (S, n) joint positions to start from [rad].
+
+    Returns:
+        joint positions (P, S, n) [rad] and whether each reached its pose (P, S) within 1e-4.
+    """
+    import pytorch_kinematics as pk
+    import torch
+
+    solver = pk.PseudoInverseIK(
+        robot.chain,
+        pos_tolerance=1e-4,
+        rot_tolerance=1e-4,
+        retry_configs=torch.from_numpy(np.array(seeds, dtype=np.float64)),
+        max_iterations=iterations,
+        early_stopping_no_improvement=None,
+        regularlization=1e-6,
+        lr=0.7,
+    )
+    with torch.no_grad():
+        solution = solver.solve(pk.Transform3d(matrix=torch.from_numpy(np.array(target))))
+    return solution.solutions.numpy(), solution.converged.numpy()

@@ -1,0 +1,215 @@
+"""The robot: an arm from a URDF with a gripper, its limits and frames (pytorch-kinematics)."""
+
+from __future__ import annotations
+
+import copy
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from wrod.errors import RobotError
+from wrod.robot.urdf import LinkShape, UrdfFile, read_urdf
+from wrod.scenes import gripper as gripper_model
+from wrod.scenes import sawyer
+
+ROBOTS = {"sawyer": sawyer.PATH}
+GRASP_LINK = "grasp"
+
+# Joint acceleration and jerk limits [rad/s^2], [rad/s^3]. A URDF has none; these are gentle for
+# an arm of Sawyer's class, and a path at quasi-static speed stays far below them.
+ACCELERATION = 2.0
+JERK = 20.0
+
+
+@dataclass(frozen=True)
+class Robot:
+    """An arm that holds a gripper, ready for batched kinematics in float64.
+
+    Attributes:
+        name: name of the robot in its URDF.
+        urdf: the description, with the gripper.
+        xml: the same as text, for other loaders.
+        tip: link whose pose is planned: `grasp`, +z along the fingers, closing along y.
+        joint_names: (n,) moving joints from base to tip.
+        lower, upper: (n,) joint limits [rad]; infinite for continuous joints.
+        velocity, acceleration, jerk: (n,) limits [rad/s], [rad/s^2], [rad/s^3].
+        chain: `pytorch_kinematics.SerialChain` from the base to the tip.
+        tree: `pytorch_kinematics.Chain` of every link.
+        gripper_length: from the flange to the grasp point [m].
+    """
+
+    name: str
+    urdf: UrdfFile
+    xml: str
+    tip: str
+    joint_names: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    jerk: np.ndarray
+    chain: object
+    tree: object
+    gripper_length: float
+
+    @property
+    def base(self) -> str:
+        return self.urdf.base_link
+
+    def shapes(self, tag: str) -> list[LinkShape]:
+        """Shapes of every link; `tag` is "visual" or "collision"."""
+        return self.urdf.shapes(tag)
+
+    def link_poses(self, positions: np.ndarray) -> dict[str, np.ndarray]:
+        """Poses of every link in the base frame.
+
+        Args:
+            positions: (n_poses, n) joint positions [rad].
+
+        Returns:
+            link name -> (n_poses, 4, 4) [m]; joints beside the arm (the head) stand at 0.
+        """
+        import torch
+
+        positions = np.atleast_2d(np.asarray(positions, dtype=np.float64))
+        names = self.tree.get_joint_parameter_names()
+        full = torch.zeros((len(positions), len(names)), dtype=torch.float64)
+        for column, name in enumerate(self.joint_names):
+            full[:, names.index(name)] = torch.from_numpy(positions[:, column].copy())
+        frames = self.tree.forward_kinematics_tensor(full).numpy()
+        return {
+            name: frames[self.tree.frame_to_idx[name]]
+            for name in self.tree.get_frame_names(exclude_fixed=False)
+        }
+
+
+def load_robot(
+    robot: str | os.PathLike[str] | Robot = "sawyer",
+    *,
+    flange: str | None = None,
+    gripper_length: float | None = None,
+    acceleration: float | None = None,
+    jerk: float | None = None,
+) -> Robot:
+    """Load an arm by name or from a URDF file, and put the gripper on it.
+
+    Args:
+        robot: "sawyer", a URDF file, or a `Robot` (returned as it is).
+        flange: link that carries the gripper; `right_hand` where there is one, else the end of
+            the longest chain.
+        gripper_length: from the flange to the grasp point [m], 0.15 by default. A URDF that has a
+            link `grasp` of its own keeps its gripper.
+        acceleration, jerk: joint limits [rad/s^2], [rad/s^3]; a URDF has none.
+
+    Raises:
+        RobotError: the file, a link or a mesh is missing, the file cannot be read, a joint has no
+            limits, or the arm has fewer than six joints.
+    """
+    if isinstance(robot, Robot):
+        return robot
+    path = Path(ROBOTS.get(os.fspath(robot), robot))
+    if not path.is_file() and os.fspath(robot) not in ROBOTS and path.suffix != ".urdf":
+        raise RobotError(
+            f"unknown robot {os.fspath(robot)!r}; known robots: {', '.join(ROBOTS)} "
+            "(or give a URDF file)"
+        )
+    urdf = read_urdf(path)
+    urdf, length = _with_gripper(urdf, flange, gripper_length)
+    return _build(urdf, length, acceleration or ACCELERATION, jerk or JERK)
+
+
+def _with_gripper(
+    urdf: UrdfFile, flange: str | None, length: float | None
+) -> tuple[UrdfFile, float]:
+    """Put on our gripper, or change its length, unless the file brings a `grasp` of its own."""
+    ours = {"gripper", GRASP_LINK} <= set(urdf.links)
+    if GRASP_LINK in urdf.links and not ours:
+        if length is not None:
+            raise RobotError(
+                f"{urdf.path}: has a link {GRASP_LINK!r} of its own, so gripper_length cannot be "
+                "set; leave it out or remove that link"
+            )
+        return urdf, float("nan")
+    wanted = gripper_model.GRIPPER_LENGTH if length is None else length
+    mount = next((j for j in urdf.joints if j.find("child").get("link") == "gripper"), None)
+    if flange is None and mount is not None:
+        flange = mount.find("parent").get("link")
+    if flange is None:
+        flange = "right_hand" if "right_hand" in urdf.links else urdf.deepest_link()
+    urdf.require_link(flange, "gripper's flange")
+    root = copy.deepcopy(urdf.root)
+    for element in list(root):
+        child = element.find("child")
+        if element.get("name") in gripper_model.LINKS or (
+            child is not None and child.get("link") in gripper_model.LINKS
+        ):
+            root.remove(element)
+    try:
+        root.extend(gripper_model.gripper_elements(flange, float(wanted)))
+    except ValueError as error:
+        raise RobotError(str(error)) from error
+    known = {material.get("name") for material in root.findall("material")}
+    for name, rgba in sawyer.COLORS.items():
+        if name not in known:
+            material = ElementTree.Element("material", name=name)
+            ElementTree.SubElement(material, "color", rgba=" ".join(f"{c:g}" for c in rgba))
+            root.insert(0, material)
+    return UrdfFile(urdf.path, root), float(wanted)
+
+
+def _build(urdf: UrdfFile, gripper_length: float, acceleration: float, jerk: float) -> Robot:
+    import pytorch_kinematics as pk
+    import torch
+
+    xml = ElementTree.tostring(urdf.root, encoding="unicode")
+    bare = copy.deepcopy(urdf.root)
+    for link in bare.findall("link"):  # the parser of the chain needs no shapes and warns of some
+        for element in list(link):
+            link.remove(element)
+    for element in [e for e in bare if e.tag not in ("link", "joint")]:
+        bare.remove(element)
+    try:
+        tree = pk.build_chain_from_urdf(ElementTree.tostring(bare))
+        chain = pk.SerialChain(tree, GRASP_LINK)
+    except Exception as error:
+        raise RobotError(f"{urdf.path}: not a usable URDF ({error})") from error
+    tree, chain = tree.to(dtype=torch.float64), chain.to(dtype=torch.float64)
+    names = tuple(chain.get_joint_parameter_names())
+    if len(names) < 6:
+        raise RobotError(
+            f"{urdf.path}: {len(names)} joints move the grasp; a grip pose in space needs six"
+        )
+    limits, velocity = [], []
+    elements = {joint.get("name"): joint for joint in urdf.joints}
+    for name in names:
+        joint = elements[name]
+        limit = joint.find("limit")
+        if joint.get("type") == "continuous":
+            limits.append((-np.inf, np.inf))
+        elif limit is None or limit.get("lower") is None or limit.get("upper") is None:
+            raise RobotError(f"{urdf.path}: joint {name!r} has no position limits")
+        else:
+            limits.append((float(limit.get("lower")), float(limit.get("upper"))))
+        if limit is None or not float(limit.get("velocity", 0)) > 0:
+            raise RobotError(f"{urdf.path}: joint {name!r} has no velocity limit")
+        velocity.append(float(limit.get("velocity")))
+    lower, upper = np.array(limits).T
+    count = len(names)
+    return Robot(
+        name=urdf.root.get("name", urdf.path.stem),
+        urdf=urdf,
+        xml=xml,
+        tip=GRASP_LINK,
+        joint_names=names,
+        lower=lower,
+        upper=upper,
+        velocity=np.array(velocity),
+        acceleration=np.full(count, float(acceleration)),
+        jerk=np.full(count, float(jerk)),
+        chain=chain,
+        tree=tree,
+        gripper_length=gripper_length,
+    )

@@ -1,0 +1,122 @@
+"""Where the pattern lies on the table before the robot: given, or chosen from a grid."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.errors import RobotError
+from wrod.robot.model import Robot
+from wrod.trajectory import Trajectory
+
+PEDESTAL_CLEARANCE = 0.26  # [m] the table begins this far from the arm's axis
+TABLE_MARGIN = 0.06  # [m] of table around the pattern
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Pose of the trajectory's frame (the pattern, on the table at z = 0) in the robot's base.
+
+    Attributes:
+        x, y: origin of the pattern [m].
+        z: height of the table, from the robot's base [m].
+        yaw: rotation about the vertical [rad].
+    """
+
+    x: float
+    y: float
+    z: float
+    yaw: float = 0.0
+
+    @property
+    def base_from_world(self) -> np.ndarray:
+        """(4, 4) trajectory frame -> base frame."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return np.array([[c, -s, 0, self.x], [s, c, 0, self.y], [0, 0, 1, self.z], [0, 0, 0, 1.0]])
+
+    @property
+    def world_from_base(self) -> np.ndarray:
+        """(4, 4) pose of the robot's base in the trajectory's frame."""
+        return np.linalg.inv(self.base_from_world)
+
+    def __str__(self) -> str:
+        return (
+            f"x {self.x:.3f} m, y {self.y:.3f} m, table {self.z:.3f} m, "
+            f"yaw {math.degrees(self.yaw):.1f} degrees"
+        )
+
+    @classmethod
+    def parse(cls, value) -> Placement:
+        """Placement from itself, four numbers (x, y, z [m], yaw [rad]) or "x,y,z,yaw in degrees".
+
+        Raises:
+            RobotError: it is none of these.
+        """
+        if isinstance(value, Placement):
+            return value
+        try:
+            if isinstance(value, str):
+                x, y, z, yaw = (float(word) for word in value.split(","))
+                yaw = math.radians(yaw)
+            else:
+                x, y, z, yaw = (float(number) for number in value)
+        except (TypeError, ValueError):
+            raise RobotError(
+                f"placement {value!r} is not 'auto' and not x,y,z,yaw: position of the pattern's "
+                "origin from the robot's base [m], with z the table's height, and yaw"
+            ) from None
+        if not all(map(math.isfinite, (x, y, z, yaw))):
+            raise RobotError(f"placement {value!r} is not finite")
+        return cls(x, y, z, yaw)
+
+
+def reach(robot: Robot) -> tuple[np.ndarray, float]:
+    """Shoulder point in the base frame (3,) [m] and greatest distance of the grasp from it [m]."""
+    frames = robot.link_poses(np.zeros(len(robot.joint_names)))
+    joints = {j.get("name"): j for j in robot.urdf.joints}
+    points = [
+        frames[joints[name].find("child").get("link")][0, :3, 3] for name in robot.joint_names
+    ]
+    points.append(frames[robot.tip][0, :3, 3])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return points[1], float(steps[1:].sum())
+
+
+def contact_in_base(trajectory: Trajectory, placement: Placement) -> np.ndarray:
+    """(T, 3) contact points in the base frame [m]."""
+    pose = placement.base_from_world
+    return trajectory.contact @ pose[:3, :3].T + pose[:3, 3]
+
+
+def candidates(trajectory: Trajectory, robot: Robot, count: int = 24) -> list[Placement]:
+    """Placements worth trying, the most central first.
+
+    A grid of positions, table heights and turns is ranked by how far the grip stays from the ends
+    of the arm's reach, keeping the table off the pedestal.
+    """
+    shoulder, far = reach(robot)
+    middle = (trajectory.contact[:, :2].min(0) + trajectory.contact[:, :2].max(0)) / 2
+    grid = itertools.product(
+        np.arange(0.45, 0.8, 0.07) * far / 1.3,
+        (-0.25, -0.1, 0.05, 0.2),
+        (-0.55, -0.4, -0.25),
+        np.arange(8) * math.pi / 4,
+    )
+    ranked = []
+    for radius, side, height, yaw in grid:
+        turned = Placement(0.0, 0.0, 0.0, yaw).base_from_world[:2, :2] @ middle
+        x, y = float(radius - turned[0]), float(side - turned[1])
+        placement = Placement(x, y, height, float(yaw))
+        contact = contact_in_base(trajectory, placement)
+        near = np.linalg.norm(contact[:, :2], axis=1).min()
+        if near < PEDESTAL_CLEARANCE + TABLE_MARGIN or contact[:, 0].min() < PEDESTAL_CLEARANCE:
+            continue
+        pose = placement.base_from_world
+        grip = trajectory.position @ pose[:3, :3].T + pose[:3, 3]
+        distance = np.linalg.norm(grip - shoulder, axis=1) / far
+        ranked.append((max(distance.max() - 0.62, 0.38 - distance.min()), placement))
+    ranked.sort(key=lambda item: item[0])
+    return [placement for _, placement in ranked[:count]]

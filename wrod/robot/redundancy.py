@@ -1,0 +1,139 @@
+"""The freedom that a grip pose leaves the arm, spent on the whole path at once.
+
+Each pose of a seven-joint arm leaves one motion of the elbow. Those motions at all samples are
+chosen together: short steps, distance from joint limits, obstacles and singularities. Gauss-Newton
+on the smoothness, gradient of the rest (autograd through pytorch-kinematics), and after each step
+a Newton projection back onto the grip poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from wrod.robot.collision import CollisionModel
+from wrod.robot.kinematics import manipulability, null_basis, refine
+from wrod.robot.model import Robot
+
+LIMIT_ROOM = 0.35  # [rad] joints are pushed to stay this far inside their limits
+GAP_ROOM = 0.035  # [m] links are pushed to stay this far apart
+MANIPULABILITY_ROOM = 0.04  # below this a pose counts as close to a singularity
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the arm may not touch, in its base frame.
+
+    Attributes:
+        table_height: [m].
+        contact: (N, 3) points of the laid rod, in laying order [m].
+        laid: (K,) how many of them lie at each sample of the path.
+        rod_radius: [m].
+    """
+
+    table_height: float
+    contact: np.ndarray
+    laid: np.ndarray
+    rod_radius: float
+
+
+def gaps(model: CollisionModel, positions, around: Surroundings) -> dict:
+    """Gaps [m] at joint positions (K, n), as torch tensors: "links" (K, pairs), "table" and
+    "laid rod" (K, low capsules).
+
+    The laid rod lies on the table: poses that keep `GAP_ROOM` above it need no closer look, and
+    get the height above the rod for their gap.
+    """
+    import torch
+
+    start, end = model.points(model.robot.chain.forward_kinematics_tensor(positions))
+    table = model.table_distances(start, end, around.table_height)
+    laid = table - around.rod_radius
+    close = torch.nonzero(laid.detach().amin(1) < GAP_ROOM).squeeze(1)
+    if len(close):
+        near = model.laid_distances(
+            start[close],
+            end[close],
+            torch.from_numpy(around.contact),
+            torch.from_numpy(around.laid)[close],
+            around.rod_radius,
+        )
+        laid = laid.index_copy(0, close, near)
+    return {"links": model.self_distances(start, end), "table": table, "laid rod": laid}
+
+
+def improve(
+    robot: Robot,
+    model: CollisionModel,
+    positions: np.ndarray,
+    targets: np.ndarray,
+    around: Surroundings,
+    iterations: int = 25,
+) -> np.ndarray:
+    """Joint path (K, n) [rad] near `positions` through the same grasp poses (K, 4, 4), better.
+
+    Args:
+        positions: (K, n) start, on the poses or near them [rad].
+        targets: (K, 4, 4) grasp poses in the base frame [m].
+        around: obstacles at the same samples.
+        iterations: at most.
+    """
+    import torch
+
+    count, joints = positions.shape
+    q, _ = refine(robot, positions, targets)
+    if joints == 6:
+        return q
+    steps = sparse.diags([-1.0, 1.0], [0, 1], shape=(count - 1, count))
+    smooth = sparse.kron(steps.T @ steps, sparse.eye(joints)).tocsc() * count / 4.0
+    lower, upper = torch.from_numpy(robot.lower), torch.from_numpy(robot.upper)
+
+    def penalty(q: np.ndarray, gradient: bool):
+        variable = torch.from_numpy(q).requires_grad_(gradient)
+        with torch.set_grad_enabled(gradient):
+            room = torch.minimum(variable - lower, upper - variable)
+            cost = 20.0 * (LIMIT_ROOM - room).clamp_min(0).square().sum()
+            distances = gaps(model, variable, around)
+            for gap in distances.values():
+                cost = cost + 2000.0 * (GAP_ROOM - gap).clamp_min(0).square().sum()
+            measure = manipulability(robot.chain.jacobian_tensor(variable))
+            cost = cost + 200.0 * (MANIPULABILITY_ROOM - measure).clamp_min(0).square().sum()
+        if gradient:
+            cost.backward()
+            return float(cost.detach()), variable.grad.numpy()
+        return float(cost), None
+
+    def total(q: np.ndarray) -> float:
+        flat = q.reshape(-1)
+        return 0.5 * float(flat @ (smooth @ flat)) + penalty(q, False)[0]
+
+    damping, value = 1.0, total(q)
+    for _ in range(iterations):
+        with torch.no_grad():
+            basis = null_basis(robot.chain.jacobian_tensor(torch.from_numpy(q))).numpy()
+        free = sparse.block_diag(list(basis), format="csc")
+        gradient = smooth @ q.reshape(-1) + penalty(q, True)[1].reshape(-1)
+        reduced = free.T @ gradient
+        hessian = (free.T @ smooth @ free).tocsc()
+        gained = False
+        for _ in range(6):
+            lifted = hessian + damping * sparse.eye(hessian.shape[0], format="csc")
+            move = -(free @ splu(lifted.tocsc()).solve(reduced)).reshape(count, joints)
+            move *= 0.25 / max(0.25, np.abs(move).max())
+            trial, error = refine(robot, q + move, targets, iterations=4)
+            if np.abs(error).max() < 1e-6:
+                candidate = total(trial)
+                if candidate < value:
+                    gained = True
+                    break
+            damping *= 4.0
+        if not gained:
+            break
+        improvement = value - candidate
+        q, value, damping = trial, candidate, max(damping / 4.0, 1e-3)
+        if improvement < 1e-4 * (1e-3 + value):
+            break
+    return q

@@ -1,0 +1,159 @@
+"""Headless pictures of a stage through its own cameras (Newton's ray tracer, CPU or GPU)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from wrod.errors import SceneError
+from wrod.files import write_atomically
+
+_SKY, _GROUND = (0.50, 0.51, 0.55), (0.20, 0.19, 0.18)
+_SUN = (-0.35, 0.40, -0.85)
+_BACKGROUND = (226, 230, 236)
+
+
+def find_cameras(stage) -> dict[str, object]:
+    """A stage's cameras by name."""
+    from pxr import UsdGeom
+
+    return {prim.GetName(): prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)}
+
+
+class Renderer:
+    """Draws a stage through one of its cameras.
+
+    Args:
+        path: the stage.
+        camera: name of a camera on it.
+        size: width and height [pixels].
+        hidden: names of prims to leave out.
+        samples: rays per pixel.
+
+    Raises:
+        SceneError: no stage, no such camera, a size that is not positive, or Newton is missing.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        camera: str = "perspective",
+        size: tuple[int, int] = (960, 720),
+        hidden: tuple[str, ...] = (),
+        samples: int = 4,
+    ):
+        if min(size) < 1 or max(size) > 8192:
+            raise SceneError(f"picture size {size[0]} x {size[1]} is not within 1 ... 8192 pixels")
+        import wrod.kernels  # noqa: F401  # before Newton: starts Warp quietly
+
+        try:
+            import newton  # noqa: F401
+        except ImportError as error:
+            raise SceneError("rendering needs Newton; install wrod[newton]") from error
+        import warp as wp
+        from newton.sensors import SensorCamera
+
+        from wrod.scene.newton_model import NewtonScene
+
+        self.scene = NewtonScene(path, hidden)
+        stage = self.scene.stage
+        cameras = find_cameras(stage)
+        if camera not in cameras:
+            raise SceneError(
+                f"{path}: no camera {camera!r}; its cameras are {', '.join(cameras) or 'none'}"
+            )
+        self._camera = cameras[camera]
+        self._sensor = SensorCamera(self.scene.model)
+        self._sensor.create_default_light(
+            direction=wp.normalize(wp.vec3f(*_SUN)), color=(0.72, 0.71, 0.68)
+        )
+        self._sensor.set_ambient_light(_SKY, _GROUND)
+        red, green, blue = _BACKGROUND
+        self._clear = SensorCamera.ClearData(clear_color=(blue << 16) | (green << 8) | red)
+        self._config = SensorCamera.RenderConfig(
+            enable_shadows=True,
+            anti_aliasing=(
+                SensorCamera.AntiAliasing.SSAA if samples > 1 else SensorCamera.AntiAliasing.NONE
+            ),
+        )
+        device = self.scene.model.device
+        self._rays = SensorCamera.compute_camera_rays_pinhole_usd(
+            *size, self._camera, sample_count=samples, device=device
+        )
+        self._color = self._sensor.allocate_image_color(1, *size)
+
+    def frame(self, time: float) -> np.ndarray:
+        """(height, width, 3) picture at a time code, uint8 RGB."""
+        self.scene.update(time)
+        views = self._sensor.compute_camera_transforms_usd(self._camera, time=time)
+        self._sensor.update(
+            self.scene.state,
+            views,
+            self._rays,
+            color_image=self._color,
+            clear_data=self._clear,
+            render_config=self._config,
+        )
+        packed = np.ascontiguousarray(self._color.numpy()[0])
+        return packed.view(np.uint8).reshape(*packed.shape, 4)[..., :3].copy()
+
+
+def time_codes(start: float, end: float, frames: int) -> np.ndarray:
+    """`frames` evenly spaced whole time codes from start to end; the last alone for one."""
+    if frames < 1:
+        raise SceneError(f"{frames} frames were asked for; give 1 or more")
+    if frames == 1:
+        return np.array([end])
+    return np.unique(np.round(np.linspace(start, end, frames)))
+
+
+def render(
+    path: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    camera: str = "perspective",
+    frames: int = 1,
+    size: tuple[int, int] = (960, 720),
+    hidden: tuple[str, ...] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Path]:
+    """Write PNG pictures of a stage.
+
+    Args:
+        path: the stage.
+        out: a .png file for one picture, or a folder for `<camera>_0000.png` ...
+        camera: name of a camera on the stage: "top" or "perspective" of `export_usd`.
+        frames: how many, evenly from first to last time code; one is the last.
+        size: width and height [pixels].
+        hidden: names of prims to leave out.
+        progress: called with (done, total).
+
+    Returns:
+        The files written.
+
+    Raises:
+        SceneError: see `Renderer`; or several frames for one file.
+    """
+    out = Path(out)
+    single = out.suffix.lower() == ".png"
+    if single and frames != 1:
+        raise SceneError(f"{out}: {frames} frames do not fit in one picture; give a folder")
+    renderer = Renderer(path, camera, size, hidden)
+    written = []
+    times = time_codes(renderer.scene.start, renderer.scene.end, frames)
+    for number, time in enumerate(times):
+        target = out if single else out / f"{camera}_{int(time):04d}.png"
+        written.append(save_png(target, renderer.frame(float(time))))
+        if progress is not None:
+            progress(number + 1, len(times))
+    return written
+
+
+def save_png(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
+    """Write a (height, width, 3) uint8 picture."""
+    from matplotlib import image
+
+    return write_atomically(path, lambda file: image.imsave(file, picture, format="png"), "wb")

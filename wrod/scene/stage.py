@@ -1,0 +1,84 @@
+"""A stage in metres, Z up, with time codes; its lights and cameras."""
+
+from __future__ import annotations
+
+import numpy as np
+
+FRAMES_PER_SECOND = 24.0
+
+
+def new_stage(frames: int):
+    """In-memory stage whose time codes 0 ... frames - 1 are the nodes of a trajectory."""
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.CreateInMemory("scene.usda")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
+    stage.SetFramesPerSecond(FRAMES_PER_SECOND)
+    stage.SetStartTimeCode(0.0)
+    stage.SetEndTimeCode(float(max(frames - 1, 0)))
+    world = UsdGeom.Xform.Define(stage, "/World")
+    stage.SetDefaultPrim(world.GetPrim())
+    return stage
+
+
+def add_lights(stage) -> None:
+    """A sun from above and behind the viewer, and an even sky."""
+    from pxr import Gf, UsdGeom, UsdLux
+
+    UsdGeom.Scope.Define(stage, "/World/Lights")
+    sun = UsdLux.DistantLight.Define(stage, "/World/Lights/sun")
+    sun.CreateIntensityAttr(2.5)
+    sun.CreateAngleAttr(2.0)
+    sun.AddRotateXYZOp().Set(Gf.Vec3f(-30.0, 25.0, 0.0))
+    sky = UsdLux.DomeLight.Define(stage, "/World/Lights/sky")
+    sky.CreateIntensityAttr(0.6)
+    sky.CreateColorAttr(Gf.Vec3f(0.93, 0.96, 1.0))
+
+
+def add_camera(stage, name: str, eye, target, up=(0.0, 0.0, 1.0), fov: float = 40.0) -> None:
+    """Perspective camera at `eye`, 4:3, with a vertical field of view [degrees]."""
+    from pxr import Gf, UsdGeom
+
+    UsdGeom.Scope.Define(stage, "/World/Cameras")
+    camera = UsdGeom.Camera.Define(stage, f"/World/Cameras/{name}")
+    view = Gf.Matrix4d().SetLookAt(Gf.Vec3d(*eye), Gf.Vec3d(*target), Gf.Vec3d(*up))
+    camera.AddTransformOp().Set(view.GetInverse())
+    camera.CreateHorizontalApertureAttr(36.0)
+    camera.CreateVerticalApertureAttr(27.0)
+    camera.CreateFocalLengthAttr(float(13.5 / np.tan(np.radians(fov) / 2)))
+    camera.CreateFocusDistanceAttr(float(np.linalg.norm(np.subtract(eye, target))))
+    camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 200.0))
+
+
+def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarray) -> None:
+    """`top`, high over the pattern, and `perspective` on everything.
+
+    Args:
+        points: (n, 3) of what `perspective` must see [m].
+        front: (2,) horizontal direction that the robot faces.
+        pattern: (2, 3) corners of what `top` must see [m].
+    """
+    corners = np.asarray(pattern, dtype=float)
+    fov, middle = 14.0, corners.mean(0)
+    half = np.ptp(corners[:, :2], axis=0) / 2
+    # The image is 4:3 with its upper edge towards +y, as a camera hung over the table gives it.
+    height = 1.08 * max(half[1], half[0] * 3 / 4) / np.tan(np.radians(fov) / 2)
+    eye = (middle[0], middle[1], corners[:, 2].max() + height)
+    add_camera(stage, "top", eye, middle, (0.0, 1.0, 0.0), fov)
+
+    fov, margin = 36.0, 1.12
+    side = np.array([front[1], -front[0]])
+    back = np.array([*(0.80 * front + 0.95 * side), 0.50])
+    back /= np.linalg.norm(back)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    up = np.cross(back, right)
+    frame = np.stack([right, up, back])
+    local = points @ frame.T
+    middle = (local.min(0) + local.max(0)) / 2
+    across = np.maximum(*(np.abs(local - middle)[:, :2] * [3 / 4, 1]).T)
+    distance = (local[:, 2] - middle[2] + margin * across / np.tan(np.radians(fov) / 2)).max()
+    middle = middle @ frame
+    add_camera(stage, "perspective", middle + distance * back, middle, fov=fov)

@@ -1,0 +1,87 @@
+"""A deployment in the browser: a live viewer on this machine, or one self-contained page (Newton
+on Viser)."""
+
+from __future__ import annotations
+
+import os
+import time as clock
+from collections.abc import Callable
+from pathlib import Path
+
+from wrod.errors import SceneError
+from wrod.files import write_atomically
+from wrod.scene.stage import FRAMES_PER_SECOND
+
+_ADDRESS, _PORT = "127.0.0.1", 8080  # this machine only
+_STRIDE = 2  # every other time code is enough for a page
+
+
+def _viewer(model, port: int, verbose: bool):
+    try:
+        import viser  # noqa: F401
+        from newton.viewer import ViewerViser
+    except ImportError as error:
+        raise SceneError("the browser view needs Viser; install wrod[view]") from error
+    viewer = ViewerViser(host=_ADDRESS, port=port, label="wrod", verbose=verbose)
+    viewer.set_model(model)
+    return viewer
+
+
+def write_page(
+    path: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    hidden: tuple[str, ...] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a stage as one HTML page that plays the deployment, without outside links.
+
+    Raises:
+        SceneError: no stage, or Newton or Viser is missing.
+    """
+    from wrod.scene.newton_model import NewtonScene
+
+    scene = NewtonScene(path, hidden)
+    viewer = _viewer(scene.model, _PORT, False)
+    try:
+        recording = viewer.server.get_scene_serializer()
+        count = int(scene.end - scene.start) // _STRIDE + 1
+        for number in range(count):
+            scene.update(scene.start + number * _STRIDE)
+            viewer.begin_frame(number * _STRIDE / FRAMES_PER_SECOND)
+            viewer.log_state(scene.state)
+            viewer.end_frame()
+            recording.insert_sleep(_STRIDE / FRAMES_PER_SECOND)
+            if progress is not None:
+                progress(number + 1, count)
+        page = recording.as_html()
+    finally:
+        viewer.close()
+    return write_atomically(out, lambda file: file.write(page))
+
+
+def view(path: str | os.PathLike[str], port: int = _PORT) -> None:
+    """Play a stage in a browser on this machine, again and again, until interrupted.
+
+    Raises:
+        SceneError: no stage, or Newton or Viser is missing.
+    """
+    from wrod.scene.newton_model import NewtonScene
+
+    scene = NewtonScene(path)
+    viewer = _viewer(scene.model, port, True)
+    code, shown = scene.start, 0.0
+    try:
+        while True:
+            if viewer.should_step():
+                code = scene.start if code >= scene.end else code + 1.0
+                shown += 1.0 / FRAMES_PER_SECOND
+                scene.update(code)
+            viewer.begin_frame(shown)
+            viewer.log_state(scene.state)
+            viewer.end_frame()
+            clock.sleep(1.0 / FRAMES_PER_SECOND)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        viewer.close()

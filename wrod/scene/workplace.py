@@ -1,0 +1,117 @@
+"""What surrounds the arm: floor, table, the prescribed pattern, the rod, the grip's path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.robot.placement import Placement
+from wrod.scene.primitives import Materials, add_curve, add_shape
+
+TABLE_THICKNESS = 0.03  # [m]
+BASE_HEIGHT = 0.9  # [m] of the robot's base above the floor, on its pedestal
+_WOOD, _LEG, _FLOOR = (0.50, 0.38, 0.26), (0.30, 0.31, 0.33), (0.42, 0.44, 0.47)
+_INK, _ROD, _PATH = (0.10, 0.22, 0.55), (0.10, 0.50, 0.22), (0.95, 0.62, 0.12)
+ROD_COLORS = {
+    "pink-vps": (0.85, 0.30, 0.45),
+    "green-vps": _ROD,
+    "rope": (0.75, 0.60, 0.35),
+    "pink-vps-thick": (0.85, 0.30, 0.45),
+    "cable": (0.12, 0.12, 0.14),
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A rectangular table in a frame of its own.
+
+    Attributes:
+        pose: (4, 4) of the robot's base, or of the world where there is no robot [m].
+        low, high: (2,) corners in that frame [m].
+        top: height of its surface in that frame [m].
+        floor: height of the floor in that frame [m].
+    """
+
+    pose: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    top: float
+    floor: float
+
+    def corners(self) -> np.ndarray:
+        """(4, 3) corners of the surface in the world [m]."""
+        (x0, y0), (x1, y1) = self.low, self.high
+        local = np.array([[x, y, self.top] for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))])
+        return local @ self.pose[:3, :3].T + self.pose[:3, 3]
+
+
+def table_under(contact: np.ndarray, placement: Placement | None, rod_radius: float) -> Table:
+    """Table with room around the contact points (T, 3) [m], before the robot where there is one.
+
+    Its surface lies a rod's radius below the contact points: these are on the rod's centreline.
+    """
+    margin = 0.14
+    if placement is None:
+        low, high = contact[:, :2].min(0) - margin, contact[:, :2].max(0) + margin
+        top = float(contact[:, 2].min()) - rod_radius
+        return Table(np.eye(4), low, high, top, top - 0.72)
+    to_base = placement.base_from_world
+    local = contact @ to_base[:3, :3].T + to_base[:3, 3]
+    low, high = local[:, :2].min(0) - margin, local[:, :2].max(0) + margin
+    # Off the pedestal where the pattern lies before it; never smaller than a real table.
+    low[0] = min(max(low[0], 0.20), local[:, 0].min() - 0.02)
+    low[1], high[1] = min(low[1], -0.35), max(high[1], 0.35)
+    top = float(local[:, 2].min()) - rod_radius
+    return Table(
+        placement.world_from_base, low, high, top, min(-BASE_HEIGHT, top - TABLE_THICKNESS)
+    )
+
+
+def add_table(stage, path: str, table: Table, materials: Materials) -> None:
+    """The table's top and legs."""
+    from pxr import UsdGeom
+
+    from wrod.scene.primitives import set_pose
+
+    set_pose(UsdGeom.Xform.Define(stage, path).GetPrim(), table.pose)
+    middle, size = (table.low + table.high) / 2, table.high - table.low
+    slab = np.eye(4)
+    slab[:3, 3] = *middle, table.top - TABLE_THICKNESS / 2
+    add_shape(stage, f"{path}/top", "box", (*size, TABLE_THICKNESS), slab, materials, _WOOD)
+    height = table.top - TABLE_THICKNESS - table.floor
+    if height <= 0.01:
+        return
+    for number, (x, y) in enumerate(((-1, -1), (1, -1), (1, 1), (-1, 1))):
+        leg = np.eye(4)
+        leg[:2, 3] = middle + np.array([x, y]) * (size / 2 - 0.05)
+        leg[2, 3] = table.floor + height / 2
+        add_shape(
+            stage, f"{path}/leg_{number}", "box", (0.045, 0.045, height), leg, materials, _LEG
+        )
+
+
+def add_floor(stage, path: str, centre, size, height: float, materials: Materials) -> None:
+    """A slab whose upper face is at `height` [m]."""
+    pose = np.eye(4)
+    pose[:3, 3] = *centre, height - 0.01
+    add_shape(stage, path, "box", (*size, 0.02), pose, materials, _FLOOR)
+
+
+def add_pattern(stage, path: str, points, rod_radius: float, materials: Materials) -> None:
+    """The prescribed pattern as a thin line drawn on the table; points (n, 3) [m]."""
+    width = min(0.0024, rod_radius)
+    drawn = np.array(points, dtype=float)
+    drawn[:, 2] -= rod_radius  # its lower half is in the table: a line, not a second rod
+    add_curve(stage, path, drawn, width, materials, _INK)
+
+
+def add_rod(stage, path: str, shapes, radius, name, times, materials: Materials) -> None:
+    """The rod at its true thickness; shapes (T, M, 3) [m]."""
+    color = ROD_COLORS.get(name, _ROD)
+    add_curve(stage, path, shapes, 2 * radius, materials, color, times)
+
+
+def add_grip_path(stage, path: str, position, materials: Materials) -> None:
+    """The path of the grip as a thin line; position (T, 3) [m]."""
+    add_curve(stage, path, position, 0.002, materials, _PATH)

@@ -1,0 +1,189 @@
+"""Fixed shapes that rods touch: the table and fixtures on it, with Coulomb friction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+
+from wrod.batch import RodBatch
+from wrod.errors import RodError
+from wrod.kernels import contact as kernels
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A half-space: everything below `point`, against `normal`."""
+
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def _describe(self):
+        return int(kernels.PLANE), self.point, _turn_up_to(self.normal), (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box of half sizes `half_size` (3) [length] around `center`, turned by a quaternion xyzw."""
+
+    center: tuple[float, float, float]
+    half_size: tuple[float, float, float]
+    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+    def _describe(self):
+        return int(kernels.BOX), self.center, self.rotation, self.half_size
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder around `center` with its axis along `axis`."""
+
+    center: tuple[float, float, float]
+    radius: float
+    half_height: float
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def _describe(self):
+        size = (self.radius, self.half_height, 0.0)
+        return int(kernels.CYLINDER), self.center, _turn_up_to(self.axis), size
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Coulomb friction.
+
+    Attributes:
+        static: coefficient mu_s up to which a node sticks [-].
+        kinetic: coefficient while it slides [-]; default: the static one.
+        rolling: where friction takes hold. False: of the centreline, as if the rod could not roll
+            (soft, rough or not quite round rods); True: of the rod's surface, which rolls freely.
+    """
+
+    static: float
+    kinetic: float | None = None
+    rolling: bool = False
+
+    def __post_init__(self) -> None:
+        values = [self.static, self.static if self.kinetic is None else self.kinetic]
+        if not all(np.isfinite(v) and v >= 0 for v in values) or values[1] > values[0]:
+            raise RodError(
+                f"friction is static {self.static!r}, kinetic {self.kinetic!r}; give finite "
+                "numbers with 0 <= kinetic <= static"
+            )
+
+
+@dataclass
+class Contact:
+    """Contact of every rod of a batch with the same shapes; arrays live on the batch's device.
+
+    Args:
+        batch: the rods.
+        radius: (rod,) radius of the section [length].
+        stiffness: (rod,) normal and tangential stiffness of the contact per length of rod
+            [force/length^2]: under its weight w per length a rod sinks in by about w / stiffness.
+        friction: one for all rods, or one per rod.
+        shapes: planes, boxes and cylinders; default: the table z = 0.
+
+    Attributes:
+        force: (rod, node) force on each node at the end of the last step.
+        slip: (rod, node) distance that each node has slid in all [length].
+
+    Raises:
+        RodError: radius or stiffness is not positive and finite.
+    """
+
+    batch: RodBatch
+    radius: np.ndarray
+    stiffness: np.ndarray
+    friction: Friction | list[Friction]
+    shapes: tuple = (Plane(),)
+    force: wp.array = field(init=False)
+    slip: wp.array = field(init=False)
+
+    def __post_init__(self) -> None:
+        batch, device = self.batch, self.batch.device
+        rods, nodes = batch.rod_count, batch.node_count
+        friction = self.friction
+        if isinstance(friction, Friction):
+            friction = [friction] * rods
+        kinetic = [f.static if f.kinetic is None else f.kinetic for f in friction]
+        radius = np.broadcast_to(np.asarray(self.radius, dtype=float), (rods,))
+        stiffness = np.broadcast_to(np.asarray(self.stiffness, dtype=float), (rods,))
+        for name, value in (("radius", radius), ("stiffness", stiffness)):
+            if not (np.isfinite(value) & (value > 0)).all():
+                raise RodError(f"contact {name} must be positive and finite")
+
+        def floats(values):
+            return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
+
+        self._model = [
+            wp.array([_shape(s) for s in self.shapes], dtype=kernels.Shape, device=device),
+            floats(radius),
+            floats(stiffness[:, None] * _node_lengths(batch)),
+            floats(0.01 * radius),  # the skin: thin against the penetration that is allowed
+            floats([f.static for f in friction]),
+            floats(kinetic),
+            floats([float(f.rolling) for f in friction]),
+        ]
+        per_shape = (rods, len(self.shapes), nodes)
+        self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
+        self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
+        self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
+        self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
+
+    def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        """Add forces and stiffness at `dof` to the batch's gradient and Hessian."""
+        out = self.batch.derivatives
+        wp.launch(
+            kernels.contact,
+            dim=(self.batch.rod_count, self.batch.node_count),
+            inputs=[*self._model, active, dof, dof_before, self._bristle, self._sliding],
+            outputs=[out.gradient, out.hessian],
+            device=self.batch.device,
+        )
+
+    def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        """Carry the friction of accepted steps over to the next."""
+        wp.launch(
+            kernels.settle_friction,
+            dim=(self.batch.rod_count, self.batch.node_count),
+            inputs=[*self._model, accepted, dof, dof_before],
+            outputs=[self._bristle, self._sliding, self.slip, self.force],
+            device=self.batch.device,
+        )
+
+
+def _node_lengths(batch: RodBatch) -> np.ndarray:
+    """(rod, node) rest length that belongs to each node."""
+    rest = batch.rest_length.numpy()
+    lengths = np.zeros((batch.rod_count, batch.node_count))
+    lengths[:, :-1] += rest / 2
+    lengths[:, 1:] += rest / 2
+    return lengths
+
+
+def _shape(shape: Plane | Box | Cylinder) -> kernels.Shape:
+    kind, position, rotation, size = shape._describe()
+    values = np.concatenate([position, rotation, size]).astype(float)
+    if not np.isfinite(values).all() or (kind != int(kernels.PLANE) and np.min(size[:2]) <= 0):
+        raise RodError(f"{shape}: sizes must be positive and finite")
+    out = kernels.Shape()
+    out.kind = kind
+    out.position = wp.vec3d(*map(float, position))
+    out.rotation = wp.normalize(wp.quatd(*map(float, rotation)))
+    out.size = wp.vec3d(*map(float, size))
+    return out
+
+
+def _turn_up_to(direction) -> tuple[float, float, float, float]:
+    """Quaternion xyzw that turns z to `direction`."""
+    d = np.asarray(direction, dtype=float)
+    size = np.linalg.norm(d)
+    if not (np.isfinite(size) and size > 0):
+        raise RodError(f"direction {direction!r} has no length; give a normal or an axis")
+    d = d / size
+    q = np.array([-d[1], d[0], 0.0, 1.0 + d[2]])
+    if np.linalg.norm(q) < 1e-9:
+        return (1.0, 0.0, 0.0, 0.0)
+    return tuple(q / np.linalg.norm(q))
