@@ -1,11 +1,5 @@
 """Bending: E = 1/2 l sum_k B_k (kappa_k / l - kappa0_k)^2 at each inner node (Eq. bending).
 
-A rod that softens as it bends, as a cable does whose strands begin to slip, keeps the share r of
-its stiffness and loses the rest: E = l B (r Q / 2 + (1 - r) (sqrt(1 + c Q) - 1) / c), with the
-excess curvatures e_k = kappa_k / l - kappa0_k, Q = sum_k B_k e_k^2 / B, B the mean of B_1 and B_2.
-In a plane the moment is B e (r + (1 - r) / sqrt(1 + c e^2)). `softening` holds (c, r), c >= 0
-[length^2]; c = 0 is a linear rod.
-
 l is half the rest length of the two edges around the node. The curvature components in the
 material frames of the edges before (e) and after (f) the node are (Bergou et al. 2010, rewritten)
 
@@ -19,7 +13,7 @@ changes t by a - |a|^2 t / 2 and m_k by -a_k t - a_k a / 2 to second order, a_k 
 
 import warp as wp
 from wrod.kernels.assembly import add_angle_hessian, add_edge_gradient, add_edge_hessian
-from wrod.kernels.frames import HALF, ONE, TWO, ZERO, edge, rotate
+from wrod.kernels.frames import HALF, ONE, ZERO, edge, rotate
 
 wp.set_module_options({"enable_backward": False})
 
@@ -56,20 +50,21 @@ def stencil(
     return s
 
 
-@wp.func
-def excess_curvature(s: Stencil, rest: wp.float64, natural: wp.vec2d) -> wp.vec2d:
-    chi = ONE + wp.dot(s.t, s.u)
-    return wp.vec2d(
-        (wp.dot(s.m1e, s.u) - wp.dot(s.m1f, s.t)) / (chi * rest) - natural[0],
-        (wp.dot(s.m2e, s.u) - wp.dot(s.m2f, s.t)) / (chi * rest) - natural[1],
-    )
+@wp.struct
+class Component:
+    """One component of the curvature, and its gradient."""
 
-
-@wp.func
-def softened(stiffness: wp.vec2d, softening: wp.float64, excess: wp.vec2d) -> wp.float64:
-    """sqrt(1 + c Q): what divides the part of the moment that softens."""
-    squares = stiffness[0] * excess[0] * excess[0] + stiffness[1] * excess[1] * excess[1]
-    return wp.sqrt(ONE + softening * TWO * squares / (stiffness[0] + stiffness[1]))
+    # Director of each edge, and its derivative by the edge's angle.
+    m_e: wp.vec3d
+    m_f: wp.vec3d
+    dm_e: wp.vec3d
+    dm_f: wp.vec3d
+    kappa: wp.float64
+    # Gradient by the turning of t and of u, and by the angles.
+    e: wp.vec3d
+    f: wp.vec3d
+    te: wp.float64
+    tf: wp.float64
 
 
 @wp.func
@@ -90,13 +85,34 @@ def symmetric(v: wp.vec3d, w: wp.vec3d) -> wp.mat33d:
     return wp.outer(v, w) + wp.outer(w, v)
 
 
+@wp.func
+def component(s: Stencil, k: int) -> Component:
+    c = Component()
+    c.m_e = s.m1e
+    c.m_f = s.m1f
+    c.dm_e = s.m2e
+    c.dm_f = s.m2f
+    if k == 1:
+        c.m_e = s.m2e
+        c.m_f = s.m2f
+        c.dm_e = -s.m1e
+        c.dm_f = -s.m1f
+    cosine = wp.dot(s.t, s.u)
+    chi = ONE + cosine
+    c.kappa = (wp.dot(c.m_e, s.u) - wp.dot(c.m_f, s.t)) / chi
+    c.e = (-cosine * c.m_e - perpendicular(c.m_f, s.t) - c.kappa * perpendicular(s.u, s.t)) / chi
+    c.f = (perpendicular(c.m_e, s.u) + cosine * c.m_f - c.kappa * perpendicular(s.t, s.u)) / chi
+    c.te = wp.dot(c.dm_e, s.u) / chi
+    c.tf = -wp.dot(c.dm_f, s.t) / chi
+    return c
+
+
 @wp.kernel
 def bending(
     # Model:
     rest_length: wp.array2d(dtype=wp.float64),
     bending_stiffness: wp.array2d(dtype=wp.vec2d),
     natural_curvature: wp.array2d(dtype=wp.vec2d),
-    softening: wp.array2d(dtype=wp.vec2d),
     # State in:
     active: wp.array(dtype=wp.int32),
     dof_in: wp.array2d(dtype=wp.float64),
@@ -118,11 +134,8 @@ def bending(
     chi = ONE + cosine
     grad_chi_e = perpendicular(s.u, s.t)
     grad_chi_f = perpendicular(s.t, s.u)
+    eye = wp.identity(3, dtype=wp.float64)
 
-    strain = excess_curvature(s, rest, natural_curvature[r, i])
-    root = softened(bending_stiffness[r, i], softening[r, i][0], strain)
-    kept = softening[r, i][1]
-    secant = kept + (ONE - kept) / root
     energy = ZERO
     g_e = wp.vec3d(ZERO, ZERO, ZERO)
     g_f = wp.vec3d(ZERO, ZERO, ZERO)
@@ -138,84 +151,43 @@ def bending(
     te_te = ZERO
     te_tf = ZERO
     tf_tf = ZERO
-    # Derivatives of Q / 2 times B, which couple the two curvatures of a rod that softens.
-    q_e = wp.vec3d(ZERO, ZERO, ZERO)
-    q_f = wp.vec3d(ZERO, ZERO, ZERO)
-    q_te = ZERO
-    q_tf = ZERO
 
     for k in range(2):
-        # Director k of each edge, and its derivative by the edge's angle.
-        m_e = s.m1e
-        m_f = s.m1f
-        dm_e = s.m2e
-        dm_f = s.m2f
-        if k == 1:
-            m_e = s.m2e
-            m_f = s.m2f
-            dm_e = -s.m1e
-            dm_f = -s.m1f
-        e_u = wp.dot(m_e, s.u)
-        f_t = wp.dot(m_f, s.t)
-        kappa = (e_u - f_t) / chi
-        linear = bending_stiffness[r, i][k] * strain[k]
-        stiffness = bending_stiffness[r, i][k] * secant
-        moment = linear * secant
-        # (root - 1) / c without the cancellation, for c = 0 as well.
-        energy += linear * strain[k] * rest * (HALF * kept + (ONE - kept) / (ONE + root))
-
-        # Gradients of kappa: by the turning of t and u, and by the angles.
-        k_e = (-cosine * m_e - perpendicular(m_f, s.t) - kappa * grad_chi_e) / chi
-        k_f = (perpendicular(m_e, s.u) + cosine * m_f - kappa * grad_chi_f) / chi
-        k_te = wp.dot(dm_e, s.u) / chi
-        k_tf = -wp.dot(dm_f, s.t) / chi
-        g_e += moment * k_e
-        g_f += moment * k_f
-        g_te += moment * k_te
-        g_tf += moment * k_tf
+        c = component(s, k)
+        stiffness = bending_stiffness[r, i][k]
+        excess = c.kappa / rest - natural_curvature[r, i][k]
+        moment = stiffness * excess
+        energy += HALF * moment * excess * rest
+        g_e += moment * c.e
+        g_f += moment * c.f
+        g_te += moment * c.te
+        g_tf += moment * c.tf
 
         if order == 2:
             b = stiffness / rest
-            eye = wp.identity(3, dtype=wp.float64)
-            h = (f_t + kappa * cosine) * eye - HALF * symmetric(m_e, s.u)
-            h = (project(h, s.t, s.t) - symmetric(k_e, grad_chi_e)) / chi
-            # The unit tangent's own second derivative by the edge vector.
-            h = h - symmetric(k_e, s.t)
-            ee += b * wp.outer(k_e, k_e) + moment * h
-            h = (kappa * cosine - e_u) * eye + HALF * symmetric(m_f, s.t)
-            h = (project(h, s.u, s.u) - symmetric(k_f, grad_chi_f)) / chi
-            h = h - symmetric(k_f, s.u)
-            ff += b * wp.outer(k_f, k_f) + moment * h
-            h = wp.outer(s.u, m_f) - wp.outer(m_e, s.t) - kappa * eye
-            h = project(h, s.t, s.u) - wp.outer(k_e, grad_chi_f) - wp.outer(grad_chi_e, k_f)
-            ef += b * wp.outer(k_e, k_f) + moment / chi * h
-
             m = moment / chi
-            e_te += b * k_te * k_e + m * (-cosine * dm_e - k_te * grad_chi_e)
-            f_te += b * k_te * k_f + m * (perpendicular(dm_e, s.u) - k_te * grad_chi_f)
-            e_tf += b * k_tf * k_e - m * (perpendicular(dm_f, s.t) + k_tf * grad_chi_e)
-            f_tf += b * k_tf * k_f + m * (cosine * dm_f - k_tf * grad_chi_f)
-            te_te += b * k_te * k_te - m * e_u
-            te_tf += b * k_te * k_tf
-            tf_tf += b * k_tf * k_tf + m * f_t
-            q_e += linear * k_e
-            q_f += linear * k_f
-            q_te += linear * k_te
-            q_tf += linear * k_tf
+            e_u = wp.dot(c.m_e, s.u)
+            f_t = wp.dot(c.m_f, s.t)
+            h = (f_t + c.kappa * cosine) * eye - HALF * symmetric(c.m_e, s.u)
+            h = (project(h, s.t, s.t) - symmetric(c.e, grad_chi_e)) / chi
+            # The unit tangent's own second derivative by the edge vector.
+            h = h - symmetric(c.e, s.t)
+            ee += b * wp.outer(c.e, c.e) + moment * h
+            h = (c.kappa * cosine - e_u) * eye + HALF * symmetric(c.m_f, s.t)
+            h = (project(h, s.u, s.u) - symmetric(c.f, grad_chi_f)) / chi
+            h = h - symmetric(c.f, s.u)
+            ff += b * wp.outer(c.f, c.f) + moment * h
+            h = wp.outer(s.u, c.m_f) - wp.outer(c.m_e, s.t) - c.kappa * eye
+            h = project(h, s.t, s.u) - wp.outer(c.e, grad_chi_f) - wp.outer(grad_chi_e, c.f)
+            ef += b * wp.outer(c.e, c.f) + m * h
 
-    if order == 2 and softening[r, i][0] > ZERO:
-        mean = HALF * (bending_stiffness[r, i][0] + bending_stiffness[r, i][1])
-        c = -(ONE - kept) * softening[r, i][0] / (mean * root * root * root * rest)
-        ee += c * wp.outer(q_e, q_e)
-        ef += c * wp.outer(q_e, q_f)
-        ff += c * wp.outer(q_f, q_f)
-        e_te += c * q_te * q_e
-        f_te += c * q_te * q_f
-        e_tf += c * q_tf * q_e
-        f_tf += c * q_tf * q_f
-        te_te += c * q_te * q_te
-        te_tf += c * q_te * q_tf
-        tf_tf += c * q_tf * q_tf
+            e_te += b * c.te * c.e + m * (-cosine * c.dm_e - c.te * grad_chi_e)
+            f_te += b * c.te * c.f + m * (perpendicular(c.dm_e, s.u) - c.te * grad_chi_f)
+            e_tf += b * c.tf * c.e - m * (perpendicular(c.dm_f, s.t) + c.tf * grad_chi_e)
+            f_tf += b * c.tf * c.f + m * (cosine * c.dm_f - c.tf * grad_chi_f)
+            te_te += b * c.te * c.te - m * e_u
+            te_tf += b * c.te * c.tf
+            tf_tf += b * c.tf * c.tf + m * f_t
 
     inv_e = ONE / s.length_e
     inv_f = ONE / s.length_f
@@ -246,65 +218,24 @@ def bending_rate(
     # Model:
     rest_length: wp.array2d(dtype=wp.float64),
     bending_stiffness: wp.array2d(dtype=wp.vec2d),
-    natural_curvature: wp.array2d(dtype=wp.vec2d),
-    softening: wp.array2d(dtype=wp.vec2d),
     rest_length_rate: wp.array2d(dtype=wp.float64),
-    bending_stiffness_rate: wp.array2d(dtype=wp.vec2d),
-    natural_curvature_rate: wp.array2d(dtype=wp.vec2d),
-    softening_rate: wp.array2d(dtype=wp.vec2d),
     # State in:
     dof_in: wp.array2d(dtype=wp.float64),
     director_in: wp.array2d(dtype=wp.vec3d),
     # Out:
     gradient_rate_out: wp.array2d(dtype=wp.float64),
 ):
-    """Add the derivative of the gradient along a change of the model."""
+    """Add the derivative of the gradient along a change of rest lengths."""
     r, j = wp.tid()
     i = j + 1
     s = stencil(dof_in, director_in, r, i)
     rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
     rest_rate = HALF * (rest_length_rate[r, i - 1] + rest_length_rate[r, i])
-    cosine = wp.dot(s.t, s.u)
-    chi = ONE + cosine
-    stiffness = bending_stiffness[r, i]
-    stiffness_rate = bending_stiffness_rate[r, i]
-    natural = natural_curvature[r, i]
-    excess = excess_curvature(s, rest, natural)
-    excess_rate = -(rest_rate / rest) * (excess + natural) - natural_curvature_rate[r, i]
-    root = softened(stiffness, softening[r, i][0], excess)
-    kept = softening[r, i][1]
-    kept_rate = softening_rate[r, i][1]
-    secant = kept + (ONE - kept) / root
-    # Q and its rate, for root^2 = 1 + c Q.
-    mean = HALF * (stiffness[0] + stiffness[1])
-    mean_rate = HALF * (stiffness_rate[0] + stiffness_rate[1])
-    squares = wp.float64(0.0)
-    squares_rate = wp.float64(0.0)
     for k in range(2):
-        squares += stiffness[k] * excess[k] * excess[k]
-        squares_rate += stiffness_rate[k] * excess[k] * excess[k]
-        squares_rate += TWO * stiffness[k] * excess[k] * excess_rate[k]
-    q = squares / mean
-    q_rate = (squares_rate - q * mean_rate) / mean
-    root_rate = HALF * (softening_rate[r, i][0] * q + softening[r, i][0] * q_rate) / root
-    secant_rate = kept_rate * (ONE - ONE / root) - (ONE - kept) * root_rate / (root * root)
-    for k in range(2):
-        m_e = s.m1e
-        m_f = s.m1f
-        dm_e = s.m2e
-        dm_f = s.m2f
-        if k == 1:
-            m_e = s.m2e
-            m_f = s.m2f
-            dm_e = -s.m1e
-            dm_f = -s.m1f
-        kappa = (wp.dot(m_e, s.u) - wp.dot(m_f, s.t)) / chi
-        k_e = (-cosine * m_e - perpendicular(m_f, s.t) - kappa * perpendicular(s.u, s.t)) / chi
-        k_f = (perpendicular(m_e, s.u) + cosine * m_f - kappa * perpendicular(s.t, s.u)) / chi
-        rate = stiffness_rate[k] * excess[k] + stiffness[k] * excess_rate[k]
-        rate = rate * secant + stiffness[k] * excess[k] * secant_rate
+        c = component(s, k)
+        rate = -bending_stiffness[r, i][k] * c.kappa / (rest * rest) * rest_rate
         add_edge_gradient(
-            gradient_rate_out, r, i, (rate / s.length_e) * k_e, (rate / s.length_f) * k_f
+            gradient_rate_out, r, i, (rate / s.length_e) * c.e, (rate / s.length_f) * c.f
         )
-        wp.atomic_add(gradient_rate_out, r, 4 * i - 1, rate * wp.dot(dm_e, s.u) / chi)
-        wp.atomic_add(gradient_rate_out, r, 4 * i + 3, -rate * wp.dot(dm_f, s.t) / chi)
+        wp.atomic_add(gradient_rate_out, r, 4 * i - 1, rate * c.te)
+        wp.atomic_add(gradient_rate_out, r, 4 * i + 3, rate * c.tf)

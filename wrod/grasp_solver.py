@@ -348,12 +348,7 @@ class GraspSolver:
                 inputs=[
                     batch.rest_length,
                     batch.bending_stiffness,
-                    batch.natural_curvature,
-                    batch.softening,
                     rest_rate,
-                    wp.zeros_like(batch.bending_stiffness),
-                    wp.zeros_like(batch.natural_curvature),
-                    wp.zeros_like(batch.softening),
                     dof,
                     batch.state.director,
                 ],

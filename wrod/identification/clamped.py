@@ -18,8 +18,8 @@ from wrod.batch import RodBatch, RodState
 from wrod.errors import DataError
 from wrod.identification.setup import Setup
 from wrod.kernels import banded
-from wrod.kernels.bending import bending_rate
 from wrod.kernels.loads import dead_loads
+from wrod.kernels.softened_bending import softened_bending_rate
 from wrod.kernels.stretching import stretching_rate
 from wrod.kernels.twisting import twisting_rate
 from wrod.statics import BandedSystem, EquilibriumSolver
@@ -338,7 +338,7 @@ class ClampedSolver:
         )
         names = ("rest_length", "bending_stiffness", "natural_curvature", "softening")
         wp.launch(
-            bending_rate,
+            softened_bending_rate,
             dim=(rods, nodes - 2),
             inputs=[getattr(batch, n) for n in names]
             + [rate[n] for n in names]
