@@ -241,7 +241,9 @@ class ClampedSolver:
         return dof
 
     def _assign(self, setups: Sequence[Setup]) -> None:
-        for name, value in vars(_arrays(setups)).items():
+        arrays = vars(_arrays(setups))
+        self.batch.set_softening(arrays.pop("softening"))
+        for name, value in arrays.items():
             array = getattr(self.batch, name)
             array.assign(np.ascontiguousarray(np.broadcast_to(value, _shape(array))))
 
