@@ -10,9 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.errors import DataError
-from wrod.identification.clamped import COMPLEX_STEP, ClampedSolver, Prediction
+from wrod.identification.clamped import ClampedSolver
 from wrod.identification.effect import Model
+from wrod.identification.layout import COMPLEX_STEP
 from wrod.identification.measurements import ClampedMeasurements
+from wrod.identification.sensing import Prediction
 from wrod.identification.setup import Setup
 
 _MAX_ITERATIONS = 30
