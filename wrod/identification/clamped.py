@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from wrod.batch import RodBatch, RodState
 from wrod.errors import DataError
 from wrod.identification.layout import batch_arrays, dead_force, end_poses, full_shape, wind_load
-from wrod.identification.sensing import Prediction, observe
+from wrod.identification.sensing import Prediction, View
 from wrod.identification.sensitivity import WIND_PASSES, WIND_TOLERANCE, Sensitivity
 from wrod.identification.setup import Setup
 from wrod.statics import EquilibriumSolver
@@ -207,11 +207,11 @@ class ClampedSolver:
         """Markers and wrench in the present state."""
         zero = np.zeros((self.batch.rod_count, self.batch.dof_count))
         self.batch.evaluate(order=1)
-        return observe(self.batch, setups, zero, zero)
+        return View(self.batch).observe(setups, zero, zero)
 
-    def predict_rates(self, rates: Sequence[Sequence[Setup]]) -> list[Prediction]:
+    def predict_rates(self, rates, wanted=None) -> list[Prediction]:
         """The present prediction with its derivatives; see `Sensitivity.predict_rates`."""
-        return self.sensitivity.predict_rates(rates)
+        return self.sensitivity.predict_rates(rates, wanted)
 
 
 def _transport(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -171,7 +171,9 @@ class Laboratory:
                     v[j] += 1j * COMPLEX_STEP
             setups = [m.setup(base, v) for m, v in zip(models, moved, strict=True)]
             steps.append((moved, setups))
-        predictions = solver.predict_rates([setups for _, setups in steps])
+        predictions = solver.predict_rates(
+            [setups for _, setups in steps], [[j < len(v) for v in values] for j in range(count)]
+        )
         return [
             np.stack(
                 [

@@ -21,7 +21,7 @@ from wrod.identification.layout import (
     node_part,
     wind_load,
 )
-from wrod.identification.sensing import Prediction, observe
+from wrod.identification.sensing import Prediction, View
 from wrod.identification.setup import Setup
 from wrod.kernels import banded
 from wrod.kernels.loads import dead_loads
@@ -48,12 +48,18 @@ class Sensitivity:
         self.device = batch.device
         self.system: BandedSystem | None = None
 
-    def predict_rates(self, rates: Sequence[Sequence[Setup]]) -> list[Prediction]:
+    def predict_rates(
+        self,
+        rates: Sequence[Sequence[Setup]],
+        wanted: Sequence[Sequence[bool]] | None = None,
+    ) -> list[Prediction]:
         """The present prediction with a derivative as imaginary part, for each list of setups.
 
         Args:
             rates: setups whose imaginary parts are `COMPLEX_STEP` times a parameter's rate; one
                 list, a setup for each candidate, for every parameter.
+            wanted: whether each candidate has that parameter; the predictions of others are left
+                out.
         """
         batch, count = self.batch, len(rates)
         if self.system is None or self.system.x.shape[1] != count:
@@ -88,8 +94,10 @@ class Sensitivity:
                 break
         step += free_step
         reaction_rate = self._times_hessian(step) + gradient_rate - load_rate
+        view = View(batch)
+        wanted = [None] * count if wanted is None else wanted
         return [
-            observe(batch, setups, step[:, j], reaction_rate[:, j])
+            view.observe(setups, step[:, j], reaction_rate[:, j], wanted[j])
             for j, setups in enumerate(rates)
         ]
 
