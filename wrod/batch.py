@@ -118,7 +118,7 @@ class RodBatch:
         natural_curvature: (rod, node, 2) curvature at rest in the material frame [1/length].
         natural_twist: (rod, node) twist at rest [rad/length].
         softening: (rod, node, 2) c >= 0 [length^2] and r of the moment
-            B e (r + (1 - r) / sqrt(1 + c e^2)) that belongs to a curvature e; c = 0 is linear.
+            B e (r + (1 - r) / (1 + c e^2)) that belongs to a curvature e; c = 0 is linear.
         node_mass: (rod, node) lumped masses.
         gravity: (rod, 3) acceleration.
         point_load: (rod, node, 3) dead force at each node [force].

@@ -52,7 +52,7 @@ class World:
         gravity_turn: rotation vector of gravity.
         slip: free length over the nominal one [m], at the gripper.
         grip_turn: rotation vector in the gripper, or one for each trial (T, 3).
-        softening: (c, r) of the moment B e (r + (1 - r) / sqrt(1 + c e^2)).
+        softening: (c, r) of the moment B e (r + (1 - r) / (1 + c e^2)).
         see: what the cameras make of (T, M, 3) markers and (T, M, 3, 3) frames.
     """
 
@@ -98,9 +98,9 @@ def excess_of(moment: np.ndarray, stiffness: np.ndarray, softening) -> np.ndarra
     size = np.sqrt((excess**2).sum(axis=0)) + 1e-300
     e = size.copy()
     for _ in range(60):
-        root = np.sqrt(1 + c * e * e)
-        value = e * (kept + (1 - kept) / root) - size
-        e = np.maximum(e - value / (kept + (1 - kept) / root**3), 0.5 * e)
+        one = 1 + c * e * e
+        value = e * (kept + (1 - kept) / one) - size
+        e = np.maximum(e - value / (kept + (1 - kept) * (2 - one) / one**2), 0.5 * e)
     return excess * (e / size)
 
 
