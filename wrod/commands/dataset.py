@@ -7,19 +7,21 @@ from pathlib import Path
 
 import click
 
+from wrod.commands.options import CLOSURE, DEVICE, options
+
 
 @click.command(name="dataset")
 @click.option("--size", type=click.IntRange(min=1), required=True, help="Number of samples.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--closure", default="zero_tension", show_default=True)
+@options(CLOSURE)
 @click.option(
     "--sensitivities/--no-sensitivities",
     default=True,
     help="Store the derivatives by the inputs (zero_tension only).",
 )
 @click.option("--shard-size", type=click.IntRange(min=1), help="Samples per file; default 2048.")
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     size: int,
