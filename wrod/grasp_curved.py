@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 import warp as wp
+from scipy.interpolate import CubicSpline
 
 from wrod.batch import node_positions
 from wrod.grasp_mesh import two_sided_rest_lengths
-from wrod.grasp_solver import GraspSolver
-from wrod.kernels import curved_grasping, grasp_start, grasping
+from wrod.grasp_solver import GraspSolution, GraspSolver
+from wrod.kernels import curved_grasping, grasping
 from wrod.rotation import rotation_matrix, rotation_vector
 from wrod.statics import BandedSystem
 
@@ -41,11 +42,28 @@ class CurvedGraspSolver(GraspSolver):
         poisson: Poisson's ratio; the twisting stiffness is k_b / (1 + poisson).
     """
 
-    def __init__(self, *inputs, natural_curvature: np.ndarray, poisson: float, **options):
+    def __init__(
+        self,
+        *inputs: np.ndarray,
+        natural_curvature: np.ndarray,
+        poisson: float,
+        guess: np.ndarray | wp.array | None = None,
+        thrust: np.ndarray | None = None,
+        **options,
+    ):
+        if guess is None:
+            # The contact has too few of a coarse mesh's edges, with some at the grip, to start cold.
+            straight = GraspSolver(*inputs, **options).run().solution()
+            guess = _on_mesh(straight, two_sided_rest_lengths(inputs[0], options["edge_count"]))
+            thrust = straight.thrust
         super().__init__(
-            *inputs, twisting_stiffness=1.0 / (1.0 + poisson), mesh=two_sided_rest_lengths,
+            *inputs,
+            twisting_stiffness=1.0 / (1.0 + poisson),
+            mesh=two_sided_rest_lengths,
+            guess=guess,
+            thrust=thrust,
             **options,
-        )  # fmt: skip
+        )
         # The first material director at the contact points up, the second to the right.
         self.natural = np.stack([natural_curvature[:, 1], -natural_curvature[:, 0]], axis=1)
 
@@ -235,7 +253,8 @@ class CurvedGraspSolver(GraspSolver):
     # ---- Reading out -------------------------------------------------------------------------
 
     def _finish(self, converged: np.ndarray, thrust: np.ndarray, iterations: np.ndarray) -> None:
-        """Leave what `GraspSolver.solution` reads."""
+        """Leave what `GraspSolver.solution` reads, the factorisation of every rod included."""
+        self._evaluate(self.batch.every_rod)
         status = np.where(converged, int(grasping.CONVERGED), int(grasping.FAILED))
         self.status.assign(status.astype(np.int32))
         self.iterations.assign(iterations.astype(np.int32))
@@ -245,9 +264,7 @@ class CurvedGraspSolver(GraspSolver):
         self.residual.assign(np.maximum(residual, border))
         kept = [1, 2, 3, 5, 6, 7]
         self.reaction.assign(np.ascontiguousarray(self._reaction.numpy()[:, kept]))
-        self.condensed.assign(
-            np.ascontiguousarray(self._condensed.numpy()[:, kept][:, :, kept])
-        )
+        self.condensed.assign(np.ascontiguousarray(self._condensed.numpy()[:, kept][:, :, kept]))
 
     def _rotation(self) -> np.ndarray:
         """(n, 3) rotation vectors of the rod's frame at the grip.
@@ -255,7 +272,7 @@ class CurvedGraspSolver(GraspSolver):
         Over the last half edge the curvature falls linearly to the natural one, and the twist goes
         on as it was.
         """
-        frame, t, _, binormal, fraction = self._grip_frame()
+        frame, t, _, binormal, _ = self._grip_frame()
         state = self.batch.state
         last = self.batch.rest_length.numpy()[:, -1]
         m1 = frame[:, :, 2]
@@ -266,11 +283,29 @@ class CurvedGraspSolver(GraspSolver):
         rest = self.batch.rest_length.numpy()[:, -2:]
         inner = binormal / (0.5 * rest.sum(axis=1))[:, None]
         bend = 0.5 * last[:, None] * own + last[:, None] / 8.0 * (inner - own)
+        turn = rotation_matrix(bend + self._last_twist()[:, None] * t[:, 1])
+        return rotation_vector(turn @ frame)
+
+    def _last_twist(self) -> np.ndarray:
+        """(n,) twist over the last half edge, which goes on as it was [rad]."""
+        state, rest = self.batch.state, self.batch.rest_length.numpy()[:, -2:]
         angle = state.dof.numpy()[:, [-8, -4]]
         twist = angle[:, 1] - angle[:, 0] + state.reference_twist.numpy()[:, -2]
-        twist *= last / rest.sum(axis=1)
-        turn = rotation_matrix(bend + twist[:, None] * t[:, 1])
-        return rotation_vector(turn @ frame)
+        return twist * rest[:, 1] / rest.sum(axis=1)
+
+    def _twist(self) -> np.ndarray:
+        state = self.batch.state
+        inner = state.reference_twist.numpy()[:, 1:-1].sum(axis=1)
+        dof = state.dof.numpy()
+        return dof[:, -4] - dof[:, 3] + inner + self._last_twist()
+
+
+def _on_mesh(straight: GraspSolution, rest_length: np.ndarray) -> np.ndarray:
+    """(n, node, 3) shapes of solved grasps at the nodes of another mesh."""
+    nodes = np.cumsum(np.pad(rest_length, ((0, 0), (1, 0))), axis=1)
+    rods = zip(nodes, straight.arc_length, straight.shape, strict=True)
+    # The last node of both meshes is the grip, but for rounding.
+    return np.stack([CubicSpline(s, q)(np.minimum(at, s[-1])) for at, s, q in rods])
 
 
 def _solve(matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:

@@ -42,6 +42,7 @@ class GraspSolution:
         force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact edge held.
         shape: (n, node, 3) nodes from contact to grip; None unless asked for.
         arc_length: (n, node) their unstretched arc length; None unless asked for.
+        twist: (n,) angle from contact to grip [rad]; None for straight rods, which have none.
         lowest, turning: (n,) lowest node and total turning of the rod [rad].
         converged, stable: (n,) bool.
         eigenvalue: (n,) smallest eigenvalue of the constrained Hessian; None unless asked for.
@@ -65,6 +66,7 @@ class GraspSolution:
     thrust: np.ndarray
     shape: np.ndarray | None = None
     arc_length: np.ndarray | None = None
+    twist: np.ndarray | None = None
     eigenvalue: np.ndarray | None = None
     position_sensitivity: np.ndarray | None = None
     rotation_sensitivity: np.ndarray | None = None
@@ -292,6 +294,7 @@ class GraspSolver:
             thrust=self.thrust.numpy().copy(),
             shape=batch.positions()[:, 1:] if shapes else None,
             arc_length=self._arc_length() if shapes else None,
+            twist=self._twist(),
         )
         if eigenvalues:
             # The factorisation that showed each grasp to be in balance is still here.
@@ -315,6 +318,9 @@ class GraspSolver:
         """(n, node) unstretched arc length from contact to grip."""
         edges = self.batch.rest_length.numpy()[:, 1:]
         return np.cumsum(np.pad(edges, ((0, 0), (1, 0))), axis=1)
+
+    def _twist(self) -> np.ndarray | None:
+        return None
 
     def _grip_frame(self):
         """Frame of the last edge, and the small rotation from its middle to the grip.

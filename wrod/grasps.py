@@ -58,6 +58,8 @@ class Grasps:
         force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact held.
         shape: (n, node, 3) the rod from contact to grip on the finest mesh [L_gb], or None.
         arc_length: (n, node) unstretched arc length of its nodes [L_gb], or None.
+        twist: (n,) angle by which the rod is twisted between contact and grip, which may be more
+            than a turn [rad]; None for naturally straight rods, which are not twisted.
         position_sensitivity, rotation_sensitivity, force_sensitivity: (n, 3, 3) derivatives of
             component i by input j of (suspended_length, curvature, stretch_ratio), or None.
     """
@@ -72,6 +74,7 @@ class Grasps:
     force_jacobian: np.ndarray
     shape: np.ndarray | None = None
     arc_length: np.ndarray | None = None
+    twist: np.ndarray | None = None
     eigenvalue: np.ndarray | None = None
     position_sensitivity: np.ndarray | None = None
     rotation_sensitivity: np.ndarray | None = None
@@ -281,6 +284,7 @@ def _solve_chunk(
 _EXTRAPOLATED = (
     "position",
     "rotation",
+    "twist",
     "force",
     "force_jacobian",
     "position_sensitivity",
@@ -305,6 +309,7 @@ def _grasps(parts: list[GraspSolution], kappa: np.ndarray, sensitivities: bool) 
         return np.concatenate([getattr(part, name) for part in parts])
 
     right = kappa < 0
+    twist = None if parts[0].twist is None else np.where(right, -1.0, 1.0) * join("twist")
     position, rotation, force = join("position"), join("rotation"), join("force")
     jacobian = join("force_jacobian")
     shape = None if parts[0].shape is None else join("shape")
@@ -336,5 +341,6 @@ def _grasps(parts: list[GraspSolution], kappa: np.ndarray, sensitivities: bool) 
         jacobian,
         shape,
         None if parts[0].arc_length is None else join("arc_length"),
+        twist,
         **extra,
     )

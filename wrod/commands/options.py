@@ -6,15 +6,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 ROD = (
-    click.option("--rod", "rod_name", help="Rod by name (green-vps, ...) or a rod file (.json)."),
+    click.option(
+        "--rod",
+        "rod_name",
+        help="Rod by name (green-vps, ...), rod.json, or the model.json of `wrod identify`.",
+    ),
     click.option("--radius", type=float, help="Radius of a rod of your own [m]."),
     click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`)."),
-    click.option("--length", type=float, help="Its total length [m]."),
+    click.option("--length", type=float, help="Its total length, or a rod file's instead [m]."),
 )
 UNITS = (click.option("--units", help="Units of a pattern file: m, cm, mm, um or in."),)
 CLOSURE = (
@@ -71,12 +76,16 @@ def read_rod(name: str | None, radius: float | None, lgb: float | None, length: 
 
     own = {"--radius": radius, "--lgb": lgb, "--length": length}
     given = [option for option, value in own.items() if value is not None]
+    from_file = name is not None and name.endswith(".json")
+    if from_file and given == ["--length"]:
+        # Measurements between clamps know the stretch between them only.
+        return replace(RodMaterial.load(name), length=length)
     if name is not None and given:
         raise RodError(
             f"--rod {name} and {', '.join(given)} were both given; give one or the other"
         )
     if name is not None:
-        return RodMaterial.load(name) if name.endswith(".json") else rod(name)
+        return RodMaterial.load(name) if from_file else rod(name)
     missing = [option for option in own if option not in given]
     if missing == list(own):
         raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")

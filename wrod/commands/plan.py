@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from math import degrees
+from math import degrees, radians
 from pathlib import Path
 
 import click
@@ -38,6 +38,11 @@ from wrod.commands.options import (
     default=None,
     help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
 )
+@click.option(
+    "--roll",
+    type=float,
+    help="Roll of a naturally curved rod: from left to up [degrees]; default: curved in the plane.",
+)
 @click.option("--robot", default="sawyer", show_default=True, help="sawyer, or a URDF file.")
 @click.option("--no-robot", is_flag=True, help="Leave out joint path and scene.")
 @click.option(
@@ -68,6 +73,7 @@ def command(
     friction: float | None,
     shapes: bool,
     remainder: bool | None,
+    roll: float | None,
     robot: str,
     no_robot: bool,
     placement: str,
@@ -103,7 +109,7 @@ def command(
         chosen = None if device == "auto" else device
         trajectory = plan(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
-            device=chosen, progress=progress,
+            roll=None if roll is None else radians(roll), device=chosen, progress=progress,
         )  # fmt: skip
         if shapes:
             bar.n = 0
@@ -179,6 +185,11 @@ def _summary(figures: dict, friction: float | None) -> str:
         f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}",
         f"required static friction {figures['required_friction']:.2f}",
     ]
+    if any(figures["rod"]["natural_curvature"]):
+        lines.append(
+            f"hold the rod with its first material director {degrees(figures['roll']):.0f} degrees "
+            "from left towards up"
+        )
     if "shapes" in figures:
         apart = 1e3 * figures["shapes"]["largest_grip_difference"]
         lines[1] += f"; the rod solver's grips differ by {apart:.2g} mm at most"
