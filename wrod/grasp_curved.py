@@ -52,7 +52,7 @@ class CurvedGraspSolver(GraspSolver):
         **options,
     ):
         if guess is None:
-            # The contact has too few of a coarse mesh's edges, with some at the grip, to start cold.
+            # With some of a coarse mesh's edges at the grip, the contact has too few to start cold.
             straight = GraspSolver(*inputs, **options).run().solution()
             guess = _on_mesh(straight, two_sided_rest_lengths(inputs[0], options["edge_count"]))
             thrust = straight.thrust
@@ -273,7 +273,6 @@ class CurvedGraspSolver(GraspSolver):
         on as it was.
         """
         frame, t, _, binormal, _ = self._grip_frame()
-        state = self.batch.state
         last = self.batch.rest_length.numpy()[:, -1]
         m1 = frame[:, :, 2]
         # The curvature vector at rest: t x (dt/ds), in the frame of the last edge.

@@ -102,16 +102,18 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
 
     count = len(inputs.suspended_length)
     watch = inputs.progress
+    own = {}
+    if not inputs.is_straight:
+        own = {"natural_curvature": inputs.natural_curvature, "poisson": inputs.poisson}
     grasps = solve_grasps(
         inputs.suspended_length,
         inputs.curvature,
         inputs.stretch_ratio,
         closure=inputs.closure,
-        natural_curvature=inputs.natural_curvature,
-        poisson=inputs.poisson,
         device=inputs.device,
         eigenvalues=True,
         progress=None if watch is None else lambda done: watch(done, count),
+        **own,
     )
     return GraspPoses(
         grasps.position,
@@ -121,7 +123,7 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
         grasps.stable,
         grasps.shape,
         grasps.eigenvalue,
-        grasps.twist,
+        None if inputs.is_straight else grasps.twist,
     )
 
 
