@@ -53,7 +53,7 @@ def plan(
         pattern: where the rod is to lie.
         rod: its material and length.
         method: "neural" (optimal grasps from the trained controller), "numeric" (from the rod
-            solver), "auto" (neural where the controller was trained, numeric elsewhere) or
+            solver; those of a naturally curved rod are), "auto" (neural where the controller was trained, numeric elsewhere) or
             "intuitive" (straight above the contact).
         closure: "zero_tension", "min_force" or "min_friction"; "neural" knows the first only.
         spacing: largest distance between the contact nodes [m].
@@ -100,6 +100,14 @@ def plan(
     )  # fmt: skip
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
+        if method == "neural" and not rod.is_straight:
+            method = "numeric"
+            warnings.warn(
+                "the controller knows naturally straight rods only and this one is curved at rest, "
+                "so its grasps come from the rod solver",
+                WrodWarning,
+                stacklevel=2,
+            )
         poses = SOURCES[method](inputs)
         _refuse_unconverged(poses, inputs, s)
         _warn_unstable(poses, inputs, s)

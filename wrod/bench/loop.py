@@ -103,7 +103,7 @@ def command(
     head = (
         f"Simulated deployments of {rod_name}, e_mean ± sigma [cm] (N = 50); friction "
         f"{friction:g}, contact speed {speed:g} m/s, step {step:g} s, edges {spacing:g} m, "
-        f"{'built-in patterns' if patterns is None else f'patterns of {patterns.name}'}."
+        f"{'built-in patterns' if patterns is None else 'patterns of a folder'}."
     )
     text = markdown(rows, found, head)
     (out / "loop.md").write_text(text, encoding="utf-8")
@@ -197,6 +197,8 @@ def _row(key: tuple[str, str, str], trial, deployment) -> dict:
     """Figures [cm] of a deployment, and the laid curve at 60 points [m]."""
     import numpy as np
 
+    from wrod.friction import friction_bound
+
     curve = trial.pattern
     s = np.linspace(0.0, curve.length, 60) + curve.remainder_length
     laid = [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
@@ -205,6 +207,8 @@ def _row(key: tuple[str, str, str], trial, deployment) -> dict:
         **dict(zip(("effect", "pattern", "plan"), key, strict=True)),
         "method": trial.trajectory.metadata["method"],
         **{name: 100.0 * getattr(deployment, name) for name in names},
+        "required_friction": float(friction_bound(curve, trial.rod).required.max()),
+        "friction": trial.friction.static,
         "slip": 100.0 * float(deployment.slip.max()),
         "diverged": deployment.diverged,
         "curve": np.round(np.column_stack(laid), 5).tolist(),

@@ -12,6 +12,7 @@ from wrod.files import write_atomically
 TITLES = {
     "natural_curvature": "rod with natural curvature",
     "stiffness": "rod with a wrong L_gb",
+    "none": "rod without the effect",
 }
 _COLUMNS = {
     "error_mean": "e_mean [cm]",
@@ -19,6 +20,7 @@ _COLUMNS = {
     "released_error_mean": "released e_mean [cm]",
     "released_error_std": "released sigma [cm]",
     "slip": "largest slip [cm]",
+    "required_friction": "friction that the pattern asks of the rod [-]",
 }
 
 
@@ -45,7 +47,7 @@ def markdown(rows: list[dict], found: dict, head: str) -> str:
         lines += [f"{TITLES[effect]}: {_told(told)}", ""]
     lines.append("| rod | plan | " + " | ".join(patterns) + " |")
     lines.append("|" + " --- |" * (2 + len(patterns)))
-    kinds = [("none", "old", "without the effect", "old")]
+    kinds = [("none", "old", TITLES["none"], "old")]
     for effect in found:
         kinds += [(effect, plan, TITLES[effect], f"**{plan}**") for plan in ("old", "new")]
     for effect, plan, title, shown in kinds:
@@ -85,6 +87,18 @@ def summary(rows: list[dict]) -> list[str]:
             f"{means['new']:.3f} cm with the new one ({means['old'] / means['new']:.1f} times "
             f"less); {ideal:.3f} cm without the effect."
         )
+    short = sorted(
+        {
+            f"{row['pattern']} ({row['required_friction']:.1f}, {TITLES[row['effect']]})"
+            for row in rows
+            if row["required_friction"] > row["friction"]
+        }
+    )
+    if short:
+        lines.append(
+            f"Patterns that ask for more friction than the {rows[0]['friction']:g} there is, which "
+            f"no plan makes up for: {', '.join(short)}."
+        )
     lost = sum(row["diverged"] for row in rows)
     if lost:
         lines.append(f"{lost} of {len(rows)} deployments diverged.")
@@ -119,7 +133,7 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
         hspace=0.12, wspace=0.12,
     )  # fmt: skip
     for k, effect in enumerate(effects):
-        highest = max(cell[effect, name, "old"]["error_mean"] for name in patterns)
+        highest = max(row["error_mean"] for row in rows if row["effect"] == effect)
         for j, (name, curve) in enumerate(patterns.items()):
             panel = figure.add_subplot(grid[2 * k, j])
             target = curve.sample(np.linspace(0.0, curve.length, 300))[0]

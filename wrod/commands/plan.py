@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from math import degrees, radians
+from math import degrees, pi, radians
 from pathlib import Path
 
 import click
@@ -138,6 +138,7 @@ def command(
         "nodes": len(trajectory),
         "laid_length": float(trajectory.arc_length[-1]),
         "highest_grip": float(trajectory.position[:, 2].max()),
+        "twist": None if trajectory.twist is None else trajectory.twist[[0, -1]].tolist(),
         "insufficient_friction": bound.insufficient,
         "joint_path": None if joint_path is None else joint_path.metadata,
         "written": [str(path) for path in written],
@@ -185,10 +186,12 @@ def _summary(figures: dict, friction: float | None) -> str:
         f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}",
         f"required static friction {figures['required_friction']:.2f}",
     ]
-    if any(figures["rod"]["natural_curvature"]):
+    if figures["twist"] is not None:
+        first, last = (value / (2.0 * pi) for value in figures["twist"])
         lines.append(
-            f"hold the rod with its first material director {degrees(figures['roll']):.0f} degrees "
-            "from left towards up"
+            f"naturally curved rod: lay it with its first material director "
+            f"{degrees(figures['roll']):.0f} degrees from left towards up, twisted by {first:.2f} "
+            f"turns between table and grip at first and by {last:.2f} in the end"
         )
     if "shapes" in figures:
         apart = 1e3 * figures["shapes"]["largest_grip_difference"]
