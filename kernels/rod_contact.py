@@ -128,7 +128,9 @@ def pair_contact(
         limit = mu * out.force / law.stiffness
         out.grip = law.stiffness * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
         out.bristle = wp.vec2d(b1, b2)
-        if size > limit:
+        if size > limit or limit == ZERO:
+            # Also without friction, where the bristle never holds.
+            size = wp.max(size, wp.float64(1.0e-30))
             shrink = limit / size
             out.slid = size - limit
             out.bristle = shrink * out.bristle
