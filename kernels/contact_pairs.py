@@ -64,10 +64,12 @@ def list_partners(
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
     bristle: wp.array3d(dtype=wp.vec2d),
+    load: wp.array3d(dtype=wp.float64),
     sliding: wp.array3d(dtype=wp.int32),
     # Scratch:
     new_partner: wp.array3d(dtype=wp.int32),
     new_bristle: wp.array3d(dtype=wp.vec2d),
+    new_load: wp.array3d(dtype=wp.float64),
     new_sliding: wp.array3d(dtype=wp.int32),
     # State out:
     overflow_out: wp.array(dtype=wp.int32),
@@ -102,13 +104,16 @@ def list_partners(
         found = partner.shape[2]
     for k in range(found):
         new_bristle[r, i, k] = wp.vec2d(ZERO, ZERO)
+        new_load[r, i, k] = ZERO
         new_sliding[r, i, k] = 0
         for o in range(partner_count[r, i]):
             if partner[r, i, o] == new_partner[r, i, k]:
                 new_bristle[r, i, k] = bristle[r, i, o]
+                new_load[r, i, k] = load[r, i, o]
                 new_sliding[r, i, k] = sliding[r, i, o]
     for k in range(found):
         partner[r, i, k] = new_partner[r, i, k]
         bristle[r, i, k] = new_bristle[r, i, k]
+        load[r, i, k] = new_load[r, i, k]
         sliding[r, i, k] = new_sliding[r, i, k]
     partner_count[r, i] = found

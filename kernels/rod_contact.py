@@ -6,7 +6,9 @@ from an energy with an exact Hessian. Friction acts between the surfaces: their 
 the point of contact, with the turning of both edges and their spin, stretches a bristle that slides
 on where the load exceeds mu N (return mapping). Two rods that move as one rigid body do not rub,
 and the forces conserve momentum and angular momentum. The bristle is kept in the frame of the first
-edge and the normal.
+edge and the normal. N is that of the end of the last step, as in Li et al. 2020: the matrix of a
+step is symmetric and exact but for the turning of the pair, and Newton converges; a rod that rests
+or slides steadily feels mu times its true load.
 """
 
 import warp as wp
@@ -100,6 +102,7 @@ def pair_contact(
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
     bristle: wp.vec2d,
+    load: wp.float64,
     sliding: int,
     r: int,
     i: int,
@@ -125,7 +128,7 @@ def pair_contact(
         stretch = b1 * e1 + b2 * e2
         size = wp.length(stretch)
         mu = wp.where(sliding != 0, law.kinetic_friction, law.static_friction)
-        limit = mu * out.force / law.stiffness
+        limit = mu * load / law.stiffness
         out.grip = law.stiffness * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
         out.bristle = wp.vec2d(b1, b2)
         if size > limit or limit == ZERO:
@@ -200,6 +203,7 @@ def rod_contact(
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
     bristle: wp.array3d(dtype=wp.vec2d),
+    load: wp.array3d(dtype=wp.float64),
     sliding: wp.array3d(dtype=wp.int32),
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
@@ -213,7 +217,8 @@ def rod_contact(
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
         c = pair_contact(
-            law[r], radius, rest_length, dof, dof_before, bristle[r, i, k], sliding[r, i, k], r, i, j
+            law[r], radius, rest_length, dof, dof_before, bristle[r, i, k], load[r, i, k],
+            sliding[r, i, k], r, i, j,
         )  # fmt: skip
         depth_out[r, i, k] = radius[r, i] + radius[r, j] - c.near.distance
         if c.force > ZERO:
@@ -284,6 +289,7 @@ def settle_friction(
     partner: wp.array3d(dtype=wp.int32),
     # State in and out:
     bristle: wp.array3d(dtype=wp.vec2d),
+    load: wp.array3d(dtype=wp.float64),
     sliding: wp.array3d(dtype=wp.int32),
     slip: wp.array2d(dtype=wp.float64),
     force: wp.array2d(dtype=wp.vec3d),
@@ -296,9 +302,11 @@ def settle_friction(
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
         c = pair_contact(
-            law[r], radius, rest_length, dof, dof_before, bristle[r, i, k], sliding[r, i, k], r, i, j
+            law[r], radius, rest_length, dof, dof_before, bristle[r, i, k], load[r, i, k],
+            sliding[r, i, k], r, i, j,
         )  # fmt: skip
         bristle[r, i, k] = c.bristle
+        load[r, i, k] = c.force
         sliding[r, i, k] = 0
         if c.force > ZERO:
             if c.slid > ZERO:

@@ -308,6 +308,7 @@ def add_pairs(
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
     bristle: wp.array3d(dtype=wp.vec2d),
+    load: wp.array3d(dtype=wp.float64),
     sliding: wp.array3d(dtype=wp.int32),
     count: wp.array(dtype=wp.int32),
     touching: wp.array2d(dtype=wp.vec3i),
@@ -327,7 +328,7 @@ def add_pairs(
         j = pair[1]
         slot = pair[2]
         c = pair_contact(
-            law[r], radius, rest_length, dof, dof_before, bristle[r, i, slot],
+            law[r], radius, rest_length, dof, dof_before, bristle[r, i, slot], load[r, i, slot],
             sliding[r, i, slot], r, i, j,
         )  # fmt: skip
         e = c.near.first

@@ -101,6 +101,7 @@ class CoupledSystem(BandedSystem):
                 *chosen,
                 *contact.configuration,
                 contact.bristle,
+                contact.load,
                 contact.sliding,
                 self.pair_count,
                 self.touching,

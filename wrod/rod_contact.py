@@ -21,7 +21,7 @@ _SKIP = float(np.pi)
 # Default stiffness, in EA / radius: the force EI / R^2 of a tight knot sinks 2.5 % of the radius.
 _STIFFNESS = 10.0
 # The normal force rises quadratically over this part of the radius.
-_SKIN = 0.02
+_SKIN = 0.05
 
 
 class RodContact:
@@ -105,7 +105,9 @@ class RodContact:
             zeros(wp.int32, edges, partners) for _ in range(4)
         )
         self.bristle, self._new_bristle = (zeros(wp.vec2d, edges, partners) for _ in range(2))
-        self.depth = zeros(wp.float64, edges, partners)
+        self.depth, self.load, self._new_load = (
+            zeros(wp.float64, edges, partners) for _ in range(3)
+        )
         self.overflow = zeros(wp.int32)
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
         self.force = zeros(wp.vec3d, nodes)
@@ -143,9 +145,11 @@ class RodContact:
                 self.partner_count,
                 self.partner,
                 self.bristle,
+                self.load,
                 self.sliding,
                 self._new_partner,
                 self._new_bristle,
+                self._new_load,
                 self._new_sliding,
             ],
             outputs=[self.overflow],
@@ -166,6 +170,7 @@ class RodContact:
                 self.partner_count,
                 self.partner,
                 self.bristle,
+                self.load,
                 self.sliding,
             ],
             outputs=[self.batch.derivatives.gradient, self.depth],
@@ -205,7 +210,14 @@ class RodContact:
             kernels.settle_friction,
             dim=self.partner_count.shape,
             inputs=[*self._model, accepted, dof, dof_before, self.partner_count, self.partner],
-            outputs=[self.bristle, self.sliding, self.slip, self.force, self.penetration],
+            outputs=[
+                self.bristle,
+                self.load,
+                self.sliding,
+                self.slip,
+                self.force,
+                self.penetration,
+            ],
             device=device,
         )
 
