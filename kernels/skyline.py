@@ -276,17 +276,17 @@ def share(c: Pair, radius_first: wp.float64, radius_second: wp.float64, k: int) 
 
 @wp.func
 def pair_block(
-    c: Pair, a: Share, b: Share, inverse_ss: wp.float64, inverse_st: wp.float64,
-    inverse_tt: wp.float64,
+    c: Pair, force: wp.float64, a: Share, b: Share, inverse_ss: wp.float64,
+    inverse_st: wp.float64, inverse_tt: wp.float64,
 ) -> wp.mat44d:  # fmt: skip
-    """Block (a, b) of the pair's matrix: exact Hessian of its energy, and stiffness of the bristle
-    with normal force and direction held."""
+    """Block (a, b) of the pair's matrix: Hessian of its energy, with `force` in the part that comes
+    from the turning of the normal, and stiffness of the bristle."""
     d = c.near.distance
     w = a.weight * b.weight
     curving = wp.diag(wp.vec4d(w, w, w, ZERO))
     curving = curving - wp.outer(a.first, inverse_ss * b.first + inverse_st * b.second)
     curving = curving - wp.outer(a.second, inverse_st * b.first + inverse_tt * b.second)
-    out = (c.slope + c.force / d) * wp.outer(a.distance, b.distance) - (c.force / d) * curving
+    out = (c.slope + force / d) * wp.outer(a.distance, b.distance) - (force / d) * curving
     g = c.grip
     out = out + wp.outer(a.x, g[0, 0] * b.x + g[0, 1] * b.y + g[0, 2] * b.z)
     out = out + wp.outer(a.y, g[1, 0] * b.x + g[1, 1] * b.y + g[1, 2] * b.z)
@@ -310,6 +310,7 @@ def add_pairs(
     bristle: wp.array3d(dtype=wp.vec2d),
     load: wp.array3d(dtype=wp.float64),
     sliding: wp.array3d(dtype=wp.int32),
+    sticking: wp.array(dtype=wp.int32),
     count: wp.array(dtype=wp.int32),
     touching: wp.array2d(dtype=wp.vec3i),
     rank: wp.array2d(dtype=wp.int32),
@@ -318,7 +319,11 @@ def add_pairs(
     # State in and out:
     block: wp.array2d(dtype=wp.mat44d),
 ):
-    """Add the matrices of all touching pairs of a rod, one after the other."""
+    """Add the matrices of all touching pairs of a rod, one after the other.
+
+    They turn with at most the force of the last step: that of a predictor which is deep inside
+    would make the matrix indefinite and lead Newton astray.
+    """
     r = wp.tid()
     if coupled[r] == 0 or overflow[r] != 0:
         return
@@ -329,8 +334,9 @@ def add_pairs(
         slot = pair[2]
         c = pair_contact(
             law[r], radius, rest_length, dof, dof_before, bristle[r, i, slot], load[r, i, slot],
-            sliding[r, i, slot], r, i, j,
+            sliding[r, i, slot], sticking[r], r, i, j,
         )  # fmt: skip
+        held = wp.min(c.force, load[r, i, slot])
         e = c.near.first
         f = c.near.second
         ss = wp.dot(e, e) + smoothing * rest_length[r, i] * rest_length[r, i]
@@ -346,7 +352,7 @@ def add_pairs(
                 q = rank[r, u]
                 if q <= p:
                     b = share(c, radius[r, i], radius[r, j], l)
-                    m = pair_block(c, a, b, tt / det, st / det, ss / det)
+                    m = pair_block(c, held, a, b, tt / det, st / det, ss / det)
                     for x in range(4):
                         for y in range(4):
                             m[x, y] = m[x, y] * free_of(free, r, v, x) * free_of(free, r, u, y)
@@ -509,11 +515,14 @@ def limit_motion(
     active: wp.array(dtype=wp.int32),
     # State in and out:
     x: wp.array3d(dtype=wp.float64),
+    # State out:
+    sticking_out: wp.array(dtype=wp.int32),
 ):
     """Shorten a Newton step that moves some node by more than `limit`."""
     r = wp.tid()
     if active[r] == 0:
         return
+    sticking_out[r] = 0
     largest = wp.float64(0.0)
     for v in range((x.shape[2] + 1) // 4):
         move = wp.vec3d(x[r, 0, 4 * v], x[r, 0, 4 * v + 1], x[r, 0, 4 * v + 2])
