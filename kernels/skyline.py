@@ -2,8 +2,8 @@
 
 Contacts couple nodes that are far apart along the rod. Nodes are renumbered breadth first over the
 graph of rod and contacts (reverse Cuthill-McKee), which keeps a row's entries close to the diagonal
-even in a knot: its width is that of a few strands. Blocks of 4 x 4 (a node and the angle of the edge
-after it) are stored from the first one of each row on; without pivoting, as in
+even in a knot: its width is that of a few strands. Blocks of 4 x 4 (a node and the angle of the
+edge after it) are stored from the first one of each row on; without pivoting, as in
 `wrod.kernels.banded`, so that negative pivots count the negative eigenvalues of the whole free
 matrix. One rod a thread.
 """
@@ -63,6 +63,17 @@ def enqueue(
     return tail
 
 
+@wp.func
+def bonded(cut: wp.array2d(dtype=wp.int32), r: int, first: int, last: int) -> bool:
+    """Whether both are nodes, with no cut between them."""
+    if first < 0 or last > cut.shape[1]:
+        return False
+    for e in range(first, last):
+        if cut[r, e] != 0:
+            return False
+    return True
+
+
 @wp.kernel
 def renumber(
     # Model:
@@ -113,12 +124,10 @@ def renumber(
                     tail = enqueue(rank_out, order_out, r, o + 1, tail)
                     k = link[r, k]
             for step in range(1, 3):
-                if v + step < n:
-                    if cut[r, v] == 0 and cut[r, v + step - 1] == 0:
-                        tail = enqueue(rank_out, order_out, r, v + step, tail)
-                if v - step >= 0:
-                    if cut[r, v - 1] == 0 and cut[r, v - step] == 0:
-                        tail = enqueue(rank_out, order_out, r, v - step, tail)
+                if bonded(cut, r, v, v + step):
+                    tail = enqueue(rank_out, order_out, r, v + step, tail)
+                if bonded(cut, r, v - step, v):
+                    tail = enqueue(rank_out, order_out, r, v - step, tail)
             at += 1
     # Backwards: the same profile or a smaller one.
     for v in range(n):
@@ -169,9 +178,7 @@ def band_block(hessian: wp.array3d(dtype=wp.float64), r: int, v: int, u: int) ->
 
 
 @wp.func
-def masked(
-    free: wp.array2d(dtype=wp.int32), block: wp.mat44d, r: int, v: int, u: int
-) -> wp.mat44d:
+def masked(free: wp.array2d(dtype=wp.int32), block: wp.mat44d, r: int, v: int, u: int) -> wp.mat44d:
     """Rows and columns of prescribed degrees of freedom as those of the identity."""
     out = block
     for c in range(4):
@@ -346,18 +353,18 @@ def add_pairs(
         for k in range(4):
             v = pair[k // 2] + k % 2
             a = share(c, radius[r, i], radius[r, j], k)
-            for l in range(4):
-                u = pair[l // 2] + l % 2
+            for m in range(4):
+                u = pair[m // 2] + m % 2
                 p = rank[r, v]
                 q = rank[r, u]
                 if q <= p:
-                    b = share(c, radius[r, i], radius[r, j], l)
-                    m = pair_block(c, held, a, b, tt / det, st / det, ss / det)
+                    b = share(c, radius[r, i], radius[r, j], m)
+                    new = pair_block(c, held, a, b, tt / det, st / det, ss / det)
                     for x in range(4):
                         for y in range(4):
-                            m[x, y] = m[x, y] * free_of(free, r, v, x) * free_of(free, r, u, y)
+                            new[x, y] = new[x, y] * free_of(free, r, v, x) * free_of(free, r, u, y)
                     at = row[r, p] + q - first[r, p]
-                    block[r, at] = block[r, at] + m
+                    block[r, at] = block[r, at] + new
 
 
 @wp.func
