@@ -68,10 +68,10 @@ def bonded(cut: wp.array2d(dtype=wp.int32), r: int, first: int, last: int) -> bo
     """Whether both are nodes, with no cut between them."""
     if first < 0 or last > cut.shape[1]:
         return False
+    cuts = int(0)
     for e in range(first, last):
-        if cut[r, e] != 0:
-            return False
-    return True
+        cuts += cut[r, e]
+    return cuts == 0
 
 
 @wp.kernel
