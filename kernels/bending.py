@@ -64,6 +64,8 @@ def make_bending(law: wp.Function | None = None) -> wp.Kernel:
         if active[r] == 0:
             return
         i = j + 1
+        if bending_stiffness[r, i][0] == ZERO:  # at a cut
+            return
         s = stencil(dof_in, director_in, r, i)
         rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
         cosine = wp.dot(s.t, s.u)
