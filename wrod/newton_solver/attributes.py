@@ -277,11 +277,7 @@ def require(model: newton.Model):
     attributes = getattr(model, NAMESPACE, None)
     if attributes is None or not hasattr(attributes, "rod_node_count"):
         raise RodError(
-            "the model knows no rods; call SolverDER.register_custom_attributes(builder) and "
+            "the model has no rods; call SolverDER.register_custom_attributes(builder) and "
             "SolverDER.add_rod(builder, ...) before builder.finalize()"
-        )
-    if not len(attributes.rod_node_count):
-        raise RodError(
-            "the model has no rod; call SolverDER.add_rod(builder, ...) before builder.finalize()"
         )
     return attributes
