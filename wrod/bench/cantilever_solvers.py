@@ -11,8 +11,8 @@ import numpy as np
 
 from wrod.bench.cantilever import Cantilever, Start
 
-# Kelvin-Voigt times [s] and drag [1/s] that bring the cantilever to rest in a second or two.
-_INTERNAL, _DRAG = 0.1, 8.0
+# Kelvin-Voigt time over the period, and drag times the period, that bring it to rest in three.
+_INTERNAL, _DRAG = 0.14, 5.6
 
 
 class Der:
@@ -33,7 +33,8 @@ class Der:
         SolverDER.register_custom_attributes(world)
         SolverDER.add_rod(
             world, points, problem.rod, start="clamped", velocity=velocity, visible=False,
-            air_damping=_DRAG * start.damping, internal_damping=0.2 * _INTERNAL * start.damping,
+            air_damping=_DRAG / problem.period * start.damping,
+            internal_damping=0.2 * _INTERNAL * problem.period * start.damping,
         )  # fmt: skip
         builder = newton.ModelBuilder()
         SolverDER.register_custom_attributes(builder)
@@ -87,7 +88,7 @@ class Vbd:
                 shear_modulus=rod.youngs_modulus / (2.0 * (1.0 + rod.poisson)),
             ),
             cfg=config,
-            bend_damping=_INTERNAL * start.damping * rod.bending_stiffness / step,
+            bend_damping=_INTERNAL * problem.period * start.damping * rod.bending_stiffness / step,
         )
         world.color()
         builder = newton.ModelBuilder()
@@ -112,30 +113,34 @@ class Vbd:
         self._wp = wp
         self._solver = newton.solvers.SolverVBD(model, iterations=iterations)
         self._control = model.control()
-        self._state, self._other = model.state(), model.state()
-        self._state.body_qd.assign(np.tile(speed, (start.rods, 1)))
-        self._graph = None
+        self._states = [model.state(), model.state()]
+        self._states[0].body_qd.assign(np.tile(speed, (start.rods, 1)))
+        self._graphs, self._compiled = [], False
 
-    def _pair(self) -> None:
-        for a, b in ((self._state, self._other), (self._other, self._state)):
-            a.clear_forces()
-            self._solver.step(a, b, self._control, None, self.dt)
+    def _step(self) -> None:
+        self._states[0].clear_forces()
+        self._solver.step(*self._states, self._control, None, self.dt)
 
     def advance(self, steps: int) -> None:
-        """Two steps at a time."""
-        for _ in range((steps + 1) // 2):
-            if self._graph is None:
-                self._pair()  # compiles
-                with self._wp.ScopedCapture(device=self.device) as capture:
-                    self._pair()
-                self._graph = capture.graph
+        """Graphs are bound to their arrays: one for the steps there, one for those back."""
+        for _ in range(steps):
+            if len(self._graphs) == 2:
+                self._wp.capture_launch(self._graphs[0])
+                self._graphs.reverse()
+            elif not self._compiled:
+                self._step()
+                self._compiled = True
             else:
-                self._wp.capture_launch(self._graph)
+                with self._wp.ScopedCapture(device=self.device) as capture:
+                    self._step()
+                self._wp.capture_launch(capture.graph)
+                self._graphs.append(capture.graph)
+            self._states.reverse()
 
     def tips(self) -> np.ndarray:
         from scipy.spatial.transform import Rotation
 
-        pose = self._state.body_q.numpy()[self._rows].astype(float)
+        pose = self._states[0].body_q.numpy()[self._rows].astype(float)
         return pose[:, :3] + Rotation.from_quat(pose[:, 3:]).apply([0.0, 0.0, self._half])
 
 
@@ -191,7 +196,7 @@ class Elastica:
             if start.damping:
                 simulator.dampen(item).using(
                     elastica.AnalyticalLinearDamper,
-                    uniform_damping_constant=_DRAG,
+                    uniform_damping_constant=_DRAG / problem.period,
                     time_step=dt,
                 )
             self._rods.append(item)

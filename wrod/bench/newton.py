@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-# Steps of the implicit solvers [s]; Newton's examples take ten substeps a frame.
-_DER_STEP, _VBD_STEP = 1.0 / 120.0, 1.0 / 600.0
+# Steps of the implicit solvers over the period.
+_DER_STEP, _VBD_STEP = 1.0 / 80.0, 1.0 / 400.0
 _SWING = 0.01  # amplitude over the length
 
 
@@ -25,6 +25,12 @@ def _numbers(context, parameter, value: str) -> list[int]:
 @click.command(name="newton")
 @click.option("--rod", "rod_name", default="green-vps", show_default=True, help="Rod.")
 @click.option("--length", default=0.1, show_default=True, help="Its free length [m].")
+@click.option(
+    "--scale",
+    default=10.0,
+    show_default=True,
+    help="Enlarges all lengths: Newton's cable is made for metres.",
+)
 @click.option("--edges", default="10,20,40", show_default=True, callback=_numbers, help="Meshes.")
 @click.option(
     "--iterations",
@@ -34,17 +40,18 @@ def _numbers(context, parameter, value: str) -> list[int]:
     help="Iterations of Newton's cable.",
 )
 @click.option("--rods", default=64, show_default=True, help="Rods of the batch that is timed.")
-@click.option("--duration", default=3.0, show_default=True, help="Time to come to rest [s].")
+@click.option("--periods", default=4.0, show_default=True, help="Time to come to rest.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for table and picture.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     rod_name: str,
     length: float,
+    scale: float,
     edges: list[int],
     iterations: list[int],
     rods: int,
-    duration: float,
+    periods: float,
     device: str,
     out: Path | None,
     as_json: bool,
@@ -65,25 +72,36 @@ def command(
     from wrod.bench.cantilever import Cantilever, Start, come_to_rest, swing
     from wrod.bench.cantilever_solvers import Der, Elastica, Vbd
     from wrod.bench.newton_report import draw, markdown
-    from wrod.material import rod
+    from wrod.errors import RodError
+    from wrod.material import RodMaterial, rod
 
     device = resolve_device(device)
-    problem = Cantilever(rod(rod_name), length)
+    if not (scale > 0 and length > 0 and periods > 0):
+        raise RodError("scale, length and periods must be positive")
+    small = rod(rod_name)
+    material = RodMaterial(
+        scale * small.radius, scale * small.gravito_bending_length, scale * small.length,
+        small.poisson, small.density, small.gravity,
+    )  # fmt: skip
+    problem = Cantilever(material, scale * length)
+    duration = periods * problem.period
     with_elastica = importlib.util.find_spec("elastica") is not None
     if not with_elastica:
         click.echo("PyElastica is not installed; for its rows: pip install wrod[peers]", err=True)
 
     def der(mesh, start):
-        return Der(problem, mesh, _DER_STEP, start, device)
+        return Der(problem, mesh, _DER_STEP * problem.period, start, device)
 
     def vbd(count):
-        return lambda mesh, start: Vbd(problem, mesh, _VBD_STEP, start, device, count)
+        return lambda mesh, start: Vbd(
+            problem, mesh, _VBD_STEP * problem.period, start, device, count
+        )
 
     def elastica(mesh, start):
         return Elastica(problem, mesh, Elastica.stable_step(problem, mesh), start)
 
     solvers = [der, *map(vbd, iterations), *([elastica] if with_elastica else [])]
-    free = Start(gravity=False, damping=False, swing=_SWING * length)
+    free = Start(gravity=False, damping=False, swing=_SWING * problem.length)
     rows, speed = [], []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Newton corrects the inertia of thin capsules
@@ -102,7 +120,7 @@ def command(
         for make, count in tqdm([(s, n) for s in batches for n in (1, rods)], disable=None):
             solver = make(middle, Start(rods=count))
             # Long enough to time it; its accuracy is in the table above.
-            rest = come_to_rest(solver, problem, min(duration, 30 * _DER_STEP), count)
+            rest = come_to_rest(solver, problem, min(duration, 0.4 * problem.period), count)
             row = next(
                 r for r in rows
                 if (r["solver"], r["effort"], r["edges"]) == (solver.name, solver.effort, middle)
@@ -122,7 +140,7 @@ def command(
         "machine": f"{machine_line(device)}; {versions}",
         "device": device,
         "problem": {
-            "rod": rod_name, "length": length, "tip": problem.tip.tolist(),
+            "rod": rod_name, "scale": scale, "length": problem.length, "tip": problem.tip.tolist(),
             "period": problem.period,
         },
         "rows": rows,

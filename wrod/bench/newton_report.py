@@ -11,7 +11,7 @@ from wrod.files import write_atomically
 
 _INK, _MUTED, _FAINT = "#22262b", "#59616b", "#e6e9ee"
 _COLORS = {"SolverDER": "#d1495b", "newton SolverVBD": "#0b5fa5", "PyElastica": "#3a8f5c"}
-_MARKERS = ("o", "s", "D", "^", "v", "P", "X")
+_MARKERS = ("s", "D", "^", "v", "P", "X")
 
 
 def markdown(figures: dict) -> str:
@@ -20,8 +20,9 @@ def markdown(figures: dict) -> str:
     lines = [
         figures["machine"],
         "",
-        f"{problem['length']:g} m of {problem['rod']}, clamped level, at rest under its weight "
-        f"and swinging without it (period {problem['period']:.3f} s); errors against the continuum",
+        f"{problem['length']:g} m of {problem['rod']} enlarged {problem['scale']:g} times, clamped "
+        "level: at rest under its weight, and swinging without it (period "
+        f"{problem['period']:.3f} s); errors against the continuum",
         "",
         "| solver | edges | effort | step [ms] | error at rest [% of L] | still moving [% of L/s] "
         "| frequency error [%] | amplitude kept [%] | time per step [ms] | time per simulated s |",
@@ -59,8 +60,9 @@ def draw(path: str | os.PathLike[str], figures: dict) -> Path:
     """Write a PNG: error against computing time, at rest and swinging, one line for each solver."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, NullFormatter
 
-    figure = Figure(figsize=(9.6, 4.1), dpi=130, facecolor="white")
+    figure = Figure(figsize=(9.6, 4.3), dpi=130, facecolor="white")
     FigureCanvasAgg(figure)
     panels = (
         ("rest", "error", "at rest: error of the tip [% of length]"),
@@ -75,11 +77,10 @@ def draw(path: str | os.PathLike[str], figures: dict) -> Path:
             rows = [r for r in figures["rows"] if (r["solver"], r["effort"]) == (solver, effort)]
             cost = [r[part]["cpu_per_second"] for r in rows]
             error = [abs(100 * r[part][key]) for r in rows]
-            shade = 1.0
-            marker = "o"
+            shade, marker = 1.0, "o"
             if effort in cables:
-                shade = 0.35 + 0.65 * (cables.index(effort) + 1) / len(cables)
-                marker = _MARKERS[1 + cables.index(effort) % (len(_MARKERS) - 1)]
+                shade = 0.3 + 0.7 * (cables.index(effort) + 1) / len(cables)
+                marker = _MARKERS[cables.index(effort) % len(_MARKERS)]
             (line,) = axes.loglog(
                 cost, error, color=_COLORS[solver], alpha=shade, marker=marker, ms=5.5, lw=1.6,
                 label=f"{solver}, {effort}",
@@ -93,6 +94,9 @@ def draw(path: str | os.PathLike[str], figures: dict) -> Path:
                 handles.append(line)
         axes.set_title(title, loc="left", fontsize=9.5, color=_MUTED)
         axes.set_xlabel("computing time per simulated second [s]", fontsize=8.5, color=_INK)
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.grid(color=_FAINT, lw=0.6)
         axes.set_axisbelow(True)
         axes.tick_params(labelsize=8, colors=_MUTED, which="both", length=0)
