@@ -24,13 +24,17 @@ FAR = wp.constant(wp.float64(1.0e300))
 
 @wp.struct
 class Shape:
-    """A fixed obstacle in its own frame: the half-space z < 0; a box of half sizes `size`; a
-    cylinder about z of radius size[0] and half height size[1]; or nothing, which fills a row."""
+    """An obstacle in its own frame: the half-space z < 0; a box of half sizes `size`; a cylinder
+    about z of radius size[0] and half height size[1]; or nothing, which fills a row. One that moves
+    has come from the pose before in this step."""
 
     kind: int
     position: wp.vec3d
     rotation: wp.quatd
     size: wp.vec3d
+    moves: int
+    position_before: wp.vec3d
+    rotation_before: wp.quatd
 
 
 @wp.func
@@ -81,6 +85,15 @@ def shape_distance(shape: Shape, q: wp.vec3d) -> wp.vec4d:
         local = cylinder_distance(p, shape.size[0], shape.size[1])
     n = wp.quat_rotate(shape.rotation, wp.vec3d(local[1], local[2], local[3]))
     return wp.vec4d(local[0], n[0], n[1], n[2])
+
+
+@wp.func
+def shape_displacement(shape: Shape, q: wp.vec3d) -> wp.vec3d:
+    """How far the shape has carried its point that is at q now."""
+    if shape.moves == 0:
+        return wp.vec3d(ZERO, ZERO, ZERO)
+    p = wp.quat_rotate_inv(shape.rotation, q - shape.position)
+    return q - shape.position_before - wp.quat_rotate(shape.rotation_before, p)
 
 
 @wp.func
@@ -139,7 +152,8 @@ def touch(
         along = node(dof, r, wp.min(i + 1, last)) - node(dof, r, wp.max(i - 1, 0))
         out.spin = (rolling * radius) * wp.cross(n, wp.normalize(along))
         spun = mean_angle(dof, r, i) - mean_angle(dof_before, r, i)
-        b = bristle_before + q - node(dof_before, r, i) + spun * out.spin
+        moved = q - node(dof_before, r, i) - shape_displacement(shape, q)
+        b = bristle_before + moved + spun * out.spin
         out.bristle = b - wp.dot(b, n) * n
     return out
 

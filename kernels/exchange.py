@@ -6,6 +6,7 @@ error of second order in the edge.
 """
 
 import warp as wp
+from wrod.kernels.contact import Shape
 from wrod.kernels.frames import ONE, ZERO, node, parallel_transport, rotate, signed_angle
 
 wp.set_module_options({"enable_backward": False})
@@ -204,6 +205,80 @@ def note_ends(
         rotation_out[r, side] = wp.quat_from_matrix(wp.matrix_from_cols(t, d, wp.cross(t, d)))
 
 
+@wp.struct
+class Pose:
+    position: wp.vec3d
+    rotation: wp.quatd
+
+
+@wp.func
+def as_pose(x: wp.transform) -> Pose:
+    p = wp.transform_get_translation(x)
+    q = wp.transform_get_rotation(x)
+    out = Pose()
+    out.position = wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
+    out.rotation = wp.normalize(
+        wp.quatd(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]), wp.float64(q[3]))
+    )
+    return out
+
+
+@wp.func
+def turn_back(after: wp.quatd, before: wp.quatd, left: wp.float64) -> wp.quatd:
+    """Rotation when the fraction `left` of the way from `before` to `after` is still ahead."""
+    if wp.dot(after, before) < ZERO:
+        return wp.quat_slerp(after, -before, left)
+    return wp.quat_slerp(after, before, left)
+
+
+@wp.func
+def on_the_way(before: Pose, after: Pose, left: wp.float64) -> Pose:
+    out = Pose()
+    out.position = after.position + left * (before.position - after.position)
+    out.rotation = turn_back(after.rotation, before.rotation, left)
+    return out
+
+
+@wp.kernel
+def carry_shapes(
+    # Model:
+    carrier: wp.array2d(dtype=wp.int32),
+    place: wp.array2d(dtype=wp.vec3d),
+    turn: wp.array2d(dtype=wp.quatd),
+    duration: wp.float64,
+    # State in:
+    running: wp.array(dtype=wp.int32),
+    changed: wp.array(dtype=wp.int32),
+    until: wp.array(dtype=wp.float64),
+    time: wp.array(dtype=wp.float64),
+    step: wp.array(dtype=wp.float64),
+    body_before: wp.array(dtype=wp.transform),
+    body_q: wp.array(dtype=wp.transform),
+    # State out:
+    shape_out: wp.array2d(dtype=Shape),
+):
+    """Move shapes with their bodies, each rod's at its own time."""
+    r, k = wp.tid()
+    body = carrier[r, k]
+    if running[r] == 0 or body < 0:
+        return
+    after = as_pose(body_q[body])
+    before = as_pose(body_before[body])
+    # A rod that starts anew finds the shapes where they are.
+    if changed[r] != 0:
+        before = after
+    start = on_the_way(before, after, wp.clamp((until[r] - time[r]) / duration, ZERO, ONE))
+    left = wp.clamp((until[r] - time[r] - step[r]) / duration, ZERO, ONE)
+    end = on_the_way(before, after, left)
+    out = shape_out[r, k]
+    out.moves = 1
+    out.position_before = start.position + wp.quat_rotate(start.rotation, place[r, k])
+    out.rotation_before = start.rotation * turn[r, k]
+    out.position = end.position + wp.quat_rotate(end.rotation, place[r, k])
+    out.rotation = end.rotation * turn[r, k]
+    shape_out[r, k] = out
+
+
 @wp.kernel
 def carry_ends(
     # Model:
@@ -233,14 +308,9 @@ def carry_ends(
     place = h.position
     turn = h.rotation
     if h.body >= 0:
-        p = wp.transform_get_translation(body_q[h.body])
-        q = wp.transform_get_rotation(body_q[h.body])
-        carrier = wp.normalize(
-            wp.quatd(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]), wp.float64(q[3]))
-        )
-        origin = wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
-        place = origin + wp.quat_rotate(carrier, h.position)
-        turn = carrier * h.rotation
+        body = as_pose(body_q[h.body])
+        place = body.position + wp.quat_rotate(body.rotation, h.position)
+        turn = body.rotation * h.rotation
     left = wp.clamp((until[r] - time[r] - step[r]) / duration, ZERO, ONE)
     place = place - left * (place - position_before[r, side])
     end = end_node(span[r], side)
@@ -250,10 +320,7 @@ def carry_ends(
         return
     # A state from outside does not tell the direction of the clamp.
     if changed[r] == 0 and left > ZERO:
-        before = rotation_before[r, side]
-        if wp.dot(before, turn) < ZERO:
-            before = -before
-        turn = wp.quat_slerp(turn, before, left)
+        turn = turn_back(turn, rotation_before[r, side], left)
     tangent = wp.quat_rotate(turn, wp.vec3d(ONE, ZERO, ZERO))
     aim = wp.quat_rotate(turn, wp.vec3d(ZERO, ONE, ZERO))
     e = end_edge(span[r], side)

@@ -250,6 +250,62 @@ def test_held_ends_follow_kinematic_bodies():
     assert np.abs(state.body_q.numpy()[left, :3] - [0.03, 0, 0.01]).max() < 1e-6
 
 
+def test_moving_shapes_push_and_drag():
+    """A kinematic belt carries a rod along by friction; a kinematic box pushes another."""
+    builder = scene()
+    belt = builder.add_link(is_kinematic=True, label="belt")
+    flat = newton.ModelBuilder.ShapeConfig(density=0.0, mu=0.5)
+    at = wp.transform((0.0, 0.0, -0.01), wp.quat_identity())
+    builder.add_shape_box(belt, xform=at, hx=0.5, hy=0.1, hz=0.01, cfg=flat)
+    SolverDER.add_rod(builder, straight(11, 0.05, ROD.radius, axis=1), ROD)
+    pusher = builder.add_link(
+        xform=wp.transform((0, 1.0, 0.01), wp.quat_identity()), is_kinematic=True, label="pusher"
+    )
+    builder.add_shape_box(pusher, hx=0.01, hy=0.1, hz=0.01, cfg=flat)
+    builder.add_ground_plane(height=-0.02)
+    ice = newton.ModelBuilder.ShapeConfig(mu=0.0)
+    table = wp.transform((0.0, 1.0, -0.01), wp.quat_identity())
+    builder.add_shape_box(-1, xform=table, hx=0.5, hy=0.1, hz=0.01, cfg=ice)
+    SolverDER.add_rod(
+        builder, straight(11, 0.05, ROD.radius, axis=1, shift=(0.02, 0.975, 0.0)), ROD
+    )
+    model = builder.finalize(device="cpu")
+    steps, dt = 60, 1 / 120
+    way = 0.08
+
+    def move(k, state):
+        part = max(k - 9, 0) / steps  # at first it settles on the belt
+        smooth = way * part**3 * (10 - 15 * part + 6 * part**2)
+        place(model, state, belt, (smooth, 0.0, 0.0))
+        place(model, state, pusher, (smooth, 1.0, 0.01))
+
+    solver, state = simulate(model, steps + 10, dt, move, max_step=dt / 2)
+    assert not solver.diverged.any()
+    carried, pushed = nodes(state, (model, 0)), nodes(state, (model, 1))
+    # The belt's acceleration stays below mu g: the rod sticks to it.
+    assert np.abs(carried[:, 0] - way).max() < 0.02 * ROD.radius
+    # The pusher's face ends at its half size plus the way; without friction the rod ran ahead.
+    assert pushed[:, 0].min() > 0.01 + way + 0.95 * ROD.radius
+    assert np.ptp(pushed[:, 0]) < ROD.radius
+
+
+def test_example():
+    """The headless example's own criteria hold, and fail before it has run."""
+    from types import SimpleNamespace
+
+    from newton.viewer import ViewerNull
+
+    from wrod.newton_solver.example import Example
+
+    example = Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+    with pytest.raises(ValueError, match="does not lie on the table"):
+        example.test_final()
+    for _ in range(example.frame_count):
+        example.step()
+    example.render()
+    example.test_final()
+
+
 def test_capsules_show_the_edges():
     builder = scene()
     SolverDER.add_rod(builder, straight(8, 0.05, 0.1), ROD, start="clamped")

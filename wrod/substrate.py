@@ -1,4 +1,4 @@
-"""Fixed shapes that rods touch: the table and fixtures on it, with Coulomb friction."""
+"""Shapes that rods touch: the table and fixtures on it, with Coulomb friction."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Friction:
 
 @dataclass
 class Contact:
-    """Contact of every rod of a batch with fixed shapes; arrays live on the batch's device.
+    """Contact of every rod of a batch with shapes; arrays live on the batch's device.
 
     Args:
         batch: the rods.
@@ -168,6 +168,11 @@ class Contact:
             rolling[r] = any(law.rolling for law in laws)
         flat = wp.array(table, dtype=kernels.Shape, device=self.batch.device)
         return flat.reshape((rods, width)), static, kinetic, rolling
+
+    @property
+    def table(self) -> wp.array:
+        """(rod, shape) `wrod.kernels.contact.Shape`, for kernels that move them."""
+        return self._model[0]
 
     def set_shapes(self, shapes, friction) -> None:
         """Move shapes, or change their friction; as many for every rod as before.

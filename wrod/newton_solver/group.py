@@ -95,7 +95,7 @@ class RodGroup:
         ends = (count, 2)
         self.end_position = wp.zeros(ends, dtype=wp.vec3d, device=device)
         self.end_rotation = wp.zeros(ends, dtype=wp.quatd, device=device)
-        self.duration, self.body_q = 1.0, None
+        self.duration, self.body_before, self.body_q = 1.0, None, None
 
     def _make_batch(self, nodes: int) -> RodBatch:
         der = self.model.der
@@ -135,6 +135,11 @@ class RodGroup:
         if stiffness is None:
             stiffness = density * _STANDARD_GRAVITY / (_SINKING * radius)
         shapes, friction = self.shapes.of(self.worlds)
+        carrier, place, turn = self.shapes.carriers(self.worlds)
+        self.carrier = wp.array(carrier, dtype=wp.int32, device=self.device)
+        self.shape_place = wp.array(place, dtype=wp.vec3d, device=self.device)
+        self.shape_turn = wp.array(turn, dtype=wp.quatd, device=self.device)
+        self._shapes_move = bool((carrier >= 0).any())
         return Contact(batch, radius, stiffness, friction, shapes)
 
     def _hold_ends(self, holds: np.ndarray) -> None:
@@ -158,14 +163,20 @@ class RodGroup:
     def refresh_shapes(self) -> None:
         if self.contact is not None:
             self.contact.set_shapes(*self.shapes.of(self.worlds))
+            _, place, turn = self.shapes.carriers(self.worlds)
+            self.shape_place.assign(place)
+            self.shape_turn.assign(turn)
 
-    def step(self, state_in: State, duration: float, step: float) -> Progress:
-        """Take up what changed in `state_in`, and move on by `duration` [s]."""
+    def step(self, state_in: State, duration: float, step: float, body_before) -> Progress:
+        """Take up what changed in `state_in`, and move on by `duration` [s].
+
+        Bodies that carry shapes come from the poses `body_before`.
+        """
         batch, dynamics, der = self.batch, self.dynamics, state_in.der
         rods, nodes = len(self.rods), batch.node_count
         now = dynamics.time.numpy() + duration
         self.until.assign(now)
-        self.duration, self.body_q = duration, state_in.body_q
+        self.duration, self.body_before, self.body_q = duration, body_before, state_in.body_q
         self.changed.zero_()
         wp.launch(
             exchange.find_changes,
@@ -261,7 +272,7 @@ class RodGroup:
         )
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
-        """Carry the held ends to where their bodies are at the end of the step."""
+        """Carry held ends and shapes to where their bodies are at the end of the step."""
         batch = self.batch
         wp.launch(
             exchange.carry_ends,
@@ -285,3 +296,23 @@ class RodGroup:
             outputs=[batch.state.dof],
             device=self.device,
         )
+        if self.contact is not None and self._shapes_move:
+            wp.launch(
+                exchange.carry_shapes,
+                dim=self.carrier.shape,
+                inputs=[
+                    self.carrier,
+                    self.shape_place,
+                    self.shape_turn,
+                    wp.float64(self.duration),
+                    running,
+                    self.changed,
+                    self.until,
+                    time,
+                    step,
+                    self.body_before,
+                    self.body_q,
+                ],
+                outputs=[self.contact.table],
+                device=self.device,
+            )

@@ -15,8 +15,8 @@ from wrod.substrate import Box, Cylinder, Friction, Plane
 class ModelShapes:
     """Planes, boxes and cylinders that collide with shapes, with the friction of their `mu`.
 
-    A shape of world -1 touches the rods of every world, any other those of its own. Shapes on
-    bodies stand where the model has them. A shape that no rod can touch is named in a warning.
+    A shape of world -1 touches the rods of every world, any other those of its own. A shape that
+    no rod can touch is named in a warning.
 
     Attributes:
         rows: indices of the shapes into the model's.
@@ -58,10 +58,29 @@ class ModelShapes:
         chosen = {}
         for world in worlds:
             if world not in chosen:
-                chosen[world] = np.flatnonzero((self._worlds == -1) | (self._worlds == world))
+                chosen[world] = self._touched(world)
             shapes.append([described[k] for k in chosen[world]])
             laws.append([friction[k] for k in chosen[world]])
         return shapes, laws
+
+    def carriers(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bodies (rod, shape) that carry the shapes, -1 for none, and the shapes' places
+        (rod, shape, 3) and quaternions (rod, shape, 4) on them."""
+        model = self.model
+        chosen = [self._touched(world) for world in worlds]
+        width = max(map(len, chosen))
+        body = np.full((len(worlds), width), -1, dtype=np.int32)
+        pose = np.zeros((len(worlds), width, 7))
+        pose[..., 6] = 1.0
+        if len(self.rows):
+            bodies, poses = model.shape_body.numpy(), model.shape_transform.numpy()
+            for r, which in enumerate(chosen):
+                body[r, : len(which)] = bodies[self.rows[which]]
+                pose[r, : len(which)] = poses[self.rows[which]]
+        return body, pose[..., :3], pose[..., 3:]
+
+    def _touched(self, world: int) -> np.ndarray:
+        return np.flatnonzero((self._worlds == -1) | (self._worlds == world))
 
     def _describe(self, i: int) -> Plane | Box | Cylinder:
         model = self.model

@@ -102,6 +102,7 @@ class SolverDER(SolverBase):
         self._holds = find_holds(model)
         self._initial = {name: wp.clone(getattr(der, name)) for name in _STATE}
         self._diverged = np.zeros(self.rod_count, dtype=bool)
+        self._body_before = wp.clone(model.body_q)
         self._build()
 
     def _build(self) -> None:
@@ -164,8 +165,9 @@ class SolverDER(SolverBase):
                     wp.copy(getattr(state_out, name), source)
         parts = 1 if self.max_step is None else int(np.ceil(dt / self.max_step * (1 - 1e-9)))
         for group in self._groups:
-            progress = group.step(state_in, dt, dt / parts)
+            progress = group.step(state_in, dt, dt / parts, self._body_before)
             self._note_diverged(group, progress)
+        wp.copy(self._body_before, state_in.body_q)
         for group in self._groups:
             group.write(state_out)
 
