@@ -1,5 +1,8 @@
 """Rods in Newton scenes: closed forms, worlds side by side, held ends, and what is refused."""
 
+import subprocess
+import sys
+
 import newton
 import numpy as np
 import pytest
@@ -400,12 +403,6 @@ def test_errors_say_what_to_call():
             SolverDER.add_rod(builder, **{"points": points, "material": ROD, **wrong})
         assert builder.body_count == 0
     builder = scene()
-    falling = builder.add_body(mass=1.0, label="ball")
-    SolverDER.add_rod(builder, points, ROD, start="pinned", start_body=falling)
-    model = builder.finalize(device="cpu")
-    with pytest.raises(RodError, match=r"'ball', which is not kinematic"):
-        SolverDER(model)
-    builder = scene()
     SolverDER.add_rod(builder, points, ROD)
     model = builder.finalize(device="cpu")
     with pytest.raises(RodError, match="scheme"):
@@ -415,6 +412,17 @@ def test_errors_say_what_to_call():
         solver.step(model.state(), model.state(), None, None, 0.0)
     with pytest.raises(RodError, match=r"call model\.state"):
         solver.step(scene().finalize(device="cpu").state(), model.state(), None, None, 0.01)
+
+
+def test_without_newton():
+    """One sentence says what to install; the rest of wrod is there."""
+    code = (
+        "import sys; sys.modules['newton'] = None; import wrod; wrod.rod('rope')\n"
+        "try: wrod.SolverDER\n"
+        "except wrod.errors.RodError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "SolverDER needs Newton; install wrod[newton]\n"
 
 
 def test_changed_properties_are_taken_up():

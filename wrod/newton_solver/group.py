@@ -8,7 +8,7 @@ from newton import Model, State
 
 from wrod.batch import RodBatch, RodState
 from wrod.dynamics import Dynamics, Progress
-from wrod.kernels import exchange
+from wrod.kernels import carrying, exchange
 from wrod.newton_solver.attributes import CLAMPED, FREE
 from wrod.newton_solver.shapes import ModelShapes
 from wrod.substrate import Contact
@@ -73,7 +73,7 @@ class RodGroup:
             device=device,
         )
         self.body = wp.array(body, dtype=wp.int32, device=device)
-        self.hold = wp.array(holds, dtype=exchange.Hold, device=device)
+        self.hold = wp.array(holds, dtype=carrying.Hold, device=device)
         self.batch = self._make_batch(nodes)
         self._hold_ends(holds)
         self.contact = self._make_contact(contact_stiffness) if len(shapes.rows) else None
@@ -219,7 +219,7 @@ class RodGroup:
         batch.find_reference_twist(self.changed)
         dynamics.restart(self.changed)
         wp.launch(
-            exchange.note_ends,
+            carrying.note_ends,
             dim=(rods, 2),
             inputs=[self.hold, self.span, state.dof, state.tangent, state.director],
             outputs=[self.end_position, self.end_rotation],
@@ -275,7 +275,7 @@ class RodGroup:
         """Carry held ends and shapes to where their bodies are at the end of the step."""
         batch = self.batch
         wp.launch(
-            exchange.carry_ends,
+            carrying.carry_ends,
             dim=(len(self.rods), 2),
             inputs=[
                 self.hold,
@@ -298,7 +298,7 @@ class RodGroup:
         )
         if self.contact is not None and self._shapes_move:
             wp.launch(
-                exchange.carry_shapes,
+                carrying.carry_shapes,
                 dim=self.carrier.shape,
                 inputs=[
                     self.carrier,

@@ -6,23 +6,18 @@ import newton
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.errors import RodError
-from wrod.kernels.exchange import Hold
+from wrod.kernels.carrying import Hold
 from wrod.newton_solver.attributes import FREE
 
 
 def find_holds(model: newton.Model) -> np.ndarray:
-    """(rod, 2) records of `wrod.kernels.exchange.Hold`, start and end of every rod.
-
-    Raises:
-        RodError: a body that is not kinematic holds a rod.
-    """
+    """(rod, 2) records of `wrod.kernels.carrying.Hold`, start and end of every rod."""
     der = model.der
     first_node, first_edge, count = (
         getattr(der, f"rod_{name}").numpy() for name in ("first_node", "first_edge", "node_count")
     )
     q, director = der.node_q.numpy(), der.edge_director.numpy()
-    flags, bodies = model.body_flags.numpy(), model.body_q.numpy().astype(float)
+    bodies = model.body_q.numpy().astype(float)
     out = np.zeros((len(count), 2), dtype=Hold.numpy_dtype())
     out["rotation"][..., 3] = 1.0
     for side, name in enumerate(("start", "end")):
@@ -38,11 +33,6 @@ def find_holds(model: newton.Model) -> np.ndarray:
             place = q[first_node[r] + side * (count[r] - 1)]
             turn = Rotation.from_matrix(frame)
             if body >= 0:
-                if not flags[body] & int(newton.BodyFlags.KINEMATIC):
-                    raise RodError(
-                        f"rod {r} is held by body {model.body_label[body]!r}, which is not "
-                        "kinematic; rods do not push bodies: add it with is_kinematic=True"
-                    )
                 carrier = Rotation.from_quat(bodies[body, 3:])
                 place = carrier.inv().apply(place - bodies[body, :3])
                 turn = carrier.inv() * turn

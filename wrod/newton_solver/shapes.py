@@ -24,13 +24,12 @@ class ModelShapes:
 
     def __init__(self, model: Model):
         self.model = model
-        kinds = model.shape_type.numpy() if model.shape_count else np.zeros(0, dtype=int)
-        flags = model.shape_flags.numpy() if model.shape_count else kinds
-        scale = model.shape_scale.numpy() if model.shape_count else np.zeros((0, 3))
+        kinds, flags, scale = (self._read(n) for n in ("type", "flags", "scale"))
         collide = flags & int(ShapeFlags.COLLIDE_SHAPES) != 0
         endless = (kinds == GeoType.PLANE) & (scale[:, :2] == 0).all(axis=1)
         known = endless | (kinds == GeoType.BOX) | (kinds == GeoType.CYLINDER)
         self.rows = np.flatnonzero(collide & known)
+        self._worlds = self._read("world")[self.rows]
         unknown = np.flatnonzero(collide & ~known)
         if len(unknown):
             names = [
@@ -43,60 +42,59 @@ class ModelShapes:
                 WrodWarning,
                 stacklevel=4,
             )
-        worlds = model.shape_world.numpy()[self.rows] if len(self.rows) else np.zeros(0, dtype=int)
-        self._worlds = worlds
 
     def of(self, worlds: np.ndarray) -> tuple[list[list], list[list[Friction]]]:
         """Shapes and frictions for the rods of these worlds (rod,), in the units of the model."""
-        described = [self._describe(i) for i in self.rows]
-        friction = (
-            [Friction(float(mu)) for mu in self.model.shape_material_mu.numpy()[self.rows]]
-            if len(self.rows)
-            else []
-        )
-        shapes, laws = [], []
-        chosen = {}
-        for world in worlds:
-            if world not in chosen:
-                chosen[world] = self._touched(world)
-            shapes.append([described[k] for k in chosen[world]])
-            laws.append([friction[k] for k in chosen[world]])
-        return shapes, laws
+        described = self._describe()
+        friction = [Friction(float(mu)) for mu in self._read("material_mu")[self.rows]]
+        chosen = [self._touched(world) for world in worlds]
+        return [[described[k] for k in row] for row in chosen], [
+            [friction[k] for k in row] for row in chosen
+        ]
 
     def carriers(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Bodies (rod, shape) that carry the shapes, -1 for none, and the shapes' places
         (rod, shape, 3) and quaternions (rod, shape, 4) on them."""
-        model = self.model
         chosen = [self._touched(world) for world in worlds]
-        width = max(map(len, chosen))
-        body = np.full((len(worlds), width), -1, dtype=np.int32)
-        pose = np.zeros((len(worlds), width, 7))
+        shape = (len(worlds), max(map(len, chosen)))
+        body = np.full(shape, -1, dtype=np.int32)
+        pose = np.zeros((*shape, 7))
         pose[..., 6] = 1.0
-        if len(self.rows):
-            bodies, poses = model.shape_body.numpy(), model.shape_transform.numpy()
-            for r, which in enumerate(chosen):
-                body[r, : len(which)] = bodies[self.rows[which]]
-                pose[r, : len(which)] = poses[self.rows[which]]
+        bodies, poses = self._read("body")[self.rows], self._read("transform")[self.rows]
+        for r, row in enumerate(chosen):
+            body[r, : len(row)] = bodies[row]
+            pose[r, : len(row)] = poses[row]
         return body, pose[..., :3], pose[..., 3:]
+
+    def _read(self, name: str) -> np.ndarray:
+        """One of the model's arrays of shapes; of no shapes too."""
+        width = {"scale": (3,), "transform": (7,)}.get(name, ())
+        array = getattr(self.model, f"shape_{name}")
+        return array.numpy() if self.model.shape_count else np.zeros((0, *width), dtype=np.int32)
 
     def _touched(self, world: int) -> np.ndarray:
         return np.flatnonzero((self._worlds == -1) | (self._worlds == world))
 
-    def _describe(self, i: int) -> Plane | Box | Cylinder:
-        model = self.model
-        kind = int(model.shape_type.numpy()[i])
-        pose = model.shape_transform.numpy()[i].astype(float)
-        body = int(model.shape_body.numpy()[i])
-        turn = Rotation.from_quat(pose[3:])
-        place = pose[:3]
-        if body >= 0:
-            carrier = model.body_q.numpy()[body].astype(float)
-            place = carrier[:3] + Rotation.from_quat(carrier[3:]).apply(place)
-            turn = Rotation.from_quat(carrier[3:]) * turn
-        size = model.shape_scale.numpy()[i].astype(float)
-        axis = tuple(turn.as_matrix()[:, 2])
-        if kind == GeoType.PLANE:
-            return Plane(tuple(place), axis)
-        if kind == GeoType.BOX:
-            return Box(tuple(place), tuple(size), tuple(turn.as_quat()))
-        return Cylinder(tuple(place), size[0], size[1], axis)
+    def _describe(self) -> list[Plane | Box | Cylinder]:
+        """The shapes where the model has them."""
+        bodies = self.model.body_q.numpy().astype(float)
+        out = []
+        for kind, carrier, pose, size in zip(
+            self._read("type")[self.rows],
+            self._read("body")[self.rows],
+            self._read("transform")[self.rows].astype(float),
+            self._read("scale")[self.rows].astype(float),
+            strict=True,
+        ):
+            place, turn = pose[:3], Rotation.from_quat(pose[3:])
+            if carrier >= 0:
+                holder = Rotation.from_quat(bodies[carrier, 3:])
+                place, turn = bodies[carrier, :3] + holder.apply(place), holder * turn
+            axis = tuple(turn.as_matrix()[:, 2])
+            if kind == GeoType.PLANE:
+                out.append(Plane(tuple(place), axis))
+            elif kind == GeoType.BOX:
+                out.append(Box(tuple(place), tuple(size), tuple(turn.as_quat())))
+            else:
+                out.append(Cylinder(tuple(place), size[0], size[1], axis))
+        return out

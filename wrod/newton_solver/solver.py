@@ -33,14 +33,14 @@ class SolverDER(SolverBase):
 
     Rods are no bodies of Newton's: their state is in `state.der` (`node_q` [m], `node_qd` [m/s],
     `node_contact_f` [N], `edge_director`, `edge_spin` [rad/s]), their properties in `model.der`.
-    They touch the model's planes, boxes and cylinders with the friction of the shape (`mu`), and
-    their ends may be held by kinematic bodies. Other bodies and particles pass through a step
-    unchanged: let another solver move them before. Rods do not push bodies.
+    They touch the model's planes, boxes and cylinders with the friction of the shape (`mu`), but
+    not each other; their ends may be held by bodies. Bodies and particles pass through a step
+    unchanged and do not feel the rods: kinematic ones are moved by the caller, others by another
+    solver before.
 
-    The pose that `state_in.body_q` gives a kinematic body is the one that it has at the end of the
-    step. A state that is not the one this solver wrote last is taken up as it is (the rod then
-    starts anew from it, with one step of first order), so states may be changed, copied and set
-    back at will.
+    The pose that `state_in.body_q` gives a body is the one that it has at the end of the step. A
+    state that is not the one this solver wrote last is taken up as it is (the rod then starts anew
+    from it, with one step of first order), so states may be changed, copied and set back at will.
 
     Example
     -------
@@ -141,7 +141,7 @@ class SolverDER(SolverBase):
         """Move the rods on by `dt`.
 
         Args:
-            state_in: The input state; kinematic bodies where they are at the end of the step.
+            state_in: The input state; bodies where they are at the end of the step.
             state_out: The output state; may be the input state.
             control: Not used.
             contacts: Not used: rods find their own contacts.
@@ -253,7 +253,7 @@ class SolverDER(SolverBase):
             material: Radius, density and stiffnesses; its `length` and `gravity` are not used.
             start: How the first node is held: "free", "pinned" (place) or "clamped" (place,
                 direction and twist).
-            start_body: What holds it: a kinematic body, or -1 for the world.
+            start_body: What holds it: a body, or -1 for the world.
             end: How the last node is held.
             end_body: What holds it.
             director: (3,) first material director of the first edge, carried along the rod without
