@@ -34,6 +34,9 @@ _PUBLIC = {
     "trace_centerlines": "wrod.perception.trace",
     "measure_deployment": "wrod.perception.measure",
     "SolverDER": "wrod.newton_solver",
+    "identify": "wrod.identification",
+    "load_measurements": "wrod.identification",
+    "IdentificationReport": "wrod.identification",
 }
 
 __all__ = sorted(_PUBLIC)

@@ -20,6 +20,7 @@ from wrod.kernels.frames import (
     transport_reference_frames,
 )
 from wrod.kernels.loads import dead_loads
+from wrod.kernels.softened_bending import softened_bending
 from wrod.kernels.stretching import stretching
 from wrod.kernels.twisting import twisting
 
@@ -116,6 +117,8 @@ class RodBatch:
         twisting_stiffness: (rod, node) GJ [force length^2].
         natural_curvature: (rod, node, 2) curvature at rest in the material frame [1/length].
         natural_twist: (rod, node) twist at rest [rad/length].
+        softening: (rod, node, 2) c >= 0 [length^2] and r of the moment
+            B e (r + (1 - r) / (1 + c e^2)) that belongs to a curvature e; c = 0 is linear.
         node_mass: (rod, node) lumped masses.
         gravity: (rod, 3) acceleration.
         point_load: (rod, node, 3) dead force at each node [force].
@@ -138,6 +141,7 @@ class RodBatch:
         twisting_stiffness,
         natural_curvature=0.0,
         natural_twist=0.0,
+        softening=0.0,
         node_mass=0.0,
         gravity=0.0,
         point_load=0.0,
@@ -177,6 +181,7 @@ class RodBatch:
             "natural_curvature", natural_curvature, (rods, nodes, 2), wp.vec2d
         )
         self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
+        self.set_softening(softening)
         self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
         self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)
         self.point_load = self._array("point_load", point_load, (rods, nodes, 3), wp.vec3d)
@@ -185,6 +190,7 @@ class RodBatch:
         self.every_rod = wp.ones(rods, dtype=wp.int32, device=self.device)
         self.state = RodState.zeros(rods, nodes, self.device)
         self.derivatives = Derivatives.zeros(rods, self.dof_count, self.device)
+        self.cut_edges = ()
         self.set_configuration(position, director=director)
 
     def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
@@ -207,6 +213,20 @@ class RodBatch:
                 f"{name} has shape {value.shape}, which does not broadcast to {shape}"
             ) from None
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
+
+    def set_softening(self, softening) -> None:
+        """Give every rod its law: (rod, node, 2) as in the constructor, broadcast.
+
+        Raises:
+            RodError: the shape does not broadcast, or a c is negative or not finite.
+        """
+        shape = (self.rod_count, self.node_count, 2)
+        array = self._array("softening", softening, shape, wp.vec2d)
+        value = np.atleast_1d(softening)
+        if value[..., 0].min() < 0.0:
+            raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
+        self.softening = array
+        self.softens = bool(value[..., 0].any())
 
     def set_configuration(self, position, *, angle=0.0, director=None) -> None:
         """Put the rods into a configuration.
@@ -259,6 +279,37 @@ class RodBatch:
             )
         state.reference_twist.zero_()
         self._launch_twist(state, state, self.every_rod)
+
+    def cut(self, edges) -> None:
+        """Take edges out of every row, so that several rods share it, end to end.
+
+        Args:
+            edges: their indices; edge i runs from the last node of one rod, i, to the first of the
+                next. Their rest length becomes negligible; every node keeps its mass.
+
+        Raises:
+            RodError: an index is not that of an edge, or a rod would be left with one node.
+        """
+        count = self.node_count - 1
+        edges = sorted({int(e) % count if -count <= e < count else count for e in edges})
+        if np.any(np.diff([-1, *edges, count]) < 2) or (edges and edges[-1] >= count):
+            raise RodError(
+                f"cannot cut edges {edges}: give indices below {count} that leave every rod "
+                "two nodes or more"
+            )
+        around = sorted({i for e in edges for i in (e, e + 1)})
+        rest = self.rest_length.numpy().copy()
+        rest[:, edges] = 1e-6 * rest.mean()
+        self.rest_length.assign(rest)
+        for array, columns in (
+            (self.stretching_stiffness, edges),
+            (self.bending_stiffness, around),
+            (self.twisting_stiffness, around),
+        ):
+            values = array.numpy().copy()
+            values[:, columns] = 0.0
+            array.assign(values)
+        self.cut_edges = tuple(edges)
 
     def set_free(self, free: np.ndarray) -> None:
         """Say which degrees of freedom may move: (rod, dof) of bool, broadcast."""
@@ -321,13 +372,15 @@ class RodBatch:
 
         nodes, rest = self.node_count, self.rest_length
         launch(stretching, nodes - 1, [rest, self.stretching_stiffness, active, state.dof, order])
+        # The linear law has a kernel of its own: the general one costs grasps half as much again.
         launch(
-            bending,
+            softened_bending if self.softens else bending,
             nodes - 2,
             [
                 rest,
                 self.bending_stiffness,
                 self.natural_curvature,
+                self.softening,
                 active,
                 state.dof,
                 state.director,

@@ -73,6 +73,10 @@ class Friction:
             )
 
 
+# How stiffly a step holds the roll of what touches, over the twisting stiffness of an edge.
+_ROLL_STIFFNESS = 1e3
+
+
 @dataclass
 class Contact:
     """Contact of every rod of a batch with shapes; arrays live on the batch's device.
@@ -85,6 +89,8 @@ class Contact:
         friction: one for all rods, one per rod, or for every rod a list of one per shape.
         shapes: planes, boxes and cylinders that every rod touches, or for every rod a list of its
             own; default: the table z = 0.
+        keeps_roll: (rod,) whether what touches a shape keeps its roll, unless its friction says
+            that it rolls. That counts for naturally curved rods, whose roll says where they bend.
 
     Attributes:
         force: (rod, node) force on each node at the end of the last step.
@@ -100,6 +106,7 @@ class Contact:
     stiffness: np.ndarray
     friction: Friction | list[Friction] | list[list[Friction]]
     shapes: tuple | list[list] = (Plane(),)
+    keeps_roll: np.ndarray | bool = False
     force: wp.array = field(init=False)
     slip: wp.array = field(init=False)
 
@@ -125,6 +132,13 @@ class Contact:
             floats(kinetic),
             floats(rolling),
         ]
+        self._roll = None
+        held = np.broadcast_to(self.keeps_roll, (rods,)) & (rolling == 0)
+        if held.any():
+            edge = batch.twisting_stiffness.numpy().max(axis=1) / batch.rest_length.numpy().min(
+                axis=1
+            )
+            self._roll = floats(np.where(held, _ROLL_STIFFNESS * edge, 0.0))
         per_shape = (rods, self._model[0].shape[1], nodes)
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
@@ -200,6 +214,15 @@ class Contact:
             outputs=[out.gradient, out.hessian],
             device=self.batch.device,
         )
+
+        if self._roll is not None:
+            wp.launch(
+                kernels.hold_roll,
+                dim=(self.batch.rod_count, self.batch.node_count),
+                inputs=[*self._model[:4], self._roll, active, dof, dof_before, self._bristle],
+                outputs=[out.gradient, out.hessian],
+                device=self.batch.device,
+            )
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) touch everything for the first time."""

@@ -15,6 +15,8 @@ BENCHMARKS = (
     "table3",
     "deploy",
     "newton",
+    "identify",
+    "loop",
 )
 
 

@@ -140,7 +140,8 @@ class RodGroup:
         self.shape_place = wp.array(place, dtype=wp.vec3d, device=self.device)
         self.shape_turn = wp.array(turn, dtype=wp.quatd, device=self.device)
         self._shapes_move = bool((carrier >= 0).any())
-        return Contact(batch, radius, stiffness, friction, shapes)
+        curved = (batch.natural_curvature.numpy() != 0).any(axis=(1, 2))
+        return Contact(batch, radius, stiffness, friction, shapes, keeps_roll=curved)
 
     def _hold_ends(self, holds: np.ndarray) -> None:
         free = np.ones((len(self.rods), self.batch.dof_count), dtype=bool)
