@@ -19,6 +19,7 @@ from wrod.kernels.frames import (
     set_reference_frames,
     transport_reference_frames,
 )
+from wrod.kernels.lanes import lanes
 from wrod.kernels.loads import dead_loads
 from wrod.kernels.softened_bending import softened_bending
 from wrod.kernels.stretching import stretching
@@ -40,15 +41,6 @@ def resolve_device(device: str | None) -> str:
             f"device {device!r} is not on this machine; use cpu, auto or one of "
             f"{', '.join(str(d) for d in wp.get_devices())}"
         ) from error
-
-
-def threads_per_block(rod_count: int, device: str) -> int:
-    """Block size for kernels of one thread a rod: small, so that few rods reach every processor of
-    a GPU; each thread's work is long and does not share memory accesses with its neighbours'."""
-    if device == "cpu":
-        return 256
-    wanted = rod_count / (4 * wp.get_device(device).sm_count)
-    return int(2 ** np.clip(np.ceil(np.log2(max(wanted, 1.0))), 3, 7))
 
 
 @dataclass
@@ -371,6 +363,18 @@ class RodBatch:
             results[:2],
         )
         return out
+
+    def walk(self, kernel: wp.Kernel, inputs: list, outputs: list = ()) -> None:
+        """Launch a kernel that walks along the rods, over (rod, lane); see `kernels.lanes`."""
+        count = lanes(self.device)
+        wp.launch(
+            kernel,
+            dim=(self.rod_count, count),
+            inputs=inputs,
+            outputs=outputs,
+            device=self.device,
+            block_dim=count,
+        )
 
     def positions(self) -> np.ndarray:
         """(rod, node, 3) node positions."""
