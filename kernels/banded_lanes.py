@@ -1,8 +1,9 @@
 """Banded factorisation and solution on a GPU, one rod a warp: the same L and D as `banded`.
 
-A sweep keeps 64 rows of the band in shared memory: the 32 whose pivots are due and the next 32.
-Each pivot updates the 55 entries of the triangle below it at once, two a lane. Kernels are launched
-over (rod, ..., lane) in blocks of one warp; arrays are contiguous.
+Both sweep over the rows in chunks of 32, a window of the band in shared memory. A pivot updates the
+55 entries of the triangle below it at once, two a lane. In a solution each lane has one unknown of
+the chunk, which the others learn by a shuffle. Kernels are launched over (rod, ..., lane) in blocks
+of one warp; arrays are contiguous.
 
 Compiled for a CPU the same source loops over the 32 lanes, so that it can be tested without a GPU.
 """
@@ -16,14 +17,27 @@ _LANES = """
 #define WROD_SHARED __shared__
 #define WROD_LANES for (int lane = threadIdx.x % 32, once = 1; once; once = 0)
 #define WROD_SYNC() __syncwarp()
+#define WROD_LANE_VALUE(type, name) type name = 0
+#define WROD_OWN(name) name
+#define WROD_FROM(name, source) __shfl_sync(0xffffffffu, name, source)
+#define WROD_PREFETCH(pointer) asm volatile("prefetch.global.L1 [%0];" ::"l"(pointer))
 #else
 #define WROD_SHARED
 #define WROD_LANES for (int lane = 0; lane < 32; ++lane)
 #define WROD_SYNC()
+#define WROD_LANE_VALUE(type, name) type name[32] = {}
+#define WROD_OWN(name) name[lane]
+#define WROD_FROM(name, source) name[source]
+#define WROD_PREFETCH(pointer) (void)(pointer)
 #endif
-    // Entry (a, a - k) of the band; the odd stride between diagonals avoids bank conflicts.
-    const int BAND = 11, STRIDE = 12, CHUNK = 32, RING = 64;
-#define WROD_AT(a, k) window[((a) % RING) * STRIDE + (k)]
+    // Row `at` of the window holds entries (a, a - k), k = 0...10; lanes that walk along a column
+    // or a row meet no bank conflicts.
+    const int BAND = 11, REACH = 10, STRIDE = 12, CHUNK = 32;
+#define WROD_AT(at, k) window[(at) * STRIDE + (k)]
+    // A chunk of the band is 22 cache lines of 16 numbers: start fetching that from row `first` on.
+#define WROD_FETCH(array, first) \\
+    if ((first) >= 0 && (first) * BAND + 16 * lane < n * BAND && lane < 22) \\
+        WROD_PREFETCH((array) + (first) * BAND + 16 * lane)
 """
 
 _FACTORISE = (
@@ -34,60 +48,98 @@ _FACTORISE = (
     const double* band = hessian.data + (size_t)r * n * BAND;
     const int* open = free.data + (size_t)r * n;
     double* factor = factor_out.data + (size_t)r * n * BAND;
-    WROD_SHARED double window[64 * 12];
-    WROD_SHARED double pivots[32];
     const double shifted = shift.data[r];
+    // The 32 rows whose pivots are due and the 10 below them. Entries right of the present pivot
+    // are those of what is left to factorise; left of it they are those of L D.
+    WROD_SHARED double window[42 * 12];
+    // Of the 10 rows before the window and of its first 32.
+    WROD_SHARED double inverses[42];
+    WROD_SHARED double pivots[32];
 
-    // Column 11 keeps the diagonal, against which pivots that cancel are measured.
-#define WROD_LOAD(first) \\
-    _Pragma("unroll") for (int m = lane; m < CHUNK * BAND; m += 32) { \\
-        const int k = m % BAND, a = (first) + m / BAND; \\
+    // Rows and columns that are not free are the identity's. Column 11 of the window keeps the
+    // diagonal, against which pivots that cancel are measured.
+#define WROD_LOAD(at, first, count) \\
+    _Pragma("unroll") for (int m = lane; m < (count) * BAND; m += 32) { \\
+        const int k = m % BAND, row = m / BAND, a = (first) + row; \\
         double value = k == 0 ? 1.0 : 0.0; \\
         if (a < n && k <= a && open[a] != 0 && open[a - k] != 0) \\
             value = band[a * BAND + k] + (k == 0 ? shifted : 0.0); \\
-        WROD_AT(a, k) = value; \\
-        if (k == 0) WROD_AT(a, 11) = value; \\
+        WROD_AT((at) + row, k) = value; \\
+        if (k == 0) WROD_AT((at) + row, 11) = value; \\
+    }
+
+    // Entries lane + 1 and lane + 33 of the triangle: row i >= column j, both from 1 on. The first
+    // is the next pivot, which every lane finds for itself.
+    WROD_LANE_VALUE(int, row);
+    WROD_LANE_VALUE(int, column);
+    WROD_LANE_VALUE(int, other_row);
+    WROD_LANE_VALUE(int, other_column);
+    WROD_LANES {
+        int i = 1;
+        while (i * (i + 1) / 2 <= lane + 1) ++i;
+        WROD_OWN(row) = i;
+        WROD_OWN(column) = lane + 2 - i * (i - 1) / 2;
+        const int last = lane < 22 ? lane + 33 : 54;
+        while (i * (i + 1) / 2 <= last) ++i;
+        WROD_OWN(other_row) = i;
+        WROD_OWN(other_column) = last + 1 - i * (i - 1) / 2;
     }
 
     WROD_SYNC();
     WROD_LANES {
-        WROD_LOAD(0)
-        WROD_LOAD(CHUNK)
+        WROD_LOAD(0, 0, REACH)
+        WROD_LOAD(REACH, REACH, CHUNK)
+        for (int m = lane; m < 42; m += 32) inverses[m] = 0.0;
     }
     WROD_SYNC();
     int negative = 0;
-    double inverse_before = 0.0;
+    double due = WROD_AT(0, 0);
     for (int base = 0; base < n; base += CHUNK) {
-        const int end = base + CHUNK < n ? base + CHUNK : n;
-        for (int a = base; a < end; ++a) {
+        WROD_LANES { WROD_FETCH(band, base + REACH + CHUNK); }
+        const int count = n - base < CHUNK ? n - base : CHUNK;
+        for (int t = 0; t < count; ++t) {
             // A pivot that cancels to nothing would end as infinity; keep its sign, give it a size.
-            double pivot = WROD_AT(a, 0);
-            const double least = smallest * (fabs(WROD_AT(a, 11)) + smallest);
-            if (fabs(pivot) < least) pivot = pivot < 0.0 ? -least : least;
+            double pivot = due;
+            double inverse = 1.0 / pivot;
+            const double least = smallest * (fabs(WROD_AT(t, 11)) + smallest);
+            if (fabs(pivot) < least) {
+                pivot = pivot < 0.0 ? -least : least;
+                inverse = 1.0 / pivot;
+            }
             negative += pivot < 0.0;
-            const double inverse = 1.0 / pivot;
+            // Early, so that the next division need not wait for the window.
+            const double next = WROD_AT(t + 1, 1);
+            due = WROD_AT(t + 1, 0) - next * next * inverse;
             WROD_LANES {
-                for (int m = lane; m < 55; m += 32) {
-                    // Row i >= column j of the triangle, both from 1 on.
-                    const int i = (int)(0.5f * (sqrtf(8.0f * m + 1.0f) + 1.0f));
-                    const int j = m - i * (i - 1) / 2 + 1;
-                    WROD_AT(a + i, i - j) -= WROD_AT(a + i, i) * inverse * WROD_AT(a + j, j);
+                const int i = WROD_OWN(row), j = WROD_OWN(column);
+                const int p = WROD_OWN(other_row), q = WROD_OWN(other_column);
+                const double change = WROD_AT(t + i, i) * WROD_AT(t + j, j);
+                const double other_change = WROD_AT(t + p, p) * WROD_AT(t + q, q);
+                const double value = WROD_AT(t + i, i - j) - change * inverse;
+                const double other_value = WROD_AT(t + p, p - q) - other_change * inverse;
+                WROD_AT(t + i, i - j) = value;
+                if (lane < 22) WROD_AT(t + p, p - q) = other_value;
+                if (lane == 31) {
+                    pivots[t] = pivot;
+                    inverses[REACH + t] = inverse;
                 }
-                // Nothing reads the column before any more: turn it from L D into L.
-                const int k = 32 - lane;
-                if (k <= 10) WROD_AT(a - 1 + k, k) *= inverse_before;
-                if (lane == 0) pivots[a % CHUNK] = pivot;
             }
             WROD_SYNC();
-            inverse_before = inverse;
         }
         WROD_LANES {
             _Pragma("unroll") for (int m = lane; m < CHUNK * BAND; m += 32) {
-                const int k = m % BAND, a = base + m / BAND;
-                if (a < n) factor[a * BAND + k] = k == 0 ? pivots[a % CHUNK] : WROD_AT(a, k);
+                const int k = m % BAND, t = m / BAND;
+                const double value = k == 0 ? pivots[t] : WROD_AT(t, k) * inverses[REACH + t - k];
+                if (t < count) factor[base * BAND + m] = value;
             }
-            WROD_LOAD(base + RING)
         }
+        WROD_SYNC();
+        WROD_LANES {
+            for (int m = lane; m < REACH * STRIDE; m += 32) window[m] = window[CHUNK * STRIDE + m];
+            if (lane < REACH) inverses[lane] = inverses[CHUNK + lane];
+        }
+        WROD_SYNC();
+        WROD_LANES { WROD_LOAD(REACH, base + CHUNK + REACH, CHUNK) }
         WROD_SYNC();
     }
     WROD_LANES {
@@ -115,78 +167,75 @@ _SOLVE = (
     const double* factor = factor_in.data + (size_t)r * n * BAND;
     const int* open = free.data + (size_t)r * n;
     double* solution = x.data + ((size_t)r * x.shape[1] + j) * n;
-    WROD_SHARED double window[64 * 12];
-    WROD_SHARED double value[64];
+    // 32 rows of L and D and, going backwards, the 10 below them.
+    WROD_SHARED double window[42 * 12];
+    // The unknowns of this chunk, and of the one before.
+    WROD_LANE_VALUE(double, value);
+    WROD_LANE_VALUE(double, known);
 
-#define WROD_LOAD_FACTOR(first) \\
-    _Pragma("unroll") for (int m = lane; m < CHUNK * BAND; m += 32) { \\
-        const int k = m % BAND, a = (first) + m / BAND; \\
-        WROD_AT(a, k) = a < n && k <= a ? factor[a * BAND + k] : (k == 0 ? 1.0 : 0.0); \\
-    }
-#define WROD_LOAD_RIGHT(first) { \\
-        const int a = (first) + lane; \\
-        value[a % RING] = a < n && open[a] != 0 ? solution[a] : 0.0; \\
+    // Entries left of the first column, and rows below the last, are zero.
+#define WROD_LOAD_FACTOR(at, first, count) \\
+    _Pragma("unroll") for (int m = lane; m < (count) * BAND; m += 32) { \\
+        const int k = m % BAND, row = m / BAND, a = (first) + row; \\
+        WROD_AT((at) + row, k) = a < n && k <= a ? factor[a * BAND + k] : 0.0; \\
     }
 
-    WROD_SYNC();
-    WROD_LANES {
-        WROD_LOAD_FACTOR(0)
-        WROD_LOAD_RIGHT(0)
-        WROD_LOAD_FACTOR(CHUNK)
-        WROD_LOAD_RIGHT(CHUNK)
-    }
-    WROD_SYNC();
     for (int base = 0; base < n; base += CHUNK) {
-        const int end = base + CHUNK < n ? base + CHUNK : n;
-        for (int a = base; a < end; ++a) {
-            const double known = value[a % RING];
-            WROD_LANES {
-                const int k = lane + 1;
-                if (k <= 10) value[(a + k) % RING] -= WROD_AT(a + k, k) * known;
-            }
-            WROD_SYNC();
-        }
+        WROD_SYNC();
         WROD_LANES {
             const int a = base + lane;
-            if (a < n) solution[a] = value[a % RING] / WROD_AT(a, 0);
+            WROD_OWN(value) = a < n && open[a] != 0 ? solution[a] : 0.0;
+            WROD_LOAD_FACTOR(0, base, CHUNK)
         }
         WROD_SYNC();
-        WROD_LANES {
-            WROD_LOAD_FACTOR(base + RING)
-            WROD_LOAD_RIGHT(base + RING)
-        }
-        WROD_SYNC();
-    }
-
-    // Backwards; the chunk below the present one receives what its last rows owe to it.
-    const int last = (n - 1) / CHUNK * CHUNK;
-    WROD_LANES {
-        WROD_LOAD_FACTOR(last)
-        WROD_LOAD_RIGHT(last)
-    }
-    WROD_SYNC();
-    for (int base = last; base >= 0; base -= CHUNK) {
-        WROD_LANES {
-            if (base > 0) {
-                WROD_LOAD_FACTOR(base - CHUNK)
-                WROD_LOAD_RIGHT(base - CHUNK)
-            }
-        }
-        WROD_SYNC();
-        const int end = base + CHUNK < n ? base + CHUNK : n;
-        for (int a = end - 1; a >= base; --a) {
-            const double known = value[a % RING];
+        WROD_LANES { WROD_FETCH(factor, base + CHUNK); }
+        for (int t = CHUNK - REACH; t < CHUNK; ++t) {
+            const double other = WROD_FROM(known, t);
             WROD_LANES {
-                const int k = lane + 1;
-                if (k <= 10 && k <= a) value[(a - k) % RING] -= WROD_AT(a, k) * known;
+                const int k = lane + CHUNK - t;
+                if (k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
             }
-            WROD_SYNC();
+        }
+        _Pragma("unroll 4") for (int t = 0; t < CHUNK; ++t) {
+            const double other = WROD_FROM(value, t);
+            WROD_LANES {
+                const int k = lane - t;
+                if (k > 0 && k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
+            }
         }
         WROD_LANES {
-            const int a = base + lane;
-            if (a < n) solution[a] = value[a % RING];
+            WROD_OWN(known) = WROD_OWN(value);
+            if (base + lane < n) solution[base + lane] = WROD_OWN(value) / WROD_AT(lane, 0);
+        }
+    }
+    WROD_LANES { WROD_OWN(known) = 0.0; }
+    for (int base = (n - 1) / CHUNK * CHUNK; base >= 0; base -= CHUNK) {
+        WROD_SYNC();
+        WROD_LANES {
+            WROD_OWN(value) = base + lane < n ? solution[base + lane] : 0.0;
+            WROD_LOAD_FACTOR(0, base, CHUNK)
+            WROD_LOAD_FACTOR(CHUNK, base + CHUNK, REACH)
         }
         WROD_SYNC();
+        WROD_LANES { WROD_FETCH(factor, base - CHUNK); }
+        for (int t = 0; t < REACH; ++t) {
+            const double other = WROD_FROM(known, t);
+            WROD_LANES {
+                const int k = CHUNK + t - lane;
+                if (k <= REACH) WROD_OWN(value) -= WROD_AT(CHUNK + t, k) * other;
+            }
+        }
+        _Pragma("unroll 4") for (int t = CHUNK - 1; t >= 0; --t) {
+            const double other = WROD_FROM(value, t);
+            WROD_LANES {
+                const int k = t - lane;
+                if (k > 0 && k <= REACH) WROD_OWN(value) -= WROD_AT(t, k) * other;
+            }
+        }
+        WROD_LANES {
+            WROD_OWN(known) = WROD_OWN(value);
+            if (base + lane < n) solution[base + lane] = WROD_OWN(value);
+        }
     }
 """
 )
