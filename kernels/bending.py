@@ -5,6 +5,9 @@ l is half the rest length of the two edges around the node, kappa_k are the comp
 time from the state at which they are evaluated (Panetta et al. 2019): turning a tangent by a,
 perpendicular to it, changes t by a - |a|^2 t / 2 and m_k by -a_k t - a_k a / 2 to second order,
 a_k = a . m_k.
+
+The kernels add up twisting as well: it lives on the same stencil, and adding costs as much as
+computing.
 """
 
 import warp as wp
@@ -19,6 +22,7 @@ from wrod.kernels.curvature import (
     symmetric,
 )
 from wrod.kernels.frames import HALF, ONE, ZERO
+from wrod.kernels.twisting import twisting, twisting_hessian
 
 wp.set_module_options({"enable_backward": False})
 
@@ -36,23 +40,26 @@ class Law:
     coupling: wp.float64
 
 
-def make_bending(law: wp.Function | None = None) -> wp.Kernel:
+def make_bending_and_twisting(law: wp.Function | None = None) -> wp.Kernel:
     """The kernel of the linear law, or that of a `law` (excess, stiffness, its numbers) -> `Law`.
 
     What only a law needs is left out of the linear kernel when it is built, which grasps notice.
     """
 
     @wp.kernel
-    def bending(
+    def bending_and_twisting(
         # Model:
         rest_length: wp.array2d(dtype=wp.float64),
         bending_stiffness: wp.array2d(dtype=wp.vec2d),
         natural_curvature: wp.array2d(dtype=wp.vec2d),
         law_parameter: wp.array2d(dtype=wp.vec2d),
+        twisting_stiffness: wp.array2d(dtype=wp.float64),
+        natural_twist: wp.array2d(dtype=wp.float64),
         # State in:
         active: wp.array(dtype=wp.int32),
         dof_in: wp.array2d(dtype=wp.float64),
         director_in: wp.array2d(dtype=wp.vec3d),
+        reference_twist_in: wp.array2d(dtype=wp.float64),
         order: int,
         # Out:
         energy_out: wp.array(dtype=wp.float64),
@@ -159,31 +166,47 @@ def make_bending(law: wp.Function | None = None) -> wp.Kernel:
 
         inv_e = ONE / s.length_e
         inv_f = ONE / s.length_f
-        wp.atomic_add(energy_out, r, energy)
-        add_edge_gradient(gradient_out, r, i, inv_e * g_e, inv_f * g_f)
-        wp.atomic_add(gradient_out, r, 4 * i - 1, g_te)
-        wp.atomic_add(gradient_out, r, 4 * i + 3, g_tf)
+        twist = twisting(
+            twisting_stiffness[r, i], natural_twist[r, i], rest, s, dof_in, reference_twist_in, r, i
+        )
+        wp.atomic_add(energy_out, r, energy + twist.energy)
+        add_edge_gradient(
+            gradient_out,
+            r,
+            i,
+            inv_e * g_e + twist.moment * twist.e,
+            inv_f * g_f + twist.moment * twist.f,
+        )
+        wp.atomic_add(gradient_out, r, 4 * i - 1, g_te - twist.moment)
+        wp.atomic_add(gradient_out, r, 4 * i + 3, g_tf + twist.moment)
         if order == 2:
+            b = twist.stiffness
+            twist_ee, twist_ef, twist_ff = twisting_hessian(s, twist)
             add_edge_hessian(
-                hessian_out, r, i, (inv_e * inv_e) * ee, (inv_e * inv_f) * ef, (inv_f * inv_f) * ff
+                hessian_out,
+                r,
+                i,
+                (inv_e * inv_e) * ee + twist_ee,
+                (inv_e * inv_f) * ef + twist_ef,
+                (inv_f * inv_f) * ff + twist_ff,
             )
             add_angle_hessian(
                 hessian_out,
                 r,
                 i,
-                inv_e * e_te,
-                inv_f * f_te,
-                inv_e * e_tf,
-                inv_f * f_tf,
-                te_te,
-                te_tf,
-                tf_tf,
+                inv_e * e_te - b * twist.e,
+                inv_f * f_te - b * twist.f,
+                inv_e * e_tf + b * twist.e,
+                inv_f * f_tf + b * twist.f,
+                te_te + b,
+                te_tf - b,
+                tf_tf + b,
             )
 
-    return bending
+    return bending_and_twisting
 
 
-bending = make_bending()
+bending_and_twisting = make_bending_and_twisting()
 
 
 @wp.kernel

@@ -9,7 +9,7 @@ import warp as wp
 
 from wrod.errors import RodError
 from wrod.kernels.assembly import HALF_BANDWIDTH
-from wrod.kernels.bending import bending
+from wrod.kernels.bending import bending_and_twisting
 from wrod.kernels.frames import (
     ANY_DIRECTOR,
     EVERY_DIRECTOR,
@@ -21,9 +21,8 @@ from wrod.kernels.frames import (
 )
 from wrod.kernels.lanes import lanes
 from wrod.kernels.loads import dead_loads
-from wrod.kernels.softened_bending import softened_bending
+from wrod.kernels.softened_bending import softened_bending_and_twisting
 from wrod.kernels.stretching import stretching
-from wrod.kernels.twisting import twisting
 
 
 def resolve_device(device: str | None) -> str:
@@ -330,28 +329,18 @@ class RodBatch:
         launch(stretching, nodes - 1, [rest, self.stretching_stiffness, active, state.dof, order])
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
         launch(
-            softened_bending if self.softens else bending,
+            softened_bending_and_twisting if self.softens else bending_and_twisting,
             nodes - 2,
             [
                 rest,
                 self.bending_stiffness,
                 self.natural_curvature,
                 self.softening,
-                active,
-                state.dof,
-                state.director,
-                order,
-            ],
-        )
-        launch(
-            twisting,
-            nodes - 2,
-            [
-                rest,
                 self.twisting_stiffness,
                 self.natural_twist,
                 active,
                 state.dof,
+                state.director,
                 state.reference_twist,
                 order,
             ],
