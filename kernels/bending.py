@@ -6,8 +6,8 @@ time from the state at which they are evaluated (Panetta et al. 2019): turning a
 perpendicular to it, changes t by a - |a|^2 t / 2 and m_k by -a_k t - a_k a / 2 to second order,
 a_k = a . m_k.
 
-The kernels add up twisting as well: it lives on the same stencil, and adding costs as much as
-computing.
+The kernels add up stretching and twisting as well: they live on the same stencil, and adding costs
+as much as computing.
 """
 
 import warp as wp
@@ -22,6 +22,7 @@ from wrod.kernels.curvature import (
     symmetric,
 )
 from wrod.kernels.frames import HALF, ONE, ZERO
+from wrod.kernels.stretching import stretching
 from wrod.kernels.twisting import twisting, twisting_hessian
 
 wp.set_module_options({"enable_backward": False})
@@ -40,16 +41,17 @@ class Law:
     coupling: wp.float64
 
 
-def make_bending_and_twisting(law: wp.Function | None = None) -> wp.Kernel:
+def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
     """The kernel of the linear law, or that of a `law` (excess, stiffness, its numbers) -> `Law`.
 
     What only a law needs is left out of the linear kernel when it is built, which grasps notice.
     """
 
     @wp.kernel
-    def bending_and_twisting(
+    def elasticity(
         # Model:
         rest_length: wp.array2d(dtype=wp.float64),
+        stretching_stiffness: wp.array2d(dtype=wp.float64),
         bending_stiffness: wp.array2d(dtype=wp.vec2d),
         natural_curvature: wp.array2d(dtype=wp.vec2d),
         law_parameter: wp.array2d(dtype=wp.vec2d),
@@ -66,7 +68,10 @@ def make_bending_and_twisting(law: wp.Function | None = None) -> wp.Kernel:
         gradient_out: wp.array2d(dtype=wp.float64),
         hessian_out: wp.array3d(dtype=wp.float64),
     ):
-        """Add energy and gradient, and the exact Hessian if `order` is 2."""
+        """Add energy and gradient, and the exact Hessian if `order` is 2.
+
+        Every inner node adds the stretching of the edge before it, the last that after it as well.
+        """
         r, j = wp.tid()
         if active[r] == 0:
             return
@@ -169,27 +174,26 @@ def make_bending_and_twisting(law: wp.Function | None = None) -> wp.Kernel:
         twist = twisting(
             twisting_stiffness[r, i], natural_twist[r, i], rest, s, dof_in, reference_twist_in, r, i
         )
-        wp.atomic_add(energy_out, r, energy + twist.energy)
-        add_edge_gradient(
-            gradient_out,
-            r,
-            i,
-            inv_e * g_e + twist.moment * twist.e,
-            inv_f * g_f + twist.moment * twist.f,
-        )
+        before = stretching(stretching_stiffness[r, i - 1], rest_length[r, i - 1], s.length_e, s.t)
+        energy += before.energy + twist.energy
+        g_e = inv_e * g_e + twist.moment * twist.e + before.gradient
+        g_f = inv_f * g_f + twist.moment * twist.f
+        ee = (inv_e * inv_e) * ee + before.hessian
+        ff = (inv_f * inv_f) * ff
+        if i == stretching_stiffness.shape[1] - 1:
+            after = stretching(stretching_stiffness[r, i], rest_length[r, i], s.length_f, s.u)
+            energy += after.energy
+            g_f += after.gradient
+            ff += after.hessian
+        wp.atomic_add(energy_out, r, energy)
+        add_edge_gradient(gradient_out, r, i, g_e, g_f)
         wp.atomic_add(gradient_out, r, 4 * i - 1, g_te - twist.moment)
         wp.atomic_add(gradient_out, r, 4 * i + 3, g_tf + twist.moment)
         if order == 2:
             b = twist.stiffness
             twist_ee, twist_ef, twist_ff = twisting_hessian(s, twist)
-            add_edge_hessian(
-                hessian_out,
-                r,
-                i,
-                (inv_e * inv_e) * ee + twist_ee,
-                (inv_e * inv_f) * ef + twist_ef,
-                (inv_f * inv_f) * ff + twist_ff,
-            )
+            ef = (inv_e * inv_f) * ef
+            add_edge_hessian(hessian_out, r, i, ee + twist_ee, ef + twist_ef, ff + twist_ff)
             add_angle_hessian(
                 hessian_out,
                 r,
@@ -203,10 +207,10 @@ def make_bending_and_twisting(law: wp.Function | None = None) -> wp.Kernel:
                 tf_tf + b,
             )
 
-    return bending_and_twisting
+    return elasticity
 
 
-bending_and_twisting = make_bending_and_twisting()
+elasticity = make_elasticity()
 
 
 @wp.kernel

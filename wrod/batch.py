@@ -9,7 +9,7 @@ import warp as wp
 
 from wrod.errors import RodError
 from wrod.kernels.assembly import HALF_BANDWIDTH
-from wrod.kernels.bending import bending_and_twisting
+from wrod.kernels.bending import elasticity
 from wrod.kernels.frames import (
     ANY_DIRECTOR,
     EVERY_DIRECTOR,
@@ -21,8 +21,7 @@ from wrod.kernels.frames import (
 )
 from wrod.kernels.lanes import lanes
 from wrod.kernels.loads import dead_loads
-from wrod.kernels.softened_bending import softened_bending_and_twisting
-from wrod.kernels.stretching import stretching
+from wrod.kernels.softened_bending import softened_elasticity
 
 
 def resolve_device(device: str | None) -> str:
@@ -326,13 +325,13 @@ class RodBatch:
             )
 
         nodes, rest = self.node_count, self.rest_length
-        launch(stretching, nodes - 1, [rest, self.stretching_stiffness, active, state.dof, order])
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
         launch(
-            softened_bending_and_twisting if self.softens else bending_and_twisting,
+            softened_elasticity if self.softens else elasticity,
             nodes - 2,
             [
                 rest,
+                self.stretching_stiffness,
                 self.bending_stiffness,
                 self.natural_curvature,
                 self.softening,
