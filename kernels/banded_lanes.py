@@ -19,25 +19,33 @@ _LANES = """
 #define WROD_SYNC() __syncwarp()
 #define WROD_LANE_VALUE(type, name) type name = 0
 #define WROD_OWN(name) name
+#define WROD_LANE_ARRAY(type, name, size) type name[size] = {}
+#define WROD_OWN_ENTRY(name, m) name[m]
 #define WROD_FROM(name, source) __shfl_sync(0xffffffffu, name, source)
-#define WROD_PREFETCH(pointer) asm volatile("prefetch.global.L1 [%0];" ::"l"(pointer))
 #else
 #define WROD_SHARED
 #define WROD_LANES for (int lane = 0; lane < 32; ++lane)
 #define WROD_SYNC()
 #define WROD_LANE_VALUE(type, name) type name[32] = {}
 #define WROD_OWN(name) name[lane]
+#define WROD_LANE_ARRAY(type, name, size) type name[size][32] = {}
+#define WROD_OWN_ENTRY(name, m) name[m][lane]
 #define WROD_FROM(name, source) name[source]
-#define WROD_PREFETCH(pointer) (void)(pointer)
 #endif
+    const int BAND = 11, REACH = 10, STRIDE = 12, CHUNK = 32;
     // Row `at` of the window holds entries (a, a - k), k = 0...10; lanes that walk along a column
     // or a row meet no bank conflicts.
-    const int BAND = 11, REACH = 10, STRIDE = 12, CHUNK = 32;
+    WROD_SHARED double window[42 * 12];
 #define WROD_AT(at, k) window[(at) * STRIDE + (k)]
-    // A chunk of the band is 22 cache lines of 16 numbers: start fetching that from row `first` on.
+    // Rows that have been sent for, entry lane + 32 m in place m: they arrive while others are
+    // worked on. Outside the matrix entries are zero.
+    WROD_LANE_ARRAY(double, ahead, 11);
 #define WROD_FETCH(array, first) \\
-    if ((first) >= 0 && (first) * BAND + 16 * lane < n * BAND && lane < 22) \\
-        WROD_PREFETCH((array) + (first) * BAND + 16 * lane)
+    _Pragma("unroll") for (int m = 0; m < BAND; ++m) { \\
+        const int k = (lane + 32 * m) % BAND, a = (first) + (lane + 32 * m) / BAND; \\
+        const bool inside = a >= k && a < n; \\
+        WROD_OWN_ENTRY(ahead, m) = inside ? (array)[a * BAND + k] : 0.0; \\
+    }
 """
 
 _FACTORISE = (
@@ -49,23 +57,22 @@ _FACTORISE = (
     const int* open = free.data + (size_t)r * n;
     double* factor = factor_out.data + (size_t)r * n * BAND;
     const double shifted = shift.data[r];
-    // The 32 rows whose pivots are due and the 10 below them. Entries right of the present pivot
-    // are those of what is left to factorise; left of it they are those of L D.
-    WROD_SHARED double window[42 * 12];
-    // Of the 10 rows before the window and of its first 32.
+    // The window holds the 32 rows whose pivots are due and the 10 below them. Entries right of the
+    // present pivot are those of what is left to factorise; left of it they are those of L D.
+    // Reciprocals of the pivots of the 10 rows before the window and of its first 32:
     WROD_SHARED double inverses[42];
     WROD_SHARED double pivots[32];
 
     // Rows and columns that are not free are the identity's. Column 11 of the window keeps the
     // diagonal, against which pivots that cancel are measured.
-#define WROD_LOAD(at, first, count) \\
-    _Pragma("unroll") for (int m = lane; m < (count) * BAND; m += 32) { \\
-        const int k = m % BAND, row = m / BAND, a = (first) + row; \\
-        double value = k == 0 ? 1.0 : 0.0; \\
-        if (a < n && k <= a && open[a] != 0 && open[a - k] != 0) \\
-            value = band[a * BAND + k] + (k == 0 ? shifted : 0.0); \\
-        WROD_AT((at) + row, k) = value; \\
-        if (k == 0) WROD_AT((at) + row, 11) = value; \\
+#define WROD_PUT(at, first) \\
+    _Pragma("unroll") for (int m = 0; m < BAND; ++m) { \\
+        const int k = (lane + 32 * m) % BAND, row = (lane + 32 * m) / BAND, a = (first) + row; \\
+        double entry = k == 0 ? 1.0 : 0.0; \\
+        if (a >= k && a < n && open[a] * open[a - k] != 0) \\
+            entry = WROD_OWN_ENTRY(ahead, m) + (k == 0 ? shifted : 0.0); \\
+        if ((at) + row >= 0) WROD_AT((at) + row, k) = entry; \\
+        if ((at) + row >= 0 && k == 0) WROD_AT((at) + row, 11) = entry; \\
     }
 
     // Entries lane + 1 and lane + 33 of the triangle: row i >= column j, both from 1 on. The first
@@ -87,15 +94,17 @@ _FACTORISE = (
 
     WROD_SYNC();
     WROD_LANES {
-        WROD_LOAD(0, 0, REACH)
-        WROD_LOAD(REACH, REACH, CHUNK)
+        WROD_FETCH(band, REACH - CHUNK)
+        WROD_PUT(REACH - CHUNK, REACH - CHUNK)
+        WROD_FETCH(band, REACH)
+        WROD_PUT(REACH, REACH)
         for (int m = lane; m < 42; m += 32) inverses[m] = 0.0;
     }
     WROD_SYNC();
     int negative = 0;
     double due = WROD_AT(0, 0);
     for (int base = 0; base < n; base += CHUNK) {
-        WROD_LANES { WROD_FETCH(band, base + REACH + CHUNK); }
+        WROD_LANES { WROD_FETCH(band, base + CHUNK + REACH) }
         const int count = n - base < CHUNK ? n - base : CHUNK;
         for (int t = 0; t < count; ++t) {
             // A pivot that cancels to nothing would end as infinity; keep its sign, give it a size.
@@ -139,7 +148,7 @@ _FACTORISE = (
             if (lane < REACH) inverses[lane] = inverses[CHUNK + lane];
         }
         WROD_SYNC();
-        WROD_LANES { WROD_LOAD(REACH, base + CHUNK + REACH, CHUNK) }
+        WROD_LANES { WROD_PUT(REACH, base + CHUNK + REACH) }
         WROD_SYNC();
     }
     WROD_LANES {
@@ -167,28 +176,27 @@ _SOLVE = (
     const double* factor = factor_in.data + (size_t)r * n * BAND;
     const int* open = free.data + (size_t)r * n;
     double* solution = x.data + ((size_t)r * x.shape[1] + j) * n;
-    // 32 rows of L and D and, going backwards, the 10 below them.
-    WROD_SHARED double window[42 * 12];
-    // The unknowns of this chunk, and of the one before.
+    // The window holds 32 rows of L and D and, going backwards, the 10 below them. The unknowns of
+    // this chunk, and of the one before:
     WROD_LANE_VALUE(double, value);
     WROD_LANE_VALUE(double, known);
 
-    // Entries left of the first column, and rows below the last, are zero.
-#define WROD_LOAD_FACTOR(at, first, count) \\
-    _Pragma("unroll") for (int m = lane; m < (count) * BAND; m += 32) { \\
-        const int k = m % BAND, row = m / BAND, a = (first) + row; \\
-        WROD_AT((at) + row, k) = a < n && k <= a ? factor[a * BAND + k] : 0.0; \\
+#define WROD_PUT_FACTOR() \\
+    _Pragma("unroll") for (int m = 0; m < BAND; ++m) { \\
+        const int k = (lane + 32 * m) % BAND, row = (lane + 32 * m) / BAND; \\
+        WROD_AT(row, k) = WROD_OWN_ENTRY(ahead, m); \\
     }
 
+    WROD_LANES { WROD_FETCH(factor, 0) }
     for (int base = 0; base < n; base += CHUNK) {
         WROD_SYNC();
         WROD_LANES {
             const int a = base + lane;
             WROD_OWN(value) = a < n && open[a] != 0 ? solution[a] : 0.0;
-            WROD_LOAD_FACTOR(0, base, CHUNK)
+            WROD_PUT_FACTOR()
+            WROD_FETCH(factor, base + CHUNK)
         }
         WROD_SYNC();
-        WROD_LANES { WROD_FETCH(factor, base + CHUNK); }
         for (int t = CHUNK - REACH; t < CHUNK; ++t) {
             const double other = WROD_FROM(known, t);
             WROD_LANES {
@@ -208,16 +216,26 @@ _SOLVE = (
             if (base + lane < n) solution[base + lane] = WROD_OWN(value) / WROD_AT(lane, 0);
         }
     }
-    WROD_LANES { WROD_OWN(known) = 0.0; }
-    for (int base = (n - 1) / CHUNK * CHUNK; base >= 0; base -= CHUNK) {
+    const int last = (n - 1) / CHUNK * CHUNK;
+    WROD_SYNC();
+    WROD_LANES {
+        WROD_OWN(known) = 0.0;
+        // Below the last chunk there is nothing.
+        for (int m = lane; m < REACH * STRIDE; m += 32) window[m] = 0.0;
+        WROD_FETCH(factor, last)
+    }
+    for (int base = last; base >= 0; base -= CHUNK) {
+        WROD_SYNC();
+        WROD_LANES {
+            for (int m = lane; m < REACH * STRIDE; m += 32) window[CHUNK * STRIDE + m] = window[m];
+        }
         WROD_SYNC();
         WROD_LANES {
             WROD_OWN(value) = base + lane < n ? solution[base + lane] : 0.0;
-            WROD_LOAD_FACTOR(0, base, CHUNK)
-            WROD_LOAD_FACTOR(CHUNK, base + CHUNK, REACH)
+            WROD_PUT_FACTOR()
+            WROD_FETCH(factor, base - CHUNK)
         }
         WROD_SYNC();
-        WROD_LANES { WROD_FETCH(factor, base - CHUNK); }
         for (int t = 0; t < REACH; ++t) {
             const double other = WROD_FROM(known, t);
             WROD_LANES {
