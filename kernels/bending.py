@@ -22,7 +22,7 @@ from wrod.kernels.curvature import (
     symmetric,
 )
 from wrod.kernels.frames import HALF, ONE, ZERO
-from wrod.kernels.stretching import stretching
+from wrod.kernels.stretching import add_stretching, stretching
 from wrod.kernels.twisting import twisting, twisting_hessian
 
 wp.set_module_options({"enable_backward": False})
@@ -76,6 +76,14 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
         if active[r] == 0:
             return
         i = j + 1
+        last = i == stretching_stiffness.shape[1] - 1
+        if bending_stiffness[r, i][0] == ZERO:  # at a cut
+            for e in range(i - 1, wp.where(last, i + 1, i)):
+                add_stretching(
+                    rest_length, stretching_stiffness, dof_in, r, e, order,
+                    energy_out, gradient_out, hessian_out,
+                )  # fmt: skip
+            return
         s = stencil(dof_in, director_in, r, i)
         rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
         cosine = wp.dot(s.t, s.u)
@@ -180,7 +188,7 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
         g_f = inv_f * g_f + twist.moment * twist.f
         ee = (inv_e * inv_e) * ee + before.hessian
         ff = (inv_f * inv_f) * ff
-        if i == stretching_stiffness.shape[1] - 1:
+        if last:
             after = stretching(stretching_stiffness[r, i], rest_length[r, i], s.length_f, s.u)
             energy += after.energy
             g_f += after.gradient

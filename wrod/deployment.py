@@ -66,8 +66,8 @@ def simulate_deployment(
 
     Args:
         pattern: the pattern of the plan; its remainder is added if the trajectory has one.
-        rod: what is laid.
-        trajectory: of the grip, as `wrod.plan` returns it.
+        rod: what is laid; it may differ from the rod of the plan.
+        trajectory: of the grip, as `wrod.plan` returns it; the rod is held at its roll.
         friction: a `Friction`, or the coefficient of both kinds.
         disturbance: what makes this trial differ from the ideal.
         options: those of `simulate_deployments`.
@@ -224,7 +224,13 @@ def _simulate(
     radius = np.array([rod.radius for rod in rods])
     load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
     weight = np.array([rod.weight for rod in rods])
-    contact = Contact(batch, radius, weight / (_SINKING * radius), [t.friction for t in trials])
+    contact = Contact(
+        batch,
+        radius,
+        weight / (_SINKING * radius),
+        [t.friction for t in trials],
+        keeps_roll=np.array([not t.rod.is_straight for t in trials]),
+    )
     dynamics = Dynamics(
         batch,
         scheme=scheme,
@@ -304,7 +310,9 @@ def _batch(trials, setups, device) -> tuple[RodBatch, list[RodMaterial]]:
     gravity = np.zeros((len(rods), 3))
     gravity[:, 2] = [-rod.gravity for rod in rods]
     natural = np.zeros((len(rods), 1, 2))
-    natural[:, 0, 0] = [t.disturbance.natural_curvature for t in trials]
+    # The first director of the batch is to the left of the laid rod, the second above it.
+    natural[:, 0] = [t.rod.curvature_held(t.trajectory.metadata.get("roll", 0.0)) for t in trials]
+    natural[:, 0, 0] += [t.disturbance.natural_curvature for t in trials]
     batch = RodBatch(
         np.stack([setup.position for setup in setups]),
         rest_length=rest,

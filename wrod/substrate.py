@@ -73,6 +73,10 @@ class Friction:
             )
 
 
+# How stiffly a step holds the roll of what touches, over the twisting stiffness of an edge.
+_ROLL_STIFFNESS = 1e3
+
+
 @dataclass
 class Contact:
     """Contact of every rod of a batch with the same shapes; arrays live on the batch's device.
@@ -84,6 +88,8 @@ class Contact:
             [force/length^2]: under its weight w per length a rod sinks in by about w / stiffness.
         friction: one for all rods, or one per rod.
         shapes: planes, boxes and cylinders; default: the table z = 0.
+        keeps_roll: (rod,) whether what touches a shape keeps its roll, unless its friction says
+            that it rolls. That counts for naturally curved rods, whose roll says where they bend.
 
     Attributes:
         force: (rod, node) force on each node at the end of the last step.
@@ -98,6 +104,7 @@ class Contact:
     stiffness: np.ndarray
     friction: Friction | list[Friction]
     shapes: tuple = (Plane(),)
+    keeps_roll: np.ndarray | bool = False
     force: wp.array = field(init=False)
     slip: wp.array = field(init=False)
 
@@ -126,6 +133,13 @@ class Contact:
             floats(kinetic),
             floats([float(f.rolling) for f in friction]),
         ]
+        self._roll = None
+        held = np.broadcast_to(self.keeps_roll, (rods,)) & [not f.rolling for f in friction]
+        if held.any():
+            edge = batch.twisting_stiffness.numpy().max(axis=1) / batch.rest_length.numpy().min(
+                axis=1
+            )
+            self._roll = floats(np.where(held, _ROLL_STIFFNESS * edge, 0.0))
         per_shape = (rods, len(self.shapes), nodes)
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
@@ -142,6 +156,15 @@ class Contact:
             outputs=[out.gradient, out.hessian],
             device=self.batch.device,
         )
+
+        if self._roll is not None:
+            wp.launch(
+                kernels.hold_roll,
+                dim=(self.batch.rod_count, self.batch.node_count),
+                inputs=[*self._model[:4], self._roll, active, dof, dof_before, self._bristle],
+                outputs=[out.gradient, out.hessian],
+                device=self.batch.device,
+            )
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""

@@ -43,7 +43,7 @@ def command(
 
     from wrod.batch import resolve_device
     from wrod.bench import machine_line
-    from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
+    from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, read_pattern
     from wrod.bench.table3_report import Ledger, cells, draw, markdown, summary, write_csv
     from wrod.deployment import nodes_needed, simulate_deployments
     from wrod.errors import RodError
@@ -59,7 +59,7 @@ def command(
     }
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings)
-    curves = {name: _pattern(name, patterns) for name in PATTERNS}
+    curves = {name: read_pattern(name, patterns) for name in PATTERNS}
     start = time.perf_counter()
     plans = _plans(curves, device, as_json)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
@@ -132,14 +132,6 @@ def command(
         click.echo(line)
     for path in written:
         click.echo(f"wrote {path}")
-
-
-def _pattern(name: str, folder: Path | None):
-    from wrod.patterns import Pattern, pattern
-
-    if folder is None:
-        return pattern(name)
-    return Pattern.load(folder / f"{name.replace('-', '')}.txt", name=name)
 
 
 def _plans(curves: dict, device: str, quiet: bool) -> dict:
