@@ -16,6 +16,7 @@ from wrod.deployment_setup import (
     Disturbance,
     Setup,
     Tail,
+    disturb,
     mesh,
     prepare_deployment,
     tail,
@@ -180,24 +181,29 @@ def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
 
 
 def _prepare(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
-    """All rods of a batch share one number of nodes: the largest that the spacing asks for."""
+    """All rods of a batch share one number of nodes: the largest that the spacing asks for.
+
+    Trials that differ in their disturbances alone share one undisturbed setup.
+    """
     count = node_count or nodes_needed(trials, spacing)
+    undisturbed: dict[tuple, Setup] = {}
     setups = []
     for trial in trials:
-        pattern = with_remainder_of(trial.pattern, trial.trajectory)
-        setups.append(
-            prepare_deployment(
+        plan = trial.pattern, trial.rod, trial.trajectory, trial.tail
+        key = tuple(map(id, plan))
+        if key not in undisturbed:
+            pattern = with_remainder_of(trial.pattern, trial.trajectory)
+            undisturbed[key] = prepare_deployment(
                 pattern,
                 trial.rod,
                 trial.trajectory,
                 mesh(trial.rod, trial.trajectory.arc_length[-1], spacing, count),
-                trial.disturbance,
                 trial.tail or tail(pattern, trial.rod, trial.trajectory),
                 hold=hold,
                 release=release,
                 speed=speed,
             )
-        )
+        setups.append(disturb(undisturbed[key], trial.disturbance))
     return setups
 
 
