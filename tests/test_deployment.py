@@ -85,7 +85,7 @@ def test_frames_show_the_deployment(laid):
     assert (lengths > 0.999 * ROD.length).all()
     assert (lengths < 1.008 * ROD.length).all()
     assert lengths[-1] == pytest.approx(ROD.length, rel=1e-3)
-    # The held stretch stands still until twice its length is laid.
+    # The held stretch stands still until the deployment begins, a second after the start.
     assert np.abs(frames[2, 0] - frames[0, 0]).max() < 1e-12
 
 

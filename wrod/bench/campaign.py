@@ -163,6 +163,12 @@ def options(*, speed: float, step: float, spacing: float) -> Callable:
             "patterns.",
         ),
         click.option(
+            "--release",
+            default=0.05,
+            show_default=True,
+            help="Laid length at which the free end, held for 5 cm, is let go [m].",
+        ),
+        click.option(
             "--speed", default=speed, show_default=True, help="Speed of the contact [m/s]."
         ),
         click.option("--step", default=step, show_default=True, help="Largest time step [s]."),

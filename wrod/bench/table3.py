@@ -14,11 +14,14 @@ from wrod.bench import campaign
 
 @click.command(name="table3")
 @click.option("--trials", default=10, show_default=True, help="Trials a cell.")
+@click.option("--closure", help="Closure of OPT; default: the one that the planner favours.")
 @campaign.options(speed=0.02, step=0.01, spacing=0.005)
 def command(
     out: Path,
     trials: int,
+    closure: str | None,
     patterns: Path | None,
+    release: float,
     speed: float,
     step: float,
     spacing: float,
@@ -44,13 +47,15 @@ def command(
         "speed": speed,
         "step": step,
         "spacing": spacing,
+        "release": release,
+        "closure": closure or "favoured",
         "patterns": "built-in" if patterns is None else patterns.name,
     }
     out.mkdir(parents=True, exist_ok=True)
     ledger = campaign.Ledger(out / "trials.jsonl", settings, KEYS, "table3")
     curves = {name: read_pattern(name, patterns) for name in PATTERNS}
     start = time.perf_counter()
-    plans = _plans(curves, device, as_json)
+    plans = _plans(curves, closure, device, as_json)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
         (rod, substrate, name, method, trial)
@@ -64,6 +69,7 @@ def command(
     def simulate(part, progress):
         deployments = simulate_deployments(
             [_trial(key, plans) for key in part],
+            release=release,
             speed=speed,
             step=step,
             spacing=spacing,
@@ -81,7 +87,9 @@ def command(
     table = cells(rows)
     head = (
         f"Simulated accuracy, e_mean ± sigma [cm] (N = 50), {trials} trials a cell; contact speed "
-        f"{speed:g} m/s, step {step:g} s, edges {spacing:g} m, patterns {settings['patterns']}."
+        f"{speed:g} m/s, step {step:g} s, edges {spacing:g} m, free end held for the "
+        f"first {release:g} m, OPT with closure {settings['closure']}, patterns "
+        f"{settings['patterns']}."
     )
     text = markdown(table, head)
     (out / "table3.md").write_text(text, encoding="utf-8")
@@ -114,22 +122,22 @@ def command(
         click.echo(f"wrote {path}")
 
 
-def _plans(curves: dict, device: str, quiet: bool) -> dict:
+def _plans(curves: dict, closure: str | None, device: str, quiet: bool) -> dict:
     """(rod, pattern, method) -> pattern with remainder, rod, trajectory, tail."""
     from tqdm import tqdm
 
     from wrod.bench.table3_paper import METHODS, RODS
-    from wrod.deployment import with_remainder_of
     from wrod.deployment_setup import tail
     from wrod.material import rod
-    from wrod.planner import plan
+    from wrod.planner import favoured_closure, plan, prepare
 
     plans = {}
     jobs = list(product(RODS, curves, METHODS))
     for name, curve, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
         material = rod(name)
-        trajectory = plan(curves[curve], material, method, device=device)
-        led = with_remainder_of(curves[curve], trajectory)
+        led = prepare(curves[curve], material, None)
+        chosen = (closure or favoured_closure(led, material)) if method == "numeric" else None
+        trajectory = plan(led, material, method, closure=chosen, device=device)
         plans[name, curve, method] = (led, material, trajectory, tail(led, material, trajectory))
     return plans
 

@@ -16,6 +16,7 @@ BENCHMARKS = (
     "deploy",
     "identify",
     "loop",
+    "closures",
 )
 
 
