@@ -141,7 +141,7 @@ def command(
 
     costs = [
         campaign.run(ledger, wanted, simulate, device=device, batch=batch, quiet=as_json)
-        for wanted, simulate in ((lying, leave), (keys, lay))
+        for wanted, simulate in ((keys, lay), (lying, leave))
     ]
     table = cells(ledger.of(lying + keys))
     head = (
@@ -161,10 +161,10 @@ def command(
         "machine": machine_line(device),
         "device": device,
         "trials": len(keys),
-        "simulated_now": costs[1].trials,
+        "simulated_now": costs[0].trials,
         "planning_seconds": planned,
-        "simulation_seconds": costs[1].seconds,
-        "rod_steps_per_second": costs[1].rate,
+        "simulation_seconds": costs[0].seconds,
+        "rod_steps_per_second": costs[0].rate,
         "nodes": nodes,
         "summary": words,
         "written": [str(path) for path in written],
@@ -173,7 +173,7 @@ def command(
         click.echo(json.dumps(figures, indent=2))
         return
     click.echo(figures["machine"])
-    click.echo(f"{costs[1]} of {nodes} nodes on {device} (plans {planned:.1f} s)")
+    click.echo(f"{costs[0]} of {nodes} nodes on {device} (plans {planned:.1f} s)")
     for line in words:
         click.echo(line)
     for path in written:
