@@ -57,8 +57,8 @@ def plan(
         pattern: where the rod is to lie.
         rod: its material and length.
         method: "neural" (optimal grasps from the trained controller), "numeric" (from the rod
-            solver; those of a naturally curved rod are), "auto" (neural where the controller was trained, numeric elsewhere) or
-            "intuitive" (straight above the contact).
+            solver; those of a naturally curved rod are), "auto" (neural where the controller was
+            trained, numeric elsewhere) or "intuitive" (straight above the contact).
         closure: "zero_tension", "min_force" or "min_friction"; "neural" knows the first only.
             None: what lays the pattern most accurately for "auto" (see `favoured_closure`),
             "zero_tension", which is the paper's, for the others.
@@ -156,8 +156,8 @@ def favoured_closure(pattern: Pattern, rod: RodMaterial) -> str:
     """The closure that lays such a pattern most accurately, whatever the table.
 
     "min_friction" where the pattern's largest curvature is over 0.4 / L_gb, "zero_tension"
-    elsewhere. In bends the first asks the table for less: at 1 / L_gb for a tangential force of 0.55
-    instead of 0.93 of the normal one, so that less slides on slippery tables. On a straight
+    elsewhere. In bends the first asks the table for less: at 1 / L_gb for a tangential force of
+    0.55 instead of 0.93 of the normal one, so that less slides on slippery tables. On a straight
     pattern both are the same grasps; in gentle bends both lay as well, and the trained controller
     knows the second. Evidence: `wrod bench closures`, docs/deployment.md; for naturally curved
     rods there is none, and they get "zero_tension".
