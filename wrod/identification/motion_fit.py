@@ -1,0 +1,174 @@
+"""Fits of models of motion: Levenberg-Marquardt with exact derivatives through the steps."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.identification.effect import Model
+from wrod.identification.motion_data import MotionMeasurements
+from wrod.identification.motion_setup import MotionSetup
+from wrod.identification.motion_solver import COMPLEX_STEP, MotionSolver, Windows, windows_of
+
+# Errors of a motion grow far beyond the markers' noise, so large ones count linearly.
+_ROBUST = 4e-3
+_DAMPING = 1e-3
+_CONVERGED = 2e-3
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A model's robust misfit to some windows around a parameter vector.
+
+    Attributes:
+        cost: mean over coordinates of the robust misfit, the prior included [m].
+        hessian, gradient: (P, P), (P,) of the cost, Gauss-Newton.
+        error: mean |difference| over coordinates and all markers [m].
+    """
+
+    cost: float
+    hessian: np.ndarray
+    gradient: np.ndarray
+    error: float
+    failed: int
+
+
+class MotionLaboratory:
+    """Recordings of one rod, and the motions that models predict for them.
+
+    Args:
+        measurements: what was recorded.
+        subdivisions: edges between neighbouring free markers.
+        substeps: time steps a frame.
+        device: Warp device.
+    """
+
+    def __init__(
+        self,
+        measurements: MotionMeasurements,
+        *,
+        subdivisions: int = 2,
+        substeps: int = 1,
+        device: str = "cpu",
+        free_roll: bool = False,
+    ):
+        self.measurements = measurements
+        self.base = MotionSetup.base(
+            measurements.marker_arc_length, subdivisions, measurements.gravity
+        )
+        self.substeps, self.device, self.free_roll = substeps, device, free_roll
+
+    def windows(self, recordings, starts=(0,), frames=None) -> Windows:
+        return windows_of(self.measurements, recordings, starts, frames)
+
+    def run(self, windows: Windows, setup: MotionSetup, rates: Sequence[MotionSetup] = ()):
+        """`MotionSolver.run` over slices of the windows, side by side; with failures (W,)."""
+        count = min(os.cpu_count() or 1, len(windows.recording)) if self.device == "cpu" else 1
+        slices = np.array_split(np.arange(len(windows.recording)), count)
+
+        def one(rods):
+            part = Windows(**{k: v[rods] for k, v in vars(windows).items()})
+            solver = MotionSolver(
+                part,
+                self.measurements.rate,
+                substeps=self.substeps,
+                device=self.device,
+                free_roll=self.free_roll,
+            )
+            return (*solver.run(setup, rates), solver.failed)
+
+        with ThreadPoolExecutor(count) as pool:
+            parts = list(pool.map(one, slices))
+        x = np.concatenate([p[0] for p in parts])
+        rate = np.concatenate([p[1] for p in parts]) if rates else None
+        return x, rate, np.concatenate([p[2] for p in parts])
+
+    def predict(self, windows: Windows, model: Model, values: np.ndarray) -> np.ndarray:
+        """(W, F, M, 3) markers [m]."""
+        return self.run(windows, model.setup(self.base, values))[0]
+
+    def error(self, windows: Windows, predicted: np.ndarray) -> float:
+        """Mean |difference| over coordinates and all markers from the third frame on [m]."""
+        return float(errors_of(windows, predicted)[:, 2:][windows.seen[:, 2:]].mean())
+
+    def rates(self, model: Model, values: np.ndarray) -> list[MotionSetup]:
+        """Setups whose imaginary parts are the parameters' rates."""
+        out = []
+        for j in range(len(values)):
+            moved = np.asarray(values).astype(complex)
+            moved[j] += 1j * COMPLEX_STEP
+            out.append(model.setup(self.base, moved))
+        return out
+
+    def linearise(self, windows: Windows, model: Model, values: np.ndarray) -> Linearised:
+        """The misfit and its derivatives."""
+        setup = model.setup(self.base, values)
+        x, rate, failed = self.run(windows, setup, self.rates(model, values))
+        seen = windows.seen.copy()
+        seen[:, :2] = False
+        seen[failed] = False
+        difference = (x - windows.markers)[seen]
+        square = np.sum(difference**2, axis=-1, keepdims=True)
+        root = np.sqrt(1.0 + square / _ROBUST**2)
+        count = difference.size
+        scale = np.array([p.scale for p in model.parameters])
+        # The prior weighs as much as one recording's worth of independent errors would.
+        prior = _ROBUST / (400.0 * scale**2)
+        cost = _ROBUST * np.sum(root - 1.0) * 3 / count
+        cost += 0.5 * np.sum(prior * values**2) + 1e3 * failed.sum() * _ROBUST
+        weighted = difference / root
+        j = rate[seen]
+        gradient = 3 * np.einsum("fmpc,fmc->p", j, weighted) / (count * _ROBUST)
+        flat = np.moveaxis(j / np.sqrt(root)[:, :, None], 2, -1).reshape(-1, len(values))
+        hessian = 3 * flat.T @ flat / (count * _ROBUST)
+        return Linearised(
+            float(cost),
+            hessian + np.diag(prior),
+            gradient + prior * values,
+            float(np.abs(difference).mean()),
+            int(failed.sum()),
+        )
+
+    def fit(
+        self,
+        windows: Windows,
+        model: Model,
+        values: np.ndarray,
+        *,
+        iterations: int = 12,
+        converged: float = _CONVERGED,
+        say=None,
+    ) -> tuple[np.ndarray, Linearised]:
+        """Levenberg-Marquardt from `values`."""
+        lower, upper = (np.array([getattr(p, b) for p in model.parameters]) for b in
+                        ("lower", "upper"))  # fmt: skip
+        values = np.asarray(values, dtype=float)
+        now = self.linearise(windows, model, values)
+        damping = _DAMPING
+        for _ in range(iterations):
+            if say:
+                say(values, now)
+            matrix = now.hessian + damping * np.diag(np.diag(now.hessian))
+            step = -np.linalg.solve(matrix, now.gradient)
+            promised = -(now.gradient @ step + 0.5 * step @ now.hessian @ step)
+            trial = np.clip(values + step, lower, upper)
+            new = self.linearise(windows, model, trial)
+            if new.cost < now.cost:
+                gain = now.cost - new.cost
+                values, now, damping = trial, new, max(0.2 * damping, 1e-6)
+                if gain < converged * now.cost:
+                    break
+            else:
+                damping = max(10.0 * damping, 1e-3)
+                if damping > 1e3 or promised < 1e-4 * now.cost:
+                    break
+        return values, now
+
+
+def errors_of(windows: Windows, predicted: np.ndarray) -> np.ndarray:
+    """(W, F) mean |difference| over coordinates and all markers [m]."""
+    return np.abs(predicted - windows.markers).mean(axis=(2, 3))
