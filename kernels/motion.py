@@ -137,7 +137,7 @@ def add_motion(
     mass: wp.array2d(dtype=wp.float64),
     linear_drag: wp.array2d(dtype=wp.float64),
     quadratic_drag: wp.array2d(dtype=wp.float64),
-    gravity: wp.array(dtype=wp.vec3d),
+    gravity: wp.array2d(dtype=wp.vec3d),
     spin_inertia: wp.float64,
     # State in:
     coefficient: wp.vec3d,
@@ -156,7 +156,7 @@ def add_motion(
     m = wp.min(r, mass.shape[0] - 1)
     v = rate(coefficient, dt, node(dof, r, i), node(before, r, i), node(older, r, i))
     a = rate(coefficient, dt, v, node(velocity_before, r, i), node(velocity_older, r, i))
-    g = gravity[wp.min(r, gravity.shape[0] - 1)]
+    g = gravity[m, i]
     force = mass[m, i] * (a - g) + drag_force(v, linear_drag[m, i], quadratic_drag[m, i])
     per_step = coefficient[0] / dt
     d = drag_matrix(v, linear_drag[m, i], quadratic_drag[m, i])
@@ -188,11 +188,11 @@ def inertial_tangents(
     mass: wp.array2d(dtype=wp.float64),
     linear_drag: wp.array2d(dtype=wp.float64),
     quadratic_drag: wp.array2d(dtype=wp.float64),
-    gravity: wp.array(dtype=wp.vec3d),
+    gravity: wp.array2d(dtype=wp.vec3d),
     mass_rate: wp.array2d(dtype=wp.float64),
     linear_drag_rate: wp.array2d(dtype=wp.float64),
     quadratic_drag_rate: wp.array2d(dtype=wp.float64),
-    gravity_rate: wp.array(dtype=wp.vec3d),
+    gravity_rate: wp.array2d(dtype=wp.vec3d),
     spin_inertia: wp.float64,
     # State in:
     coefficient: wp.vec3d,
@@ -215,7 +215,7 @@ def inertial_tangents(
     zero = wp.vec3d(ZERO, ZERO, ZERO)
     v = rate(coefficient, dt, node(dof, r, i), node(before, r, i), node(older, r, i))
     a = rate(coefficient, dt, v, node(velocity_before, r, i), node(velocity_older, r, i))
-    g = gravity[wp.min(r, gravity.shape[0] - 1)]
+    g = gravity[m, i]
     dv = rate(
         coefficient,
         dt,
@@ -230,7 +230,7 @@ def inertial_tangents(
         column_node(velocity_tangent_before, r, j, i),
         column_node(velocity_tangent_older, r, j, i),
     )
-    force = mass[m, i] * (da - gravity_rate[j]) + mass_rate[j, i] * (a - g)
+    force = mass[m, i] * (da - gravity_rate[j, i]) + mass_rate[j, i] * (a - g)
     force += drag_matrix(v, linear_drag[m, i], quadratic_drag[m, i]) * dv
     force += drag_force(v, linear_drag_rate[j, i], quadratic_drag_rate[j, i])
     for c in range(3):

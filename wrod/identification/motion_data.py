@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ class MotionMeasurements:
         names: (R,) of the recordings.
         gap: (R, T - 1) frame durations between neighbouring recorded frames: 1, or more where
             frames were lost.
+        repaired: (R,) frames in which a grip's two markers were found exchanged, and put back.
         fit, validation, test: recordings to fit on, to choose effects by, and to score on.
     """
 
@@ -43,6 +45,7 @@ class MotionMeasurements:
     gravity: float
     names: tuple[str, ...]
     gap: np.ndarray
+    repaired: np.ndarray
     fit: np.ndarray
     validation: np.ndarray
     test: np.ndarray
@@ -64,12 +67,38 @@ class MotionMeasurements:
         """Frames lost in all recordings, as the grips' jumps tell."""
         return int((self.gap - 1).sum())
 
-    @property
+    @cached_property
+    def _edges(self) -> np.ndarray:
+        """(fitted recording, frame, M - 1) spline lengths, every tenth frame [m]."""
+        return np.stack([spline_lengths(self.positions[r, ::10]) for r in self.fit])
+
+    @cached_property
     def marker_arc_length(self) -> np.ndarray:
         """(M,) arc length of each marker from the first [m]: of splines through the markers, the
         mean over the fitted recordings."""
-        edges = [spline_lengths(self.positions[r, ::10]).mean(axis=0) for r in self.fit]
-        return np.concatenate([[0.0], np.cumsum(np.mean(edges, axis=0))])
+        return np.concatenate([[0.0], np.cumsum(self._edges.mean(axis=(0, 1)))])
+
+    def length_change(self, recording: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """(W, M - 1) what to add to the mean edges in windows, from their first two frames [m].
+
+        Grips take the rod anew between sessions. An edge's length in one recording follows that in
+        its first frames as far as edges vary from recording to recording and not within one.
+        """
+        edges = self._edges
+        between = edges.mean(axis=1).var(axis=0)
+        within = edges.var(axis=1).mean(axis=0)
+        trust = between / np.maximum(between + within, 1e-18)
+        first = self.positions[recording[:, None], start[:, None] + np.arange(2)]
+        return trust * (spline_lengths(first).mean(axis=1) - edges.mean(axis=(0, 1)))
+
+    @property
+    def bending_axis(self) -> np.ndarray:
+        """(3,) mean direction of t x dt/ds between the grips, over the fitted recordings."""
+        edge = np.diff(self.positions[self.fit, ::10], axis=2)
+        t = edge / np.linalg.norm(edge, axis=3, keepdims=True)
+        axis = np.cross(t[:, :, 1:-2], t[:, :, 2:-1]).mean(axis=(0, 1, 2))
+        size = np.linalg.norm(axis)
+        return axis / size if size > 1e-6 else np.array([0.0, 1.0, 0.0])
 
     def scored_on(self, other: MotionMeasurements) -> MotionMeasurements:
         """These measurements to fit and choose on, all of `other` to score on.
@@ -92,6 +121,7 @@ class MotionMeasurements:
             self,
             positions=np.concatenate([self.positions, other.positions]),
             gap=np.concatenate([self.gap, other.gap]),
+            repaired=np.concatenate([self.repaired, other.repaired]),
             names=self.names + other.names,
             fit=np.setdiff1d(everything, held_out),
             validation=held_out,
@@ -163,9 +193,10 @@ def motion_from_arrays(
         raise DataError(f"{where}: file_ids has shape {np.shape(names)}; give ({recordings},)")
     names = tuple(str(n) for n in names)
     _check_positions(x, names, rate, where)
+    x, repaired = _sorted_grips(x)
     gap = np.stack([_gaps(recording[:, [0, 1, -2, -1]]) for recording in x])
     fit, validation, test = split_by_neighbours(recordings)
-    return MotionMeasurements(name, x, rate, gravity, names, gap, fit, validation, test)
+    return MotionMeasurements(name, x, rate, gravity, names, gap, repaired, fit, validation, test)
 
 
 def split_by_neighbours(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -262,6 +293,24 @@ def _check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
             f"{where}: the markers of recording {names[r]} change places at frame {f + 1}; sort "
             "them or leave the recording out"
         )
+
+
+def _sorted_grips(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions with each grip's inner marker inside, and the (R,) frames put right.
+
+    A rod that is clamped by both markers cannot fold back inside its grip, so the marker that is
+    nearer to the first free one is the inner one.
+    """
+    x = x.copy()
+    wrong = np.zeros(x.shape[:2], dtype=bool)
+    for outer, inner, free in ((0, 1, 2), (-1, -2, -3)):
+        a, b = (np.linalg.norm(x[:, :, free] - x[:, :, m], axis=2) for m in (outer, inner))
+        swap = a < b
+        x[:, :, [outer, inner]] = np.where(
+            swap[:, :, None, None], x[:, :, [inner, outer]], x[:, :, [outer, inner]]
+        )
+        wrong |= swap
+    return x, wrong.sum(axis=1)
 
 
 def _gaps(held: np.ndarray) -> np.ndarray:

@@ -15,8 +15,8 @@ from wrod.identification.motion_setup import MotionSetup
 from wrod.identification.motion_solver import COMPLEX_STEP, MotionSolver, Windows, windows_of
 
 # Errors of a motion grow far beyond the markers' noise, so large ones count linearly.
-_ROBUST = 4e-3
-_DAMPING = 1e-3
+_ROBUST = 10e-3
+_DAMPING, _HARDER, _TRIALS = 1e-2, 5.0, 7
 _CONVERGED = 2e-3
 
 
@@ -28,6 +28,8 @@ class Linearised:
         cost: mean over coordinates of the robust misfit, the prior included [m].
         hessian, gradient: (P, P), (P,) of the cost, Gauss-Newton.
         error: mean |difference| over coordinates and all markers [m].
+        failed: windows whose steps did not converge.
+        scatter: (P, P) sum over recordings of the outer products of their shares of the gradient.
     """
 
     cost: float
@@ -35,6 +37,14 @@ class Linearised:
     gradient: np.ndarray
     error: float
     failed: int
+    scatter: np.ndarray
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(P, P) of the estimates, from the scatter between recordings: errors within one
+        recording hang together, and the model is never exactly the rod's."""
+        inverse = np.linalg.inv(self.hessian)
+        return inverse @ self.scatter @ inverse
 
 
 class MotionLaboratory:
@@ -108,30 +118,45 @@ class MotionLaboratory:
         """The misfit and its derivatives."""
         setup = model.setup(self.base, values)
         x, rate, failed = self.run(windows, setup, self.rates(model, values))
+        seen, difference, root, cost, prior = self._misfit(windows, model, values, x, failed)
+        count = difference.size
+        weighted = difference / root
+        j = rate[seen]
+        share = 3 * np.einsum("fmpc,fmc->fp", j, weighted) / (count * _ROBUST)
+        gradient = share.sum(axis=0)
+        owner = np.broadcast_to(windows.recording[:, None], seen.shape)[seen]
+        shares = np.stack([share[owner == r].sum(axis=0) for r in np.unique(owner)])
+        shares = shares - shares.mean(axis=0)
+        flat = np.moveaxis(j / np.sqrt(root)[:, :, None], 2, -1).reshape(-1, len(values))
+        hessian = 3 * flat.T @ flat / (count * _ROBUST)
+        return Linearised(
+            cost,
+            hessian + np.diag(prior),
+            gradient + prior * values,
+            float(np.abs(difference).mean()),
+            int(failed.sum()),
+            shares.T @ shares * len(shares) / max(len(shares) - 1, 1),
+        )
+
+    def cost(self, windows: Windows, model: Model, values: np.ndarray) -> float:
+        """The misfit alone."""
+        x, _, failed = self.run(windows, model.setup(self.base, values))
+        return self._misfit(windows, model, values, x, failed)[3]
+
+    def _misfit(self, windows, model, values, x, failed):
+        """Frames that count, their differences, robust weights, cost and the prior's curvature."""
         seen = windows.seen.copy()
         seen[:, :2] = False
         seen[failed] = False
         difference = (x - windows.markers)[seen]
         square = np.sum(difference**2, axis=-1, keepdims=True)
         root = np.sqrt(1.0 + square / _ROBUST**2)
-        count = difference.size
         scale = np.array([p.scale for p in model.parameters])
         # The prior weighs as much as one recording's worth of independent errors would.
         prior = _ROBUST / (400.0 * scale**2)
-        cost = _ROBUST * np.sum(root - 1.0) * 3 / count
+        cost = _ROBUST * np.sum(root - 1.0) * 3 / max(difference.size, 1)
         cost += 0.5 * np.sum(prior * values**2) + 1e3 * failed.sum() * _ROBUST
-        weighted = difference / root
-        j = rate[seen]
-        gradient = 3 * np.einsum("fmpc,fmc->p", j, weighted) / (count * _ROBUST)
-        flat = np.moveaxis(j / np.sqrt(root)[:, :, None], 2, -1).reshape(-1, len(values))
-        hessian = 3 * flat.T @ flat / (count * _ROBUST)
-        return Linearised(
-            float(cost),
-            hessian + np.diag(prior),
-            gradient + prior * values,
-            float(np.abs(difference).mean()),
-            int(failed.sum()),
-        )
+        return seen, difference, root, float(cost), prior
 
     def fit(
         self,
@@ -152,21 +177,36 @@ class MotionLaboratory:
         for _ in range(iterations):
             if say:
                 say(values, now)
-            matrix = now.hessian + damping * np.diag(np.diag(now.hessian))
-            step = -np.linalg.solve(matrix, now.gradient)
-            promised = -(now.gradient @ step + 0.5 * step @ now.hessian @ step)
-            trial = np.clip(values + step, lower, upper)
-            new = self.linearise(windows, model, trial)
-            if new.cost < now.cost:
-                gain = now.cost - new.cost
-                values, now, damping = trial, new, max(0.2 * damping, 1e-6)
-                if gain < converged * now.cost:
+            before = now.cost
+            # A parameter at its bound stays there while the cost falls beyond it.
+            inside = ~(
+                ((values <= lower) & (now.gradient > 0)) | ((values >= upper) & (now.gradient < 0))
+            )
+            for _ in range(_TRIALS):
+                trial = np.clip(values + _newton(now, damping, inside), lower, upper)
+                cost = self.cost(windows, model, trial)
+                if cost < before:
                     break
+                damping *= _HARDER
             else:
-                damping = max(10.0 * damping, 1e-3)
-                if damping > 1e3 or promised < 1e-4 * now.cost:
-                    break
+                break
+            step = trial - values
+            promised = -(now.gradient @ step + 0.5 * step @ now.hessian @ step)
+            if before - cost > 0.5 * promised:
+                damping = max(damping / _HARDER, 1e-6)
+            values = trial
+            now = self.linearise(windows, model, values)
+            if before - cost < converged * before:
+                break
         return values, now
+
+
+def _newton(at: Linearised, damping: float, inside: np.ndarray) -> np.ndarray:
+    """(P,) damped Gauss-Newton step of the parameters that are not held at a bound."""
+    step = np.zeros(len(inside))
+    h = at.hessian[np.ix_(inside, inside)]
+    step[inside] = -np.linalg.solve(h + damping * np.diag(np.diag(h)), at.gradient[inside])
+    return step
 
 
 def errors_of(windows: Windows, predicted: np.ndarray) -> np.ndarray:

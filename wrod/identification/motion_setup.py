@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-# What the base model starts from where nothing is known: k_b / (rho A g), as a length, and the
-# strain of the rod under its own weight. Motion only tells ratios to the weight.
-_BENDING_LENGTH = 0.2
+# What the base model starts from where nothing is known: the gravito-bending length, and the strain
+# of the rod under its own weight. Motion only tells ratios to the weight.
+START_L_GB = 0.2
 _WEIGHT_STRAIN = 1e-3
 _POISSON = 0.5
 
@@ -26,6 +26,7 @@ class MotionSetup:
         marker_node: (M,) node of each marker (int).
         rest_length: (n,) [m].
         bending: (n + 1, 2) bending stiffness per line mass [m^4/s^2].
+        principal_angle: angle from m1 to the first principal direction of bending [rad].
         twisting: (n + 1,) [m^4/s^2].
         stretching: (n,) [m^2/s^2].
         natural_curvature: (n + 1, 2) components of dt/ds at rest along (m1, m2) [1/m].
@@ -33,6 +34,7 @@ class MotionSetup:
         line_mass: (n + 1,) relative to the mean.
         node_mass: (n + 1,) on top of it, per line mass [m].
         gravity: (3,) [m/s^2].
+        force: (n + 1, 3) other forces per mass, fixed in the laboratory [m/s^2].
         linear_drag: (n + 1,) force per mass and velocity [1/s].
         quadratic_drag: (n + 1,) force per mass and velocity squared [1/m].
         viscous_time: (n + 1, 3) Kelvin-Voigt time of bending (two directions) and twisting [s].
@@ -47,6 +49,7 @@ class MotionSetup:
     marker_node: np.ndarray
     rest_length: np.ndarray
     bending: np.ndarray
+    principal_angle: complex
     twisting: np.ndarray
     stretching: np.ndarray
     natural_curvature: np.ndarray
@@ -54,6 +57,7 @@ class MotionSetup:
     line_mass: np.ndarray
     node_mass: np.ndarray
     gravity: np.ndarray
+    force: np.ndarray
     linear_drag: np.ndarray
     quadratic_drag: np.ndarray
     viscous_time: np.ndarray
@@ -61,7 +65,6 @@ class MotionSetup:
     marker_offset: np.ndarray
     roll: np.ndarray
     held_turn: np.ndarray
-    softening: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
     @classmethod
     def base(cls, marker_arc_length: np.ndarray, subdivisions: int, gravity: float) -> MotionSetup:
@@ -83,12 +86,13 @@ class MotionSetup:
         place.append(len(nodes) - 1)
         n = len(nodes)
         length = np.diff(nodes)
-        bending = gravity * _BENDING_LENGTH**3
+        bending = 2.0 * gravity * START_L_GB**3  # k_b = 2 rho A g L_gb^3
         return cls(
             fraction=(nodes - s[1]) / (s[-2] - s[1]),
             marker_node=np.array(place),
             rest_length=length,
             bending=np.full((n, 2), bending),
+            principal_angle=0.0,
             twisting=np.full(n, bending / (1.0 + _POISSON)),
             stretching=np.full(n - 1, gravity * (s[-1] - s[0]) / _WEIGHT_STRAIN),
             natural_curvature=np.zeros((n, 2)),
@@ -96,6 +100,7 @@ class MotionSetup:
             line_mass=np.ones(n),
             node_mass=np.zeros(n),
             gravity=np.array([0.0, 0.0, -gravity]),
+            force=np.zeros((n, 3)),
             linear_drag=np.zeros(n),
             quadratic_drag=np.zeros(n),
             viscous_time=np.zeros((n, 3)),
@@ -117,7 +122,7 @@ class MotionSetup:
         return 0.5 * (padded[1:] + padded[:-1])
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What the kernels take, complex if the setup is.
+        """What the kernels take, complex if the setup is, in the principal frame of bending.
 
         At a grip's node only the free half of the neighbouring edge and `clamp_length` bend.
         """
@@ -127,7 +132,14 @@ class MotionSetup:
             share[node] = (0.5 * self.rest_length[edge] + self.clamp_length[end]) / length[node]
         mass = self.line_mass * length + self.node_mass
         stiffness = np.concatenate([self.bending, self.twisting[:, None]], axis=1)
-        rest = np.concatenate([self.natural_curvature, self.natural_twist[:, None]], axis=1)
+        c, s = np.cos(self.principal_angle), np.sin(self.principal_angle)
+        turn = np.array([[c, s], [-s, c]])
+        rest = np.concatenate(
+            [self.natural_curvature @ turn.T, self.natural_twist[:, None]], axis=1
+        )
+        offset = np.concatenate(
+            [self.marker_offset[:, :2] @ turn.T, self.marker_offset[:, 2:]], axis=1
+        )
         return {
             "rest_length": self.rest_length,
             "stretching": self.stretching,
@@ -137,6 +149,6 @@ class MotionSetup:
             "mass": mass,
             "linear_drag": self.linear_drag * length,
             "quadratic_drag": self.quadratic_drag * length,
-            "gravity": self.gravity,
-            "marker_offset": self.marker_offset,
+            "gravity": self.gravity + self.force,
+            "marker_offset": offset,
         }

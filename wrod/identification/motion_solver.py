@@ -36,7 +36,10 @@ class Windows:
         markers: (W, F, M, 3) what was recorded [m]; repeats the last frame where there is none.
         held: (W, K, 4, 3) held markers at every frame duration, interpolated where frames are lost.
         grip_director: (W, K, 2, 3) first director of each grip: across the line through its
-            markers, carried along without roll from the recording's start.
+            markers, carried along without roll from the recording's start, where it is the axis
+            about which the rod bends on average, as seen along the grip: so a rod that hangs in
+            one plane starts without twist.
+        length_change: (W, M - 1) what to add to the rod's length between markers [m].
     """
 
     recording: np.ndarray
@@ -46,6 +49,7 @@ class Windows:
     markers: np.ndarray
     held: np.ndarray
     grip_director: np.ndarray
+    length_change: np.ndarray
 
 
 def windows_of(
@@ -82,6 +86,7 @@ def windows_of(
         m.positions[recording[:, None], index],
         np.stack(held),
         np.stack(director),
+        m.length_change(recording, start),
     )
 
 
@@ -95,8 +100,8 @@ def _true_time(m: MotionMeasurements, r: int, clock: np.ndarray) -> tuple[np.nda
     tangent = held[:, [1, 3]] - held[:, [0, 2]]
     tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
     director = np.empty_like(tangent)
-    up = np.array([0.0, 0.0, 1.0])
-    d = up - np.sum(up * tangent[0], axis=1, keepdims=True) * tangent[0]
+    across = m.bending_axis
+    d = across - np.sum(across * tangent[0], axis=1, keepdims=True) * tangent[0]
     director[0] = d / np.linalg.norm(d, axis=1, keepdims=True)
     for k in range(1, len(times)):
         d = _transport(director[k - 1], tangent[k - 1], tangent[k])
@@ -142,9 +147,9 @@ class MotionSolver:
 
     # ---- the beginning ------------------------------------------------------------------------
 
-    def _held(self, setup: MotionSetup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(W, K', 4, 3) held nodes, (W, K', 2, 3) tangents and directors of the grips, at every
-        time step; complex if the setup is."""
+    def _held(self, setup: MotionSetup) -> tuple[np.ndarray, ...]:
+        """(W, K', 4, 3) held nodes, (W, K', 2, 3) tangents of the grips, material directors m1 and
+        principal directors of bending there, at every time step; complex if the setup is."""
         w, fine = self.windows, self.substeps
         held, director = w.held, w.grip_director
         if fine > 1:
@@ -169,13 +174,14 @@ class MotionSolver:
             arm = nodes[:, :, outer] - nodes[:, :, inner]
             axis = turn[e, 0] * m1[:, :, e] + turn[e, 1] * m2[:, :, e]
             nodes[:, :, outer] = nodes[:, :, inner] + arm + np.cross(axis, arm)
-        return nodes, t, m1, a1
+        c, s = np.cos(setup.principal_angle), np.sin(setup.principal_angle)
+        return nodes, t, a1, c * a1 + s * a2
 
     def _first_nodes(self, setup: MotionSetup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(W, 2, N, 3) nodes in the first two frames, held ones included."""
         w = self.windows
         markers = w.markers[:, :2].astype(complex)
-        nodes, t, _, a1 = self._held(setup)
+        nodes, t, a1, _ = self._held(setup)
         inner = setup.marker_node
         s = np.concatenate([[0.0], np.cumsum(np.real(setup.rest_length))])
         if np.any(setup.marker_offset != 0):
@@ -239,14 +245,17 @@ class MotionSolver:
         """
         w, device = self.windows, self.device
         values = {k: np.real(v) for k, v in setup.arrays().items()}
+        # Every window's own lengths, on top of the model's.
+        pieces = np.diff(setup.marker_node)
+        change = np.repeat(w.length_change / pieces, pieces, axis=1)
+        values["rest_length"] = values["rest_length"] + change
         model = self._upload(values)
         count = len(rates)
         first = np.real(self._first_nodes(setup))
         gap = w.time[:, 1].astype(float)[:, None, None]
         # Where frames were lost between the first two, their difference is that of one.
         first[:, 0] = first[:, 1] + (first[:, 0] - first[:, 1]) / gap
-        nodes, grip_t, grip_m1, a1 = (np.real(a) for a in self._held(setup))
-        grip_m1 = np.real(a1)
+        nodes, grip_t, _, grip_m1 = (np.real(a) for a in self._held(setup))
         batch = self._batch(values, first[:, 1], grip_m1[:, self._first_gap(), 0])
         rods, n = batch.rod_count, batch.node_count
         dofs = batch.dof_count
@@ -457,9 +466,9 @@ class MotionSolver:
             if key == "marker_offset":
                 continue
             kind = wp.vec3d if key in _VECTORS else wp.float64
-            value = np.ascontiguousarray(np.asarray(value, dtype=float)[None])
-            if key == "rest_length":
-                value = np.repeat(value, len(self.windows.recording), axis=0)
+            if key != "rest_length":
+                value = value[None]
+            value = np.ascontiguousarray(value, dtype=float)
             out[key] = wp.array(value, dtype=kind, device=self.device)
         return out
 
@@ -526,7 +535,7 @@ class _Columns:
             dtype=wp.vec3d, device=device,
         )  # fmt: skip
         self.roll = wp.array(
-            np.stack([np.broadcast_to(imag(r.roll), 2) for r in rates]),
+            np.stack([np.broadcast_to(imag(r.roll + r.principal_angle), 2) for r in rates]),
             dtype=wp.float64, device=device,
         )  # fmt: skip
         first = np.stack([imag(solver._first_nodes(r)) for r in rates], axis=2)
