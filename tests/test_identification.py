@@ -12,7 +12,7 @@ from wrod.errors import DataError
 from wrod.identification import identify, load_measurements
 from wrod.identification.clamped import ClampedSolver
 from wrod.identification.effect import Effect, Model, Parameter, effects
-from wrod.identification.fit import Laboratory
+from wrod.identification.laboratory import Laboratory
 from wrod.identification.measurements import measurements_from_arrays
 from wrod.identification.setup import Setup, rotation_of
 from wrod.identification.trace import trace

@@ -181,10 +181,7 @@ class RodBatch:
             "natural_curvature", natural_curvature, (rods, nodes, 2), wp.vec2d
         )
         self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
-        self.softening = self._array("softening", softening, (rods, nodes, 2), wp.vec2d)
-        self.softens = bool(np.any(np.asarray(softening) != 0.0))
-        if np.min(np.atleast_1d(softening)[..., 0]) < 0.0:
-            raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
+        self.set_softening(softening)
         self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
         self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)
         self.point_load = self._array("point_load", point_load, (rods, nodes, 3), wp.vec3d)
@@ -215,6 +212,20 @@ class RodBatch:
                 f"{name} has shape {value.shape}, which does not broadcast to {shape}"
             ) from None
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
+
+    def set_softening(self, softening) -> None:
+        """Give every rod its law: (rod, node, 2) as in the constructor, broadcast.
+
+        Raises:
+            RodError: the shape does not broadcast, or a c is negative or not finite.
+        """
+        shape = (self.rod_count, self.node_count, 2)
+        array = self._array("softening", softening, shape, wp.vec2d)
+        value = np.atleast_1d(softening)
+        if value[..., 0].min() < 0.0:
+            raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
+        self.softening = array
+        self.softens = bool(value[..., 0].any())
 
     def set_configuration(self, position, *, angle=0.0, director=None) -> None:
         """Put the rods into a configuration.
@@ -326,12 +337,19 @@ class RodBatch:
         nodes, rest = self.node_count, self.rest_length
         launch(stretching, nodes - 1, [rest, self.stretching_stiffness, active, state.dof, order])
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
-        law = [self.softening] if self.softens else []
         launch(
             softened_bending if self.softens else bending,
             nodes - 2,
-            [rest, self.bending_stiffness, self.natural_curvature]
-            + [*law, active, state.dof, state.director, order],
+            [
+                rest,
+                self.bending_stiffness,
+                self.natural_curvature,
+                self.softening,
+                active,
+                state.dof,
+                state.director,
+                order,
+            ],
         )
         launch(
             twisting,

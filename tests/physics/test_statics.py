@@ -136,28 +136,6 @@ def test_rods_of_a_batch_do_not_see_each_other():
         assert np.abs(alone.positions()[0] - together[r]).max() < 1e-9
 
 
-def test_rods_that_took_one_try_keep_their_twist_while_others_try_again():
-    """A clamped rod twisted out of plane beside one that needs the continuation."""
-    angle = np.linspace(0.0, 1.5, 41)
-    arc = np.stack([np.cos(angle), np.sin(angle), 0.2 * angle], axis=1) / 1.5
-    batch = RodBatch(
-        np.stack([arc, arc]),
-        stretching_stiffness=1e4,
-        bending_stiffness=1.0,
-        twisting_stiffness=2 / 3,
-    )
-    prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
-    target = batch.state.dof.numpy().copy()
-    target[0, -4] += 0.1
-    target[1, -4] += 3.0
-    target[1, [-7, -3]] -= 0.5
-    result = solve_equilibrium(batch, prescribed=target, max_iterations=6)
-    assert result.converged.all()
-    assert result.iterations[0] <= 6 < result.iterations[1]
-    gradient = batch.evaluate(order=1).gradient.numpy()
-    assert np.abs(gradient[0, batch.free.numpy()[0] != 0]).max() < 1e-5
-
-
 def test_hopeless_rod_is_flagged_and_others_go_on():
     gravity = [[0.0, 0.0, -50.0], [0.0, 0.0, 0.0]]
     batch = straight_rods(21, 1.0, (1, 0, 0), rod_count=2, gravity=gravity)
