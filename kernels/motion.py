@@ -12,10 +12,11 @@ Arrays of the model with a leading axis of one are shared by all rods.
 
 import warp as wp
 from wrod.kernels.assembly import add_edge_gradient
-from wrod.kernels.bending import component, stencil
+from wrod.kernels.curvature import component, stencil
 from wrod.kernels.frames import HALF, ONE, TWO, ZERO, edge, node, parallel_transport, signed_angle
 
 wp.set_module_options({"enable_backward": False})
+
 
 @wp.func
 def strain(

@@ -6,10 +6,12 @@ import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.identification.motion_setup import START_L_GB
 
 _FIELDS = ("positions", "rate_hz", "held", "gravity")
 # A grip's step over this many times its neighbours' mean is checked for lost frames, and is one
@@ -100,6 +102,26 @@ class MotionMeasurements:
         size = np.linalg.norm(axis)
         return axis / size if size > 1e-6 else np.array([0.0, 1.0, 0.0])
 
+    @cached_property
+    def noise(self) -> float:
+        """Standard deviation of a marker coordinate [m], from the fourth differences in time.
+
+        Motion has little of them at 100 Hz; the median is deaf to lost frames.
+        """
+        fourth = np.diff(self.positions[self.fit], n=4, axis=1)
+        return float(np.median(np.abs(fourth)) / (0.6745 * np.sqrt(70.0)))
+
+    @property
+    def noise_floor(self) -> float:
+        """Mean |difference| of a perfect prediction from noisy markers, held ones as zero [m]."""
+        free = (self.marker_count - 4) / self.marker_count
+        return np.sqrt(2.0 / np.pi) * self.noise * free
+
+    @property
+    def material(self) -> SimpleNamespace:
+        """What effects describe their findings against: the rod that fits start from."""
+        return SimpleNamespace(gravito_bending_length=START_L_GB)
+
     def scored_on(self, other: MotionMeasurements) -> MotionMeasurements:
         """These measurements to fit and choose on, all of `other` to score on.
 
@@ -113,7 +135,9 @@ class MotionMeasurements:
                 raise DataError(f"{other.name} has {word} {b}, but {self.name} has {a}")
         mine, theirs = self.marker_arc_length, other.marker_arc_length
         if np.abs(mine - theirs).max() > 0.02 * mine[-1]:
-            raise DataError(f"{other.name} has its markers elsewhere along the rod than {self.name}")
+            raise DataError(
+                f"{other.name} has its markers elsewhere along the rod than {self.name}"
+            )
         test = np.arange(self.recording_count, self.recording_count + other.recording_count)
         everything = np.arange(self.recording_count)
         held_out = np.union1d(self.validation, self.test)

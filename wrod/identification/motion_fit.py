@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,12 +13,16 @@ import numpy as np
 from wrod.identification.effect import Model
 from wrod.identification.motion_data import MotionMeasurements
 from wrod.identification.motion_setup import MotionSetup
-from wrod.identification.motion_solver import COMPLEX_STEP, MotionSolver, Windows, windows_of
+from wrod.identification.motion_solver import MotionSolver
+from wrod.identification.motion_tangents import COMPLEX_STEP
+from wrod.identification.motion_windows import Windows, windows_of
 
 # Errors of a motion grow far beyond the markers' noise, so large ones count linearly.
 _ROBUST = 10e-3
 _DAMPING, _HARDER, _TRIALS = 1e-2, 5.0, 7
 _CONVERGED = 2e-3
+# Time steps a frame at most, where longer ones do not converge.
+_FINEST = 4
 
 
 @dataclass(frozen=True)
@@ -76,7 +81,21 @@ class MotionLaboratory:
         return windows_of(self.measurements, recordings, starts, frames)
 
     def run(self, windows: Windows, setup: MotionSetup, rates: Sequence[MotionSetup] = ()):
-        """`MotionSolver.run` over slices of the windows, side by side; with failures (W,)."""
+        """`MotionSolver.run` over slices of the windows, side by side; with failures (W,).
+
+        Windows whose steps do not converge are run again with shorter ones.
+        """
+        x, rate, failed = self._run(windows, setup, rates)
+        if failed.any() and self.substeps < _FINEST:
+            worst = np.flatnonzero(failed)
+            part = Windows(**{k: v[worst] for k, v in vars(windows).items()})
+            again = self.finer().run(part, setup, rates)
+            x[worst], failed[worst] = again[0], again[2]
+            if rates:
+                rate[worst] = again[1]
+        return x, rate, failed
+
+    def _run(self, windows: Windows, setup: MotionSetup, rates: Sequence[MotionSetup]):
         count = min(os.cpu_count() or 1, len(windows.recording)) if self.device == "cpu" else 1
         slices = np.array_split(np.arange(len(windows.recording)), count)
 
@@ -104,6 +123,17 @@ class MotionLaboratory:
     def error(self, windows: Windows, predicted: np.ndarray) -> float:
         """Mean |difference| over coordinates and all markers from the third frame on [m]."""
         return float(errors_of(windows, predicted)[:, 2:][windows.seen[:, 2:]].mean())
+
+    def error_between(self, windows: Windows, a: np.ndarray, b: np.ndarray) -> float:
+        """Mean |difference| of two predictions, as `error` [m]."""
+        size = np.abs(a - b).mean(axis=(2, 3))
+        return float(size[:, 2:][windows.seen[:, 2:]].mean())
+
+    def finer(self) -> MotionLaboratory:
+        """The same with half the time step."""
+        other = copy.copy(self)
+        other.substeps = 2 * self.substeps
+        return other
 
     def rates(self, model: Model, values: np.ndarray) -> list[MotionSetup]:
         """Setups whose imaginary parts are the parameters' rates."""

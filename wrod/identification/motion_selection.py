@@ -97,9 +97,7 @@ def select_motion(
     validation, test = rod.windows(m.validation), rod.windows(m.test)
 
     def scores(model, values):
-        return tuple(
-            rod.error(w, rod.predict(w, model, values)) for w in (validation, test)
-        )
+        return tuple(rod.error(w, rod.predict(w, model, values)) for w in (validation, test))
 
     say("base model")
     model = Model(tuple(known[name] for name in BASE))
@@ -201,8 +199,10 @@ def _some(recordings: np.ndarray, count: int) -> np.ndarray:
 
 def _starts(effect: Effect) -> np.ndarray:
     """Where the linearisation is done: at zero, or where the effect's own start says."""
-    return effect.starts(None)[0] if effect.name == "anisotropic_bending" else np.zeros(
-        len(effect.parameters)
+    return (
+        effect.starts(None)[0]
+        if effect.name == "anisotropic_bending"
+        else np.zeros(len(effect.parameters))
     )
 
 
@@ -231,9 +231,7 @@ def _promises(rod, windows, model, values, left):
 def _correlations(rod, windows, model, values, left) -> tuple[tuple[str, ...], np.ndarray]:
     """Names and (E, E) largest canonical correlations between effects' parameters."""
     everything = Model((*model.effects, *left))
-    at = rod.linearise(
-        windows, everything, np.concatenate([values, *(_starts(e) for e in left)])
-    )
+    at = rod.linearise(windows, everything, np.concatenate([values, *(_starts(e) for e in left)]))
     names = everything.names
     parts = np.split(
         np.arange(len(at.gradient)), np.cumsum([len(e.parameters) for e in everything.effects])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,7 +23,7 @@ class MotionSetup:
     are per mean line mass: a stiffness is in m^4/s^2.
 
     Attributes:
-        fraction: (n + 1,) position of each node between the grips, 0...1; held nodes outside (real).
+        fraction: (n + 1,) position of each node between the grips, 0...1; held ones outside (real).
         marker_node: (M,) node of each marker (int).
         rest_length: (n,) [m].
         bending: (n + 1, 2) bending stiffness per line mass [m^4/s^2].
@@ -79,7 +80,7 @@ class MotionSetup:
         markers = len(s)
         nodes = [s[0], s[1]]
         place = [0, 1]
-        for a, b in zip(s[1:-2], s[2:-1], strict=True):
+        for a, b in pairwise(s[1:-1]):
             nodes += list(a + (b - a) * np.arange(1, subdivisions + 1) / subdivisions)
             place.append(len(nodes) - 1)
         nodes = np.array([*nodes, s[-1]])
