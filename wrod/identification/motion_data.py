@@ -244,24 +244,43 @@ def split_by_neighbours(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def spline_lengths(position: np.ndarray) -> np.ndarray:
-    """(..., M - 1) arc lengths between markers of natural cubic splines through (..., M, 3)."""
+    """(..., M - 1) arc lengths between markers of the curves through (..., M, 3)."""
     fine = 8
     nodes = through_markers(position, fine)
     pieces = np.linalg.norm(np.diff(nodes, axis=-2), axis=-1)
-    return pieces.reshape(*pieces.shape[:-1], -1, fine).sum(axis=-1)
+    inner = pieces[..., 1:-1]
+    inner = inner.reshape(*inner.shape[:-1], -1, fine).sum(axis=-1)
+    return np.concatenate([pieces[..., :1], inner, pieces[..., -1:]], axis=-1)
 
 
 def through_markers(position: np.ndarray, fine: int, s: np.ndarray | None = None) -> np.ndarray:
-    """(..., (M - 1) fine + 1, 3) points of the cubic spline through markers at arc lengths `s`
-    (default: the mean chords), `fine` of equal parameter between neighbours."""
+    """Curves through markers: cubic splines that leave the grips along the lines through their
+    markers, `fine` pieces of equal parameter between neighbours; inside the grips straight.
+
+    Args:
+        position: (..., M, 3), complex where they carry a derivative.
+        s: (M,) arc lengths of the markers; default: the mean chords.
+
+    Returns:
+        (..., (M - 3) fine + 3, 3) points.
+    """
     from scipy.interpolate import CubicSpline
 
     x = np.asarray(position)
     if s is None:
         chord = np.linalg.norm(np.diff(x.reshape(-1, *x.shape[-2:]), axis=1), axis=2).mean(axis=0)
         s = np.concatenate([[0.0], np.cumsum(chord)])
-    u = np.interp(np.arange((len(s) - 1) * fine + 1) / fine, np.arange(len(s)), s)
-    return CubicSpline(s, x, axis=x.ndim - 2)(u)
+    ends = [x[..., 1, :] - x[..., 0, :], x[..., -1, :] - x[..., -2, :]]
+    first, last = (e / np.sqrt(np.sum(e * e, axis=-1, keepdims=True)) for e in ends)
+    inner = s[1:-1]
+    u = np.interp(np.arange((len(inner) - 1) * fine + 1) / fine, np.arange(len(inner)), inner)
+
+    def curve(part):
+        slopes = ((1, part(first)), (1, part(last)))
+        return CubicSpline(inner, part(x)[..., 1:-1, :], axis=x.ndim - 2, bc_type=slopes)(u)
+
+    between = curve(np.real) + (1j * curve(np.imag) if np.iscomplexobj(x) else 0.0)
+    return np.concatenate([x[..., :1, :], between, x[..., -1:, :]], axis=-2)
 
 
 def _scalar(data, key: str, where: str) -> float:

@@ -75,12 +75,7 @@ def first_nodes(
     fine = int(inner[2] - inner[1])
     grips = nodes[:, [0, substeps]]
     centre = np.concatenate([grips[:, :, :2], centre[:, :, 2:-2], grips[:, :, 2:]], axis=2)
-    curve = through_markers(np.real(centre), fine, s[inner]) + 1j * through_markers(
-        np.imag(centre), fine, s[inner]
-    )
-    count = (len(inner) - 1) * fine
-    keep = [0, *range(fine, count - fine + 1), count]
-    return curve[:, :, keep]
+    return through_markers(centre, fine, s[inner])
 
 
 def _without_offsets(setup, markers, a1, substeps: int) -> np.ndarray:
