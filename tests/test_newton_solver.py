@@ -425,6 +425,27 @@ def test_without_newton():
     assert done.stdout == "SolverDER needs Newton; install wrod[newton]\n"
 
 
+def test_natural_curvature_bends_a_rod_to_its_circle():
+    """Without weight a rod of natural curvature (c, 0) becomes an arc towards its first director,
+    of total angle c times the length."""
+    curved = wrod.RodMaterial(0.0016, 0.032, 0.2, natural_curvature=(12.0, 0.0))
+    builder = scene(gravity=0.0)
+    length, count = 0.1, 21
+    for material, curvature in ((curved, None), (ROD, (0.0, 12.0))):
+        SolverDER.add_rod(
+            builder, straight(count, length), material, start="clamped", director=(0, 1, 0),
+            natural_curvature=curvature, air_damping=50.0,
+        )  # fmt: skip
+    model = builder.finalize(device="cpu")
+    _, state = simulate(model, 60, 0.05, scheme="euler")
+    angle = 12.0 * length
+    tip = np.array([np.sin(angle), 1.0 - np.cos(angle)]) * length / angle
+    for rod, axis in ((0, 1), (1, 2)):
+        q = nodes(state, (model, rod))
+        assert np.abs(q[-1, [0, axis]] - tip).max() < length * (angle / count) ** 2
+        assert np.abs(q[:, 3 - axis]).max() < 1e-9
+
+
 def test_changed_properties_are_taken_up():
     """Twice the stiffness halves the sag, after ROD_PROPERTIES."""
     builder = scene()

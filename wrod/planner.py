@@ -53,8 +53,8 @@ def plan(
         pattern: where the rod is to lie.
         rod: its material and length.
         method: "neural" (optimal grasps from the trained controller), "numeric" (from the rod
-            solver; those of a naturally curved rod are), "auto" (neural where the controller was trained, numeric elsewhere) or
-            "intuitive" (straight above the contact).
+            solver; those of a naturally curved rod are), "auto" (neural where the controller was
+            trained, numeric elsewhere) or "intuitive" (straight above the contact).
         closure: "zero_tension", "min_force" or "min_friction"; "neural" knows the first only.
         spacing: largest distance between the contact nodes [m].
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start

@@ -100,7 +100,7 @@ class RodGroup:
     def _make_batch(self, nodes: int) -> RodBatch:
         der = self.model.der
         # A clamp holds from the first node on: only the half of that node's length which is free
-        # bends and twists, so it is twice as stiff.
+        # bends and twists, so it is twice as stiff, and turns by half as much at rest.
         stiffer = np.where(self._at_clamp, 2.0, 1.0)
         n, e = self._node_rows, self._edge_rows
         position = der.node_q.numpy()[n]
@@ -116,8 +116,8 @@ class RodGroup:
             stretching_stiffness=der.edge_stretching_stiffness.numpy()[e],
             bending_stiffness=der.node_bending_stiffness.numpy()[n] * stiffer[:, :, None],
             twisting_stiffness=der.node_twisting_stiffness.numpy()[n] * stiffer,
-            natural_curvature=der.node_natural_curvature.numpy()[n],
-            natural_twist=der.node_natural_twist.numpy()[n],
+            natural_curvature=der.node_natural_curvature.numpy()[n] / stiffer[:, :, None],
+            natural_twist=der.node_natural_twist.numpy()[n] / stiffer,
             node_mass=der.node_mass.numpy()[n],
             gravity=self._gravity(),
             director=der.edge_director.numpy()[e],

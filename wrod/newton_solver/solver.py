@@ -235,7 +235,7 @@ class SolverDER(SolverBase):
         end_body: int = -1,
         director: np.ndarray | None = None,
         velocity: np.ndarray | float = 0.0,
-        natural_curvature: np.ndarray | float = 0.0,
+        natural_curvature: np.ndarray | None = None,
         natural_twist: np.ndarray | float = 0.0,
         air_damping: float = 0.0,
         internal_damping: float = 0.0,
@@ -250,7 +250,8 @@ class SolverDER(SolverBase):
         Args:
             builder: The model builder.
             points: (node, 3) first shape, 3 nodes or more [m].
-            material: Radius, density and stiffnesses; its `length` and `gravity` are not used.
+            material: Radius, density, stiffnesses, natural curvature; its `length` and `gravity`
+                are not used.
             start: How the first node is held: "free", "pinned" (place) or "clamped" (place,
                 direction and twist).
             start_body: What holds it: a body, or -1 for the world.
@@ -259,8 +260,9 @@ class SolverDER(SolverBase):
             director: (3,) first material director of the first edge, carried along the rod without
                 twist. Defaults to any direction across it.
             velocity: (node, 3) first velocities [m/s].
-            natural_curvature: (node, 2) curvature at rest about the two directors [1/m]; 0: a
-                rod that is straight at rest, whatever its first shape.
+            natural_curvature: (2,) or (node, 2) curvature at rest (c_1, c_2) with
+                dt/ds = c_1 m_1 + c_2 m_2 in the material frame [1/m]. Defaults to the material's;
+                the first shape does not count.
             natural_twist: (node,) twist at rest [rad/m].
             air_damping: Drag per mass and velocity [1/s].
             internal_damping: Kelvin-Voigt time of the material [s].
