@@ -309,6 +309,32 @@ def test_example():
     example.test_final()
 
 
+def test_rods_touch_themselves_if_asked():
+    """The upper half of a folded rod comes to lie on the lower one, or falls through it."""
+    soft = wrod.RodMaterial(radius=0.0008, gravito_bending_length=0.008, length=0.2)
+    leg, fold = np.linspace(0.0, 0.05, 21), np.linspace(-np.pi / 2, np.pi / 2, 8)[1:-1]
+    turn = 0.0045
+    lower = np.column_stack([leg, 0 * leg])
+    bend = np.column_stack([leg[-1] + turn * np.cos(fold), turn + turn * np.sin(fold)])
+    side = np.concatenate([lower, bend, [[0.0, 2 * turn]] + lower[::-1] * [1.0, 0.0]])
+    points = np.column_stack([side[:, 0], 0 * side[:, 0], side[:, 1] + soft.radius])
+    nearest = []
+    for friction in (0.4, None):
+        builder = scene()
+        SolverDER.add_rod(
+            builder, points, soft, start="clamped", internal_damping=0.02, air_damping=5.0
+        )
+        builder.add_ground_plane()
+        model = builder.finalize(device="cpu")
+        solver, state = simulate(model, 90, 1 / 120, scheme="euler", self_contact=friction)
+        assert not solver.diverged.any()
+        q = nodes(state)
+        below = np.stack([np.interp(np.linspace(0, 20, 801), range(21), x) for x in q[:21].T], 1)
+        nearest.append(np.linalg.norm(q[-12:, None] - below, axis=2).min() / soft.radius)
+    assert nearest[0] == pytest.approx(2.0, rel=0.05)
+    assert nearest[1] < 1.0
+
+
 def test_capsules_show_the_edges():
     builder = scene()
     SolverDER.add_rod(builder, straight(8, 0.05, 0.1), ROD, start="clamped")

@@ -11,7 +11,8 @@ from wrod.dynamics import Dynamics, Progress
 from wrod.kernels import carrying, exchange
 from wrod.newton_solver.attributes import CLAMPED, FREE
 from wrod.newton_solver.shapes import ModelShapes
-from wrod.substrate import Contact
+from wrod.rod_contact import RodContact
+from wrod.substrate import Contact, Friction
 
 # Under its own weight a rod on a shape sinks in by this fraction of its radius.
 _SINKING = 1.0 / 600.0
@@ -27,6 +28,7 @@ class RodGroup:
         shapes: what they touch.
         holds: (rod, 2) records of what holds their ends; see `find_holds`.
         contact_stiffness: normal and tangential stiffness per length of rod [N/m^2], or None.
+        self_contact: friction coefficient of a rod with itself, or None.
         options: of `Dynamics`.
     """
 
@@ -37,6 +39,7 @@ class RodGroup:
         shapes: ModelShapes,
         holds: np.ndarray,
         contact_stiffness: float | None,
+        self_contact: float | None,
         options: dict,
     ):
         self.model, self.rods, self.shapes = model, rods, shapes
@@ -77,12 +80,17 @@ class RodGroup:
         self.batch = self._make_batch(nodes)
         self._hold_ends(holds)
         self.contact = self._make_contact(contact_stiffness) if len(shapes.rows) else None
+        radius = der.rod_radius.numpy()[rods]
+        self.self_contact = None
+        if self_contact is not None:
+            self.self_contact = RodContact(self.batch, radius, Friction(self_contact))
+        contacts = [c for c in (self.contact, self.self_contact) if c is not None]
         self.dynamics = Dynamics(
             self.batch,
-            radius=der.rod_radius.numpy()[rods],
+            radius=radius,
             air_damping=der.rod_air_damping.numpy()[rods],
             internal_damping=der.rod_internal_damping.numpy()[rods],
-            contact=self.contact,
+            contact=contacts,
             motion=self,
             **options,
         )
@@ -252,7 +260,10 @@ class RodGroup:
                 dynamics.velocity,
                 state.tangent,
                 state.director,
-                self.no_force if self.contact is None else self.contact.force,
+                *(
+                    self.no_force if contact is None else contact.force
+                    for contact in (self.contact, self.self_contact)
+                ),
             ],
             outputs=[
                 der.node_q,

@@ -33,10 +33,10 @@ class SolverDER(SolverBase):
 
     Rods are no bodies of Newton's: their state is in `state.der` (`node_q` [m], `node_qd` [m/s],
     `node_contact_f` [N], `edge_director`, `edge_spin` [rad/s]), their properties in `model.der`.
-    They touch the model's planes, boxes and cylinders with the friction of the shape (`mu`), but
-    not each other; their ends may be held by bodies. Bodies and particles pass through a step
-    unchanged and do not feel the rods: kinematic ones are moved by the caller, others by another
-    solver before.
+    They touch the model's planes, boxes and cylinders with the friction of the shape (`mu`) and, if
+    asked, themselves, but not each other; their ends may be held by bodies. Bodies and particles
+    pass through a step unchanged and do not feel the rods: kinematic ones are moved by the caller,
+    others by another solver before.
 
     The pose that `state_in.body_q` gives a body is the one that it has at the end of the step. A
     state that is not the one this solver wrote last is taken up as it is (the rod then starts anew
@@ -72,6 +72,7 @@ class SolverDER(SolverBase):
         tolerance: float = 1e-6,
         max_iterations: int = 12,
         contact_stiffness: float | None = None,
+        self_contact: float | None = None,
     ):
         """
         Args:
@@ -84,6 +85,8 @@ class SolverDER(SolverBase):
             contact_stiffness: Normal and tangential stiffness of contacts per length of rod
                 [N/m^2]. Defaults to what lets a rod sink in by 1/600 of its radius under its own
                 weight on Earth.
+            self_contact: Friction coefficient of a rod that touches itself. Defaults to None: it
+                passes through itself, which costs less.
 
         Raises:
             RodError: The model has no rods, or an option is none.
@@ -98,7 +101,7 @@ class SolverDER(SolverBase):
         self.max_step = max_step
         self.rod_count = len(der.rod_node_count)
         self._options = dict(scheme=scheme, tolerance=tolerance, max_iterations=max_iterations)
-        self._contact_stiffness = contact_stiffness
+        self._contact_stiffness, self._self_contact = contact_stiffness, self_contact
         self._holds = find_holds(model)
         self._initial = {name: wp.clone(getattr(der, name)) for name in _STATE}
         self._diverged = np.zeros(self.rod_count, dtype=bool)
@@ -117,6 +120,7 @@ class SolverDER(SolverBase):
                 shapes,
                 self._holds[rods],
                 self._contact_stiffness,
+                self._self_contact,
                 self._options,
             )
             for size in np.unique(sizes, axis=0)
