@@ -56,8 +56,7 @@ def place(model, state, body, position, rotation=(0.0, 0.0, 0.0, 1.0)):
     state.body_q.assign(poses)
 
 
-@pytest.mark.parametrize("end", ["start", "end"])
-def test_sag_of_a_cantilever(end):
+def test_sag_of_cantilevers():
     """Tip deflection of a clamped rod of N edges under its weight: w L^4 / (8 k_b) (1 + 1/N^2).
 
     The moment at node j, w (L - x_j)^2 / 2, turns it by M h / k_b, at the clamp by half of that;
@@ -65,14 +64,16 @@ def test_sag_of_a_cantilever(end):
     """
     length, count = 0.02, 11
     builder = scene()
-    SolverDER.add_rod(
-        builder, straight(count, length), ROD, air_damping=2e3, visible=False, **{end: "clamped"}
-    )
-    _, state = simulate(builder.finalize(device="cpu"), 60, 0.01, scheme="euler")
-    tip = nodes(state)[-1 if end == "start" else 0]
+    for k, end in enumerate(("start", "end")):  # one batch, the clamp on either side
+        points = straight(count, length, shift=(0.0, 0.1 * k, 0.0))
+        SolverDER.add_rod(builder, points, ROD, air_damping=2e3, visible=False, **{end: "clamped"})
+    model = builder.finalize(device="cpu")
+    _, state = simulate(model, 60, 0.01, scheme="euler")
     expected = -ROD.weight * length**4 / (8 * ROD.bending_stiffness)
     expected *= 1.0 + 1.0 / (count - 1) ** 2
-    assert tip[2] == pytest.approx(expected, rel=5e-4)  # it sags by 1.5 % of its length
+    for rod, tip in ((0, -1), (1, 0)):
+        sag = nodes(state, (model, rod))[tip, 2]
+        assert sag == pytest.approx(expected, rel=5e-4)  # it sags by 1.5 % of its length
 
 
 def test_frequency_of_a_cantilever():
@@ -218,6 +219,23 @@ def test_replicated_worlds_move_rods_and_keep_shapes_apart():
     assert first[:, 2].min() == pytest.approx(0.01 + ROD.radius, abs=0.05 * ROD.radius)
     moved = np.column_stack([-first[:, 1] + 3.0, first[:, 0] - 2.0, first[:, 2] + 0.5])
     assert np.abs(second - moved).max() < 1e-6  # Newton's poses are float32
+
+
+def test_a_world_without_shapes():
+    """A rod falls freely beside a world that has a table."""
+    builder = scene()
+    for has_table in (False, True):
+        builder.begin_world()
+        SolverDER.add_rod(builder, straight(4 + has_table, 0.02, ROD.radius), ROD)
+        if has_table:
+            at = wp.transform((0, 0, -0.1), wp.quat_identity())
+            builder.add_shape_box(-1, xform=at, hx=0.5, hy=0.1, hz=0.1)
+        builder.end_world()
+    model = builder.finalize(device="cpu")
+    _, state = simulate(model, 20, 0.005)
+    fallen = 0.5 * 9.81 * 0.1**2
+    assert nodes(state, (model, 0))[:, 2] == pytest.approx(ROD.radius - fallen, rel=0.02)
+    assert nodes(state, (model, 1))[:, 2].min() > 0.95 * ROD.radius
 
 
 def test_held_ends_follow_kinematic_bodies():

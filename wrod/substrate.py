@@ -180,8 +180,10 @@ class Contact:
                 law.static if law.kinetic is None else law.kinetic for law in laws
             ]
             rolling[r] = any(law.rolling for law in laws)
-        flat = wp.array(table, dtype=kernels.Shape, device=self.batch.device)
-        return flat.reshape((rods, width)), static, kinetic, rolling
+        shaped = wp.empty((rods, width), dtype=kernels.Shape, device=self.batch.device)
+        if table:
+            wp.copy(shaped.flatten(), wp.array(table, dtype=kernels.Shape, device="cpu"))
+        return shaped, static, kinetic, rolling
 
     @property
     def table(self) -> wp.array:

@@ -6,10 +6,10 @@ import numpy as np
 import warp as wp
 from newton import Model, State
 
-from wrod.batch import RodBatch, RodState
+from wrod.batch import RodState
 from wrod.dynamics import Dynamics, Progress
 from wrod.kernels import carrying, exchange
-from wrod.newton_solver.attributes import CLAMPED, FREE
+from wrod.newton_solver.layout import Layout
 from wrod.newton_solver.shapes import ModelShapes
 from wrod.rod_contact import RodContact
 from wrod.substrate import Contact, Friction
@@ -45,40 +45,15 @@ class RodGroup:
         self.model, self.rods, self.shapes = model, rods, shapes
         self.device, der = str(model.device), model.der
         self.worlds = der.rod_world.numpy()[rods]
-        self.count = int(der.rod_node_count.numpy()[rods[0]])
-        clamped = holds["kind"] == CLAMPED
-        self.lead = clamped[:, 0].astype(int)
-        nodes = self.count + int(clamped[0].sum())
-        self.first_node = der.rod_first_node.numpy()[rods]
-        self.first_edge = der.rod_first_edge.numpy()[rods]
+        self.layout = layout = Layout(model, rods, holds["kind"])
+        self.count = layout.count
         body = np.where(der.rod_visible.numpy()[rods] != 0, der.rod_body.numpy()[rods], -1)
 
-        # Rows of the model's nodes and edges for those of the batch; a clamp repeats the last.
-        at = np.arange(nodes) - self.lead[:, None]
-        self._node_rows = self.first_node[:, None] + np.clip(at, 0, self.count - 1)
-        self._edge_rows = self.first_edge[:, None] + np.clip(at[:, :-1], 0, self.count - 2)
-        beyond = (at < 0) | (at >= self.count)
-        inner = np.zeros_like(beyond)
-        inner[:, 1:] |= beyond[:, :-1]
-        inner[:, :-1] |= beyond[:, 1:]
-        self._at_clamp = inner & ~beyond
-
         device = self.device
-        self.span = wp.array(
-            np.array(
-                [
-                    (n, e, self.count, lead)
-                    for n, e, lead in zip(self.first_node, self.first_edge, self.lead, strict=True)
-                ],
-                dtype=exchange.Span.numpy_dtype(),
-            ),
-            dtype=exchange.Span,
-            device=device,
-        )
+        self.span = wp.array(layout.spans(), dtype=exchange.Span, device=device)
         self.body = wp.array(body, dtype=wp.int32, device=device)
         self.hold = wp.array(holds, dtype=carrying.Hold, device=device)
-        self.batch = self._make_batch(nodes)
-        self._hold_ends(holds)
+        self.batch = layout.make_batch(self._gravity())
         self.contact = self._make_contact(contact_stiffness) if len(shapes.rows) else None
         radius = der.rod_radius.numpy()[rods]
         self.self_contact = None
@@ -94,7 +69,7 @@ class RodGroup:
             motion=self,
             **options,
         )
-        count = len(rods)
+        count, nodes = len(rods), self.batch.node_count
         self.changed = wp.zeros(count, dtype=wp.int32, device=device)
         self.until = wp.zeros(count, dtype=wp.float64, device=device)
         edges = (count, nodes - 1)
@@ -104,33 +79,6 @@ class RodGroup:
         self.end_position = wp.zeros(ends, dtype=wp.vec3d, device=device)
         self.end_rotation = wp.zeros(ends, dtype=wp.quatd, device=device)
         self.duration, self.body_before, self.body_q = 1.0, None, None
-
-    def _make_batch(self, nodes: int) -> RodBatch:
-        der = self.model.der
-        # A clamp holds from the first node on: only the half of that node's length which is free
-        # bends and twists, so it is twice as stiff, and turns by half as much at rest.
-        stiffer = np.where(self._at_clamp, 2.0, 1.0)
-        n, e = self._node_rows, self._edge_rows
-        position = der.node_q.numpy()[n]
-        rest = der.edge_rest_length.numpy()[e]
-        for row, lead in enumerate(self.lead):
-            if lead:
-                position[row, 0] -= position[row, 2] - position[row, 1]
-            if nodes - lead > self.count:
-                position[row, -1] += position[row, -2] - position[row, -3]
-        return RodBatch(
-            position,
-            rest_length=rest,
-            stretching_stiffness=der.edge_stretching_stiffness.numpy()[e],
-            bending_stiffness=der.node_bending_stiffness.numpy()[n] * stiffer[:, :, None],
-            twisting_stiffness=der.node_twisting_stiffness.numpy()[n] * stiffer,
-            natural_curvature=der.node_natural_curvature.numpy()[n] / stiffer[:, :, None],
-            natural_twist=der.node_natural_twist.numpy()[n] / stiffer,
-            node_mass=der.node_mass.numpy()[n],
-            gravity=self._gravity(),
-            director=der.edge_director.numpy()[e],
-            device=self.device,
-        )
 
     def _gravity(self) -> np.ndarray:
         gravity = self.model.gravity.numpy().astype(float)
@@ -150,21 +98,6 @@ class RodGroup:
         self._shapes_move = bool((carrier >= 0).any())
         curved = (batch.natural_curvature.numpy() != 0).any(axis=(1, 2))
         return Contact(batch, radius, stiffness, friction, shapes, keeps_roll=curved)
-
-    def _hold_ends(self, holds: np.ndarray) -> None:
-        free = np.ones((len(self.rods), self.batch.dof_count), dtype=bool)
-        for row in range(len(self.rods)):
-            first, last = self.lead[row], self.lead[row] + self.count - 1
-            for side, end in ((0, first), (1, last)):
-                kind = holds["kind"][row, side]
-                if kind == FREE:
-                    continue
-                free[row, 4 * end : 4 * end + 3] = False
-                if kind == CLAMPED:
-                    beyond, edge = (end - 1, end - 1) if side == 0 else (end + 1, end)
-                    free[row, 4 * beyond : 4 * beyond + 3] = False
-                    free[row, 4 * edge + 3] = False
-        self.batch.set_free(free)
 
     def refresh_gravity(self) -> None:
         self.batch.gravity.assign(self._gravity())
@@ -240,7 +173,7 @@ class RodGroup:
         """Put the chosen rods (rod,) of a state back to `initial`, arrays of all rods' nodes and
         edges by name."""
         for name, source in initial.items():
-            first = self.first_node if name.startswith("node") else self.first_edge
+            first = self.layout.first_node if name.startswith("node") else self.layout.first_edge
             count = self.count - (not name.startswith("node"))
             for row in np.flatnonzero(chosen):
                 at = int(first[row])
