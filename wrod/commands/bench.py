@@ -17,6 +17,7 @@ BENCHMARKS = (
     "newton",
     "identify",
     "loop",
+    "closures",
 )
 
 
