@@ -202,7 +202,7 @@ class Contact:
         if table.shape != self._model[0].shape:
             self.shapes, self.friction = before
             raise RodError("the number of shapes changed; make a new Contact")
-        self._model[0] = table
+        wp.copy(self._model[0], table)
         for array, values in zip(self._model[4:], (static, kinetic, rolling), strict=True):
             array.assign(values)
 

@@ -26,6 +26,7 @@ class RodGroup:
         model: the Newton model.
         rods: indices of the rods into the model's.
         shapes: what they touch.
+        bodies: arrays of the bodies' poses at the start and at the end of a step.
         holds: (rod, 2) records of what holds their ends; see `find_holds`.
         contact_stiffness: normal and tangential stiffness per length of rod [N/m^2], or None.
         self_contact: friction coefficient of a rod with itself, or None.
@@ -37,6 +38,7 @@ class RodGroup:
         model: Model,
         rods: np.ndarray,
         shapes: ModelShapes,
+        bodies: tuple[wp.array, wp.array],
         holds: np.ndarray,
         contact_stiffness: float | None,
         self_contact: float | None,
@@ -67,6 +69,7 @@ class RodGroup:
             internal_damping=der.rod_internal_damping.numpy()[rods],
             contact=contacts,
             motion=self,
+            keeps_recording=True,
             **options,
         )
         count, nodes = len(rods), self.batch.node_count
@@ -78,7 +81,7 @@ class RodGroup:
         ends = (count, 2)
         self.end_position = wp.zeros(ends, dtype=wp.vec3d, device=device)
         self.end_rotation = wp.zeros(ends, dtype=wp.quatd, device=device)
-        self.duration, self.body_before, self.body_q = 1.0, None, None
+        self.duration, self.body_before, self.body_q = 1.0, *bodies
 
     def _gravity(self) -> np.ndarray:
         gravity = self.model.gravity.numpy().astype(float)
@@ -109,16 +112,15 @@ class RodGroup:
             self.shape_place.assign(place)
             self.shape_turn.assign(turn)
 
-    def step(self, state_in: State, duration: float, step: float, body_before) -> Progress:
-        """Take up what changed in `state_in`, and move on by `duration` [s].
-
-        Bodies that carry shapes come from the poses `body_before`.
-        """
+    def step(self, state_in: State, duration: float, step: float) -> Progress:
+        """Take up what changed in `state_in`, and move on by `duration` [s]."""
         batch, dynamics, der = self.batch, self.dynamics, state_in.der
         rods, nodes = len(self.rods), batch.node_count
         now = dynamics.time.numpy() + duration
         self.until.assign(now)
-        self.duration, self.body_before, self.body_q = duration, body_before, state_in.body_q
+        if duration != self.duration:
+            self.duration = duration
+            dynamics.forget_recording()
         self.changed.zero_()
         wp.launch(
             exchange.find_changes,

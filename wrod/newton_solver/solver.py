@@ -105,7 +105,7 @@ class SolverDER(SolverBase):
         self._holds = find_holds(model)
         self._initial = {name: wp.clone(getattr(der, name)) for name in _STATE}
         self._diverged = np.zeros(self.rod_count, dtype=bool)
-        self._body_before = wp.clone(model.body_q)
+        self._bodies = wp.clone(model.body_q), wp.clone(model.body_q)
         self._build()
 
     def _build(self) -> None:
@@ -118,6 +118,7 @@ class SolverDER(SolverBase):
                 model,
                 rods := np.flatnonzero((sizes == size).all(axis=1)),
                 shapes,
+                self._bodies,
                 self._holds[rods],
                 self._contact_stiffness,
                 self._self_contact,
@@ -168,10 +169,12 @@ class SolverDER(SolverBase):
                 if source is not None and len(source):
                     wp.copy(getattr(state_out, name), source)
         parts = 1 if self.max_step is None else int(np.ceil(dt / self.max_step * (1 - 1e-9)))
+        before, after = self._bodies
+        wp.copy(after, state_in.body_q)
         for group in self._groups:
-            progress = group.step(state_in, dt, dt / parts, self._body_before)
+            progress = group.step(state_in, dt, dt / parts)
             self._note_diverged(group, progress)
-        wp.copy(self._body_before, state_in.body_q)
+        wp.copy(before, after)
         for group in self._groups:
             group.write(state_out)
 
