@@ -245,6 +245,23 @@ def shift_history(
 
 
 @wp.kernel
+def forget_history(
+    # In:
+    chosen: wp.array(dtype=wp.int32),
+    # State out:
+    step_before_out: wp.array(dtype=wp.float64),
+    wanted_step_out: wp.array(dtype=wp.float64),
+    diverged_out: wp.array(dtype=wp.int32),
+):
+    """The next step of the chosen rods is their first, of implicit Euler."""
+    r = wp.tid()
+    if chosen[r] != 0:
+        step_before_out[r] = ZERO
+        wanted_step_out[r] = ZERO
+        diverged_out[r] = 0
+
+
+@wp.kernel
 def record_frames(
     # Model:
     interval: wp.float64,

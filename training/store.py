@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +65,10 @@ class Manifest:
     @property
     def rod_inputs(self) -> RodInputs | None:
         """The rod that all samples are of, or None."""
-        return None if self.rod is None else RodInputs(**self.rod)
+        if self.rod is None:
+            return None
+        rod = RodInputs(**self.rod)
+        return replace(rod, natural_curvature=tuple(rod.natural_curvature))
 
     @property
     def shard_count(self) -> int:

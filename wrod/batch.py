@@ -317,6 +317,10 @@ class RodBatch:
         )
         self._launch_twist(source, target, active)
 
+    def find_reference_twist(self, active: wp.array) -> None:
+        """Reference twist of the active rods out of their frames, nearest to what it was."""
+        self._launch_twist(self.state, self.state, active)
+
     def _launch_twist(self, source: RodState, target: RodState, active: wp.array) -> None:
         wp.launch(
             reference_twist,

@@ -59,7 +59,7 @@ def simulate_deployment(
 ) -> Deployment:
     """Lay `rod` along `pattern` by moving the grip along `trajectory`.
 
-    The free end's first 5 cm are held along the pattern until as much again has been laid. The
+    The free end's first 5 cm are held along the pattern until more than that is laid. The
     rest hangs from the grip, which holds the last edge as a clamp. At the end of the pattern the
     grip rests and the rod is measured; then the grip lays the tail straight ahead by the same
     method, opens when 1 L_gb is left, and the rod is measured again.
@@ -108,7 +108,7 @@ def simulate_deployments(
     Args:
         trials: what to simulate.
         hold: length of the free end that is laid and held along the pattern at first [m].
-        release: laid length at which the free end is let go [m]; default: twice `hold`.
+        release: laid length at which the free end is let go [m]; default: `hold`.
         speed: at which the contact moves [m/s], slower where the grip has far to go; the tail is
             laid twice as fast.
         spacing: length of the edges where the rod is laid [m].
@@ -130,7 +130,7 @@ def simulate_deployments(
     if not trials:
         return []
     device = resolve_device(device)
-    release = 2.0 * hold if release is None else release
+    release = hold if release is None else release
     if not release >= hold:
         raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
     setups = _prepare(trials, hold, release, speed, spacing, node_count)

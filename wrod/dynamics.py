@@ -142,6 +142,16 @@ class Dynamics:
         self.velocity.assign(dof.reshape(batch.rod_count, -1)[:, :-1])
         self.step_before.zero_()
 
+    def restart(self, chosen: wp.array) -> None:
+        """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
+        must have its frames, and from `velocity`; one that was cut out takes part again."""
+        self._per_rod(
+            kernels.forget_history, [chosen], [self.step_before, self.wanted_step, self.diverged]
+        )
+        self._copy(chosen, self.batch.state, self.start)
+        for contact in self.contacts:
+            contact.restart(chosen)
+
     def velocities(self) -> np.ndarray:
         """(rod, node, 3) velocities of the nodes."""
         return node_positions(self.velocity.numpy())

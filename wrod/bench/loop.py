@@ -200,6 +200,7 @@ def _row(key: tuple[str, str, str], trial, deployment) -> dict:
     from wrod.friction import friction_bound
 
     curve = trial.pattern
+    bound = friction_bound(curve, trial.rod)
     s = np.linspace(0.0, curve.length, 60) + curve.remainder_length
     laid = [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
     names = ("error_mean", "error_std", "released_error_mean", "released_error_std")
@@ -207,8 +208,7 @@ def _row(key: tuple[str, str, str], trial, deployment) -> dict:
         **dict(zip(("effect", "pattern", "plan"), key, strict=True)),
         "method": trial.trajectory.metadata["method"],
         **{name: 100.0 * getattr(deployment, name) for name in names},
-        "required_friction": float(friction_bound(curve, trial.rod).required.max()),
-        "friction": trial.friction.static,
+        "lacking_friction": float(np.mean(bound.required > trial.friction.static)),
         "slip": 100.0 * float(deployment.slip.max()),
         "diverged": deployment.diverged,
         "curve": np.round(np.column_stack(laid), 5).tolist(),

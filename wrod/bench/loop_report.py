@@ -14,13 +14,15 @@ TITLES = {
     "stiffness": "rod with a wrong L_gb",
     "none": "rod without the effect",
 }
+# Share of a pattern that may ask for more friction than there is before it is worth a word.
+_MUCH = 0.2
 _COLUMNS = {
     "error_mean": "e_mean [cm]",
     "error_std": "sigma [cm]",
     "released_error_mean": "released e_mean [cm]",
     "released_error_std": "released sigma [cm]",
     "slip": "largest slip [cm]",
-    "required_friction": "friction that the pattern asks of the rod [-]",
+    "lacking_friction": "share of the pattern that asks for more friction [-]",
 }
 
 
@@ -87,17 +89,15 @@ def summary(rows: list[dict]) -> list[str]:
             f"{means['new']:.3f} cm with the new one ({means['old'] / means['new']:.1f} times "
             f"less); {ideal:.3f} cm without the effect."
         )
-    short = sorted(
-        {
-            f"{row['pattern']} ({row['required_friction']:.1f}, {TITLES[row['effect']]})"
-            for row in rows
-            if row["required_friction"] > row["friction"]
-        }
-    )
+    short = {
+        f"{row['pattern']} ({row['lacking_friction']:.0%} of it, {TITLES[row['effect']]})": None
+        for row in rows
+        if row["lacking_friction"] > _MUCH
+    }
     if short:
         lines.append(
-            f"Patterns that ask for more friction than the {rows[0]['friction']:g} there is, which "
-            f"no plan makes up for: {', '.join(short)}."
+            "Asking for more friction than there is, which no plan makes up for: "
+            f"{', '.join(short)}."
         )
     lost = sum(row["diverged"] for row in rows)
     if lost:
