@@ -32,7 +32,8 @@ class Motion(Protocol):
     """What moves prescribed degrees of freedom: called at the start of every step, it writes where
     they are at the end of the step into `state.dof` and may change `batch.free`.
 
-    It does so by kernels alone: on a GPU its launches are recorded once and replayed."""
+    It does so by kernels alone: on a GPU the launches of a long `Dynamics.advance` are recorded and
+    replayed."""
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
 
@@ -204,6 +205,14 @@ class Dynamics:
         records = not wp.get_device(batch.device).is_cpu
         rounds, patience, graph = 0, 1, None
         while self._any(self.running):
+            if records and rounds == _ROUNDS_RECORDED:
+                # A GPU replays launches faster than they can be made, and asking it whether
+                # anything still runs makes it wait; recording them costs as much as taking them.
+                patience = _ROUNDS_RECORDED
+                with wp.ScopedCapture(batch.device) as capture:
+                    for _ in range(patience):
+                        take_round()
+                graph = capture.graph
             if graph is not None:
                 wp.capture_launch(graph)
             else:
@@ -211,14 +220,6 @@ class Dynamics:
             rounds += patience
             if progress is not None and rounds % 128 < patience:
                 progress(self.time.numpy().copy())
-            if graph is None and records:
-                # The first round has compiled the kernels. A GPU replays launches faster than they
-                # can be made, and asking it whether anything still runs makes it wait.
-                patience = _ROUNDS_RECORDED
-                with wp.ScopedCapture(batch.device) as capture:
-                    for _ in range(patience):
-                        take_round()
-                graph = capture.graph
         if self.rod_contact is not None:
             self.rod_contact.check_capacity()
         return Progress(
