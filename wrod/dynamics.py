@@ -32,7 +32,8 @@ class Motion(Protocol):
     """What moves prescribed degrees of freedom: called at the start of every step, it writes where
     they are at the end of the step into `state.dof` and may change `batch.free`.
 
-    It does so by kernels alone: on a GPU its launches are recorded once and replayed."""
+    It does so by kernels alone: on a GPU the launches of a long `Dynamics.advance` are recorded and
+    replayed."""
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
 
@@ -226,14 +227,15 @@ class Dynamics:
             rounds += made
             if progress is not None and rounds % 128 < made:
                 progress(self.time.numpy().copy())
-            if graph is None and (self.keeps_recording or not on_cpu):
-                # The first round has compiled the kernels. Launches are replayed faster than they
-                # can be made.
+            # Launches are replayed faster than they can be made, but recording costs as much as
+            # taking them; the first round has compiled the kernels.
+            worth = self.keeps_recording or (not on_cpu and rounds >= _ROUNDS_RECORDED)
+            if graph is None and worth:
                 with wp.ScopedCapture(batch.device) as capture:
                     for _ in range(recorded):
                         take_round()
                 graph = capture.graph
-                self._recording = key, graph
+                self._recording = (key, graph) if self.keeps_recording else None
         if self.rod_contact is not None:
             self.rod_contact.check_capacity()
         return Progress(
