@@ -7,7 +7,7 @@ c >= 0 [length^2]; c = 0 is a linear rod.
 """
 
 import warp as wp
-from wrod.kernels.bending import Law, make_bending
+from wrod.kernels.bending import Law, make_elasticity
 from wrod.kernels.curvature import add_component_rate, component, excess_curvature, stencil
 from wrod.kernels.frames import HALF, ONE, TWO
 
@@ -34,7 +34,7 @@ def softening_law(excess: wp.vec2d, stiffness: wp.vec2d, softening: wp.vec2d) ->
     return law
 
 
-softened_bending = make_bending(softening_law)
+softened_elasticity = make_elasticity(softening_law)
 
 
 @wp.kernel

@@ -283,15 +283,18 @@ def _material(m: ClampedMeasurements, fit: Fit) -> RodMaterial:
     for effect, values in zip(fit.model.effects, fit.model.split(fit.values), strict=True):
         found = effect.describe(values, np.eye(len(values)), m)
         if effect.name == "stiffness":
-            material = replace(material, gravito_bending_length=found["L_gb"].value)
+            ratio = found["stiffness_ratio"].value ** (1 / 3)
+            lgb = material.gravito_bending_length * ratio
+            material = replace(material, gravito_bending_length=lgb)
         elif effect.name == "density":
             # The stiffness stays: k_b = 2 pi h^2 rho g L_gb^3.
             ratio = found["density_ratio"].value
             material = replace(
                 material,
-                density=found["density"].value,
+                density=material.density * ratio,
                 gravito_bending_length=material.gravito_bending_length / ratio ** (1 / 3),
             )
-        elif effect.name in ("grip_slip", "clamp_slip"):
-            material = replace(material, length=material.length + found["slip"].value)
+        elif effect.name == "natural_curvature":
+            # The curvature vector turns the tangent: t' = k x t.
+            material = replace(material, natural_curvature=(float(values[1]), -float(values[0])))
     return material
