@@ -16,6 +16,7 @@ from wrod.deployment_setup import (
     Disturbance,
     Setup,
     Tail,
+    disturb,
     mesh,
     prepare_deployment,
     tail,
@@ -58,7 +59,7 @@ def simulate_deployment(
 ) -> Deployment:
     """Lay `rod` along `pattern` by moving the grip along `trajectory`.
 
-    The free end's first 5 cm are held along the pattern until as much again has been laid. The
+    The free end's first 5 cm are held along the pattern until more than that is laid. The
     rest hangs from the grip, which holds the last edge as a clamp. At the end of the pattern the
     grip rests and the rod is measured; then the grip lays the tail straight ahead by the same
     method, opens when 1 L_gb is left, and the rod is measured again.
@@ -107,7 +108,7 @@ def simulate_deployments(
     Args:
         trials: what to simulate.
         hold: length of the free end that is laid and held along the pattern at first [m].
-        release: laid length at which the free end is let go [m]; default: twice `hold`.
+        release: laid length at which the free end is let go [m]; default: `hold`.
         speed: at which the contact moves [m/s], slower where the grip has far to go; the tail is
             laid twice as fast.
         spacing: length of the edges where the rod is laid [m].
@@ -129,7 +130,7 @@ def simulate_deployments(
     if not trials:
         return []
     device = resolve_device(device)
-    release = 2.0 * hold if release is None else release
+    release = hold if release is None else release
     if not release >= hold:
         raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
     setups = _prepare(trials, hold, release, speed, spacing, node_count)
@@ -180,24 +181,29 @@ def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
 
 
 def _prepare(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
-    """All rods of a batch share one number of nodes: the largest that the spacing asks for."""
+    """All rods of a batch share one number of nodes: the largest that the spacing asks for.
+
+    Trials that differ in their disturbances alone share one undisturbed setup.
+    """
     count = node_count or nodes_needed(trials, spacing)
+    undisturbed: dict[tuple, Setup] = {}
     setups = []
     for trial in trials:
-        pattern = with_remainder_of(trial.pattern, trial.trajectory)
-        setups.append(
-            prepare_deployment(
+        plan = trial.pattern, trial.rod, trial.trajectory, trial.tail
+        key = tuple(map(id, plan))
+        if key not in undisturbed:
+            pattern = with_remainder_of(trial.pattern, trial.trajectory)
+            undisturbed[key] = prepare_deployment(
                 pattern,
                 trial.rod,
                 trial.trajectory,
                 mesh(trial.rod, trial.trajectory.arc_length[-1], spacing, count),
-                trial.disturbance,
                 trial.tail or tail(pattern, trial.rod, trial.trajectory),
                 hold=hold,
                 release=release,
                 speed=speed,
             )
-        )
+        setups.append(disturb(undisturbed[key], trial.disturbance))
     return setups
 
 

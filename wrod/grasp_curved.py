@@ -12,12 +12,12 @@ import numpy as np
 import warp as wp
 from scipy.interpolate import CubicSpline
 
+from wrod.banded import BandedSystem
 from wrod.batch import node_positions
 from wrod.grasp_mesh import two_sided_rest_lengths
 from wrod.grasp_solver import GraspSolution, GraspSolver
 from wrod.kernels import curved_grasping, grasping
 from wrod.rotation import rotation_matrix, rotation_vector
-from wrod.statics import BandedSystem
 
 # Natural curvature that is added at once at first, and the least that is tried [1/L_gb]. The twist
 # that it brings grows with the length, and Newton's method does not foresee where it rolls the rod.

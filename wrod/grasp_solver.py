@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from wrod.banded import BandedSystem
 from wrod.batch import RodBatch
 from wrod.grasp_mesh import (
     WEIGHT,
@@ -22,7 +23,6 @@ from wrod.kernels.loads import dead_loads
 from wrod.kernels.stretching import stretching_rate
 from wrod.rotation import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector
 from wrod.stability import smallest_eigenvalue
-from wrod.statics import BandedSystem
 
 # Largest change of an edge in one step, as a fraction of its length.
 _STEP_LIMIT = 0.4

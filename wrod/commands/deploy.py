@@ -25,6 +25,12 @@ from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_patt
 @click.option("--rolling", is_flag=True, help="Let the laid rod roll freely.")
 @click.option("--trials", default=1, show_default=True, help="Disturbed trials; 1 is the ideal.")
 @click.option("--speed", default=0.02, show_default=True, help="Speed of the contact [m/s].")
+@click.option(
+    "--release",
+    default=0.05,
+    show_default=True,
+    help="Laid length at which the free end, held for 5 cm, is let go [m].",
+)
 @click.option("--frames", type=float, help="Keep the rod's states at this interval [s].")
 @options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
@@ -37,13 +43,14 @@ def command(
     out: Path,
     trajectory: Path | None,
     method: str,
-    closure: str,
+    closure: str | None,
     units: str | None,
     friction: float,
     kinetic: float | None,
     rolling: bool,
     trials: int,
     speed: float,
+    release: float,
     frames: float | None,
     device: str,
     as_json: bool,
@@ -88,6 +95,7 @@ def command(
         deployments = simulate_deployments(
             jobs,
             speed=speed,
+            release=release,
             frame_interval=frames,
             device=device,
             progress=lambda fraction: bar.update(100 * fraction),

@@ -32,9 +32,13 @@ CLOSURE = (
 )
 METHOD = (
     click.option(
-        "--method", default="neural", show_default=True, help="neural, numeric, auto or intuitive."
+        "--method", default="auto", show_default=True, help="neural, numeric, auto or intuitive."
     ),
-    *CLOSURE,
+    click.option(
+        "--closure",
+        help="zero_tension, min_force or min_friction; default: the most accurate for auto, "
+        "zero_tension for other methods.",
+    ),
 )
 DEVICE = (click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto."),)
 PICTURE = (

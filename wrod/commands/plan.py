@@ -62,7 +62,7 @@ def command(
     length: float | None,
     out: Path,
     method: str,
-    closure: str,
+    closure: str | None,
     spacing: float,
     units: str | None,
     markers: Path | None,
