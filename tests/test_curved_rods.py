@@ -164,7 +164,7 @@ def plans():
 
 def test_plan_of_a_curved_rod(plans, tmp_path):
     pattern, new, old = plans
-    assert new.metadata["rod"]["natural_curvature"] == (6.0, 0.0)
+    assert new.metadata["rod"]["natural_curvature"] == [6.0, 0.0]
     assert old.twist is None and len(new.twist) == len(new)
     # The twist dwindles with the length that hangs.
     assert abs(new.twist[0]) > abs(new.twist[-1])
