@@ -164,7 +164,8 @@ def test_damping_and_natural_curvature_are_found(recorded):
     moved = fine.predict(everything, model, np.concatenate(list(TRUTH.values())))
     moved[:, 2:] += np.random.default_rng(3).normal(0.0, 2e-5, moved[:, 2:].shape)
     data = _with(recorded, positions=moved)
-    content = identify_motion(motion_from_arrays(data), candidates=NAMES).to_dict()
+    report = identify_motion(motion_from_arrays(data), candidates=NAMES, subdivisions=3)
+    content = report.to_dict()
     print(json.dumps(content["effects"], indent=1), content["base"], content["after_mm"])
     found = {e["name"]: e["parameters"] for e in content["effects"]}
     assert set(found) == {"internal_damping", "natural_curvature"}
