@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import warp as wp
 
+from wrod.banded import BandedSystem
 from wrod.batch import RodBatch, RodState, node_positions
 from wrod.errors import RodError
 from wrod.kernels import continuation, newton
 from wrod.kernels import dynamics as kernels
-from wrod.statics import BandedSystem
+from wrod.kernels.lanes import WARP
+from wrod.rod_contact import RodContact
 from wrod.substrate import Contact
 
 SCHEMES = ("euler", "bdf2")
@@ -22,11 +24,15 @@ _STEP_LIMIT = 0.3
 # A rod is cut out when it wants steps shorter than this fraction of the largest.
 _SMALLEST_STEP = 1.0 / 4096.0
 _GROWTH = 1.3
+# Rounds that a GPU takes without being asked.
+_ROUNDS_RECORDED = 16
 
 
 class Motion(Protocol):
     """What moves prescribed degrees of freedom: called at the start of every step, it writes where
-    they are at the end of the step into `state.dof` and may change `batch.free`."""
+    they are at the end of the step into `state.dof` and may change `batch.free`.
+
+    It does so by kernels alone: on a GPU its launches are recorded once and replayed."""
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
 
@@ -60,7 +66,7 @@ class Dynamics:
         radius: (rod,) radius of the section, for the rotational inertia of the edges.
         air_damping: (rod,) drag per mass and velocity [1/time].
         internal_damping: (rod,) Kelvin-Voigt time of the material [time].
-        contact: what the rods touch, or None.
+        contact: what the rods touch, one or several, or None; at most one `RodContact`.
         motion: what moves prescribed degrees of freedom, or None.
         force_scale: (rod,) what residuals are measured against; default: the rod's weight, or
             k_b / L^2 if that is larger.
@@ -68,7 +74,7 @@ class Dynamics:
         max_iterations: of Newton; a step that needs more is halved.
 
     Raises:
-        RodError: unknown scheme, or a node without mass.
+        RodError: unknown scheme, a node without mass, or two `RodContact`.
     """
 
     def __init__(
@@ -79,7 +85,7 @@ class Dynamics:
         radius: np.ndarray | float,
         air_damping: np.ndarray | float = 0.0,
         internal_damping: np.ndarray | float = 0.0,
-        contact: Contact | None = None,
+        contact: Contact | RodContact | Sequence[Contact | RodContact] | None = None,
         motion: Motion | None = None,
         force_scale: np.ndarray | float | None = None,
         tolerance: float = 1e-6,
@@ -90,7 +96,14 @@ class Dynamics:
         self.batch, self.contact, self.motion = batch, contact, motion
         self.two_step, self.max_iterations = int(scheme == "bdf2"), max_iterations
         rods, device = batch.rod_count, batch.device
-        self.system = BandedSystem(batch)
+        if contact is None:
+            contact = ()
+        self.contacts = tuple(contact) if isinstance(contact, Sequence) else (contact,)
+        coupling = [c for c in self.contacts if isinstance(c, RodContact)]
+        if len(coupling) > 1:
+            raise RodError("two RodContact for one batch; one covers all pairs of its edges")
+        self.rod_contact = coupling[0] if coupling else None
+        self.system = coupling[0].system if coupling else BandedSystem(batch)
         self.start = RodState.zeros(rods, batch.node_count, device)
         self.start.assign(batch.state)
 
@@ -128,6 +141,16 @@ class Dynamics:
         dof[:, :, :3] = velocity
         self.velocity.assign(dof.reshape(batch.rod_count, -1)[:, :-1])
         self.step_before.zero_()
+
+    def restart(self, chosen: wp.array) -> None:
+        """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
+        must have its frames, and from `velocity`; one that was cut out takes part again."""
+        self._per_rod(
+            kernels.forget_history, [chosen], [self.step_before, self.wanted_step, self.diverged]
+        )
+        self._copy(chosen, self.batch.state, self.start)
+        for contact in self.contacts:
+            contact.restart(chosen)
 
     def velocities(self) -> np.ndarray:
         """(rod, node, 3) velocities of the nodes."""
@@ -172,16 +195,32 @@ class Dynamics:
         wanted = self.wanted_step.numpy().copy()
         self.wanted_step.assign(np.where(wanted > 0, np.minimum(wanted, step), step))
         wp.copy(self.starting, self.running)
-        rounds = 0
-        # Asking a GPU whether anything still runs makes it wait.
-        patience = 1 if batch.device == "cpu" else 16
-        while rounds % patience or self._any(self.running):
+
+        def take_round() -> None:
             self._begin()
             self._iterate(step, smallest)
             self._finish(frames, frame_interval)
-            rounds += 1
-            if progress is not None and rounds % 128 == 0:
+
+        records = not wp.get_device(batch.device).is_cpu
+        rounds, patience, graph = 0, 1, None
+        while self._any(self.running):
+            if graph is not None:
+                wp.capture_launch(graph)
+            else:
+                take_round()
+            rounds += patience
+            if progress is not None and rounds % 128 < patience:
                 progress(self.time.numpy().copy())
+            if graph is None and records:
+                # The first round has compiled the kernels. A GPU replays launches faster than they
+                # can be made, and asking it whether anything still runs makes it wait.
+                patience = _ROUNDS_RECORDED
+                with wp.ScopedCapture(batch.device) as capture:
+                    for _ in range(patience):
+                        take_round()
+                graph = capture.graph
+        if self.rod_contact is not None:
+            self.rod_contact.check_capacity()
         return Progress(
             self.time.numpy().copy(),
             self.diverged.numpy() != 0,
@@ -211,7 +250,7 @@ class Dynamics:
             inputs=inputs,
             outputs=outputs,
             device=batch.device,
-            block_dim=self.system.block_dim,
+            block_dim=WARP,
         )
 
     def _per_dof(self, kernel, inputs, outputs=()) -> None:
@@ -246,6 +285,8 @@ class Dynamics:
         )
         if self._has_internal_damping:
             batch.evaluate(order=1, active=self.starting)
+        if self.rod_contact is not None:
+            self.rod_contact.prepare(self.starting, self.rejected, self.start.dof)
         if self.motion is not None:
             self.motion.prescribe(self.starting, self.time, self.step, self.start)
         self._per_dof(
@@ -278,9 +319,9 @@ class Dynamics:
             ],
             [out.gradient, out.hessian],
         )
-        if self.contact is not None:
-            self.contact.add(self.active, dof, start.dof)
-        self._per_rod(
+        for contact in self.contacts:
+            contact.add(self.active, dof, start.dof)
+        batch.walk(
             newton.measure_residual,
             [
                 batch.free,
@@ -292,6 +333,8 @@ class Dynamics:
             ],
             [self.residual, self.converged],
         )
+        if self.rod_contact is not None:
+            self.rod_contact.refuse(self.converged, self.active, dof, start.dof)
         self._per_rod(
             kernels.judge_step,
             [
@@ -322,7 +365,7 @@ class Dynamics:
         self.system.factorise(out.hessian, self.active)
         wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
         self.system.solve(self.active)
-        self._per_rod(
+        batch.walk(
             kernels.take_newton_step,
             [wp.float64(_STEP_LIMIT), self.active, self.system.x],
             [dof],
@@ -331,8 +374,8 @@ class Dynamics:
     def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
         """Carry accepted steps over to the next, and take failed ones back."""
         batch, start, dof = self.batch, self.start, self.batch.state.dof
-        if self.contact is not None:
-            self.contact.settle(self.accepted, dof, start.dof)
+        for contact in self.contacts:
+            contact.settle(self.accepted, dof, start.dof)
         if frames is not None:
             self._per_dof(
                 kernels.record_frames,

@@ -14,7 +14,10 @@ BENCHMARKS = (
     "table4",
     "table3",
     "deploy",
+    "newton",
     "identify",
+    "loop",
+    "closures",
 )
 
 

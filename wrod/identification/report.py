@@ -17,8 +17,9 @@ from wrod.identification.effect import Effect, Estimate, Model, effects
 from wrod.identification.fit import Fit, fit_models
 from wrod.identification.laboratory import Laboratory
 from wrod.identification.measurements import ClampedMeasurements, load_measurements
-from wrod.identification.selection import Selection, select
+from wrod.identification.selection import select
 from wrod.identification.trace import Print, trace
+from wrod.identification.verdict import Selection
 from wrod.material import RodMaterial
 
 METRIC = "RMS over test trials and markers of the 3-D distance [mm]"
@@ -256,19 +257,19 @@ def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[Foun
 
 def _scores(laboratory: Laboratory, selection: Selection) -> list[dict]:
     """Every effect alone on the base model."""
-    base, fits = selection.base_chi_squared, selection.ranking
+    fits = selection.ranking
     if not fits:
         return []
     errors = laboratory.scores([f.model for f in fits], [f.values for f in fits])
     return [
         {
             "name": fit.model.names[0],
-            "bic_gain": base - fit.bic,
+            "bic_gain": gain,
             "chi_squared": fit.chi_squared,
             "parameter_count": len(fit.values),
             "test_mm": _millimetres(error),
         }
-        for fit, error in zip(fits, errors, strict=True)
+        for fit, gain, error in zip(fits, selection.rounds[0].gains, errors, strict=True)
     ]
 
 
@@ -282,15 +283,18 @@ def _material(m: ClampedMeasurements, fit: Fit) -> RodMaterial:
     for effect, values in zip(fit.model.effects, fit.model.split(fit.values), strict=True):
         found = effect.describe(values, np.eye(len(values)), m)
         if effect.name == "stiffness":
-            material = replace(material, gravito_bending_length=found["L_gb"].value)
+            ratio = found["stiffness_ratio"].value ** (1 / 3)
+            lgb = material.gravito_bending_length * ratio
+            material = replace(material, gravito_bending_length=lgb)
         elif effect.name == "density":
             # The stiffness stays: k_b = 2 pi h^2 rho g L_gb^3.
             ratio = found["density_ratio"].value
             material = replace(
                 material,
-                density=found["density"].value,
+                density=material.density * ratio,
                 gravito_bending_length=material.gravito_bending_length / ratio ** (1 / 3),
             )
-        elif effect.name in ("grip_slip", "clamp_slip"):
-            material = replace(material, length=material.length + found["slip"].value)
+        elif effect.name == "natural_curvature":
+            # The curvature vector turns the tangent: t' = k x t.
+            material = replace(material, natural_curvature=(float(values[1]), -float(values[0])))
     return material

@@ -9,11 +9,11 @@ class Softening(Effect):
     name = "softening"
     title = "bending stiffness that falls with curvature, from B to r B"
     reference = (
-        "M = B k (r + (1 - r) / sqrt(1 + (k / k_c)^2)), a smooth form of the stick-slip law of "
+        "M = B k (r + (1 - r) / (1 + (k / k_c)^2)), a smooth form of the stick-slip law of "
         "stranded cables (Papailiou 1997)"
     )
     parameters = (
-        Parameter("log_critical_curvature", "", 10.0, lower=-5.0, upper=10.0),
+        Parameter("log_critical_curvature", "", 3.0, lower=-5.0, upper=10.0, anywhere=True),
         Parameter("lost_stiffness", "", 1.0, lower=-0.5, upper=1.0),
     )
 
