@@ -67,12 +67,12 @@ def command(
     """
     from wrod.batch import resolve_device
     from wrod.bench import machine_line
+    from wrod.bench.closures_picture import draw, draw_friction
     from wrod.bench.closures_report import (
         KEYS,
         METHODS,
         PUT_DOWN,
         cells,
-        draw,
         markdown,
         summary,
         write_csv,
@@ -130,7 +130,9 @@ def command(
             progress=progress,
         )
         return [
-            dict(zip(KEYS, key, strict=True)) | _figures(laid, by_name[key[:2]].led)
+            dict(zip(KEYS, key, strict=True))
+            | _figures(laid, by_name[key[:2]].led)
+            | {"contact_friction": plans[*key[:2], key[3]][0].metadata["contact_friction"]}
             for key, laid in zip(part, deployments, strict=True)
         ]
 
@@ -155,6 +157,7 @@ def command(
         write_csv(out / "closures.csv", table),
         out / "closures.md",
         draw(out / "closures.png", table),
+        draw_friction(out / "friction.png", table),
         ledger.path,
     ]
     figures = {
