@@ -61,11 +61,9 @@ def rough_pair(turn, seed):
     """Two wavy rods inside each other's thickness, turned against each other by `turn` [rad]."""
     rng = np.random.default_rng(seed)
     x = np.linspace(0, 1, 8)
-    a, b = (
-        np.column_stack([x, *(0.015 * rng.normal(size=(2, 8)))]) - [0.5, 0, 0] for _ in range(2)
-    )
+    a, b = (np.column_stack([x - 0.5, *(0.006 * rng.normal(size=(2, 8)))]) for _ in range(2))
     c, s = np.cos(turn), np.sin(turn)
-    b = b @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [0.0, 0.02, 0.15]
+    b = b @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [0.0, 0.01, 0.165]
     batch = RodBatch(
         np.concatenate([a, b])[None],
         stretching_stiffness=1.0,
@@ -73,7 +71,7 @@ def rough_pair(turn, seed):
         twisting_stiffness=1e-2,
     )
     batch.cut([7])
-    contact = RodContact(batch, 0.085, Friction(0.0), stiffness=3.0)
+    contact = RodContact(batch, 0.09, Friction(0.0), stiffness=3.0)
     contact.prepare(batch.every_rod, batch.every_rod, batch.state.dof)
     contact.load.fill_(1e9)  # nothing of the matrix is left out for the sake of Newton
     contact.reach.fill_(1e9)

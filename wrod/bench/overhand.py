@@ -154,7 +154,7 @@ def pull(
     tightest: float = 8.0,
     frames: int = 28,
     spacing: float = 1.75,
-    stiffness: float = 20.0,
+    stiffness: float = 2.0,
     slowness: float = 1.0,
     progress=None,
 ) -> Pull:
@@ -162,7 +162,7 @@ def pull(
     `tightest` (over the section's), in `slowness` periods R^2 of the loop per radius of section."""
     speed, period = 1 / (slowness * loosest**2), loosest**2
     shortening = 2 * np.pi * loosest
-    position = open_trefoil(shortening, 1.5 * loosest, spacing)
+    position = open_trefoil(shortening, 2 * loosest, spacing)
     count = len(position)
     edge = np.linalg.norm(np.diff(position, axis=0), axis=1)
     mass = np.zeros(count)
@@ -184,12 +184,13 @@ def pull(
         radius=1.0,
         contact=contact,
         air_damping=2 / period,
+        internal_damping=0.3 * period,
         motion=ends,
         force_scale=1.0 / loosest**2,
         tolerance=1e-5,
     )
     dynamics.advance(relaxed, 0.05 * period)
-    dynamics.air_damping.fill_(1e-3 / period)
+    dynamics.air_damping.fill_(0.02 / period)
     radii, forces, normals, depths, shapes = [], [], [], [], []
     length = batch.rest_length.numpy().sum(axis=1)
     duration = 2 * np.pi * (loosest - tightest) / speed
