@@ -9,7 +9,9 @@ d against mu times their total contact force P = c B h^(-1/2) R^(-3/2), so that
 
     T h^2 / B = e^4 / 2 + c mu e^3,    e = sqrt(h / R),
 
-for tightening with friction mu, h the radius of the section. c is that of `braid_force`.
+for tightening with friction mu, h the radius of the section, as e goes to 0. The braid's own energy
+E B h^(1/2) R^(-3/2) adds the next order without friction, 3 E e^5 / (4 pi). `solve_braid` gives c
+and E.
 """
 
 from __future__ import annotations
@@ -25,8 +27,11 @@ from wrod.rod_contact import RodContact
 from wrod.substrate import Friction
 
 
-def braid_force(points: int = 161, half_length: float = 8.0, stiffness: float = 1e4) -> float:
-    """Total contact force c between the strands of the braid, in units of B h^(-1/2) R^(-3/2).
+def solve_braid(
+    points: int = 161, half_length: float = 8.0, stiffness: float = 1e4
+) -> tuple[float, float]:
+    """Total contact force c between the strands of the braid, in units of B h^(-1/2) R^(-3/2), and
+    its energy E beyond that of strands without thickness, in units of B h^(1/2) R^(-3/2).
 
     In a thin, loose knot the strands run at +-U(X) from their mean, with small slopes, in units of
     h across and sqrt(h R) along: U'''' = P n where they touch at |U| = 1. Far out one strand is
@@ -77,13 +82,18 @@ def braid_force(points: int = 161, half_length: float = 8.0, stiffness: float = 
                     raise ArithmeticError("the braid of the overhand knot was not found")
             u, shift = u + step, max(0.1 * shift, 1e-14)
         k *= 10
-    return float(k / 10 * h * np.maximum(1 - np.hypot(*u), 0).sum())
+    k /= 10
+    contact = k * h * np.maximum(1 - np.hypot(*u), 0).sum()
+    # Both strands; without thickness each half of the braid has -half_length / 8.
+    return float(contact), float(2 * (energy(u, k) + half_length / 4))
 
 
-def knot_force(radius: np.ndarray, friction: float, contact: float = 0.492) -> np.ndarray:
-    """T h^2 / B at loop radius R / h, by the law above."""
-    slender = np.sqrt(1 / radius)
-    return slender**4 / 2 + contact * friction * slender**3
+def knot_force(
+    radius: np.ndarray, friction: float, contact: float, energy: float = 0.0
+) -> np.ndarray:
+    """T h^2 / B at loop radius R / h, by the law above; with the braid's energy, its next order."""
+    e = np.sqrt(1 / np.asarray(radius))
+    return e**4 / 2 + contact * friction * e**3 + 0.75 / np.pi * energy * e**5
 
 
 def open_trefoil(shortening: float, tail: float, spacing: float) -> np.ndarray:
@@ -150,12 +160,12 @@ class _Ends:
 def pull(
     friction: list[float],
     *,
-    loosest: float = 35.0,
-    tightest: float = 8.0,
+    loosest: float = 60.0,
+    tightest: float = 10.0,
     frames: int = 28,
-    spacing: float = 1.75,
+    spacing: float = 2.2,
     stiffness: float = 2.0,
-    slowness: float = 1.0,
+    slowness: float = 0.3,
     progress=None,
 ) -> Pull:
     """Pull overhand knots with these coefficients of friction, from loop radius `loosest` to

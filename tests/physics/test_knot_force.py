@@ -1,0 +1,33 @@
+"""The force to pull an overhand knot tight, against the asymptotic law of thin rods."""
+
+import numpy as np
+import pytest
+
+from wrod.bench.overhand import knot_force, pull, solve_braid
+
+
+def test_braid_of_the_overhand_knot():
+    """The total contact force that Clauvelin, Audoly and Neukirch 2009 give, 0.492; and by virtual
+    work on the thickness, dE/dh = 2 P at a fixed loop, a quarter of the braid's energy."""
+    contact, energy = solve_braid(points=121)
+    assert contact == pytest.approx(0.492, rel=0.02)
+    assert contact == pytest.approx(energy / 4, rel=0.02)
+
+
+@pytest.mark.slow
+def test_overhand_knot_pulled_tight():
+    contact, energy = solve_braid()
+    knots = pull([0.0, 0.1], loosest=48.0, tightest=25.0, frames=13)
+    tight = knots.radius[:, 0] < 40.0  # the first pulls straighten the tails
+    radius, force = knots.radius[tight, 0], knots.force[tight]
+    assert tight.sum() >= 5
+    # T R^2 is nearly constant; the law without friction, to the order after next in sqrt(h / R).
+    law = knot_force(radius, 0.0, contact, energy)
+    assert force[:, 0] == pytest.approx(law, rel=5.0 / radius.min())
+    assert (force[:, 0] > knot_force(radius, 0.0, contact)).all()
+    exponent = np.polyfit(np.log(radius), np.log(force[:, 0]), 1)[0]
+    assert exponent == pytest.approx(-2.0, abs=0.5)
+    # Friction adds the work of the contact force on the sliding strands: mu P.
+    work = 0.1 * knots.contact[tight, 1]
+    assert force[:, 1] - force[:, 0] == pytest.approx(work, rel=0.15)
+    assert knots.penetration.max() < 0.05
