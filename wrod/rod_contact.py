@@ -188,6 +188,16 @@ class RodContact:
             device=self.batch.device,
         )
 
+    def restart(self, chosen: wp.array) -> None:
+        """Let the rows that are not 0 in `chosen` (rod,) touch everything for the first time."""
+        wp.launch(
+            contact_pairs.forget_partners,
+            dim=self.partner_count.shape,
+            inputs=[chosen],
+            outputs=[self.partner_count],
+            device=self.batch.device,
+        )
+
     def refuse(
         self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
     ) -> None:

@@ -15,6 +15,10 @@ BENCHMARKS = (
     "table3",
     "deploy",
     "knot-force",
+    "newton",
+    "identify",
+    "loop",
+    "closures",
 )
 
 
