@@ -106,6 +106,7 @@ def draw(path: str, friction: list[float], knots, contact: float, energy: float)
     import numpy as np
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import ScalarFormatter
 
     from wrod.bench.overhand import knot_force
     from wrod.files import write_atomically
@@ -136,6 +137,10 @@ def draw(path: str, friction: list[float], knots, contact: float, energy: float)
         ylabel="tension T h\N{SUPERSCRIPT TWO} / B",
         title="lines: law of thin rods; dotted: its next order",
     )
+    axes.set_xticks([10, 15, 20, 30, 40, 60], minor=False)
+    axes.set_xticks([], minor=True)
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.set_xlim(0.95 * slender.min(), 1.05 * slender.max())
     axes.legend(frameon=False)
     axes.grid(alpha=0.25, which="both")
     for k, frame in enumerate(np.linspace(len(knots.radius) // 3, len(knots.radius) - 1, 4)):
