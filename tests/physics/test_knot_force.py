@@ -21,13 +21,14 @@ def test_overhand_knot_pulled_tight():
     tight = knots.radius[:, 0] < 40.0  # the first pulls straighten the tails
     radius, force = knots.radius[tight, 0], knots.force[tight]
     assert tight.sum() >= 5
-    # T R^2 is nearly constant; the law without friction, to the order after next in sqrt(h / R).
+    # Without friction: the law to its second order is 10 % short at e = sqrt(h / R) = 0.2, as the
+    # next order in e^2 would have it; the first order alone 30 %.
     law = knot_force(radius, 0.0, contact, energy)
-    assert force[:, 0] == pytest.approx(law, rel=5.0 / radius.min())
-    assert (force[:, 0] > knot_force(radius, 0.0, contact)).all()
+    assert force[:, 0] == pytest.approx(law, rel=0.15)
+    assert (force[:, 0] > law).all()
     exponent = np.polyfit(np.log(radius), np.log(force[:, 0]), 1)[0]
-    assert exponent == pytest.approx(-2.0, abs=0.5)
+    assert exponent == pytest.approx(-2.1, abs=0.1)
     # Friction adds the work of the contact force on the sliding strands: mu P.
     work = 0.1 * knots.contact[tight, 1]
-    assert force[:, 1] - force[:, 0] == pytest.approx(work, rel=0.15)
+    assert force[:, 1] - force[:, 0] == pytest.approx(work, rel=0.06)
     assert knots.penetration.max() < 0.05
