@@ -32,8 +32,11 @@ def command(
         friction = [float(f) for f in frictions.split(",")]
     except ValueError:
         raise RodError(f"friction is {frictions!r}; give numbers with commas between") from None
-    if not 0 < tightest < loosest:
-        raise RodError("the tightest loop must be smaller than the loosest, and both positive")
+    if not (5 <= tightest < loosest and loosest >= 20):
+        raise RodError(
+            f"loop radii {loosest:g} to {tightest:g}: the loosest must be 20 h or more, for the "
+            "knot's strands to start apart, and the tightest below it, 5 h or more"
+        )
     contact, energy = solve_braid()
     clock, cpu = time.perf_counter(), time.process_time()
     with tqdm(total=100, unit="%", leave=False) as bar:
