@@ -1,0 +1,514 @@
+"""Knots tied by a robot: rods laid along a designed pattern, then a few blind pick-and-place moves.
+
+What is grasped is where the pattern says, whether the rod lies there or not: there is no feedback
+(paper, Sec. Application #2). A hand closes on whatever edge of a rod it finds between its fingers,
+carries it over the others, and puts it down. At last both hands pull.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from wrod.deployment import with_remainder_of
+from wrod.deployment_setup import Disturbance, prepare_deployment, tail
+from wrod.grip import KEY_INTERVAL, smooth_noise
+from wrod.knot_plan import KnotPlan, Move
+from wrod.material import RodMaterial
+from wrod.patterns import Pattern
+from wrod.planner import plan
+from wrod.substrate import Friction
+from wrod.topology import Recognition, recognise_knot, recognise_pair
+from wrod.trajectory import Trajectory
+from wrod.workbench import Poses, Workbench
+
+# Length of the edges over the rod's radius: rods in contact want edges no longer than thick.
+_EDGE = 2.0
+# A hand finds a rod whose centreline is this near [m].
+_FINGERS = 0.012
+_SETTLE, _REST = 0.4, 0.6
+_APART = 0.5  # [m] where rods wait that are not on the table yet
+
+
+@dataclass(frozen=True)
+class Handling:
+    """What distinguishes the handling of one trial from the next; the default is none.
+
+    Attributes:
+        laying: disturbance of the laying of each rod, one after the other.
+        offset: (2, 2) by which each hand misses its place on the table [m].
+        jitter: standard deviation of each coordinate of the hands' shaking [m].
+        strength: (n,) pull that a grasp resists before the rod slips out, one grasp after the
+            other [N]; empty: any.
+        seed: of the shaking.
+    """
+
+    laying: tuple[Disturbance, ...] = ()
+    offset: tuple = ((0.0, 0.0), (0.0, 0.0))
+    jitter: float = 0.0
+    strength: tuple[float, ...] = ()
+    seed: int = 0
+
+    @classmethod
+    def random(cls, seed: int, strength: float = 2.0) -> Handling:
+        """A trial of a careful laboratory: laying as `Disturbance.random`, hands placed within
+        1 mm (standard deviation), jitter 0.3 mm, strength of a grasp log-normal about `strength`
+        [N] with a deviation of 40 %."""
+        rng = np.random.default_rng([seed, 7])
+        return cls(
+            tuple(Disturbance.random(1000 + 10 * seed + k) for k in range(2)),
+            tuple(map(tuple, 1e-3 * rng.standard_normal((2, 2)))),
+            0.3e-3,
+            tuple(strength * np.exp(0.4 * rng.standard_normal(12))),
+            seed,
+        )
+
+
+@dataclass
+class TyingResult:
+    """One trial. SI units, the table at z = 0.
+
+    Attributes:
+        laid, tied, pulled: the knot of the rods after laying, after the moves, and after pulling.
+        wanted: the knot that the plan promises.
+        load: (hand,) pull at the end [N].
+        missed: moves whose hand found no rod.
+        slipped: moves whose rod slipped out of the hand.
+        diverged: no step converged any more.
+        error: (rod,) mean distance of the laid rods from their patterns [m].
+        rods: (node, 3) centrelines of every rod at the end [m]; `stages` those after laying, the
+            moves and pulling.
+        time, frames, hands: of the film: (T,) times [s], (T, node, 3) of every rod (NaN before it
+            is laid), and (T, hand, 4, 4) poses of the hands.
+        duration: simulated time [s].
+        steps: time steps taken.
+    """
+
+    laid: Recognition | None = None
+    tied: Recognition | None = None
+    pulled: Recognition | None = None
+    wanted: str = ""
+    load: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    missed: list[str] = field(default_factory=list)
+    slipped: list[str] = field(default_factory=list)
+    diverged: bool = False
+    error: list[float] = field(default_factory=list)
+    stages: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    time: np.ndarray | None = None
+    frames: list[np.ndarray] = field(default_factory=list)
+    hands: np.ndarray | None = None
+    duration: float = 0.0
+    steps: int = 0
+
+    @property
+    def success(self) -> bool:
+        """Tied as wanted, still so after pulling, and both hands pulled to the end."""
+        return (
+            not self.diverged
+            and not self.slipped
+            and self.tied is not None
+            and self.tied.name == self.wanted
+            and self.pulled is not None
+            and self.pulled.name == self.wanted
+        )
+
+    @property
+    def why(self) -> str:
+        """Why it failed, in a few words."""
+        if self.diverged:
+            return "diverged"
+        if self.slipped:
+            return f"slipped out of the grip: {self.slipped[0]}"
+        if self.missed:
+            return f"grasped nothing: {self.missed[0]}"
+        if self.tied is not None and self.tied.name != self.wanted:
+            return f"tied {self.tied.name}"
+        if self.pulled is not None and self.pulled.name != self.wanted:
+            return f"came loose: {self.pulled.name}"
+        return "tied"
+
+
+def tie(
+    knot: KnotPlan,
+    trials: list[Handling],
+    method: str = "neural",
+    *,
+    friction: float = 0.6,
+    rod_friction: float = 0.4,
+    speed: float = 0.03,
+    hand_speed: float = 0.06,
+    step: float = 0.01,
+    film_interval: float | None = None,
+    device: str = "cpu",
+    progress: Callable[[str], None] | None = None,
+) -> list[TyingResult]:
+    """Lay the rods of a knot one after the other, make its moves, and pull.
+
+    Args:
+        knot: the plan.
+        trials: what disturbs each.
+        method: of the laying, as for `wrod.plan`.
+        friction: coefficient of rods on the table.
+        rod_friction: of rods on rods.
+        speed: at which the contact moves while a rod is laid [m/s].
+        hand_speed: of hands that carry [m/s].
+        step: largest time step [s].
+        film_interval: keep the state at about its multiples [s]; None keeps no film.
+        device: "cpu", "cuda:0", "auto".
+        progress: called with what comes next.
+    """
+    return _Session(
+        knot, trials, method, friction, rod_friction, speed, hand_speed, step, film_interval,
+        device, progress or (lambda what: None),
+    ).run()  # fmt: skip
+
+
+class _Session:
+    def __init__(
+        self, knot, trials, method, friction, rod_friction, speed, hand_speed, step, film, device,
+        progress,
+    ):  # fmt: skip
+        self.knot, self.trials, self.progress = knot, trials, progress
+        self.friction = (Friction(friction), Friction(rod_friction))
+        self.speed, self.hand_speed, self.step = speed, hand_speed, step
+        self.film_interval, self.device = film, device
+        self.plans: list[tuple[Pattern, RodMaterial, Trajectory]] = []
+        for pattern, rod in knot.rods:
+            trajectory = plan(pattern, rod, method)
+            self.plans.append((with_remainder_of(pattern, trajectory), rod, trajectory))
+        self.true_rods = [
+            [
+                replace(
+                    rod,
+                    gravito_bending_length=rod.gravito_bending_length
+                    * (1.0 + _laying(trial, k).lgb_error),
+                )
+                for k, (_, rod, _) in enumerate(self.plans)
+            ]
+            for trial in trials
+        ]
+        self.results = [TyingResult(wanted=knot.knot) for _ in trials]
+        self.arc: list[np.ndarray] = []
+        self.bench: Workbench | None = None
+        self.elapsed = 0.0
+        self.home = [Poses(_repeat([0.0, 0.0, 0.3], trials), _no_turn(trials)) for _ in range(2)]
+        self.now = list(self.home)
+        self.grasps = 0
+        self.film: list[tuple[float, list[np.ndarray], np.ndarray]] = []
+        rng = [np.random.default_rng([trial.seed, 11]) for trial in trials]
+        # (scene, hand, tick, 3): a minute of shaking, over and over.
+        self.shaking = np.stack(
+            [
+                [smooth_noise(g, 1500, trial.jitter, 1.5) for _ in range(2)]
+                for g, trial in zip(rng, trials, strict=True)
+            ]
+        )
+
+    def run(self) -> list[TyingResult]:
+        for k in range(len(self.plans)):
+            self.progress(f"lay rod {k + 1}")
+            self._lay(k)
+        self._note("laid")
+        for number, step in enumerate(self.knot.steps):
+            self.progress(f"move {number + 1}")
+            self._make(step, f"move {number + 1}")
+        self._note("tied")
+        if self.knot.pull:
+            self.progress("pull")
+            self._pull()
+            self._note("pulled")
+        return self._finished()
+
+    # Laying
+
+    def _lay(self, k: int) -> None:
+        """Put the scene's rods on a new table, the next one hanging from the first hand."""
+        pattern, rod, trajectory = self.plans[k]
+        edges = int(np.ceil(rod.length / (_EDGE * rod.radius)))
+        arc = np.linspace(0.0, rod.length, edges + 1)
+        rest = tail(pattern, rod, trajectory)
+        setups = [
+            prepare_deployment(
+                pattern, rod, trajectory, arc, _laying(trial, k), rest,
+                hold=0.05, release=0.10, speed=self.speed,
+            )
+            for trial in self.trials
+        ]  # fmt: skip
+        position = np.stack([setup.position for setup in setups])
+        director = np.stack([setup.director for setup in setups])
+        director = np.stack([_carried(p, d) for p, d in zip(position, director, strict=True)])
+        if self.bench is not None:
+            before = self.bench.batch
+            position = np.concatenate([before.positions(), position], axis=1)
+            link = position[:, before.node_count] - position[:, before.node_count - 1]
+            across = np.cross(link, [0.31, 0.59, 0.74])[:, None]
+            director = np.concatenate(
+                [before.material_directors()[:, :, 0], across, director], axis=1
+            )
+            self._count_steps()
+        self.arc.append(arc)
+        self.bench = bench = Workbench(
+            [scene[: k + 1] for scene in self.true_rods],
+            self.arc,
+            position,
+            director,
+            self.friction,
+            step=self.step,
+            device=self.device,
+        )
+        schedule = [setup.schedule for setup in setups]
+        last = bench.batch.node_count - 2
+        keys = max(len(s.position) for s in schedule)
+        table = np.stack([_padded(s.position, keys) for s in schedule])
+        turns = np.stack([_padded(s.rotation, keys) for s in schedule])
+
+        def follow(t: float) -> list[Poses]:
+            key = min(round(t / KEY_INTERVAL), keys - 1)
+            return [Poses(table[:, key], Rotation.from_quat(turns[:, key])), self.home[1]]
+
+        nodes = bench.slices[-1]
+        bench.held.hold_still(slice(nodes.start, nodes.start + schedule[0].held_nodes))
+        start = follow(0.0)
+        for scene in range(len(self.trials)):
+            bench.held.grasp(scene, 0, last, start[0])
+        bench.run(min(s.release_time for s in schedule), follow, self._shoot(follow))
+        bench.held.hold_still(None)
+        bench.run(min(s.let_go_time for s in schedule), follow, self._shoot(follow))
+        for scene in range(len(self.trials)):
+            bench.held.open(scene, 0)
+        bench.run(bench.time + 1.0, follow, self._shoot(follow))
+        self.elapsed += bench.time
+        self.now = follow(bench.time)
+        for scene, result in enumerate(self.results):
+            laid = bench.positions()[-1][scene]
+            target = pattern.sample(
+                np.clip(arc - pattern.remainder_length, -pattern.remainder_length, pattern.length)
+            )[0]
+            on = arc <= pattern.length + pattern.remainder_length
+            gap = np.linalg.norm((laid - target)[on, :2], axis=1)
+            result.error.append(float(gap.mean()))
+
+    # Moves
+
+    def _planned(self, move: Move) -> tuple[np.ndarray, float]:
+        """Where the pattern says that a grasped point lies, and the heading of the rod there."""
+        pattern, rod, _ = self.plans[move.rod]
+        s = move.at - pattern.remainder_length
+        clipped = float(np.clip(s, -pattern.remainder_length, pattern.length))
+        (point,), (along,), _ = pattern.sample(clipped)
+        point = point + (s - clipped) * along
+        return np.array([point[0], point[1], rod.radius]), float(np.arctan2(along[1], along[0]))
+
+    def _hand(self, hand: int, position: np.ndarray, yaw: np.ndarray | float) -> Poses:
+        """A hand's true pose for a commanded one, (3,) or (scene, 3)."""
+        count = len(self.trials)
+        tick = round((self.elapsed + self.bench.time) / 0.04) % self.shaking.shape[2]
+        out = np.broadcast_to(position, (count, 3)) + self.shaking[:, hand, tick]
+        out[:, :2] += [trial.offset[hand] for trial in self.trials]
+        yaw = np.broadcast_to(yaw, (count,))
+        return Poses(out, Rotation.from_euler("z", yaw[:, None]))
+
+    def _grasp(self, hand: int, move: Move, name: str, poses: Poses) -> None:
+        """Close a hand on what it finds."""
+        middle, _ = self.bench.held.edges()
+        for scene in range(len(self.trials)):
+            gap = np.linalg.norm(middle[scene] - poses.position[scene], axis=1)
+            for s in self.bench.slices[:-1]:
+                gap[s.stop - 1] = np.inf  # between two rods
+            edge = int(np.argmin(gap))
+            if gap[edge] > _FINGERS:
+                self.results[scene].missed.append(name)
+            else:
+                self.bench.held.grasp(scene, hand, edge, poses)
+
+    def _make(self, moves: list[Move], name: str) -> None:
+        """Moves of one step, the hands at the same time."""
+        bench = self.bench
+        starts, ends = {}, {}
+        for move in moves:
+            at, _ = self._planned(move)
+            path = _arch(at, np.array([*move.to, at[2] * move.lay_height]), move.lift)
+            starts[move.hand], ends[move.hand] = at, (path, np.radians(move.turn), move)
+        begin = bench.time
+        lengths = [_length(path) for path, _, _ in ends.values()]
+        duration = max(lengths) / self.hand_speed
+
+        def poses(t: float) -> list[Poses]:
+            u = _smooth((t - begin) / duration)
+            out = []
+            for hand in range(2):
+                if hand not in ends:
+                    out.append(self.now[hand])
+                    continue
+                path, turn, _ = ends[hand]
+                out.append(self._hand(hand, path(u), turn * u))
+            return out
+
+        for hand, move in ((m.hand, m) for m in moves):
+            self._grasp(hand, move, name, poses(begin)[hand])
+        after = self._shoot(poses, name)
+        bench.run(begin + duration, poses, after)
+        bench.run(bench.time + 0.2, poses, after)
+        for move in moves:
+            for scene in range(len(self.trials)):
+                bench.held.open(scene, move.hand)
+        bench.run(bench.time + _REST, poses, self._shoot(poses))
+        self.now = poses(bench.time)
+        self.grasps += len(moves)
+
+    def _pull(self) -> None:
+        """Both hands grasp where the rods' ends are put down, and pull until the load is there."""
+        bench, knot = self.bench, self.knot
+        begin = bench.time
+        way = np.zeros((len(self.trials), 2))
+        going = np.ones(len(self.trials), dtype=bool)
+        starts = [np.array([*pull.where, 0.0]) for pull in knot.pull]
+        for pull, start in zip(knot.pull, starts, strict=True):
+            start[2] = self.plans[pull.rod][1].radius
+        directions = [np.array([*pull.direction, 0.0]) for pull in knot.pull]
+        directions = [d / np.linalg.norm(d) for d in directions]
+
+        def poses(t: float) -> list[Poses]:
+            return [
+                self._hand(h, starts[h] + way[:, h, None] * directions[h], 0.0) for h in range(2)
+            ]
+
+        for hand, pull in enumerate(knot.pull):
+            self._grasp(hand, pull, "pull", poses(begin)[hand])
+        load = np.zeros((len(self.trials), 2))
+
+        def after() -> None:
+            nonlocal load
+            load = bench.held.load()
+            done = (load.min(axis=1) >= knot.load) | (way[:, 0] >= knot.pull[0].distance)
+            going[done] = False
+            far = np.array([pull.distance for pull in knot.pull])
+            way[going] += 0.5 * self.hand_speed * 0.04 * far / far.max()
+            watch()
+
+        watch = self._shoot(poses, "pull")
+        longest = max(pull.distance for pull in knot.pull) / (0.5 * self.hand_speed)
+        while bench.time < begin + longest and going.any():
+            bench.run(bench.time + 0.4, poses, after)
+        bench.run(bench.time + _SETTLE, poses, watch)
+        load = bench.held.load()
+        for result, pull in zip(self.results, load, strict=True):
+            result.load = pull
+        self.now = poses(bench.time)
+
+    # Watching
+
+    def _shoot(self, poses: Callable[[float], list[Poses]], name: str | None = None):
+        """What happens after every tick: film, and rods slip out of overloaded hands."""
+
+        def after() -> None:
+            bench = self.bench
+            if name is not None:
+                self._slip(name)
+            if self.film_interval is None:
+                return
+            now = self.elapsed + bench.time
+            if self.film and now < self.film[-1][0] + self.film_interval - 1e-9:
+                return
+            hands = np.tile(np.eye(4), (len(self.trials), 2, 1, 1))
+            for h, pose in enumerate(poses(bench.time)):
+                hands[:, h, :3, 3] = pose.position
+                hands[:, h, :3, :3] = pose.rotation.as_matrix()
+            self.film.append((now, bench.positions(), hands))
+
+        return after
+
+    def _slip(self, name: str) -> None:
+        load = self.bench.held.load()
+        for scene, trial in enumerate(self.trials):
+            for hand in range(2):
+                if self.bench.held.edge[scene, hand] < 0 or not trial.strength:
+                    continue
+                strength = trial.strength[(self.grasps + hand) % len(trial.strength)]
+                if load[scene, hand] > strength:
+                    self.bench.held.open(scene, hand)
+                    self.results[scene].slipped.append(name)
+
+    def _note(self, stage: str) -> None:
+        rods = self.bench.positions()
+        for scene, result in enumerate(self.results):
+            lines = [rod[scene] for rod in rods]
+            result.stages[stage] = lines
+            found = recognise_knot(lines[0]) if len(lines) == 1 else recognise_pair(*lines)
+            setattr(result, stage, found)
+
+    def _count_steps(self) -> None:
+        for scene, result in enumerate(self.results):
+            result.steps += int(self.bench.steps[scene])
+            result.diverged |= bool(self.bench.diverged[scene])
+
+    def _finished(self) -> list[TyingResult]:
+        self._count_steps()
+        for scene, result in enumerate(self.results):
+            result.duration = self.elapsed + self.bench.time
+            if not self.film:
+                continue
+            result.time = np.array([time for time, _, _ in self.film])
+            for k, arc in enumerate(self.arc):
+                frames = [
+                    rods[k][scene] if k < len(rods) else np.full((len(arc), 3), np.nan)
+                    for _, rods, _ in self.film
+                ]
+                result.frames.append(np.stack(frames))
+            result.hands = np.stack([hands[scene] for _, _, hands in self.film])
+        return self.results
+
+
+def _laying(trial: Handling, k: int) -> Disturbance:
+    return trial.laying[k] if k < len(trial.laying) else Disturbance()
+
+
+def _carried(position: np.ndarray, director: np.ndarray) -> np.ndarray:
+    """(node - 1, 3) the first edge's director carried along the rod without twist."""
+    edges = np.diff(position, axis=0)
+    tangents = edges / np.linalg.norm(edges, axis=1)[:, None]
+    out = [director - (director @ tangents[0]) * tangents[0]]
+    for before, after in pairwise(tangents):
+        d, axis = out[-1], np.cross(before, after)
+        out.append(
+            (before @ after) * d + np.cross(axis, d) + axis * (axis @ d) / (1 + before @ after)
+        )
+    return np.array(out) / np.linalg.norm(out, axis=1)[:, None]
+
+
+def _padded(values: np.ndarray, count: int) -> np.ndarray:
+    return np.concatenate([values, np.repeat(values[-1:], count - len(values), axis=0)])
+
+
+def _repeat(point, trials) -> np.ndarray:
+    return np.tile(np.asarray(point, dtype=float), (len(trials), 1))
+
+
+def _no_turn(trials) -> Rotation:
+    return Rotation.identity(len(trials))
+
+
+def _smooth(x: float) -> float:
+    x = float(np.clip(x, 0.0, 1.0))
+    return x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+
+
+def _arch(first: np.ndarray, last: np.ndarray, lift: float) -> Callable[[float], np.ndarray]:
+    """A way from one place on the table to another that passes over everything between them: up,
+    across, down, rounded."""
+
+    def at(u: float) -> np.ndarray:
+        across = _smooth((u - 0.15) / 0.7)
+        rise = min(_smooth(u / 0.4), _smooth((1.0 - u) / 0.4))
+        return first + across * (last - first) + np.array([0.0, 0.0, lift * rise])
+
+    return at
+
+
+def _length(path: Callable[[float], np.ndarray]) -> float:
+    points = np.array([path(u) for u in np.linspace(0.0, 1.0, 60)])
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() * 1.9)
