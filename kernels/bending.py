@@ -128,6 +128,8 @@ def bending(
     if active[r] == 0:
         return
     i = j + 1
+    if bending_stiffness[r, i][0] == ZERO:  # at a cut
+        return
     s = stencil(dof_in, director_in, r, i)
     rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
     cosine = wp.dot(s.t, s.u)

@@ -2,7 +2,7 @@
 
 import warp as wp
 from wrod.kernels.assembly import add_block, add_diagonal_block, add_vector
-from wrod.kernels.frames import HALF, ONE, edge
+from wrod.kernels.frames import HALF, ONE, ZERO, edge
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,6 +24,8 @@ def stretching(
     """Add energy and gradient, and the exact Hessian if `order` is 2."""
     r, i = wp.tid()
     if active[r] == 0:
+        return
+    if stretching_stiffness[r, i] == ZERO:  # a cut, of any length
         return
     e = edge(dof_in, r, i)
     length = wp.length(e)

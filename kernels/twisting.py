@@ -7,7 +7,7 @@ parallel-transported in time from the state at which they are evaluated.
 
 import warp as wp
 from wrod.kernels.assembly import add_angle_hessian, add_edge_gradient, add_edge_hessian
-from wrod.kernels.frames import HALF, ONE, TWO, edge
+from wrod.kernels.frames import HALF, ONE, TWO, ZERO, edge
 
 wp.set_module_options({"enable_backward": False})
 
@@ -33,6 +33,8 @@ def twisting(
     if active[r] == 0:
         return
     i = j + 1
+    if twisting_stiffness[r, i] == ZERO:  # at a cut
+        return
     e = edge(dof_in, r, i - 1)
     f = edge(dof_in, r, i)
     length_e = wp.length(e)

@@ -185,6 +185,7 @@ class RodBatch:
         self.every_rod = wp.ones(rods, dtype=wp.int32, device=self.device)
         self.state = RodState.zeros(rods, nodes, self.device)
         self.derivatives = Derivatives.zeros(rods, self.dof_count, self.device)
+        self.cut_edges = ()
         self.set_configuration(position, director=director)
 
     def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
@@ -259,6 +260,37 @@ class RodBatch:
             )
         state.reference_twist.zero_()
         self._launch_twist(state, state, self.every_rod)
+
+    def cut(self, edges) -> None:
+        """Take edges out of every row, so that several rods share it, end to end.
+
+        Args:
+            edges: their indices; edge i runs from the last node of one rod, i, to the first of the
+                next. Their rest length becomes negligible; every node keeps its mass.
+
+        Raises:
+            RodError: an index is not that of an edge, or a rod would be left with one node.
+        """
+        count = self.node_count - 1
+        edges = sorted({int(e) % count if -count <= e < count else count for e in edges})
+        if np.any(np.diff([-1, *edges, count]) < 2) or (edges and edges[-1] >= count):
+            raise RodError(
+                f"cannot cut edges {edges}: give indices below {count} that leave every rod "
+                "two nodes or more"
+            )
+        around = sorted({i for e in edges for i in (e, e + 1)})
+        rest = self.rest_length.numpy().copy()
+        rest[:, edges] = 1e-6 * rest.mean()
+        self.rest_length.assign(rest)
+        for array, columns in (
+            (self.stretching_stiffness, edges),
+            (self.bending_stiffness, around),
+            (self.twisting_stiffness, around),
+        ):
+            values = array.numpy().copy()
+            values[:, columns] = 0.0
+            array.assign(values)
+        self.cut_edges = tuple(edges)
 
     def set_free(self, free: np.ndarray) -> None:
         """Say which degrees of freedom may move: (rod, dof) of bool, broadcast."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,6 +13,7 @@ from wrod.batch import RodBatch, RodState, node_positions
 from wrod.errors import RodError
 from wrod.kernels import continuation, newton
 from wrod.kernels import dynamics as kernels
+from wrod.rod_contact import RodContact
 from wrod.statics import BandedSystem
 from wrod.substrate import Contact
 
@@ -60,7 +61,7 @@ class Dynamics:
         radius: (rod,) radius of the section, for the rotational inertia of the edges.
         air_damping: (rod,) drag per mass and velocity [1/time].
         internal_damping: (rod,) Kelvin-Voigt time of the material [time].
-        contact: what the rods touch, or None.
+        contact: what the rods touch, one or several, or None; at most one `RodContact`.
         motion: what moves prescribed degrees of freedom, or None.
         force_scale: (rod,) what residuals are measured against; default: the rod's weight, or
             k_b / L^2 if that is larger.
@@ -68,7 +69,7 @@ class Dynamics:
         max_iterations: of Newton; a step that needs more is halved.
 
     Raises:
-        RodError: unknown scheme, or a node without mass.
+        RodError: unknown scheme, a node without mass, or two `RodContact`.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class Dynamics:
         radius: np.ndarray | float,
         air_damping: np.ndarray | float = 0.0,
         internal_damping: np.ndarray | float = 0.0,
-        contact: Contact | None = None,
+        contact: Contact | RodContact | Sequence[Contact | RodContact] | None = None,
         motion: Motion | None = None,
         force_scale: np.ndarray | float | None = None,
         tolerance: float = 1e-6,
@@ -90,7 +91,14 @@ class Dynamics:
         self.batch, self.contact, self.motion = batch, contact, motion
         self.two_step, self.max_iterations = int(scheme == "bdf2"), max_iterations
         rods, device = batch.rod_count, batch.device
-        self.system = BandedSystem(batch)
+        if contact is None:
+            contact = ()
+        self.contacts = tuple(contact) if isinstance(contact, Sequence) else (contact,)
+        coupling = [c for c in self.contacts if isinstance(c, RodContact)]
+        if len(coupling) > 1:
+            raise RodError("two RodContact for one batch; one covers all pairs of its edges")
+        self.rod_contact = coupling[0] if coupling else None
+        self.system = coupling[0].system if coupling else BandedSystem(batch)
         self.start = RodState.zeros(rods, batch.node_count, device)
         self.start.assign(batch.state)
 
@@ -182,6 +190,8 @@ class Dynamics:
             rounds += 1
             if progress is not None and rounds % 128 == 0:
                 progress(self.time.numpy().copy())
+        if self.rod_contact is not None:
+            self.rod_contact.check_capacity()
         return Progress(
             self.time.numpy().copy(),
             self.diverged.numpy() != 0,
@@ -246,6 +256,8 @@ class Dynamics:
         )
         if self._has_internal_damping:
             batch.evaluate(order=1, active=self.starting)
+        if self.rod_contact is not None:
+            self.rod_contact.prepare(self.starting, self.start.dof)
         if self.motion is not None:
             self.motion.prescribe(self.starting, self.time, self.step, self.start)
         self._per_dof(
@@ -278,8 +290,8 @@ class Dynamics:
             ],
             [out.gradient, out.hessian],
         )
-        if self.contact is not None:
-            self.contact.add(self.active, dof, start.dof)
+        for contact in self.contacts:
+            contact.add(self.active, dof, start.dof)
         self._per_rod(
             newton.measure_residual,
             [
@@ -292,6 +304,8 @@ class Dynamics:
             ],
             [self.residual, self.converged],
         )
+        if self.rod_contact is not None:
+            self.rod_contact.refuse(self.converged, dof, start.dof)
         self._per_rod(
             kernels.judge_step,
             [
@@ -331,8 +345,8 @@ class Dynamics:
     def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
         """Carry accepted steps over to the next, and take failed ones back."""
         batch, start, dof = self.batch, self.start, self.batch.state.dof
-        if self.contact is not None:
-            self.contact.settle(self.accepted, dof, start.dof)
+        for contact in self.contacts:
+            contact.settle(self.accepted, dof, start.dof)
         if frames is not None:
             self._per_dof(
                 kernels.record_frames,
