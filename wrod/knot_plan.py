@@ -9,7 +9,8 @@ A plan is JSON, in metres, beside the files of its patterns:
               {"rod": 0, "at": 0.8, "where": [x, y], "direction": [1, 1], "distance": 0.1}],
      "load": 0.3}
 
-`at` is the arc length of what is grasped, from the end that is laid first; `to` where it is put.
+`at` is the arc length of what is grasped, from the end that is laid first; `to` where it is put;
+`where` the place of the grasp if an earlier move has put the rod there.
 The moves of one step are made at the same time, each by another hand. Pulls grasp the rod at
 `where`; they end at `distance` or when both hands pull with `load` [N].
 """
@@ -41,6 +42,8 @@ class Move:
         lift: height of the way [m].
         turn: of the hand about the vertical, on its way [degrees].
         lay_height: height at which it is let go, in radii of the rod.
+        where: (2,) place of the grasp [m], where an earlier move put the rod; default: the
+            pattern's point at `at`.
     """
 
     rod: int
@@ -50,6 +53,7 @@ class Move:
     lift: float = 0.05
     turn: float = 0.0
     lay_height: float = 1.0
+    where: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,7 @@ class KnotPlan:
         steps: moves that are made at the same time, step by step.
         pull: one for each hand, or none.
         load: pull of both hands at which pulling ends [N].
+        rod_names: what the rods are called.
     """
 
     name: str
@@ -90,6 +95,7 @@ class KnotPlan:
     steps: tuple[tuple[Move, ...], ...]
     pull: tuple[Pull, ...] = ()
     load: float = 0.3
+    rod_names: tuple[str, ...] = ()
 
     @classmethod
     def load_plan(cls, path: str | os.PathLike[str]) -> KnotPlan:
@@ -108,13 +114,23 @@ class KnotPlan:
             raise DataError(f"{path}: give a JSON object whose format is {_FORMAT!r}")
         try:
             rods = tuple(
-                (Pattern.load(path.parent / str(entry["pattern"])), rod(str(entry["rod"])))
+                (
+                    Pattern.load(path.parent / str(entry["pattern"]), smoothing=0.0),
+                    rod(str(entry["rod"])),
+                )
                 for entry in data["rods"]
             )
             steps = tuple(tuple(_move(move) for move in step) for step in data["steps"])
             pull = tuple(_pull(entry) for entry in data.get("pull", []))
+            names = tuple(str(entry["rod"]) for entry in data["rods"])
             plan = cls(
-                str(data["name"]), str(data["knot"]), rods, steps, pull, _number(data["load"])
+                str(data["name"]),
+                str(data["knot"]),
+                rods,
+                steps,
+                pull,
+                _number(data["load"]),
+                names,
             )
         except (KeyError, TypeError, AttributeError) as error:
             raise DataError(f"{path}: an entry is missing or of the wrong kind ({error})") from None
@@ -156,6 +172,8 @@ def _whole(value) -> int:
 
 def _move(entry: dict) -> Move:
     extra = {name: _number(entry[name]) for name in ("lift", "turn", "lay_height") if name in entry}
+    if "where" in entry:
+        extra["where"] = _point(entry["where"])
     return Move(
         _whole(entry["rod"]), _number(entry["at"]), _point(entry["to"]), _whole(entry["hand"]),
         **extra,

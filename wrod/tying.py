@@ -31,7 +31,9 @@ _EDGE = 2.0
 # A hand finds a rod whose centreline is this near [m].
 _FINGERS = 0.012
 _SETTLE, _REST = 0.4, 0.6
-_APART = 0.5  # [m] where rods wait that are not on the table yet
+# A hand that reaches down: its x axis, the rod's tangent where it hangs from the hand, points up.
+_UPRIGHT = Rotation.from_matrix([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+_EMPTY_SPEED = 0.25  # of hands that carry nothing [m/s]
 
 
 @dataclass(frozen=True)
@@ -195,7 +197,7 @@ class _Session:
         self.arc: list[np.ndarray] = []
         self.bench: Workbench | None = None
         self.elapsed = 0.0
-        self.home = [Poses(_repeat([0.0, 0.0, 0.3], trials), _no_turn(trials)) for _ in range(2)]
+        self.home = [Poses(_repeat(place, trials), _upright(trials)) for place in _home(knot)]
         self.now = list(self.home)
         self.grasps = 0
         self.film: list[tuple[float, list[np.ndarray], np.ndarray]] = []
@@ -294,14 +296,16 @@ class _Session:
 
     # Moves
 
-    def _planned(self, move: Move) -> tuple[np.ndarray, float]:
-        """Where the pattern says that a grasped point lies, and the heading of the rod there."""
+    def _planned(self, move: Move) -> np.ndarray:
+        """(3,) where the plan says that a grasped point lies."""
         pattern, rod, _ = self.plans[move.rod]
+        if move.where is not None:
+            return np.array([*move.where, rod.radius])
         s = move.at - pattern.remainder_length
         clipped = float(np.clip(s, -pattern.remainder_length, pattern.length))
         (point,), (along,), _ = pattern.sample(clipped)
         point = point + (s - clipped) * along
-        return np.array([point[0], point[1], rod.radius]), float(np.arctan2(along[1], along[0]))
+        return np.array([point[0], point[1], rod.radius])
 
     def _hand(self, hand: int, position: np.ndarray, yaw: np.ndarray | float) -> Poses:
         """A hand's true pose for a commanded one, (3,) or (scene, 3)."""
@@ -310,7 +314,7 @@ class _Session:
         out = np.broadcast_to(position, (count, 3)) + self.shaking[:, hand, tick]
         out[:, :2] += [trial.offset[hand] for trial in self.trials]
         yaw = np.broadcast_to(yaw, (count,))
-        return Poses(out, Rotation.from_euler("z", yaw[:, None]))
+        return Poses(out, Rotation.from_euler("z", yaw[:, None]) * _UPRIGHT)
 
     def _grasp(self, hand: int, move: Move, name: str, poses: Poses) -> None:
         """Close a hand on what it finds."""
@@ -328,9 +332,10 @@ class _Session:
     def _make(self, moves: list[Move], name: str) -> None:
         """Moves of one step, the hands at the same time."""
         bench = self.bench
+        self._approach({move.hand: self._planned(move) for move in moves})
         starts, ends = {}, {}
         for move in moves:
-            at, _ = self._planned(move)
+            at = self._planned(move)
             path = _arch(at, np.array([*move.to, at[2] * move.lay_height]), move.lift)
             starts[move.hand], ends[move.hand] = at, (path, np.radians(move.turn), move)
         begin = bench.time
@@ -360,9 +365,33 @@ class _Session:
         self.now = poses(bench.time)
         self.grasps += len(moves)
 
+    def _approach(self, places: dict[int, np.ndarray]) -> None:
+        """Bring empty hands to where they grasp next, high above the table."""
+        bench, begin = self.bench, self.bench.time
+        paths = {
+            h: (self.now[h], _arch(self.now[h].position[0], at, 0.10)) for h, at in places.items()
+        }
+        duration = max(_length(path) for _, path in paths.values()) / _EMPTY_SPEED
+
+        def poses(t: float) -> list[Poses]:
+            x = (t - begin) / duration
+            out = list(self.now)
+            for hand, (start, path) in paths.items():
+                here = self._hand(hand, path(_smooth(x)), 0.0)
+                # Out of the pose in which the rod was laid into the upright one.
+                turn = (here.rotation * start.rotation.inv()).as_rotvec()
+                left = Rotation.from_rotvec((_smooth(3.0 * x) - 1.0) * turn)
+                out[hand] = Poses(here.position, left * here.rotation)
+            return out
+
+        bench.run(begin + duration, poses, self._shoot(poses))
+        self.now = poses(bench.time)
+
     def _pull(self) -> None:
         """Both hands grasp where the rods' ends are put down, and pull until the load is there."""
         bench, knot = self.bench, self.knot
+        heights = [self.plans[pull.rod][1].radius for pull in knot.pull]
+        self._approach({h: np.array([*pull.where, heights[h]]) for h, pull in enumerate(knot.pull)})
         begin = bench.time
         way = np.zeros((len(self.trials), 2))
         going = np.ones(len(self.trials), dtype=bool)
@@ -488,8 +517,17 @@ def _repeat(point, trials) -> np.ndarray:
     return np.tile(np.asarray(point, dtype=float), (len(trials), 1))
 
 
-def _no_turn(trials) -> Rotation:
-    return Rotation.identity(len(trials))
+def _upright(trials) -> Rotation:
+    return Rotation.from_quat(_repeat(_UPRIGHT.as_quat(), trials))
+
+
+def _home(knot: KnotPlan) -> tuple[np.ndarray, np.ndarray]:
+    """Where the hands wait: high over the patterns' middle."""
+    points = np.concatenate(
+        [pattern.sample(np.linspace(0.0, pattern.length, 50))[0] for pattern, _ in knot.rods]
+    )
+    middle = (points.min(0) + points.max(0)) / 2
+    return middle + [0.0, 0.0, 0.3], middle + [0.0, 0.0, 0.3]
 
 
 def _smooth(x: float) -> float:

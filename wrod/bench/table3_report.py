@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from wrod.bench import ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
-from wrod.errors import DataError
 from wrod.files import write_atomically
 
 _FORMAT = "wrod-table3-1"
@@ -19,41 +18,11 @@ SHORT = {"intuitive": "INT", "numeric": "OPT"}
 KEYS = ("rod", "substrate", "pattern", "method", "trial")
 
 
-class Ledger:
-    """A file of one finished trial a line; what a killed run wrote is there for the next.
-
-    Raises:
-        DataError: the file belongs to a campaign with other settings, or is not one.
-    """
+class Ledger(ledger.Ledger):
+    """This campaign's file."""
 
     def __init__(self, path: Path, settings: dict):
-        self.path, self.rows = path, []
-        head = {"format": _FORMAT, **settings}
-        if not path.exists():
-            write_atomically(path, lambda file: file.write(json.dumps(head) + "\n"))
-            return
-        lines = path.read_text(encoding="utf-8").split("\n")
-        whole, broken = lines[:-1], lines[-1]  # a killed run may leave half a line
-        try:
-            found = json.loads(whole[0])
-            self.rows = [json.loads(line) for line in whole[1:]]
-        except (IndexError, ValueError):
-            raise DataError(f"{path}: is not a readable campaign; choose another --out") from None
-        if found != json.loads(json.dumps(head)):
-            raise DataError(
-                f"{path}: was begun with other settings ({found}); choose another --out or delete "
-                "it"
-            )
-        if broken:
-            write_atomically(path, lambda file: file.write("\n".join(whole) + "\n"))
-
-    def done(self) -> set[tuple]:
-        return {tuple(row[key] for key in KEYS) for row in self.rows}
-
-    def add(self, rows: list[dict]) -> None:
-        with open(self.path, "a", encoding="utf-8") as file:
-            file.writelines(json.dumps(row) + "\n" for row in rows)
-        self.rows += rows
+        super().__init__(path, settings, KEYS, _FORMAT)
 
 
 @dataclass(frozen=True)
