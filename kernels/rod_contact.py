@@ -19,6 +19,12 @@ from wrod.kernels.segments import SMOOTHING, Nearest, nearest
 wp.set_module_options({"enable_backward": False})
 
 
+# Which bristles hold any load: none, those that held before, all.
+SLIPPING = wp.constant(0)
+HELD = wp.constant(1)
+EVERY = wp.constant(2)
+
+
 @wp.struct
 class Law:
     """What all pairs of a rod share: stiffness, skin, and the coefficients of friction."""
@@ -104,6 +110,7 @@ def pair_contact(
     bristle: wp.vec2d,
     load: wp.float64,
     sliding: int,
+    sticks: int,
     r: int,
     i: int,
     j: int,
@@ -134,12 +141,14 @@ def pair_contact(
         if size > limit or limit == ZERO:
             # Also without friction, where the bristle never holds.
             size = wp.max(size, wp.float64(1.0e-30))
-            shrink = limit / size
             out.slid = size - limit
-            out.bristle = shrink * out.bristle
-            along = stretch / size
-            out.grip = shrink * (out.grip - law.stiffness * wp.outer(along, along))
-            stretch = shrink * stretch
+            holds = sticks == EVERY or (sticks == HELD and sliding == 0)
+            if limit == ZERO or not holds:
+                shrink = limit / size
+                out.bristle = shrink * out.bristle
+                along = stretch / size
+                out.grip = shrink * (out.grip - law.stiffness * wp.outer(along, along))
+                stretch = shrink * stretch
         out.pull = law.stiffness * stretch
     return out
 
@@ -205,12 +214,17 @@ def rod_contact(
     bristle: wp.array3d(dtype=wp.vec2d),
     load: wp.array3d(dtype=wp.float64),
     sliding: wp.array3d(dtype=wp.int32),
+    sticking: wp.array(dtype=wp.int32),
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     # State out:
     depth_out: wp.array3d(dtype=wp.float64),
+    overloaded_out: wp.array(dtype=wp.int32),
 ):
-    """Subtract the forces of every touching pair from the residual, and note how deep it is."""
+    """Subtract the forces of every touching pair from the residual, and note how deep it is.
+
+    While a rod is `sticking`, bristles hold any load: those that held before, or all.
+    """
     r, i = wp.tid()
     if active[r] == 0:
         return
@@ -218,10 +232,12 @@ def rod_contact(
         j = partner[r, i, k]
         c = pair_contact(
             law[r], radius, rest_length, dof, dof_before, bristle[r, i, k], load[r, i, k],
-            sliding[r, i, k], r, i, j,
+            sliding[r, i, k], sticking[r], r, i, j,
         )  # fmt: skip
         depth_out[r, i, k] = radius[r, i] + radius[r, j] - c.near.distance
         if c.force > ZERO:
+            if c.slid > ZERO and load[r, i, k] > ZERO:
+                overloaded_out[r] = 1
             push = (-c.force / c.near.distance) * c.near.gap
             m = edge_motion(c.near.first, c.near.s, -radius[r, i], c.normal)
             add_edge_force(gradient, r, i, c.near.s, push, m, c.pull)
@@ -241,14 +257,22 @@ def refuse_large_steps(
     partner: wp.array3d(dtype=wp.int32),
     depth: wp.array3d(dtype=wp.float64),
     overflow: wp.array(dtype=wp.int32),
+    sticking: wp.array(dtype=wp.int32),
+    overloaded: wp.array(dtype=wp.int32),
     # State in and out:
     converged: wp.array(dtype=wp.int32),
+    active: wp.array(dtype=wp.int32),
 ):
     """No tunnelling: a step stands only if no node moved by more than half a radius, for which the
     lists of partners were made, and no pair is deeper than half a radius: then centrelines that
     were apart cannot have crossed."""
     r = wp.tid()
     if converged[r] == 0:
+        return
+    if sticking[r] != 0 and overloaded[r] != 0:
+        # In balance only with bristles that hold more than they can: iterate.
+        converged[r] = 0
+        active[r] = 1
         return
     good = overflow[r] == 0
     for i in range(partner_count.shape[1] + 1):
@@ -261,6 +285,22 @@ def refuse_large_steps(
                 good = bool(False)
     if not good:
         converged[r] = 0
+
+
+@wp.kernel
+def begin_sticking(
+    starting: wp.array(dtype=wp.int32),
+    rejected: wp.array(dtype=wp.int32),
+    sticking_out: wp.array(dtype=wp.int32),
+    overloaded_out: wp.array(dtype=wp.int32),
+):
+    """The first iteration of a step takes bristles that held to hold any load, as an elastic
+    predictor: Newton then meets the kink of Coulomb's law from the side of the solution. When a
+    step has failed, also those that slid."""
+    r = wp.tid()
+    if starting[r] != 0:
+        sticking_out[r] = wp.where(rejected[r] != 0, EVERY, HELD)
+        overloaded_out[r] = 0
 
 
 @wp.kernel
@@ -303,7 +343,7 @@ def settle_friction(
         j = partner[r, i, k]
         c = pair_contact(
             law[r], radius, rest_length, dof, dof_before, bristle[r, i, k], load[r, i, k],
-            sliding[r, i, k], r, i, j,
+            sliding[r, i, k], SLIPPING, r, i, j,
         )  # fmt: skip
         bristle[r, i, k] = c.bristle
         load[r, i, k] = c.force

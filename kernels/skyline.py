@@ -2,8 +2,8 @@
 
 Contacts couple nodes that are far apart along the rod. Nodes are renumbered breadth first over the
 graph of rod and contacts (reverse Cuthill-McKee), which keeps a row's entries close to the diagonal
-even in a knot: its width is that of a few strands. Blocks of 4 x 4 (a node and the angle of the edge
-after it) are stored from the first one of each row on; without pivoting, as in
+even in a knot: its width is that of a few strands. Blocks of 4 x 4 (a node and the angle of the
+edge after it) are stored from the first one of each row on; without pivoting, as in
 `wrod.kernels.banded`, so that negative pivots count the negative eigenvalues of the whole free
 matrix. One rod a thread.
 """
@@ -63,6 +63,17 @@ def enqueue(
     return tail
 
 
+@wp.func
+def bonded(cut: wp.array2d(dtype=wp.int32), r: int, first: int, last: int) -> bool:
+    """Whether both are nodes, with no cut between them."""
+    if first < 0 or last > cut.shape[1]:
+        return False
+    cuts = int(0)
+    for e in range(first, last):
+        cuts += cut[r, e]
+    return cuts == 0
+
+
 @wp.kernel
 def renumber(
     # Model:
@@ -113,12 +124,10 @@ def renumber(
                     tail = enqueue(rank_out, order_out, r, o + 1, tail)
                     k = link[r, k]
             for step in range(1, 3):
-                if v + step < n:
-                    if cut[r, v] == 0 and cut[r, v + step - 1] == 0:
-                        tail = enqueue(rank_out, order_out, r, v + step, tail)
-                if v - step >= 0:
-                    if cut[r, v - 1] == 0 and cut[r, v - step] == 0:
-                        tail = enqueue(rank_out, order_out, r, v - step, tail)
+                if bonded(cut, r, v, v + step):
+                    tail = enqueue(rank_out, order_out, r, v + step, tail)
+                if bonded(cut, r, v - step, v):
+                    tail = enqueue(rank_out, order_out, r, v - step, tail)
             at += 1
     # Backwards: the same profile or a smaller one.
     for v in range(n):
@@ -169,9 +178,7 @@ def band_block(hessian: wp.array3d(dtype=wp.float64), r: int, v: int, u: int) ->
 
 
 @wp.func
-def masked(
-    free: wp.array2d(dtype=wp.int32), block: wp.mat44d, r: int, v: int, u: int
-) -> wp.mat44d:
+def masked(free: wp.array2d(dtype=wp.int32), block: wp.mat44d, r: int, v: int, u: int) -> wp.mat44d:
     """Rows and columns of prescribed degrees of freedom as those of the identity."""
     out = block
     for c in range(4):
@@ -276,17 +283,17 @@ def share(c: Pair, radius_first: wp.float64, radius_second: wp.float64, k: int) 
 
 @wp.func
 def pair_block(
-    c: Pair, a: Share, b: Share, inverse_ss: wp.float64, inverse_st: wp.float64,
-    inverse_tt: wp.float64,
+    c: Pair, force: wp.float64, a: Share, b: Share, inverse_ss: wp.float64,
+    inverse_st: wp.float64, inverse_tt: wp.float64,
 ) -> wp.mat44d:  # fmt: skip
-    """Block (a, b) of the pair's matrix: exact Hessian of its energy, and stiffness of the bristle
-    with normal force and direction held."""
+    """Block (a, b) of the pair's matrix: Hessian of its energy, with `force` in the part that comes
+    from the turning of the normal, and stiffness of the bristle."""
     d = c.near.distance
     w = a.weight * b.weight
     curving = wp.diag(wp.vec4d(w, w, w, ZERO))
     curving = curving - wp.outer(a.first, inverse_ss * b.first + inverse_st * b.second)
     curving = curving - wp.outer(a.second, inverse_st * b.first + inverse_tt * b.second)
-    out = (c.slope + c.force / d) * wp.outer(a.distance, b.distance) - (c.force / d) * curving
+    out = (c.slope + force / d) * wp.outer(a.distance, b.distance) - (force / d) * curving
     g = c.grip
     out = out + wp.outer(a.x, g[0, 0] * b.x + g[0, 1] * b.y + g[0, 2] * b.z)
     out = out + wp.outer(a.y, g[1, 0] * b.x + g[1, 1] * b.y + g[1, 2] * b.z)
@@ -310,6 +317,7 @@ def add_pairs(
     bristle: wp.array3d(dtype=wp.vec2d),
     load: wp.array3d(dtype=wp.float64),
     sliding: wp.array3d(dtype=wp.int32),
+    sticking: wp.array(dtype=wp.int32),
     count: wp.array(dtype=wp.int32),
     touching: wp.array2d(dtype=wp.vec3i),
     rank: wp.array2d(dtype=wp.int32),
@@ -318,7 +326,11 @@ def add_pairs(
     # State in and out:
     block: wp.array2d(dtype=wp.mat44d),
 ):
-    """Add the matrices of all touching pairs of a rod, one after the other."""
+    """Add the matrices of all touching pairs of a rod, one after the other.
+
+    They turn with at most the force of the last step: that of a predictor which is deep inside
+    would make the matrix indefinite and lead Newton astray.
+    """
     r = wp.tid()
     if coupled[r] == 0 or overflow[r] != 0:
         return
@@ -329,8 +341,9 @@ def add_pairs(
         slot = pair[2]
         c = pair_contact(
             law[r], radius, rest_length, dof, dof_before, bristle[r, i, slot], load[r, i, slot],
-            sliding[r, i, slot], r, i, j,
+            sliding[r, i, slot], sticking[r], r, i, j,
         )  # fmt: skip
+        held = wp.min(c.force, load[r, i, slot])
         e = c.near.first
         f = c.near.second
         ss = wp.dot(e, e) + smoothing * rest_length[r, i] * rest_length[r, i]
@@ -340,18 +353,18 @@ def add_pairs(
         for k in range(4):
             v = pair[k // 2] + k % 2
             a = share(c, radius[r, i], radius[r, j], k)
-            for l in range(4):
-                u = pair[l // 2] + l % 2
+            for m in range(4):
+                u = pair[m // 2] + m % 2
                 p = rank[r, v]
                 q = rank[r, u]
                 if q <= p:
-                    b = share(c, radius[r, i], radius[r, j], l)
-                    m = pair_block(c, a, b, tt / det, st / det, ss / det)
+                    b = share(c, radius[r, i], radius[r, j], m)
+                    new = pair_block(c, held, a, b, tt / det, st / det, ss / det)
                     for x in range(4):
                         for y in range(4):
-                            m[x, y] = m[x, y] * free_of(free, r, v, x) * free_of(free, r, u, y)
+                            new[x, y] = new[x, y] * free_of(free, r, v, x) * free_of(free, r, u, y)
                     at = row[r, p] + q - first[r, p]
-                    block[r, at] = block[r, at] + m
+                    block[r, at] = block[r, at] + new
 
 
 @wp.func
@@ -509,11 +522,14 @@ def limit_motion(
     active: wp.array(dtype=wp.int32),
     # State in and out:
     x: wp.array3d(dtype=wp.float64),
+    # State out:
+    sticking_out: wp.array(dtype=wp.int32),
 ):
     """Shorten a Newton step that moves some node by more than `limit`."""
     r = wp.tid()
     if active[r] == 0:
         return
+    sticking_out[r] = 0
     largest = wp.float64(0.0)
     for v in range((x.shape[2] + 1) // 4):
         move = wp.vec3d(x[r, 0, 4 * v], x[r, 0, 4 * v + 1], x[r, 0, 4 * v + 2])

@@ -21,6 +21,7 @@ def deformed_rods(rod_count=4, node_count=7, seed=0, **changes):
         twisting_stiffness=rng.uniform(0.5, 3, shape),
         natural_curvature=rng.normal(size=(*shape, 2)),
         natural_twist=rng.normal(size=shape),
+        softening=rng.uniform(0, 0.8, (*shape, 2)) * rng.integers(0, 2, (*shape, 1)),
         node_mass=rng.uniform(0.1, 1, shape),
         gravity=rng.normal(size=(rod_count, 3)),
         point_load=rng.normal(size=(*shape, 3)),

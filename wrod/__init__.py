@@ -33,6 +33,9 @@ _PUBLIC = {
     "scan": "wrod.perception.scan",
     "trace_centerlines": "wrod.perception.trace",
     "measure_deployment": "wrod.perception.measure",
+    "identify": "wrod.identification",
+    "load_measurements": "wrod.identification",
+    "IdentificationReport": "wrod.identification",
 }
 
 __all__ = sorted(_PUBLIC)

@@ -20,6 +20,7 @@ from wrod.kernels.frames import (
     transport_reference_frames,
 )
 from wrod.kernels.loads import dead_loads
+from wrod.kernels.softened_bending import softened_bending
 from wrod.kernels.stretching import stretching
 from wrod.kernels.twisting import twisting
 
@@ -116,6 +117,8 @@ class RodBatch:
         twisting_stiffness: (rod, node) GJ [force length^2].
         natural_curvature: (rod, node, 2) curvature at rest in the material frame [1/length].
         natural_twist: (rod, node) twist at rest [rad/length].
+        softening: (rod, node, 2) c >= 0 [length^2] and r of the moment
+            B e (r + (1 - r) / sqrt(1 + c e^2)) that belongs to a curvature e; c = 0 is linear.
         node_mass: (rod, node) lumped masses.
         gravity: (rod, 3) acceleration.
         point_load: (rod, node, 3) dead force at each node [force].
@@ -138,6 +141,7 @@ class RodBatch:
         twisting_stiffness,
         natural_curvature=0.0,
         natural_twist=0.0,
+        softening=0.0,
         node_mass=0.0,
         gravity=0.0,
         point_load=0.0,
@@ -177,6 +181,7 @@ class RodBatch:
             "natural_curvature", natural_curvature, (rods, nodes, 2), wp.vec2d
         )
         self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
+        self.set_softening(softening)
         self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
         self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)
         self.point_load = self._array("point_load", point_load, (rods, nodes, 3), wp.vec3d)
@@ -208,6 +213,20 @@ class RodBatch:
                 f"{name} has shape {value.shape}, which does not broadcast to {shape}"
             ) from None
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
+
+    def set_softening(self, softening) -> None:
+        """Give every rod its law: (rod, node, 2) as in the constructor, broadcast.
+
+        Raises:
+            RodError: the shape does not broadcast, or a c is negative or not finite.
+        """
+        shape = (self.rod_count, self.node_count, 2)
+        array = self._array("softening", softening, shape, wp.vec2d)
+        value = np.atleast_1d(softening)
+        if value[..., 0].min() < 0.0:
+            raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
+        self.softening = array
+        self.softens = bool(value[..., 0].any())
 
     def set_configuration(self, position, *, angle=0.0, director=None) -> None:
         """Put the rods into a configuration.
@@ -349,13 +368,15 @@ class RodBatch:
 
         nodes, rest = self.node_count, self.rest_length
         launch(stretching, nodes - 1, [rest, self.stretching_stiffness, active, state.dof, order])
+        # The linear law has a kernel of its own: the general one costs grasps half as much again.
         launch(
-            bending,
+            softened_bending if self.softens else bending,
             nodes - 2,
             [
                 rest,
                 self.bending_stiffness,
                 self.natural_curvature,
+                self.softening,
                 active,
                 state.dof,
                 state.director,

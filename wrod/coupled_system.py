@@ -103,6 +103,7 @@ class CoupledSystem(BandedSystem):
                 contact.bristle,
                 contact.load,
                 contact.sliding,
+                contact.sticking,
                 self.pair_count,
                 self.touching,
                 *profile,
@@ -122,4 +123,5 @@ class CoupledSystem(BandedSystem):
         chosen = [self.coupled, contact.overflow, self.batch.free]
         profile = [self._order, self._first, self._row]
         self._per_rod(skyline.solve, [*chosen, *profile, self._block, self._y], [self.x])
-        self._per_rod(skyline.limit_motion, [contact.reach, contact.overflow, active], [self.x])
+        limits = [contact.reach, contact.overflow, active]
+        self._per_rod(skyline.limit_motion, limits, [self.x, contact.sticking])

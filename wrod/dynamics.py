@@ -257,7 +257,7 @@ class Dynamics:
         if self._has_internal_damping:
             batch.evaluate(order=1, active=self.starting)
         if self.rod_contact is not None:
-            self.rod_contact.prepare(self.starting, self.start.dof)
+            self.rod_contact.prepare(self.starting, self.rejected, self.start.dof)
         if self.motion is not None:
             self.motion.prescribe(self.starting, self.time, self.step, self.start)
         self._per_dof(
@@ -305,7 +305,7 @@ class Dynamics:
             [self.residual, self.converged],
         )
         if self.rod_contact is not None:
-            self.rod_contact.refuse(self.converged, dof, start.dof)
+            self.rod_contact.refuse(self.converged, self.active, dof, start.dof)
         self._per_rod(
             kernels.judge_step,
             [

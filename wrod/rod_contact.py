@@ -108,7 +108,7 @@ class RodContact:
         self.depth, self.load, self._new_load = (
             zeros(wp.float64, edges, partners) for _ in range(3)
         )
-        self.overflow = zeros(wp.int32)
+        self.overflow, self.sticking, self._overloaded = (zeros(wp.int32) for _ in range(3))
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
         self.force = zeros(wp.vec3d, nodes)
         self.configuration = ()
@@ -118,9 +118,17 @@ class RodContact:
     def _model(self):
         return [self.law, self.edge_radius, self.batch.rest_length]
 
-    def prepare(self, starting: wp.array, dof: wp.array) -> None:
-        """List the pairs that may touch in a step that starts at `dof`."""
+    def prepare(self, starting: wp.array, rejected: wp.array, dof: wp.array) -> None:
+        """List the pairs that may touch in a step that starts at `dof`, for the first time or
+        because the last trial was rejected."""
         batch = self.batch
+        wp.launch(
+            kernels.begin_sticking,
+            dim=batch.rod_count,
+            inputs=[starting, rejected],
+            outputs=[self.sticking, self._overloaded],
+            device=batch.device,
+        )
         wp.launch(
             contact_pairs.bound_groups,
             dim=self._lower.shape,
@@ -172,12 +180,15 @@ class RodContact:
                 self.bristle,
                 self.load,
                 self.sliding,
+                self.sticking,
             ],
-            outputs=[self.batch.derivatives.gradient, self.depth],
+            outputs=[self.batch.derivatives.gradient, self.depth, self._overloaded],
             device=self.batch.device,
         )
 
-    def refuse(self, converged: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+    def refuse(
+        self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
+    ) -> None:
         """Take back the convergence of steps that are too large for nothing to tunnel."""
         wp.launch(
             kernels.refuse_large_steps,
@@ -191,8 +202,10 @@ class RodContact:
                 self.partner,
                 self.depth,
                 self.overflow,
+                self.sticking,
+                self._overloaded,
             ],
-            outputs=[converged],
+            outputs=[converged, active],
             device=self.batch.device,
         )
 

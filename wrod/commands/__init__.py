@@ -10,7 +10,18 @@ import click
 from wrod import __version__
 from wrod.errors import WrodError, WrodWarning
 
-COMMANDS = ("plan", "deploy", "loop", "scan", "manifold", "dataset", "train", "render", "bench")
+COMMANDS = (
+    "plan",
+    "deploy",
+    "loop",
+    "scan",
+    "manifold",
+    "identify",
+    "dataset",
+    "train",
+    "render",
+    "bench",
+)
 
 
 class LazyGroup(click.Group):

@@ -1,0 +1,278 @@
+"""Contact between rods: derivatives, balance of forces, Coulomb's law, nothing passes through."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from wrod.batch import RodBatch
+from wrod.dynamics import Dynamics
+from wrod.errors import RodError
+from wrod.rod_contact import RodContact
+from wrod.statics import prescribe
+from wrod.substrate import Friction
+
+G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
+WEIGHT = np.pi * RADIUS**2 * DENSITY * G
+STIFFNESS = 2 * WEIGHT * LGB**3
+
+
+def scene(*rods, gravity=(0.0, 0.0, 0.0), scenes=1, stiffer=1.0):
+    """One row with the given rods (node, 3), end to end; bending stiffness as a factor."""
+    position = np.concatenate(rods)
+    cuts = np.cumsum([len(q) for q in rods])[:-1] - 1
+    edge = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    edge[cuts] = 0.0
+    mass = np.zeros(len(position))
+    mass[:-1] += WEIGHT / G * edge / 2
+    mass[1:] += WEIGHT / G * edge / 2
+    batch = RodBatch(
+        np.repeat(position[None], scenes, axis=0),
+        stretching_stiffness=4 * STIFFNESS / RADIUS**2,
+        bending_stiffness=stiffer * STIFFNESS,
+        twisting_stiffness=stiffer * STIFFNESS / 1.5,
+        node_mass=mass,
+        gravity=gravity,
+    )
+    batch.cut(cuts)
+    return batch
+
+
+def line(axis, nodes=15, length=0.07, offset=(0.0, 0.0, 0.0)):
+    position = np.zeros((nodes, 3))
+    position[:, axis] = np.linspace(-length / 2, length / 2, nodes)
+    return position + offset
+
+
+def hold(batch, nodes):
+    """Prescribe nodes and the edges between them."""
+    nodes = list(nodes)
+    prescribe(batch, clamped_nodes=nodes, clamped_angles=nodes[:-1])
+
+
+def momenta(dynamics):
+    batch = dynamics.batch
+    mass, q, v = batch.node_mass.numpy()[0][:, None], batch.positions()[0], dynamics.velocities()[0]
+    inertia = dynamics.mass.numpy()[0, 3::4, None]
+    spin = inertia * dynamics.velocity.numpy()[0, 3::4, None] * batch.state.tangent.numpy()[0]
+    return (mass * v).sum(axis=0), np.cross(q, mass * v).sum(axis=0) + spin.sum(axis=0)
+
+
+def rough_pair(turn, seed):
+    """Two wavy rods inside each other's thickness, turned against each other by `turn` [rad]."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(0, 1, 8)
+    a, b = (np.column_stack([x, *(0.03 * rng.normal(size=(2, 8)))]) - [0.5, 0, 0] for _ in range(2))
+    c, s = np.cos(turn), np.sin(turn)
+    b = b @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [0.0, 0.02, 0.17]
+    batch = RodBatch(
+        np.concatenate([a, b])[None],
+        stretching_stiffness=1.0,
+        bending_stiffness=1e-2,
+        twisting_stiffness=1e-2,
+    )
+    batch.cut([7])
+    contact = RodContact(batch, 0.1, Friction(0.0), stiffness=3.0)
+    contact.prepare(batch.every_rod, batch.every_rod, batch.state.dof)
+    contact.load.fill_(1e9)  # nothing of the matrix is left out for the sake of Newton
+    contact.reach.fill_(1e9)
+    return batch, contact
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.05, 0.3, np.pi / 2])
+def test_derivatives_of_the_contact_energy(turn):
+    """Forces against differences of the energy, the matrix against differences of the forces, for
+    rods that cross and rods that lie along each other."""
+    batch, contact = rough_pair(turn, seed=3)
+    ones, gradient = batch.every_rod, batch.derivatives.gradient
+    before = wp.clone(batch.state.dof)
+    x = before.numpy().copy()
+    law = contact.law.numpy()[0]
+    stiffness, skin = law["stiffness"], law["skin"]
+
+    def evaluate(dof):
+        batch.state.dof.assign(dof)
+        gradient.zero_()
+        contact.add(ones, batch.state.dof, before)
+        p = np.maximum(contact.depth.numpy().copy(), 0.0)
+        deep = stiffness * (p**2 / 2 - skin * p / 2 + skin**2 / 6)
+        energy = np.where(p < skin, stiffness * p**3 / (6 * skin), deep).sum()
+        return energy, gradient.numpy()[0].copy()
+
+    n, step = x.shape[1], 1e-6
+    force, matrix = np.empty(n), np.empty((n, n))
+    for k in range(n):
+        change = np.zeros_like(x)
+        change[0, k] = step
+        up, down = evaluate(x + change), evaluate(x - change)
+        force[k] = (up[0] - down[0]) / (2 * step)
+        matrix[:, k] = (up[1] - down[1]) / (2 * step)
+    got = evaluate(x)[1]
+    assert np.abs(got).max() > 0.01
+    assert got == pytest.approx(force, abs=1e-8)
+
+    # The skyline solver, column by column, of the matrix shifted away from singular.
+    system, shift = contact.system, 0.7
+    system.shift.fill_(shift)
+    batch.derivatives.hessian.zero_()
+    system.factorise(batch.derivatives.hessian, ones)
+    inverse = np.empty((n, n))
+    for k in range(n):
+        column = np.zeros((1, 1, n))
+        column[0, 0, k] = 1.0
+        system.x.assign(column)
+        system.solve(ones)
+        inverse[:, k] = system.x.numpy()[0, 0]
+    shifted = matrix + shift * np.eye(n)
+    assert np.linalg.inv(inverse) == pytest.approx(shifted, abs=1e-6 * np.abs(matrix).max())
+    assert system.negative_pivots.numpy()[0] == (np.linalg.eigvalsh(shifted) < 0).sum()
+
+
+def test_rods_of_one_row_do_not_feel_each_other_apart():
+    """Two rods in a row move as each does alone, whatever the direction of the cut."""
+    a = line(0) + 0.01 * line(0)[:, [0]] ** 2 / 0.07
+    b = line(1, offset=(0.0, 0.3, 0.1))[::-1]
+    pair, single = scene(a, b, gravity=(0, 0, -G)), scene(b, gravity=(0, 0, -G))
+    for batch, i in ((pair, 15), (single, 0)):
+        free = np.ones(batch.dof_count, dtype=bool)
+        free[4 * i : 4 * i + 7] = False
+        batch.set_free(free)
+        contact = RodContact(batch, RADIUS, Friction(0.3))
+        Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact).advance(0.05, 5e-3)
+    assert pair.positions()[0, 15:] == pytest.approx(single.positions()[0], abs=1e-9)
+
+
+@pytest.mark.parametrize("scheme", ["euler", "bdf2"])
+def test_momentum_when_two_free_rods_collide(scheme):
+    batch = scene(line(0, offset=(0, 0.0005, 0)), line(1, offset=(0.0007, 0, 3 * RADIUS)))
+    contact = RodContact(batch, RADIUS, Friction(0.3))
+    dynamics = Dynamics(batch, scheme=scheme, radius=RADIUS, contact=contact)
+    velocity = np.zeros((1, 30, 3))
+    velocity[0, 15:] = [0.03, 0.05, -0.1]
+    dynamics.set_velocity(velocity)
+    before = momenta(dynamics)
+    assert not dynamics.advance(0.04, 1e-3).diverged[0]
+    after = momenta(dynamics)
+    assert dynamics.velocities()[0, :15, 2].mean() < -0.02  # it was hit
+    assert after[0] == pytest.approx(before[0], abs=1e-9 * np.linalg.norm(before[0]))
+    # Angular momentum has the order of the scheme.
+    assert after[1] == pytest.approx(before[1], abs=0.02 * np.linalg.norm(before[1]))
+
+
+def test_crossing_rods_pressed_together():
+    """The lower rod, held, carries the weight of the upper one and a load on it; friction keeps
+    it balanced. Penetration is that of the law of contact, below 5 % of the radius."""
+    batch = scene(
+        line(0, nodes=9, length=0.02, offset=(0, 0.008, 0)),
+        line(0, nodes=9, length=0.02, offset=(0, -0.008, 0)),
+        line(1, nodes=16, length=0.075, offset=(0, 0, 2.05 * RADIUS)),
+        gravity=(0, 0, -G),
+    )
+    hold(batch, range(9))
+    free = batch.free.numpy() != 0
+    free[:, 36 : 36 + 35] = False
+    batch.set_free(free)
+    load = np.zeros((1, 34, 3))
+    load[0, 25:27, 2] = -0.02
+    batch.point_load.assign(load)
+    contact = RodContact(batch, RADIUS, Friction(0.4))
+    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=30.0)
+    dynamics.advance(1.0, 4e-3)
+    force = contact.forces()[0]
+    expected = 0.04 + WEIGHT * 0.075
+    assert force[18:].sum(axis=0) == pytest.approx([0, 0, expected], abs=1e-4 * expected)
+    assert force[:18].sum(axis=0) == pytest.approx(-force[18:].sum(axis=0), abs=1e-12)
+    law = contact.law.numpy()[0]
+    share = expected / 2
+    pairs = (contact.depth.numpy() > 0).sum()
+    assert pairs >= 2
+    if pairs == 2:
+        p = np.sqrt(2 * share * law["skin"] / law["stiffness"])
+        assert contact.penetration.numpy()[0] == pytest.approx(p, rel=0.05)
+    assert 0 < contact.penetration.numpy()[0] < 0.05 * RADIUS
+
+
+def on_rails(angles, friction):
+    """A rod across two held rods, at rest, then tilted about the rails by `angles` [deg]."""
+    angles = np.radians(angles)
+    rails = [line(1, nodes=7, length=0.024, offset=(x, 0.0005, 0)) for x in (-0.015, 0.0155)]
+    rod = line(0, nodes=15, length=0.07, offset=(0.0, 0, 2 * RADIUS))
+    # Straight under its weight, so that it is a block.
+    batch = scene(*rails, rod, gravity=(0, 0, -G), scenes=len(angles), stiffer=50.0)
+    free = np.ones(batch.dof_count, dtype=bool)
+    free[: 4 * 14] = False
+    batch.set_free(free)
+    contact = RodContact(batch, RADIUS, friction)
+    dynamics = Dynamics(
+        batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=0.0, tolerance=1e-8
+    )
+    dynamics.air_damping.fill_(30.0)
+    dynamics.advance(0.2, 4e-3)
+    gravity = np.zeros((len(angles), 3))
+    for part in np.linspace(0, 1, 17)[1:]:
+        gravity[:, 0], gravity[:, 2] = G * np.sin(part * angles), -G * np.cos(part * angles)
+        batch.gravity.assign(gravity)
+        dynamics.advance(0.2 + 0.2 * part, 4e-3)
+    return dynamics
+
+
+def test_friction_holds_and_slides():
+    """A rod on two rails slides along itself if and only if tan(angle) > mu, with
+    a = g (sin - mu cos)."""
+    angles = np.array([0.0, 15.0, 20.0, 24.0, 35.0])  # arctan(0.4) = 21.8
+    dynamics = on_rails(angles, Friction(0.4))
+    dynamics.air_damping.zero_()
+    velocity = []
+    for time in (0.41, 0.43):
+        dynamics.advance(time, 1e-3)
+        velocity.append(dynamics.velocities()[:, 14:, 0].mean(axis=1).copy())
+    a = np.radians(angles)
+    expected = np.where(np.tan(a) > 0.4, G * (np.sin(a) - 0.4 * np.cos(a)), 0.0)
+    assert (velocity[1] - velocity[0]) / 0.02 == pytest.approx(expected, abs=5e-3 * G)
+
+
+def test_sticking_does_not_creep():
+    """A simulated minute at 90 % of the friction that there is."""
+    dynamics = on_rails(np.degrees([np.arctan(0.36)]), Friction(0.4))
+    dynamics.advance(1.0, 0.01)
+    before = dynamics.batch.positions().copy()
+    dynamics.advance(61.0, 0.05)
+    assert np.abs(dynamics.batch.positions() - before).max() < 1e-3 * RADIUS
+
+
+@pytest.mark.parametrize("speed", [0.1, 1.0])
+def test_nothing_tunnels(speed):
+    """A rod thrown onto two held ones bounces off, however long the step that is asked for."""
+    rails = [line(1, nodes=9, offset=(x, 0, 0)) for x in (-0.02, 0.02)]
+    batch = scene(*rails, line(0, offset=(0, 0.001, 4 * RADIUS)))
+    free = np.ones(batch.dof_count, dtype=bool)
+    free[: 4 * 18] = False
+    batch.set_free(free)
+    dynamics = Dynamics(
+        batch, scheme="euler", radius=RADIUS, contact=RodContact(batch, RADIUS, Friction(0.3))
+    )
+    velocity = np.zeros((1, 33, 3))
+    velocity[0, 18:, 2] = -speed
+    dynamics.set_velocity(velocity)
+    duration = 12 * RADIUS / speed
+    for time in np.linspace(0, duration, 25)[1:]:
+        dynamics.advance(time, 0.02)
+        above_rails = batch.positions()[0, [18 + 3, 18 + 11], 2]
+        assert above_rails.min() > 1.5 * RADIUS
+    assert above_rails.min() > 2.5 * RADIUS
+
+
+def test_bad_rod_contacts_are_refused():
+    batch = scene(line(0), line(1, offset=(0, 0, 0.01)))
+    with pytest.raises(RodError, match="radius"):
+        RodContact(batch, 0.0, Friction(0.3))
+    with pytest.raises(RodError, match="radius has shape"):
+        RodContact(batch, np.ones(7), Friction(0.3))
+    with pytest.raises(RodError, match="stiffness"):
+        RodContact(batch, RADIUS, Friction(0.3), stiffness=-1.0)
+    with pytest.raises(RodError, match="two RodContact"):
+        contact = RodContact(batch, RADIUS, Friction(0.3))
+        Dynamics(batch, radius=RADIUS, contact=[contact, contact])
+    with pytest.raises(RodError, match="cannot cut"):
+        batch.cut([28])
+    with pytest.raises(RodError, match="cannot cut"):
+        batch.cut([40])

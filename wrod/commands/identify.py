@@ -1,0 +1,54 @@
+"""`wrod identify DATA.npz`: what a rod's model misses, and a better model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command(name="identify")
+@click.argument("data", type=click.Path(path_type=Path))
+@click.option("--test", type=click.Path(path_type=Path), help="More data of the rod to score on.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option("--effect", "names", multiple=True, help="Try this effect only (repeatable).")
+@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report for machines.")
+def command(
+    data: Path, test: Path | None, out: Path, names: tuple[str, ...], device: str, as_json: bool
+) -> None:
+    """Find what the base model of the rod in DATA lacks, and prove it on data not fitted.
+
+    DATA is an .npz file of a rod held between two clamps (see `wrod.load_measurements`).
+    """
+    from tqdm import tqdm
+
+    from wrod.identification import identify
+
+    with tqdm(total=4, disable=None, leave=False, bar_format="{desc}: {elapsed}") as bar:
+
+        def say(text: str) -> None:
+            bar.set_description(text)
+            bar.update()
+
+        report = identify(data, test=test, candidates=names or None, device=device, progress=say)
+    written = report.save(out)
+    if as_json:
+        content = report.to_dict() | {"written": [str(p) for p in written]}
+        click.echo(json.dumps(content, indent=2, allow_nan=False))
+        return
+    click.echo(f"{report.measurements.name}: {report.verdict}; {report.reason}")
+    click.echo(
+        f"test error {1e3 * report.before:.2f} mm before, {1e3 * report.after:.2f} mm after, "
+        f"noise floor {1e3 * report.noise_floor:.2f} mm"
+    )
+    for effect in report.effects:
+        found = ", ".join(
+            f"{key} {e.value:.4g} ± {e.stderr:.2g} {e.unit}".rstrip()
+            for key, e in effect.parameters.items()
+        )
+        click.echo(f"  {effect.name}: {found}")
+    for pair in report.selection.confounded:
+        click.echo(f"  {' and '.join(pair['effects'])} are confounded: {pair['evidence']}")
+    click.echo("wrote " + ", ".join(str(p) for p in written))

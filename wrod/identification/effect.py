@@ -1,0 +1,155 @@
+"""What an effect is, and how a list of effects becomes a model."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import pkgutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from wrod.identification.measurements import ClampedMeasurements
+from wrod.identification.setup import Setup
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown of an effect.
+
+    Attributes:
+        key: its name in reports.
+        unit: its unit ("" for a ratio).
+        scale: standard deviation of its prior, a Gaussian around zero: how large it may well be.
+        lower, upper: bounds.
+    """
+
+    key: str
+    unit: str
+    scale: float
+    lower: float = -np.inf
+    upper: float = np.inf
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A reported quantity with its standard error."""
+
+    value: float
+    stderr: float
+    unit: str
+
+
+class Effect:
+    """Something that the base model lacks. Subclass it in a file of `wrod.identification.effects`.
+
+    All parameters at zero is the base model. `apply` and `measure` may be handed complex numbers,
+    whose imaginary part carries a derivative: use analytic functions only (no abs, norm, max).
+
+    Attributes:
+        name: snake_case, the file's name.
+        title: a phrase for people.
+        reference: where the model comes from.
+        parameters: the unknowns.
+        stage: effects are applied in this order; those that change the free length come first.
+        follows_shape: whether its load depends on the rod's shape (`Setup.wind`).
+    """
+
+    name: str
+    title: str
+    reference: str
+    parameters: tuple[Parameter, ...]
+    stage: int = 1
+    follows_shape: bool = False
+
+    def starts(self, measurements: ClampedMeasurements) -> list[np.ndarray]:
+        """Values to start fits from; more than one where the fit has several optima."""
+        return [np.zeros(len(self.parameters))]
+
+    def apply(self, setup: Setup, values: np.ndarray) -> None:
+        """Change the model in place."""
+
+    def measure(
+        self, position: np.ndarray, frame: np.ndarray, values: np.ndarray, setup: Setup
+    ) -> np.ndarray:
+        """What the cameras report of (T, M, 3) markers, whose material frames are `frame`."""
+        return position
+
+    def describe(
+        self, values: np.ndarray, covariance: np.ndarray, measurements: ClampedMeasurements
+    ) -> dict[str, Estimate]:
+        """The quantities to report, by default the parameters themselves."""
+        errors = np.sqrt(np.diag(covariance))
+        return {
+            p.key: Estimate(float(v), float(e), p.unit)
+            for p, v, e in zip(self.parameters, values, errors, strict=True)
+        }
+
+
+def magnitude_and_angle(
+    x: float, y: float, covariance: np.ndarray
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """((size, stderr), (angle [deg], stderr)) of a vector in a plane."""
+    size = float(np.hypot(x, y))
+    along = np.array([x, y]) / max(size, 1e-300)
+    across = np.array([-along[1], along[0]])
+    radial = np.sqrt(along @ covariance @ along)
+    turning = np.sqrt(across @ covariance @ across) / max(size, 1e-300)
+    return (size, float(radial)), (float(np.degrees(np.arctan2(y, x))), float(np.degrees(turning)))
+
+
+@cache
+def effects() -> dict[str, Effect]:
+    """Every effect in `wrod.identification.effects`, by name."""
+    package = importlib.import_module("wrod.identification.effects")
+    found = {}
+    for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__)):
+        content = vars(importlib.import_module(f"{package.__name__}.{module}"))
+        for value in content.values():
+            if isinstance(value, type) and issubclass(value, Effect) and value is not Effect:
+                found[value.name] = value()
+    return found
+
+
+@dataclass(frozen=True)
+class Model:
+    """The base model with effects on top."""
+
+    effects: tuple[Effect, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(e.name for e in self.effects)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(p for e in self.effects for p in e.parameters)
+
+    def split(self, values: np.ndarray) -> list[np.ndarray]:
+        """The part of a parameter vector that belongs to each effect."""
+        ends = np.cumsum([len(e.parameters) for e in self.effects])
+        return np.split(values, ends[:-1]) if len(ends) else []
+
+    def setup(self, base: Setup, values: np.ndarray) -> Setup:
+        """The base model changed by every effect."""
+        setup = copy.copy(base)
+        order = sorted(zip(self.effects, self.split(values), strict=True), key=lambda e: e[0].stage)
+        for effect, part in order:
+            effect.apply(setup, part)
+        return setup
+
+    def measure(self, position, frame, values: np.ndarray, setup: Setup) -> np.ndarray:
+        """What the cameras report, every effect's part included."""
+        for effect, part in zip(self.effects, self.split(values), strict=True):
+            position = effect.measure(position, frame, part, setup)
+        return position
+
+    def extended(self, effect: Effect) -> Model:
+        return Model((*self.effects, effect))
+
+
+def models_of(chosen: Sequence[Effect]) -> list[Model]:
+    """One model for each effect."""
+    return [Model((effect,)) for effect in chosen]

@@ -1,0 +1,45 @@
+"""A steady draught across the rod."""
+
+import numpy as np
+
+from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
+
+_AIR_DENSITY = 1.2
+_DRAG_COEFFICIENT = 1.2
+
+
+class AirFlow(Effect):
+    name = "air_flow"
+    title = "drag of a steady flow across the rod"
+    reference = (
+        "cross-flow principle, f = 1/2 rho_air C_d 2h |u| u with u across the rod; "
+        f"speeds are for rho_air = {_AIR_DENSITY} kg/m^3 and C_d = {_DRAG_COEFFICIENT}"
+    )
+    follows_shape = True
+    # The drag on a rod straight across the flow: the load is nearly linear in it.
+    parameters = (
+        Parameter("drag_x", "N/m", 0.05),
+        Parameter("drag_y", "N/m", 0.05),
+        Parameter("drag_z", "N/m", 0.05),
+    )
+
+    def starts(self, measurements):
+        rod = measurements.material
+        return [1e-3 * rod.weight * np.array(d) for d in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
+
+    def apply(self, setup, values):
+        size = np.sqrt(np.dot(values, values) + 1e-60)
+        setup.wind = setup.wind + np.asarray(values) / np.sqrt(size)
+
+    def describe(self, values, covariance, measurements):
+        size = float(np.linalg.norm(values))
+        along = values / max(size, 1e-300)
+        factor = _AIR_DENSITY * _DRAG_COEFFICIENT * measurements.material.radius
+        speed = np.sqrt(size / factor)
+        error = 0.5 * speed * np.sqrt(along @ covariance @ along) / max(size, 1e-300)
+        _, azimuth = magnitude_and_angle(*values[:2], covariance[:2, :2])
+        return {
+            "speed": Estimate(float(speed), float(error), "m/s"),
+            "azimuth": Estimate(*azimuth, "deg"),
+            **super().describe(values, covariance, measurements),
+        }

@@ -1,0 +1,29 @@
+"""A rod that is bent at rest, as one off a spool."""
+
+import numpy as np
+
+from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
+
+
+class NaturalCurvature(Effect):
+    name = "natural_curvature"
+    title = "uniform natural curvature in the material frame"
+    reference = (
+        "curvature vector at rest, the axis that the tangent turns about per length: "
+        "t' = k x t with k = curvature_1 m1 + curvature_2 m2"
+    )
+    parameters = (
+        Parameter("curvature_1", "1/m", 20.0),
+        Parameter("curvature_2", "1/m", 20.0),
+    )
+
+    def apply(self, setup, values):
+        setup.natural_curvature = setup.natural_curvature + np.array([values[1], -values[0]])
+
+    def describe(self, values, covariance, measurements):
+        size, angle = magnitude_and_angle(*values, covariance)
+        return {
+            "curvature": Estimate(*size, "1/m"),
+            "direction": Estimate(*angle, "deg"),
+            **super().describe(values, covariance, measurements),
+        }

@@ -1,0 +1,33 @@
+"""A rod whose moment falls behind its curvature, as a cable does whose strands begin to slip."""
+
+import numpy as np
+
+from wrod.identification.effect import Effect, Estimate, Parameter
+
+
+class Softening(Effect):
+    name = "softening"
+    title = "bending stiffness that falls with curvature, from B to r B"
+    reference = (
+        "M = B k (r + (1 - r) / sqrt(1 + (k / k_c)^2)), a smooth form of the stick-slip law of "
+        "stranded cables (Papailiou 1997)"
+    )
+    parameters = (
+        Parameter("log_critical_curvature", "", 10.0, lower=-5.0, upper=10.0),
+        Parameter("lost_stiffness", "", 1.0, lower=-0.5, upper=1.0),
+    )
+
+    def starts(self, measurements):
+        return [np.array([np.log(k), lost]) for k in (3.0, 30.0) for lost in (0.1, 0.7)]
+
+    def apply(self, setup, values):
+        own = np.array([np.exp(-2.0 * values[0]), 1.0 - values[1]])
+        setup.softening = setup.softening + own
+
+    def describe(self, values, covariance, measurements):
+        errors = np.sqrt(np.diag(covariance))
+        critical = float(np.exp(values[0]))
+        return {
+            "critical_curvature": Estimate(critical, float(critical * errors[0]), "1/m"),
+            "kept_stiffness": Estimate(1.0 - float(values[1]), float(errors[1]), ""),
+        }

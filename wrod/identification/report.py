@@ -1,0 +1,297 @@
+"""`identify`: from measurements to a verdict, a better model and a report."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from wrod.batch import resolve_device
+from wrod.errors import DataError
+from wrod.files import write_atomically
+from wrod.identification.effect import Effect, Estimate, Model, effects
+from wrod.identification.fit import Fit, Laboratory
+from wrod.identification.measurements import ClampedMeasurements, load_measurements
+from wrod.identification.selection import Selection, select
+from wrod.identification.trace import Print, trace
+from wrod.material import RodMaterial
+
+METRIC = "RMS over test trials and markers of the 3-D distance [mm]"
+_FORMAT = "wrod-identification-1"
+_MODEL_FORMAT = "wrod-rod-model-1"
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect of the chosen model.
+
+    Attributes:
+        name, title, reference: of the effect.
+        parameters: what was found, with standard errors.
+        after: test error with the model up to this effect, in the order found [m].
+        alone: test error with this effect alone [m].
+    """
+
+    name: str
+    title: str
+    reference: str
+    parameters: dict[str, Estimate]
+    after: float
+    alone: float
+
+
+@dataclass(frozen=True)
+class IdentificationReport:
+    """What the measurements say.
+
+    Attributes:
+        verdict: adequate, explained, partly-explained or unexplained.
+        reason: the evidence in a sentence.
+        before, after: test error of the base model and of the better one [m].
+        noise_floor: test error of a perfect model [m].
+        effects: what was added, in order.
+        candidates: every effect tried alone: its name, BIC gain and test error.
+        selection, prints: the whole evidence.
+        predicted_before, predicted_after: (T, M, 3) marker positions [m].
+        material: the rod with what a `RodMaterial` can carry of the effects.
+    """
+
+    measurements: ClampedMeasurements
+    verdict: str
+    reason: str
+    before: float
+    after: float
+    noise_floor: float
+    effects: tuple[FoundEffect, ...]
+    candidates: tuple[dict, ...]
+    selection: Selection
+    prints: tuple[Print, ...]
+    predicted_before: np.ndarray
+    predicted_after: np.ndarray
+    material: RodMaterial
+
+    def to_dict(self) -> dict:
+        """The content of `report.json`; lengths of errors in mm, everything else SI."""
+        s = self.selection
+        return {
+            "format": _FORMAT,
+            "data": self.measurements.name,
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "metric": METRIC,
+            "noise_floor_mm": 1e3 * self.noise_floor,
+            "before_mm": 1e3 * self.before,
+            "after_mm": 1e3 * self.after,
+            "effects": [
+                {
+                    "name": e.name,
+                    "title": e.title,
+                    "reference": e.reference,
+                    "parameters": {key: asdict(value) for key, value in e.parameters.items()},
+                    "after_mm_with_this_effect": 1e3 * e.after,
+                    "after_mm_with_this_effect_alone": 1e3 * e.alone,
+                }
+                for e in self.effects
+            ],
+            "candidates": list(self.candidates),
+            "confounded": s.confounded,
+            "selection": [
+                {"model": list(r.current), "accepted": r.accepted, "reason": r.reason}
+                for r in s.rounds
+            ],
+            "cross_validation_mm": [1e3 * v for v in s.cross_validation],
+            "chi_squared": {
+                "base": s.base_chi_squared,
+                "final": s.fit.chi_squared,
+                "residuals": s.fit.residual_count,
+            },
+            "prints": [
+                {
+                    "name": p.name,
+                    "title": p.title,
+                    "unit": p.unit,
+                    "log_evidence": p.evidence,
+                    "share_of_excess": p.share,
+                    "points_to": list(p.points_to),
+                    "components": list(p.components),
+                    "arc_length": None if p.arc_length is None else p.arc_length.tolist(),
+                    "value": p.value.tolist(),
+                    "stderr": p.stderr.tolist(),
+                }
+                for p in self.prints
+            ],
+        }
+
+    def save(self, out: str | os.PathLike[str]) -> list[Path]:
+        """Write report.json, report.html, model.json and rod.json into a folder."""
+        from wrod.identification.page import write_page
+
+        out = Path(out)
+        content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
+        model = {
+            "format": _MODEL_FORMAT,
+            "rod": asdict(self.material),
+            "effects": [
+                {
+                    "name": e.name,
+                    "parameters": dict(zip((p.key for p in e.parameters), v.tolist(), strict=True)),
+                }
+                for e, v in zip(
+                    self.selection.fit.model.effects,
+                    self.selection.fit.model.split(self.selection.fit.values),
+                    strict=True,
+                )
+            ],
+        }
+        return [
+            write_atomically(out / "report.json", lambda file: file.write(content)),
+            write_page(out / "report.html", self),
+            write_atomically(
+                out / "model.json", lambda file: file.write(json.dumps(model, indent=2) + "\n")
+            ),
+            self.material.save(out / "rod.json"),
+        ]
+
+
+def identify(
+    measurements: ClampedMeasurements | str | os.PathLike[str],
+    *,
+    test: ClampedMeasurements | str | os.PathLike[str] | None = None,
+    candidates: Sequence[Effect | str] | None = None,
+    device: str | None = "cpu",
+    progress=None,
+) -> IdentificationReport:
+    """Find what the base model lacks, and prove it on trials that were not fitted.
+
+    Args:
+        measurements: a rod between two clamps, or its file; fitted on its train trials.
+        test: measurements of the same rod to score on; default: the test trials of `measurements`.
+        candidates: effects, or names of effects; default: every known one.
+        device: "cpu", "cuda:0", "auto".
+        progress: called with (text,) as the work goes on.
+
+    Raises:
+        DataError: the data cannot be right, or an effect is unknown.
+    """
+    say = progress or (lambda text: None)
+    m = measurements
+    if not isinstance(m, ClampedMeasurements):
+        m = load_measurements(m)
+    if test is not None:
+        other = test if isinstance(test, ClampedMeasurements) else load_measurements(test)
+        m = m.scored_on(other)
+    chosen = [_effect(c) for c in (effects().values() if candidates is None else candidates)]
+    say("base model")
+    laboratory = Laboratory(m, device=resolve_device(device))
+    say("force print")
+    prints = trace(laboratory)
+    say("effects")
+    selection = select(laboratory, chosen)
+    say("scores")
+    fit = selection.fit
+    before = laboratory.predict(Model(), np.zeros(0))
+    after = laboratory.predict(fit.model, fit.values)
+    return IdentificationReport(
+        measurements=m,
+        verdict=selection.verdict,
+        reason=selection.reason,
+        before=m.rms(before, m.test),
+        after=m.rms(after, m.test),
+        noise_floor=m.noise_floor,
+        effects=_found(laboratory, fit, selection),
+        candidates=tuple(_scores(laboratory, selection)),
+        selection=selection,
+        prints=tuple(prints),
+        predicted_before=before,
+        predicted_after=after,
+        material=_material(m, fit),
+    )
+
+
+def _effect(candidate: Effect | str) -> Effect:
+    if isinstance(candidate, Effect):
+        return candidate
+    if candidate not in effects():
+        raise DataError(f"unknown effect {candidate!r}; known effects: {', '.join(effects())}")
+    return effects()[candidate]
+
+
+def _score(laboratory: Laboratory, fit: Fit) -> float:
+    m = laboratory.measurements
+    return m.rms(laboratory.predict(fit.model, fit.values), m.test)
+
+
+def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[FoundEffect, ...]:
+    m = laboratory.measurements
+    alone = {f.model.names[0]: f for f in selection.ranking}
+    found, start = [], 0
+    for k, (effect, values) in enumerate(
+        zip(fit.model.effects, fit.model.split(fit.values), strict=True)
+    ):
+        end = start + len(values)
+        covariance = fit.covariance[start:end, start:end]
+        partial = fit
+        if k + 1 < len(fit.model.effects):
+            model = Model(fit.model.effects[: k + 1])
+            partial = laboratory.fit([model], [fit.values[:end]], origin=fit, race=False)[0]
+        found.append(
+            FoundEffect(
+                effect.name,
+                effect.title,
+                effect.reference,
+                effect.describe(values, covariance, m),
+                _score(laboratory, partial),
+                _score(laboratory, alone[effect.name]) if effect.name in alone else float("nan"),
+            )
+        )
+        start = end
+    return tuple(found)
+
+
+def _scores(laboratory: Laboratory, selection: Selection) -> list[dict]:
+    """Every effect alone on the base model."""
+    base = selection.base_chi_squared
+    scores = []
+    for fit in selection.ranking:
+        scores.append(
+            {
+                "name": fit.model.names[0],
+                "bic_gain": base - fit.bic,
+                "chi_squared": fit.chi_squared,
+                "parameter_count": len(fit.values),
+                "test_mm": _candidate_score(laboratory, fit),
+            }
+        )
+    return scores
+
+
+def _candidate_score(laboratory: Laboratory, fit: Fit) -> float | None:
+    """Test error [mm]; None where a trial has no equilibrium with the fitted values."""
+    try:
+        return 1e3 * _score(laboratory, fit)
+    except DataError:
+        return None
+
+
+def _material(m: ClampedMeasurements, fit: Fit) -> RodMaterial:
+    """The rod with the effects that its own numbers can express."""
+    material = m.material
+    for effect, values in zip(fit.model.effects, fit.model.split(fit.values), strict=True):
+        found = effect.describe(values, np.eye(len(values)), m)
+        if effect.name == "stiffness":
+            material = replace(material, gravito_bending_length=found["L_gb"].value)
+        elif effect.name == "density":
+            # The stiffness stays: k_b = 2 pi h^2 rho g L_gb^3.
+            ratio = found["density_ratio"].value
+            material = replace(
+                material,
+                density=found["density"].value,
+                gravito_bending_length=material.gravito_bending_length / ratio ** (1 / 3),
+            )
+        elif effect.name in ("grip_slip", "clamp_slip"):
+            material = replace(material, length=material.length + found["slip"].value)
+    return material

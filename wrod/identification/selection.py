@@ -1,0 +1,312 @@
+"""Which effects the data ask for: forward selection, exchange, cross-validation, verdict.
+
+Stopping rule. An effect joins the model if it lowers the Bayesian information criterion of the
+train trials by `BIC_MARGIN` or more, takes away at least `LEAST_SHARE` of the base model's excess
+of squares (an effect's law is never exactly the rod's: smaller gains would only mend its form),
+and lowers the squared error of trials held out in cross-validation. No model has more than
+`MOST_EFFECTS`, and where two effects leave more than half of the excess a third is not tried:
+what so many small effects mend is not theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from wrod.errors import DataError
+from wrod.identification.effect import Effect, Model
+from wrod.identification.fit import Fit, Laboratory
+
+BIC_MARGIN = 10.0
+LEAST_SHARE = 0.005
+MOST_EFFECTS = 3
+AT_NOISE = 1.1
+PARTLY = 0.75
+_FOLDS = 4
+_FINE = 2
+_CORRELATED = 0.95
+
+
+@dataclass
+class Round:
+    """One step of the selection: every candidate for the next effect, best first."""
+
+    current: tuple[str, ...]
+    fits: list[Fit]
+    gains: list[float]
+    accepted: tuple[str, ...] | None
+    reason: str
+
+
+@dataclass
+class Selection:
+    """What was chosen and why.
+
+    Attributes:
+        verdict: adequate, explained, partly-explained or unexplained.
+        fit: the chosen model, polished on a finer mesh.
+        rounds: the steps that led there.
+        cross_validation: (before, after) RMS of held-out marker errors [m] of the chosen model.
+        confounded: pairs of names that these data cannot tell apart, with the evidence.
+        ranking: every effect alone on the base model, best first.
+        leading: the chosen model even where the verdict names no effect.
+    """
+
+    verdict: str
+    reason: str
+    fit: Fit
+    leading: Fit
+    ranking: list[Fit]
+    rounds: list[Round]
+    base_chi_squared: float
+    cross_validation: tuple[float, float]
+    confounded: list[dict] = field(default_factory=list)
+
+
+def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -> Selection:
+    """Find the effects that explain the laboratory's train trials."""
+    empty = _base_fit(laboratory)
+    current, rounds = empty, []
+    excess = max(empty.chi_squared - empty.residual_count, 0.0)
+    held_out = _held_out(laboratory, empty)
+    base_held_out = held_out
+    while len(current.model.effects) < MOST_EFFECTS:
+        fits = _extensions(laboratory, current, candidates, progress)
+        if not fits:
+            break
+        best = fits[0]
+        if len(best.model.effects) > 1:
+            best = _exchanged(laboratory, best, candidates, progress)
+        gain = current.bic - best.bic
+        share = (current.chi_squared - best.chi_squared) / max(excess, 1e-300)
+        reason, ahead = "", held_out
+        if gain < BIC_MARGIN:
+            reason = f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
+        elif share < LEAST_SHARE:
+            reason = f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
+        else:
+            try:
+                ahead = _held_out(laboratory, best)
+            except DataError:
+                reason = "a trial held out has no equilibrium with it"
+            if ahead[1] >= held_out[1]:
+                reason = reason or "trials held out get worse"
+        accepted = None if reason else best.model.names
+        rounds.append(
+            Round(
+                current.model.names,
+                fits,
+                [current.bic - f.bic for f in fits],
+                accepted,
+                reason or f"BIC falls by {gain:.0f}, held-out error to {1e3 * ahead[0]:.3f} mm",
+            )
+        )
+        if reason:
+            break
+        current, held_out = best, ahead
+        left = current.chi_squared - current.residual_count
+        if len(current.model.effects) > 1 and left > 0.5 * excess:
+            break
+    current = _pruned(laboratory, current)
+    final = _polished(laboratory, current)
+    return _judged(laboratory, final, empty, rounds, (base_held_out[0], held_out[0]))
+
+
+def _base_fit(laboratory: Laboratory) -> Fit:
+    trials = laboratory.measurements.train
+    residual = (laboratory.target - laboratory.observe(Model(), np.zeros(0)))[trials]
+    residual /= laboratory.deviation[trials]
+    return Fit(
+        Model(),
+        np.zeros(0),
+        np.zeros((0, 0)),
+        float((residual**2).sum()),
+        residual.size,
+        True,
+    )
+
+
+def _starts(laboratory: Laboratory, effect: Effect) -> list[np.ndarray]:
+    return effect.starts(laboratory.measurements)
+
+
+def _best_of_each(fits: list[Fit]) -> list[Fit]:
+    best: dict[tuple[str, ...], Fit] = {}
+    for fit in fits:
+        key = fit.model.names
+        if key not in best or fit.chi_squared < best[key].chi_squared:
+            best[key] = fit
+    return sorted(best.values(), key=lambda f: f.bic)
+
+
+def _extensions(laboratory, current: Fit, candidates, progress) -> list[Fit]:
+    """Every candidate added to the current model, best first."""
+    models, starts = [], []
+    for effect in candidates:
+        if effect.name not in current.model.names:
+            for start in _starts(laboratory, effect):
+                models.append(current.model.extended(effect))
+                starts.append(np.concatenate([current.values, start]))
+    return _best_of_each(_fit(laboratory, models, starts, current, progress))
+
+
+def _exchanged(laboratory, best: Fit, candidates, progress) -> Fit:
+    """Try every other effect in the place of each earlier one: the first choice saw the others'
+    work as its own."""
+    improved = True
+    while improved:
+        improved = False
+        for place in range(len(best.model.effects) - 1):
+            kept = [e for i, e in enumerate(best.model.effects) if i != place]
+            parts = best.model.split(best.values)
+            values = np.concatenate([p for i, p in enumerate(parts) if i != place])
+            rest = Model(tuple(kept))
+            models, starts = [], []
+            for effect in candidates:
+                if effect.name not in best.model.names:
+                    for start in _starts(laboratory, effect):
+                        models.append(rest.extended(effect))
+                        starts.append(np.concatenate([values, start]))
+            origin = replace(best, model=rest, values=values)
+            others = _best_of_each(_fit(laboratory, models, starts, origin, progress))
+            if others and others[0].bic < best.bic - 1e-6:
+                best, improved = others[0], True
+    return best
+
+
+def _pruned(laboratory, current: Fit) -> Fit:
+    """Drop what a later effect has made superfluous."""
+    while len(current.model.effects) > 1:
+        models, starts = [], []
+        parts = current.model.split(current.values)
+        for place in range(len(parts)):
+            rest = [e for i, e in enumerate(current.model.effects) if i != place]
+            models.append(Model(tuple(rest)))
+            starts.append(np.concatenate([p for i, p in enumerate(parts) if i != place]))
+        fits = laboratory.fit(models, starts, origin=current, race=False)
+        best = min(fits, key=lambda f: f.bic)
+        if best.bic > current.bic + BIC_MARGIN:
+            break
+        current = best
+    return current
+
+
+def _fit(laboratory, models, starts, origin, progress) -> list[Fit]:
+    if not models:
+        return []
+    least = 0.5 * BIC_MARGIN
+    fits = laboratory.fit(models, starts, origin=origin, least_gain=least, progress=progress)
+    return [f for f in fits if np.isfinite(f.chi_squared)]
+
+
+def _held_out(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
+    """(RMS of markers [m], chi squared of everything) of train trials not fitted, in folds."""
+    m, trials = laboratory.measurements, laboratory.measurements.train
+    count = min(_FOLDS, len(trials))
+    fold = np.arange(len(trials)) % count
+    fits = [fit] * count
+    if len(fit.values):
+        weights = (fold != np.arange(count)[:, None]).astype(float)
+        fits = laboratory.fit(
+            [fit.model] * count, [fit.values] * count, weights=weights, origin=fit, race=False
+        )
+    squares = chi_squared = 0.0
+    markers = m.centerline[0].size
+    for k, own in enumerate(fits):
+        left = trials[fold == k]
+        error = laboratory.target[left] - laboratory.observe(own.model, own.values)[left]
+        squares += float((error[:, :markers] ** 2).sum())
+        chi_squared += float(((error / laboratory.deviation[left]) ** 2).sum())
+    return float(np.sqrt(3.0 * squares / (len(trials) * markers))), chi_squared
+
+
+def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
+    """Fit again on a finer mesh, extrapolated at the model that was found."""
+    fine = Laboratory(
+        laboratory.measurements,
+        edge_count=_FINE * laboratory.edge_count,
+        device=laboratory.device,
+    )
+    if not fit.model.effects:
+        laboratory.adopt(fine)
+        return _base_fit(laboratory)
+    fine.refine(fit.model, fit.values)
+    polished = fine.fit([fit.model], [fit.values], origin=fit, race=False)[0]
+    laboratory.adopt(fine)
+    return polished
+
+
+def _judged(laboratory, fit: Fit, empty: Fit, rounds, cross_validation) -> Selection:
+    m = laboratory.measurements
+    floor = m.noise_floor
+    before = m.rms(laboratory.predict(Model(), np.zeros(0)), m.test)
+    after = m.rms(laboratory.predict(fit.model, fit.values), m.test)
+    share = (before**2 - after**2) / max(before**2 - floor**2, 1e-300)
+    if not fit.model.effects and before <= AT_NOISE * floor:
+        verdict = "adequate"
+        reason = f"the base model's test error is {before / floor:.2f} times the noise floor"
+    elif fit.model.effects and after <= AT_NOISE * floor:
+        verdict = "explained"
+        reason = f"what is left on test trials is {after / floor:.2f} times the noise floor"
+    elif fit.model.effects and share >= PARTLY:
+        verdict = "partly-explained"
+        reason = (
+            f"{100 * share:.0f} % of the excess error is gone, but {after / floor:.2f} times the "
+            "noise floor is left: the effects named may stand for one that is not known here"
+        )
+    else:
+        verdict = "unexplained"
+        reason = (
+            f"no effect, nor any few together, takes {100 * PARTLY:.0f} % of the excess error; "
+            f"{before / floor:.2f} times the noise floor stays"
+        )
+    named = _base_fit(laboratory) if verdict == "unexplained" else fit
+    selection = Selection(
+        verdict,
+        reason,
+        named,
+        fit,
+        rounds[0].fits if rounds else [],
+        rounds,
+        empty.chi_squared,
+        cross_validation,
+    )
+    selection.confounded = _confounded(fit, rounds)
+    return selection
+
+
+def _confounded(fit: Fit, rounds: list[Round]) -> list[dict]:
+    """Rivals that the data do not rule out, and parameters that trade against each other."""
+    found = []
+    chosen = set(fit.model.names)
+    for step in rounds:
+        if step.accepted is None:
+            continue
+        best = step.fits[0]
+        for rival in step.fits[1:]:
+            gap = rival.bic - best.bic
+            # A rival that contains the winner and adds nothing is no rival.
+            empty = len(rival.values) > len(best.values) and (
+                rival.chi_squared > best.chi_squared - BIC_MARGIN
+            )
+            if gap < BIC_MARGIN and not empty and rival.model.names[-1] not in chosen:
+                found.append(
+                    {
+                        "effects": [best.model.names[-1], rival.model.names[-1]],
+                        "evidence": f"BIC differs by {gap:.1f} only",
+                    }
+                )
+    if len(fit.model.effects) > 1:
+        correlation = fit.correlation()
+        owner = [e.name for e in fit.model.effects for _ in e.parameters]
+        keys = [p.key for p in fit.model.parameters]
+        for i, j in zip(*np.triu_indices(len(keys), 1), strict=True):
+            if owner[i] != owner[j] and abs(correlation[i, j]) > _CORRELATED:
+                found.append(
+                    {
+                        "effects": [owner[i], owner[j]],
+                        "evidence": f"{keys[i]} and {keys[j]} correlate by {correlation[i, j]:.2f}",
+                    }
+                )
+    return found
