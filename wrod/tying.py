@@ -56,7 +56,7 @@ class Handling:
     seed: int = 0
 
     @classmethod
-    def random(cls, seed: int, strength: float = 2.0) -> Handling:
+    def random(cls, seed: int, strength: float = 0.6) -> Handling:
         """A trial of a careful laboratory: laying as `Disturbance.random`, hands placed within
         1 mm (standard deviation), jitter 0.3 mm, strength of a grasp log-normal about `strength`
         [N] with a deviation of 40 %."""
