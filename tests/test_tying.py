@@ -175,3 +175,25 @@ def test_table_of_successes():
     assert cells["trefoil", "neural"]["paper"] == 9
     text = markdown(cells)
     assert "| trefoil | OPT | 9/10 | 2/3 | 2 | 1 x slipped out of the grip: pull |" in text
+
+
+def test_why_a_trial_failed():
+    from wrod.topology import Recognition
+
+    def result(tied, pulled, **more):
+        found = {
+            name: Recognition(what, 1.0, {})
+            for name, what in (("tied", tied), ("pulled", pulled))
+            if what
+        }
+        return TyingResult(wanted="right trefoil", **found, **more)
+
+    assert result("right trefoil", "right trefoil").success
+    assert result("right trefoil", "unknot").why == "came loose: unknot"
+    assert result("unknot", "unknot", missed=["move 2"]).why == (
+        "tied unknot, grasped nothing: move 2"
+    )
+    assert result("left trefoil", "left trefoil").why == "tied left trefoil"
+    assert "slipped" in result("right trefoil", "unknot", slipped=["pull"]).why
+    assert not result("right trefoil", "right trefoil", missed=["pull"]).success
+    assert result("right trefoil", None).why == "not pulled"

@@ -147,6 +147,7 @@ class Workbench:
         position: (scene, node, 3) of all rods' nodes, one rod after the other [m].
         director: (scene, node - 1, 3) first material director of every edge, or (scene, 3).
         friction: of rods on the table, and of rods on rods.
+            The table is felt at the radius of the thickest rod of a scene.
         hands: how many there are.
         step: largest time step [s].
 
@@ -171,8 +172,6 @@ class Workbench:
         ends = np.cumsum(counts)
         self.slices = [slice(e - n, e) for n, e in zip(counts, ends, strict=True)]
         cuts = [int(e) - 1 for e in ends[:-1]]
-        per_edge = lambda name: self._along(name, False)  # noqa: E731
-        per_node = lambda name: self._along(name, True)  # noqa: E731
         rest = np.concatenate([np.append(np.diff(arc), 1.0) for arc in self.arc_length])[:-1]
         mass = (
             np.concatenate(
@@ -181,17 +180,17 @@ class Workbench:
                     for arc in self.arc_length
                 ]
             )
-            * self._along("weight", True)
-            / self._along("gravity", True)
+            * self._along("weight")
+            / self._along("gravity")
         )
         gravity = np.zeros((len(self.rods), 3))
         gravity[:, 2] = [-scene[0].gravity for scene in self.rods]
         batch = RodBatch(
             self.position,
             rest_length=np.broadcast_to(rest, (len(self.rods), len(rest))),
-            stretching_stiffness=per_edge("stretching_stiffness"),
-            bending_stiffness=per_node("bending_stiffness"),
-            twisting_stiffness=per_node("twisting_stiffness"),
+            stretching_stiffness=self._along("stretching_stiffness")[:, :-1],
+            bending_stiffness=self._along("bending_stiffness"),
+            twisting_stiffness=self._along("twisting_stiffness"),
             node_mass=mass,
             gravity=gravity,
             director=self.director,
@@ -205,7 +204,7 @@ class Workbench:
         load = np.array([rod[0].weight * rod[0].gravito_bending_length for rod in self.rods])
         table, between = self.friction
         self.table = Contact(batch, radius, weight / (_SINKING * radius), table)
-        self.touch = RodContact(batch, radius=per_edge("radius"), friction=between)
+        self.touch = RodContact(batch, radius=self._along("radius")[:, :-1], friction=between)
         self.held = Hands(batch, self.hands)
         self.dynamics = Dynamics(
             batch,
@@ -221,13 +220,13 @@ class Workbench:
         self.diverged = np.zeros(len(self.rods), dtype=bool)
         self.steps = np.zeros(len(self.rods), dtype=int)
 
-    def _along(self, name: str, node: bool) -> np.ndarray:
-        """(scene, node) or (scene, edge) of a property of the rods."""
+    def _along(self, name: str) -> np.ndarray:
+        """(scene, node) of a property of the rods."""
         counts = [s.stop - s.start for s in self.slices]
         rows = [
             np.repeat([float(getattr(rod, name)) for rod in scene], counts) for scene in self.rods
         ]
-        return np.array(rows)[:, : None if node else -1]
+        return np.array(rows)
 
     def positions(self) -> list[np.ndarray]:
         """(scene, node, 3) of each rod [m]."""
