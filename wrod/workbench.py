@@ -162,8 +162,8 @@ class Workbench:
     friction: tuple[Friction, Friction]
     hands: int = 2
     step: float = 0.01
-    air_damping: float = 1.0
-    tolerance: float = 1e-4
+    air_damping: float = 3.0
+    tolerance: float = 1e-3
     device: str = "cpu"
     time: float = field(init=False, default=0.0)
 
@@ -215,7 +215,7 @@ class Workbench:
             motion=self.held,
             force_scale=load,
             tolerance=self.tolerance,
-            max_iterations=16,
+            max_iterations=20,
         )
         self.diverged = np.zeros(len(self.rods), dtype=bool)
         self.steps = np.zeros(len(self.rods), dtype=int)
