@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 import wrod
 from wrod.bench.applications_report import markdown, table
 from wrod.errors import DataError, PatternError
+from wrod.hand_paths import hand_path
 from wrod.knot_plan import KnotPlan, Move
 from wrod.substrate import Friction
 from wrod.topology import diagram, recognise_knot
-from wrod.tying import Handling, TyingResult, _arch
+from wrod.tying import Handling, TyingResult
 from wrod.workbench import Poses, Workbench
 
 KNOTS = Path(wrod.__file__).parents[1] / "scenes" / "knots"
@@ -49,7 +50,7 @@ def carried():
     """The end of one rod is carried over another and let go; turned a little on its way."""
     table = bench((0.0, 0.0, 0.0), (0.02, 0.05, 0.0))
     first, far = np.array([0.147, 0.0, ROD.radius]), np.array([0.10, 0.10, ROD.radius])
-    path = _arch(first, far, 0.04)
+    path = hand_path(first, far, 0.04)
     away = pose([0.0, 0.0, 0.2])
 
     def poses(t):
@@ -98,7 +99,7 @@ def test_put_down_it_lies_over_the_other_rod(carried):
 
 def test_way_of_a_hand_passes_over():
     first, last = np.array([0.0, 0.0, 0.003]), np.array([0.1, 0.05, 0.003])
-    path = _arch(first, last, 0.05)
+    path = hand_path(first, last, 0.05)
     points = np.array([path(u) for u in np.linspace(0, 1, 200)])
     assert points[0] == pytest.approx(first)
     assert points[-1] == pytest.approx(last)
