@@ -150,7 +150,7 @@ class Fixtures:
         pattern: Pattern,
         stations: np.ndarray,
         *,
-        gap: float,
+        gap: float | np.ndarray,
         radius: float = 0.005,
         height: float = 0.008,
         name: str | None = None,
@@ -160,13 +160,14 @@ class Fixtures:
         Args:
             pattern: the cable's way.
             stations: (n,) arc lengths [m].
-            gap: clear width between the posts of a pair [m].
+            gap: (n,) clear width between the posts of each pair [m].
             radius, height: of the posts [m].
         """
         position, tangent, _ = pattern.sample(np.asarray(stations, dtype=float))
+        gap = np.broadcast_to(np.asarray(gap, dtype=float), (len(position),))
         items, gates = [], []
         for k, (point, along) in enumerate(zip(position, tangent, strict=True)):
-            side = np.array([-along[1], along[0]]) * (gap / 2 + radius)
+            side = np.array([-along[1], along[0]]) * (gap[k] / 2 + radius)
             names = (f"{k + 1}-left", f"{k + 1}-right")
             for label, sign in zip(names, (1.0, -1.0), strict=True):
                 x, y = np.round(point[:2] + sign * side, 5)

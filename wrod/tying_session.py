@@ -27,6 +27,9 @@ from wrod.workbench import TICK, Poses, Workbench
 _EDGE = 2.0
 # A hand finds a rod whose centreline is this near [m].
 _FINGERS = 0.012
+# First stretch of a rod, which is held until twice as much is laid [m]; shorter than in
+# `wrod.deployment`, so that it ends before the first crossing.
+_HOLD = 0.035
 _SETTLE, _REST = 0.4, 0.6
 # Fastest over mean speed of the smooth way of a hand.
 _PEAK = 1.9
@@ -104,7 +107,7 @@ class Session:
         setups = [
             prepare_deployment(
                 pattern, rod, trajectory, arc, _laying(trial, k), rest,
-                hold=0.05, release=0.10, speed=self.speed,
+                hold=_HOLD, release=2 * _HOLD, speed=self.speed,
             )
             for trial in self.trials
         ]  # fmt: skip
