@@ -159,9 +159,7 @@ def hand_trajectory(poses: np.ndarray, ground: np.ndarray) -> Trajectory:
     count = len(poses)
     way = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     order = np.concatenate([[0.0], np.cumsum(np.maximum(way, 1e-3))])
-    contact = np.broadcast_to(ground.mean(0) * [1, 1, 0], (count, 3))
-    contact = np.array(contact)
-    contact[: len(ground)] = ground[:count]
+    contact = ground[np.linspace(0, len(ground) - 1, count).astype(int)] * [1, 1, 0]
     return Trajectory(
         order, contact, poses[:, :3, 3], poses[:, :3, :3], np.full((count, 3), np.nan)
     )
