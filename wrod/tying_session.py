@@ -27,9 +27,9 @@ from wrod.workbench import TICK, Poses, Workbench
 _EDGE = 2.0
 # A hand finds a rod whose centreline is this near [m].
 _FINGERS = 0.012
-# First stretch of a rod, which is held until twice as much is laid [m]; shorter than in
-# `wrod.deployment`, so that it ends before the first crossing.
-_HOLD = 0.035
+# First stretch of a rod, which ends before the first crossing, and what is laid when it is let go
+# [m].
+_HOLD, _RELEASE = 0.04, 0.10
 _SETTLE, _REST = 0.4, 0.6
 # Fastest over mean speed of the smooth way of a hand.
 _PEAK = 1.9
@@ -86,6 +86,7 @@ class Session:
             self.progress(f"lay rod {k + 1}")
             self._lay(k)
         self._note("laid")
+        self.bench.handle_roughly()
         for number, step in enumerate(self.knot.steps):
             self.progress(f"move {number + 1}")
             self._make(step, f"move {number + 1}")
@@ -107,7 +108,7 @@ class Session:
         setups = [
             prepare_deployment(
                 pattern, rod, trajectory, arc, _laying(trial, k), rest,
-                hold=_HOLD, release=2 * _HOLD, speed=self.speed,
+                hold=_HOLD, release=_RELEASE, speed=self.speed,
             )
             for trial in self.trials
         ]  # fmt: skip

@@ -82,7 +82,7 @@ def draw(path: Path, rows: list[dict]) -> Path:
             _cables(grid[0, k], case, method, rows, cells[case, method])
     for row, case in enumerate(knots, start=int(bool(cables))):
         _knots(grid[row], case, rows, cells)
-    figure.subplots_adjust(0.01, 0.01, 0.99, 0.94, 0.04, 0.16)
+    figure.subplots_adjust(0.01, 0.01, 0.99, 1.0 - 0.16 / height, 0.04, 0.16)
 
     def write(file):
         figure.savefig(file, format="png", dpi=100)
