@@ -19,6 +19,7 @@ BENCHMARKS = (
     "identify",
     "loop",
     "closures",
+    "applications",
 )
 
 
