@@ -87,7 +87,7 @@ FEW_NAMES = (
     "grip_rotation",
     "camera_offset",
 )
-FEW = [part for name in FEW_NAMES for part in ("--effect", name)]
+FEW = [part for name in FEW_NAMES[:3] for part in ("--effect", name)]
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +170,7 @@ def test_two_effects_are_found_together(tmp_path):
         setup.bending, setup.twisting = 1.3 * setup.bending, 1.3 * setup.twisting
         setup.stretching = 1.3 * setup.stretching
 
-    np.savez(tmp_path / "two.npz", **synthetic(apply, seed=3))
+    np.savez(tmp_path / "two.npz", **synthetic(apply, seed=3, trials=10))
     result = CliRunner().invoke(
         main,
         ["identify", str(tmp_path / "two.npz"), "--out", str(tmp_path / "out"), *FEW],
@@ -202,7 +202,7 @@ def test_an_effect_that_no_plug_in_covers_is_not_named_explained():
         setup.force = force
 
     data = measurements_from_arrays(synthetic(apply, seed=4))
-    report = identify(data, candidates=FEW_NAMES)
+    report = identify(data, candidates=FEW_NAMES[:4])
     assert report.verdict in ("unexplained", "partly-explained")
     if report.verdict == "unexplained":
         assert report.effects == ()

@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from wrod.bench import table3_paper
-from wrod.bench.campaign import Ledger
+from wrod.bench.ledger import Ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
 from wrod.bench.table3_report import KEYS, cells, markdown, summary
 from wrod.commands import main

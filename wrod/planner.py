@@ -139,7 +139,7 @@ def plan(
             "pattern": pattern.name,
             "pattern_length": pattern.length,
             "remainder_length": pattern.remainder_length,
-            "rod": asdict(rod),
+            "rod": {**asdict(rod), "natural_curvature": list(rod.natural_curvature)},
             "roll": roll,
             "required_friction": float(np.max(friction_bound(pattern, rod).required)),
             "contact_friction": _contact_friction(poses.force),

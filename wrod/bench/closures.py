@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from wrod.bench import campaign
+from wrod.bench.ledger import Ledger
 
 # Arcs, in L_gb: constant curvature, and easing in and out of it, without which no table would hold
 # their ends. They may lie on themselves, as rods do not touch each other.
@@ -103,7 +104,7 @@ def command(
         "patterns": "built-in" if patterns is None else patterns.name,
     }
     out.mkdir(parents=True, exist_ok=True)
-    ledger = campaign.Ledger(out / "trials.jsonl", settings, KEYS, "closures")
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures")
     start = time.perf_counter()
     plans, lacking = _plans(courses, METHODS, device, as_json)
     planned = time.perf_counter() - start

@@ -24,6 +24,8 @@ class Parameter:
         unit: its unit ("" for a ratio).
         scale: standard deviation of its prior, a Gaussian around zero: how large it may well be.
         lower, upper: bounds.
+        anywhere: zero means nothing special (a place, a direction): the Gaussian stands around the
+            value that a fit starts from.
     """
 
     key: str
@@ -31,6 +33,7 @@ class Parameter:
     scale: float
     lower: float = -np.inf
     upper: float = np.inf
+    anywhere: bool = False
 
 
 @dataclass(frozen=True)
@@ -148,6 +151,10 @@ class Model:
         for effect, part in zip(self.effects, self.split(values), strict=True):
             position = effect.measure(position, frame, part, setup)
         return position
+
+    def prior_mean(self, start: np.ndarray) -> np.ndarray:
+        """(P,) middle of the prior of a fit that starts from `start`."""
+        return np.where([p.anywhere for p in self.parameters], start, 0.0)
 
     def extended(self, effect: Effect) -> Model:
         return Model((*self.effects, effect))

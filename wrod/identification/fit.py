@@ -19,6 +19,9 @@ _CONVERGED = 0.02
 # A candidate that gains less than this share of its distance to the best one has lost.
 _HOPELESS = 0.05
 _DAMPING = (1e-2, 1e6)
+# A step may move the markers of a trial by this share of the free length (RMS, to first order):
+# beyond, rods do not follow and the linearisation says little.
+_REACH = 0.04
 # Candidates in one batch: more share launches, but the slowest keeps the others waiting.
 _BATCH = 20
 
@@ -126,8 +129,10 @@ class _Iteration:
         self.weights, self.best = weights, best
         self.base = Setup.base(laboratory.measurements, trials, laboratory.edge_count)
         self.values = [np.array(v, dtype=float) for v in starts]
+        self.means = [m.prior_mean(v) for m, v in zip(self.models, self.values, strict=True)]
         self.scales = [np.array([p.scale for p in m.parameters]) for m in models]
         self.target = laboratory.target[trials]
+        self.coordinates = laboratory.measurements.centerline[0].size
         self.deviation = laboratory.deviation[trials]
         self.correction = laboratory.mesh_correction[trials]
         self.start, self.least_gain = state, least
@@ -141,7 +146,8 @@ class _Iteration:
         results: list[Fit | None] = [None] * count
         trial_values = [v.copy() for v in self.values]
         normal: list[tuple[np.ndarray, np.ndarray] | None] = [None] * count
-        predicted = np.full(count, np.inf)
+        moves: list[np.ndarray | None] = [None] * count
+        promised = np.full(count, np.inf)
         states = [self.start] * count
         solver = None
         for _ in range(_MAX_ITERATIONS):
@@ -166,10 +172,10 @@ class _Iteration:
                     mine = slice(k * len(self.trials), (k + 1) * len(self.trials))
                     states[c] = tuple(a[mine] for a in rods)
                     enough = _CONVERGED + _HOPELESS * self.best.behind(cost)
-                    converged[c] = gain < enough and predicted[c] < enough
+                    converged[c] = gain < enough and promised[c] < enough
                 else:
                     damping[c] *= 20.0
-                    converged[c] = predicted[c] < _CONVERGED
+                    converged[c] = promised[c] < _CONVERGED
             if accepted:
                 rates = self.laboratory.rates(
                     solver,
@@ -181,6 +187,7 @@ class _Iteration:
                     c = active[k]
                     first = normal[c] is None
                     normal[c] = self._normal(c, k, setups[k], readings, rates[k])
+                    moves[c] = rates[k][:, : self.coordinates] * self.scales[c]
                     matrix, rhs = normal[c]
                     if first and rhs @ np.linalg.solve(matrix, rhs) < self.least_gain:
                         converged[c] = True
@@ -190,7 +197,7 @@ class _Iteration:
                 if normal[c] is None or converged[c] or damping[c] > _DAMPING[1]:
                     done.append(c)
                     continue
-                trial_values[c], predicted[c] = self._step(c, normal[c], damping[c])
+                trial_values[c], promised[c] = self._step(c, normal[c], moves[c], damping[c])
             for c in done:
                 active.remove(c)
                 results[c] = self._result(c, normal[c], costs[c], bool(converged[c]))
@@ -221,8 +228,11 @@ class _Iteration:
 
     def _cost(self, c, k, values, setup, readings) -> float:
         residual = self._residual(c, k, values, setup, readings)
-        cost = float((residual**2).sum() + ((values / self.scales[c]) ** 2).sum())
+        cost = float((residual**2).sum() + self._prior(c, values))
         return cost if np.isfinite(cost) else np.inf
+
+    def _prior(self, c, values) -> float:
+        return float((((values - self.means[c]) / self.scales[c]) ** 2).sum())
 
     def _normal(self, c, k, setup, readings, rates) -> tuple[np.ndarray, np.ndarray]:
         """Gauss-Newton matrix and right-hand side, prior included, in units of the priors."""
@@ -230,18 +240,24 @@ class _Iteration:
         scale = self.scales[c]
         jacobian = rates / self.deviation[..., None] * self.weights[c][:, None, None] * scale
         matrix = np.einsum("trp,trq->pq", jacobian, jacobian) + np.eye(len(scale))
-        return matrix, np.einsum("trp,tr->p", jacobian, residual) - self.values[c] / scale
+        away = (self.values[c] - self.means[c]) / scale
+        return matrix, np.einsum("trp,tr->p", jacobian, residual) - away
 
-    def _step(self, c, normal, damping) -> tuple[np.ndarray, float]:
+    def _step(self, c, normal, moves, damping) -> tuple[np.ndarray, float]:
+        """The values to try next, and what the linearised problem promises without damping."""
         matrix, rhs = normal
-        damped = matrix + damping * np.diag(np.diag(matrix))
-        step = np.linalg.solve(damped, rhs)
-        parameters = self.models[c].parameters
-        lower = np.array([p.lower for p in parameters])
-        upper = np.array([p.upper for p in parameters])
-        values = np.clip(self.values[c] + step * self.scales[c], lower, upper)
-        taken = (values - self.values[c]) / self.scales[c]
-        return values, float(abs(2 * taken @ rhs - taken @ matrix @ taken))
+        parameters, scale = self.models[c].parameters, self.scales[c]
+        lower, upper = np.array([(p.lower, p.upper) for p in parameters]).T
+        # A parameter at its bound that wants beyond stays there.
+        stuck = (self.values[c] <= lower) & (rhs < 0.0) | (self.values[c] >= upper) & (rhs > 0.0)
+        free = np.flatnonzero(~stuck)
+        matrix, rhs = matrix[np.ix_(free, free)], rhs[free]
+        promise = float(rhs @ np.linalg.solve(matrix, rhs))
+        step = np.zeros(len(scale))
+        step[free] = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), rhs)
+        moved = np.sqrt(3.0 * ((moves @ step) ** 2).mean(axis=1).max())
+        step *= min(1.0, _REACH * self.base.length / max(moved, 1e-300))
+        return np.clip(self.values[c] + step * scale, lower, upper), promise
 
     def _result(self, c, normal, cost, converged) -> Fit:
         scale = self.scales[c]
@@ -253,7 +269,7 @@ class _Iteration:
             self.models[c],
             values,
             covariance,
-            float(cost - ((values / scale) ** 2).sum()),
+            float(cost - self._prior(c, values)),
             int(self.target.shape[1] * self.weights[c].sum()),
             converged,
         )

@@ -23,6 +23,8 @@ _MOST_LOST = 24
 _FAR = 10.0
 _FAST = 15.0
 _SHORTEST = 12
+# Pieces between two markers of a curve whose length is wanted.
+_FINE = 8
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,16 @@ class MotionMeasurements:
         """(M,) arc length of each marker from the first [m]: of splines through the markers, the
         mean over the fitted recordings."""
         return np.concatenate([[0.0], np.cumsum(self._edges.mean(axis=(0, 1)))])
+
+    def edge_length(self, pieces: int) -> np.ndarray:
+        """(n,) mean distance between neighbours of the nodes that cut the curves through the
+        markers into `pieces` between neighbouring free ones [m].
+
+        The edges of a rod that is never straight are chords: taken for arcs they would be
+        compressed, by (curvature length)^2 / 24.
+        """
+        nodes = through_markers(self.positions[self.fit][:, ::10], pieces)
+        return np.linalg.norm(np.diff(nodes, axis=2), axis=3).mean(axis=(0, 1))
 
     def length_change(self, recording: np.ndarray, start: np.ndarray) -> np.ndarray:
         """(W, M - 1) what to add to the mean edges in windows, from their first two frames [m].
@@ -245,12 +257,21 @@ def split_by_neighbours(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def spline_lengths(position: np.ndarray) -> np.ndarray:
     """(..., M - 1) arc lengths between markers of the curves through (..., M, 3)."""
-    fine = 8
-    nodes = through_markers(position, fine)
+    return _lengths(through_markers(position, _FINE))
+
+
+def _lengths(nodes: np.ndarray) -> np.ndarray:
+    """(..., M - 1) lengths between markers of curves of `_FINE` pieces."""
     pieces = np.linalg.norm(np.diff(nodes, axis=-2), axis=-1)
     inner = pieces[..., 1:-1]
-    inner = inner.reshape(*inner.shape[:-1], -1, fine).sum(axis=-1)
+    inner = inner.reshape(*inner.shape[:-1], -1, _FINE).sum(axis=-1)
     return np.concatenate([pieces[..., :1], inner, pieces[..., -1:]], axis=-1)
+
+
+def _running(lengths: np.ndarray) -> np.ndarray:
+    """(M,) arc lengths out of (..., M - 1) pieces, their mean."""
+    mean = lengths.reshape(-1, lengths.shape[-1]).mean(axis=0)
+    return np.concatenate([[0.0], np.cumsum(mean)])
 
 
 def through_markers(position: np.ndarray, fine: int, s: np.ndarray | None = None) -> np.ndarray:
@@ -268,8 +289,9 @@ def through_markers(position: np.ndarray, fine: int, s: np.ndarray | None = None
 
     x = np.asarray(position)
     if s is None:
-        chord = np.linalg.norm(np.diff(x.reshape(-1, *x.shape[-2:]), axis=1), axis=2).mean(axis=0)
-        s = np.concatenate([[0.0], np.cumsum(chord)])
+        # By its chords a strongly bent curve would run too fast where its direction is given.
+        s = _running(np.linalg.norm(np.diff(x, axis=-2), axis=-1))
+        s = _running(_lengths(through_markers(x, _FINE, s)))
     ends = [x[..., 1, :] - x[..., 0, :], x[..., -1, :] - x[..., -2, :]]
     first, last = (e / np.sqrt(np.sum(e * e, axis=-1, keepdims=True)) for e in ends)
     inner = s[1:-1]

@@ -21,6 +21,8 @@ from wrod.identification.motion_windows import Windows, windows_of
 _ROBUST = 10e-3
 _DAMPING, _HARDER, _TRIALS = 1e-2, 5.0, 7
 _CONVERGED = 2e-3
+# A parameter as large as its prior's scale costs this share of the misfit that a fit starts from.
+_PRIOR = 2e-3
 # Time steps a frame at most, where longer ones do not converge.
 _FINEST = 4
 
@@ -73,9 +75,10 @@ class MotionLaboratory:
     ):
         self.measurements = measurements
         self.base = MotionSetup.base(
-            measurements.marker_arc_length, subdivisions, measurements.gravity
+            measurements.edge_length(subdivisions), subdivisions, measurements.gravity
         )
         self.substeps, self.device, self.free_roll = substeps, device, free_roll
+        self.misfit: float | None = None
 
     def windows(self, recordings, starts=(0,), frames=None) -> Windows:
         return windows_of(self.measurements, recordings, starts, frames)
@@ -182,9 +185,10 @@ class MotionLaboratory:
         square = np.sum(difference**2, axis=-1, keepdims=True)
         root = np.sqrt(1.0 + square / _ROBUST**2)
         scale = np.array([p.scale for p in model.parameters])
-        # The prior weighs as much as one recording's worth of independent errors would.
-        prior = _ROBUST / (400.0 * scale**2)
         cost = _ROBUST * np.sum(root - 1.0) * 3 / max(difference.size, 1)
+        if self.misfit is None:
+            self.misfit = cost
+        prior = _PRIOR * self.misfit / scale**2
         cost += 0.5 * np.sum(prior * values**2) + 1e3 * failed.sum() * _ROBUST
         return seen, difference, root, float(cost), prior
 
@@ -202,6 +206,7 @@ class MotionLaboratory:
         lower, upper = (np.array([getattr(p, b) for p in model.parameters]) for b in
                         ("lower", "upper"))  # fmt: skip
         values = np.asarray(values, dtype=float)
+        self.misfit = None
         now = self.linearise(windows, model, values)
         damping = _DAMPING
         for _ in range(iterations):

@@ -168,6 +168,7 @@ def identify_motion(
     *,
     test: MotionMeasurements | str | os.PathLike[str] | None = None,
     candidates: Sequence[Effect | str] | None = None,
+    subdivisions: int = 2,
     device: str | None = "cpu",
     progress=None,
 ) -> MotionReport:
@@ -178,6 +179,7 @@ def identify_motion(
             fitted, a part chooses the effects, and a part is only scored on.
         test: other recordings of the same rod to score on.
         candidates: effects, or names of effects; default: every one that motion may show.
+        subdivisions: edges of the rod between neighbouring free markers.
         device: "cpu", "cuda:0", "auto".
         progress: called with (text,) as the work goes on.
 
@@ -191,7 +193,7 @@ def identify_motion(
     chosen = list(known.values())
     if candidates is not None:
         chosen = [c if isinstance(c, Effect) else _known(c, known) for c in candidates]
-    laboratory = MotionLaboratory(m, device=resolve_device(device))
+    laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=resolve_device(device))
     selection = select_motion(laboratory, chosen, progress=progress)
     return _report(laboratory, selection)
 

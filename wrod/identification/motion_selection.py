@@ -18,7 +18,7 @@ from wrod.identification.motion_fit import Linearised, MotionLaboratory
 # The base model: straight, uniform, isotropic; only what cannot be known beforehand is fitted.
 BASE = ("stiffness", "air_damping")
 TRIED = 2
-LEAST_GAIN = 0.01
+LEAST_GAIN = 0.02
 MOST_EFFECTS = 10
 PARTLY = 0.8
 AT_NOISE = 1.15

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -68,34 +67,27 @@ class MotionSetup:
     held_turn: np.ndarray
 
     @classmethod
-    def base(cls, marker_arc_length: np.ndarray, subdivisions: int, gravity: float) -> MotionSetup:
+    def base(cls, edge_length: np.ndarray, subdivisions: int, gravity: float) -> MotionSetup:
         """A straight, uniform, isotropic rod without damping.
 
         Args:
-            marker_arc_length: (M,) unstretched arc length of each marker [m].
-            subdivisions: edges between neighbouring free markers; one inside each grip.
+            edge_length: (n,) rest length of every edge, one inside each grip [m].
+            subdivisions: edges between neighbouring free markers.
             gravity: [m/s^2], along -z.
         """
-        s = np.asarray(marker_arc_length)
-        markers = len(s)
-        nodes = [s[0], s[1]]
-        place = [0, 1]
-        for a, b in pairwise(s[1:-1]):
-            nodes += list(a + (b - a) * np.arange(1, subdivisions + 1) / subdivisions)
-            place.append(len(nodes) - 1)
-        nodes = np.array([*nodes, s[-1]])
-        place.append(len(nodes) - 1)
+        length = np.asarray(edge_length, dtype=float)
+        nodes = np.concatenate([[0.0], np.cumsum(length)])
         n = len(nodes)
-        length = np.diff(nodes)
+        place = np.array([0, *range(1, n - 1, subdivisions), n - 1])
         bending = 2.0 * gravity * START_L_GB**3  # k_b = 2 rho A g L_gb^3
         return cls(
-            fraction=(nodes - s[1]) / (s[-2] - s[1]),
-            marker_node=np.array(place),
+            fraction=(nodes - nodes[1]) / (nodes[-2] - nodes[1]),
+            marker_node=place,
             rest_length=length,
             bending=np.full((n, 2), bending),
             principal_angle=0.0,
             twisting=np.full(n, bending / (1.0 + _POISSON)),
-            stretching=np.full(n - 1, gravity * (s[-1] - s[0]) / _WEIGHT_STRAIN),
+            stretching=np.full(n - 1, gravity * length.sum() / _WEIGHT_STRAIN),
             natural_curvature=np.zeros((n, 2)),
             natural_twist=np.zeros(n),
             line_mass=np.ones(n),
@@ -106,7 +98,7 @@ class MotionSetup:
             quadratic_drag=np.zeros(n),
             viscous_time=np.zeros((n, 3)),
             clamp_length=np.zeros(2),
-            marker_offset=np.zeros((markers, 3)),
+            marker_offset=np.zeros((len(place), 3)),
             roll=np.zeros(2),
             held_turn=np.zeros((2, 2)),
         )

@@ -60,14 +60,11 @@ def held_ends(windows: Windows, setup: MotionSetup, substeps: int) -> tuple[np.n
     return nodes, t, a1, c * a1 + s * a2
 
 
-def first_nodes(
-    windows: Windows, setup: MotionSetup, substeps: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def first_nodes(windows: Windows, setup: MotionSetup, substeps: int) -> np.ndarray:
     """(W, 2, N, 3) nodes in the first two frames, held ones included."""
     markers = windows.opening.astype(complex)
     nodes, _, a1, _ = held_ends(windows, setup, substeps)
     inner = setup.marker_node
-    s = np.concatenate([[0.0], np.cumsum(np.real(setup.rest_length))])
     if np.any(setup.marker_offset != 0):
         centre = _without_offsets(setup, markers, a1, substeps)
     else:
@@ -75,7 +72,7 @@ def first_nodes(
     fine = int(inner[2] - inner[1])
     grips = nodes[:, [0, substeps]]
     centre = np.concatenate([grips[:, :, :2], centre[:, :, 2:-2], grips[:, :, 2:]], axis=2)
-    return through_markers(centre, fine, s[inner])
+    return through_markers(centre, fine, windows.arc_length[0])
 
 
 def _without_offsets(setup, markers, a1, substeps: int) -> np.ndarray:

@@ -27,6 +27,7 @@ class Windows:
             markers, carried along without roll from the recording's start, where it is the axis
             about which the rod bends on average, as seen along the grip: so a rod that hangs in
             one plane starts without twist.
+        arc_length: (W, M) of the markers, the same for all windows [m].
         length_change: (W, M - 1) what to add to the rod's length between markers [m].
     """
 
@@ -39,6 +40,7 @@ class Windows:
     held: np.ndarray
     grip_director: np.ndarray
     length_change: np.ndarray
+    arc_length: np.ndarray
 
 
 def windows_of(
@@ -82,6 +84,7 @@ def windows_of(
         np.stack(held),
         np.stack(director),
         m.length_change(recording, start),
+        np.repeat(m.marker_arc_length[None], len(recording), axis=0),
     )
 
 

@@ -101,8 +101,19 @@ def force_print(report) -> bytes:
     best = report.prints[0]
     if best.arc_length is None:
         place = np.arange(len(best.value))
-        axes.bar(place, best.value, yerr=2 * best.stderr, color=_AFTER, width=0.6, ecolor=_INK)
-        axes.set_xticks(place, best.components, fontsize=8, rotation=30)
+        # Metres beside radians: in mm, degrees and per cent all of them can be seen.
+        units = [_end_unit(name) for name in best.components]
+        factor = np.array([f for f, _ in units])
+        axes.bar(
+            place,
+            factor * best.value,
+            yerr=2 * factor * best.stderr,
+            color=_AFTER,
+            width=0.6,
+            ecolor=_INK,
+        )
+        labels = [f"{name}\n[{u}]" for name, (_, u) in zip(best.components, units, strict=True)]
+        axes.set_xticks(place, labels, fontsize=8)
     else:
         for column, label in enumerate(best.components):
             color = _SERIES[column % len(_SERIES)]
@@ -114,7 +125,8 @@ def force_print(report) -> bytes:
         axes.set_xlabel("arc length [m]", fontsize=8.5)
         axes.legend(fontsize=8, frameon=False, ncol=3)
     axes.axhline(0.0, color=_FAINT, lw=0.8, zorder=0)
-    axes.set_ylabel(f"[{best.unit}]" if best.unit else "relative change", fontsize=8.5)
+    if best.arc_length is not None:
+        axes.set_ylabel(f"[{best.unit}]" if best.unit else "relative change", fontsize=8.5)
     axes.set_title(f"{best.title} (± 2 standard errors)", loc="left", fontsize=9, color=_MUTED)
     _dress(axes)
     axes = figure.add_subplot(1, 2, 2)
@@ -130,6 +142,13 @@ def force_print(report) -> bytes:
     axes.set_title("log evidence, and share of the excess", loc="left", fontsize=9, color=_MUTED)
     _dress(axes)
     return _png(figure)
+
+
+def _end_unit(component: str) -> tuple[float, str]:
+    """Factor and unit to show a component of an end's or the cameras' print in."""
+    if component.startswith(("turn", "roll")):
+        return 180.0 / np.pi, "deg"
+    return (100.0, "%") if component == "scale" else (1e3, "mm")
 
 
 def ranking(report) -> bytes | None:

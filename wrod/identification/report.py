@@ -17,8 +17,9 @@ from wrod.identification.effect import Effect, Estimate, Model, effects
 from wrod.identification.fit import Fit, fit_models
 from wrod.identification.laboratory import Laboratory
 from wrod.identification.measurements import ClampedMeasurements, load_measurements
-from wrod.identification.selection import Selection, select
+from wrod.identification.selection import select
 from wrod.identification.trace import Print, trace
+from wrod.identification.verdict import Selection
 from wrod.material import RodMaterial
 
 METRIC = "RMS over test trials and markers of the 3-D distance [mm]"
@@ -256,19 +257,19 @@ def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[Foun
 
 def _scores(laboratory: Laboratory, selection: Selection) -> list[dict]:
     """Every effect alone on the base model."""
-    base, fits = selection.base_chi_squared, selection.ranking
+    fits = selection.ranking
     if not fits:
         return []
     errors = laboratory.scores([f.model for f in fits], [f.values for f in fits])
     return [
         {
             "name": fit.model.names[0],
-            "bic_gain": base - fit.bic,
+            "bic_gain": gain,
             "chi_squared": fit.chi_squared,
             "parameter_count": len(fit.values),
             "test_mm": _millimetres(error),
         }
-        for fit, error in zip(fits, errors, strict=True)
+        for fit, gain, error in zip(fits, selection.rounds[0].gains, errors, strict=True)
     ]
 
 

@@ -1,17 +1,18 @@
-"""Which effects the data ask for: forward selection, exchange, cross-validation, verdict.
+"""Which effects the data ask for: forward selection, pairs, exchange, cross-validation.
 
 Stopping rule. An effect joins the model if it lowers the Bayesian information criterion of the
 train trials by `BIC_MARGIN` or more, takes away at least `LEAST_SHARE` of the base model's excess
-of squares (an effect's law is never exactly the rod's: smaller gains would only mend its form),
-and lowers the squared error of trials held out in cross-validation. No model has more than
-`MOST_EFFECTS`, and where two effects leave more than half of the excess a third is not tried:
-what so many small effects mend is not theirs.
+of squares or, where the error is still above the noise, half of what is left of it (an effect's law
+is never exactly the rod's: smaller gains would only mend its form), and lowers the squared error of
+trials held out in cross-validation. No model has more than `MOST_EFFECTS`, and where two effects
+leave more than half of the excess a third is not tried: what so many small effects mend is not
+theirs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,51 +20,15 @@ from wrod.errors import DataError
 from wrod.identification.effect import Effect, Model
 from wrod.identification.fit import Fit, fit_models
 from wrod.identification.laboratory import Laboratory
+from wrod.identification.pairs import likely_pairs
+from wrod.identification.verdict import AT_NOISE, BIC_MARGIN, Round, Selection, judge
 
-BIC_MARGIN = 10.0
 LEAST_SHARE = 0.005
 MOST_EFFECTS = 3
-AT_NOISE = 1.1
-PARTLY = 0.75
 _FOLDS = 4
 _FINE = 2
-_CORRELATED = 0.95
-
-
-@dataclass
-class Round:
-    """One step of the selection: every candidate for the next effect, best first."""
-
-    current: tuple[str, ...]
-    fits: list[Fit]
-    gains: list[float]
-    accepted: tuple[str, ...] | None
-    reason: str
-
-
-@dataclass
-class Selection:
-    """What was chosen and why.
-
-    Attributes:
-        verdict: adequate, explained, partly-explained or unexplained.
-        fit: the chosen model, polished on a finer mesh.
-        rounds: the steps that led there.
-        cross_validation: (before, after) RMS of held-out marker errors [m] of the chosen model.
-        confounded: pairs of names that these data cannot tell apart, with the evidence.
-        ranking: every effect alone on the base model, best first.
-        leading: the chosen model even where the verdict names no effect.
-    """
-
-    verdict: str
-    reason: str
-    fit: Fit
-    leading: Fit
-    ranking: list[Fit]
-    rounds: list[Round]
-    base_chi_squared: float
-    cross_validation: tuple[float, float]
-    confounded: list[dict] = field(default_factory=list)
+# Pairs to fit, and how many standard deviations of chi squared deserve them.
+_PAIRS, _FLUCTUATION = 12, 5.0
 
 
 def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -> Selection:
@@ -75,17 +40,25 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -
     base_held_out = held_out
     while len(current.model.effects) < MOST_EFFECTS:
         fits = _extensions(laboratory, current, candidates, progress)
+        if len(current.model.effects) == 1:
+            fits += _pairs(laboratory, current, candidates, progress)
         if not fits:
             break
-        best = fits[0]
-        if len(best.model.effects) > 1:
-            best = _exchanged(laboratory, best, candidates, progress)
+        best = min(fits, key=lambda f: f.bic)
+        if len(best.model.effects) > 1 and current.bic - best.bic >= BIC_MARGIN:
+            best, others = _exchanged(laboratory, best, candidates, progress)
+            fits += others
+        fits = _best_of_each(fits)
         gain = current.bic - best.bic
-        share = (current.chi_squared - best.chi_squared) / max(excess, 1e-300)
+        taken = current.chi_squared - best.chi_squared
+        left = current.chi_squared - current.residual_count
+        share = taken / max(excess, 1e-300)
+        # Where much is left to explain, an effect beside a far larger one may be small.
+        more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
         reason, ahead = "", held_out
         if gain < BIC_MARGIN:
             reason = f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
-        elif share < LEAST_SHARE:
+        elif share < LEAST_SHARE and not more:
             reason = f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
         else:
             try:
@@ -98,6 +71,7 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -
         rounds.append(
             Round(
                 current.model.names,
+                best,
                 fits,
                 [current.bic - f.bic for f in fits],
                 accepted,
@@ -117,7 +91,7 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -
         order = [alone.index(name) if name in alone else len(alone) for name in current.model.names]
         current = _reordered(current, np.argsort(order, kind="stable"))
     final = _polished(laboratory, current)
-    return _judged(laboratory, final, empty, rounds, (base_held_out[0], held_out[0]))
+    return judge(laboratory, final, _base_fit(laboratory), rounds, (base_held_out[0], held_out[0]))
 
 
 def _base_fit(laboratory: Laboratory) -> Fit:
@@ -141,7 +115,7 @@ def _starts(laboratory: Laboratory, effect: Effect) -> list[np.ndarray]:
 def _best_of_each(fits: list[Fit]) -> list[Fit]:
     best: dict[tuple[str, ...], Fit] = {}
     for fit in fits:
-        key = fit.model.names
+        key = tuple(sorted(fit.model.names))
         if key not in best or fit.chi_squared < best[key].chi_squared:
             best[key] = fit
     return sorted(best.values(), key=lambda f: f.bic)
@@ -158,12 +132,27 @@ def _extensions(laboratory, current: Fit, candidates, progress) -> list[Fit]:
     return _best_of_each(_fit(laboratory, models, starts, current, progress))
 
 
-def _exchanged(laboratory, best: Fit, candidates, progress) -> Fit:
+def _pairs(laboratory, current: Fit, candidates, progress) -> list[Fit]:
+    """Pairs that are likely by superposition: the best single effect may stand for two others."""
+    if current.chi_squared - current.residual_count < _FLUCTUATION * np.sqrt(
+        2.0 * current.residual_count
+    ):
+        return []
+    chosen = likely_pairs(laboratory, candidates, _PAIRS)
+    chosen = [
+        (model, start) for model, start in chosen if current.model.names[0] not in model.names
+    ]
+    models, starts = [model for model, _ in chosen], [start for _, start in chosen]
+    return _fit(laboratory, models, starts, None, progress, rival=current.chi_squared)
+
+
+def _exchanged(laboratory, best: Fit, candidates, progress) -> tuple[Fit, list[Fit]]:
     """Try every other effect in the place of each earlier one: the first choice saw the others'
-    work as its own. Once one has changed, the others have to prove themselves beside it."""
+    work as its own. Once one has changed, the others have to prove themselves beside it. Returns
+    every fit on the way as well."""
     # The last one was chosen from all, with the others as they are.
     places = len(best.model.effects) - 1
-    tried = 0
+    tried, seen = 0, []
     while tried < places:
         # The effect in the first place makes room; one that stays moves to the end.
         parts = best.model.split(best.values)
@@ -178,11 +167,12 @@ def _exchanged(laboratory, best: Fit, candidates, progress) -> Fit:
         others = _best_of_each(
             _fit(laboratory, models, starts, origin, progress, rival=best.chi_squared)
         )
+        seen += others
         if others and others[0].bic < best.bic - 1e-6:
             best, tried = others[0], 0
         else:
             best, tried = _reordered(best, [*range(1, places + 1), 0]), tried + 1
-    return best
+    return best, seen
 
 
 def _reordered(fit: Fit, places: Sequence[int]) -> Fit:
@@ -269,78 +259,3 @@ def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
     polished = fit_models(fine, [fit.model], [fit.values], origin=fit, race=False)[0]
     laboratory.adopt(fine)
     return polished
-
-
-def _judged(laboratory, fit: Fit, empty: Fit, rounds, cross_validation) -> Selection:
-    m = laboratory.measurements
-    floor = m.noise_floor
-    before = m.rms(laboratory.predict(Model(), np.zeros(0)), m.test)
-    after = m.rms(laboratory.predict(fit.model, fit.values), m.test)
-    share = (before**2 - after**2) / max(before**2 - floor**2, 1e-300)
-    if not fit.model.effects and before <= AT_NOISE * floor:
-        verdict = "adequate"
-        reason = f"the base model's test error is {before / floor:.2f} times the noise floor"
-    elif fit.model.effects and after <= AT_NOISE * floor:
-        verdict = "explained"
-        reason = f"what is left on test trials is {after / floor:.2f} times the noise floor"
-    elif fit.model.effects and share >= PARTLY:
-        verdict = "partly-explained"
-        reason = (
-            f"{100 * share:.0f} % of the excess error is gone, but {after / floor:.2f} times the "
-            "noise floor is left: the effects named may stand for one that is not known here"
-        )
-    else:
-        verdict = "unexplained"
-        reason = (
-            f"no effect, nor any few together, takes {100 * PARTLY:.0f} % of the excess error; "
-            f"{before / floor:.2f} times the noise floor stays"
-        )
-    named = _base_fit(laboratory) if verdict == "unexplained" else fit
-    selection = Selection(
-        verdict,
-        reason,
-        named,
-        fit,
-        rounds[0].fits if rounds else [],
-        rounds,
-        empty.chi_squared,
-        cross_validation,
-    )
-    selection.confounded = _confounded(fit, rounds)
-    return selection
-
-
-def _confounded(fit: Fit, rounds: list[Round]) -> list[dict]:
-    """Rivals that the data do not rule out, and parameters that trade against each other."""
-    found = []
-    chosen = set(fit.model.names)
-    for step in rounds:
-        if step.accepted is None:
-            continue
-        best = step.fits[0]
-        for rival in step.fits[1:]:
-            gap = rival.bic - best.bic
-            # A rival that contains the winner and adds nothing is no rival.
-            empty = len(rival.values) > len(best.values) and (
-                rival.chi_squared > best.chi_squared - BIC_MARGIN
-            )
-            if gap < BIC_MARGIN and not empty and rival.model.names[-1] not in chosen:
-                found.append(
-                    {
-                        "effects": [best.model.names[-1], rival.model.names[-1]],
-                        "evidence": f"BIC differs by {gap:.1f} only",
-                    }
-                )
-    if len(fit.model.effects) > 1:
-        correlation = fit.correlation()
-        owner = [e.name for e in fit.model.effects for _ in e.parameters]
-        keys = [p.key for p in fit.model.parameters]
-        for i, j in zip(*np.triu_indices(len(keys), 1), strict=True):
-            if owner[i] != owner[j] and abs(correlation[i, j]) > _CORRELATED:
-                found.append(
-                    {
-                        "effects": [owner[i], owner[j]],
-                        "evidence": f"{keys[i]} and {keys[j]} correlate by {correlation[i, j]:.2f}",
-                    }
-                )
-    return found

@@ -13,7 +13,7 @@ class AnisotropicBending(Effect):
     parameters = (
         Parameter("log_ratio_1", "", 0.7),
         Parameter("log_ratio_2", "", 0.7),
-        Parameter("principal_angle", "rad", 2.0),
+        Parameter("principal_angle", "rad", 2.0, anywhere=True),
     )
 
     def starts(self, measurements):

@@ -14,7 +14,7 @@ class NaturalHelix(Effect):
     parameters = (
         Parameter("curvature_1", "1/m", 20.0),
         Parameter("curvature_2", "1/m", 20.0),
-        Parameter("turn_rate", "rad/m", 40.0),
+        Parameter("turn_rate", "rad/m", 40.0, anywhere=True),
     )
 
     def starts(self, measurements):

@@ -10,8 +10,8 @@ class PointMass(Effect):
     title = "a mass at one place of the rod"
     reference = "dead load m g at arc length s"
     parameters = (
-        Parameter("mass", "kg", 0.01),
-        Parameter("arc_length", "m", 10.0, lower=0.0),
+        Parameter("mass", "kg", 0.01, lower=0.0),
+        Parameter("arc_length", "m", 1.0, lower=0.0, anywhere=True),
     )
 
     def starts(self, measurements):

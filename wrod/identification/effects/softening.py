@@ -13,7 +13,7 @@ class Softening(Effect):
         "stranded cables (Papailiou 1997)"
     )
     parameters = (
-        Parameter("log_critical_curvature", "", 10.0, lower=-5.0, upper=10.0),
+        Parameter("log_critical_curvature", "", 3.0, lower=-5.0, upper=10.0, anywhere=True),
         Parameter("lost_stiffness", "", 1.0, lower=-0.5, upper=1.0),
     )
 

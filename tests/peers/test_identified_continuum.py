@@ -1,0 +1,97 @@
+"""Identification on rods that a solver of the continuum made, not wrod."""
+
+import numpy as np
+import pytest
+from kirchhoff_rod import World, hanging, measured
+
+from wrod.identification import Effect, Parameter, identify
+from wrod.identification.effect import Model
+from wrod.identification.laboratory import Laboratory
+from wrod.identification.measurements import measurements_from_arrays
+from wrod.material import RodMaterial
+
+ROD = RodMaterial(0.0018, 0.06, 0.5, density=1500.0)
+
+
+def around(s, place, width):
+    """(K,) a bump of area 1."""
+    return np.exp(-0.5 * ((s - place) / width) ** 2) / (width * np.sqrt(2 * np.pi))
+
+
+def made(world, seed=0, **options):
+    return measurements_from_arrays(measured(hanging(ROD, seed=seed), world, **options))
+
+
+class Thread(Effect):
+    """Our own invention: a thread tied to the rod pulls at one place, the same way always."""
+
+    name = "thread"
+    title = "a thread that pulls sideways"
+    reference = "dead force at arc length s"
+    parameters = (
+        Parameter("pull", "N", 0.05),
+        Parameter("arc_length", "m", 1.0, lower=0.0, anywhere=True),
+    )
+
+    def starts(self, measurements):
+        return [np.array([1e-4, f * measurements.material.length]) for f in (0.2, 0.5, 0.8)]
+
+    def apply(self, setup, values):
+        share = setup.weights_at(values[1])
+        setup.force = setup.force + values[0] * share[:, None] * np.array([0.0, 1.0, 0.0])
+
+
+def test_base_model_agrees_with_the_continuum():
+    quiet = measured(hanging(ROD, trials=3), World(), noise=1e-12)
+    laboratory = Laboratory(measurements_from_arrays(quiet), edge_count=120)
+    predicted = laboratory.predict(Model(), np.zeros(0))
+    assert np.abs(predicted - quiet["centerline"]).max() < 1e-4
+
+
+def test_an_effect_of_our_own_invention_is_found():
+    pull = World(force=lambda s: np.array([[0.0], [0.02], [0.0]]) * around(s, 0.31, 0.004))
+    report = identify(made(pull), candidates=[Thread(), "natural_curvature", "gravity_tilt"])
+    assert report.verdict == "explained"
+    assert [e.name for e in report.effects] == ["thread"]
+    found = report.effects[0].parameters
+    assert found["pull"].value == pytest.approx(0.02, rel=0.05)
+    assert found["arc_length"].value == pytest.approx(0.31, rel=0.05)
+    assert report.after < 1.1 * report.noise_floor < report.before
+
+
+@pytest.mark.slow
+def test_a_rod_without_an_effect_is_adequate_against_every_candidate():
+    report = identify(made(World(), seed=1))
+    assert report.verdict == "adequate"
+    assert report.effects == ()
+
+
+@pytest.mark.slow
+def test_a_pair_is_found_among_every_candidate():
+    """One by one, other effects look better than either of the two."""
+    world = World(
+        gravity_turn=np.radians(2.0) * np.array([0.3, -0.95, 0.0]),
+        mass=lambda s: 0.0012 * around(s, 0.2, 0.004)[None],
+    )
+    report = identify(made(world, seed=2))
+    assert report.verdict == "explained"
+    found = {e.name: e.parameters for e in report.effects}
+    assert set(found) == {"gravity_tilt", "point_mass"}
+    assert found["point_mass"]["mass"].value == pytest.approx(0.0012, rel=0.05)
+    assert found["gravity_tilt"]["tilt"].value == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "world",
+    [
+        World(curvature=lambda s: np.array([[0.6], [0.4]]) * around(s, 0.22, 0.008)),
+        World(force=lambda s: np.array([[0.03], [0.04], [0.0]]) / (1 + np.exp((0.25 - s) / 0.01))),
+        World(grip_turn=np.outer(np.random.default_rng(3).normal(size=12), [0.0, 0.0, 0.7])),
+    ],
+    ids=["kink", "draught on half the rod", "roll that sticks in the gripper"],
+)
+def test_what_no_effect_covers_is_not_called_explained(world):
+    report = identify(made(world, seed=3))
+    assert report.verdict in ("unexplained", "partly-explained")
+    assert report.prints[0].evidence > 0.0
