@@ -22,6 +22,7 @@ _LANES = """
 #define WROD_LANE_ARRAY(type, name, size) type name[size] = {}
 #define WROD_OWN_ENTRY(name, m) name[m]
 #define WROD_FROM(name, source) __shfl_sync(0xffffffffu, name, source)
+#define WROD_TOUCH(pointer) asm volatile("prefetch.global.L1 [%0];" ::"l"(pointer))
 #else
 #define WROD_SHARED
 #define WROD_LANES for (int lane = 0; lane < 32; ++lane)
@@ -31,21 +32,13 @@ _LANES = """
 #define WROD_LANE_ARRAY(type, name, size) type name[size][32] = {}
 #define WROD_OWN_ENTRY(name, m) name[m][lane]
 #define WROD_FROM(name, source) name[source]
+#define WROD_TOUCH(pointer) (void)(pointer)
 #endif
     const int BAND = 11, REACH = 10, STRIDE = 12, CHUNK = 32;
     // Row `at` of the window holds entries (a, a - k), k = 0...10; lanes that walk along a column
     // or a row meet no bank conflicts.
     WROD_SHARED double window[42 * 12];
 #define WROD_AT(at, k) window[(at) * STRIDE + (k)]
-    // Rows that have been sent for, entry lane + 32 m in place m: they arrive while others are
-    // worked on. Outside the matrix entries are zero.
-    WROD_LANE_ARRAY(double, ahead, 11);
-#define WROD_FETCH(array, first) \\
-    _Pragma("unroll") for (int m = 0; m < BAND; ++m) { \\
-        const int k = (lane + 32 * m) % BAND, a = (first) + (lane + 32 * m) / BAND; \\
-        const bool inside = a >= k && a < n; \\
-        WROD_OWN_ENTRY(ahead, m) = inside ? (array)[a * BAND + k] : 0.0; \\
-    }
 """
 
 _FACTORISE = (
@@ -57,6 +50,15 @@ _FACTORISE = (
     const int* open = free.data + (size_t)r * n;
     double* factor = factor_out.data + (size_t)r * n * BAND;
     const double shifted = shift.data[r];
+    // Rows that have been sent for, entry lane + 32 m in place m: they arrive while others are
+    // worked on. Outside the matrix entries are zero.
+    WROD_LANE_ARRAY(double, ahead, 11);
+#define WROD_FETCH(array, first) \\
+    _Pragma("unroll") for (int m = 0; m < BAND; ++m) { \\
+        const int k = (lane + 32 * m) % BAND, a = (first) + (lane + 32 * m) / BAND; \\
+        const bool inside = a >= k && a < n; \\
+        WROD_OWN_ENTRY(ahead, m) = inside ? (array)[a * BAND + k] : 0.0; \\
+    }
     // The window holds the 32 rows whose pivots are due and the 10 below them. Entries right of the
     // present pivot are those of what is left to factorise; left of it they are those of L D.
     // Reciprocals of the pivots of the 10 rows before the window and of its first 32:
@@ -181,22 +183,26 @@ _SOLVE = (
     WROD_LANE_VALUE(double, value);
     WROD_LANE_VALUE(double, known);
 
-#define WROD_PUT_FACTOR() \\
-    _Pragma("unroll") for (int m = 0; m < BAND; ++m) { \\
-        const int k = (lane + 32 * m) % BAND, row = (lane + 32 * m) / BAND; \\
-        WROD_AT(row, k) = WROD_OWN_ENTRY(ahead, m); \\
+    // Start fetching a chunk of the band, 22 cache lines of 16 numbers.
+#define WROD_PREFETCH(first) \\
+    if ((first) >= 0 && lane < 22 && (first) * BAND + 16 * lane < n * BAND) \\
+        WROD_TOUCH(factor + (first) * BAND + 16 * lane);
+    // Entries left of the first column, and rows below the last, are zero.
+#define WROD_LOAD_FACTOR(at, first, count) \\
+    _Pragma("unroll") for (int m = lane; m < (count) * BAND; m += 32) { \\
+        const int k = m % BAND, row = m / BAND, a = (first) + row; \\
+        WROD_AT((at) + row, k) = a < n && k <= a ? factor[a * BAND + k] : 0.0; \\
     }
 
-    WROD_LANES { WROD_FETCH(factor, 0) }
     for (int base = 0; base < n; base += CHUNK) {
         WROD_SYNC();
         WROD_LANES {
             const int a = base + lane;
             WROD_OWN(value) = a < n && open[a] != 0 ? solution[a] : 0.0;
-            WROD_PUT_FACTOR()
-            WROD_FETCH(factor, base + CHUNK)
+            WROD_LOAD_FACTOR(0, base, CHUNK)
         }
         WROD_SYNC();
+        WROD_LANES { WROD_PREFETCH(base + CHUNK) }
         for (int t = CHUNK - REACH; t < CHUNK; ++t) {
             const double other = WROD_FROM(known, t);
             WROD_LANES {
@@ -216,26 +222,16 @@ _SOLVE = (
             if (base + lane < n) solution[base + lane] = WROD_OWN(value) / WROD_AT(lane, 0);
         }
     }
-    const int last = (n - 1) / CHUNK * CHUNK;
-    WROD_SYNC();
-    WROD_LANES {
-        WROD_OWN(known) = 0.0;
-        // Below the last chunk there is nothing.
-        for (int m = lane; m < REACH * STRIDE; m += 32) window[m] = 0.0;
-        WROD_FETCH(factor, last)
-    }
-    for (int base = last; base >= 0; base -= CHUNK) {
-        WROD_SYNC();
-        WROD_LANES {
-            for (int m = lane; m < REACH * STRIDE; m += 32) window[CHUNK * STRIDE + m] = window[m];
-        }
+    WROD_LANES { WROD_OWN(known) = 0.0; }
+    for (int base = (n - 1) / CHUNK * CHUNK; base >= 0; base -= CHUNK) {
         WROD_SYNC();
         WROD_LANES {
             WROD_OWN(value) = base + lane < n ? solution[base + lane] : 0.0;
-            WROD_PUT_FACTOR()
-            WROD_FETCH(factor, base - CHUNK)
+            WROD_LOAD_FACTOR(0, base, CHUNK)
+            WROD_LOAD_FACTOR(CHUNK, base + CHUNK, REACH)
         }
         WROD_SYNC();
+        WROD_LANES { WROD_PREFETCH(base - CHUNK) }
         for (int t = 0; t < REACH; ++t) {
             const double other = WROD_FROM(known, t);
             WROD_LANES {

@@ -104,7 +104,8 @@ def write_state(
     velocity: wp.array2d(dtype=wp.float64),
     tangent: wp.array2d(dtype=wp.vec3d),
     director: wp.array2d(dtype=wp.vec3d),
-    force: wp.array2d(dtype=wp.vec3d),
+    shape_force: wp.array2d(dtype=wp.vec3d),
+    rod_force: wp.array2d(dtype=wp.vec3d),
     # State out:
     node_q_out: wp.array(dtype=wp.vec3d),
     node_qd_out: wp.array(dtype=wp.vec3d),
@@ -120,7 +121,7 @@ def write_state(
     b = s.lead + i
     node_q_out[s.node + i] = node(dof, r, b)
     node_qd_out[s.node + i] = node(velocity, r, b)
-    node_contact_f_out[s.node + i] = force[r, b]
+    node_contact_f_out[s.node + i] = shape_force[r, b] + rod_force[r, b]
     if i < s.count - 1:
         d = rotate(director[r, b], tangent[r, b], dof[r, 4 * b + 3])
         edge_director_out[s.edge + i] = d

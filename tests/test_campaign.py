@@ -4,7 +4,7 @@ import pytest
 from click.testing import CliRunner
 
 from wrod.bench import campaign
-from wrod.bench.campaign import Ledger
+from wrod.bench.ledger import Ledger
 from wrod.commands import main
 
 KEYS = ("course", "trial")

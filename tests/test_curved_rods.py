@@ -164,7 +164,7 @@ def plans():
 
 def test_plan_of_a_curved_rod(plans, tmp_path):
     pattern, new, old = plans
-    assert new.metadata["rod"]["natural_curvature"] == (6.0, 0.0)
+    assert new.metadata["rod"]["natural_curvature"] == [6.0, 0.0]
     assert old.twist is None and len(new.twist) == len(new)
     # The twist dwindles with the length that hangs.
     assert abs(new.twist[0]) > abs(new.twist[-1])
@@ -172,7 +172,7 @@ def test_plan_of_a_curved_rod(plans, tmp_path):
     again = Trajectory.load(new.save(tmp_path / "plan")[1])
     assert (again.twist == new.twist).all()
     with pytest.warns(WrodWarning, match="naturally straight rods only"):
-        neural = wrod.plan(pattern, CURVED, device="cpu")
+        neural = wrod.plan(pattern, CURVED, "neural", device="cpu")
     assert neural.metadata["method"] == "numeric"
     assert np.abs(neural.position - new.position).max() < 1e-12
     with pytest.raises(GraspError, match="roll is nan"):

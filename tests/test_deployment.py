@@ -246,3 +246,37 @@ def test_bad_input_is_refused(plans):
     with pytest.raises(RodError, match="scheme"):
         wrod.simulate_deployment(pattern, ROD, trajectory, scheme="magic")
     assert simulate_deployments([]) == []
+
+
+def test_a_disturbance_moves_the_robot_as_a_whole(plans):
+    """Trials of one plan share a setup; yaw and offset are one motion of rod and grip."""
+    from scipy.spatial.transform import Rotation
+
+    from wrod.deployment import _prepare
+    from wrod.deployment_setup import Disturbance
+
+    pattern, by_method = plans
+    disturbance = Disturbance(offset=(0.002, -0.003), yaw=0.05)
+    shaken = Disturbance(jitter=0.001, offset=(0.002, -0.003), yaw=0.05, seed=3)
+    plan = pattern, ROD, by_method["numeric"], wrod.Friction(0.5)
+    rest = tail(pattern, ROD, by_method["numeric"])
+    setups = _prepare(
+        [Trial(*plan, d, rest) for d in (Disturbance(), disturbance, shaken)],
+        *(0.05, 0.1, 0.03, 0.006, None),
+    )
+    still, moved, shaking = setups
+    turn = Rotation.from_euler("z", 0.05)
+    corner = pattern.sample(0.0)[0][0] * [1.0, 1.0, 0.0]
+    for before, after in (
+        (still.position, moved.position),
+        (still.schedule.position, moved.schedule.position),
+    ):
+        expected = turn.apply(before - corner) + corner + [0.002, -0.003, 0.0]
+        assert np.abs(after - expected).max() < 1e-12
+    turned = turn * Rotation.from_quat(still.schedule.rotation)
+    assert (turned.inv() * Rotation.from_quat(moved.schedule.rotation)).magnitude().max() < 1e-9
+    assert np.abs(moved.director - turn.apply(still.director)).max() < 1e-12
+    jitter = shaking.schedule.position - moved.schedule.position
+    assert (jitter[0] == 0).all() and 0.0005 < jitter[len(jitter) // 4 :].std() < 0.002
+    assert (shaking.position == moved.position).all()
+    assert still.measure_time == moved.measure_time == shaking.measure_time

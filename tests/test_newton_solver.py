@@ -56,8 +56,7 @@ def place(model, state, body, position, rotation=(0.0, 0.0, 0.0, 1.0)):
     state.body_q.assign(poses)
 
 
-@pytest.mark.parametrize("end", ["start", "end"])
-def test_sag_of_a_cantilever(end):
+def test_sag_of_cantilevers():
     """Tip deflection of a clamped rod of N edges under its weight: w L^4 / (8 k_b) (1 + 1/N^2).
 
     The moment at node j, w (L - x_j)^2 / 2, turns it by M h / k_b, at the clamp by half of that;
@@ -65,14 +64,16 @@ def test_sag_of_a_cantilever(end):
     """
     length, count = 0.02, 11
     builder = scene()
-    SolverDER.add_rod(
-        builder, straight(count, length), ROD, air_damping=2e3, visible=False, **{end: "clamped"}
-    )
-    _, state = simulate(builder.finalize(device="cpu"), 60, 0.01, scheme="euler")
-    tip = nodes(state)[-1 if end == "start" else 0]
+    for k, end in enumerate(("start", "end")):  # one batch, the clamp on either side
+        points = straight(count, length, shift=(0.0, 0.1 * k, 0.0))
+        SolverDER.add_rod(builder, points, ROD, air_damping=2e3, visible=False, **{end: "clamped"})
+    model = builder.finalize(device="cpu")
+    _, state = simulate(model, 60, 0.01, scheme="euler")
     expected = -ROD.weight * length**4 / (8 * ROD.bending_stiffness)
     expected *= 1.0 + 1.0 / (count - 1) ** 2
-    assert tip[2] == pytest.approx(expected, rel=5e-4)  # it sags by 1.5 % of its length
+    for rod, tip in ((0, -1), (1, 0)):
+        sag = nodes(state, (model, rod))[tip, 2]
+        assert sag == pytest.approx(expected, rel=5e-4)  # it sags by 1.5 % of its length
 
 
 def test_frequency_of_a_cantilever():
@@ -220,6 +221,23 @@ def test_replicated_worlds_move_rods_and_keep_shapes_apart():
     assert np.abs(second - moved).max() < 1e-6  # Newton's poses are float32
 
 
+def test_a_world_without_shapes():
+    """A rod falls freely beside a world that has a table."""
+    builder = scene()
+    for has_table in (False, True):
+        builder.begin_world()
+        SolverDER.add_rod(builder, straight(4 + has_table, 0.02, ROD.radius), ROD)
+        if has_table:
+            at = wp.transform((0, 0, -0.1), wp.quat_identity())
+            builder.add_shape_box(-1, xform=at, hx=0.5, hy=0.1, hz=0.1)
+        builder.end_world()
+    model = builder.finalize(device="cpu")
+    _, state = simulate(model, 20, 0.005)
+    fallen = 0.5 * 9.81 * 0.1**2
+    assert nodes(state, (model, 0))[:, 2] == pytest.approx(ROD.radius - fallen, rel=0.02)
+    assert nodes(state, (model, 1))[:, 2].min() > 0.95 * ROD.radius
+
+
 def test_held_ends_follow_kinematic_bodies():
     """Place, direction and twist of both ends go with their bodies, on every substep's way."""
     builder = scene(gravity=0.0)
@@ -292,6 +310,38 @@ def test_moving_shapes_push_and_drag():
     assert np.ptp(pushed[:, 0]) < ROD.radius
 
 
+def test_replayed_launches_do_what_fresh_ones_do():
+    """Across other step lengths of one substep, other gravity and moved shapes."""
+    results = []
+    for replays in (True, False):
+        builder = scene()
+        grip = builder.add_link(
+            xform=wp.transform((0, 0, 0.02), wp.quat_identity()), is_kinematic=True
+        )
+        SolverDER.add_rod(builder, straight(12, 0.08, 0.02), ROD, start="clamped", start_body=grip)
+        at = wp.transform((0.05, 0, 0), wp.quat_identity())
+        table = builder.add_shape_box(-1, xform=at, hx=0.1, hy=0.1, hz=0.01)
+        model = builder.finalize(device="cpu")
+        solver, state = SolverDER(model, max_step=0.004), model.state()
+        for group in solver._groups:
+            group.dynamics.keeps_recording = replays
+        for k in range(30):
+            place(model, state, grip, (-1e-3 * k, 0, 0.02))
+            if k == 10:
+                model.gravity.assign(model.gravity.numpy() * [1.0, 1.0, 2.0])
+                solver.notify_model_changed(newton.ModelFlags.MODEL_PROPERTIES)
+            if k == 20:
+                poses = model.shape_transform.numpy()
+                poses[table, 2] = -0.002
+                model.shape_transform.assign(poses)
+                solver.notify_model_changed(newton.ModelFlags.SHAPE_PROPERTIES)
+            solver.step(state, state, None, None, (0.004, 0.012)[k // 5 % 2])
+        assert not solver.diverged.any()
+        results.append(nodes(state))
+    assert results[0][-1, 2] < 0.009 + ROD.radius  # it followed the table down
+    assert np.abs(results[0] - results[1]).max() < 1e-12
+
+
 def test_example():
     """The headless example's own criteria hold, and fail before it has run."""
     from types import SimpleNamespace
@@ -307,6 +357,32 @@ def test_example():
         example.step()
     example.render()
     example.test_final()
+
+
+def test_rods_touch_themselves_if_asked():
+    """The upper half of a folded rod comes to lie on the lower one, or falls through it."""
+    soft = wrod.RodMaterial(radius=0.0008, gravito_bending_length=0.008, length=0.2)
+    leg, fold = np.linspace(0.0, 0.05, 21), np.linspace(-np.pi / 2, np.pi / 2, 8)[1:-1]
+    turn = 0.0045
+    lower = np.column_stack([leg, 0 * leg])
+    bend = np.column_stack([leg[-1] + turn * np.cos(fold), turn + turn * np.sin(fold)])
+    side = np.concatenate([lower, bend, [[0.0, 2 * turn]] + lower[::-1] * [1.0, 0.0]])
+    points = np.column_stack([side[:, 0], 0 * side[:, 0], side[:, 1] + soft.radius])
+    nearest = []
+    for friction in (0.4, None):
+        builder = scene()
+        SolverDER.add_rod(
+            builder, points, soft, start="clamped", internal_damping=0.02, air_damping=5.0
+        )
+        builder.add_ground_plane()
+        model = builder.finalize(device="cpu")
+        solver, state = simulate(model, 90, 1 / 120, scheme="euler", self_contact=friction)
+        assert not solver.diverged.any()
+        q = nodes(state)
+        below = np.stack([np.interp(np.linspace(0, 20, 801), range(21), x) for x in q[:21].T], 1)
+        nearest.append(np.linalg.norm(q[-12:, None] - below, axis=2).min() / soft.radius)
+    assert nearest[0] == pytest.approx(2.0, rel=0.05)
+    assert nearest[1] < 1.0
 
 
 def test_capsules_show_the_edges():
@@ -423,6 +499,27 @@ def test_without_newton():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "SolverDER needs Newton; install wrod[newton]\n"
+
+
+def test_natural_curvature_bends_a_rod_to_its_circle():
+    """Without weight a rod of natural curvature (c, 0) becomes an arc towards its first director,
+    of total angle c times the length."""
+    curved = wrod.RodMaterial(0.0016, 0.032, 0.2, natural_curvature=(12.0, 0.0))
+    builder = scene(gravity=0.0)
+    length, count = 0.1, 21
+    for material, curvature in ((curved, None), (ROD, (0.0, 12.0))):
+        SolverDER.add_rod(
+            builder, straight(count, length), material, start="clamped", director=(0, 1, 0),
+            natural_curvature=curvature, air_damping=50.0,
+        )  # fmt: skip
+    model = builder.finalize(device="cpu")
+    _, state = simulate(model, 60, 0.05, scheme="euler")
+    angle = 12.0 * length
+    tip = np.array([np.sin(angle), 1.0 - np.cos(angle)]) * length / angle
+    for rod, axis in ((0, 1), (1, 2)):
+        q = nodes(state, (model, rod))
+        assert np.abs(q[-1, [0, axis]] - tip).max() < length * (angle / count) ** 2
+        assert np.abs(q[:, 3 - axis]).max() < 1e-9
 
 
 def test_changed_properties_are_taken_up():

@@ -280,3 +280,27 @@ def test_shapes_that_cannot_be_solved_are_left_out():
         plan = wrod.plan(wrod.pattern("line"), soft, "neural", spacing=0.2)
     with pytest.warns(WrodWarning, match="shapes are left out: suspended_length"):
         assert with_shapes(plan, device="cpu").shape is None
+
+
+def test_default_plan_takes_the_closure_that_lays_best():
+    """Least friction in bends of more than 0.4 / L_gb; elsewhere, and where a method is named, the
+    paper's closure."""
+    from wrod.planner import favoured_closure
+
+    bent, straight = wrod.pattern("letter-U"), wrod.pattern("line")
+    assert favoured_closure(bent, ROD) == "min_friction"
+    assert favoured_closure(straight, ROD) == "zero_tension"
+    assert favoured_closure(bent, wrod.RodMaterial(0.0016, 0.015, 0.885)) == "zero_tension"
+    plan = wrod.plan(bent, ROD, spacing=0.05, device="cpu")
+    assert (plan.metadata["method"], plan.metadata["closure"]) == ("auto", "min_friction")
+    numeric = wrod.plan(bent, ROD, "numeric", closure="min_friction", spacing=0.05, device="cpu")
+    np.testing.assert_allclose(plan.position, numeric.position, atol=1e-12)
+    paper = wrod.plan(bent, ROD, "numeric", spacing=0.05, device="cpu")
+    assert paper.metadata["closure"] == "zero_tension"
+    line = wrod.plan(straight, ROD, spacing=0.1, device="cpu")
+    assert line.metadata["closure"] == "zero_tension"
+    # What it is for: the table has to give less friction where the rod touches down.
+    asked, spared = (p.metadata["contact_friction"] for p in (paper, plan))
+    assert 0.3 < spared < 0.85 * asked
+    assert line.metadata["contact_friction"] < 0.01
+    assert wrod.plan(straight, ROD, "intuitive").metadata["contact_friction"] is None

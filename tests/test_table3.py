@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from wrod.bench import table3_paper
-from wrod.bench.campaign import Ledger
+from wrod.bench.ledger import Ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
 from wrod.bench.table3_report import KEYS, cells, markdown, summary
 from wrod.commands import main
@@ -104,3 +104,35 @@ def test_campaign_is_written_and_resumed(tmp_path):
     figures = json.loads(CliRunner().invoke(main, args).output)
     assert figures["simulated_now"] == 26
     assert (tmp_path / "table3.md").read_text() == table
+
+
+@pytest.mark.slow
+def test_killed_campaign_goes_on_to_the_same_table(tmp_path):
+    """Killed without warning in the middle, and called again: the tables are those of a run that
+    was left alone, byte by byte."""
+    import signal
+    import subprocess
+    import sys
+    import time
+
+    def call(folder):
+        code = "from wrod.commands import main; main()"
+        args = ["bench", "table3", "--out", str(tmp_path / folder), "--trials", "1", "--json"]
+        args += ["--speed", "0.1", "--step", "0.05", "--spacing", "0.02", "--batch", "8"]
+        return subprocess.Popen(
+            [sys.executable, "-c", code, *args, "--device", "cpu"], stdout=subprocess.DEVNULL
+        )
+
+    kept = tmp_path / "killed" / "trials.jsonl"
+    process = call("killed")
+    while process.poll() is None and not (kept.exists() and kept.read_text().count("\n") > 17):
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    done = kept.read_text().count("\n") - 1
+    assert 16 <= done < 126
+    for folder in ("killed", "whole"):
+        assert call(folder).wait() == 0
+    for name in ("table3.csv", "table3.md"):
+        one, two = (tmp_path / folder / name for folder in ("killed", "whole"))
+        assert one.read_bytes() == two.read_bytes()

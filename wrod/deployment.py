@@ -23,15 +23,17 @@ from wrod.deployment_setup import (
 )
 from wrod.dynamics import Dynamics
 from wrod.errors import RodError
+from wrod.fixtures import Fixtures
 from wrod.grip import GripMotion
 from wrod.material import RodMaterial
 from wrod.patterns import Pattern
-from wrod.substrate import Contact, Friction
+from wrod.substrate import Contact, Friction, Plane
 from wrod.trajectory import Trajectory
 
 # The table gives way by this fraction of the radius under the rod's weight; where the rod touches
 # down, which loads it with about 2 w L_gb at a point, that makes some 1 % of the radius.
 _SINKING = 1.0 / 600.0
+_SINKING_AT_POSTS = _SINKING / 10.0
 # Rods stepped at once on a CPU.
 _CPU_CHUNK = 16
 
@@ -46,6 +48,7 @@ class Trial:
     friction: Friction
     disturbance: Disturbance = field(default_factory=Disturbance)
     tail: Tail | None = None
+    fixtures: Fixtures | None = None
 
 
 def simulate_deployment(
@@ -55,6 +58,7 @@ def simulate_deployment(
     friction: Friction | float = 0.6,
     *,
     disturbance: Disturbance | None = None,
+    fixtures: Fixtures | None = None,
     **options,
 ) -> Deployment:
     """Lay `rod` along `pattern` by moving the grip along `trajectory`.
@@ -70,6 +74,7 @@ def simulate_deployment(
         trajectory: of the grip, as `wrod.plan` returns it; the rod is held at its roll.
         friction: a `Friction`, or the coefficient of both kinds.
         disturbance: what makes this trial differ from the ideal.
+        fixtures: posts and clips on the table; the robot's displacement does not move them.
         options: those of `simulate_deployments`.
 
     Raises:
@@ -81,6 +86,7 @@ def simulate_deployment(
         trajectory,
         friction if isinstance(friction, Friction) else Friction(friction),
         disturbance or Disturbance(),
+        fixtures=fixtures,
     )
     return simulate_deployments([trial], **options)[0]
 
@@ -147,16 +153,19 @@ def simulate_deployments(
     size = len(trials)
     if device == "cpu":
         size = max(1, min(_CPU_CHUNK, -(-size // workers)))
-    chunks = [slice(i, i + size) for i in range(0, len(trials), size)]
+    chunks = _chunks(trials, size)
 
     def report(fraction: float, count: int) -> None:
         if progress is not None:
             progress(fraction * count / len(trials))
 
-    def run(chunk: slice) -> list[Deployment]:
-        part = trials[chunk]
+    def run(chunk: list[int]) -> list[Deployment]:
+        part = [trials[i] for i in chunk]
         return _simulate(
-            part, setups[chunk], report=lambda fraction: report(fraction, len(part)), **options
+            part,
+            [setups[i] for i in chunk],
+            report=lambda fraction: report(fraction, len(part)),
+            **options,
         )
 
     if workers > 1 and len(chunks) > 1:
@@ -164,7 +173,26 @@ def simulate_deployments(
             parts = list(pool.map(run, chunks))
     else:
         parts = [run(chunk) for chunk in chunks]
-    return [deployment for part in parts for deployment in part]
+    order = np.argsort(np.concatenate(chunks))
+    deployments = [deployment for part in parts for deployment in part]
+    return [deployments[i] for i in order]
+
+
+def _chunks(trials: list[Trial], size: int) -> list[list[int]]:
+    """Indices of the trials that are stepped together: they share their fixtures."""
+    scenes: list[tuple[Fixtures | None, list[int]]] = []
+    for i, trial in enumerate(trials):
+        for fixtures, members in scenes:
+            if fixtures == trial.fixtures:
+                members.append(i)
+                break
+        else:
+            scenes.append((trial.fixtures, [i]))
+    return [
+        members[first : first + size]
+        for _, members in scenes
+        for first in range(0, len(members), size)
+    ]
 
 
 def nodes_needed(trials: list[Trial], spacing: float) -> int:
@@ -223,12 +251,13 @@ def _simulate(
     batch, rods = _batch(trials, setups, device)
     radius = np.array([rod.radius for rod in rods])
     load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
-    weight = np.array([rod.weight for rod in rods])
+    fixtures = trials[0].fixtures
     contact = Contact(
         batch,
         radius,
-        weight / (_SINKING * radius),
+        _stiffness(rods, fixtures),
         [t.friction for t in trials],
+        (Plane(),) if fixtures is None else fixtures.shapes,
         keeps_roll=np.array([not t.rod.is_straight for t in trials]),
     )
     dynamics = Dynamics(
@@ -291,6 +320,16 @@ def _simulate(
             )
         )
     return deployments
+
+
+def _stiffness(rods: list[RodMaterial], fixtures: Fixtures | None) -> np.ndarray:
+    """(rod,) contact stiffness per length [Pa].
+
+    Fixtures carry the rod's bending, not its weight: a post presses with about k_b / L_gb^2, some
+    2 w L_gb, on a node or two.
+    """
+    sinking = _SINKING if fixtures is None else _SINKING_AT_POSTS
+    return np.array([rod.weight / (sinking * rod.radius) for rod in rods])
 
 
 def _batch(trials, setups, device) -> tuple[RodBatch, list[RodMaterial]]:

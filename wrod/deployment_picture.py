@@ -9,14 +9,20 @@ import numpy as np
 
 from wrod.deployment_result import Deployment, errors_along
 from wrod.files import write_atomically
+from wrod.fixtures import Fixtures
 from wrod.patterns import Pattern
+from wrod.substrate import Cylinder
 
 _INK, _MUTED, _FAINT, _GRID = "#22262b", "#59616b", "#c9ced6", "#e6e9ee"
 PATTERN_COLOR, HELD_COLOR, RELEASED_COLOR = "#0b5fa5", "#d9822b", "#8a5a9e"
 
 
 def draw_deployments(
-    path: str | os.PathLike[str], pattern: Pattern, deployments: list[Deployment], title: str
+    path: str | os.PathLike[str],
+    pattern: Pattern,
+    deployments: list[Deployment],
+    title: str,
+    fixtures: Fixtures | None = None,
 ) -> Path:
     """Write a PNG: the laid rods from above, and their error along the pattern.
 
@@ -25,6 +31,7 @@ def draw_deployments(
         pattern: with its remainder.
         deployments: trials of the same pattern, one line each.
         title: the first line.
+        fixtures: what stands on the table, or None.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -33,6 +40,8 @@ def draw_deployments(
     FigureCanvasAgg(figure)
     above = figure.add_axes((0.07, 0.11, 0.52, 0.72))
     errors = figure.add_axes((0.67, 0.11, 0.30, 0.72))
+    if fixtures is not None:
+        draw_fixtures(above, fixtures)
     draw_above(above, pattern, deployments)
     above.set_xlabel("x [m]", fontsize=8.5)
     above.set_ylabel("y [m]", fontsize=8.5)
@@ -67,6 +76,22 @@ def draw_above(axes, pattern: Pattern, deployments: list[Deployment], lw: float 
         axes.plot(*deployment.released_centerline[:, :2].T, color=RELEASED_COLOR, lw=0.6 * lw)
         axes.plot(*deployment.centerline[laid, :2].T, color=HELD_COLOR, lw=lw)
     axes.set_aspect("equal", adjustable="datalim")
+
+
+def draw_fixtures(axes, fixtures: Fixtures) -> None:
+    """Posts and walls from above."""
+    from matplotlib.patches import Circle, Rectangle
+
+    for item in fixtures.items:
+        x, y = item.shape.center[:2]
+        style = dict(facecolor=_FAINT, edgecolor=_MUTED, lw=0.8)
+        if isinstance(item.shape, Cylinder):
+            axes.add_patch(Circle((x, y), item.shape.radius, **style))
+            continue
+        a, b = item.shape.half_size[:2]
+        turn = np.degrees(item.yaw)
+        box = Rectangle((x - a, y - b), 2 * a, 2 * b, angle=turn, rotation_point="center", **style)
+        axes.add_patch(box)
 
 
 def dress(axes) -> None:

@@ -150,7 +150,7 @@ class Setup:
         arc_length: (node,) rest arc length of the nodes, from the free end [m].
         position: (node, 3) first shape [m].
         director: (3,) first material director of the first edge.
-        origin: (3,) where the pattern begins, about which a disturbance turns the robot.
+        origin: (3,) below the pattern's first point, about which a disturbance turns the robot.
         schedule: the grip's motion.
         approach: how long the grip takes to the trajectory's first pose [s].
         measure_time: when the first measurement is due, the grip still holding [s].
@@ -220,6 +220,7 @@ def prepare_deployment(
     # The rod's centreline is a radius above the table.
     lift = np.array([0.0, 0.0, rod.radius - height])
     (origin,), (ahead,), _ = pattern.sample(offset)
+    origin[2] = 0.0
     return Setup(
         arc_length,
         position + lift,

@@ -32,7 +32,8 @@ class Motion(Protocol):
     """What moves prescribed degrees of freedom: called at the start of every step, it writes where
     they are at the end of the step into `state.dof` and may change `batch.free`.
 
-    It does so by kernels alone: on a GPU its launches are recorded once and replayed."""
+    It does so by kernels alone: on a GPU the launches of a long `Dynamics.advance` are recorded and
+    replayed."""
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
 
@@ -72,6 +73,9 @@ class Dynamics:
             k_b / L^2 if that is larger.
         tolerance: largest residual of a step over the force scale.
         max_iterations: of Newton; a step that needs more is halved.
+        keeps_recording: record the launches of a round on any device, and replay them in later
+            calls of `advance` too, for callers that advance step by step. `motion` and contacts
+            must then keep their arrays and numbers, or `forget_recording` be called.
 
     Raises:
         RodError: unknown scheme, a node without mass, or two `RodContact`.
@@ -90,6 +94,7 @@ class Dynamics:
         force_scale: np.ndarray | float | None = None,
         tolerance: float = 1e-6,
         max_iterations: int = 12,
+        keeps_recording: bool = False,
     ):
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
@@ -133,6 +138,11 @@ class Dynamics:
             wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(3)
         )
         self.dof_older = wp.clone(batch.state.dof)
+        self.keeps_recording, self._recording = keeps_recording, None
+
+    def forget_recording(self) -> None:
+        """Record afresh: what `motion` or contacts launch has changed."""
+        self._recording = None
 
     def set_velocity(self, velocity: np.ndarray) -> None:
         """(rod, node, 3) velocities of the nodes now; the edges do not spin."""
@@ -201,24 +211,31 @@ class Dynamics:
             self._iterate(step, smallest)
             self._finish(frames, frame_interval)
 
-        records = not wp.get_device(batch.device).is_cpu
-        rounds, patience, graph = 0, 1, None
+        on_cpu = wp.get_device(batch.device).is_cpu
+        # Asking a GPU whether anything still runs makes it wait.
+        recorded = 1 if on_cpu else _ROUNDS_RECORDED
+        key = (step, smallest, None if frames is None else frames.ptr, frame_interval)
+        rounds, graph = 0, None
+        if self.keeps_recording and self._recording is not None and self._recording[0] == key:
+            graph = self._recording[1]
         while self._any(self.running):
+            made = 1 if graph is None else recorded
             if graph is not None:
                 wp.capture_launch(graph)
             else:
                 take_round()
-            rounds += patience
-            if progress is not None and rounds % 128 < patience:
+            rounds += made
+            if progress is not None and rounds % 128 < made:
                 progress(self.time.numpy().copy())
-            if graph is None and records:
-                # The first round has compiled the kernels. A GPU replays launches faster than they
-                # can be made, and asking it whether anything still runs makes it wait.
-                patience = _ROUNDS_RECORDED
+            # Launches are replayed faster than they can be made, but recording costs as much as
+            # taking them; the first round has compiled the kernels.
+            worth = self.keeps_recording or (not on_cpu and rounds >= _ROUNDS_RECORDED)
+            if graph is None and worth:
                 with wp.ScopedCapture(batch.device) as capture:
-                    for _ in range(patience):
+                    for _ in range(recorded):
                         take_round()
                 graph = capture.graph
+                self._recording = (key, graph) if self.keeps_recording else None
         if self.rod_contact is not None:
             self.rod_contact.check_capacity()
         return Progress(

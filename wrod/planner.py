@@ -73,8 +73,9 @@ def plan(
         progress: called with the nodes done since the last call and the number of all nodes.
 
     Returns:
-        One pose per contact node; `metadata` names method, rod, pattern, remainder,
-        friction and the warnings given.
+        One pose per contact node; `metadata` names method, closure, rod, pattern, remainder, the
+        friction that the laid pattern asks for ("required_friction") and that the rod asks for
+        where it touches down ("contact_friction"), and the warnings given.
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
@@ -138,9 +139,10 @@ def plan(
             "pattern": pattern.name,
             "pattern_length": pattern.length,
             "remainder_length": pattern.remainder_length,
-            "rod": asdict(rod),
+            "rod": {**asdict(rod), "natural_curvature": list(rod.natural_curvature)},
             "roll": roll,
             "required_friction": float(np.max(friction_bound(pattern, rod).required)),
+            "contact_friction": _contact_friction(poses.force),
             "largest_curvature": float(np.max(np.abs(curvature))),
             "warnings": [
                 f"{warning.category.__name__}: {warning.message}"
@@ -221,6 +223,14 @@ def with_shapes(
     shape += share[None, :, None] * (trajectory.position - shape[:, -1])[:, None]
     said = {"method": "numeric", "largest_grip_difference": apart}
     return replace(trajectory, shape=shape, metadata={**trajectory.metadata, "shapes": said})
+
+
+def _contact_friction(force: np.ndarray) -> float | None:
+    """Largest ratio of tangential to normal force on the table where the rod touches down; None
+    where the method says no forces (T, 3)."""
+    if not np.isfinite(force).all():
+        return None
+    return float(np.max(np.hypot(force[:, 0], force[:, 1]) / np.maximum(force[:, 2], 1e-9)))
 
 
 def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray, np.ndarray]:

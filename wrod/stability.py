@@ -11,9 +11,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from wrod.banded import BandedSystem
 from wrod.batch import RodBatch
-from wrod.kernels import banded
-from wrod.kernels.assembly import HALF_BANDWIDTH
 from wrod.kernels.spectrum import shift_by_mass
 
 _VECTORS = 3
@@ -47,39 +46,27 @@ def smallest_eigenvalue(
         mass[:, 4 + axis :: 4] += rest / 2
     mass *= batch.free.numpy()
     mass_device = wp.array(mass, dtype=wp.float64, device=device)
-    every, no_shift = batch.every_rod, wp.zeros(rods, dtype=wp.float64, device=device)
-    counts = wp.zeros(rods, dtype=wp.int32, device=device)
+    system = BandedSystem(batch, right_hand_sides=_VECTORS)
     if factor is None or negative_pivots is None:
-        hessian = batch.evaluate(order=2).hessian
-        factor = wp.zeros((rods, dofs, HALF_BANDWIDTH + 1), dtype=wp.float64, device=device)
-        _factorise(batch, hessian, no_shift, every, factor, counts)
-        negative_pivots = counts.numpy().copy()
+        system.factorise(batch.evaluate(order=2).hessian, batch.every_rod)
+        negative_pivots = system.negative_pivots.numpy().copy()
+    else:
+        system.factor = factor
     shift = np.zeros(rods)
     unstable = negative_pivots > 0
     if unstable.any():
-        factor, hessian = wp.clone(factor), batch.evaluate(order=2).hessian
+        system.factor, hessian = wp.clone(system.factor), batch.evaluate(order=2).hessian
         unit = batch.bending_stiffness.numpy()[:, 1:-1].max(axis=(1, 2)) / rest.sum(axis=1) ** 4
-        shift = _shift_below(batch, hessian, mass_device, unit, unstable, factor, counts)
-    return _inverse_iteration(batch, mass, mass_device, factor, shift)
+        shift = _shift_below(system, hessian, mass_device, unit, unstable)
+    return _inverse_iteration(system, mass, shift)
 
 
-def _factorise(batch, hessian, shift, active, factor, counts) -> None:
-    wp.launch(
-        banded.factorise,
-        dim=batch.rod_count,
-        inputs=[active, batch.free, hessian, shift],
-        outputs=[factor, counts],
-        device=batch.device,
-    )
-
-
-def _shift_below(batch, hessian, mass, unit, unstable, factor, counts) -> np.ndarray:
+def _shift_below(system, hessian, mass, unit, unstable) -> np.ndarray:
     """Shift every unstable rod to below its spectrum, and factorise there."""
-    device = batch.device
+    batch, device = system.batch, system.batch.device
     shift = np.where(unstable, -_FIRST_SHIFT * unit, 0.0)
     pending = unstable.copy()
     shifted = wp.clone(hessian)
-    zero = wp.zeros(batch.rod_count, dtype=wp.float64, device=device)
     for _ in range(_SHIFTS):
         active = wp.array(pending.astype(np.int32), dtype=wp.int32, device=device)
         wp.launch(
@@ -89,16 +76,17 @@ def _shift_below(batch, hessian, mass, unit, unstable, factor, counts) -> np.nda
             outputs=[shifted],
             device=device,
         )
-        _factorise(batch, shifted, zero, active, factor, counts)
-        pending &= counts.numpy() > 0
+        system.factorise(shifted, active)
+        pending &= system.negative_pivots.numpy() > 0
         if not pending.any():
             break
         shift[pending] *= _SHIFT_GROWTH
     return shift
 
 
-def _inverse_iteration(batch, mass, mass_device, factor, shift) -> np.ndarray:
+def _inverse_iteration(system, mass, shift) -> np.ndarray:
     """Rayleigh-Ritz on a block of vectors under repeated (H - shift M)^-1 M."""
+    batch = system.batch
     rods, dofs, device = batch.rod_count, batch.dof_count, batch.device
     # The same start for every rod and every call; any with a share of the softest motion serves.
     block = np.random.default_rng(0).standard_normal((_VECTORS, dofs))
@@ -107,20 +95,13 @@ def _inverse_iteration(batch, mass, mass_device, factor, shift) -> np.ndarray:
     s = np.linspace(0.0, np.pi, dofs)
     for j in range(_VECTORS):
         x[:, j] = 0.05 * x[:, j] + np.sin((1 + j // 2) * s) * (np.arange(dofs) % 4 == (1 + j) % 3)
-    y_device = wp.zeros((rods, _VECTORS, dofs), dtype=wp.float64, device=device)
     value = np.full(rods, np.inf)
     active = np.ones(rods, dtype=bool)
     for _ in range(_MAX_ITERATIONS):
         flags = wp.array(active.astype(np.int32), dtype=wp.int32, device=device)
-        y_device.assign(x * mass[:, None])
-        wp.launch(
-            banded.solve,
-            dim=(rods, _VECTORS),
-            inputs=[flags, batch.free, factor],
-            outputs=[y_device],
-            device=device,
-        )
-        y = y_device.numpy()[active]
+        system.x.assign(x * mass[:, None])
+        system.solve(flags)
+        y = system.x.numpy()[active]
         m = mass[active]
         # H y = M x, so both Gram matrices need the masses only.
         stiffness = np.einsum("rja,ra,rka->rjk", y, m, x[active])

@@ -180,8 +180,10 @@ class Contact:
                 law.static if law.kinetic is None else law.kinetic for law in laws
             ]
             rolling[r] = any(law.rolling for law in laws)
-        flat = wp.array(table, dtype=kernels.Shape, device=self.batch.device)
-        return flat.reshape((rods, width)), static, kinetic, rolling
+        shaped = wp.empty((rods, width), dtype=kernels.Shape, device=self.batch.device)
+        if table:
+            wp.copy(shaped.flatten(), wp.array(table, dtype=kernels.Shape, device="cpu"))
+        return shaped, static, kinetic, rolling
 
     @property
     def table(self) -> wp.array:
@@ -200,7 +202,7 @@ class Contact:
         if table.shape != self._model[0].shape:
             self.shapes, self.friction = before
             raise RodError("the number of shapes changed; make a new Contact")
-        self._model[0] = table
+        wp.copy(self._model[0], table)
         for array, values in zip(self._model[4:], (static, kinetic, rolling), strict=True):
             array.assign(values)
 

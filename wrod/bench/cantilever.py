@@ -6,10 +6,10 @@ gravity it swings at a closed-form frequency.
 
 from __future__ import annotations
 
-import itertools
 import time
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -151,10 +151,10 @@ def come_to_rest(solver: Solver, problem: Cantilever, duration: float, rods: int
 @dataclass(frozen=True)
 class Swing:
     """`frequency`: relative error of the frequency; `amplitude`: of the last swing over the first's
-    (1 without damping); `cpu_per_second`: as above."""
+    (1 without damping), both None where it does not swing; `cpu_per_second`: as above."""
 
-    frequency: float
-    amplitude: float
+    frequency: float | None
+    amplitude: float | None
     cpu_per_second: float
 
 
@@ -174,8 +174,7 @@ def swing(solver: Solver, problem: Cantilever, periods: float = 2.6, samples: in
     crossings = (i + z[i] / (z[i] - z[i + 1])) * every * solver.dt
     cost = spent / (count * every * solver.dt)
     if len(crossings) < 3:
-        return Swing(np.nan, np.nan, float(cost))
+        return Swing(None, None, float(cost))
     found = np.pi / np.diff(crossings).mean()
-    swings = [np.abs(z[a:b]).max() for a, b in itertools.pairwise(i)]
-    decay = swings[-1] / swings[0] if len(swings) > 1 else np.nan
-    return Swing(float(found / problem.omega - 1.0), float(decay), float(cost))
+    swings = [np.abs(z[a:b]).max() for a, b in pairwise(i)]
+    return Swing(float(found / problem.omega - 1.0), float(swings[-1] / swings[0]), float(cost))

@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from wrod.bench import campaign
+from wrod.bench.ledger import Ledger
 
 # Arcs, in L_gb: constant curvature, and easing in and out of it, without which no table would hold
 # their ends. They may lie on themselves, as rods do not touch each other.
@@ -67,12 +68,12 @@ def command(
     """
     from wrod.batch import resolve_device
     from wrod.bench import machine_line
+    from wrod.bench.closures_picture import draw, draw_friction
     from wrod.bench.closures_report import (
         KEYS,
         METHODS,
         PUT_DOWN,
         cells,
-        draw,
         markdown,
         summary,
         write_csv,
@@ -103,7 +104,7 @@ def command(
         "patterns": "built-in" if patterns is None else patterns.name,
     }
     out.mkdir(parents=True, exist_ok=True)
-    ledger = campaign.Ledger(out / "trials.jsonl", settings, KEYS, "closures")
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures")
     start = time.perf_counter()
     plans, lacking = _plans(courses, METHODS, device, as_json)
     planned = time.perf_counter() - start
@@ -130,7 +131,9 @@ def command(
             progress=progress,
         )
         return [
-            dict(zip(KEYS, key, strict=True)) | _figures(laid, by_name[key[:2]].led)
+            dict(zip(KEYS, key, strict=True))
+            | _figures(laid, by_name[key[:2]].led)
+            | {"contact_friction": plans[*key[:2], key[3]][0].metadata["contact_friction"]}
             for key, laid in zip(part, deployments, strict=True)
         ]
 
@@ -155,6 +158,7 @@ def command(
         write_csv(out / "closures.csv", table),
         out / "closures.md",
         draw(out / "closures.png", table),
+        draw_friction(out / "friction.png", table),
         ledger.path,
     ]
     figures = {

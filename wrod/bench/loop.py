@@ -172,7 +172,8 @@ def _found(true, report) -> dict:
 def _trials(name: str, curve, believed, cases: dict, friction: float) -> dict:
     """Deployments along one pattern by (effect, pattern, plan): old, new, and none of the effect.
 
-    Old and new plan hold the rod at the same roll, so that only the grasps differ.
+    Old and new plan hold the rod at the same roll and have one closure, so that only the model
+    behind the grasps differs.
     """
     from wrod.deployment import Trial, with_remainder_of
     from wrod.deployment_setup import tail
@@ -180,7 +181,7 @@ def _trials(name: str, curve, believed, cases: dict, friction: float) -> dict:
     from wrod.substrate import Friction
 
     def trial(rod, model, method, roll=None):
-        path = plan(curve, model, method, roll=roll, device="cpu")
+        path = plan(curve, model, method, closure="zero_tension", roll=roll, device="cpu")
         led = with_remainder_of(curve, path)
         return Trial(led, rod, path, Friction(friction), tail=tail(led, model, path))
 

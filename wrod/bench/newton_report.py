@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import numpy as np
-
 from wrod.files import write_atomically
 
 _INK, _MUTED, _FAINT = "#22262b", "#59616b", "#e6e9ee"
@@ -33,8 +31,7 @@ def markdown(figures: dict) -> str:
         lines.append(
             f"| {row['solver']} | {row['edges']} | {row['effort']} | {1e3 * row['step']:.3g} "
             f"| {100 * rest['error']:.2g} | {100 * rest['drift']:.1g} "
-            f"| {_or_dash(100 * swing['frequency'], '+.2f')} "
-            f"| {_or_dash(100 * swing['amplitude'], '.0f')} "
+            f"| {_percent(swing['frequency'], '+.2f')} | {_percent(swing['amplitude'], '.0f')} "
             f"| {rest['step_ms']:.3g} | {rest['cpu_per_second']:.3g} s |"
         )
     lines += [
@@ -52,8 +49,8 @@ def markdown(figures: dict) -> str:
     return "\n".join(lines)
 
 
-def _or_dash(value: float, form: str) -> str:
-    return format(value, form) if np.isfinite(value) else "–"
+def _percent(value: float | None, form: str) -> str:
+    return "–" if value is None else format(100 * value, form)
 
 
 def draw(path: str | os.PathLike[str], figures: dict) -> Path:
@@ -74,7 +71,10 @@ def draw(path: str | os.PathLike[str], figures: dict) -> Path:
     for j, (part, key, title) in enumerate(panels):
         axes = figure.add_axes((0.065 + 0.485 * j, 0.225, 0.43, 0.66))
         for solver, effort in efforts:
-            rows = [r for r in figures["rows"] if (r["solver"], r["effort"]) == (solver, effort)]
+            rows = [
+                r for r in figures["rows"]
+                if (r["solver"], r["effort"]) == (solver, effort) and r[part][key] is not None
+            ]  # fmt: skip
             cost = [r[part]["cpu_per_second"] for r in rows]
             error = [abs(100 * r[part][key]) for r in rows]
             shade, marker = 1.0, "o"

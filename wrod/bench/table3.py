@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from wrod.bench import campaign
+from wrod.bench.ledger import Ledger
 
 
 @click.command(name="table3")
@@ -52,7 +53,7 @@ def command(
         "patterns": "built-in" if patterns is None else patterns.name,
     }
     out.mkdir(parents=True, exist_ok=True)
-    ledger = campaign.Ledger(out / "trials.jsonl", settings, KEYS, "table3")
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3")
     curves = {name: read_pattern(name, patterns) for name in PATTERNS}
     start = time.perf_counter()
     plans = _plans(curves, closure, device, as_json)

@@ -17,6 +17,7 @@ COMMANDS = (
     "scan",
     "manifold",
     "identify",
+    "laid",
     "dataset",
     "train",
     "render",

@@ -14,10 +14,12 @@ BENCHMARKS = (
     "table4",
     "table3",
     "deploy",
+    "knot-force",
     "newton",
     "identify",
     "loop",
     "closures",
+    "applications",
 )
 
 

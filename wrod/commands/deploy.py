@@ -22,6 +22,12 @@ from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_patt
 @options(METHOD, UNITS)
 @click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient.")
 @click.option("--kinetic", type=float, help="Kinetic friction coefficient; default: the static.")
+@click.option(
+    "--fixtures",
+    "fixtures_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Scene file (.json) of posts and clips to lay the rod between.",
+)
 @click.option("--rolling", is_flag=True, help="Let the laid rod roll freely.")
 @click.option("--trials", default=1, show_default=True, help="Disturbed trials; 1 is the ideal.")
 @click.option("--speed", default=0.02, show_default=True, help="Speed of the contact [m/s].")
@@ -47,6 +53,7 @@ def command(
     units: str | None,
     friction: float,
     kinetic: float | None,
+    fixtures_file: Path | None,
     rolling: bool,
     trials: int,
     speed: float,
@@ -66,6 +73,7 @@ def command(
     from wrod.deployment_picture import draw_deployments
     from wrod.deployment_setup import Disturbance, tail
     from wrod.errors import DataError, RodError
+    from wrod.fixtures import Fixtures
     from wrod.planner import plan
     from wrod.substrate import Friction
     from wrod.trajectory import Trajectory
@@ -74,6 +82,7 @@ def command(
         raise RodError(f"trials is {trials}; give 1 or more")
     rod, curve = read_rod(rod_name, radius, lgb, length), read_pattern(pattern, units)
     law = Friction(friction, kinetic, rolling)
+    fixtures = None if fixtures_file is None else Fixtures.load(fixtures_file)
     if trajectory is None:
         path = plan(
             curve, rod, method, closure=closure, device=None if device == "auto" else device
@@ -84,7 +93,13 @@ def command(
     rest = tail(curve, rod, path)
     jobs = [
         Trial(
-            curve, rod, path, law, Disturbance() if trials == 1 else Disturbance.random(seed), rest
+            curve,
+            rod,
+            path,
+            law,
+            Disturbance() if trials == 1 else Disturbance.random(seed),
+            rest,
+            fixtures,
         )
         for seed in range(trials)
     ]
@@ -104,9 +119,15 @@ def command(
     try:
         names = ["deployment"] if trials == 1 else [f"deployment-{k}" for k in range(trials)]
         written = [d.save(out / name) for d, name in zip(deployments, names, strict=True)]
-        written.append(draw_deployments(out / "deployment.png", curve, deployments, title))
+        picture = draw_deployments(out / "deployment.png", curve, deployments, title, fixtures)
+        written.append(picture)
     except OSError as error:
         raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    placed = (
+        None
+        if fixtures is None
+        else [fixtures.judge(d.released_centerline, rod.radius) for d in deployments]
+    )
     figures = {
         "pattern": curve.name,
         "method": path.metadata.get("method"),
@@ -119,8 +140,13 @@ def command(
                 "released_error_std": d.released_error_std,
                 "largest_slip": float(d.slip.max()),
                 "diverged": d.diverged,
+                **(
+                    {}
+                    if placed is None
+                    else {"placed": placed[k].placed, "gates": placed[k].gates.tolist()}
+                ),
             }
-            for d in deployments
+            for k, d in enumerate(deployments)
         ],
         "written": [str(name) for name in written],
     }
@@ -134,6 +160,7 @@ def command(
             + f"{100 * d.error_mean:.3f} ± {100 * d.error_std:.3f} cm with the grip holding, "
             f"{100 * d.released_error_mean:.3f} ± {100 * d.released_error_std:.3f} cm let go; "
             f"largest slip {100 * d.slip.max():.2f} cm"
+            + ("" if placed is None else f"; {placed[k]}")
         )
     for name in written:
         click.echo(f"wrote {name}")

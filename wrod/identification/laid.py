@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from wrod.deployment_result import METRIC_POINTS
 from wrod.errors import DataError, WrodError
@@ -25,6 +26,8 @@ from wrod.perception.refine import arc_length
 _FAR = 0.5
 # How much of the pattern's end may be missing from a centreline, as a share of the pattern.
 _MISSING = 0.1
+# Distance of the points of a smoothed centreline [m], and of how many a local cubic is made.
+_SPACING, _WINDOW = 0.001, 21
 
 
 @dataclass(frozen=True)
@@ -33,10 +36,10 @@ class LaidMeasurements:
 
     Attributes:
         pattern: with the remainder that the rods were laid with.
-        curves: T centrelines (n, 2) [m] from the end that was laid first; n may differ.
+        curves: T smoothed centrelines (n, 2) [m] from the end that was laid first; n may differ.
         names: what each is called.
-        noise: standard deviation of a centreline's coordinate [m]; where it is not known, the
-            scatter of the rods about their mean, which takes two of them.
+        noise: standard deviation of a smoothed centreline's coordinate [m], as the scatter of
+            several rods about their mean shows it.
     """
 
     pattern: Pattern
@@ -53,6 +56,10 @@ class LaidMeasurements:
     def positions(self) -> np.ndarray:
         """(T, 50, 2) the rods at those arc lengths [m]."""
         return np.stack([_at(curve, self.points, self.pattern) for curve in self.curves])
+
+    def at_points(self, line: np.ndarray) -> np.ndarray:
+        """(50, 2) another centreline (n, 2) [m] at those arc lengths, read as the rods were."""
+        return _at(_smooth(line), self.points, self.pattern)
 
     @property
     def noise_floor(self) -> float:
@@ -89,7 +96,8 @@ def load_laid(
             (.npz), or points as `wrod.Pattern.load` reads them.
         pattern: what they were laid along, with its remainder if it had one.
         units: of files of points that do not say theirs.
-        noise: standard deviation of a coordinate [m]; default: from the scatter of the rods.
+        noise: standard deviation of a coordinate of a smoothed centreline [m]; default: from the
+            scatter of the rods about their mean.
 
     Raises:
         DataError: a source is unreadable, not in metres beside the pattern, or too short; or the
@@ -102,7 +110,7 @@ def load_laid(
         array = isinstance(source, np.ndarray)
         name = f"centreline {k}" if array else str(source)
         curve = np.asarray(source, dtype=float) if array else _read(Path(source), units)
-        curves.append(_checked(curve, pattern, name))
+        curves.append(_smooth(_checked(curve, pattern, name)))
         names.append(name)
     measured = LaidMeasurements(pattern, tuple(curves), tuple(names), 1.0)
     if noise is None:
@@ -172,7 +180,19 @@ def _checked(curve: np.ndarray, pattern: Pattern, name: str) -> np.ndarray:
             f"{name}: lies {distance(best):.3g} m from the pattern on average; give it in the "
             "pattern's frame, in metres"
         )
-    return np.ascontiguousarray(best)
+    return best
+
+
+def _smooth(curve: np.ndarray) -> np.ndarray:
+    """The curve with less noise, which would lengthen it: arc length tells its points apart.
+
+    Local cubics (Savitzky and Golay 1964) leave a bend of a rod where it is.
+    """
+    along = arc_length(curve)
+    count = max(int(np.ceil(along[-1] / _SPACING)) + 1, _WINDOW)
+    at = np.linspace(0.0, along[-1], count)
+    even = np.column_stack([np.interp(at, along, c) for c in curve.T])
+    return savgol_filter(even, _WINDOW, 3, axis=0)
 
 
 def _at(curve: np.ndarray, s: np.ndarray, pattern: Pattern) -> np.ndarray:

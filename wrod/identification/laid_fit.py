@@ -31,7 +31,7 @@ _PRIORS = {"natural_curvature": 20.0, "log_L_gb": 0.5}
 # Two prints with a correlation beyond this cannot be told apart.
 _CONFOUNDED = 0.95
 # One parameter is enough where it leaves no more than this, over what both leave.
-_ENOUGH = 1.1
+_ENOUGH = 1.3
 
 
 @dataclass(frozen=True)
@@ -108,14 +108,9 @@ def fit_laid(
         laid = simulate_deployments(trials, progress=watch, **options)
         if any(d.diverged for d in laid):
             raise DataError("a simulated deployment diverged; take a smaller step or other rods")
-        s = measurements.points + measurements.pattern.remainder_length
         lines = [d.released_centerline if released else d.centerline for d in laid]
-        return np.stack(
-            [
-                np.column_stack([np.interp(s, d.arc_length, q[:, c]) for c in range(2)])
-                for d, q in zip(laid, lines, strict=True)
-            ]
-        )
+        # As a camera sees them: by the length that lies there, not by the length at rest.
+        return np.stack([measurements.at_points(line[:, :2]) for line in lines])
 
     steps = np.array([_STEPS[name] for name in PARAMETERS])
     priors = np.array([_PRIORS[name] for name in PARAMETERS])

@@ -150,9 +150,8 @@ class MotionSolver:
                         + [before, older, velocity, velocity_older],
                         [out.gradient, out.hessian],
                     )
-                launch(
+                batch.walk(
                     newton.measure_residual,
-                    rods,
                     [batch.free, *scales, tolerance, out.gradient, active],
                     [residual, converged],
                 )
@@ -164,9 +163,8 @@ class MotionSolver:
                 system.factorise(out.hessian, active)
                 wp.copy(system.x, out.gradient.reshape(system.x.shape))
                 system.solve(active)
-                launch(
+                batch.walk(
                     take_newton_step,
-                    rods,
                     [wp.float64(_STEP_LIMIT), active, system.x],
                     [state.dof],
                 )

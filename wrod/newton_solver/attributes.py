@@ -155,6 +155,8 @@ def add_rod(
         return value
 
     velocity = per_node("velocity", velocity, (3,))
+    if natural_curvature is None:
+        natural_curvature = material.natural_curvature
     natural_curvature = per_node("natural_curvature", natural_curvature, (2,))
     natural_twist = per_node("natural_twist", natural_twist)
     mass = np.zeros(count)

@@ -6,12 +6,13 @@ import numpy as np
 import warp as wp
 from newton import Model, State
 
-from wrod.batch import RodBatch, RodState
+from wrod.batch import RodState
 from wrod.dynamics import Dynamics, Progress
 from wrod.kernels import carrying, exchange
-from wrod.newton_solver.attributes import CLAMPED, FREE
+from wrod.newton_solver.layout import Layout
 from wrod.newton_solver.shapes import ModelShapes
-from wrod.substrate import Contact
+from wrod.rod_contact import RodContact
+from wrod.substrate import Contact, Friction
 
 # Under its own weight a rod on a shape sinks in by this fraction of its radius.
 _SINKING = 1.0 / 600.0
@@ -25,8 +26,10 @@ class RodGroup:
         model: the Newton model.
         rods: indices of the rods into the model's.
         shapes: what they touch.
+        bodies: arrays of the bodies' poses at the start and at the end of a step.
         holds: (rod, 2) records of what holds their ends; see `find_holds`.
         contact_stiffness: normal and tangential stiffness per length of rod [N/m^2], or None.
+        self_contact: friction coefficient of a rod with itself, or None.
         options: of `Dynamics`.
     """
 
@@ -35,58 +38,41 @@ class RodGroup:
         model: Model,
         rods: np.ndarray,
         shapes: ModelShapes,
+        bodies: tuple[wp.array, wp.array],
         holds: np.ndarray,
         contact_stiffness: float | None,
+        self_contact: float | None,
         options: dict,
     ):
         self.model, self.rods, self.shapes = model, rods, shapes
         self.device, der = str(model.device), model.der
         self.worlds = der.rod_world.numpy()[rods]
-        self.count = int(der.rod_node_count.numpy()[rods[0]])
-        clamped = holds["kind"] == CLAMPED
-        self.lead = clamped[:, 0].astype(int)
-        nodes = self.count + int(clamped[0].sum())
-        self.first_node = der.rod_first_node.numpy()[rods]
-        self.first_edge = der.rod_first_edge.numpy()[rods]
+        self.layout = layout = Layout(model, rods, holds["kind"])
+        self.count = layout.count
         body = np.where(der.rod_visible.numpy()[rods] != 0, der.rod_body.numpy()[rods], -1)
 
-        # Rows of the model's nodes and edges for those of the batch; a clamp repeats the last.
-        at = np.arange(nodes) - self.lead[:, None]
-        self._node_rows = self.first_node[:, None] + np.clip(at, 0, self.count - 1)
-        self._edge_rows = self.first_edge[:, None] + np.clip(at[:, :-1], 0, self.count - 2)
-        beyond = (at < 0) | (at >= self.count)
-        inner = np.zeros_like(beyond)
-        inner[:, 1:] |= beyond[:, :-1]
-        inner[:, :-1] |= beyond[:, 1:]
-        self._at_clamp = inner & ~beyond
-
         device = self.device
-        self.span = wp.array(
-            np.array(
-                [
-                    (n, e, self.count, lead)
-                    for n, e, lead in zip(self.first_node, self.first_edge, self.lead, strict=True)
-                ],
-                dtype=exchange.Span.numpy_dtype(),
-            ),
-            dtype=exchange.Span,
-            device=device,
-        )
+        self.span = wp.array(layout.spans(), dtype=exchange.Span, device=device)
         self.body = wp.array(body, dtype=wp.int32, device=device)
         self.hold = wp.array(holds, dtype=carrying.Hold, device=device)
-        self.batch = self._make_batch(nodes)
-        self._hold_ends(holds)
+        self.batch = layout.make_batch(self._gravity())
         self.contact = self._make_contact(contact_stiffness) if len(shapes.rows) else None
+        radius = der.rod_radius.numpy()[rods]
+        self.self_contact = None
+        if self_contact is not None:
+            self.self_contact = RodContact(self.batch, radius, Friction(self_contact))
+        contacts = [c for c in (self.contact, self.self_contact) if c is not None]
         self.dynamics = Dynamics(
             self.batch,
-            radius=der.rod_radius.numpy()[rods],
+            radius=radius,
             air_damping=der.rod_air_damping.numpy()[rods],
             internal_damping=der.rod_internal_damping.numpy()[rods],
-            contact=self.contact,
+            contact=contacts,
             motion=self,
+            keeps_recording=True,
             **options,
         )
-        count = len(rods)
+        count, nodes = len(rods), self.batch.node_count
         self.changed = wp.zeros(count, dtype=wp.int32, device=device)
         self.until = wp.zeros(count, dtype=wp.float64, device=device)
         edges = (count, nodes - 1)
@@ -95,34 +81,7 @@ class RodGroup:
         ends = (count, 2)
         self.end_position = wp.zeros(ends, dtype=wp.vec3d, device=device)
         self.end_rotation = wp.zeros(ends, dtype=wp.quatd, device=device)
-        self.duration, self.body_before, self.body_q = 1.0, None, None
-
-    def _make_batch(self, nodes: int) -> RodBatch:
-        der = self.model.der
-        # A clamp holds from the first node on: only the half of that node's length which is free
-        # bends and twists, so it is twice as stiff.
-        stiffer = np.where(self._at_clamp, 2.0, 1.0)
-        n, e = self._node_rows, self._edge_rows
-        position = der.node_q.numpy()[n]
-        rest = der.edge_rest_length.numpy()[e]
-        for row, lead in enumerate(self.lead):
-            if lead:
-                position[row, 0] -= position[row, 2] - position[row, 1]
-            if nodes - lead > self.count:
-                position[row, -1] += position[row, -2] - position[row, -3]
-        return RodBatch(
-            position,
-            rest_length=rest,
-            stretching_stiffness=der.edge_stretching_stiffness.numpy()[e],
-            bending_stiffness=der.node_bending_stiffness.numpy()[n] * stiffer[:, :, None],
-            twisting_stiffness=der.node_twisting_stiffness.numpy()[n] * stiffer,
-            natural_curvature=der.node_natural_curvature.numpy()[n],
-            natural_twist=der.node_natural_twist.numpy()[n],
-            node_mass=der.node_mass.numpy()[n],
-            gravity=self._gravity(),
-            director=der.edge_director.numpy()[e],
-            device=self.device,
-        )
+        self.duration, self.body_before, self.body_q = 1.0, *bodies
 
     def _gravity(self) -> np.ndarray:
         gravity = self.model.gravity.numpy().astype(float)
@@ -143,21 +102,6 @@ class RodGroup:
         curved = (batch.natural_curvature.numpy() != 0).any(axis=(1, 2))
         return Contact(batch, radius, stiffness, friction, shapes, keeps_roll=curved)
 
-    def _hold_ends(self, holds: np.ndarray) -> None:
-        free = np.ones((len(self.rods), self.batch.dof_count), dtype=bool)
-        for row in range(len(self.rods)):
-            first, last = self.lead[row], self.lead[row] + self.count - 1
-            for side, end in ((0, first), (1, last)):
-                kind = holds["kind"][row, side]
-                if kind == FREE:
-                    continue
-                free[row, 4 * end : 4 * end + 3] = False
-                if kind == CLAMPED:
-                    beyond, edge = (end - 1, end - 1) if side == 0 else (end + 1, end)
-                    free[row, 4 * beyond : 4 * beyond + 3] = False
-                    free[row, 4 * edge + 3] = False
-        self.batch.set_free(free)
-
     def refresh_gravity(self) -> None:
         self.batch.gravity.assign(self._gravity())
 
@@ -168,16 +112,15 @@ class RodGroup:
             self.shape_place.assign(place)
             self.shape_turn.assign(turn)
 
-    def step(self, state_in: State, duration: float, step: float, body_before) -> Progress:
-        """Take up what changed in `state_in`, and move on by `duration` [s].
-
-        Bodies that carry shapes come from the poses `body_before`.
-        """
+    def step(self, state_in: State, duration: float, step: float) -> Progress:
+        """Take up what changed in `state_in`, and move on by `duration` [s]."""
         batch, dynamics, der = self.batch, self.dynamics, state_in.der
         rods, nodes = len(self.rods), batch.node_count
         now = dynamics.time.numpy() + duration
         self.until.assign(now)
-        self.duration, self.body_before, self.body_q = duration, body_before, state_in.body_q
+        if duration != self.duration:
+            self.duration = duration
+            dynamics.forget_recording()
         self.changed.zero_()
         wp.launch(
             exchange.find_changes,
@@ -232,7 +175,7 @@ class RodGroup:
         """Put the chosen rods (rod,) of a state back to `initial`, arrays of all rods' nodes and
         edges by name."""
         for name, source in initial.items():
-            first = self.first_node if name.startswith("node") else self.first_edge
+            first = self.layout.first_node if name.startswith("node") else self.layout.first_edge
             count = self.count - (not name.startswith("node"))
             for row in np.flatnonzero(chosen):
                 at = int(first[row])
@@ -252,7 +195,10 @@ class RodGroup:
                 dynamics.velocity,
                 state.tangent,
                 state.director,
-                self.no_force if self.contact is None else self.contact.force,
+                *(
+                    self.no_force if contact is None else contact.force
+                    for contact in (self.contact, self.self_contact)
+                ),
             ],
             outputs=[
                 der.node_q,

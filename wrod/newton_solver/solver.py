@@ -33,10 +33,10 @@ class SolverDER(SolverBase):
 
     Rods are no bodies of Newton's: their state is in `state.der` (`node_q` [m], `node_qd` [m/s],
     `node_contact_f` [N], `edge_director`, `edge_spin` [rad/s]), their properties in `model.der`.
-    They touch the model's planes, boxes and cylinders with the friction of the shape (`mu`), but
-    not each other; their ends may be held by bodies. Bodies and particles pass through a step
-    unchanged and do not feel the rods: kinematic ones are moved by the caller, others by another
-    solver before.
+    They touch the model's planes, boxes and cylinders with the friction of the shape (`mu`) and, if
+    asked, themselves, but not each other; their ends may be held by bodies. Bodies and particles
+    pass through a step unchanged and do not feel the rods: kinematic ones are moved by the caller,
+    others by another solver before.
 
     The pose that `state_in.body_q` gives a body is the one that it has at the end of the step. A
     state that is not the one this solver wrote last is taken up as it is (the rod then starts anew
@@ -72,6 +72,7 @@ class SolverDER(SolverBase):
         tolerance: float = 1e-6,
         max_iterations: int = 12,
         contact_stiffness: float | None = None,
+        self_contact: float | None = None,
     ):
         """
         Args:
@@ -84,6 +85,8 @@ class SolverDER(SolverBase):
             contact_stiffness: Normal and tangential stiffness of contacts per length of rod
                 [N/m^2]. Defaults to what lets a rod sink in by 1/600 of its radius under its own
                 weight on Earth.
+            self_contact: Friction coefficient of a rod that touches itself. Defaults to None: it
+                passes through itself, which costs less.
 
         Raises:
             RodError: The model has no rods, or an option is none.
@@ -98,11 +101,11 @@ class SolverDER(SolverBase):
         self.max_step = max_step
         self.rod_count = len(der.rod_node_count)
         self._options = dict(scheme=scheme, tolerance=tolerance, max_iterations=max_iterations)
-        self._contact_stiffness = contact_stiffness
+        self._contact_stiffness, self._self_contact = contact_stiffness, self_contact
         self._holds = find_holds(model)
         self._initial = {name: wp.clone(getattr(der, name)) for name in _STATE}
         self._diverged = np.zeros(self.rod_count, dtype=bool)
-        self._body_before = wp.clone(model.body_q)
+        self._bodies = wp.clone(model.body_q), wp.clone(model.body_q)
         self._build()
 
     def _build(self) -> None:
@@ -115,8 +118,10 @@ class SolverDER(SolverBase):
                 model,
                 rods := np.flatnonzero((sizes == size).all(axis=1)),
                 shapes,
+                self._bodies,
                 self._holds[rods],
                 self._contact_stiffness,
+                self._self_contact,
                 self._options,
             )
             for size in np.unique(sizes, axis=0)
@@ -164,10 +169,12 @@ class SolverDER(SolverBase):
                 if source is not None and len(source):
                     wp.copy(getattr(state_out, name), source)
         parts = 1 if self.max_step is None else int(np.ceil(dt / self.max_step * (1 - 1e-9)))
+        before, after = self._bodies
+        wp.copy(after, state_in.body_q)
         for group in self._groups:
-            progress = group.step(state_in, dt, dt / parts, self._body_before)
+            progress = group.step(state_in, dt, dt / parts)
             self._note_diverged(group, progress)
-        wp.copy(self._body_before, state_in.body_q)
+        wp.copy(before, after)
         for group in self._groups:
             group.write(state_out)
 
@@ -235,7 +242,7 @@ class SolverDER(SolverBase):
         end_body: int = -1,
         director: np.ndarray | None = None,
         velocity: np.ndarray | float = 0.0,
-        natural_curvature: np.ndarray | float = 0.0,
+        natural_curvature: np.ndarray | None = None,
         natural_twist: np.ndarray | float = 0.0,
         air_damping: float = 0.0,
         internal_damping: float = 0.0,
@@ -250,7 +257,8 @@ class SolverDER(SolverBase):
         Args:
             builder: The model builder.
             points: (node, 3) first shape, 3 nodes or more [m].
-            material: Radius, density and stiffnesses; its `length` and `gravity` are not used.
+            material: Radius, density, stiffnesses, natural curvature; its `length` and `gravity`
+                are not used.
             start: How the first node is held: "free", "pinned" (place) or "clamped" (place,
                 direction and twist).
             start_body: What holds it: a body, or -1 for the world.
@@ -259,8 +267,9 @@ class SolverDER(SolverBase):
             director: (3,) first material director of the first edge, carried along the rod without
                 twist. Defaults to any direction across it.
             velocity: (node, 3) first velocities [m/s].
-            natural_curvature: (node, 2) curvature at rest about the two directors [1/m]; 0: a
-                rod that is straight at rest, whatever its first shape.
+            natural_curvature: (2,) or (node, 2) curvature at rest (c_1, c_2) with
+                dt/ds = c_1 m_1 + c_2 m_2 in the material frame [1/m]. Defaults to the material's;
+                the first shape does not count.
             natural_twist: (node,) twist at rest [rad/m].
             air_damping: Drag per mass and velocity [1/s].
             internal_damping: Kelvin-Voigt time of the material [s].

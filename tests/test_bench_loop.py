@@ -1,0 +1,55 @@
+"""`wrod bench loop`, small: a hidden effect is found and the rod is laid better."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import wrod
+from wrod.commands import main
+from wrod.errors import DataError
+from wrod.identification.measurements import measurements_from_arrays
+from wrod.identification.synthetic import clamped_experiment
+
+
+def test_synthetic_measurements_show_the_true_rod():
+    believed = wrod.rod("green-vps")
+    stiff = replace(believed, gravito_bending_length=1.15 * believed.gravito_bending_length)
+    one = measurements_from_arrays(clamped_experiment(stiff, believed, trials=3, test_trials=1))
+    two = measurements_from_arrays(clamped_experiment(believed, believed, trials=3, test_trials=1))
+    # The label is that of the believed rod, the shapes are not.
+    assert one.material == two.material == replace(believed, length=0.30)
+    gap = np.linalg.norm(one.centerline - two.centerline, axis=-1)
+    assert gap[:, 8:13].mean() > 3 * np.sqrt(3) * one.noise
+    ends = np.linalg.norm(one.centerline[:, -1] - one.grip_position, axis=-1)
+    assert ends.max() < 5 * one.noise
+    with pytest.raises(DataError, match="give at least one trial of each kind"):
+        clamped_experiment(stiff, believed, trials=3, test_trials=3)
+
+
+def test_loop_is_closed(tmp_path):
+    args = ["bench", "loop", "--out", str(tmp_path), "--json", "--trials", "6"]
+    args += ["--pattern", "letter-U", "--effect", "natural_curvature", "--curvature", "5"]
+    args += ["--candidate", "natural_curvature", "--candidate", "stiffness"]
+    args += ["--spacing", "0.012", "--speed", "0.05", "--friction", "1.0"]
+    result = CliRunner().invoke(main, args)
+    assert result.exit_code == 0, result.output
+    figures = json.loads(result.stdout)
+    found = figures["found"]["natural_curvature"]
+    assert list(found["effects"]) == ["natural_curvature"]
+    assert np.hypot(*found["model"]["natural_curvature"]) == pytest.approx(5.0, rel=0.15)
+    model = wrod.RodMaterial.load(tmp_path / "natural_curvature" / "model.json")
+    assert list(model.natural_curvature) == found["model"]["natural_curvature"]
+    rows = {(row["effect"], row["plan"]): row for row in figures["rows"]}
+    assert len(rows) == 3 and not any(row["diverged"] for row in rows.values())
+    before = rows["natural_curvature", "old"]["error_mean"]
+    after = rows["natural_curvature", "new"]["error_mean"]
+    assert after < 0.5 * before
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"natural_curvature", "loop.csv", "loop.md", "loop.png"}
+    with open(tmp_path / "loop.csv", newline="") as file:
+        assert len(list(csv.reader(file))) == 4
+    assert "| rod with natural curvature | **new** |" in (tmp_path / "loop.md").read_text()

@@ -1,0 +1,159 @@
+"""Laid centrelines as measurements: read, checked, and explained."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from test_deployment import QUICK, ROD, quarter_turn
+
+import wrod
+from wrod.commands import main
+from wrod.errors import DataError
+from wrod.identification.laid import load_laid
+from wrod.identification.laid_fit import fit_laid, with_parameters
+
+NOISE = 2e-4
+
+
+@pytest.fixture(scope="module")
+def plan():
+    pattern = quarter_turn()
+    return pattern, wrod.plan(pattern, ROD, "numeric", device="cpu")
+
+
+def noisy(line, seed):
+    line = np.asarray(line)[:, :2]
+    return line + NOISE * np.random.default_rng(seed).standard_normal(line.shape)
+
+
+def offset(pattern, left=0.0, along=0.0):
+    """A rod of 30 cm beside the pattern."""
+    s = np.linspace(0.0, pattern.length, 200)
+    place, tangent, _ = pattern.sample(s)
+    side = np.cross([0.0, 0.0, 1.0], tangent)
+    line = place + left * side + along * tangent
+    tail = line[-1] + np.linspace(0.005, 0.1, 20)[:, None] * tangent[-1]
+    return np.concatenate([line, tail])
+
+
+def test_residual_is_told_along_and_to_the_left():
+    pattern = wrod.pattern("line")
+    laid = load_laid([offset(pattern, left=0.003)], pattern, noise=NOISE)
+    along, left = laid.residual()[0].T
+    assert np.abs(along).max() < 1e-9
+    assert np.abs(left - 0.003).max() < 1e-9
+    assert laid.rms() == pytest.approx(0.003)
+    shifted = load_laid([offset(pattern, along=-0.002)], pattern, noise=NOISE)
+    assert shifted.residual()[0, 5:, 0] == pytest.approx(np.full(45, -0.002))
+    # From the far end, as a picture may give it, it is the same rod.
+    back = load_laid([offset(pattern, left=0.003)[::-1]], pattern, noise=NOISE)
+    assert np.abs(back.residual() - laid.residual()).max() < 1e-9
+
+
+def test_noise_is_seen_in_the_scatter_of_rods():
+    pattern = wrod.pattern("line")
+    rods = [noisy(offset(pattern, left=0.003), seed) for seed in range(8)]
+    laid = load_laid(rods, pattern)
+    # Smoothing takes most of the noise out, across and along.
+    assert 0.2 * NOISE < laid.noise < 0.9 * NOISE
+    assert np.abs(laid.residual().mean(axis=0) - [0.0, 0.003]).max() < NOISE
+
+
+def test_reads_scans_deployments_and_points(tmp_path, plan):
+    pattern, _ = plan
+    line = offset(pattern, left=0.001)
+    np.savez(tmp_path / "scan.npz", path_m=line[:, :2])
+    np.savetxt(tmp_path / "points.csv", 100 * line[:, :2], delimiter=",")
+    np.savez(tmp_path / "deployment.npz", centerline=line, arc_length=np.arange(len(line)))
+    names = [tmp_path / "scan.npz", tmp_path / "deployment.npz"]
+    laid = load_laid(names, pattern, noise=NOISE)
+    points = load_laid([tmp_path / "points.csv"], pattern, units="cm", noise=NOISE)
+    for curve in (*laid.curves, *points.curves):
+        assert np.abs(curve[[0, -1]] - line[[0, -1], :2]).max() < 1e-6
+
+
+def test_bad_centrelines_are_named(tmp_path, plan):
+    pattern, _ = plan
+    line = offset(pattern)
+    broken = line.copy()
+    broken[7, 1] = np.nan
+    for source, says in (
+        (line[:40], "give the whole laid rod"),
+        (1000 * line, "millimetres"),
+        (line + [5.0, 0.0, 0.0], "from the pattern on average"),
+        (broken, "point 7 is not a number"),
+        (line[:, 0], "has shape"),
+    ):
+        with pytest.raises(DataError, match=f"centreline 0: .*{says}"):
+            load_laid([source], pattern, noise=NOISE)
+    with pytest.raises(DataError, match="does not show its noise"):
+        load_laid([line], pattern)
+    with pytest.raises(DataError, match="no laid rod"):
+        load_laid([], pattern)
+    with pytest.raises(DataError, match="noise is -1"):
+        load_laid([line], pattern, noise=-1)
+    paths = np.empty(1, object)
+    paths[0] = line
+    np.savez(tmp_path / "pixels.npz", paths=paths)
+    (tmp_path / "torn.npz").write_bytes(b"PK\x03\x04torn")
+    with pytest.raises(DataError, match=r"pixels\.npz: is a scan without"):
+        load_laid([tmp_path / "pixels.npz"], pattern, noise=NOISE)
+    for name in ("torn.npz", "missing.npz", "missing.txt"):
+        with pytest.raises(DataError, match=name):
+            load_laid([tmp_path / name], pattern, noise=NOISE)
+
+
+@pytest.mark.parametrize(
+    "true, name, value",
+    [
+        (replace(ROD, natural_curvature=(3.0, 0.0)), "natural_curvature", 3.0),
+        (
+            replace(ROD, gravito_bending_length=1.12 * ROD.gravito_bending_length),
+            "log_L_gb",
+            np.log(1.12),
+        ),
+    ],
+)
+def test_laid_rods_tell_curvature_and_stiffness_apart(plan, true, name, value):
+    pattern, path = plan
+    laid = wrod.simulate_deployment(pattern, true, path, 0.8, **QUICK)
+    rods = [noisy(laid.released_centerline, seed) for seed in range(3)]
+    fit = fit_laid(load_laid(rods, pattern), ROD, path, 0.8, **QUICK)
+    assert list(fit.estimates) == [name]
+    assert fit.estimates[name].value == pytest.approx(value, rel=0.08)
+    assert fit.after < 0.5 * fit.before
+    assert fit.after < 1.2 * fit.noise_floor
+    assert fit.verdict in ("explained", "partly-explained")
+
+
+def test_a_rod_as_believed_is_adequate(plan):
+    pattern, path = plan
+    laid = wrod.simulate_deployment(pattern, ROD, path, 0.8, **QUICK)
+    rods = [noisy(laid.released_centerline, seed) for seed in range(3)]
+    fit = fit_laid(load_laid(rods, pattern), ROD, path, 0.8, iterations=1, **QUICK)
+    assert fit.verdict == "adequate"
+    assert fit.rod == ROD and not fit.estimates
+    with pytest.raises(DataError, match="iterations"):
+        fit_laid(load_laid(rods, pattern), ROD, path, iterations=0)
+
+
+def test_curvature_is_added_where_the_rod_is_held():
+    rod = with_parameters(ROD, np.array([2.0, 0.0]), roll=0.7)
+    assert rod.curvature_held(0.7) == pytest.approx((2.0, 0.0))
+
+
+def test_laid_command(plan, tmp_path):
+    pattern, path = plan
+    np.savetxt(tmp_path / "pattern.csv", pattern.sample(np.linspace(0, pattern.length, 120))[0])
+    np.savetxt(tmp_path / "rod.csv", offset(pattern, left=0.002)[:, :2], delimiter=",")
+    saved = path.save(tmp_path / "plan")[1]
+    args = ["laid", str(tmp_path / "rod.csv"), "--pattern", str(tmp_path / "pattern.csv")]
+    args += ["--trajectory", str(saved), "--noise", "0.0002", "--iterations", "0"]
+    result = CliRunner().invoke(main, [*args, "--json"])
+    assert result.exit_code == 0, result.output
+    figures = json.loads(result.stdout)
+    assert np.mean(figures["left_mm"]) == pytest.approx(2.0, abs=0.1)
+    result = CliRunner().invoke(main, [*args[:-1], "1"])
+    assert result.exit_code == 2 and "no rod given" in result.stderr

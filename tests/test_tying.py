@@ -1,0 +1,200 @@
+"""Hands that pick rods up and put them down, plans of knots, and the table of successes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import wrod
+from wrod.bench.applications_report import markdown, table
+from wrod.errors import DataError, PatternError
+from wrod.hand_paths import hand_path
+from wrod.knot_plan import KnotPlan, Move
+from wrod.substrate import Friction
+from wrod.topology import diagram, recognise_knot
+from wrod.tying import Handling, TyingResult
+from wrod.workbench import Poses, Workbench
+
+KNOTS = Path(wrod.__file__).parents[1] / "scenes" / "knots"
+ROD = wrod.RodMaterial(0.003, 0.03, 0.15)
+ARC = np.linspace(0.0, 0.15, 26)
+
+
+def bench(*lines):
+    """Straight rods on the table, from a point along a direction."""
+    position = np.concatenate(
+        [
+            np.array([x, y, ROD.radius]) + ARC[:, None] * np.array([np.cos(a), np.sin(a), 0.0])
+            for x, y, a in lines
+        ]
+    )
+    edges = np.diff(position, axis=0)
+    director = np.cross(edges, [0.1, 0.2, 1.0])
+    return Workbench(
+        [[ROD] * len(lines)],
+        [ARC] * len(lines),
+        position[None],
+        director[None],
+        (Friction(0.5), Friction(0.3)),
+    )
+
+
+def pose(point, turn=0.0):
+    return Poses(np.array([point], dtype=float), Rotation.from_euler("z", [[turn]]))
+
+
+@pytest.fixture(scope="module")
+def carried():
+    """The end of one rod is carried over another and let go; turned a little on its way."""
+    table = bench((0.0, 0.0, 0.0), (0.02, 0.05, 0.0))
+    first, far = np.array([0.147, 0.0, ROD.radius]), np.array([0.10, 0.10, ROD.radius])
+    path = hand_path(first, far, 0.04)
+    away = pose([0.0, 0.0, 0.2])
+
+    def poses(t):
+        x = min(t / 1.5, 1.0)
+        return [pose(path(x), 0.5 * x), away]
+
+    before = table.positions()
+    table.held.grasp(0, 0, 24, poses(0.0)[0])
+    table.run(0.75, poses)
+    middle, load = table.positions(), table.held.load()
+    table.run(1.5, poses)
+    held = table.positions()
+    table.held.open(0, 0)
+    table.run(2.3, poses)
+    return table, before, middle, held, load
+
+
+def test_hand_carries_the_edge_that_it_holds(carried):
+    table, before, middle, held, load = carried
+    assert not table.diverged.any()
+    grasped = before[0][0, 24:].mean(axis=0)
+    moved = held[0][0, 24:].mean(axis=0)
+    offset = Rotation.from_euler("z", 0.5).apply(grasped - [0.147, 0.0, ROD.radius])
+    assert moved == pytest.approx(np.array([0.10, 0.10, ROD.radius]) + offset, abs=1e-6)
+    along = held[0][0, 25] - held[0][0, 24]
+    assert np.arctan2(along[1], along[0]) == pytest.approx(0.5, abs=1e-6)
+    assert middle[0][0, 24:, 2].min() > 0.03
+    # It bears a part of the rod's weight, and the bending.
+    assert 0.02 * ROD.weight * ROD.length < load[0, 0] < 10 * ROD.weight * ROD.length
+    assert load[0, 1] == 0.0
+
+
+def test_put_down_it_lies_over_the_other_rod(carried):
+    table, *_ = carried
+    one, other = (rod[0] for rod in table.positions())
+    gap = np.linalg.norm(one[:, None, :2] - other[None, :, :2], axis=2)
+    i, j = np.unravel_index(gap.argmin(), gap.shape)
+    assert gap[i, j] < 0.006
+    assert one[i, 2] - other[j, 2] > 1.5 * ROD.radius
+    assert one[-1, 2] < 2.0 * ROD.radius  # its end is down again
+    # Closed far below the table: two crossings less none, over first.
+    found = diagram([np.vstack([rod, rod.mean(0) - [0, 0, 5.0]]) for rod in (one, other)])
+    assert found.linking_number() == 0
+    assert recognise_knot(one).name == "unknot"
+
+
+def test_way_of_a_hand_passes_over():
+    first, last = np.array([0.0, 0.0, 0.003]), np.array([0.1, 0.05, 0.003])
+    path = hand_path(first, last, 0.05)
+    points = np.array([path(u) for u in np.linspace(0, 1, 200)])
+    assert points[0] == pytest.approx(first)
+    assert points[-1] == pytest.approx(last)
+    across = np.linalg.norm(points[:, :2] - first[:2], axis=1) / np.linalg.norm((last - first)[:2])
+    assert points[(across > 0.1) & (across < 0.9), 2].min() > 0.035
+    assert np.abs(np.diff(points, n=2, axis=0)).max() < 2e-4
+
+
+def test_handling_is_random_and_repeatable():
+    assert Handling.random(3) == Handling.random(3)
+    assert Handling.random(3) != Handling.random(4)
+    strength = np.concatenate([Handling.random(k, strength=0.6).strength for k in range(40)])
+    assert np.median(strength) == pytest.approx(0.6, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["trefoil", "reef"])
+def test_shipped_plans(name):
+    plan = KnotPlan.load_plan(KNOTS / f"{name}.json")
+    assert 1 <= sum(len(step) for step in plan.steps) <= 4
+    assert len(plan.pull) == 2
+    for pattern, rod in plan.rods:
+        assert pattern.length < rod.length
+        curvature = pattern.sample(np.linspace(0.0, pattern.length, 300))[2]
+        assert np.abs(curvature).max() * rod.gravito_bending_length < 1.6
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.update(format="x"), "format"),
+        (lambda d: d.pop("rods"), "missing"),
+        (lambda d: d["steps"][0][0].update(at="0.1"), "finite number"),
+        (lambda d: d["steps"][0][0].update(at=9.0), "beyond"),
+        (lambda d: d["steps"][0][0].update(rod=4), "names rod 4"),
+        (lambda d: d["steps"][0][0].update(hand=2), "hands 0 and 1"),
+        (lambda d: d["steps"][0].append(d["steps"][0][0]), "hands 0 and 1"),
+        (lambda d: d.update(pull=d["pull"][:1]), "give two"),
+        (lambda d: d["pull"][0].update(where=[1]), "finite number"),
+    ],
+)
+def test_bad_plans_are_refused(tmp_path, change, message):
+    data = json.loads((KNOTS / "trefoil.json").read_text())
+    for entry in data["rods"]:
+        entry["pattern"] = str(KNOTS / entry["pattern"])
+    change(data)
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(DataError, match=message):
+        KnotPlan.load_plan(path)
+
+
+def test_missing_pattern_is_named(tmp_path):
+    data = json.loads((KNOTS / "trefoil.json").read_text())
+    (tmp_path / "plan.json").write_text(json.dumps(data))
+    with pytest.raises(PatternError, match="no such file"):
+        KnotPlan.load_plan(tmp_path / "plan.json")
+
+
+def test_moves_have_defaults():
+    move = Move(0, 0.1, (0.0, 0.1))
+    assert (move.hand, move.where) == (0, None)
+    assert TyingResult(wanted="right trefoil").success is False
+    assert TyingResult(diverged=True).why == "diverged"
+
+
+def test_table_of_successes():
+    rows = [
+        dict(case="trefoil", method="neural", trial=k, success=k > 0, why="tied", cpu_seconds=2.0)
+        for k in range(3)
+    ]
+    rows[0]["why"] = "slipped out of the grip: pull"
+    cells = table(rows)
+    assert cells["trefoil", "neural"]["success"] == 2
+    assert cells["trefoil", "neural"]["paper"] == 9
+    text = markdown(cells)
+    assert "| trefoil | OPT | 9/10 | 2/3 | 2 | 1 x slipped out of the grip: pull |" in text
+
+
+def test_why_a_trial_failed():
+    from wrod.topology import Recognition
+
+    def result(tied, pulled, **more):
+        found = {
+            name: Recognition(what, 1.0, {})
+            for name, what in (("tied", tied), ("pulled", pulled))
+            if what
+        }
+        return TyingResult(wanted="right trefoil", **found, **more)
+
+    assert result("right trefoil", "right trefoil").success
+    assert result("right trefoil", "unknot").why == "came loose: unknot"
+    assert result("unknot", "unknot", missed=["move 2"]).why == (
+        "tied unknot, grasped nothing: move 2"
+    )
+    assert result("left trefoil", "left trefoil").why == "tied left trefoil"
+    assert "slipped" in result("right trefoil", "unknot", slipped=["pull"]).why
+    assert not result("right trefoil", "right trefoil", missed=["pull"]).success
+    assert result("right trefoil", None).why == "not pulled"

@@ -1,0 +1,168 @@
+"""The success table of the applications beside the paper's, and its picture."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from wrod.files import write_atomically
+
+METHODS = ("intuitive", "neural")
+SHORT = {"intuitive": "INT", "neural": "OPT"}
+# Tong et al., the success table: successes of ten trials.
+PAPER = {
+    ("S cable", "intuitive"): 0,
+    ("S cable", "neural"): 9,
+    ("U cable", "intuitive"): 0,
+    ("U cable", "neural"): 9,
+    ("trefoil", "intuitive"): 0,
+    ("trefoil", "neural"): 9,
+    ("reef", "intuitive"): 0,
+    ("reef", "neural"): 7,
+}
+_INK, _MUTED, _FAINT = "#22262b", "#59616b", "#c9ced6"
+_PATTERN = "#0b5fa5"
+_RODS = {"cable": ("#2a2d33",), "trefoil": ("#d0416b",), "reef": ("#2c8f4e", "#d0416b")}
+
+
+def table(rows: list[dict]) -> dict[tuple[str, str], dict]:
+    """(case, method) -> successes, trials, paper's successes of ten, why others failed."""
+    out = {}
+    for key in PAPER:
+        mine = [row for row in rows if (row["case"], row["method"]) == key]
+        if not mine:
+            continue
+        reasons: dict[str, int] = {}
+        for row in mine:
+            if not row["success"]:
+                reasons[row["why"]] = reasons.get(row["why"], 0) + 1
+        out[key] = {
+            "success": sum(row["success"] for row in mine),
+            "trials": len(mine),
+            "paper": PAPER[key],
+            "failures": reasons,
+            "cpu_seconds": float(np.mean([row["cpu_seconds"] for row in mine])),
+        }
+    return out
+
+
+def markdown(cells: dict) -> str:
+    lines = [
+        "| application | scheme | paper | wrod | CPU s a trial | why others failed |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for (case, method), cell in cells.items():
+        reasons = "; ".join(f"{n} x {why}" for why, n in cell["failures"].items())
+        lines.append(
+            f"| {case} | {SHORT[method]} | {cell['paper']}/10 | {cell['success']}/"
+            f"{cell['trials']} | {cell['cpu_seconds']:.0f} | {reasons} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def draw(path: Path, rows: list[dict]) -> Path:
+    """Write a PNG: all cables, and one knot of each method at every stage."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    cells = table(rows)
+    cases = list(dict.fromkeys(case for case, _ in cells))
+    cables = [case for case in cases if case.endswith("cable")]
+    knots = [case for case in cases if not case.endswith("cable")]
+    height = int(bool(cables)) + len(knots)
+    figure = Figure(figsize=(13.0, 3.5 * height), facecolor="white")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(height, 4, squeeze=False)
+    for axes in grid.flat:
+        axes.set_axis_off()
+    for k, (case, method) in enumerate((c, m) for c in cables for m in METHODS):
+        if (case, method) in cells:
+            _cables(grid[0, k], case, method, rows, cells[case, method])
+    for row, case in enumerate(knots, start=int(bool(cables))):
+        _knots(grid[row], case, rows, cells)
+    figure.subplots_adjust(0.01, 0.01, 0.99, 1.0 - 0.16 / height, 0.04, 0.16)
+
+    def write(file):
+        figure.savefig(file, format="png", dpi=100)
+
+    return write_atomically(path, write, "wb")
+
+
+def _head(axes, title: str, note: str) -> None:
+    axes.set_title(title, fontsize=10.5, color=_INK, loc="left", pad=14)
+    axes.text(0.0, 1.01, note, transform=axes.transAxes, fontsize=8, color=_MUTED, va="bottom")
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+def _score(cell: dict) -> str:
+    return f"{cell['success']}/{cell['trials']} (paper {cell['paper']}/10)"
+
+
+def _cables(axes, case: str, method: str, rows: list[dict], cell: dict) -> None:
+    from wrod.bench.applications_trials import cable_scene
+    from wrod.deployment_picture import draw_fixtures
+
+    pattern, fixtures = cable_scene(case)
+    draw_fixtures(axes, fixtures)
+    target = pattern.sample(np.linspace(0.0, pattern.length, 300))[0]
+    axes.plot(*target[:, :2].T, color=_PATTERN, lw=4, alpha=0.3)
+    for row in rows:
+        if (row["case"], row["method"]) == (case, method):
+            rod = np.array(row["curves"]["end"][0])
+            axes.plot(*rod[:, :2].T, color=_RODS["cable"][0], lw=1.2, alpha=0.8)
+    _head(axes, f"{case}, {SHORT[method]}  {_score(cell)}", "let go; all trials")
+
+
+def _knots(axes, case: str, rows: list[dict], cells: dict) -> None:
+    """INT as laid, then OPT laid, tied and pulled: the first that succeeded."""
+    from wrod.bench.applications_trials import knot_plan
+
+    plan = knot_plan(case)
+    panels = [("intuitive", "tied"), ("neural", "laid"), ("neural", "tied"), ("neural", "pulled")]
+    for one, (method, stage) in zip(axes, panels, strict=True):
+        mine = [row for row in rows if (row["case"], row["method"]) == (case, method)]
+        if not mine:
+            continue
+        mine.sort(key=lambda row: (not row["success"], row["trial"]))
+        row = mine[0]
+        if stage in ("laid", "tied"):
+            for pattern, _ in plan.rods:
+                target = pattern.sample(np.linspace(0.0, pattern.length, 300))[0]
+                one.plot(*target[:, :2].T, color=_PATTERN, lw=3, alpha=0.22)
+        for curve in [stage] if stage in row["curves"] else []:
+            rods = [np.array(rod) for rod in row["curves"][curve]]
+            radii = [material.radius for _, material in plan.rods]
+            _woven(one, rods, radii, _RODS[case])
+        name = row["knots"].get(stage, ["", 0.0])[0]
+        score = f"  {_score(cells[case, method])}" if stage != "laid" else ""
+        _head(one, f"{case}, {SHORT[method]}{score}", f"{stage}: {name}")
+
+
+def _woven(axes, rods, radii, colors) -> None:
+    """Rods from above, upper strands drawn over lower ones with a white edge."""
+    from matplotlib.collections import LineCollection
+
+    pieces = []
+    for rod, radius, color in zip(rods, radii, colors, strict=True):
+        for a, b in pairwise(rod):
+            pieces.append(((a[2] + b[2]) / 2, a[:2], b[:2], radius, color))
+    pieces.sort(key=lambda piece: piece[0])
+    # In layers of a millimetre: within one, all edges first, so that a strand has no rungs.
+    heights = np.array([piece[0] for piece in pieces])
+    layers = np.floor((heights - heights.min()) / 1e-3).astype(int)
+    axes.set_aspect("equal", adjustable="datalim")
+    for layer in np.unique(layers):
+        chosen = [piece for piece, here in zip(pieces, layers, strict=True) if here == layer]
+        lines = [[a, b] for _, a, b, _, _ in chosen]
+        width = [900 * radius for _, _, _, radius, _ in chosen]
+        axes.add_collection(
+            LineCollection(lines, colors="white", linewidths=[w + 2.2 for w in width])
+        )
+        axes.add_collection(
+            LineCollection(
+                lines, colors=[c for *_, c in chosen], linewidths=width, capstyle="round"
+            )
+        )
+    axes.autoscale_view()

@@ -1,0 +1,202 @@
+"""Trials of the applications: what is simulated, and what is kept of it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from wrod.bench.table3_paper import FRICTION
+from wrod.patterns import Pattern
+
+# The cable on steel, the rods of the knots on steel (Table 2 of the paper).
+CABLE_FRICTION, KNOT_FRICTION, ROD_FRICTION = FRICTION["low"], FRICTION["medium"], 0.4
+_FILM = 0.2  # [s]
+_POINTS = 160  # of a curve that is kept
+
+
+def folder() -> Path:
+    """Where the shipped scenes are."""
+    import wrod.scenes
+
+    return Path(wrod.scenes.__file__).parent
+
+
+def run_trials(
+    case: str, method: str, trials: list[int], *, device: str, folder: Path | None
+) -> tuple[list[dict], list[Path]]:
+    """Rows of the ledger, and the scenes that were written to `folder`."""
+    run = _cable if case.endswith("cable") else _knot
+    return run(case, method, trials, device, folder)
+
+
+def cable_scene(case: str):
+    """Pattern and fixtures of "S cable" or "U cable"."""
+    from wrod.fixtures import Fixtures
+
+    name = case.split()[0]
+    place = folder() / "cable"
+    return (
+        Pattern.load(place / f"{name}.csv", name=name, smoothing=0.0),
+        Fixtures.load(place / f"{name}.json"),
+    )
+
+
+def knot_plan(case: str):
+    """Plan of "trefoil" or "reef"."""
+    from wrod.knot_plan import KnotPlan
+
+    return KnotPlan.load_plan(folder() / "knots" / f"{case}.json")
+
+
+def _cable(case, method, trials, device, folder):
+    from wrod.deployment import Trial, simulate_deployments, with_remainder_of
+    from wrod.deployment_setup import Disturbance, tail
+    from wrod.material import rod
+    from wrod.planner import plan
+    from wrod.substrate import Friction
+
+    pattern, fixtures = cable_scene(case)
+    material = rod("cable")
+    trajectory = plan(pattern, material, method)
+    pattern = with_remainder_of(pattern, trajectory)
+    rest = tail(pattern, material, trajectory)
+    jobs = [
+        Trial(
+            pattern,
+            material,
+            trajectory,
+            Friction(CABLE_FRICTION),
+            Disturbance.random(100 * len(case) + 1000 * (case[0] == "S") + trial),
+            rest,
+            fixtures,
+        )
+        for trial in trials
+    ]
+    clock = time.process_time()
+    deployments = simulate_deployments(
+        jobs, device=device, frame_interval=_FILM if folder else None
+    )
+    seconds = (time.process_time() - clock) / len(trials)
+    rows, scenes = [], []
+    for trial, d in zip(trials, deployments, strict=True):
+        found = fixtures.judge(d.released_centerline, material.radius)
+        rows.append(
+            {
+                "case": case,
+                "method": method,
+                "trial": trial,
+                "success": bool(found.placed and not d.diverged),
+                "why": "diverged" if d.diverged else str(found),
+                "error": [100 * d.error_mean],
+                "cpu_seconds": seconds,
+                "steps": d.steps,
+                "curves": {"end": [_kept(d.released_centerline)]},
+            }
+        )
+        if folder is not None:
+            scenes += _cable_stage(folder, case, method, trial, d, material, pattern, fixtures)
+    return rows, scenes
+
+
+def _cable_stage(folder, case, method, trial, d, material, pattern, fixtures):
+    from wrod.scene.tying import export_scene
+
+    lifted = d.frames + [0.0, 0.0, material.radius]
+    path, missing = export_scene(
+        folder / f"{case.replace(' ', '-')}-{method}-{trial}.usdc",
+        time=_FILM * np.arange(len(lifted)),
+        rods=[lifted],
+        names=["cable"],
+        radii=[material.radius],
+        patterns=[pattern],
+        hands=_grip_poses(lifted)[:, None],
+        fixtures=fixtures,
+        facts={"case": case, "method": method, "trial": trial},
+    )
+    _say(missing)
+    return [path]
+
+
+def _grip_poses(frames: np.ndarray) -> np.ndarray:
+    """(T, 4, 4) of a hand that carries the last edge, turned as little as its tangent asks."""
+    along = frames[:, -1] - frames[:, -2]
+    x = along / np.linalg.norm(along, axis=1)[:, None]
+    out = np.tile(np.eye(4), (len(frames), 1, 1))
+    y = np.cross([0.0, 0.0, 1.0], x[0])
+    y = np.array([0.0, 1.0, 0.0]) if np.linalg.norm(y) < 1e-6 else y / np.linalg.norm(y)
+    for k, tangent in enumerate(x):
+        y = y - (y @ tangent) * tangent
+        y /= np.linalg.norm(y)
+        out[k, :3, :3] = np.column_stack([tangent, y, np.cross(tangent, y)])
+    out[:, :3, 3] = frames[:, -1]
+    return out
+
+
+def _knot(case, method, trials, device, folder):
+    from wrod.scene.tying import export_scene
+    from wrod.tying import Handling, tie
+
+    knot = knot_plan(case)
+    clock = time.process_time()
+    results = tie(
+        knot,
+        [Handling.random(1000 * (case == "reef") + trial) for trial in trials],
+        method,
+        friction=KNOT_FRICTION,
+        rod_friction=ROD_FRICTION,
+        film_interval=_FILM if folder else None,
+        device=device,
+    )
+    seconds = (time.process_time() - clock) / len(trials)
+    rows, scenes = [], []
+    for trial, r in zip(trials, results, strict=True):
+        rows.append(
+            {
+                "case": case,
+                "method": method,
+                "trial": trial,
+                "success": bool(r.success),
+                "why": r.why,
+                "error": [100 * e for e in r.error],
+                "cpu_seconds": seconds,
+                "steps": r.steps,
+                "knots": {
+                    stage: [found.name, found.share]
+                    for stage in ("laid", "tied", "pulled")
+                    if (found := getattr(r, stage)) is not None
+                },
+                "load": [round(float(v), 4) for v in r.load],
+                "curves": {stage: [_kept(rod) for rod in rods] for stage, rods in r.stages.items()},
+            }
+        )
+        if folder is None or r.time is None:
+            continue
+        path, missing = export_scene(
+            folder / f"{case}-{method}-{trial}.usdc",
+            time=r.time,
+            rods=r.frames,
+            names=list(knot.rod_names),
+            radii=[material.radius for _, material in knot.rods],
+            patterns=[pattern for pattern, _ in knot.rods],
+            hands=r.hands,
+            facts={"case": case, "method": method, "trial": trial, "why": r.why},
+        )
+        _say(missing)
+        scenes.append(path)
+    return rows, scenes
+
+
+def _say(missing: list[str]) -> None:
+    import warnings
+
+    from wrod.errors import WrodWarning
+
+    for what in missing:
+        warnings.warn(f"left out of the scene: {what}", WrodWarning, stacklevel=3)
+
+
+def _kept(rod: np.ndarray) -> list:
+    pick = np.unique(np.linspace(0, len(rod) - 1, _POINTS).astype(int))
+    return np.round(rod[pick], 4).tolist()

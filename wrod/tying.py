@@ -1,0 +1,148 @@
+"""Knots tied by a robot: rods laid along a designed pattern, then a few blind pick-and-place moves.
+
+What is grasped is where the plan says, whether the rod lies there or not: there is no feedback
+(paper, Sec. Application #2). A hand closes on whatever edge of a rod it finds between its fingers,
+carries it over the others, and puts it down. At last both hands pull.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wrod.deployment_setup import Disturbance
+from wrod.knot_plan import KnotPlan
+from wrod.topology import Recognition
+
+
+@dataclass(frozen=True)
+class Handling:
+    """What distinguishes the handling of one trial from the next; the default is none.
+
+    Attributes:
+        laying: disturbance of the laying of each rod, one after the other.
+        offset: (2, 2) by which each hand misses its place on the table [m].
+        jitter: standard deviation of each coordinate of the hands' shaking [m].
+        strength: (n,) pull that a grasp resists before the rod slips out, one grasp after the
+            other [N]; empty: any.
+        seed: of the shaking.
+    """
+
+    laying: tuple[Disturbance, ...] = ()
+    offset: tuple = ((0.0, 0.0), (0.0, 0.0))
+    jitter: float = 0.0
+    strength: tuple[float, ...] = ()
+    seed: int = 0
+
+    @classmethod
+    def random(cls, seed: int, strength: float = 0.6) -> Handling:
+        """A trial of a careful laboratory: laying as `Disturbance.random`, hands placed within
+        1 mm (standard deviation), jitter 0.3 mm, strength of a grasp log-normal about `strength`
+        [N] with a deviation of 40 %."""
+        rng = np.random.default_rng([seed, 7])
+        return cls(
+            tuple(Disturbance.random(1000 + 10 * seed + k) for k in range(2)),
+            tuple(map(tuple, 1e-3 * rng.standard_normal((2, 2)))),
+            0.3e-3,
+            tuple(strength * np.exp(0.4 * rng.standard_normal(12))),
+            seed,
+        )
+
+
+@dataclass
+class TyingResult:
+    """One trial. SI units, the table at z = 0.
+
+    Attributes:
+        laid, tied, pulled: the knot of the rods after laying, after the moves, and after pulling.
+        wanted: the knot that the plan promises.
+        load: (hand,) pull at the end [N].
+        missed: moves whose hand found no rod.
+        slipped: moves whose rod slipped out of the hand.
+        diverged: no step converged any more.
+        error: (rod,) mean distance of the laid rods from their patterns [m].
+        rods: (node, 3) centrelines of every rod at the end [m]; `stages` those after laying, the
+            moves and pulling.
+        time, frames, hands: of the film: (T,) times [s], (T, node, 3) of every rod (NaN before it
+            is laid), and (T, hand, 4, 4) poses of the hands.
+        duration: simulated time [s].
+        steps: time steps taken.
+    """
+
+    laid: Recognition | None = None
+    tied: Recognition | None = None
+    pulled: Recognition | None = None
+    wanted: str = ""
+    load: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    missed: list[str] = field(default_factory=list)
+    slipped: list[str] = field(default_factory=list)
+    diverged: bool = False
+    error: list[float] = field(default_factory=list)
+    stages: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    time: np.ndarray | None = None
+    frames: list[np.ndarray] = field(default_factory=list)
+    hands: np.ndarray | None = None
+    duration: float = 0.0
+    steps: int = 0
+
+    @property
+    def success(self) -> bool:
+        """Tied as wanted, still so after both hands pulled."""
+        return self.why == "tied"
+
+    @property
+    def why(self) -> str:
+        """ "tied", or why it is not, in a few words."""
+        if self.diverged:
+            return "diverged"
+        if self.tied is None or self.pulled is None:
+            return "not pulled"
+        if self.slipped:
+            return f"slipped out of the grip: {self.slipped[0]}, {self.pulled.name}"
+        if self.tied.name != self.wanted:
+            missed = f", grasped nothing: {self.missed[0]}" if self.missed else ""
+            return f"tied {self.tied.name}{missed}"
+        if "pull" in self.missed:
+            return "grasped nothing: pull"
+        if self.pulled.name != self.wanted:
+            return f"came loose: {self.pulled.name}"
+        return "tied"
+
+
+def tie(
+    knot: KnotPlan,
+    trials: list[Handling],
+    method: str = "neural",
+    *,
+    friction: float = 0.6,
+    rod_friction: float = 0.4,
+    speed: float = 0.03,
+    hand_speed: float = 0.06,
+    step: float = 0.01,
+    film_interval: float | None = None,
+    device: str = "cpu",
+    progress: Callable[[str], None] | None = None,
+) -> list[TyingResult]:
+    """Lay the rods of a knot one after the other, make its moves, and pull.
+
+    Args:
+        knot: the plan.
+        trials: what disturbs each.
+        method: of the laying, as for `wrod.plan`.
+        friction: coefficient of rods on the table.
+        rod_friction: of rods on rods.
+        speed: at which the contact moves while a rod is laid [m/s].
+        hand_speed: of hands that carry [m/s].
+        step: largest time step [s].
+        film_interval: keep the state at about its multiples [s]; None keeps no film.
+        device: "cpu", "cuda:0", "auto".
+        progress: called with what comes next.
+    """
+    from wrod.tying_session import Session
+
+    return Session(
+        knot, trials, method, friction, rod_friction, speed, hand_speed, step, film_interval,
+        device, progress or (lambda what: None),
+    ).run()  # fmt: skip
