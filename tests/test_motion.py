@@ -214,6 +214,17 @@ def test_exchanged_grip_markers_are_put_back(recorded):
     np.testing.assert_array_equal(m.positions, recorded["positions"])
 
 
+def test_other_recordings_are_scored_and_never_fitted(recorded):
+    m = motion_from_arrays(recorded)
+    both = m.scored_on(motion_from_arrays(recorded, name="others"))
+    assert both.test.tolist() == list(range(8, 16))
+    assert np.intersect1d(both.fit, both.validation).size == 0
+    assert max(*both.fit, *both.validation) < 8
+    slower = motion_from_arrays(_with(recorded, rate_hz=np.float64(50.0)), name="slower")
+    with pytest.raises(DataError, match=r"slower has rate 50.0, but recordings has 100.0"):
+        m.scored_on(slower)
+
+
 def _with(recorded, **change):
     return {**recorded, **change}
 

@@ -26,7 +26,8 @@ def _page(report) -> str:
          "its first two frames and, from then on, the grips alone.", pictures.shapes(report)),
         ("Error over time and recording", "Test recordings.", pictures.errors(report)),
         ("What the residual looks like", "Before any effect: a force fixed in space leaves a mean "
-         "in the laboratory frame, a bend of the rod's own one in the frame that moves with it.",
+         "in the laboratory frame, a bend of the rod's own one in the frame that moves with it "
+         "(shares of the mean square).",
          pictures.residual(report)),
         ("What each effect takes away", "Effects in the order found; the validation recordings "
          "chose them, the test recordings were only scored.", pictures.ladder(report)),

@@ -102,7 +102,8 @@ def residual(report) -> bytes:
             panel.plot(1e3 * value[:, c], color=color, lw=1.4, label=labels[c])
         panel.axhline(0.0, color=_MUTED, lw=0.6)
         share = 100 * r.explained[title]
-        panel.set_title(f"{title}: {share:.0f} % of the square", fontsize=9, color=_INK)
+        panel.set_title(f"{title}: {share:.0f} %", fontsize=9, color=_INK)
+        panel.xaxis.get_major_locator().set_params(integer=True)
         panel.set_xlabel("marker", fontsize=8, color=_MUTED)
         panel.legend(fontsize=7, frameon=False)
         _dress(panel)
