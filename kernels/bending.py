@@ -5,6 +5,9 @@ l is half the rest length of the two edges around the node, kappa_k are the comp
 time from the state at which they are evaluated (Panetta et al. 2019): turning a tangent by a,
 perpendicular to it, changes t by a - |a|^2 t / 2 and m_k by -a_k t - a_k a / 2 to second order,
 a_k = a . m_k.
+
+The kernels add up stretching and twisting as well: they live on the same stencil, and adding costs
+as much as computing.
 """
 
 import warp as wp
@@ -19,6 +22,8 @@ from wrod.kernels.curvature import (
     symmetric,
 )
 from wrod.kernels.frames import HALF, ONE, ZERO
+from wrod.kernels.stretching import add_stretching, stretching
+from wrod.kernels.twisting import twisting, twisting_hessian
 
 wp.set_module_options({"enable_backward": False})
 
@@ -36,35 +41,48 @@ class Law:
     coupling: wp.float64
 
 
-def make_bending(law: wp.Function | None = None) -> wp.Kernel:
+def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
     """The kernel of the linear law, or that of a `law` (excess, stiffness, its numbers) -> `Law`.
 
     What only a law needs is left out of the linear kernel when it is built, which grasps notice.
     """
 
     @wp.kernel
-    def bending(
+    def elasticity(
         # Model:
         rest_length: wp.array2d(dtype=wp.float64),
+        stretching_stiffness: wp.array2d(dtype=wp.float64),
         bending_stiffness: wp.array2d(dtype=wp.vec2d),
         natural_curvature: wp.array2d(dtype=wp.vec2d),
         law_parameter: wp.array2d(dtype=wp.vec2d),
+        twisting_stiffness: wp.array2d(dtype=wp.float64),
+        natural_twist: wp.array2d(dtype=wp.float64),
         # State in:
         active: wp.array(dtype=wp.int32),
         dof_in: wp.array2d(dtype=wp.float64),
         director_in: wp.array2d(dtype=wp.vec3d),
+        reference_twist_in: wp.array2d(dtype=wp.float64),
         order: int,
         # Out:
         energy_out: wp.array(dtype=wp.float64),
         gradient_out: wp.array2d(dtype=wp.float64),
         hessian_out: wp.array3d(dtype=wp.float64),
     ):
-        """Add energy and gradient, and the exact Hessian if `order` is 2."""
+        """Add energy and gradient, and the exact Hessian if `order` is 2.
+
+        Every inner node adds the stretching of the edge before it, the last that after it as well.
+        """
         r, j = wp.tid()
         if active[r] == 0:
             return
         i = j + 1
+        last = i == stretching_stiffness.shape[1] - 1
         if bending_stiffness[r, i][0] == ZERO:  # at a cut
+            for e in range(i - 1, wp.where(last, i + 1, i)):
+                add_stretching(
+                    rest_length, stretching_stiffness, dof_in, r, e, order,
+                    energy_out, gradient_out, hessian_out,
+                )  # fmt: skip
             return
         s = stencil(dof_in, director_in, r, i)
         rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
@@ -161,31 +179,46 @@ def make_bending(law: wp.Function | None = None) -> wp.Kernel:
 
         inv_e = ONE / s.length_e
         inv_f = ONE / s.length_f
+        twist = twisting(
+            twisting_stiffness[r, i], natural_twist[r, i], rest, s, dof_in, reference_twist_in, r, i
+        )
+        before = stretching(stretching_stiffness[r, i - 1], rest_length[r, i - 1], s.length_e, s.t)
+        energy += before.energy + twist.energy
+        g_e = inv_e * g_e + twist.moment * twist.e + before.gradient
+        g_f = inv_f * g_f + twist.moment * twist.f
+        ee = (inv_e * inv_e) * ee + before.hessian
+        ff = (inv_f * inv_f) * ff
+        if last:
+            after = stretching(stretching_stiffness[r, i], rest_length[r, i], s.length_f, s.u)
+            energy += after.energy
+            g_f += after.gradient
+            ff += after.hessian
         wp.atomic_add(energy_out, r, energy)
-        add_edge_gradient(gradient_out, r, i, inv_e * g_e, inv_f * g_f)
-        wp.atomic_add(gradient_out, r, 4 * i - 1, g_te)
-        wp.atomic_add(gradient_out, r, 4 * i + 3, g_tf)
+        add_edge_gradient(gradient_out, r, i, g_e, g_f)
+        wp.atomic_add(gradient_out, r, 4 * i - 1, g_te - twist.moment)
+        wp.atomic_add(gradient_out, r, 4 * i + 3, g_tf + twist.moment)
         if order == 2:
-            add_edge_hessian(
-                hessian_out, r, i, (inv_e * inv_e) * ee, (inv_e * inv_f) * ef, (inv_f * inv_f) * ff
-            )
+            b = twist.stiffness
+            twist_ee, twist_ef, twist_ff = twisting_hessian(s, twist)
+            ef = (inv_e * inv_f) * ef
+            add_edge_hessian(hessian_out, r, i, ee + twist_ee, ef + twist_ef, ff + twist_ff)
             add_angle_hessian(
                 hessian_out,
                 r,
                 i,
-                inv_e * e_te,
-                inv_f * f_te,
-                inv_e * e_tf,
-                inv_f * f_tf,
-                te_te,
-                te_tf,
-                tf_tf,
+                inv_e * e_te - b * twist.e,
+                inv_f * f_te - b * twist.f,
+                inv_e * e_tf + b * twist.e,
+                inv_f * f_tf + b * twist.f,
+                te_te + b,
+                te_tf - b,
+                tf_tf + b,
             )
 
-    return bending
+    return elasticity
 
 
-bending = make_bending()
+elasticity = make_elasticity()
 
 
 @wp.kernel

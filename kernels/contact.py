@@ -15,20 +15,26 @@ from wrod.kernels.frames import HALF, ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
 
+NOTHING = wp.constant(-1)
 PLANE = wp.constant(0)
 BOX = wp.constant(1)
 CYLINDER = wp.constant(2)
+FAR = wp.constant(wp.float64(1.0e300))
 
 
 @wp.struct
 class Shape:
-    """A fixed obstacle in its own frame: the half-space z < 0; a box of half sizes `size`; a
-    cylinder about z of radius size[0] and half height size[1]."""
+    """An obstacle in its own frame: the half-space z < 0; a box of half sizes `size`; a cylinder
+    about z of radius size[0] and half height size[1]; or nothing, which fills a row. One that moves
+    has come from the pose before in this step."""
 
     kind: int
     position: wp.vec3d
     rotation: wp.quatd
     size: wp.vec3d
+    moves: int
+    position_before: wp.vec3d
+    rotation_before: wp.quatd
 
 
 @wp.func
@@ -69,6 +75,8 @@ def cylinder_distance(p: wp.vec3d, radius: wp.float64, half: wp.float64) -> wp.v
 @wp.func
 def shape_distance(shape: Shape, q: wp.vec3d) -> wp.vec4d:
     """Signed distance from the shape's surface and its outward normal, in the world frame."""
+    if shape.kind == NOTHING:
+        return wp.vec4d(FAR, ZERO, ZERO, ONE)
     p = wp.quat_rotate_inv(shape.rotation, q - shape.position)
     local = wp.vec4d(p[2], ZERO, ZERO, ONE)
     if shape.kind == BOX:
@@ -77,6 +85,15 @@ def shape_distance(shape: Shape, q: wp.vec3d) -> wp.vec4d:
         local = cylinder_distance(p, shape.size[0], shape.size[1])
     n = wp.quat_rotate(shape.rotation, wp.vec3d(local[1], local[2], local[3]))
     return wp.vec4d(local[0], n[0], n[1], n[2])
+
+
+@wp.func
+def shape_displacement(shape: Shape, q: wp.vec3d) -> wp.vec3d:
+    """How far the shape has carried its point that is at q now."""
+    if shape.moves == 0:
+        return wp.vec3d(ZERO, ZERO, ZERO)
+    p = wp.quat_rotate_inv(shape.rotation, q - shape.position)
+    return q - shape.position_before - wp.quat_rotate(shape.rotation_before, p)
 
 
 @wp.func
@@ -135,7 +152,8 @@ def touch(
         along = node(dof, r, wp.min(i + 1, last)) - node(dof, r, wp.max(i - 1, 0))
         out.spin = (rolling * radius) * wp.cross(n, wp.normalize(along))
         spun = mean_angle(dof, r, i) - mean_angle(dof_before, r, i)
-        b = bristle_before + q - node(dof_before, r, i) + spun * out.spin
+        moved = q - node(dof_before, r, i) - shape_displacement(shape, q)
+        b = bristle_before + moved + spun * out.spin
         out.bristle = b - wp.dot(b, n) * n
     return out
 
@@ -143,12 +161,12 @@ def touch(
 @wp.kernel
 def contact(
     # Model:
-    shapes: wp.array(dtype=Shape),
+    shapes: wp.array2d(dtype=Shape),
     radius: wp.array(dtype=wp.float64),
     stiffness: wp.array2d(dtype=wp.float64),
     skin: wp.array(dtype=wp.float64),
-    static_friction: wp.array(dtype=wp.float64),
-    kinetic_friction: wp.array(dtype=wp.float64),
+    static_friction: wp.array2d(dtype=wp.float64),
+    kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
     # State in:
     active: wp.array(dtype=wp.int32),
@@ -168,13 +186,13 @@ def contact(
     r, i = wp.tid()
     if active[r] == 0:
         return
-    for k in range(shapes.shape[0]):
+    for k in range(shapes.shape[1]):
         c = touch(
-            shapes[k], radius[r], rolling[r], stiffness[r, i], skin[r], dof, dof_before,
+            shapes[r, k], radius[r], rolling[r], stiffness[r, i], skin[r], dof, dof_before,
             bristle[r, k, i], r, i,
         )  # fmt: skip
         if c.force > ZERO:
-            mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r], static_friction[r])
+            mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
             size = wp.length(c.bristle)
             across = wp.identity(3, dtype=wp.float64) - wp.outer(c.normal, c.normal)
             k_t = wp.float64(stiffness[r, i])
@@ -221,12 +239,12 @@ def add_spin(
 @wp.kernel
 def settle_friction(
     # Model:
-    shapes: wp.array(dtype=Shape),
+    shapes: wp.array2d(dtype=Shape),
     radius: wp.array(dtype=wp.float64),
     stiffness: wp.array2d(dtype=wp.float64),
     skin: wp.array(dtype=wp.float64),
-    static_friction: wp.array(dtype=wp.float64),
-    kinetic_friction: wp.array(dtype=wp.float64),
+    static_friction: wp.array2d(dtype=wp.float64),
+    kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
     # State in:
     accepted: wp.array(dtype=wp.int32),
@@ -244,12 +262,12 @@ def settle_friction(
     if accepted[r] == 0:
         return
     total = wp.vec3d(ZERO, ZERO, ZERO)
-    for k in range(shapes.shape[0]):
+    for k in range(shapes.shape[1]):
         c = touch(
-            shapes[k], radius[r], rolling[r], stiffness[r, i], skin[r], dof, dof_before,
+            shapes[r, k], radius[r], rolling[r], stiffness[r, i], skin[r], dof, dof_before,
             bristle[r, k, i], r, i,
         )  # fmt: skip
-        mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r], static_friction[r])
+        mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
         size = wp.length(c.bristle)
         limit = mu * c.force / stiffness[r, i]
         b = c.bristle
@@ -261,3 +279,54 @@ def settle_friction(
         bristle[r, k, i] = b
         total = total + c.force * c.normal - stiffness[r, i] * b
     force_out[r, i] = total
+
+
+@wp.kernel
+def forget_friction(
+    # In:
+    chosen: wp.array(dtype=wp.int32),
+    # State out:
+    bristle_out: wp.array3d(dtype=wp.vec3d),
+    sliding_out: wp.array3d(dtype=wp.int32),
+):
+    """Unload the bristles of the chosen rods."""
+    r, k, i = wp.tid()
+    if chosen[r] != 0:
+        bristle_out[r, k, i] = wp.vec3d(ZERO, ZERO, ZERO)
+        sliding_out[r, k, i] = 0
+
+
+@wp.kernel
+def hold_roll(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array(dtype=wp.float64),
+    stiffness: wp.array2d(dtype=wp.float64),
+    skin: wp.array(dtype=wp.float64),
+    roll_stiffness: wp.array(dtype=wp.float64),
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle: wp.array3d(dtype=wp.vec3d),
+    # State in and out:
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+):
+    """Hold the angles of the edges around every node in contact where they were a step ago."""
+    r, i = wp.tid()
+    stiff = roll_stiffness[r]
+    if active[r] == 0 or stiff == ZERO:
+        return
+    last = gradient.shape[1] // 4
+    for k in range(shapes.shape[1]):
+        c = touch(
+            shapes[r, k], radius[r], ZERO, stiffness[r, i], skin[r], dof, dof_before,
+            bristle[r, k, i], r, i,
+        )  # fmt: skip
+        if c.force > ZERO:
+            for side in range(2):
+                a = 4 * i - 1 + 4 * side
+                if a > 0 and i + side <= last:
+                    wp.atomic_add(gradient, r, a, stiff * (dof[r, a] - dof_before[r, a]))
+                    wp.atomic_add(hessian, r, a, 0, stiff)

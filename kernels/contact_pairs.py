@@ -117,3 +117,16 @@ def list_partners(
         load[r, i, k] = new_load[r, i, k]
         sliding[r, i, k] = new_sliding[r, i, k]
     partner_count[r, i] = found
+
+
+@wp.kernel
+def forget_partners(
+    # In:
+    chosen: wp.array(dtype=wp.int32),
+    # State out:
+    partner_count_out: wp.array2d(dtype=wp.int32),
+):
+    """Empty the lists of the chosen rows, and with them the friction that they carry over."""
+    r, i = wp.tid()
+    if chosen[r] != 0:
+        partner_count_out[r, i] = 0

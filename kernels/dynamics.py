@@ -14,7 +14,7 @@ they are smaller than the inertia of the nodes by the square of radius over leng
 import warp as wp
 from wrod.kernels.assembly import HALF_BANDWIDTH
 from wrod.kernels.frames import HALF, ONE, TWO, ZERO
-from wrod.kernels.newton import largest_safe_fraction
+from wrod.kernels.newton import largest_safe_fraction_of_lanes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -148,12 +148,15 @@ def take_newton_step(
     # State in and out:
     dof: wp.array2d(dtype=wp.float64),
 ):
-    """Subtract the solution, or as much of it as leaves every edge recognisable."""
-    r = wp.tid()
+    """Subtract the solution, or as much of it as leaves every edge recognisable.
+
+    Launched over (rod, lane).
+    """
+    r, lane = wp.tid()
     if active[r] == 0:
         return
-    fraction = largest_safe_fraction(dof, solution, r, limit)
-    for a in range(dof.shape[1]):
+    fraction = largest_safe_fraction_of_lanes(dof, solution, r, limit, lane)
+    for a in range(lane, dof.shape[1], wp.block_dim()):
         dof[r, a] = dof[r, a] - fraction * solution[r, 0, a]
 
 
@@ -239,6 +242,23 @@ def shift_history(
     velocity_older[r, a] = velocity[r, a]
     velocity[r, a] = v
     dof_older[r, a] = dof_before[r, a]
+
+
+@wp.kernel
+def forget_history(
+    # In:
+    chosen: wp.array(dtype=wp.int32),
+    # State out:
+    step_before_out: wp.array(dtype=wp.float64),
+    wanted_step_out: wp.array(dtype=wp.float64),
+    diverged_out: wp.array(dtype=wp.int32),
+):
+    """The next step of the chosen rods is their first, of implicit Euler."""
+    r = wp.tid()
+    if chosen[r] != 0:
+        step_before_out[r] = ZERO
+        wanted_step_out[r] = ZERO
+        diverged_out[r] = 0
 
 
 @wp.kernel

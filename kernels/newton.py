@@ -2,6 +2,7 @@
 
 import warp as wp
 from wrod.kernels.frames import HALF, ZERO, edge
+from wrod.kernels.lanes import largest_of_lanes, sum_of_lanes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,22 +21,47 @@ def step_edge(step: wp.array3d(dtype=wp.float64), r: int, i: int) -> wp.vec3d:
 
 
 @wp.func
+def safe_fraction(
+    dof: wp.array2d(dtype=wp.float64),
+    step: wp.array3d(dtype=wp.float64),
+    r: int,
+    limit: wp.float64,
+    first: int,
+    stride: int,
+) -> wp.float64:
+    """Fraction of the step after which no edge has changed by more than `limit` of its length,
+    nor any angle by more than 2 `limit` radians; of every `stride`th edge from `first` on."""
+    fraction = wp.float64(1.0)
+    edge_count = (dof.shape[1] + 1) // 4 - 1
+    for i in range(first, edge_count, stride):
+        change = wp.length(step_edge(step, r, i)) / wp.length(edge(dof, r, i))
+        change = wp.max(change, HALF * wp.abs(step[r, 0, 4 * i + 3]))
+        if change * fraction > limit:
+            fraction = limit / change
+    return fraction
+
+
+@wp.func
 def largest_safe_fraction(
     dof: wp.array2d(dtype=wp.float64),
     step: wp.array3d(dtype=wp.float64),
     r: int,
     limit: wp.float64,
 ) -> wp.float64:
-    """Fraction of the step after which no edge has changed by more than `limit` of its length,
-    nor any angle by more than 2 `limit` radians."""
-    fraction = wp.float64(1.0)
-    edge_count = (dof.shape[1] + 1) // 4 - 1
-    for i in range(edge_count):
-        change = wp.length(step_edge(step, r, i)) / wp.length(edge(dof, r, i))
-        change = wp.max(change, HALF * wp.abs(step[r, 0, 4 * i + 3]))
-        if change * fraction > limit:
-            fraction = limit / change
-    return fraction
+    """The same of all edges, by one thread."""
+    return safe_fraction(dof, step, r, limit, 0, 1)
+
+
+@wp.func
+def largest_safe_fraction_of_lanes(
+    dof: wp.array2d(dtype=wp.float64),
+    step: wp.array3d(dtype=wp.float64),
+    r: int,
+    limit: wp.float64,
+    lane: int,
+) -> wp.float64:
+    """The same of all edges, in every lane."""
+    return -largest_of_lanes(-safe_fraction(dof, step, r, limit, lane, wp.block_dim()))
 
 
 @wp.kernel
@@ -56,12 +82,13 @@ def measure_residual(
     """Largest unbalanced force over the force scale (torques over the length scale as well).
 
     A rod within the tolerance stops; one whose residual is not a number stops as not converged.
+    Launched over (rod, lane).
     """
-    r = wp.tid()
+    r, lane = wp.tid()
     if active[r] == 0:
         return
     worst = wp.float64(0.0)
-    for a in range(gradient.shape[1]):
+    for a in range(lane, gradient.shape[1], wp.block_dim()):
         if free[r, a] != 0:
             value = wp.abs(gradient[r, a])
             if a % 4 == 3:
@@ -69,6 +96,9 @@ def measure_residual(
             # Comparisons with a NaN are false, so that one is not lost.
             if not (value <= worst) and wp.isfinite(worst):
                 worst = wp.float64(value)
+    worst = largest_of_lanes(worst)
+    if lane > 0:
+        return
     residual_out[r] = worst / force_scale[r]
     if not wp.isfinite(worst):
         active[r] = 0
@@ -121,18 +151,24 @@ def start_line_search(
     fraction_out: wp.array(dtype=wp.float64),
     searching_out: wp.array(dtype=wp.int32),
 ):
-    """Turn the solved system into a descent step and choose its first fraction."""
-    r = wp.tid()
+    """Turn the solved system into a descent step and choose its first fraction.
+
+    Launched over (rod, lane).
+    """
+    r, lane = wp.tid()
     searching_out[r] = active[r]
     if active[r] == 0:
         return
+    fraction = largest_safe_fraction_of_lanes(dof, step, r, limit, lane)
     slope = wp.float64(0.0)
-    for a in range(gradient.shape[1]):
+    for a in range(lane, gradient.shape[1], wp.block_dim()):
         step[r, 0, a] = -step[r, 0, a]
         if free[r, a] != 0:
             slope += gradient[r, a] * step[r, 0, a]
-    slope_out[r] = slope
-    fraction_out[r] = largest_safe_fraction(dof, step, r, limit)
+    slope = sum_of_lanes(slope)
+    if lane == 0:
+        slope_out[r] = slope
+        fraction_out[r] = fraction
 
 
 @wp.kernel

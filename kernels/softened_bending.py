@@ -1,17 +1,20 @@
 """Bending of a rod that softens as it bends, as a cable does whose strands begin to slip.
 
-It keeps the share r of its stiffness and loses the rest: E = l B (r Q / 2 + (1 - r) (sqrt(1 + c Q)
-- 1) / c), with the excess curvatures e_k of `wrod.kernels.bending`, Q = sum_k B_k e_k^2 / B, B the
-mean of B_1 and B_2. In a plane the moment is B e (r + (1 - r) / sqrt(1 + c e^2)). `softening` holds
-(c, r), c >= 0 [length^2]; c = 0 is a linear rod.
+It keeps the share r of its stiffness and loses the rest: E = 1/2 l B (r Q + (1 - r) ln(1 + c Q) /
+c), with the excess curvatures e_k of `wrod.kernels.bending`, Q = sum_k B_k e_k^2 / B, B the mean of
+B_1 and B_2. In a plane the moment is B e (r + (1 - r) / (1 + c e^2)). `softening` holds (c, r),
+c >= 0 [length^2]; c = 0 is a linear rod.
 """
 
 import warp as wp
-from wrod.kernels.bending import Law, make_bending
+from wrod.kernels.bending import Law, make_elasticity
 from wrod.kernels.curvature import add_component_rate, component, excess_curvature, stencil
 from wrod.kernels.frames import HALF, ONE, TWO
 
 wp.set_module_options({"enable_backward": False})
+
+THREE = wp.constant(wp.float64(3.0))
+SMALL = wp.constant(wp.float64(1.0e-5))
 
 
 @wp.func
@@ -19,16 +22,19 @@ def softening_law(excess: wp.vec2d, stiffness: wp.vec2d, softening: wp.vec2d) ->
     mean = HALF * (stiffness[0] + stiffness[1])
     squares = stiffness[0] * excess[0] * excess[0] + stiffness[1] * excess[1] * excess[1]
     kept = softening[1]
-    root = wp.sqrt(ONE + softening[0] * squares / mean)
+    x = softening[0] * squares / mean
     law = Law()
-    law.secant = kept + (ONE - kept) / root
-    # (root - 1) / c without the cancellation, for c = 0 as well.
-    law.energy = kept + TWO * (ONE - kept) / (ONE + root)
-    law.coupling = -(ONE - kept) * softening[0] / (mean * root * root * root)
+    law.secant = kept + (ONE - kept) / (ONE + x)
+    # ln(1 + x) / x loses its digits near 0.
+    logarithm = ONE - HALF * x + x * x / THREE
+    if x > SMALL:
+        logarithm = wp.log(ONE + x) / x
+    law.energy = kept + (ONE - kept) * logarithm
+    law.coupling = -TWO * (ONE - kept) * softening[0] / (mean * (ONE + x) * (ONE + x))
     return law
 
 
-softened_bending = make_bending(softening_law)
+softened_elasticity = make_elasticity(softening_law)
 
 
 @wp.kernel
@@ -61,7 +67,7 @@ def softened_bending_rate(
     excess_rate = -(rest_rate / rest) * (excess + natural) - natural_curvature_rate[r, i]
     kept = softening[r, i][1]
     kept_rate = softening_rate[r, i][1]
-    # Q and its rate, for root^2 = 1 + c Q.
+    # Q and its rate, for x = c Q.
     mean = HALF * (stiffness[0] + stiffness[1])
     mean_rate = HALF * (stiffness_rate[0] + stiffness_rate[1])
     squares = wp.float64(0.0)
@@ -72,10 +78,10 @@ def softened_bending_rate(
         squares_rate += TWO * stiffness[k] * excess[k] * excess_rate[k]
     q = squares / mean
     q_rate = (squares_rate - q * mean_rate) / mean
-    root = wp.sqrt(ONE + softening[r, i][0] * q)
-    root_rate = HALF * (softening_rate[r, i][0] * q + softening[r, i][0] * q_rate) / root
-    secant = kept + (ONE - kept) / root
-    secant_rate = kept_rate * (ONE - ONE / root) - (ONE - kept) * root_rate / (root * root)
+    one = ONE + softening[r, i][0] * q
+    x_rate = softening_rate[r, i][0] * q + softening[r, i][0] * q_rate
+    secant = kept + (ONE - kept) / one
+    secant_rate = kept_rate * (ONE - ONE / one) - (ONE - kept) * x_rate / (one * one)
     for k in range(2):
         rate = stiffness_rate[k] * excess[k] + stiffness[k] * excess_rate[k]
         rate = rate * secant + stiffness[k] * excess[k] * secant_rate

@@ -7,46 +7,59 @@ from wrod.kernels.frames import HALF, ONE, ZERO, edge
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.kernel
+@wp.struct
+class Stretching:
+    """Energy of one edge, its gradient and its exact Hessian by the edge's vector."""
+
+    energy: wp.float64
+    gradient: wp.vec3d
+    hessian: wp.mat33d
+
+
+@wp.func
 def stretching(
-    # Model:
+    stiffness: wp.float64, rest: wp.float64, length: wp.float64, t: wp.vec3d
+) -> Stretching:
+    """Of an edge of that stiffness, rest length, length and unit tangent."""
+    strain = length / rest - ONE
+    force = stiffness * strain
+    tt = wp.outer(t, t)
+    out = Stretching()
+    out.energy = HALF * force * strain * rest
+    out.gradient = force * t
+    # Material stiffness along the edge, geometric stiffness across it.
+    out.hessian = (stiffness / rest) * tt + (force / length) * (
+        wp.identity(3, dtype=wp.float64) - tt
+    )
+    return out
+
+
+@wp.func
+def add_stretching(
     rest_length: wp.array2d(dtype=wp.float64),
     stretching_stiffness: wp.array2d(dtype=wp.float64),
-    # State in:
-    active: wp.array(dtype=wp.int32),
-    dof_in: wp.array2d(dtype=wp.float64),
+    dof: wp.array2d(dtype=wp.float64),
+    r: int,
+    i: int,
     order: int,
-    # Out:
-    energy_out: wp.array(dtype=wp.float64),
-    gradient_out: wp.array2d(dtype=wp.float64),
-    hessian_out: wp.array3d(dtype=wp.float64),
+    energy: wp.array(dtype=wp.float64),
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
 ):
-    """Add energy and gradient, and the exact Hessian if `order` is 2."""
-    r, i = wp.tid()
-    if active[r] == 0:
-        return
+    """Add energy and gradient of edge i alone, and the exact Hessian if `order` is 2."""
     if stretching_stiffness[r, i] == ZERO:  # a cut, of any length
         return
-    e = edge(dof_in, r, i)
+    e = edge(dof, r, i)
     length = wp.length(e)
-    t = e / length
-    rest = rest_length[r, i]
-    k = stretching_stiffness[r, i]
-    strain = length / rest - ONE
-
-    wp.atomic_add(energy_out, r, HALF * k * strain * strain * rest)
-    g = (k * strain) * t
+    s = stretching(stretching_stiffness[r, i], rest_length[r, i], length, e / length)
     a = 4 * i
-    add_vector(gradient_out, r, a, -g)
-    add_vector(gradient_out, r, a + 4, g)
-
+    wp.atomic_add(energy, r, s.energy)
+    add_vector(gradient, r, a, -s.gradient)
+    add_vector(gradient, r, a + 4, s.gradient)
     if order == 2:
-        tt = wp.outer(t, t)
-        # Material stiffness along the edge, geometric stiffness across it.
-        h = (k / rest) * tt + (k * strain / length) * (wp.identity(3, dtype=wp.float64) - tt)
-        add_diagonal_block(hessian_out, r, a, h)
-        add_block(hessian_out, r, a + 4, a, -h)
-        add_diagonal_block(hessian_out, r, a + 4, h)
+        add_diagonal_block(hessian, r, a, s.hessian)
+        add_block(hessian, r, a + 4, a, -s.hessian)
+        add_diagonal_block(hessian, r, a + 4, s.hessian)
 
 
 @wp.kernel

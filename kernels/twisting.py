@@ -6,73 +6,73 @@ parallel-transported in time from the state at which they are evaluated.
 """
 
 import warp as wp
-from wrod.kernels.assembly import add_angle_hessian, add_edge_gradient, add_edge_hessian
-from wrod.kernels.frames import HALF, ONE, TWO, ZERO, edge
+from wrod.kernels.assembly import add_edge_gradient
+from wrod.kernels.curvature import Stencil
+from wrod.kernels.frames import HALF, ONE, edge
 
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.kernel
+@wp.struct
+class Twisting:
+    """Energy of the twist at one node, and its derivatives.
+
+    The gradient is `moment` times that of the twist: `e` and `f` by the edges before and after the
+    node, -1 and 1 by their angles. `stiffness` multiplies the twist's own products.
+    """
+
+    energy: wp.float64
+    moment: wp.float64
+    stiffness: wp.float64
+    e: wp.vec3d
+    f: wp.vec3d
+
+
+@wp.func
 def twisting(
     # Model:
-    rest_length: wp.array2d(dtype=wp.float64),
-    twisting_stiffness: wp.array2d(dtype=wp.float64),
-    natural_twist: wp.array2d(dtype=wp.float64),
+    stiffness: wp.float64,
+    natural_twist: wp.float64,
+    rest: wp.float64,
     # State in:
-    active: wp.array(dtype=wp.int32),
-    dof_in: wp.array2d(dtype=wp.float64),
-    reference_twist_in: wp.array2d(dtype=wp.float64),
-    order: int,
-    # Out:
-    energy_out: wp.array(dtype=wp.float64),
-    gradient_out: wp.array2d(dtype=wp.float64),
-    hessian_out: wp.array3d(dtype=wp.float64),
-):
-    """Add energy and gradient, and the exact Hessian if `order` is 2."""
-    r, j = wp.tid()
-    if active[r] == 0:
-        return
-    i = j + 1
-    if twisting_stiffness[r, i] == ZERO:  # at a cut
-        return
-    e = edge(dof_in, r, i - 1)
-    f = edge(dof_in, r, i)
-    length_e = wp.length(e)
-    length_f = wp.length(f)
-    t = e / length_e
-    u = f / length_f
-    rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
-    stiffness = twisting_stiffness[r, i]
-    tau = dof_in[r, 4 * i + 3] - dof_in[r, 4 * i - 1] + reference_twist_in[r, i]
-    excess = tau / rest - natural_twist[r, i]
-    moment = stiffness * excess
+    s: Stencil,
+    dof: wp.array2d(dtype=wp.float64),
+    reference_twist: wp.array2d(dtype=wp.float64),
+    r: int,
+    i: int,
+) -> Twisting:
+    tau = dof[r, 4 * i + 3] - dof[r, 4 * i - 1] + reference_twist[r, i]
+    excess = tau / rest - natural_twist
+    # Half the curvature binormal.
+    turn = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
+    out = Twisting()
+    out.moment = stiffness * excess
+    out.energy = HALF * out.moment * excess * rest
+    out.stiffness = stiffness / rest
+    out.e = turn / s.length_e
+    out.f = turn / s.length_f
+    return out
 
-    chi = ONE + wp.dot(t, u)
-    binormal = (TWO / chi) * wp.cross(t, u)
-    tau_e = (HALF / length_e) * binormal
-    tau_f = (HALF / length_f) * binormal
-    wp.atomic_add(energy_out, r, HALF * moment * excess * rest)
-    add_edge_gradient(gradient_out, r, i, moment * tau_e, moment * tau_f)
-    wp.atomic_add(gradient_out, r, 4 * i - 1, -moment)
-    wp.atomic_add(gradient_out, r, 4 * i + 3, moment)
 
-    if order == 2:
-        mean = (t + u) / chi
-        b = stiffness / rest
-        pe = t + mean
-        pf = u + mean
-        quarter = HALF * HALF * moment
-        ee = b * wp.outer(tau_e, tau_e) - (quarter / (length_e * length_e)) * (
-            wp.outer(binormal, pe) + wp.outer(pe, binormal)
-        )
-        ff = b * wp.outer(tau_f, tau_f) - (quarter / (length_f * length_f)) * (
-            wp.outer(binormal, pf) + wp.outer(pf, binormal)
-        )
-        ef = b * wp.outer(tau_e, tau_f) + (HALF * moment / (length_e * length_f)) * (
-            (TWO / chi) * wp.skew(t) - wp.outer(binormal, mean)
-        )
-        add_edge_hessian(hessian_out, r, i, ee, ef, ff)
-        add_angle_hessian(hessian_out, r, i, -b * tau_e, -b * tau_f, b * tau_e, b * tau_f, b, -b, b)
+@wp.func
+def twisting_hessian(s: Stencil, twist: Twisting):
+    """(ee, ef, ff): second derivatives by the edges."""
+    chi = ONE + wp.dot(s.t, s.u)
+    mean = (s.t + s.u) / chi
+    b = twist.stiffness
+    half = HALF * twist.moment
+    pe = s.t + mean
+    pf = s.u + mean
+    ee = b * wp.outer(twist.e, twist.e) - (half / s.length_e) * (
+        wp.outer(twist.e, pe) + wp.outer(pe, twist.e)
+    )
+    ff = b * wp.outer(twist.f, twist.f) - (half / s.length_f) * (
+        wp.outer(twist.f, pf) + wp.outer(pf, twist.f)
+    )
+    ef = b * wp.outer(twist.e, twist.f) + (twist.moment / s.length_f) * (
+        wp.skew(s.t) / (chi * s.length_e) - wp.outer(twist.e, mean)
+    )
+    return ee, ef, ff
 
 
 @wp.kernel

@@ -156,8 +156,8 @@ def test_default_says_how_it_was_made(controller):
         assert beside[key] or beside[key] == 0
 
 
-def test_plan_is_neural_by_default_and_close_to_the_numeric_one():
-    neural = wrod.plan(wrod.pattern("letter-A"), ROD, spacing=0.03)
+def test_neural_plan_is_close_to_the_numeric_one():
+    neural = wrod.plan(wrod.pattern("letter-A"), ROD, "neural", spacing=0.03)
     numeric = wrod.plan(wrod.pattern("letter-A"), ROD, "numeric", spacing=0.03, device="cpu")
     assert neural.metadata["method"] == "neural" and neural.metadata["warnings"] == []
     assert np.linalg.norm(neural.position - numeric.position, axis=1).max() < 1e-4
@@ -200,7 +200,7 @@ def test_other_closures_are_not_the_controller_s(recwarn):
 
 def test_neural_plan_needs_neither_torch_nor_the_solver():
     code = (
-        "import sys, wrod; wrod.plan(wrod.pattern('circle'), wrod.rod('rope'));"
+        "import sys, wrod; wrod.plan(wrod.pattern('circle'), wrod.rod('rope'), 'neural');"
         "print([m for m in ('torch', 'warp') if m in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

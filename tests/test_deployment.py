@@ -1,5 +1,7 @@
 """Deployments in simulation, on short rods that take a second each."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -85,7 +87,7 @@ def test_frames_show_the_deployment(laid):
     assert (lengths > 0.999 * ROD.length).all()
     assert (lengths < 1.008 * ROD.length).all()
     assert lengths[-1] == pytest.approx(ROD.length, rel=1e-3)
-    # The held stretch stands still until twice its length is laid.
+    # The held stretch stands still until the deployment begins, a second after the start.
     assert np.abs(frames[2, 0] - frames[0, 0]).max() < 1e-12
 
 
@@ -95,6 +97,60 @@ def test_batch_and_single_rod_agree(laid):
     alone = wrod.simulate_deployment(pattern, ROD, job.trajectory, job.friction, **QUICK)
     assert np.abs(alone.centerline - deployments[0].centerline).max() < 1e-6
     assert alone.error_mean == pytest.approx(deployments[0].error_mean, abs=1e-7)
+
+
+def test_rod_that_diverges_is_cut_out_and_the_others_do_not_notice(plans):
+    """A grip that shakes by metres: its rod is flagged, with its last good state, and its
+    neighbours in the batch are laid as if it was not there, bit for bit."""
+    pattern, by_method = plans
+    calm = Trial(pattern, ROD, by_method["numeric"], wrod.Friction(0.8))
+    shaken = replace(calm, disturbance=wrod.Disturbance(jitter=0.3))
+    other = replace(calm, friction=wrod.Friction(0.3), disturbance=wrod.Disturbance.random(3))
+    options = {**QUICK, "node_count": 47}
+    alone = simulate_deployments([calm, other], **options)
+    first, lost, last = simulate_deployments([calm, shaken, other], **options)
+    assert lost.diverged and not (first.diverged or last.diverged)
+    assert 0.0 < lost.duration < first.duration
+    assert np.isfinite(lost.centerline).all() and np.isfinite(lost.error_mean)
+    for one, two in zip(alone, (first, last), strict=True):
+        assert (one.centerline == two.centerline).all()
+        assert (one.contact_force == two.contact_force).all()
+        assert one.steps == two.steps
+
+
+def test_without_friction_the_intuitive_line_fails_and_friction_mends_it():
+    """Straight above the contact the grip leaves the rod slack, which pushes what is laid back
+    along the line: without friction nothing holds it, and the more friction, the less it slides.
+    The optimal grip does not push."""
+    line = wrod.Pattern.from_points(np.linspace([0.0, 0.0], [0.15, 0.0], 16), name="line")
+    by_method = {m: wrod.plan(line, ROD, m, device="cpu") for m in ("intuitive", "numeric")}
+    shaken = wrod.Disturbance(jitter=3e-4, seed=1)
+    frictions = (0.0, 0.1, 0.4)
+    jobs = [
+        Trial(line, ROD, trajectory, wrod.Friction(mu), shaken)
+        for trajectory in by_method.values()
+        for mu in frictions
+    ]
+    errors = [d.error_mean for d in simulate_deployments(jobs, **QUICK)]
+    intuitive, optimal = errors[:3], errors[3:]
+    assert intuitive[0] > 5e-3
+    assert intuitive[0] > intuitive[1] > intuitive[2]
+    assert all(a > b for a, b in zip(intuitive, optimal, strict=True))
+    assert intuitive[0] > 10 * optimal[0]
+    assert optimal[2] < 2e-4
+
+
+def test_free_end_is_let_go_where_it_is_told(plans):
+    """Held longer, the free end stands still for longer."""
+    pattern, by_method = plans
+    jobs = [Trial(pattern, ROD, by_method["numeric"], wrod.Friction(0.1))]
+    still = []
+    for release in (0.05, 0.10):
+        options = {**QUICK, "release": release, "frame_interval": 0.2}
+        (laid,) = simulate_deployments(jobs, **options)
+        moved = np.linalg.norm(laid.frames[:, 0] - laid.frames[0, 0], axis=1)
+        still.append(int(np.argmax(moved > 1e-9)))
+    assert still[1] > still[0] + 3
 
 
 def test_disturbances_move_what_they_name(plans):

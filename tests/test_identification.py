@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from wrod.errors import DataError
 from wrod.identification import identify, load_measurements
 from wrod.identification.clamped import ClampedSolver
 from wrod.identification.effect import Effect, Model, Parameter, effects
-from wrod.identification.fit import Laboratory
+from wrod.identification.laboratory import Laboratory
 from wrod.identification.measurements import measurements_from_arrays
 from wrod.identification.setup import Setup, rotation_of
 from wrod.identification.trace import trace
@@ -255,38 +256,84 @@ def test_a_users_own_effect_takes_part():
     assert report.effects[0].parameters["pull"].value == pytest.approx(0.02, rel=0.05)
 
 
-def broken(data, change):
-    data = {key: np.array(value) for key, value in data.items()}
-    change(data)
-    return data
+def swap(data, *fields, trial=1):
+    """Exchange what belongs to the two clamps in one trial."""
+    for field in fields:
+        ends = [data[f"{end}_{field}"] for end in ("clamp", "grip")]
+        ends[0][trial], ends[1][trial] = ends[1][trial].copy(), ends[0][trial].copy()
 
 
+def only_first_trial(data):
+    for key, value in data.items():
+        if np.ndim(value) > 1:
+            data[key] = value[:1]
+    data["train_idx"] = data["test_idx"] = np.array([0])
+
+
+LENGTHS = (
+    "centerline",
+    "arc_length",
+    "clamp_position",
+    "grip_position",
+    "length",
+    "radius",
+    "L_gb",
+)
 BAD = {
-    "is not a number": lambda d: d["centerline"].__setitem__((3, 5, 1), np.nan),
-    "swapped": lambda d: d["centerline"].__setitem__((2, [4, 15]), d["centerline"][2, [15, 4]]),
-    "exchanged": lambda d: d["centerline"].__setitem__(1, d["centerline"][1, ::-1]),
-    "millimetres": lambda d: d.__setitem__("centerline", 1e3 * d["centerline"]),
+    "centerline of trial 3, marker 5 is not a number": lambda d: d["centerline"].__setitem__(
+        (3, 5, 1), np.nan
+    ),
+    "grip_force of trial 2": lambda d: d["grip_force"].__setitem__((2, 0), np.inf),
+    "trial 2 markers 4 and 15 are swapped": lambda d: d["centerline"].__setitem__(
+        (2, [4, 15]), d["centerline"][2, [15, 4]]
+    ),
+    "trial 0 markers 19 and 20 are swapped": lambda d: d["centerline"].__setitem__(
+        (0, [19, 20]), d["centerline"][0, [20, 19]]
+    ),
+    "marker 7; it is mistaken": lambda d: d["centerline"].__setitem__(
+        (3, 7), d["centerline"][3, 7] + [0.0, 0.2, 0.0]
+    ),
+    "trial 1 the first marker is at the gripper": lambda d: d["centerline"].__setitem__(
+        1, d["centerline"][1, ::-1]
+    ),
+    "trial 1 the first marker is at the gripper and the last": lambda d: swap(
+        d, "position", "rotation"
+    ),
+    "against the tangent of grip_rotation": lambda d: d["grip_rotation"].__imul__([-1, 1, -1]),
+    "centerline measures .*millimetres": lambda d: d["centerline"].__imul__(1e3),
+    "length is 500 m; metres .millimetres": lambda d: d.update({k: 1e3 * d[k] for k in LENGTHS}),
+    "the clamps are .* apart": lambda d: d["grip_position"].__imul__(1e3),
+    "radius 1.8 m is over a tenth": lambda d: d["radius"].__imul__(1e3),
+    "L_gb is 60 m": lambda d: d["L_gb"].__imul__(1e3),
+    "noise_std 0.5 is over a tenth": lambda d: d["noise_std"].__imul__(1e3),
     "not a rotation": lambda d: d["grip_rotation"].__setitem__((2, 0, 0), 2.0),
-    "has shape": lambda d: d.__setitem__("arc_length", d["arc_length"][:-1]),
-    "outside the free length": lambda d: d.__setitem__("arc_length", 1e3 * d["arc_length"]),
+    "arc_length has shape": lambda d: d.__setitem__("arc_length", d["arc_length"][:-1]),
+    "outside the free length": lambda d: d["arc_length"].__imul__(1e3),
+    "arc_length spans": lambda d: d["arc_length"].__imul__(1e-3),
     "different trials": lambda d: d.__setitem__("train_idx", np.array([0, 99])),
     "is in train_idx": lambda d: d.__setitem__("test_idx", np.array([0])),
     "only one of": lambda d: d.pop("grip_force"),
-    "has no field": lambda d: d.pop("noise_std"),
+    "has no field noise_std": lambda d: d.pop("noise_std"),
     "rod radius": lambda d: d.__setitem__("radius", -1.0),
+    "holds 1 trial; one shape": only_first_trial,
+    "train_idx holds 1 trial": lambda d: d.__setitem__("train_idx", np.array([0])),
 }
 
 
 @pytest.mark.parametrize("sentence", BAD)
-def test_bad_data_are_named(plain, sentence):
+def test_bad_data_are_named(plain, sentence, tmp_path):
+    data = {key: np.array(value) for key, value in plain.items()}
+    BAD[sentence](data)
     with pytest.raises(DataError, match=sentence):
-        measurements_from_arrays(broken(plain, BAD[sentence]))
-
-
-def test_one_trial_is_named(plain):
-    single = {k: v[:1] if np.ndim(v) > 1 or k.endswith("_idx") else v for k, v in plain.items()}
-    with pytest.raises(DataError, match="holds 1 trial"):
-        measurements_from_arrays(single)
+        measurements_from_arrays(data)
+    np.savez(tmp_path / "bad.npz", **data)
+    result = CliRunner().invoke(
+        main, ["identify", str(tmp_path / "bad.npz"), "--out", str(tmp_path / "out")]
+    )
+    assert result.exit_code == 2
+    assert re.search(sentence, result.output)
+    assert len(result.output.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_files_that_are_not_measurements(tmp_path):

@@ -231,7 +231,7 @@ def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
     from wrod.planner import with_shapes
 
     circle, rod = wrod.pattern("circle"), wrod.rod("green-vps")
-    plain = wrod.plan(circle, rod, spacing=0.1)
+    plain = wrod.plan(circle, rod, "neural", spacing=0.1)
     assert plain.shape is None and plain.metadata["remainder_length"] > 0.0
     shown = with_shapes(plain, circle, device="cpu")
     numeric = wrod.plan(circle, rod, "numeric", spacing=0.1, device="cpu")
@@ -253,7 +253,7 @@ def test_shapes_of_a_trajectory_from_a_file_follow_its_contacts(tmp_path):
     from wrod.planner import with_shapes
 
     letter = wrod.pattern("letter-U")
-    plan = wrod.plan(letter, ROD, spacing=0.005)
+    plan = wrod.plan(letter, ROD, "neural", spacing=0.005)
     read = wrod.Trajectory.load(plan.save(tmp_path / "t")[1])
     ours, known = with_shapes(read, device="cpu"), with_shapes(plan, letter, device="cpu")
     assert np.linalg.norm(ours.shape - known.shape, axis=2).max() < 1e-3
@@ -266,7 +266,7 @@ def test_shapes_of_other_grips_are_left_out():
     from wrod.planner import with_shapes
 
     line = wrod.pattern("line")
-    plan = wrod.plan(line, ROD, spacing=0.25)
+    plan = wrod.plan(line, ROD, "neural", spacing=0.25)
     moved = replace(plan, position=plan.position + 0.01)
     with pytest.warns(WrodWarning, match="from the planned ones"):
         assert with_shapes(moved, line, device="cpu").shape is None
@@ -277,6 +277,6 @@ def test_shapes_that_cannot_be_solved_are_left_out():
 
     soft = wrod.RodMaterial(0.0016, 0.008, 1.2)  # 150 L_gb
     with pytest.warns(OutOfRangeWarning):
-        plan = wrod.plan(wrod.pattern("line"), soft, spacing=0.2)
+        plan = wrod.plan(wrod.pattern("line"), soft, "neural", spacing=0.2)
     with pytest.warns(WrodWarning, match="shapes are left out: suspended_length"):
         assert with_shapes(plan, device="cpu").shape is None

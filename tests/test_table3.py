@@ -6,8 +6,9 @@ import pytest
 from click.testing import CliRunner
 
 from wrod.bench import table3_paper
+from wrod.bench.campaign import Ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
-from wrod.bench.table3_report import Ledger, cells, markdown, summary
+from wrod.bench.table3_report import KEYS, cells, markdown, summary
 from wrod.commands import main
 from wrod.errors import DataError
 
@@ -55,19 +56,19 @@ def test_friction_words():
 
 def test_ledger_goes_on_where_it_was_killed(tmp_path):
     path = tmp_path / "trials.jsonl"
-    ledger = Ledger(path, {"speed": 0.02})
+    ledger = Ledger(path, {"speed": 0.02}, KEYS)
     ledger.add([row(trial=0), row(trial=1)])
     with open(path, "a") as file:
         file.write('{"rod": "ro')  # killed while it wrote
-    again = Ledger(path, {"speed": 0.02})
+    again = Ledger(path, {"speed": 0.02}, KEYS)
     assert again.done() == {("rope", "steel", "circle", "numeric", k) for k in (0, 1)}
     again.add([row(trial=2)])
-    assert len(Ledger(path, {"speed": 0.02}).rows) == 3
+    assert len(Ledger(path, {"speed": 0.02}, KEYS).rows) == 3
     with pytest.raises(DataError, match="other settings"):
-        Ledger(path, {"speed": 0.05})
+        Ledger(path, {"speed": 0.05}, KEYS)
     path.write_text("what is this")
     with pytest.raises(DataError, match="not a readable"):
-        Ledger(path, {"speed": 0.02})
+        Ledger(path, {"speed": 0.02}, KEYS)
 
 
 def test_cells_leave_diverged_trials_out_and_count_them():

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 from wrod.training import store
-from wrod.training.sampling import MAX_INDEX, sample
+from wrod.training.sampling import MAX_INDEX, RodInputs, sample
 
 from wrod import __version__
 from wrod.errors import DataError
 from wrod.grasps import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
+from wrod.material import RodMaterial
 
 SHARD_SIZE = 2048
 # Samples solved at once on a GPU, as far as whole shards go; a CPU takes one shard at a time.
@@ -88,6 +90,7 @@ def generate(
     sensitivities: bool = True,
     shard_size: int = SHARD_SIZE,
     edge_count: int = EDGE_COUNT,
+    rod: RodMaterial | None = None,
     device: str = "auto",
     rank: Rank | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -106,6 +109,8 @@ def generate(
         sensitivities: store the derivatives by the inputs ("zero_tension" only).
         shard_size: samples per file.
         edge_count: resolution of the solver.
+        rod: solve grasps of this rod alone, with its natural curvature in the table's plane and to
+            the left; by default those of all rods.
         device: "auto", "cpu" or "cuda:0".
         rank: this process's part; by default read from the environment.
         progress: called with the samples done since the last call and those of this rank.
@@ -124,14 +129,20 @@ def generate(
     if closure not in CLOSURES:
         solve_grasps([5.0], [0.0], [1e3], closure=closure)  # raises with the names
     device = rank.device(device)
+    one = None if rod is None else RodInputs.of(rod)
+    curved = one is not None and not one.is_straight
+    own = {"natural_curvature": one.natural_curvature, "poisson": one.poisson} if curved else {}
+    # A list is what the manifest's file gives back.
+    content = None if one is None else json.loads(json.dumps(asdict(one)))
     manifest = store.Manifest(
         size=size,
         shard_size=shard_size,
         seed=seed,
         closure=closure,
         edge_count=edge_count,
-        sensitivities=sensitivities and closure == "zero_tension",
+        sensitivities=sensitivities and closure == "zero_tension" and not curved,
         solver=__version__,
+        rod=content,
     )
     store.create(folder, manifest)
     mine = range(rank.index, manifest.shard_count, rank.count)
@@ -147,7 +158,7 @@ def generate(
             progress(rows, samples)
 
     def solve(group: list[int]) -> None:
-        inputs = np.concatenate([sample(*manifest.rows(shard), seed) for shard in group])
+        inputs = np.concatenate([sample(*manifest.rows(shard), seed, one) for shard in group])
         grasps = solve_grasps(
             *inputs.T,
             closure=closure,
@@ -155,6 +166,7 @@ def generate(
             sensitivities=manifest.sensitivities,
             shapes=False,
             edge_count=edge_count,
+            **own,
             threads=max(1, (os.cpu_count() or 1) // rank.local_count),
         )
         columns, begin = _columns(inputs, grasps, manifest), 0

@@ -6,11 +6,15 @@ turns are mirror images of left turns.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from wrod.errors import DataError
+from wrod.material import RodMaterial
 
 INPUTS = ("suspended_length", "curvature", "stretch_ratio")
 # What the controller is made for (Sec. Training the Neural Controller covers the same rods).
@@ -25,12 +29,45 @@ _SAMPLED = {
     "curvature": (0.0, 3.65),
     "stretch_ratio": (135.0, 16500.0),
 }
+# How far beyond a rod's own lengths its samples reach.
+_BEYOND = 1.06
 _LOG_SHARE = 0.7
 MAX_INDEX = 2**30
 
 
-def sample(first: int, count: int, seed: int) -> np.ndarray:
+@dataclass(frozen=True)
+class RodInputs:
+    """What every sample of one rod's dataset has in common, dimensionless.
+
+    Attributes:
+        length: of the rod [L_gb].
+        stretch_ratio: k_s [-].
+        natural_curvature: (left, up) of the rod as it is laid [1/L_gb].
+        poisson: Poisson's ratio.
+    """
+
+    length: float
+    stretch_ratio: float
+    natural_curvature: tuple[float, float] = (0.0, 0.0)
+    poisson: float = 0.5
+
+    @classmethod
+    def of(cls, rod: RodMaterial) -> RodInputs:
+        """A rod laid with its natural curvature in the table's plane, to the left."""
+        lgb = rod.gravito_bending_length
+        curvature = lgb * math.hypot(*rod.natural_curvature)
+        return cls(rod.length / lgb, rod.stretch_ratio, (curvature, 0.0), rod.poisson)
+
+    @property
+    def is_straight(self) -> bool:
+        return tuple(self.natural_curvature) == (0.0, 0.0)
+
+
+def sample(first: int, count: int, seed: int, rod: RodInputs | None = None) -> np.ndarray:
     """(count, 3) inputs number `first`, `first` + 1, ... of the scrambled Sobol' sequence `seed`.
+
+    With `rod` they are that rod's: lengths up to its own, its k_s, and curvatures of either sign
+    where it is naturally curved, for then right turns are no mirror images.
 
     Every input depends on its number and the seed alone, however the sequence is cut up.
 
@@ -46,16 +83,18 @@ def sample(first: int, count: int, seed: int) -> np.ndarray:
     head = sequence.random(1) if first == 0 else np.empty((0, 3))
     if first:
         sequence.fast_forward(first)
-    return to_inputs(np.concatenate([head, sequence.random(count - len(head))]))
+    return to_inputs(np.concatenate([head, sequence.random(count - len(head))]), rod)
 
 
-def to_inputs(unit: np.ndarray) -> np.ndarray:
+def to_inputs(unit: np.ndarray, rod: RodInputs | None = None) -> np.ndarray:
     """(n, 3) inputs of points of the unit cube.
 
     The map bends most where the rod is short: l_s has the density a / l_s + b. It depends on k_s
     through powers of 1 / k_s, hence log-uniform, and on kappa evenly.
     """
     low, high = _SAMPLED["suspended_length"]
+    if rod is not None:
+        high = min(high, max(_BEYOND * rod.length, 2.0 * low))
     # The distribution function of a mixture has no inverse in closed form: tabulate it.
     length = np.geomspace(low, high, 4097)
     share = _LOG_SHARE * np.log(length / low) / np.log(high / low)
@@ -63,6 +102,10 @@ def to_inputs(unit: np.ndarray) -> np.ndarray:
     ls = np.interp(unit[:, 0], share, length)
     low, high = _SAMPLED["curvature"]
     kappa = low + (high - low) * unit[:, 1]
+    if rod is not None:
+        if not rod.is_straight:
+            kappa = high * (2.0 * unit[:, 1] - 1.0)
+        return np.stack([ls, kappa, np.full(len(unit), rod.stretch_ratio)], axis=1)
     low, high = _SAMPLED["stretch_ratio"]
     return np.stack([ls, kappa, low * (high / low) ** unit[:, 2]], axis=1)
 

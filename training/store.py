@@ -10,11 +10,11 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-from wrod.training.sampling import INPUTS
+from wrod.training.sampling import INPUTS, RodInputs
 
 from wrod.errors import DataError
 from wrod.files import write_atomically
@@ -49,6 +49,7 @@ class Manifest:
         sensitivities: whether rows carry the derivatives by the inputs.
         solver: version that solved them.
         inputs: names of the input columns.
+        rod: of a dataset of one rod: the content of its `RodInputs`; else None.
     """
 
     size: int
@@ -59,6 +60,15 @@ class Manifest:
     sensitivities: bool
     solver: str
     inputs: tuple[str, ...] = INPUTS
+    rod: dict | None = None
+
+    @property
+    def rod_inputs(self) -> RodInputs | None:
+        """The rod that all samples are of, or None."""
+        if self.rod is None:
+            return None
+        rod = RodInputs(**self.rod)
+        return replace(rod, natural_curvature=tuple(rod.natural_curvature))
 
     @property
     def shard_count(self) -> int:
@@ -72,6 +82,8 @@ class Manifest:
     def identity(self) -> str:
         """Name of the family of datasets that this one begins: all but the size counts."""
         content = {**asdict(self), "size": None}
+        if self.rod is None:
+            del content["rod"]  # datasets of the whole range were there before those of one rod
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     def command(self, folder: Path) -> str:
@@ -79,6 +91,7 @@ class Manifest:
         words = ["wrod dataset", f"--size {self.size}", f"--seed {self.seed}"]
         words += [f"--closure {self.closure}", f"--shard-size {self.shard_size}"]
         words += [] if self.sensitivities else ["--no-sensitivities"]
+        words += [] if self.rod is None else ["--rod ROD"]
         return " ".join([*words, f"--out {folder}"])
 
     def rows(self, shard: int) -> tuple[int, int]:
@@ -137,6 +150,10 @@ def read_manifest(folder: Path) -> Manifest:
         value = getattr(manifest, field.name)
         if kind is not None and (type(value) is not kind or (kind is int and value < 0)):
             raise DataError(f"{path}: {field.name} is {value!r}")
+    try:
+        manifest.rod_inputs  # noqa: B018  # raises where it is none
+    except TypeError:
+        raise DataError(f"{path}: rod is {manifest.rod!r}") from None
     if manifest.shard_size < 1 or manifest.inputs != INPUTS:
         raise DataError(f"{path}: is not a dataset of ({', '.join(INPUTS)}) in shards")
     return manifest

@@ -33,6 +33,7 @@ _PUBLIC = {
     "scan": "wrod.perception.scan",
     "trace_centerlines": "wrod.perception.trace",
     "measure_deployment": "wrod.perception.measure",
+    "SolverDER": "wrod.newton_solver",
     "identify": "wrod.identification",
     "load_measurements": "wrod.identification",
     "IdentificationReport": "wrod.identification",

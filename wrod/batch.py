@@ -9,7 +9,7 @@ import warp as wp
 
 from wrod.errors import RodError
 from wrod.kernels.assembly import HALF_BANDWIDTH
-from wrod.kernels.bending import bending
+from wrod.kernels.bending import elasticity
 from wrod.kernels.frames import (
     ANY_DIRECTOR,
     EVERY_DIRECTOR,
@@ -19,10 +19,9 @@ from wrod.kernels.frames import (
     set_reference_frames,
     transport_reference_frames,
 )
+from wrod.kernels.lanes import lanes
 from wrod.kernels.loads import dead_loads
-from wrod.kernels.softened_bending import softened_bending
-from wrod.kernels.stretching import stretching
-from wrod.kernels.twisting import twisting
+from wrod.kernels.softened_bending import softened_elasticity
 
 
 def resolve_device(device: str | None) -> str:
@@ -40,15 +39,6 @@ def resolve_device(device: str | None) -> str:
             f"device {device!r} is not on this machine; use cpu, auto or one of "
             f"{', '.join(str(d) for d in wp.get_devices())}"
         ) from error
-
-
-def threads_per_block(rod_count: int, device: str) -> int:
-    """Block size for kernels of one thread a rod: small, so that few rods reach every processor of
-    a GPU; each thread's work is long and does not share memory accesses with its neighbours'."""
-    if device == "cpu":
-        return 256
-    wanted = rod_count / (4 * wp.get_device(device).sm_count)
-    return int(2 ** np.clip(np.ceil(np.log2(max(wanted, 1.0))), 3, 7))
 
 
 @dataclass
@@ -118,7 +108,7 @@ class RodBatch:
         natural_curvature: (rod, node, 2) curvature at rest in the material frame [1/length].
         natural_twist: (rod, node) twist at rest [rad/length].
         softening: (rod, node, 2) c >= 0 [length^2] and r of the moment
-            B e (r + (1 - r) / sqrt(1 + c e^2)) that belongs to a curvature e; c = 0 is linear.
+            B e (r + (1 - r) / (1 + c e^2)) that belongs to a curvature e; c = 0 is linear.
         node_mass: (rod, node) lumped masses.
         gravity: (rod, 3) acceleration.
         point_load: (rod, node, 3) dead force at each node [force].
@@ -327,6 +317,10 @@ class RodBatch:
         )
         self._launch_twist(source, target, active)
 
+    def find_reference_twist(self, active: wp.array) -> None:
+        """Reference twist of the active rods out of their frames, nearest to what it was."""
+        self._launch_twist(self.state, self.state, active)
+
     def _launch_twist(self, source: RodState, target: RodState, active: wp.array) -> None:
         wp.launch(
             reference_twist,
@@ -367,31 +361,21 @@ class RodBatch:
             )
 
         nodes, rest = self.node_count, self.rest_length
-        launch(stretching, nodes - 1, [rest, self.stretching_stiffness, active, state.dof, order])
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
         launch(
-            softened_bending if self.softens else bending,
+            softened_elasticity if self.softens else elasticity,
             nodes - 2,
             [
                 rest,
+                self.stretching_stiffness,
                 self.bending_stiffness,
                 self.natural_curvature,
                 self.softening,
-                active,
-                state.dof,
-                state.director,
-                order,
-            ],
-        )
-        launch(
-            twisting,
-            nodes - 2,
-            [
-                rest,
                 self.twisting_stiffness,
                 self.natural_twist,
                 active,
                 state.dof,
+                state.director,
                 state.reference_twist,
                 order,
             ],
@@ -403,6 +387,18 @@ class RodBatch:
             results[:2],
         )
         return out
+
+    def walk(self, kernel: wp.Kernel, inputs: list, outputs: list = ()) -> None:
+        """Launch a kernel that walks along the rods, over (rod, lane); see `kernels.lanes`."""
+        count = lanes(self.device)
+        wp.launch(
+            kernel,
+            dim=(self.rod_count, count),
+            inputs=inputs,
+            outputs=outputs,
+            device=self.device,
+            block_dim=count,
+        )
 
     def positions(self) -> np.ndarray:
         """(rod, node, 3) node positions."""

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
+from wrod.banded import BandedSystem
 from wrod.kernels import skyline
+from wrod.kernels.lanes import WARP
 from wrod.kernels.segments import SMOOTHING
-from wrod.statics import BandedSystem
 
 if TYPE_CHECKING:
     from wrod.rod_contact import RodContact
@@ -56,7 +57,7 @@ class CoupledSystem(BandedSystem):
             inputs=inputs,
             outputs=outputs,
             device=batch.device,
-            block_dim=self.block_dim,
+            block_dim=WARP,
         )
 
     def factorise(self, hessian: wp.array, active: wp.array) -> None:

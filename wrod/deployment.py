@@ -16,6 +16,7 @@ from wrod.deployment_setup import (
     Disturbance,
     Setup,
     Tail,
+    disturb,
     mesh,
     prepare_deployment,
     tail,
@@ -62,15 +63,15 @@ def simulate_deployment(
 ) -> Deployment:
     """Lay `rod` along `pattern` by moving the grip along `trajectory`.
 
-    The free end's first 5 cm are held along the pattern until as much again has been laid. The
+    The free end's first 5 cm are held along the pattern until more than that is laid. The
     rest hangs from the grip, which holds the last edge as a clamp. At the end of the pattern the
     grip rests and the rod is measured; then the grip lays the tail straight ahead by the same
     method, opens when 1 L_gb is left, and the rod is measured again.
 
     Args:
         pattern: the pattern of the plan; its remainder is added if the trajectory has one.
-        rod: what is laid.
-        trajectory: of the grip, as `wrod.plan` returns it.
+        rod: what is laid; it may differ from the rod of the plan.
+        trajectory: of the grip, as `wrod.plan` returns it; the rod is held at its roll.
         friction: a `Friction`, or the coefficient of both kinds.
         disturbance: what makes this trial differ from the ideal.
         fixtures: posts and clips on the table; the robot's displacement does not move them.
@@ -113,7 +114,7 @@ def simulate_deployments(
     Args:
         trials: what to simulate.
         hold: length of the free end that is laid and held along the pattern at first [m].
-        release: laid length at which the free end is let go [m]; default: twice `hold`.
+        release: laid length at which the free end is let go [m]; default: `hold`.
         speed: at which the contact moves [m/s], slower where the grip has far to go; the tail is
             laid twice as fast.
         spacing: length of the edges where the rod is laid [m].
@@ -135,7 +136,7 @@ def simulate_deployments(
     if not trials:
         return []
     device = resolve_device(device)
-    release = 2.0 * hold if release is None else release
+    release = hold if release is None else release
     if not release >= hold:
         raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
     setups = _prepare(trials, hold, release, speed, spacing, node_count)
@@ -208,24 +209,29 @@ def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
 
 
 def _prepare(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
-    """All rods of a batch share one number of nodes: the largest that the spacing asks for."""
+    """All rods of a batch share one number of nodes: the largest that the spacing asks for.
+
+    Trials that differ in their disturbances alone share one undisturbed setup.
+    """
     count = node_count or nodes_needed(trials, spacing)
+    undisturbed: dict[tuple, Setup] = {}
     setups = []
     for trial in trials:
-        pattern = with_remainder_of(trial.pattern, trial.trajectory)
-        setups.append(
-            prepare_deployment(
+        plan = trial.pattern, trial.rod, trial.trajectory, trial.tail
+        key = tuple(map(id, plan))
+        if key not in undisturbed:
+            pattern = with_remainder_of(trial.pattern, trial.trajectory)
+            undisturbed[key] = prepare_deployment(
                 pattern,
                 trial.rod,
                 trial.trajectory,
                 mesh(trial.rod, trial.trajectory.arc_length[-1], spacing, count),
-                trial.disturbance,
                 trial.tail or tail(pattern, trial.rod, trial.trajectory),
                 hold=hold,
                 release=release,
                 speed=speed,
             )
-        )
+        setups.append(disturb(undisturbed[key], trial.disturbance))
     return setups
 
 
@@ -252,6 +258,7 @@ def _simulate(
         _stiffness(rods, fixtures),
         [t.friction for t in trials],
         (Plane(),) if fixtures is None else fixtures.shapes,
+        keeps_roll=np.array([not t.rod.is_straight for t in trials]),
     )
     dynamics = Dynamics(
         batch,
@@ -342,7 +349,9 @@ def _batch(trials, setups, device) -> tuple[RodBatch, list[RodMaterial]]:
     gravity = np.zeros((len(rods), 3))
     gravity[:, 2] = [-rod.gravity for rod in rods]
     natural = np.zeros((len(rods), 1, 2))
-    natural[:, 0, 0] = [t.disturbance.natural_curvature for t in trials]
+    # The first director of the batch is to the left of the laid rod, the second above it.
+    natural[:, 0] = [t.rod.curvature_held(t.trajectory.metadata.get("roll", 0.0)) for t in trials]
+    natural[:, 0, 0] += [t.disturbance.natural_curvature for t in trials]
     batch = RodBatch(
         np.stack([setup.position for setup in setups]),
         rest_length=rest,

@@ -10,12 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from wrod.errors import PatternError
 from wrod.grasp_mesh import rest_lengths
-from wrod.grasp_sources import SOURCES, GraspInputs
+from wrod.grasp_sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
 from wrod.grasps import solve_grasps
 from wrod.grip import KEY_INTERVAL, GripPath, GripSchedule, smooth_noise
 from wrod.material import RodMaterial
 from wrod.patterns import Pattern
-from wrod.planner import MIN_SUSPENDED_LENGTH
 from wrod.trajectory import Trajectory
 
 # The mesh stays fine for this long beyond what is laid, in L_gb: the boundary layer at the contact.
@@ -23,6 +22,8 @@ _FINE_BEYOND = 4.0
 _COARSE_RATIO = 3.0
 # Seconds: from the first equilibrium to the trajectory's first pose, rest before each measurement.
 _APPROACH, _REST, _FALL = 1.0, 0.8, 1.2
+# More of them for every whole turn that the grip twists the rod by before it deploys.
+_TURN = 2.0
 _TAIL_SPACING = 0.01
 # Length over which a tail straightens after a pattern that ends in a bend, in L_gb.
 _STRAIGHTEN = 3.0
@@ -113,15 +114,14 @@ def tail(pattern: Pattern, rod: RodMaterial, trajectory: Trajectory) -> Tail:
     method = trajectory.metadata.get("method", "numeric")
     if method == "neural":
         method = "auto"  # a tail is shorter in the end than what the controller was trained for
-    suspended = np.maximum((rod.length - start - s) / lgb, MIN_SUSPENDED_LENGTH)
     poses = SOURCES[method](
-        GraspInputs(
-            suspended,
-            curvature * lgb,
-            rod.stretch_ratio,
-            trajectory.metadata.get("closure") or "zero_tension",
-            "cpu",
-            None,
+        GraspInputs.of(
+            rod,
+            rod.length - start - s,
+            curvature,
+            roll=float(trajectory.metadata.get("roll", 0.0)),
+            closure=trajectory.metadata.get("closure") or "zero_tension",
+            device="cpu",
         )
     )
     position = contact + lgb * np.einsum("tij,tj->ti", frame, poses.position)
@@ -150,7 +150,9 @@ class Setup:
         arc_length: (node,) rest arc length of the nodes, from the free end [m].
         position: (node, 3) first shape [m].
         director: (3,) first material director of the first edge.
+        origin: (3,) where the pattern begins, about which a disturbance turns the robot.
         schedule: the grip's motion.
+        approach: how long the grip takes to the trajectory's first pose [s].
         measure_time: when the first measurement is due, the grip still holding [s].
         end_time: when the second is due [s].
     """
@@ -158,7 +160,9 @@ class Setup:
     arc_length: np.ndarray
     position: np.ndarray
     director: np.ndarray
+    origin: np.ndarray
     schedule: GripSchedule
+    approach: float
     measure_time: float
     end_time: float
 
@@ -168,14 +172,13 @@ def prepare_deployment(
     rod: RodMaterial,
     trajectory: Trajectory,
     arc_length: np.ndarray,
-    disturbance: Disturbance,
     tail: Tail,
     *,
     hold: float,
     release: float,
     speed: float,
 ) -> Setup:
-    """Lay the first `hold` metres along the pattern and hang the rest from the grip.
+    """Lay the first `hold` metres along the pattern and hang the rest from the grip; undisturbed.
 
     The hanging part starts as the equilibrium for a moment-free grip and is carried to the
     trajectory's own pose there, which for an optimal trajectory is the same.
@@ -209,25 +212,55 @@ def prepare_deployment(
     path = GripPath(laid[first:], trajectory.position[first:], trajectory.rotation[first:])
     tip = position[-1] - position[-2]
     begin = position[-1], _frame_without_twist(frame, position, on_table, tip)
-    schedule, measure_time, end_time = _schedule(
-        path, tail, begin, release, int(on_table.sum()), speed, disturbance
+    twist = 0.0 if trajectory.twist is None else float(trajectory.twist[first])
+    turns = _whole_turns(begin[1], trajectory.rotation[first], twist)
+    schedule, approach, measure_time, end_time = _schedule(
+        path, tail, begin, turns, release, int(on_table.sum()), speed
     )
+    # The rod's centreline is a radius above the table.
+    lift = np.array([0.0, 0.0, rod.radius - height])
+    (origin,), (ahead,), _ = pattern.sample(offset)
+    return Setup(
+        arc_length,
+        position + lift,
+        np.cross([0.0, 0.0, 1.0], ahead),
+        origin,
+        replace(schedule, position=schedule.position + lift),
+        approach,
+        measure_time,
+        end_time,
+    )
+
+
+def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
+    """The same deployment by a robot that shakes and stands elsewhere; the shaking begins once the
+    grip has come to the trajectory."""
     turn = Rotation.from_euler("z", disturbance.yaw)
-    shift = np.array([*disturbance.offset, 0.0])
-    corner = pattern.sample(offset)[0][0]
-    director = turn.apply(np.cross([0.0, 0.0, 1.0], pattern.sample(offset)[1][0]))
-
-    def moved(points):
-        out = turn.apply(points - corner) + corner + shift
-        out[:, 2] += rod.radius - height  # the rod's centreline is a radius above the table
-        return out
-
-    schedule = replace(
-        schedule,
-        position=moved(schedule.position),
-        rotation=_one_hemisphere((turn * Rotation.from_quat(schedule.rotation)).as_quat()),
+    shift = setup.origin + np.array([*disturbance.offset, 0.0])
+    schedule = setup.schedule
+    position = schedule.position
+    if disturbance.jitter > 0.0:
+        count = len(position)
+        rng = np.random.default_rng(disturbance.seed)
+        shaking = smooth_noise(rng, count, disturbance.jitter, 0.05 / KEY_INTERVAL)
+        fade = 1.0 - _blend(KEY_INTERVAL * np.arange(count), setup.approach)
+        position = position + fade[:, None] * shaking
+    return replace(
+        setup,
+        position=turn.apply(setup.position - setup.origin) + shift,
+        director=turn.apply(setup.director),
+        schedule=replace(
+            schedule,
+            position=turn.apply(position - setup.origin) + shift,
+            rotation=_one_hemisphere((turn * Rotation.from_quat(schedule.rotation)).as_quat()),
+        ),
     )
-    return Setup(arc_length, moved(position), director, schedule, measure_time, end_time)
+
+
+def _blend(t: np.ndarray, approach: float) -> np.ndarray:
+    """From where the rod hangs at first (1) to where the trajectory begins (0)."""
+    x = np.clip(t / (0.7 * approach), 0.0, 1.0)
+    return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
 
 
 def _frame_without_twist(frame, position, on_table, tip) -> np.ndarray:
@@ -246,41 +279,48 @@ def _frame_without_twist(frame, position, on_table, tip) -> np.ndarray:
     return np.column_stack([x, side, np.cross(x, side)])
 
 
-def _schedule(path, tail, begin, release, held_nodes, speed, disturbance):
+def _whole_turns(untwisted: np.ndarray, rotation: np.ndarray, twist: float) -> int:
+    """How often the grip turns the rod about itself on the way from one frame to the other, so
+    that it is twisted by `twist` in the end."""
+    x = rotation[:, 0]
+    shortest, _ = Rotation.align_vectors(x[None], untwisted[None, :, 0])
+    carried, side = shortest.apply(untwisted[:, 1]), rotation[:, 1]
+    angle = np.arctan2(np.cross(carried, side) @ x, carried @ side)
+    return int(np.rint((twist - angle) / (2.0 * np.pi)))
+
+
+def _schedule(path, tail, begin, turns, release, held_nodes, speed):
     """Approach, deploy, rest, lay the tail, let go, rest."""
     deploy, laid = path.timed(speed)
+    approach = _APPROACH + _TURN * abs(turns)
     tail_path = None
     lay, tail_laid = 0.0, None
     if len(tail.laid) > 3:
         tail_path = GripPath(tail.laid, tail.position, tail.rotation)
         lay, tail_laid = tail_path.timed(2.0 * speed)
-    measure_time = _APPROACH + deploy + _REST
+    measure_time = approach + deploy + _REST
     let_go_time = measure_time + lay + 0.5 * _REST
     end_time = let_go_time + _FALL
     t = np.arange(0.0, let_go_time + 2 * KEY_INTERVAL, KEY_INTERVAL)
-    position, rotation = path(laid(t - _APPROACH))
+    position, rotation = path(laid(t - approach))
     if tail_path is not None:
         late = t > measure_time
         after = tail_path(tail_laid(t[late] - measure_time))
         position[late] = after[0]
         rotation = Rotation.concatenate([rotation[~late], after[1]])
-    # From where the rod hangs at first to where the trajectory begins.
-    x = np.clip(t / (0.7 * _APPROACH), 0.0, 1.0)
-    blend = 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    blend = _blend(t, approach)
     position += blend[:, None] * (begin[0] - position[0])
     turn = (Rotation.from_matrix(begin[1]) * rotation[0].inv()).as_rotvec()
     rotation = Rotation.from_rotvec(blend[:, None] * turn) * rotation
-    if disturbance.jitter > 0.0:
-        rng = np.random.default_rng(disturbance.seed)
-        shaking = smooth_noise(rng, len(t), disturbance.jitter, 0.05 / KEY_INTERVAL)
-        position += (1.0 - blend)[:, None] * shaking
+    spin = 2.0 * np.pi * turns * (1.0 - blend)
+    rotation = rotation * Rotation.from_rotvec(spin[:, None] * [1.0, 0.0, 0.0])
     # Not before the rod has come to rest at the trajectory's first pose.
-    at = np.searchsorted(laid(t - _APPROACH), release)
-    let_free = max(float(t[min(int(at), len(t) - 1)]), _APPROACH)
+    at = np.searchsorted(laid(t - approach), release)
+    let_free = max(float(t[min(int(at), len(t) - 1)]), approach)
     schedule = GripSchedule(
         position, _one_hemisphere(rotation.as_quat()), held_nodes, let_free, let_go_time
     )
-    return schedule, measure_time, end_time
+    return schedule, approach, measure_time, end_time
 
 
 def _one_hemisphere(quaternions: np.ndarray) -> np.ndarray:

@@ -9,12 +9,13 @@ from typing import Protocol
 import numpy as np
 import warp as wp
 
+from wrod.banded import BandedSystem
 from wrod.batch import RodBatch, RodState, node_positions
 from wrod.errors import RodError
 from wrod.kernels import continuation, newton
 from wrod.kernels import dynamics as kernels
+from wrod.kernels.lanes import WARP
 from wrod.rod_contact import RodContact
-from wrod.statics import BandedSystem
 from wrod.substrate import Contact
 
 SCHEMES = ("euler", "bdf2")
@@ -23,11 +24,15 @@ _STEP_LIMIT = 0.3
 # A rod is cut out when it wants steps shorter than this fraction of the largest.
 _SMALLEST_STEP = 1.0 / 4096.0
 _GROWTH = 1.3
+# Rounds that a GPU takes without being asked.
+_ROUNDS_RECORDED = 16
 
 
 class Motion(Protocol):
     """What moves prescribed degrees of freedom: called at the start of every step, it writes where
-    they are at the end of the step into `state.dof` and may change `batch.free`."""
+    they are at the end of the step into `state.dof` and may change `batch.free`.
+
+    It does so by kernels alone: on a GPU its launches are recorded once and replayed."""
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
 
@@ -137,6 +142,16 @@ class Dynamics:
         self.velocity.assign(dof.reshape(batch.rod_count, -1)[:, :-1])
         self.step_before.zero_()
 
+    def restart(self, chosen: wp.array) -> None:
+        """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
+        must have its frames, and from `velocity`; one that was cut out takes part again."""
+        self._per_rod(
+            kernels.forget_history, [chosen], [self.step_before, self.wanted_step, self.diverged]
+        )
+        self._copy(chosen, self.batch.state, self.start)
+        for contact in self.contacts:
+            contact.restart(chosen)
+
     def velocities(self) -> np.ndarray:
         """(rod, node, 3) velocities of the nodes."""
         return node_positions(self.velocity.numpy())
@@ -180,16 +195,30 @@ class Dynamics:
         wanted = self.wanted_step.numpy().copy()
         self.wanted_step.assign(np.where(wanted > 0, np.minimum(wanted, step), step))
         wp.copy(self.starting, self.running)
-        rounds = 0
-        # Asking a GPU whether anything still runs makes it wait.
-        patience = 1 if batch.device == "cpu" else 16
-        while rounds % patience or self._any(self.running):
+
+        def take_round() -> None:
             self._begin()
             self._iterate(step, smallest)
             self._finish(frames, frame_interval)
-            rounds += 1
-            if progress is not None and rounds % 128 == 0:
+
+        records = not wp.get_device(batch.device).is_cpu
+        rounds, patience, graph = 0, 1, None
+        while self._any(self.running):
+            if graph is not None:
+                wp.capture_launch(graph)
+            else:
+                take_round()
+            rounds += patience
+            if progress is not None and rounds % 128 < patience:
                 progress(self.time.numpy().copy())
+            if graph is None and records:
+                # The first round has compiled the kernels. A GPU replays launches faster than they
+                # can be made, and asking it whether anything still runs makes it wait.
+                patience = _ROUNDS_RECORDED
+                with wp.ScopedCapture(batch.device) as capture:
+                    for _ in range(patience):
+                        take_round()
+                graph = capture.graph
         if self.rod_contact is not None:
             self.rod_contact.check_capacity()
         return Progress(
@@ -221,7 +250,7 @@ class Dynamics:
             inputs=inputs,
             outputs=outputs,
             device=batch.device,
-            block_dim=self.system.block_dim,
+            block_dim=WARP,
         )
 
     def _per_dof(self, kernel, inputs, outputs=()) -> None:
@@ -292,7 +321,7 @@ class Dynamics:
         )
         for contact in self.contacts:
             contact.add(self.active, dof, start.dof)
-        self._per_rod(
+        batch.walk(
             newton.measure_residual,
             [
                 batch.free,
@@ -336,7 +365,7 @@ class Dynamics:
         self.system.factorise(out.hessian, self.active)
         wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
         self.system.solve(self.active)
-        self._per_rod(
+        batch.walk(
             kernels.take_newton_step,
             [wp.float64(_STEP_LIMIT), self.active, self.system.x],
             [dof],

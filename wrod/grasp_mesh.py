@@ -9,6 +9,8 @@ WEIGHT = 0.5  # per length in k_b / L_gb^2 per L_gb, by the definition of L_gb
 _LONG_FORCE = 0.7577
 # Length over which edges stay short: a fraction of the boundary layer at the contact.
 _GRADING = 0.3
+# Share of a mesh's edges that a naturally curved rod's grip gets, against the contact's.
+_GRIP_SHARE = 0.4
 
 
 def rest_lengths(suspended_length: np.ndarray, edge_count: int) -> np.ndarray:
@@ -20,6 +22,29 @@ def rest_lengths(suspended_length: np.ndarray, edge_count: int) -> np.ndarray:
     length = np.asarray(suspended_length, dtype=np.float64)[:, None]
     xi = np.linspace(0.0, 1.0, edge_count + 1)
     return np.diff(_GRADING * np.expm1(xi * np.log1p(length / _GRADING)), axis=1)
+
+
+def two_sided_rest_lengths(suspended_length: np.ndarray, edge_count: int) -> np.ndarray:
+    """(n, edge_count) rest lengths for naturally curved rods: short at the grip as well.
+
+    There the rod's own curvature gives way to a straight hang over a length of sqrt(k_b / tension).
+    Nodes are even in xi = ln(1 + s/a) + c ln((b + l) / (b + l - s)), a smooth map again.
+    """
+    length = np.asarray(suspended_length, dtype=np.float64)[:, None]
+    top = np.sqrt(1.0 / (WEIGHT * length))
+
+    def share(s):
+        return np.log1p(s / _GRADING) + _GRIP_SHARE * np.log((top + length) / (top + length - s))
+
+    xi = np.linspace(0.0, 1.0, edge_count + 1) * share(length)
+    low, high = np.zeros_like(xi), np.broadcast_to(length, xi.shape)
+    for _ in range(52):  # bisection to the last bit
+        middle = 0.5 * (low + high)
+        beyond = share(middle) > xi
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    nodes = 0.5 * (low + high)
+    nodes[:, 0], nodes[:, -1] = 0.0, length[:, 0]
+    return np.diff(nodes, axis=1)
 
 
 def rest_length_rates(suspended_length: np.ndarray, edge_count: int) -> np.ndarray:

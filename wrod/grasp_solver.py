@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
+from wrod.banded import BandedSystem
 from wrod.batch import RodBatch
 from wrod.grasp_mesh import (
     WEIGHT,
@@ -21,7 +23,6 @@ from wrod.kernels.loads import dead_loads
 from wrod.kernels.stretching import stretching_rate
 from wrod.rotation import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector
 from wrod.stability import smallest_eigenvalue
-from wrod.statics import BandedSystem
 
 # Largest change of an edge in one step, as a fraction of its length.
 _STEP_LIMIT = 0.4
@@ -40,6 +41,8 @@ class GraspSolution:
             the suspended rod at the contact.
         force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact edge held.
         shape: (n, node, 3) nodes from contact to grip; None unless asked for.
+        arc_length: (n, node) their unstretched arc length; None unless asked for.
+        twist: (n,) angle from contact to grip [rad]; None for straight rods, which have none.
         lowest, turning: (n,) lowest node and total turning of the rod [rad].
         converged, stable: (n,) bool.
         eigenvalue: (n,) smallest eigenvalue of the constrained Hessian; None unless asked for.
@@ -62,6 +65,8 @@ class GraspSolution:
     residual: np.ndarray
     thrust: np.ndarray
     shape: np.ndarray | None = None
+    arc_length: np.ndarray | None = None
+    twist: np.ndarray | None = None
     eigenvalue: np.ndarray | None = None
     position_sensitivity: np.ndarray | None = None
     rotation_sensitivity: np.ndarray | None = None
@@ -80,6 +85,9 @@ class GraspSolver:
             array of vec3d; without it the solver starts from the straight pattern and walks up
             the curvature.
         thrust: (n,) F_x of the guess.
+        twisting_stiffness: over k_b. The rod of a grasp carries no twist unless it is naturally
+            curved: then any positive value will do, and counts for stability only.
+        mesh: rest lengths (n, edge_count) of (suspended_length, edge_count).
     """
 
     def __init__(
@@ -93,11 +101,13 @@ class GraspSolver:
         device: str,
         guess: np.ndarray | wp.array | None = None,
         thrust: np.ndarray | None = None,
+        twisting_stiffness: float = 2.0 / 3.0,
+        mesh: Callable[[np.ndarray, int], np.ndarray] = rest_lengths,
     ):
         n = len(suspended_length)
         self.inputs = (suspended_length, curvature, stretch_ratio)
         self.closure, self.device = int(closure), device
-        edges = rest_lengths(suspended_length, edge_count)
+        edges = mesh(suspended_length, edge_count)
         cold = guess is None
         if cold:
             guess = straight_pattern_guess(edges)
@@ -128,8 +138,7 @@ class GraspSolver:
             rest_length=rest,
             stretching_stiffness=stretch_ratio[:, None],
             bending_stiffness=1.0,
-            # Any positive value: the rod of a grasp carries no twist. It counts for stability.
-            twisting_stiffness=2.0 / 3.0,
+            twisting_stiffness=twisting_stiffness,
             node_mass=np.pad(node_weights(edges), ((0, 0), (1, 0))),
             gravity=(0.0, 0.0, -1.0),
             director=(0.0, 0.0, 1.0),
@@ -234,14 +243,17 @@ class GraspSolver:
             device=self.device,
         )
 
-    def refined(self) -> wp.array:
-        """Guess (rod, 2 edges + 1) for the mesh of half the edges, on the device."""
+    def refined(self, dof: wp.array | None = None) -> wp.array:
+        """Guess (rod, 2 edges + 1) for the mesh of half the edges, on the device.
+
+        `dof` are the degrees of freedom to take the shapes from, by default the present ones.
+        """
         nodes = 2 * (self.batch.node_count - 2) + 1
         shape = wp.empty((self.batch.rod_count, nodes), dtype=wp.vec3d, device=self.device)
         wp.launch(
             grasp_start.refine_shape,
             dim=shape.shape,
-            inputs=[self.batch.state.dof],
+            inputs=[self.batch.state.dof if dof is None else dof],
             outputs=[shape],
             device=self.device,
         )
@@ -281,6 +293,8 @@ class GraspSolver:
             residual=self.residual.numpy().copy(),
             thrust=self.thrust.numpy().copy(),
             shape=batch.positions()[:, 1:] if shapes else None,
+            arc_length=self._arc_length() if shapes else None,
+            twist=self._twist(),
         )
         if eigenvalues:
             # The factorisation that showed each grasp to be in balance is still here.
@@ -299,6 +313,14 @@ class GraspSolver:
             result.rotation_sensitivity = rates[1]
             result.force_sensitivity = rates[2]
         return result
+
+    def _arc_length(self) -> np.ndarray:
+        """(n, node) unstretched arc length from contact to grip."""
+        edges = self.batch.rest_length.numpy()[:, 1:]
+        return np.cumsum(np.pad(edges, ((0, 0), (1, 0))), axis=1)
+
+    def _twist(self) -> np.ndarray | None:
+        return None
 
     def _grip_frame(self):
         """Frame of the last edge, and the small rotation from its middle to the grip.

@@ -8,18 +8,59 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wrod.errors import GraspError
+from wrod.material import RodMaterial
+
+# The suspended part must stay this long, in L_gb, at the last contact: grasps of a shorter rod
+# put the gripper's fingers on the table, and the studied range begins here.
+MIN_SUSPENDED_LENGTH = 1.0
 
 
 @dataclass(frozen=True)
 class GraspInputs:
-    """What a grasp source is given: (T,) dimensionless lengths and curvatures of all nodes."""
+    """What a grasp source is given: (T,) dimensionless lengths and curvatures of all nodes, and
+    the natural curvature (left, up) of the rod as it is held [1/L_gb]."""
 
     suspended_length: np.ndarray
     curvature: np.ndarray
     stretch_ratio: float
     closure: str
-    device: str | None
-    progress: Callable[[int, int], None] | None
+    device: str | None = None
+    progress: Callable[[int, int], None] | None = None
+    natural_curvature: tuple[float, float] = (0.0, 0.0)
+    poisson: float = 0.5
+
+    @classmethod
+    def of(
+        cls,
+        rod: RodMaterial,
+        suspended: np.ndarray,
+        curvature: np.ndarray,
+        *,
+        roll: float = 0.0,
+        closure: str = "zero_tension",
+        device: str | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> GraspInputs:
+        """Inputs of a rod: suspended length (T,) [m] and curvature (T,) [1/m] at the contacts, and
+        the roll that it is held at [rad] (see `RodMaterial.curvature_held`)."""
+        lgb = rod.gravito_bending_length
+        left, up = rod.curvature_held(roll)
+        return cls(
+            # The maximum removes the rounding of a pattern that fills the rod.
+            np.maximum(suspended / lgb, MIN_SUSPENDED_LENGTH),
+            curvature * lgb,
+            rod.stretch_ratio,
+            closure,
+            device,
+            progress,
+            (left * lgb, up * lgb),
+            rod.poisson,
+        )
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether the rod is straight at rest."""
+        return self.natural_curvature == (0.0, 0.0)
 
     def at(self, nodes: np.ndarray) -> GraspInputs:
         """The inputs of some nodes."""
@@ -33,7 +74,7 @@ class GraspPoses:
 
     position, rotation (vector) and force are (T, 3); converged, stable and eigenvalue (of the
     softest motion, see `Grasps`) are (T,) or None where the source does not say; shape is
-    (T, nodes, 3) or None.
+    (T, nodes, 3) or None; twist (T,) from contact to grip [rad], or None where there is none.
     """
 
     position: np.ndarray
@@ -43,6 +84,7 @@ class GraspPoses:
     stable: np.ndarray | None = None
     shape: np.ndarray | None = None
     eigenvalue: np.ndarray | None = None
+    twist: np.ndarray | None = None
 
 
 def _intuitive(inputs: GraspInputs) -> GraspPoses:
@@ -60,6 +102,9 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
 
     count = len(inputs.suspended_length)
     watch = inputs.progress
+    own = {}
+    if not inputs.is_straight:
+        own = {"natural_curvature": inputs.natural_curvature, "poisson": inputs.poisson}
     grasps = solve_grasps(
         inputs.suspended_length,
         inputs.curvature,
@@ -68,6 +113,7 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
         device=inputs.device,
         eigenvalues=True,
         progress=None if watch is None else lambda done: watch(done, count),
+        **own,
     )
     return GraspPoses(
         grasps.position,
@@ -77,6 +123,7 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
         grasps.stable,
         grasps.shape,
         grasps.eigenvalue,
+        None if inputs.is_straight else grasps.twist,
     )
 
 
@@ -85,6 +132,11 @@ def _neural(inputs: GraspInputs) -> GraspPoses:
     from wrod.controller import Controller
 
     controller = Controller.load()
+    if not inputs.is_straight:
+        raise GraspError(
+            "method 'neural' knows naturally straight rods only, and this one is curved at rest; "
+            "use method 'numeric' or 'auto'"
+        )
     if inputs.closure != controller.closure:
         raise GraspError(
             f"method 'neural' knows closure {controller.closure!r} only, not {inputs.closure!r}; "
@@ -101,7 +153,7 @@ def _auto(inputs: GraspInputs) -> GraspPoses:
     known = ~controller.out_of_range(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     )
-    known &= inputs.closure == controller.closure
+    known &= inputs.is_straight and inputs.closure == controller.closure
     if known.all():
         return _predicted(controller, inputs)
     solved = _numeric(inputs.at(~known))

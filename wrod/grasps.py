@@ -15,6 +15,7 @@ import numpy as np
 
 from wrod.batch import resolve_device
 from wrod.errors import GraspError
+from wrod.grasp_curved import CurvedGraspSolver
 from wrod.grasp_solver import GraspSolution, GraspSolver
 from wrod.kernels import grasping
 
@@ -30,6 +31,7 @@ LIMITS = {
     "suspended_length": (0.2, 100.0),
     "curvature": (-5.0, 5.0),
     "stretch_ratio": (50.0, 1e5),
+    "natural_curvature": (-1.0, 1.0),
 }
 # Grasps solved at once: few on a CPU, whose cache they should not leave; many on a GPU.
 _CPU_CHUNK, _CUDA_CHUNK = 128, 32768
@@ -43,8 +45,8 @@ class Grasps:
 
     Attributes:
         position: (n, 3) grip position in the contact frame [L_gb].
-        rotation: (n, 3) rotation vector of the rod's frame at the grip: R x is the tangent there,
-            without twist between contact and grip [rad].
+        rotation: (n, 3) rotation vector of the rod's material frame at the grip: R x is the tangent
+            there. A naturally straight rod has no twist between contact and grip [rad].
         force: (n, 3) force on the suspended rod at the contact [k_b/L_gb^2].
         converged: (n,) an admissible and stable equilibrium to the tolerance: z >= 0 everywhere,
             F_z >= 0. Only these are results.
@@ -55,6 +57,9 @@ class Grasps:
         residual: (n,) largest unbalanced force on the finest mesh [k_b/L_gb^2].
         force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact held.
         shape: (n, node, 3) the rod from contact to grip on the finest mesh [L_gb], or None.
+        arc_length: (n, node) unstretched arc length of its nodes [L_gb], or None.
+        twist: (n,) angle by which the rod is twisted between contact and grip, which may be more
+            than a turn [rad]; None for naturally straight rods, which are not twisted.
         position_sensitivity, rotation_sensitivity, force_sensitivity: (n, 3, 3) derivatives of
             component i by input j of (suspended_length, curvature, stretch_ratio), or None.
     """
@@ -68,6 +73,8 @@ class Grasps:
     residual: np.ndarray
     force_jacobian: np.ndarray
     shape: np.ndarray | None = None
+    arc_length: np.ndarray | None = None
+    twist: np.ndarray | None = None
     eigenvalue: np.ndarray | None = None
     position_sensitivity: np.ndarray | None = None
     rotation_sensitivity: np.ndarray | None = None
@@ -83,6 +90,8 @@ def solve_grasps(
     stretch_ratio,
     *,
     closure: str = "zero_tension",
+    natural_curvature=None,
+    poisson: float = 0.5,
     device: str | None = None,
     sensitivities: bool = False,
     eigenvalues: bool = False,
@@ -103,6 +112,11 @@ def solve_grasps(
             l_s [L_gb], signed kappa [1/L_gb], k_s [-].
         closure: "zero_tension", "min_force" or "min_friction": how the one freedom that mechanics
             leaves is used.
+        natural_curvature: curvature of the rod at rest [1/L_gb], (2,) or (n, 2): towards +y (left)
+            and +z (up) of the contact frame when the rod lies there straight; None and zeros are a
+            straight rod. The laid rod keeps this roll, untwisted, and the grip's roll sees to it:
+            `rotation` includes the twist between contact and grip.
+        poisson: Poisson's ratio, for the twisting stiffness of a naturally curved rod.
         device: "cpu", "cuda:0", "auto" or None (the first CUDA device if there is one).
         sensitivities: return the derivatives by the inputs as well ("zero_tension" only).
         eigenvalues: return the smallest eigenvalue of each grasp as well.
@@ -122,6 +136,14 @@ def solve_grasps(
     if edge_count < 16 or edge_count % 2:
         raise GraspError(f"edge_count is {edge_count}; use an even number from 16")
     ls, kappa, ks = check_inputs(suspended_length, curvature, stretch_ratio)
+    natural = _natural_curvature(natural_curvature, len(ls))
+    if natural is not None:
+        if sensitivities:
+            raise GraspError("sensitivities are known for naturally straight rods only")
+        if not -1.0 < poisson <= 0.5:
+            raise GraspError(f"poisson is {poisson!r}; an elastic rod needs a value in (-1, 0.5]")
+        # Right turns are solved as left turns of the mirrored rod.
+        natural[kappa < 0, 0] *= -1.0
     device = resolve_device(device)
     size = _CPU_CHUNK if device == "cpu" else _CUDA_CHUNK
     workers = 1 if device != "cpu" else (threads or os.cpu_count() or 1)
@@ -140,6 +162,8 @@ def solve_grasps(
             sensitivities,
             eigenvalues,
             shapes,
+            None if natural is None else natural[chunk],
+            poisson,
         )
         if progress is not None:
             progress(len(result.position))
@@ -173,13 +197,49 @@ def check_inputs(*inputs) -> tuple[np.ndarray, ...]:
     return tuple(np.array(a) for a in arrays)
 
 
+def _natural_curvature(value, count: int) -> np.ndarray | None:
+    """(count, 2) natural curvatures, or None for straight rods."""
+    value = np.asarray(0.0 if value is None else value, dtype=np.float64)
+    if not np.any(value):  # a NaN counts as curved, and is refused below
+        return None
+    low, high = LIMITS["natural_curvature"]
+    try:
+        value = np.array(np.broadcast_to(value, (count, 2)))
+    except ValueError:
+        value = np.full((count, 3), np.nan)
+    if value.shape != (count, 2):
+        raise GraspError("natural_curvature must be (2,) or (n, 2): towards +y and +z [1/L_gb]")
+    bad = np.flatnonzero(~((value >= low) & (value <= high)).all(axis=1))
+    if bad.size:
+        raise GraspError(
+            f"natural_curvature[{bad[0]}] is {value[bad[0]].tolist()}, outside the {low:g} to "
+            f"{high:g} that can be solved (dimensionless: times L_gb)"
+        )
+    return value
+
+
 def _solve_chunk(
-    ls, kappa, ks, closure, device, edge_count, extrapolate, sensitivities, eigenvalues, shapes
+    ls,
+    kappa,
+    ks,
+    closure,
+    device,
+    edge_count,
+    extrapolate,
+    sensitivities,
+    eigenvalues,
+    shapes,
+    natural,
+    poisson,
 ) -> GraspSolution:
     """Coarse from a cold start, fine from coarse, then both combined."""
 
     def level(chosen, edges, guess=None, thrust=None) -> tuple[GraspSolver, GraspSolution]:
-        solver = GraspSolver(
+        kind, rod = GraspSolver, {}
+        if natural is not None:
+            kind, rod = CurvedGraspSolver, {"natural_curvature": natural[chosen]}
+            rod["poisson"] = poisson
+        solver = kind(
             ls[chosen],
             kappa[chosen],
             ks[chosen],
@@ -188,6 +248,7 @@ def _solve_chunk(
             device=device,
             guess=guess,
             thrust=thrust,
+            **rod,
         ).run()
         return solver, solver.solution(
             sensitivities=sensitivities,
@@ -223,6 +284,7 @@ def _solve_chunk(
 _EXTRAPOLATED = (
     "position",
     "rotation",
+    "twist",
     "force",
     "force_jacobian",
     "position_sensitivity",
@@ -247,6 +309,7 @@ def _grasps(parts: list[GraspSolution], kappa: np.ndarray, sensitivities: bool) 
         return np.concatenate([getattr(part, name) for part in parts])
 
     right = kappa < 0
+    twist = None if parts[0].twist is None else np.where(right, -1.0, 1.0) * join("twist")
     position, rotation, force = join("position"), join("rotation"), join("force")
     jacobian = join("force_jacobian")
     shape = None if parts[0].shape is None else join("shape")
@@ -277,5 +340,7 @@ def _grasps(parts: list[GraspSolution], kappa: np.ndarray, sensitivities: bool) 
         join("residual"),
         jacobian,
         shape,
+        None if parts[0].arc_length is None else join("arc_length"),
+        twist,
         **extra,
     )

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from wrod.banded import BandedSystem
 from wrod.batch import Derivatives, RodBatch
 from wrod.grasp_mesh import WEIGHT, node_weights, rest_lengths
 from wrod.kernels import grasping, holding
 from wrod.kernels.table import table
 from wrod.stability import smallest_eigenvalue
-from wrod.statics import BandedSystem, EquilibriumSolver
+from wrod.statics import EquilibriumSolver
 
 # Largest change of an edge in one step, as a fraction of its length.
 _STEP_LIMIT = 0.4

@@ -6,21 +6,25 @@ from __future__ import annotations
 import json
 import math
 import os
+import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from wrod.errors import RodError
+from wrod.errors import RodError, WrodWarning
 from wrod.files import write_atomically
 
 # Height of the loop of a heavy rod over its gravito-bending length, as `wrod.loop` derives it from
 # the heavy elastica. The paper's 0.9066 belongs to (k_b/(pi h^2 rho g))^(1/3), 2^(1/3) larger.
 LOOP_HEIGHT_RATIO = 1.14224
 _FORMAT = "wrod-rod-1"
+# What `wrod identify` writes: a rod, and the effects found, some of which the rod's numbers carry.
+_MODEL_FORMAT = "wrod-rod-model-1"
+_CARRIED = ("stiffness", "density", "natural_curvature")
 
 
 @dataclass(frozen=True)
 class RodMaterial:
-    """A straight, uniform, isotropic, linearly elastic rod of circular section.
+    """A uniform, isotropic, linearly elastic rod of circular section, straight unless it says not.
 
     Args:
         radius: radius h of the section [m].
@@ -30,6 +34,9 @@ class RodMaterial:
         poisson: Poisson's ratio [-].
         density: mass density rho [kg/m^3].
         gravity: gravitational acceleration g [m/s^2].
+        natural_curvature: (c_1, c_2), the curvature at rest dt/ds = c_1 m_1 + c_2 m_2 in the
+            material frame (m_1, m_2, tangent t = m_1 x m_2), arc length growing from the end that
+            is laid first; (0, 0) is a straight rod [1/m].
 
     Raises:
         RodError: a value is not finite, not positive, or Poisson's ratio is outside (-1, 0.5].
@@ -41,6 +48,7 @@ class RodMaterial:
     poisson: float = 0.5
     density: float = 1180.0
     gravity: float = 9.81
+    natural_curvature: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in ("radius", "gravito_bending_length", "length", "density", "gravity"):
@@ -53,6 +61,16 @@ class RodMaterial:
             raise RodError(
                 f"rod poisson is {self.poisson!r}; an elastic rod needs a value in (-1, 0.5]"
             )
+        try:
+            first, second = (float(value) for value in self.natural_curvature)
+        except (TypeError, ValueError):
+            first = second = math.nan
+        if not (math.isfinite(first) and math.isfinite(second)):
+            raise RodError(
+                f"rod natural_curvature is {self.natural_curvature!r}; give two finite numbers, "
+                "the components along the material directors in 1/m"
+            )
+        object.__setattr__(self, "natural_curvature", (first, second))
 
     @classmethod
     def from_youngs_modulus(
@@ -102,15 +120,20 @@ class RodMaterial:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> RodMaterial:
-        """Read a rod that `save` or `wrod loop` wrote.
+        """Read a rod that `save` or `wrod loop` wrote, or the model that `wrod identify` wrote.
 
         Raises:
             RodError: the file is missing, not a rod file, or holds unphysical values.
+
+        Warns:
+            WrodWarning: the model has effects that a uniform, isotropic, linear rod cannot carry.
         """
         try:
             content = json.loads(Path(path).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise RodError(f"{path}: not a readable rod file ({error})") from None
+        if isinstance(content, dict) and content.get("format") == _MODEL_FORMAT:
+            content = {"format": _FORMAT, **_rod_of_model(path, content)}
         if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
             raise RodError(f"{path}: is not a {_FORMAT} file; write one with `wrod loop --out`")
         try:
@@ -120,6 +143,18 @@ class RodMaterial:
             raise RodError(f"{path}: {reason}") from None
         except RodError as error:
             raise RodError(f"{path}: {error}") from None
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether the rod is straight at rest."""
+        return self.natural_curvature == (0.0, 0.0)
+
+    def curvature_held(self, roll: float) -> tuple[float, float]:
+        """(to the left, upwards) curvature at rest [1/m] of the rod laid straight, its first
+        material director turned by `roll` [rad] from left towards up."""
+        first, second = self.natural_curvature
+        cosine, sine = math.cos(roll), math.sin(roll)
+        return first * cosine - second * sine, first * sine + second * cosine
 
     @property
     def stretch_ratio(self) -> float:
@@ -150,6 +185,25 @@ class RodMaterial:
     def youngs_modulus(self) -> float:
         """E [Pa]."""
         return 4.0 * self.bending_stiffness / (math.pi * self.radius**4)
+
+
+def _rod_of_model(path, content: dict) -> dict:
+    """The rod's numbers of an identified model; says what they do not carry."""
+    rod, effects = content.get("rod"), content.get("effects")
+    named = isinstance(effects, list) and all(
+        isinstance(e, dict) and isinstance(e.get("name"), str) for e in effects
+    )
+    if not isinstance(rod, dict) or not named:
+        raise RodError(f"{path}: holds no rod and effects; write it again with `wrod identify`")
+    aside = [e["name"] for e in effects if e["name"] not in _CARRIED]
+    if aside:
+        warnings.warn(
+            f"{path}: {', '.join(aside)} set aside; plans and deployments know a rod's "
+            "stiffness, density and natural curvature",
+            WrodWarning,
+            stacklevel=3,
+        )
+    return rod
 
 
 # Table 2 of the paper; VPS density 1180 kg/m^3 throughout (it drops out of every plan).

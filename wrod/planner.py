@@ -13,14 +13,11 @@ from scipy.spatial.transform import Rotation
 from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
 from wrod.friction import friction_bound
 from wrod.grasp_mesh import WEIGHT
-from wrod.grasp_sources import SOURCES, GraspInputs, GraspPoses
+from wrod.grasp_sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs, GraspPoses
 from wrod.material import RodMaterial
 from wrod.patterns import Pattern
 from wrod.trajectory import Trajectory
 
-# The suspended part must stay this long, in L_gb, at the last contact: grasps of a shorter rod
-# put the gripper's fingers on the table, and the studied range begins here.
-MIN_SUSPENDED_LENGTH = 1.0
 # A dimensionless start curvature above this gets a remainder unless the caller decides. The paper's
 # circle and sine start above it; its letters, laid without a remainder, start below 0.11.
 CONSIDERABLE_CURVATURE = 0.15
@@ -29,6 +26,10 @@ _REMAINDER_FRICTION = 0.25
 # ... but turns by no more than this [rad], which binds for stiff rods.
 _REMAINDER_TURN = 0.8
 _MAX_NODES = 20_000
+# Dimensionless curvatures between which "min_friction" lays a pattern better, and points at which
+# curvature is looked at; beyond the range not all grasps of that closure exist.
+_GENTLE, _TIGHT = 0.4, 3.0
+_COURSE_POINTS = 2000
 # Stiffness of a rod's softest motion over weight per length by suspended length. A chain that hangs
 # without bending stiffness has (j_0 / 2)^2; optimal grasps have more, and one with a third of it
 # would swing out three times as far as a chain.
@@ -41,11 +42,12 @@ _SAME_GRASP = 0.06
 def plan(
     pattern: Pattern,
     rod: RodMaterial,
-    method: str = "neural",
+    method: str = "auto",
     *,
-    closure: str = "zero_tension",
+    closure: str | None = None,
     spacing: float = 0.0025,
     remainder: bool | float | None = None,
+    roll: float | None = None,
     device: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
@@ -54,13 +56,19 @@ def plan(
     Args:
         pattern: where the rod is to lie.
         rod: its material and length.
-        method: "neural" (optimal grasps from the trained controller), "numeric" (from the rod
-            solver), "auto" (neural where the controller was trained, numeric elsewhere) or
-            "intuitive" (straight above the contact).
+        method: "neural" (optimal grasps from the trained controller; of a naturally curved rod,
+            which it does not know, from the rod solver), "numeric" (from the rod solver), "auto"
+            (neural where the controller was trained, numeric elsewhere) or "intuitive" (straight
+            above the contact).
         closure: "zero_tension", "min_force" or "min_friction"; "neural" knows the first only.
+            None: what lays the pattern most accurately for "auto" (see `favoured_closure`),
+            "zero_tension", which is the paper's, for the others.
         spacing: largest distance between the contact nodes [m].
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
             curvature is considerable (over 0.15 / L_gb), True, False, or its length [m].
+        roll: how the rod is put into the grip: the laid rod's first material director is turned
+            by it from left towards up [rad]. None lays the rod with its natural curvature in the
+            table's plane, bent to the side to which the pattern turns in all; see `natural_roll`.
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
         progress: called with the nodes done since the last call and the number of all nodes.
 
@@ -80,6 +88,8 @@ def plan(
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
     pattern = prepare(pattern, rod, remainder)
+    if closure is None:
+        closure = favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
     first = -pattern.remainder_length
     total = pattern.length - first
     if not (np.isfinite(spacing) and spacing >= total / _MAX_NODES):
@@ -92,11 +102,21 @@ def plan(
     _refuse_tight_bends(pattern, rod, s, curvature)
     lgb = rod.gravito_bending_length
     laid = s - first
-    inputs = GraspInputs(
-        *_dimensionless(rod, laid, curvature), rod.stretch_ratio, closure, device, progress
-    )
+    roll = natural_roll(pattern, rod) if roll is None else _finite_roll(roll)
+    inputs = GraspInputs.of(
+        rod, rod.length - laid, curvature,
+        roll=roll, closure=closure, device=device, progress=progress,
+    )  # fmt: skip
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
+        if method == "neural" and not rod.is_straight:
+            method = "numeric"
+            warnings.warn(
+                "the controller knows naturally straight rods only and this one is curved at rest, "
+                "so its grasps come from the rod solver",
+                WrodWarning,
+                stacklevel=2,
+            )
         poses = SOURCES[method](inputs)
         _refuse_unconverged(poses, inputs, s)
         _warn_unstable(poses, inputs, s)
@@ -119,6 +139,7 @@ def plan(
             "pattern_length": pattern.length,
             "remainder_length": pattern.remainder_length,
             "rod": asdict(rod),
+            "roll": roll,
             "required_friction": float(np.max(friction_bound(pattern, rod).required)),
             "largest_curvature": float(np.max(np.abs(curvature))),
             "warnings": [
@@ -128,7 +149,24 @@ def plan(
             ],
         },
         shape=shape,
+        twist=poses.twist,
     )
+
+
+def favoured_closure(pattern: Pattern, rod: RodMaterial) -> str:
+    """The closure that lays such a pattern most accurately, whatever the table.
+
+    "min_friction" where the pattern's largest curvature is over 0.4 / L_gb, "zero_tension"
+    elsewhere. In bends the first asks the table for less: at 1 / L_gb for a tangential force of
+    0.55 instead of 0.93 of the normal one, so that less slides on slippery tables. On a straight
+    pattern both are the same grasps; in gentle bends both lay as well, and the trained controller
+    knows the second. Evidence: `wrod bench closures`, docs/deployment.md; for naturally curved
+    rods there is none, and they get "zero_tension".
+    """
+    s = np.linspace(-pattern.remainder_length, pattern.length, _COURSE_POINTS)
+    sharpest = np.max(np.abs(pattern.sample(s)[2])) * rod.gravito_bending_length
+    bent = _GENTLE < sharpest <= _TIGHT
+    return "min_friction" if bent and rod.is_straight else "zero_tension"
 
 
 def with_shapes(
@@ -161,9 +199,10 @@ def with_shapes(
     rod, s = RodMaterial(**rod), trajectory.pattern_arc_length
     tangent, curvature = _course(trajectory, pattern)
     lgb = rod.gravito_bending_length
-    inputs = GraspInputs(
-        *_dimensionless(rod, trajectory.arc_length, curvature),
-        rod.stretch_ratio, closure, device, progress,
+    inputs = GraspInputs.of(
+        rod, rod.length - trajectory.arc_length, curvature,
+        roll=float(trajectory.metadata.get("roll", 0.0)),
+        closure=closure, device=device, progress=progress,
     )  # fmt: skip
     try:
         poses = SOURCES["numeric"](inputs)
@@ -201,13 +240,22 @@ def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray
     return tuple(course) if laid else own
 
 
-def _dimensionless(
-    rod: RodMaterial, laid: np.ndarray, curvature: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Suspended length [L_gb] and curvature [1/L_gb] at each node."""
-    lgb = rod.gravito_bending_length
-    # The maximum removes the rounding of a pattern that fills the rod.
-    return np.maximum((rod.length - laid) / lgb, MIN_SUSPENDED_LENGTH), curvature * lgb
+def natural_roll(pattern: Pattern, rod: RodMaterial) -> float:
+    """Roll [rad] of a laid rod whose natural curvature lies in the table's plane and bends it to
+    the side to which the pattern turns in all; 0 for a straight rod."""
+    if rod.is_straight:
+        return 0.0
+    s = np.linspace(-pattern.remainder_length, pattern.length, 1000)
+    turning = float(np.mean(pattern.sample(s)[2])) * (s[-1] - s[0])
+    left = -float(np.arctan2(*rod.natural_curvature[::-1]))
+    # A pattern that turns by nothing but rounding has no side.
+    return left + np.pi if turning < -1e-3 else left
+
+
+def _finite_roll(roll: float) -> float:
+    if not np.isfinite(roll):
+        raise GraspError(f"roll is {roll!r}; give a finite angle in radians")
+    return float(roll)
 
 
 def _contact_frame(tangent: np.ndarray) -> np.ndarray:

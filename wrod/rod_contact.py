@@ -31,7 +31,8 @@ class RodContact:
     along the rod are left out: a rod cannot touch itself within half a turn of its tightest bend.
     Friction acts between the surfaces, which roll on each other where the rods are free to spin.
     A step of `Dynamics` in which a node moves by more than half a radius is refused and halved, so
-    that nothing tunnels.
+    that nothing tunnels. A post thinner than the edges are long, through which the nodes' `Contact`
+    could miss the rod, is a rod of its own whose nodes are held.
 
     Args:
         batch: the rods, already cut (`RodBatch.cut`) where several share a row.
@@ -47,7 +48,8 @@ class RodContact:
         penetration: (rod,) deepest penetration at the end of the last step [length].
 
     Raises:
-        RodError: radius or stiffness is not positive and finite, or does not broadcast.
+        RodError: radius or stiffness is not positive and finite, or does not broadcast; or the
+            batch stands where its rods are inside each other.
     """
 
     def __init__(
@@ -113,6 +115,7 @@ class RodContact:
         self.force = zeros(wp.vec3d, nodes)
         self.configuration = ()
         self.system = CoupledSystem(self)
+        self._check_start()
 
     @property
     def _model(self):
@@ -186,6 +189,16 @@ class RodContact:
             device=self.batch.device,
         )
 
+    def restart(self, chosen: wp.array) -> None:
+        """Let the rows that are not 0 in `chosen` (rod,) touch everything for the first time."""
+        wp.launch(
+            contact_pairs.forget_partners,
+            dim=self.partner_count.shape,
+            inputs=[chosen],
+            outputs=[self.partner_count],
+            device=self.batch.device,
+        )
+
     def refuse(
         self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
     ) -> None:
@@ -233,6 +246,21 @@ class RodContact:
             ],
             device=device,
         )
+
+    def _check_start(self) -> None:
+        batch = self.batch
+        none = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
+        self.prepare(batch.every_rod, none, batch.state.dof)
+        self.add(batch.every_rod, batch.state.dof, batch.state.dof)
+        self.check_capacity()
+        r, i, k = np.unravel_index(self.depth.numpy().argmax(), self.depth.shape)
+        j, radius = self.partner.numpy()[r, i, k], self.edge_radius.numpy()[r]
+        depth = self.depth.numpy()[r, i, k]
+        if depth > 0.25 * (radius[i] + radius[j]):
+            raise RodError(
+                f"edges {i} and {j} of row {r} start {depth:.3g} inside each other; set their "
+                "centrelines apart by the sum of their radii"
+            )
 
     def forces(self) -> np.ndarray:
         """(rod, node, 3) contact force on each node at the end of the last step."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wrod.batch import Derivatives, RodBatch, RodState, threads_per_block
+from wrod.banded import BandedSystem
+from wrod.batch import Derivatives, RodBatch, RodState
 from wrod.errors import RodError
-from wrod.kernels import banded, continuation, newton
-from wrod.kernels.assembly import HALF_BANDWIDTH
+from wrod.kernels import continuation, newton
 
 # Largest change of an edge in one Newton step, as a fraction of its length.
 _STEP_LIMIT = 0.5
@@ -35,40 +35,6 @@ class Equilibria:
     residual: np.ndarray
     negative_pivots: np.ndarray
     progress: np.ndarray
-
-
-class BandedSystem:
-    """Factorisation of the free block of a batch's Hessian, and solutions with it."""
-
-    def __init__(self, batch: RodBatch, right_hand_sides: int = 1):
-        rods, dofs, device = batch.rod_count, batch.dof_count, batch.device
-        self.batch = batch
-        self.block_dim = threads_per_block(rods, device)
-        self.factor = wp.zeros((rods, dofs, HALF_BANDWIDTH + 1), dtype=wp.float64, device=device)
-        self.shift = wp.zeros(rods, dtype=wp.float64, device=device)
-        self.negative_pivots = wp.zeros(rods, dtype=wp.int32, device=device)
-        self.x = wp.zeros((rods, right_hand_sides, dofs), dtype=wp.float64, device=device)
-
-    def factorise(self, hessian: wp.array, active: wp.array) -> None:
-        wp.launch(
-            banded.factorise,
-            dim=self.batch.rod_count,
-            inputs=[active, self.batch.free, hessian, self.shift],
-            outputs=[self.factor, self.negative_pivots],
-            device=self.batch.device,
-            block_dim=self.block_dim,
-        )
-
-    def solve(self, active: wp.array, columns: int | None = None) -> None:
-        """Overwrite the first (default: all) right-hand sides in `x` with their solutions."""
-        wp.launch(
-            banded.solve,
-            dim=(self.x.shape[0], columns or self.x.shape[1]),
-            inputs=[active, self.batch.free, self.factor],
-            outputs=[self.x],
-            device=self.batch.device,
-            block_dim=self.block_dim,
-        )
 
 
 class EquilibriumSolver:
@@ -214,7 +180,7 @@ class EquilibriumSolver:
 
     def _iterate(self, max_iterations: int, search: bool) -> np.ndarray:
         """Newton on the active rods until each has converged or stopped; iterations per rod."""
-        batch, device = self.batch, self.batch.device
+        batch = self.batch
         rods, dofs = batch.rod_count, batch.dof_count
         out, system = batch.derivatives, self.system
         count = np.zeros(rods, dtype=np.int64)
@@ -224,20 +190,17 @@ class EquilibriumSolver:
             batch.evaluate(order=2, active=self.active)
             # The factorisation comes first: at equilibrium its pivots tell the stability.
             system.factorise(out.hessian, self.active)
-            wp.launch(
+            batch.walk(
                 newton.measure_residual,
-                dim=rods,
-                inputs=[
+                [
                     batch.free,
                     self.force_scale,
                     self.length_scale,
                     self.tolerance,
                     out.gradient,
                     self.active,
-                    self.residual,
-                    self.converged,
                 ],
-                device=device,
+                [self.residual, self.converged],
             )
             active = self.active.numpy() != 0
             if not active.any() or iteration == max_iterations:
@@ -269,10 +232,9 @@ class EquilibriumSolver:
     def _step(self, search: bool) -> None:
         batch, device, rods = self.batch, self.batch.device, self.batch.rod_count
         out, system, trial = batch.derivatives, self.system, self.trial
-        wp.launch(
+        batch.walk(
             newton.start_line_search,
-            dim=rods,
-            inputs=[
+            [
                 wp.float64(_STEP_LIMIT),
                 self.active,
                 batch.free,
@@ -280,8 +242,7 @@ class EquilibriumSolver:
                 out.gradient,
                 system.x,
             ],
-            outputs=[self.slope, self.fraction, self.searching],
-            device=device,
+            [self.slope, self.fraction, self.searching],
         )
         while True:
             wp.launch(

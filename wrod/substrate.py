@@ -1,4 +1,4 @@
-"""Fixed shapes that rods touch: the table and fixtures on it, with Coulomb friction."""
+"""Shapes that rods touch: the table and fixtures on it, with Coulomb friction."""
 
 from __future__ import annotations
 
@@ -73,41 +73,46 @@ class Friction:
             )
 
 
+# How stiffly a step holds the roll of what touches, over the twisting stiffness of an edge.
+_ROLL_STIFFNESS = 1e3
+
+
 @dataclass
 class Contact:
-    """Contact of every rod of a batch with the same shapes; arrays live on the batch's device.
+    """Contact of every rod of a batch with shapes; arrays live on the batch's device.
 
     Args:
         batch: the rods.
         radius: (rod,) radius of the section [length].
         stiffness: (rod,) normal and tangential stiffness of the contact per length of rod
             [force/length^2]: under its weight w per length a rod sinks in by about w / stiffness.
-        friction: one for all rods, or one per rod.
-        shapes: planes, boxes and cylinders; default: the table z = 0.
+        friction: one for all rods, one per rod, or for every rod a list of one per shape.
+        shapes: planes, boxes and cylinders that every rod touches, or for every rod a list of its
+            own; default: the table z = 0.
+        keeps_roll: (rod,) whether what touches a shape keeps its roll, unless its friction says
+            that it rolls. That counts for naturally curved rods, whose roll says where they bend.
 
     Attributes:
         force: (rod, node) force on each node at the end of the last step.
         slip: (rod, node) distance that each node has slid in all [length].
 
     Raises:
-        RodError: radius or stiffness is not positive and finite.
+        RodError: radius or stiffness is not positive and finite, a shape has no size, or friction
+            and shapes do not match.
     """
 
     batch: RodBatch
     radius: np.ndarray
     stiffness: np.ndarray
-    friction: Friction | list[Friction]
-    shapes: tuple = (Plane(),)
+    friction: Friction | list[Friction] | list[list[Friction]]
+    shapes: tuple | list[list] = (Plane(),)
+    keeps_roll: np.ndarray | bool = False
     force: wp.array = field(init=False)
     slip: wp.array = field(init=False)
 
     def __post_init__(self) -> None:
         batch, device = self.batch, self.batch.device
         rods, nodes = batch.rod_count, batch.node_count
-        friction = self.friction
-        if isinstance(friction, Friction):
-            friction = [friction] * rods
-        kinetic = [f.static if f.kinetic is None else f.kinetic for f in friction]
         radius = np.broadcast_to(np.asarray(self.radius, dtype=float), (rods,))
         stiffness = np.broadcast_to(np.asarray(self.stiffness, dtype=float), (rods,))
         for name, value in (("radius", radius), ("stiffness", stiffness)):
@@ -117,20 +122,87 @@ class Contact:
         def floats(values):
             return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
 
+        shapes, static, kinetic, rolling = self._table()
         self._model = [
-            wp.array([_shape(s) for s in self.shapes], dtype=kernels.Shape, device=device),
+            shapes,
             floats(radius),
             floats(stiffness[:, None] * _node_lengths(batch)),
             floats(0.01 * radius),  # the skin: thin against the penetration that is allowed
-            floats([f.static for f in friction]),
+            floats(static),
             floats(kinetic),
-            floats([float(f.rolling) for f in friction]),
+            floats(rolling),
         ]
-        per_shape = (rods, len(self.shapes), nodes)
+        self._roll = None
+        held = np.broadcast_to(self.keeps_roll, (rods,)) & (rolling == 0)
+        if held.any():
+            edge = batch.twisting_stiffness.numpy().max(axis=1) / batch.rest_length.numpy().min(
+                axis=1
+            )
+            self._roll = floats(np.where(held, _ROLL_STIFFNESS * edge, 0.0))
+        per_shape = (rods, self._model[0].shape[1], nodes)
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
+
+    def _table(self):
+        """Shapes (rod, shape), static and kinetic coefficients (rod, shape), rolling (rod,)."""
+        rods = self.batch.rod_count
+        shapes, friction = self.shapes, self.friction
+        if not (isinstance(shapes, list) and all(isinstance(s, (list, tuple)) for s in shapes)):
+            shapes = [list(shapes)] * rods
+        friction = [friction] * rods if isinstance(friction, Friction) else friction
+        if len(shapes) != rods or len(friction) != rods:
+            raise RodError(
+                f"contact of {rods} rods has shapes for {len(shapes)} and friction for "
+                f"{len(friction)}; give one for all or one for every rod"
+            )
+        width = max(len(row) for row in shapes)
+        nothing = kernels.Shape()
+        nothing.kind = int(kernels.NOTHING)
+        table = []
+        static, kinetic = np.zeros((2, rods, width))
+        rolling = np.zeros(rods)
+        described = {}
+        for r, (row, laws) in enumerate(zip(shapes, friction, strict=True)):
+            laws = [laws] * len(row) if isinstance(laws, Friction) else laws
+            if len(laws) != len(row) or len({law.rolling for law in laws}) > 1:
+                raise RodError(
+                    f"contact of rod {r} has {len(row)} shapes and {len(laws)} frictions; give "
+                    "one for every shape, all rolling or none"
+                )
+            for shape in row:
+                if id(shape) not in described:
+                    described[id(shape)] = _shape(shape)
+            table += [described[id(s)] for s in row] + [nothing] * (width - len(row))
+            static[r, : len(row)] = [law.static for law in laws]
+            kinetic[r, : len(row)] = [
+                law.static if law.kinetic is None else law.kinetic for law in laws
+            ]
+            rolling[r] = any(law.rolling for law in laws)
+        flat = wp.array(table, dtype=kernels.Shape, device=self.batch.device)
+        return flat.reshape((rods, width)), static, kinetic, rolling
+
+    @property
+    def table(self) -> wp.array:
+        """(rod, shape) `wrod.kernels.contact.Shape`, for kernels that move them."""
+        return self._model[0]
+
+    def set_shapes(self, shapes, friction) -> None:
+        """Move shapes, or change their friction; as many for every rod as before.
+
+        Raises:
+            RodError: the most shapes that a rod touches is not what it was, or as above.
+        """
+        before = self.shapes, self.friction
+        self.shapes, self.friction = shapes, friction
+        table, static, kinetic, rolling = self._table()
+        if table.shape != self._model[0].shape:
+            self.shapes, self.friction = before
+            raise RodError("the number of shapes changed; make a new Contact")
+        self._model[0] = table
+        for array, values in zip(self._model[4:], (static, kinetic, rolling), strict=True):
+            array.assign(values)
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces and stiffness at `dof` to the batch's gradient and Hessian."""
@@ -140,6 +212,25 @@ class Contact:
             dim=(self.batch.rod_count, self.batch.node_count),
             inputs=[*self._model, active, dof, dof_before, self._bristle, self._sliding],
             outputs=[out.gradient, out.hessian],
+            device=self.batch.device,
+        )
+
+        if self._roll is not None:
+            wp.launch(
+                kernels.hold_roll,
+                dim=(self.batch.rod_count, self.batch.node_count),
+                inputs=[*self._model[:4], self._roll, active, dof, dof_before, self._bristle],
+                outputs=[out.gradient, out.hessian],
+                device=self.batch.device,
+            )
+
+    def restart(self, chosen: wp.array) -> None:
+        """Let the rods that are not 0 in `chosen` (rod,) touch everything for the first time."""
+        wp.launch(
+            kernels.forget_friction,
+            dim=self._bristle.shape,
+            inputs=[chosen],
+            outputs=[self._bristle, self._sliding],
             device=self.batch.device,
         )
 

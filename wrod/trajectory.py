@@ -14,6 +14,7 @@ from wrod.errors import DataError
 from wrod.files import write_atomically
 
 _FORMAT = "wrod-trajectory-1"
+_OPTIONAL = ("shape", "twist")
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,8 @@ class Trajectory:
         metadata: what made the plan (method, closure, rod, pattern, ...); plain JSON values.
         shape: (T, nodes, 3) centrelines of the suspended part from contact to grip [m], or None
             where the method does not compute them; saved in the NPZ file only.
+        twist: (T,) angle by which the rod is twisted between contact and grip [rad], or None where
+            it is not; whole turns count, which `rotation` cannot tell. In the NPZ file only.
     """
 
     arc_length: np.ndarray
@@ -40,6 +43,7 @@ class Trajectory:
     force: np.ndarray
     metadata: dict = field(default_factory=dict)
     shape: np.ndarray | None = None
+    twist: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.arc_length)
@@ -83,7 +87,11 @@ class Trajectory:
                 force=self.force,
                 units="SI: m, N",
                 metadata=json.dumps(self.metadata, sort_keys=True),
-                **({} if self.shape is None else {"shape": self.shape}),
+                **{
+                    name: getattr(self, name)
+                    for name in _OPTIONAL
+                    if getattr(self, name) is not None
+                },
             )
 
         return [
@@ -103,8 +111,8 @@ class Trajectory:
                 if str(data["format"]) != _FORMAT:
                     raise DataError(f"{path}: holds {data['format']}, not a {_FORMAT}")
                 names = ("arc_length", "contact", "position", "rotation", "force")
-                shape = data["shape"] if "shape" in data.files else None
-                return cls(*(data[n] for n in names), json.loads(str(data["metadata"])), shape)
+                more = {name: data[name] for name in _OPTIONAL if name in data.files}
+                return cls(*(data[n] for n in names), json.loads(str(data["metadata"])), **more)
         except DataError:
             raise
         except Exception as error:

@@ -194,3 +194,60 @@ def test_bad_contacts_are_refused():
         Contact(batch, RADIUS, CONTACT, Friction(0.3), shapes=(Plane(normal=(0, 0, 0)),))
     with pytest.raises(RodError, match="sizes"):
         Contact(batch, RADIUS, CONTACT, Friction(0.3), shapes=(Box((0, 0, 0), (1, 0, 1)),))
+
+
+class _PullDown:
+    """Moves the last node down at 1 cm/s."""
+
+    def __init__(self, batch):
+        self.batch, self.height = batch, batch.positions()[0, -1, 2]
+
+    def prescribe(self, running, time, step, start):
+        dof = self.batch.state.dof.numpy().copy()
+        dof[:, -1] = self.height - 0.01 * (time.numpy() + step.numpy())
+        self.batch.state.dof.assign(dof)
+
+
+@pytest.mark.parametrize("friction", [0.15, 0.3])
+def test_capstan(friction):
+    """A flexible rod pulled over a cylinder, half a turn, against a load: the tensions are in the
+    ratio exp(mu pi)."""
+    cylinder, edge, load = 0.02, 4e-3, 0.2
+    reach = cylinder + RADIUS
+    angle = np.linspace(np.pi, 0, round(np.pi * reach / edge) + 1)
+    arc = reach * np.column_stack([np.cos(angle), 0 * angle, np.sin(angle)])
+    down = edge * np.arange(1, 9)
+    left = np.column_stack([0 * down - reach, 0 * down, -down])[::-1]
+    right = np.column_stack([0 * down + reach, 0 * down, -down])
+    position = np.concatenate([left, arc, right])[None]
+    point_load = np.zeros_like(position)
+    point_load[0, 0, 2] = -load
+    batch = RodBatch(
+        position,
+        stretching_stiffness=100.0,
+        bending_stiffness=1e-7,  # against load x radius^2: bending does not matter
+        twisting_stiffness=1e-7,
+        node_mass=1e-2 * edge,
+        point_load=point_load,
+    )
+    free = np.ones(batch.dof_count, dtype=bool)
+    free[-3:] = False
+    batch.set_free(free)
+    shapes = (Cylinder((0, 0, 0), cylinder, 0.05, axis=(0, 1, 0)),)
+    contact = Contact(batch, RADIUS, 2e5, Friction(friction), shapes=shapes)
+    dynamics = Dynamics(
+        batch,
+        scheme="euler",
+        radius=RADIUS,
+        contact=contact,
+        air_damping=20.0,
+        motion=_PullDown(batch),
+    )
+    dynamics.advance(0.2, 2e-3)
+    strain = (
+        np.linalg.norm(np.diff(batch.positions()[0], axis=0), axis=1) / batch.rest_length.numpy()[0]
+        - 1
+    )
+    tension = 100.0 * strain
+    assert tension[3] == pytest.approx(load, rel=0.01)
+    assert tension[-3] / tension[3] == pytest.approx(np.exp(friction * np.pi), rel=0.03)

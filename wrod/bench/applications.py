@@ -50,7 +50,7 @@ def command(
     from wrod.bench import machine_line
     from wrod.bench.applications_report import METHODS, draw, markdown, table
     from wrod.bench.applications_trials import run_trials
-    from wrod.bench.ledger import Ledger
+    from wrod.bench.campaign import Ledger
     from wrod.errors import RodError
 
     if trials < 1:
@@ -58,7 +58,7 @@ def command(
     device = resolve_device(device)
     cases = chosen or CASES
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", {}, ("case", "method", "trial"), "wrod-applications-1")
+    ledger = Ledger(out / "trials.jsonl", {}, ("case", "method", "trial"), "applications")
     keys = list(product(range(trials), cases, METHODS))
     done = ledger.done()
     pending = [key for key in keys if (key[1], key[2], key[0]) not in done]

@@ -7,6 +7,14 @@ import time
 
 import click
 
+# What is halved in each study of convergence, and where it begins.
+STUDIES = {
+    "spacing": {"spacing": 0.01},
+    "step": {"step": 0.04},
+    "spacing and step": {"spacing": 0.01, "step": 0.04},
+    "speed": {"speed": 0.04},
+}
+
 
 @click.command(name="deploy")
 @click.option("--pattern", "name", default="letter-U", show_default=True, help="Pattern.")
@@ -27,9 +35,7 @@ def command(
     device: str,
     as_json: bool,
 ) -> None:
-    """Time one deployment and a batch on one thread; halve edges, steps and speed."""
-    import numpy as np
-
+    """Time one deployment and a batch on one thread; halve edges, steps, both, and speed."""
     from wrod.batch import resolve_device
     from wrod.bench import machine_line
     from wrod.deployment import Trial, simulate_deployments, with_remainder_of
@@ -71,21 +77,19 @@ def command(
 
     simulate(spacing=0.02, speed=0.2, step=0.05)  # compile the kernels outside the clock
     rows = {"speed": [simulate()[1], simulate(batch)[1]]}
-    s = np.linspace(0.0, curve.length, 200) + curve.remainder_length
-    for what, first in (("spacing", 0.01), ("step", 0.04), ("speed", 0.04)):
-        study, curves = [], []
+    for title, first in STUDIES.items():
+        laid, study = [], []
         for level in range(levels):
-            options = {what: first / 2**level}
-            if what == "speed":
+            options = {what: value / 2**level for what, value in first.items()}
+            if title == "speed":
                 # Slower and slower the deployment becomes a sequence of equilibria.
                 options["step"] = 0.01 * 2**level
-            laid, row = simulate(**options)
-            curves.append([np.interp(s, laid.arc_length, laid.centerline[:, c]) for c in range(2)])
-            change = None
-            if level:
-                change = 100 * float(np.hypot(*np.subtract(curves[-1], curves[-2])).max())
-            study.append({**row, "change_cm": change})
-        rows[f"convergence in {what}"] = study
+            deployment, row = simulate(**options)
+            laid.append(points(curve, deployment))
+            study.append(row)
+        for row, change in zip(study, changes(laid, study), strict=True):
+            row |= change
+        rows[f"convergence in {title}"] = study
     figures = {"machine": machine_line(device), "device": device, "rows": rows}
     if as_json:
         click.echo(json.dumps(figures))
@@ -99,11 +103,52 @@ def command(
             f"{row['rod_steps_per_second']:.0f} per second"
         )
     for title, study in list(rows.items())[1:]:
-        what = title.split()[-1]
-        click.echo(f"{title}: largest change of the laid curve from the line before")
+        whats = list(STUDIES[title.removeprefix("convergence in ")])
+        click.echo(
+            f"{title}: largest change of the laid curve and change of the error, from the line "
+            "before, and their orders"
+        )
         for row in study:
-            change = "" if row["change_cm"] is None else f"{row['change_cm']:.4f} cm"
             click.echo(
-                f"  {what} {row[what]:<8g} error {row['error_mean']:.4f} cm  change "
-                f"{change:<10}  cpu {row['cpu_seconds']:.1f} s"
-            )
+                "  " + ", ".join(f"{what} {row[what]:<8g}" for what in whats)
+                + f" error {row['error_mean']:.4f} cm"
+                + _told(row, "change_cm", "order") + _told(row, "error_change_cm", "error_order")
+                + f"  cpu {row['cpu_seconds']:.1f} s"
+            )  # fmt: skip
+
+
+def points(curve, deployment):
+    """(200, 2) points of the laid rod at the same arc lengths of its pattern [m]."""
+    import numpy as np
+
+    s = np.linspace(0.0, curve.length, 200) + curve.remainder_length
+    return np.column_stack(
+        [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
+    )
+
+
+def changes(laid: list, study: list[dict]) -> list[dict]:
+    """How curve and error [cm] change from each level of a study to the next, half as coarse, and
+    the orders of convergence that this shows: log2 of the ratio of two successive changes."""
+    import numpy as np
+
+    out = []
+    for level, row in enumerate(study):
+        entry = dict.fromkeys(("change_cm", "order", "error_change_cm", "error_order"))
+        if level:
+            apart = np.linalg.norm(laid[level] - laid[level - 1], axis=1)
+            entry["change_cm"] = 100 * float(apart.max())
+            entry["error_change_cm"] = abs(row["error_mean"] - study[level - 1]["error_mean"])
+        if level > 1:
+            for what, order in (("change_cm", "order"), ("error_change_cm", "error_order")):
+                before, now = out[-1][what], entry[what]
+                entry[order] = float(np.log2(before / now)) if min(before, now) > 0 else None
+        out.append(entry)
+    return out
+
+
+def _told(row: dict, change: str, order: str) -> str:
+    if row[change] is None:
+        return " " * 25
+    shown = "" if row[order] is None else f"({row[order]:+.1f})"
+    return f"  {row[change]:.5f} cm {shown:<8}"

@@ -9,25 +9,19 @@ from pathlib import Path
 
 import click
 
+from wrod.bench import campaign
+
 
 @click.command(name="table3")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--trials", default=10, show_default=True, help="Trials a cell.")
-@click.option(
-    "--patterns",
-    type=click.Path(file_okay=False, exists=True, path_type=Path),
-    help="Folder of pattern files (line.txt, letterA.txt, ...); default: the built-in patterns.",
-)
-@click.option("--speed", default=0.02, show_default=True, help="Speed of the contact [m/s].")
-@click.option("--step", default=0.01, show_default=True, help="Largest time step [s].")
-@click.option("--spacing", default=0.005, show_default=True, help="Length of the edges [m].")
-@click.option("--batch", type=int, help="Trials simulated at once; default: 32, CUDA all.")
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@click.option("--closure", help="Closure of OPT; default: the one that the planner favours.")
+@campaign.options(speed=0.02, step=0.01, spacing=0.005)
 def command(
     out: Path,
     trials: int,
+    closure: str | None,
     patterns: Path | None,
+    release: float,
     speed: float,
     step: float,
     spacing: float,
@@ -39,12 +33,10 @@ def command(
 
     Finished trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
     """
-    from tqdm import tqdm
-
     from wrod.batch import resolve_device
     from wrod.bench import machine_line
-    from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
-    from wrod.bench.table3_report import Ledger, cells, draw, markdown, summary, write_csv
+    from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, read_pattern
+    from wrod.bench.table3_report import KEYS, cells, draw, markdown, summary, write_csv
     from wrod.deployment import nodes_needed, simulate_deployments
     from wrod.errors import RodError
 
@@ -55,13 +47,15 @@ def command(
         "speed": speed,
         "step": step,
         "spacing": spacing,
+        "release": release,
+        "closure": closure or "favoured",
         "patterns": "built-in" if patterns is None else patterns.name,
     }
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", settings)
-    curves = {name: _pattern(name, patterns) for name in PATTERNS}
+    ledger = campaign.Ledger(out / "trials.jsonl", settings, KEYS, "table3")
+    curves = {name: read_pattern(name, patterns) for name in PATTERNS}
     start = time.perf_counter()
-    plans = _plans(curves, device, as_json)
+    plans = _plans(curves, closure, device, as_json)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
         (rod, substrate, name, method, trial)
@@ -69,34 +63,33 @@ def command(
             range(trials), RODS, SUBSTRATES, PATTERNS, METHODS
         )
     ]
-    done = ledger.done()
-    pending = [key for key in keys if key not in done]
     nodes = nodes_needed([_trial(key, plans) for key in keys[: len(keys) // trials]], spacing)
-    size = batch or (32 if device == "cpu" else max(len(pending), 1))
-    planned = time.perf_counter()
-    with tqdm(
-        total=len(keys), initial=len(keys) - len(pending), unit="trial", disable=as_json,
-        bar_format="{desc}{percentage:3.0f}% |{bar}| {elapsed} < {remaining}",
-    ) as bar:  # fmt: skip
-        for first in range(0, len(pending), size):
-            part = pending[first : first + size]
-            deployments = simulate_deployments(
-                [_trial(key, plans) for key in part],
-                speed=speed,
-                step=step,
-                spacing=spacing,
-                node_count=nodes,
-                device=device,
-                progress=lambda fraction, part=part: bar.update(fraction * len(part)),
-            )
-            ledger.add([_row(k, d, plans) for k, d in zip(part, deployments, strict=True)])
-    simulated = time.perf_counter() - planned
-    wanted = set(keys)
-    rows = [row for row in ledger.rows if _key(row) in wanted]
+    planned = time.perf_counter() - start
+
+    def simulate(part, progress):
+        deployments = simulate_deployments(
+            [_trial(key, plans) for key in part],
+            release=release,
+            speed=speed,
+            step=step,
+            spacing=spacing,
+            node_count=nodes,
+            device=device,
+            progress=progress,
+        )
+        return [
+            dict(zip(KEYS, key, strict=True)) | campaign.figures_of(laid, _plan_of(key, plans)[0])
+            for key, laid in zip(part, deployments, strict=True)
+        ]
+
+    spent = campaign.run(ledger, keys, simulate, device=device, batch=batch, quiet=as_json)
+    rows = ledger.of(keys)
     table = cells(rows)
     head = (
         f"Simulated accuracy, e_mean ± sigma [cm] (N = 50), {trials} trials a cell; contact speed "
-        f"{speed:g} m/s, step {step:g} s, edges {spacing:g} m, patterns {settings['patterns']}."
+        f"{speed:g} m/s, step {step:g} s, edges {spacing:g} m, free end held for the "
+        f"first {release:g} m, OPT with closure {settings['closure']}, patterns "
+        f"{settings['patterns']}."
     )
     text = markdown(table, head)
     (out / "table3.md").write_text(text, encoding="utf-8")
@@ -106,15 +99,14 @@ def command(
         draw(out / "table3.png", rows, curves),
         ledger.path,
     ]
-    steps = sum(row["steps"] for row in rows if _key(row) in set(pending))
     figures = {
         "machine": machine_line(device),
         "device": device,
         "trials": len(rows),
-        "simulated_now": len(pending),
-        "planning_seconds": planned - start,
-        "simulation_seconds": simulated,
-        "rod_steps_per_second": steps / simulated if pending else None,
+        "simulated_now": spent.trials,
+        "planning_seconds": planned,
+        "simulation_seconds": spent.seconds,
+        "rod_steps_per_second": spent.rate,
         "nodes": nodes,
         "summary": summary(table),
         "written": [str(path) for path in written],
@@ -123,49 +115,36 @@ def command(
         click.echo(json.dumps(figures, indent=2))
         return
     click.echo(figures["machine"])
-    click.echo(
-        f"{len(pending)} trials of {nodes} nodes on {device} in {simulated:.1f} s "
-        f"(plans {planned - start:.1f} s)"
-        + (f", {steps / simulated:.0f} rod steps per second" if pending else "")
-    )
+    click.echo(f"{spent} of {nodes} nodes on {device} (plans {planned:.1f} s)")
     for line in figures["summary"]:
         click.echo(line)
     for path in written:
         click.echo(f"wrote {path}")
 
 
-def _pattern(name: str, folder: Path | None):
-    from wrod.patterns import Pattern, pattern
-
-    if folder is None:
-        return pattern(name)
-    return Pattern.load(folder / f"{name.replace('-', '')}.txt", name=name)
-
-
-def _plans(curves: dict, device: str, quiet: bool) -> dict:
+def _plans(curves: dict, closure: str | None, device: str, quiet: bool) -> dict:
     """(rod, pattern, method) -> pattern with remainder, rod, trajectory, tail."""
     from tqdm import tqdm
 
     from wrod.bench.table3_paper import METHODS, RODS
-    from wrod.deployment import with_remainder_of
     from wrod.deployment_setup import tail
     from wrod.material import rod
-    from wrod.planner import plan
+    from wrod.planner import favoured_closure, plan, prepare
 
     plans = {}
     jobs = list(product(RODS, curves, METHODS))
     for name, curve, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
         material = rod(name)
-        trajectory = plan(curves[curve], material, method, device=device)
-        led = with_remainder_of(curves[curve], trajectory)
+        led = prepare(curves[curve], material, None)
+        chosen = (closure or favoured_closure(led, material)) if method == "numeric" else None
+        trajectory = plan(led, material, method, closure=chosen, device=device)
         plans[name, curve, method] = (led, material, trajectory, tail(led, material, trajectory))
     return plans
 
 
-def _key(row: dict) -> tuple:
-    from wrod.bench.table3_report import KEYS
-
-    return tuple(row[key] for key in KEYS)
+def _plan_of(key: tuple, plans: dict) -> tuple:
+    rod, _, name, method, _ = key
+    return plans[rod, name, method]
 
 
 def _trial(key: tuple, plans: dict):
@@ -175,9 +154,9 @@ def _trial(key: tuple, plans: dict):
     from wrod.deployment_setup import Disturbance
     from wrod.substrate import Friction
 
-    rod, substrate, name, method, trial = key
+    rod, substrate, name, _, trial = key
     cell = (RODS.index(rod) * 3 + SUBSTRATES.index(substrate)) * 7 + PATTERNS.index(name)
-    curve, material, trajectory, rest = plans[rod, name, method]
+    curve, material, trajectory, rest = _plan_of(key, plans)
     return Trial(
         curve,
         material,
@@ -186,23 +165,3 @@ def _trial(key: tuple, plans: dict):
         Disturbance.random(1000 * cell + trial),
         rest,
     )
-
-
-def _row(key: tuple, deployment, plans: dict) -> dict:
-    """What is kept of a trial: figures [cm], and the laid curve at 60 points [m]."""
-    import numpy as np
-
-    from wrod.bench.table3_report import KEYS
-
-    curve = plans[key[0], key[2], key[3]][0]
-    s = np.linspace(0.0, curve.length, 60) + curve.remainder_length
-    laid = [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
-    names = ("error_mean", "error_std", "released_error_mean", "released_error_std")
-    return {
-        **dict(zip(KEYS, key, strict=True)),
-        **{name: 100.0 * getattr(deployment, name) for name in names},
-        "slip": 100.0 * float(deployment.slip.max()),
-        "diverged": deployment.diverged,
-        "steps": deployment.steps,
-        "curve": np.round(np.column_stack(laid), 5).tolist(),
-    }

@@ -4,6 +4,8 @@ Tong, Choi, Qin, Huang, Joo, Jawed: Sim2Real neural controllers for physics-base
 deployment of deformable linear objects, Table 3 (ten trials a cell).
 """
 
+from pathlib import Path
+
 PATTERNS = ("line", "circle", "sine", "letter-U", "letter-C", "letter-L", "letter-A")
 RODS = ("pink-vps", "green-vps", "rope")
 SUBSTRATES = ("fabric", "steel", "foam")
@@ -54,3 +56,12 @@ def measured() -> dict[tuple[str, str, str, str], tuple[float, float]]:
                 for p, name in enumerate(PATTERNS):
                     table[rod, substrate, name, method] = (row[2 * p], row[2 * p + 1])
     return table
+
+
+def read_pattern(name: str, folder: Path | None):
+    """The built-in pattern of that name, or that of a folder of files (line.txt, letterA.txt)."""
+    from wrod.patterns import Pattern, pattern
+
+    if folder is None:
+        return pattern(name)
+    return Pattern.load(folder / f"{name.replace('-', '')}.txt", name=name)

@@ -1,4 +1,4 @@
-"""Results of the campaign: kept line by line, and told as CSV, Markdown and a picture."""
+"""Results of the campaign, told as CSV, Markdown and a picture."""
 
 from __future__ import annotations
 
@@ -9,20 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.bench import ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
 from wrod.files import write_atomically
 
-_FORMAT = "wrod-table3-1"
 SHORT = {"intuitive": "INT", "numeric": "OPT"}
 KEYS = ("rod", "substrate", "pattern", "method", "trial")
-
-
-class Ledger(ledger.Ledger):
-    """This campaign's file."""
-
-    def __init__(self, path: Path, settings: dict):
-        super().__init__(path, settings, KEYS, _FORMAT)
 
 
 @dataclass(frozen=True)

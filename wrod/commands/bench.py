@@ -14,6 +14,11 @@ BENCHMARKS = (
     "table4",
     "table3",
     "deploy",
+    "knot-force",
+    "newton",
+    "identify",
+    "loop",
+    "closures",
     "applications",
 )
 

@@ -7,19 +7,22 @@ from pathlib import Path
 
 import click
 
+from wrod.commands.options import CLOSURE, DEVICE, ROD, options, read_rod
+
 
 @click.command(name="dataset")
 @click.option("--size", type=click.IntRange(min=1), required=True, help="Number of samples.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--closure", default="zero_tension", show_default=True)
+@options(CLOSURE)
 @click.option(
     "--sensitivities/--no-sensitivities",
     default=True,
     help="Store the derivatives by the inputs (zero_tension only).",
 )
+@options(ROD)
 @click.option("--shard-size", type=click.IntRange(min=1), help="Samples per file; default 2048.")
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     size: int,
@@ -27,11 +30,15 @@ def command(
     seed: int,
     closure: str,
     sensitivities: bool,
+    rod_name: str | None,
+    radius: float | None,
+    lgb: float | None,
+    length: float | None,
     shard_size: int | None,
     device: str,
     as_json: bool,
 ) -> None:
-    """Solve grasps at low-discrepancy samples of (l_s, kappa, k_s).
+    """Solve grasps at low-discrepancy samples of (l_s, kappa, k_s), or of one rod alone.
 
     The same command goes on where a killed one was. Every process that torchrun starts takes its
     share of the shards, and a GPU of its own where there are several; the dataset stays the same:
@@ -45,6 +52,8 @@ def command(
     from wrod.errors import DataError
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
 
+    given = (rod_name, radius, lgb, length)
+    rod = None if given == (None,) * 4 else read_rod(*given)
     rank = Rank.from_environment()
     label = "grasps" if rank.count == 1 else f"grasps of rank {rank.index}"
     with tqdm(
@@ -58,7 +67,8 @@ def command(
         try:
             outcome = generate(
                 out, size, seed=seed, closure=closure, sensitivities=sensitivities,
-                shard_size=shard_size or SHARD_SIZE, device=device, rank=rank, progress=progress,
+                shard_size=shard_size or SHARD_SIZE, rod=rod, device=device, rank=rank,
+                progress=progress,
             )  # fmt: skip
         except OSError as error:
             raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None

@@ -7,24 +7,19 @@ from pathlib import Path
 
 import click
 
-from wrod.commands.plan import _pattern, _rod
+from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_pattern, read_rod
 
 
 @click.command(name="deploy")
 @click.argument("pattern")
-@click.option("--rod", "rod_name", help="Rod by name (green-vps, ...) or a rod file (.json).")
-@click.option("--radius", type=float, help="Radius of a rod of your own [m].")
-@click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`).")
-@click.option("--length", type=float, help="Its total length [m].")
+@options(ROD)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option(
     "--trajectory",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Trajectory (.npz) that `wrod plan` wrote, instead of a new plan.",
 )
-@click.option("--method", default="neural", show_default=True, help="As for `wrod plan`.")
-@click.option("--closure", default="zero_tension", show_default=True, help="As for `wrod plan`.")
-@click.option("--units", help="Units of a pattern file: m, cm, mm, um or in.")
+@options(METHOD, UNITS)
 @click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient.")
 @click.option("--kinetic", type=float, help="Kinetic friction coefficient; default: the static.")
 @click.option(
@@ -36,8 +31,14 @@ from wrod.commands.plan import _pattern, _rod
 @click.option("--rolling", is_flag=True, help="Let the laid rod roll freely.")
 @click.option("--trials", default=1, show_default=True, help="Disturbed trials; 1 is the ideal.")
 @click.option("--speed", default=0.02, show_default=True, help="Speed of the contact [m/s].")
+@click.option(
+    "--release",
+    default=0.05,
+    show_default=True,
+    help="Laid length at which the free end, held for 5 cm, is let go [m].",
+)
 @click.option("--frames", type=float, help="Keep the rod's states at this interval [s].")
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     pattern: str,
@@ -48,7 +49,7 @@ def command(
     out: Path,
     trajectory: Path | None,
     method: str,
-    closure: str,
+    closure: str | None,
     units: str | None,
     friction: float,
     kinetic: float | None,
@@ -56,6 +57,7 @@ def command(
     rolling: bool,
     trials: int,
     speed: float,
+    release: float,
     frames: float | None,
     device: str,
     as_json: bool,
@@ -78,7 +80,7 @@ def command(
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
-    rod, curve = _rod(rod_name, radius, lgb, length), _pattern(pattern, units, {})
+    rod, curve = read_rod(rod_name, radius, lgb, length), read_pattern(pattern, units)
     law = Friction(friction, kinetic, rolling)
     fixtures = None if fixtures_file is None else Fixtures.load(fixtures_file)
     if trajectory is None:
@@ -108,6 +110,7 @@ def command(
         deployments = simulate_deployments(
             jobs,
             speed=speed,
+            release=release,
             frame_interval=frames,
             device=device,
             progress=lambda fraction: bar.update(100 * fraction),

@@ -20,19 +20,21 @@ def command(
 ) -> None:
     """Find what the base model of the rod in DATA lacks, and prove it on data not fitted.
 
-    DATA is an .npz file of a rod held between two clamps (see `wrod.load_measurements`).
+    DATA is an .npz file of a rod held between two clamps (see `wrod.load_measurements`), or of
+    recordings of a rod that two grips move (see `wrod.identification.load_motion`).
     """
     from tqdm import tqdm
 
-    from wrod.identification import identify
+    from wrod.identification import identify, identify_motion, is_motion
 
+    ask = identify_motion if is_motion(data) else identify
     with tqdm(total=4, disable=None, leave=False, bar_format="{desc}: {elapsed}") as bar:
 
         def say(text: str) -> None:
             bar.set_description(text)
             bar.update()
 
-        report = identify(data, test=test, candidates=names or None, device=device, progress=say)
+        report = ask(data, test=test, candidates=names or None, device=device, progress=say)
     written = report.save(out)
     if as_json:
         content = report.to_dict() | {"written": [str(p) for p in written]}

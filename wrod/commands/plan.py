@@ -3,42 +3,30 @@
 from __future__ import annotations
 
 import json
-from math import degrees
+from math import degrees, pi, radians
 from pathlib import Path
 
 import click
 
+from wrod.commands.options import (
+    DEVICE,
+    METHOD,
+    PICTURE,
+    ROD,
+    UNITS,
+    options,
+    read_pattern,
+    read_rod,
+)
+
 
 @click.command(name="plan")
 @click.argument("pattern")
-@click.option("--rod", "rod_name", help="Rod by name (green-vps, ...) or a rod file (.json).")
-@click.option("--radius", type=float, help="Radius of a rod of your own [m].")
-@click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`).")
-@click.option("--length", type=float, help="Its total length [m].")
+@options(ROD)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option(
-    "--method", default="neural", show_default=True, help="neural, numeric, auto or intuitive."
-)
-@click.option(
-    "--closure",
-    default="zero_tension",
-    show_default=True,
-    help="zero_tension, min_force or min_friction.",
-)
+@options(METHOD)
 @click.option("--spacing", default=0.0025, show_default=True, help="Distance between nodes [m].")
-@click.option("--units", help="Units of a pattern file: m, cm, mm, um or in.")
-@click.option(
-    "--markers",
-    type=click.Path(path_type=Path),
-    help="A picture's scale: layout of its ArUco markers (JSON).",
-)
-@click.option("--sheet", help="Or the size of the bright sheet drawn on: WIDTHxHEIGHT [m].")
-@click.option("--scale", type=float, help="Or its metres per pixel, seen from above [m/px].")
-@click.option("--camera", type=click.Path(path_type=Path), help="Camera matrix and distortion.")
-@click.option(
-    "--start",
-    help="Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left).",
-)
+@options(UNITS, PICTURE)
 @click.option("--friction", type=float, help="Static friction coefficient to check against.")
 @click.option(
     "--shapes/--no-shapes",
@@ -50,6 +38,11 @@ import click
     default=None,
     help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
 )
+@click.option(
+    "--roll",
+    type=float,
+    help="Roll of a naturally curved rod: from left to up [degrees]; default: curved in the plane.",
+)
 @click.option("--robot", default="sawyer", show_default=True, help="sawyer, or a URDF file.")
 @click.option("--no-robot", is_flag=True, help="Leave out joint path and scene.")
 @click.option(
@@ -59,7 +52,7 @@ import click
     help="auto, or x,y,z,yaw of the pattern from the robot's base [m, degrees]; z is the table.",
 )
 @click.option("--view", is_flag=True, help="Then play the scene in a browser on this machine.")
-@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     pattern: str,
@@ -69,7 +62,7 @@ def command(
     length: float | None,
     out: Path,
     method: str,
-    closure: str,
+    closure: str | None,
     spacing: float,
     units: str | None,
     markers: Path | None,
@@ -80,6 +73,7 @@ def command(
     friction: float | None,
     shapes: bool,
     remainder: bool | None,
+    roll: float | None,
     robot: str,
     no_robot: bool,
     placement: str,
@@ -100,11 +94,11 @@ def command(
     from wrod.picture import draw_plan
     from wrod.planner import plan, prepare, with_shapes
 
-    rod = _rod(rod_name, radius, lgb, length)
+    rod = read_rod(rod_name, radius, lgb, length)
     reading = {
         "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
     }  # fmt: skip
-    curve = prepare(_pattern(pattern, units, reading), rod, remainder)
+    curve = prepare(read_pattern(pattern, units, reading), rod, remainder)
     bound = friction_bound(curve, rod, friction)
     with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=as_json) as bar:
 
@@ -115,7 +109,7 @@ def command(
         chosen = None if device == "auto" else device
         trajectory = plan(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
-            device=chosen, progress=progress,
+            roll=None if roll is None else radians(roll), device=chosen, progress=progress,
         )  # fmt: skip
         if shapes:
             bar.n = 0
@@ -144,6 +138,7 @@ def command(
         "nodes": len(trajectory),
         "laid_length": float(trajectory.arc_length[-1]),
         "highest_grip": float(trajectory.position[:, 2].max()),
+        "twist": None if trajectory.twist is None else trajectory.twist[[0, -1]].tolist(),
         "insufficient_friction": bound.insufficient,
         "joint_path": None if joint_path is None else joint_path.metadata,
         "written": [str(path) for path in written],
@@ -179,63 +174,6 @@ def _joint_path(trajectory, rod, robot: str, placement: str):
         raise RobotError(f"{error} (--no-robot plans the trajectory alone)") from error
 
 
-def _rod(name: str | None, radius: float | None, lgb: float | None, length: float | None):
-    from wrod.errors import RodError
-    from wrod.material import RodMaterial, rod
-
-    own = {"--radius": radius, "--lgb": lgb, "--length": length}
-    given = [option for option, value in own.items() if value is not None]
-    if name is not None and given:
-        raise RodError(
-            f"--rod {name} and {', '.join(given)} were both given; give one or the other"
-        )
-    if name is not None:
-        return RodMaterial.load(name) if name.endswith(".json") else rod(name)
-    missing = [option for option in own if option not in given]
-    if missing == list(own):
-        raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")
-    if missing:
-        raise RodError(f"{', '.join(missing)} missing; a rod of your own needs all three")
-    return RodMaterial(radius, lgb, length)
-
-
-_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
-
-
-def _pattern(name: str, units: str | None, reading: dict):
-    from wrod.errors import PatternError
-    from wrod.patterns import Pattern, pattern, pattern_names
-
-    path = Path(name)
-    given = {option: value for option, value in reading.items() if value is not None}
-    if path.suffix.lower() in _PICTURES:
-        return _scanned(path, units, given)
-    if given:
-        options = ", ".join(f"--{option}" for option in given)
-        raise PatternError(f"{options} belong to a picture, and {name} is none; drop them")
-    if name in pattern_names() and not path.is_file():
-        if units is not None:
-            raise PatternError(f"{name} is built in and has its size in metres; drop --units")
-        return pattern(name)
-    if not path.suffix and not path.exists():
-        return pattern(name)
-    return Pattern.load(path, units=units)
-
-
-def _scanned(path: Path, units: str | None, given: dict):
-    from wrod.commands.scan import parse_numbers, parse_start
-    from wrod.errors import PatternError
-    from wrod.perception.scan import scan
-
-    if units is not None:
-        raise PatternError(f"{path}: a picture's scale is not --units; drop it")
-    if "sheet" in given:
-        given["sheet"] = parse_numbers(given["sheet"], 2, "--sheet", "x")
-    if "start" in given:
-        given["start"] = parse_start(given["start"])
-    return scan(path, **given)
-
-
 def _summary(figures: dict, friction: float | None) -> str:
     lines = [
         f"{figures['pattern']}: {figures['pattern_length']:.3f} m"
@@ -248,6 +186,13 @@ def _summary(figures: dict, friction: float | None) -> str:
         f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}",
         f"required static friction {figures['required_friction']:.2f}",
     ]
+    if figures["twist"] is not None:
+        first, last = (value / (2.0 * pi) for value in figures["twist"])
+        lines.append(
+            f"naturally curved rod: lay it with its first material director "
+            f"{degrees(figures['roll']):.0f} degrees from left towards up, twisted by {first:.2f} "
+            f"turns between table and grip at first and by {last:.2f} in the end"
+        )
     if "shapes" in figures:
         apart = 1e3 * figures["shapes"]["largest_grip_difference"]
         lines[1] += f"; the rod solver's grips differ by {apart:.2g} mm at most"

@@ -72,6 +72,7 @@ def command(
     from wrod.training.dataset import GraspTable, load
     from wrod.training.loop import Training
     from wrod.training.recipes import recipe as find
+    from wrod.training.store import read_manifest
 
     changes = {"steps": steps, "batch": batch, "width": width}
     changes["sensitivity_weight"] = sensitivity_weight
@@ -85,6 +86,11 @@ def command(
         refine = generate // 5
         with _writing(out):
             dataset = _generate(out / "dataset", generate - refine, seed, device, as_json)
+    if read_manifest(dataset).rod is not None:
+        raise DataError(
+            f"{dataset}: holds grasps of one rod, and the networks here learn those of all "
+            "straight rods; plan for that rod with --method numeric"
+        )
     table = load(dataset, rows)
     training = Training(
         recipe,
@@ -107,7 +113,6 @@ def command(
                 training.checkpoint()  # says now, not after the training, if it cannot be written
             training.run(minutes=minutes, progress=progress)
     from wrod.training.score import held_out, score
-    from wrod.training.store import read_manifest
 
     manifest = read_manifest(dataset)
     controller = training.controller(

@@ -55,6 +55,7 @@ class Effect:
         parameters: the unknowns.
         stage: effects are applied in this order; those that change the free length come first.
         follows_shape: whether its load depends on the rod's shape (`Setup.wind`).
+        kinds: the measurements that it is tried on: "clamped" (`Setup`), "motion" (`MotionSetup`).
     """
 
     name: str
@@ -63,6 +64,7 @@ class Effect:
     parameters: tuple[Parameter, ...]
     stage: int = 1
     follows_shape: bool = False
+    kinds: tuple[str, ...] = ("clamped",)
 
     def starts(self, measurements: ClampedMeasurements) -> list[np.ndarray]:
         """Values to start fits from; more than one where the fit has several optima."""
@@ -101,14 +103,15 @@ def magnitude_and_angle(
 
 
 @cache
-def effects() -> dict[str, Effect]:
-    """Every effect in `wrod.identification.effects`, by name."""
+def effects(kind: str = "clamped") -> dict[str, Effect]:
+    """Every effect in `wrod.identification.effects` for a kind of measurements, by name."""
     package = importlib.import_module("wrod.identification.effects")
     found = {}
     for module in sorted(m.name for m in pkgutil.iter_modules(package.__path__)):
         content = vars(importlib.import_module(f"{package.__name__}.{module}"))
         for value in content.values():
-            if isinstance(value, type) and issubclass(value, Effect) and value is not Effect:
+            is_effect = isinstance(value, type) and issubclass(value, Effect)
+            if is_effect and value is not Effect and kind in value.kinds:
                 found[value.name] = value()
     return found
 

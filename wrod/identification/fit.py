@@ -9,22 +9,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.errors import DataError
 from wrod.identification.clamped import ClampedSolver
 from wrod.identification.effect import Model
-from wrod.identification.layout import COMPLEX_STEP
-from wrod.identification.measurements import ClampedMeasurements
-from wrod.identification.sensing import Prediction
+from wrod.identification.laboratory import Laboratory
 from wrod.identification.setup import Setup
 
 _MAX_ITERATIONS = 30
 _CONVERGED = 0.02
 # A candidate that gains less than this share of its distance to the best one has lost.
-_HOPELESS = 0.01
+_HOPELESS = 0.05
 _DAMPING = (1e-2, 1e6)
-_SMALLEST_STEP = 1.0 / 64
-# Candidates in one batch: more share launches, but their Hessians leave the cache.
-_BATCH = 48
+# Candidates in one batch: more share launches, but the slowest keeps the others waiting.
+_BATCH = 20
 
 
 @dataclass
@@ -57,193 +53,65 @@ class Fit:
         return self.covariance / np.outer(error, error)
 
 
-class Laboratory:
-    """The trials of one set of measurements, and the rods that models predict for them.
+def fit_models(
+    laboratory: Laboratory,
+    models: Sequence[Model],
+    starts: Sequence[np.ndarray],
+    *,
+    trials: np.ndarray | None = None,
+    weights: np.ndarray | None = None,
+    origin: Fit | None = None,
+    least_gain: float = 0.0,
+    race: bool = True,
+    rival: float = np.inf,
+    progress=None,
+) -> list[Fit]:
+    """Fit every model from its start, all in one batch.
 
     Args:
-        measurements: what was measured.
-        edge_count: edges between the clamps. Predictions are extrapolated to the continuum with a
-            mesh of half as many.
-        device: Warp device.
-    """
-
-    def __init__(
-        self, measurements: ClampedMeasurements, *, edge_count: int = 60, device: str = "cpu"
-    ):
-        self.measurements = measurements
-        self.edge_count, self.device = edge_count, device
-        self.trials = np.arange(measurements.trial_count)
-        self.base = Setup.base(measurements, self.trials, edge_count)
-        solver = ClampedSolver([self.base], device=device)
-        self.base_state = solver.saved()
-        self.target, self.deviation = self._observations()
-        self.mesh_correction = np.zeros_like(self.target)
-        self.refine(Model(), np.zeros(0))
-
-    def _observations(self) -> tuple[np.ndarray, np.ndarray]:
-        """(T, R) measured values and their standard deviations: markers, force, torque."""
-        m = self.measurements
-        target = [m.centerline.reshape(m.trial_count, -1)]
-        deviation = [np.full(target[0].shape, m.noise)]
-        for value, (relative, absolute) in (
-            (m.grip_force, m.force_noise),
-            (m.grip_torque, m.torque_noise),
-        ):
-            if value is not None:
-                target.append(value)
-                deviation.append(np.hypot(relative * value, absolute))
-        return np.concatenate(target, axis=1), np.concatenate(deviation, axis=1)
-
-    def refine(self, model: Model, values: np.ndarray) -> None:
-        """Set the mesh correction to that of a model: a third of what halving the mesh changes."""
-        fine = self.observe(model, values, corrected=False)
-        half = Setup.base(self.measurements, self.trials, self.edge_count // 2)
-        solver = ClampedSolver([half], device=self.device)
-        setup = self._lead(solver, half, model, values)
-        coarse = self._observed(model, values, setup, solver.predict([setup]), 0).real
-        self.mesh_correction = (fine - coarse) / 3.0
-
-    def adopt(self, other: Laboratory) -> None:
-        """Take the mesh of another laboratory of the same measurements."""
-        self.__dict__.update(other.__dict__)
-
-    def solver_at(self, model: Model, values: np.ndarray) -> tuple[ClampedSolver, Setup]:
-        """All trials at equilibrium with a model."""
-        solver = ClampedSolver([self.base], device=self.device, start=self.base_state)
-        return solver, self._lead(solver, self.base, model, values)
-
-    def _lead(self, solver: ClampedSolver, base: Setup, model: Model, values) -> Setup:
-        """Lead the rods from the base model to another, in steps that keep them on their branch."""
-        setup, done, step = base, 0.0, 0.5
-        while done < 1.0 and len(values):
-            before = solver.saved()
-            setup = model.setup(base, min(done + step, 1.0) * values)
-            if solver.solve([setup]).all():
-                done, step = done + step, 2.0 * step
-            elif step > _SMALLEST_STEP:
-                solver.restore(before)
-                step *= 0.5
-            else:
-                raise DataError(
-                    f"{self.measurements.name}: no equilibrium with {', '.join(model.names)} at "
-                    "the values asked for"
-                )
-        return setup
-
-    def observe(self, model: Model, values: np.ndarray, *, corrected: bool = True) -> np.ndarray:
-        """(T, R) what the sensors would read, all trials."""
-        solver, setup = self.solver_at(model, values)
-        seen = self._observed(model, values, setup, solver.predict([setup]), 0).real
-        return seen + self.mesh_correction if corrected else seen
-
-    def predict(self, model: Model, values: np.ndarray) -> np.ndarray:
-        """(T, M, 3) marker positions as the cameras would report them [m]."""
-        markers = self.measurements.centerline[0].size
-        return self.observe(model, values)[:, :markers].reshape(self.measurements.centerline.shape)
-
-    def jacobian(self, model: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(T, R) readings of all trials and their (T, R, P) derivatives, exact."""
-        solver, setup = self.solver_at(model, values)
-        seen = self._observed(model, values, setup, solver.predict([setup]), 0).real
-        rates = self._rates(solver, [model], [values], self.base)
-        return seen + self.mesh_correction, rates[0]
-
-    def _observed(
-        self, model: Model, values, setup: Setup, prediction: Prediction, candidate: int
-    ) -> np.ndarray:
-        """(t, R) readings of one candidate, complex if the prediction is."""
-        position = model.measure(
-            prediction.position[candidate], prediction.frame[candidate], values, setup
-        )
-        readings = [position.reshape(len(position), -1)]
-        if self.measurements.grip_force is not None:
-            readings += [prediction.force[candidate], prediction.torque[candidate]]
-        return np.concatenate(readings, axis=1)
-
-    def _rates(self, solver, models, values, base) -> list[np.ndarray]:
-        """(t, R, P) derivatives of every candidate's readings."""
-        count = max(len(v) for v in values)
-        steps = []
-        for j in range(count):
-            moved = [v.astype(complex) for v in values]
-            for v in moved:
-                if j < len(v):
-                    v[j] += 1j * COMPLEX_STEP
-            setups = [m.setup(base, v) for m, v in zip(models, moved, strict=True)]
-            steps.append((moved, setups))
-        predictions = solver.predict_rates(
-            [setups for _, setups in steps], [[j < len(v) for v in values] for j in range(count)]
-        )
-        return [
-            np.stack(
-                [
-                    np.imag(self._observed(model, moved[c], setups[c], prediction, c))
-                    / COMPLEX_STEP
-                    for (moved, setups), prediction in list(zip(steps, predictions, strict=True))[
-                        : len(values[c])
-                    ]
-                ],
-                axis=2,
-            )
-            for c, model in enumerate(models)
-        ]
-
-    def fit(
-        self,
-        models: Sequence[Model],
-        starts: Sequence[np.ndarray],
-        *,
-        trials: np.ndarray | None = None,
-        weights: np.ndarray | None = None,
-        origin: Fit | None = None,
-        least_gain: float = 0.0,
-        race: bool = True,
-        progress=None,
-    ) -> list[Fit]:
-        """Fit every model from its start, all in one batch.
-
-        Args:
-            models, starts: candidates and their first parameter vectors.
-            trials: trial indices to fit on; default: the measurements' train trials.
-            weights: (candidate, trial) of 0 and 1: which of `trials` a candidate may see.
-                origin: a fit whose shapes to start from; by default those of the base model.
-            least_gain: a candidate stops at once where the linearised problem promises less.
-            race: let a candidate stop early that is far behind the best one of its batch.
+        models, starts: candidates and their first parameter vectors.
+        trials: trial indices to fit on; default: the measurements' train trials.
+        weights: (candidate, trial) of 0 and 1: which of `trials` a candidate may see.
+        origin: a fit whose shapes to start from; by default those of the base model.
+        least_gain: a candidate stops at once where the linearised problem promises less.
+        race: let a candidate stop early that is far behind the best one of its batch.
+        rival: chi squared of a model that is already there, for the race.
         progress: called with 1 whenever a candidate is finished.
-        """
-        trials = self.measurements.train if trials is None else trials
-        if weights is None:
-            weights = np.ones((len(models), len(trials)))
-        # Launches release the interpreter, so slices of the candidates run side by side. A wind is
-        # iterated over the whole batch: its candidates stay among themselves.
-        windy = [c for c, m in enumerate(models) if any(e.follows_shape for e in m.effects)]
-        still = [c for c in range(len(models)) if c not in windy]
-        slices = max(os.cpu_count() or 1, -(-len(still) // _BATCH))
-        groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]
-        best = _Best(race)
-        state = self.base_state
-        if origin is not None:
-            state = self.solver_at(origin.model, origin.values)[0].saved()
-        state = tuple(a[trials] for a in state)
+    """
+    trials = laboratory.measurements.train if trials is None else trials
+    if weights is None:
+        weights = np.ones((len(models), len(trials)))
+    # Launches release the interpreter, so slices of the candidates run side by side; their number
+    # does not depend on the machine, nor does the race. A wind is iterated over the whole batch:
+    # its candidates stay among themselves.
+    windy = [c for c, m in enumerate(models) if any(e.follows_shape for e in m.effects)]
+    still = [c for c in range(len(models)) if c not in windy]
+    slices = max(-(-len(still) // _BATCH), 1)
+    groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]
+    state = laboratory.base_state
+    if origin is not None:
+        state = laboratory.solver_at(origin.model, origin.values)[0].saved()
+    state = tuple(a[trials] for a in state)
 
-        def run(group):
-            own = ([models[c] for c in group], [starts[c] for c in group])
-            iteration = _Iteration(self, *own, trials, weights[group], best, state, least_gain)
-            return iteration.run(progress)
+    def run(group):
+        own = ([models[c] for c in group], [starts[c] for c in group])
+        best = _Best(race, rival)
+        iteration = _Iteration(laboratory, *own, trials, weights[group], best, state, least_gain)
+        return iteration.run(progress)
 
-        fits: list[Fit | None] = [None] * len(models)
-        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            for group, results in zip(groups, pool.map(run, groups), strict=True):
-                for c, fit in zip(group, results, strict=True):
-                    fits[c] = fit
-        return fits
+    fits: list[Fit | None] = [None] * len(models)
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        for group, results in zip(groups, pool.map(run, groups), strict=True):
+            for c, fit in zip(group, results, strict=True):
+                fits[c] = fit
+    return fits
 
 
 class _Best:
-    """The lowest cost of all candidates so far, for the race."""
+    """The lowest cost of a batch so far, for the race."""
 
-    def __init__(self, race: bool):
-        self.race, self.cost = race, np.inf
+    def __init__(self, race: bool, rival: float):
+        self.race, self.cost = race, rival
 
     def behind(self, cost: float) -> float:
         self.cost = min(self.cost, cost)
@@ -303,7 +171,7 @@ class _Iteration:
                     damping[c] *= 20.0
                     converged[c] = predicted[c] < _CONVERGED
             if accepted:
-                rates = self.laboratory._rates(
+                rates = self.laboratory.rates(
                     solver,
                     [self.models[c] for c in active],
                     [trial_values[c] for c in active],
@@ -348,7 +216,7 @@ class _Iteration:
         )
 
     def _residual(self, c, k, values, setup, readings) -> np.ndarray:
-        seen = self.laboratory._observed(self.models[c], values, setup, readings, k).real
+        seen = self.laboratory.observed(self.models[c], values, setup, readings, k).real
         return (self.target - seen - self.correction) / self.deviation * self.weights[c][:, None]
 
     def _cost(self, c, k, values, setup, readings) -> float:

@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.identification.checks import check_geometry, check_rod
 from wrod.material import RodMaterial
 
 _SCALARS = ("length", "radius", "density", "L_gb", "poisson", "gravity", "noise_std")
-_ROTATION_TOLERANCE = 1e-3
-# A measured shape further from its clamps than this many free lengths is not that rod in metres.
-_FAR = 0.5
 
 
 @dataclass(frozen=True)
@@ -142,6 +140,7 @@ def measurements_from_arrays(
         )
     except ValueError as error:
         raise DataError(f"{where}: {error}") from None
+    check_rod(material, scalars["noise_std"], where)
     centerline = _numbers(data, "centerline", where)
     if centerline.ndim != 3 or centerline.shape[2] != 3:
         raise DataError(f"{where}: centerline has shape {centerline.shape}; give (T, M, 3)")
@@ -176,6 +175,11 @@ def measurements_from_arrays(
             at = f"{kind} {place[0]}" if key == "arc_length" else at
             raise DataError(f"{where}: {key} of {at} is not a number; leave that trial out")
     train, test = (_indices(data, key, trials, where) for key in ("train_idx", "test_idx"))
+    if len(train) < 2:
+        raise DataError(
+            f"{where}: train_idx holds 1 trial; what is fitted to one shape cannot be checked on "
+            "another, so give 2 or more"
+        )
     if both := sorted(set(train) & set(test)):
         raise DataError(f"{where}: trial {both[0]} is in train_idx and in test_idx")
     measurements = ClampedMeasurements(
@@ -188,7 +192,7 @@ def measurements_from_arrays(
         noise=scalars["noise_std"],
         **values,
     )
-    _check_geometry(measurements, where)
+    check_geometry(measurements, where)
     return measurements
 
 
@@ -209,88 +213,3 @@ def _indices(data, key: str, trials: int, where: str) -> np.ndarray:
             f"{where}: {key} must list different trials between 0 and {trials - 1}, at least one"
         )
     return value.astype(np.int64)
-
-
-def _check_geometry(m: ClampedMeasurements, where: str) -> None:
-    length, s = m.material.length, m.arc_length
-    steps = np.diff(s)
-    if len(s) < 3 or not (steps > 0).all():
-        raise DataError(f"{where}: arc_length must grow from marker to marker, 3 or more markers")
-    if s[0] < -1e-6 * length or s[-1] > (1 + 1e-6) * length:
-        raise DataError(
-            f"{where}: arc_length runs from {s[0]:g} to {s[-1]:g}, outside the free length "
-            f"{length:g}; metres everywhere?"
-        )
-    for key in ("clamp_rotation", "grip_rotation"):
-        rotation = getattr(m, key)
-        error = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(axis=(1, 2))
-        bad = (error > _ROTATION_TOLERANCE) | (np.linalg.det(rotation) < 0)
-        if bad.any():
-            raise DataError(f"{where}: {key} of trial {np.argmax(bad)} is not a rotation")
-    _check_scale(m, where)
-    _check_ends(m, where)
-    _check_order(m, where)
-
-
-def _check_scale(m: ClampedMeasurements, where: str) -> None:
-    """Length of the polygon through the markers against their arc length: units."""
-    span = m.arc_length[-1] - m.arc_length[0]
-    polygon = np.linalg.norm(np.diff(m.centerline, axis=1), axis=2).sum(axis=1)
-    ratio = np.median(polygon) / span
-    if ratio > 100 or ratio < 0.01:
-        raise DataError(
-            f"{where}: centerline measures {np.median(polygon):.4g} along markers that span "
-            f"{span:.4g} of arc length; both must be in metres (millimetres?)"
-        )
-    if m.noise > 0.1 * span:
-        raise DataError(
-            f"{where}: noise_std {m.noise:g} is over a tenth of the rod; metres (millimetres?)"
-        )
-    chord = np.linalg.norm(m.grip_position - m.clamp_position, axis=1)
-    worst = int(np.argmax(chord))
-    if chord[worst] > 1.2 * m.material.length:
-        raise DataError(
-            f"{where}: in trial {worst} the clamps are {chord[worst]:.4g} apart, more than the "
-            f"free length {m.material.length:g}; metres everywhere?"
-        )
-
-
-def _check_ends(m: ClampedMeasurements, where: str) -> None:
-    """Do the first and last markers lie near their own clamps?"""
-    ends = (m.centerline[:, 0], m.centerline[:, -1])
-    slack = (m.arc_length[0], m.material.length - m.arc_length[-1])
-    poses = (m.clamp_position, m.grip_position)
-    own = np.stack([np.linalg.norm(e - p, axis=1) for e, p in zip(ends, poses, strict=True)])
-    other = np.stack(
-        [np.linalg.norm(e - p, axis=1) for e, p in zip(ends, poses[::-1], strict=True)]
-    )
-    limit = 0.1 * m.material.length + np.array(slack)[:, None] + 6 * m.noise
-    exchanged = (own > limit).all(axis=0) & (other < limit).all(axis=0)
-    if exchanged.any():
-        raise DataError(
-            f"{where}: in trial {np.argmax(exchanged)} the first marker is at the gripper and the "
-            "last at clamp A; the clamps, or the order of the markers, are exchanged"
-        )
-    far = own > _FAR * m.material.length + np.array(slack)[:, None]
-    if far.any():
-        end, trial = np.argwhere(far)[0]
-        raise DataError(
-            f"{where}: in trial {trial} the {('first', 'last')[end]} marker is "
-            f"{own[end, trial]:.3g} m from its clamp; are poses and markers in one frame?"
-        )
-
-
-def _check_order(m: ClampedMeasurements, where: str) -> None:
-    """No two markers can be further apart than the rod between them is long."""
-    rod = np.abs(m.arc_length[:, None] - m.arc_length[None])
-    distance = np.linalg.norm(m.centerline[:, :, None] - m.centerline[:, None], axis=-1)
-    # 15 % of room for stretch and for a scale error of the cameras, which is for the fit to find.
-    excess = distance - 1.15 * rod - 8.0 * m.noise
-    if (excess > 0).any():
-        trial = int(np.argmax(excess.max(axis=(1, 2))))
-        worst = np.where(excess[trial] > 0, excess[trial], 0.0).sum(axis=1)
-        first, second = sorted(np.argsort(worst)[-2:])
-        raise DataError(
-            f"{where}: in trial {trial} markers are further apart than the rod between them "
-            f"(worst: markers {first} and {second}); they are swapped or one is mistaken"
-        )

@@ -85,7 +85,7 @@ def _effects_table(report) -> str:
     for effect in report.effects:
         for i, (key, estimate) in enumerate(effect.parameters.items()):
             first = f"<b>{html.escape(effect.title)}</b>" if i == 0 else ""
-            after = f"{1e3 * effect.after:.2f} mm" if i == 0 else ""
+            after = f"{1e3 * effect.after:.2f} mm" if i == 0 and effect.after is not None else ""
             rows.append(
                 f"<tr><td>{first}</td><td>{key.replace('_', ' ')}</td>"
                 f'<td class="n">{estimate.value:.4g} ± {estimate.stderr:.2g} {estimate.unit}</td>'

@@ -14,7 +14,8 @@ from wrod.batch import resolve_device
 from wrod.errors import DataError
 from wrod.files import write_atomically
 from wrod.identification.effect import Effect, Estimate, Model, effects
-from wrod.identification.fit import Fit, Laboratory
+from wrod.identification.fit import Fit, fit_models
+from wrod.identification.laboratory import Laboratory
 from wrod.identification.measurements import ClampedMeasurements, load_measurements
 from wrod.identification.selection import Selection, select
 from wrod.identification.trace import Print, trace
@@ -32,16 +33,17 @@ class FoundEffect:
     Attributes:
         name, title, reference: of the effect.
         parameters: what was found, with standard errors.
-        after: test error with the model up to this effect, in the order found [m].
+        after: test error with the effects up to this one [m].
         alone: test error with this effect alone [m].
+        Both are None where a test trial has no equilibrium with what was fitted.
     """
 
     name: str
     title: str
     reference: str
     parameters: dict[str, Estimate]
-    after: float
-    alone: float
+    after: float | None
+    alone: float | None
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class IdentificationReport:
         reason: the evidence in a sentence.
         before, after: test error of the base model and of the better one [m].
         noise_floor: test error of a perfect model [m].
-        effects: what was added, in order.
+        effects: what was added, the one first that does most by itself.
         candidates: every effect tried alone: its name, BIC gain and test error.
         selection, prints: the whole evidence.
         predicted_before, predicted_after: (T, M, 3) marker positions [m].
@@ -92,8 +94,8 @@ class IdentificationReport:
                     "title": e.title,
                     "reference": e.reference,
                     "parameters": {key: asdict(value) for key, value in e.parameters.items()},
-                    "after_mm_with_this_effect": 1e3 * e.after,
-                    "after_mm_with_this_effect_alone": 1e3 * e.alone,
+                    "after_mm_with_this_effect": _millimetres(e.after),
+                    "after_mm_with_this_effect_alone": _millimetres(e.alone),
                 }
                 for e in self.effects
             ],
@@ -220,61 +222,58 @@ def _effect(candidate: Effect | str) -> Effect:
     return effects()[candidate]
 
 
-def _score(laboratory: Laboratory, fit: Fit) -> float:
-    m = laboratory.measurements
-    return m.rms(laboratory.predict(fit.model, fit.values), m.test)
-
-
 def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[FoundEffect, ...]:
     m = laboratory.measurements
     alone = {f.model.names[0]: f for f in selection.ranking}
-    found, start = [], 0
-    for k, (effect, values) in enumerate(
-        zip(fit.model.effects, fit.model.split(fit.values), strict=True)
-    ):
-        end = start + len(values)
-        covariance = fit.covariance[start:end, start:end]
-        partial = fit
-        if k + 1 < len(fit.model.effects):
-            model = Model(fit.model.effects[: k + 1])
-            partial = laboratory.fit([model], [fit.values[:end]], origin=fit, race=False)[0]
+    effects, parts = fit.model.effects, fit.model.split(fit.values)
+    if not effects:
+        return ()
+    ends = np.cumsum([len(p) for p in parts])
+    steps = [
+        fit_models(
+            laboratory, [Model(effects[:k])], [fit.values[: ends[k - 1]]], origin=fit, race=False
+        )[0]
+        for k in range(1, len(effects))
+    ]
+    scored = [*steps, fit, *(alone.get(e.name, fit) for e in effects)]
+    after = laboratory.scores([f.model for f in scored], [f.values for f in scored])
+    found = []
+    for k, (effect, values) in enumerate(zip(effects, parts, strict=True)):
+        own = slice(ends[k] - len(values), ends[k])
+        parameters = effect.describe(values, fit.covariance[own, own], m)
         found.append(
             FoundEffect(
                 effect.name,
                 effect.title,
                 effect.reference,
-                effect.describe(values, covariance, m),
-                _score(laboratory, partial),
-                _score(laboratory, alone[effect.name]) if effect.name in alone else float("nan"),
+                parameters,
+                after[k],
+                after[len(effects) + k],
             )
         )
-        start = end
     return tuple(found)
 
 
 def _scores(laboratory: Laboratory, selection: Selection) -> list[dict]:
     """Every effect alone on the base model."""
-    base = selection.base_chi_squared
-    scores = []
-    for fit in selection.ranking:
-        scores.append(
-            {
-                "name": fit.model.names[0],
-                "bic_gain": base - fit.bic,
-                "chi_squared": fit.chi_squared,
-                "parameter_count": len(fit.values),
-                "test_mm": _candidate_score(laboratory, fit),
-            }
-        )
-    return scores
+    base, fits = selection.base_chi_squared, selection.ranking
+    if not fits:
+        return []
+    errors = laboratory.scores([f.model for f in fits], [f.values for f in fits])
+    return [
+        {
+            "name": fit.model.names[0],
+            "bic_gain": base - fit.bic,
+            "chi_squared": fit.chi_squared,
+            "parameter_count": len(fit.values),
+            "test_mm": _millimetres(error),
+        }
+        for fit, error in zip(fits, errors, strict=True)
+    ]
 
 
-def _candidate_score(laboratory: Laboratory, fit: Fit) -> float | None:
-    """Test error [mm]; None where a trial has no equilibrium with the fitted values."""
-    try:
-        return 1e3 * _score(laboratory, fit)
-    except DataError:
-        return None
+def _millimetres(value: float | None) -> float | None:
+    return None if value is None else 1e3 * value
 
 
 def _material(m: ClampedMeasurements, fit: Fit) -> RodMaterial:
@@ -283,15 +282,18 @@ def _material(m: ClampedMeasurements, fit: Fit) -> RodMaterial:
     for effect, values in zip(fit.model.effects, fit.model.split(fit.values), strict=True):
         found = effect.describe(values, np.eye(len(values)), m)
         if effect.name == "stiffness":
-            material = replace(material, gravito_bending_length=found["L_gb"].value)
+            ratio = found["stiffness_ratio"].value ** (1 / 3)
+            lgb = material.gravito_bending_length * ratio
+            material = replace(material, gravito_bending_length=lgb)
         elif effect.name == "density":
             # The stiffness stays: k_b = 2 pi h^2 rho g L_gb^3.
             ratio = found["density_ratio"].value
             material = replace(
                 material,
-                density=found["density"].value,
+                density=material.density * ratio,
                 gravito_bending_length=material.gravito_bending_length / ratio ** (1 / 3),
             )
-        elif effect.name in ("grip_slip", "clamp_slip"):
-            material = replace(material, length=material.length + found["slip"].value)
+        elif effect.name == "natural_curvature":
+            # The curvature vector turns the tangent: t' = k x t.
+            material = replace(material, natural_curvature=(float(values[1]), -float(values[0])))
     return material

@@ -10,13 +10,15 @@ what so many small effects mend is not theirs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from wrod.errors import DataError
 from wrod.identification.effect import Effect, Model
-from wrod.identification.fit import Fit, Laboratory
+from wrod.identification.fit import Fit, fit_models
+from wrod.identification.laboratory import Laboratory
 
 BIC_MARGIN = 10.0
 LEAST_SHARE = 0.005
@@ -109,6 +111,11 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -
         if len(current.model.effects) > 1 and left > 0.5 * excess:
             break
     current = _pruned(laboratory, current)
+    if len(current.model.effects) > 1:
+        # The one that does most by itself comes first.
+        alone = [f.model.names[0] for f in rounds[0].fits]
+        order = [alone.index(name) if name in alone else len(alone) for name in current.model.names]
+        current = _reordered(current, np.argsort(order, kind="stable"))
     final = _polished(laboratory, current)
     return _judged(laboratory, final, empty, rounds, (base_held_out[0], held_out[0]))
 
@@ -153,26 +160,41 @@ def _extensions(laboratory, current: Fit, candidates, progress) -> list[Fit]:
 
 def _exchanged(laboratory, best: Fit, candidates, progress) -> Fit:
     """Try every other effect in the place of each earlier one: the first choice saw the others'
-    work as its own."""
-    improved = True
-    while improved:
-        improved = False
-        for place in range(len(best.model.effects) - 1):
-            kept = [e for i, e in enumerate(best.model.effects) if i != place]
-            parts = best.model.split(best.values)
-            values = np.concatenate([p for i, p in enumerate(parts) if i != place])
-            rest = Model(tuple(kept))
-            models, starts = [], []
-            for effect in candidates:
-                if effect.name not in best.model.names:
-                    for start in _starts(laboratory, effect):
-                        models.append(rest.extended(effect))
-                        starts.append(np.concatenate([values, start]))
-            origin = replace(best, model=rest, values=values)
-            others = _best_of_each(_fit(laboratory, models, starts, origin, progress))
-            if others and others[0].bic < best.bic - 1e-6:
-                best, improved = others[0], True
+    work as its own. Once one has changed, the others have to prove themselves beside it."""
+    # The last one was chosen from all, with the others as they are.
+    places = len(best.model.effects) - 1
+    tried = 0
+    while tried < places:
+        # The effect in the first place makes room; one that stays moves to the end.
+        parts = best.model.split(best.values)
+        rest, values = Model(best.model.effects[1:]), np.concatenate(parts[1:])
+        models, starts = [], []
+        for effect in candidates:
+            if effect.name not in best.model.names:
+                for start in _starts(laboratory, effect):
+                    models.append(rest.extended(effect))
+                    starts.append(np.concatenate([values, start]))
+        origin = replace(best, model=rest, values=values)
+        others = _best_of_each(
+            _fit(laboratory, models, starts, origin, progress, rival=best.chi_squared)
+        )
+        if others and others[0].bic < best.bic - 1e-6:
+            best, tried = others[0], 0
+        else:
+            best, tried = _reordered(best, [*range(1, places + 1), 0]), tried + 1
     return best
+
+
+def _reordered(fit: Fit, places: Sequence[int]) -> Fit:
+    """The same fit with its effects in another order."""
+    own = fit.model.split(np.arange(len(fit.values)))
+    order = np.concatenate([own[p] for p in places])
+    return replace(
+        fit,
+        model=Model(tuple(fit.model.effects[p] for p in places)),
+        values=fit.values[order],
+        covariance=fit.covariance[np.ix_(order, order)],
+    )
 
 
 def _pruned(laboratory, current: Fit) -> Fit:
@@ -184,7 +206,7 @@ def _pruned(laboratory, current: Fit) -> Fit:
             rest = [e for i, e in enumerate(current.model.effects) if i != place]
             models.append(Model(tuple(rest)))
             starts.append(np.concatenate([p for i, p in enumerate(parts) if i != place]))
-        fits = laboratory.fit(models, starts, origin=current, race=False)
+        fits = fit_models(laboratory, models, starts, origin=current, race=False)
         best = min(fits, key=lambda f: f.bic)
         if best.bic > current.bic + BIC_MARGIN:
             break
@@ -192,11 +214,18 @@ def _pruned(laboratory, current: Fit) -> Fit:
     return current
 
 
-def _fit(laboratory, models, starts, origin, progress) -> list[Fit]:
+def _fit(laboratory, models, starts, origin, progress, rival: float = np.inf) -> list[Fit]:
     if not models:
         return []
-    least = 0.5 * BIC_MARGIN
-    fits = laboratory.fit(models, starts, origin=origin, least_gain=least, progress=progress)
+    fits = fit_models(
+        laboratory,
+        models,
+        starts,
+        origin=origin,
+        least_gain=0.5 * BIC_MARGIN,
+        rival=rival,
+        progress=progress,
+    )
     return [f for f in fits if np.isfinite(f.chi_squared)]
 
 
@@ -208,14 +237,19 @@ def _held_out(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
     fits = [fit] * count
     if len(fit.values):
         weights = (fold != np.arange(count)[:, None]).astype(float)
-        fits = laboratory.fit(
-            [fit.model] * count, [fit.values] * count, weights=weights, origin=fit, race=False
+        fits = fit_models(
+            laboratory,
+            [fit.model] * count,
+            [fit.values] * count,
+            weights=weights,
+            origin=fit,
+            race=False,
         )
     squares = chi_squared = 0.0
     markers = m.centerline[0].size
     for k, own in enumerate(fits):
         left = trials[fold == k]
-        error = laboratory.target[left] - laboratory.observe(own.model, own.values)[left]
+        error = laboratory.target[left] - laboratory.observe(own.model, own.values, trials=left)
         squares += float((error[:, :markers] ** 2).sum())
         chi_squared += float(((error / laboratory.deviation[left]) ** 2).sum())
     return float(np.sqrt(3.0 * squares / (len(trials) * markers))), chi_squared
@@ -232,7 +266,7 @@ def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
         laboratory.adopt(fine)
         return _base_fit(laboratory)
     fine.refine(fit.model, fit.values)
-    polished = fine.fit([fit.model], [fit.values], origin=fit, race=False)[0]
+    polished = fit_models(fine, [fit.model], [fit.values], origin=fit, race=False)[0]
     laboratory.adopt(fine)
     return polished
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from wrod.banded import BandedSystem
 from wrod.batch import RodBatch
 from wrod.identification.layout import (
     COMPLEX_STEP,
@@ -28,7 +29,6 @@ from wrod.kernels.loads import dead_loads
 from wrod.kernels.softened_bending import softened_bending_rate
 from wrod.kernels.stretching import stretching_rate
 from wrod.kernels.twisting import twisting_rate
-from wrod.statics import BandedSystem
 
 WIND_PASSES = 12
 WIND_TOLERANCE = 1e-7

@@ -25,7 +25,7 @@ class Setup:
         stretching: (n,) EA of each edge [N].
         natural_curvature: (n + 1, 2) components of dt/ds at rest along (m1, m2) [1/m].
         natural_twist: (n + 1,) [rad/m].
-        softening: (n + 1, 2) c [m^2] and r of the moment B k (r + (1 - r) / sqrt(1 + c k^2)).
+        softening: (n + 1, 2) c [m^2] and r of the moment B k (r + (1 - r) / (1 + c k^2)).
         line_mass: (n + 1,) mass per unstretched length [kg/m].
         node_mass: (n + 1,) masses on top of it [kg].
         gravity: (3,) [m/s^2].

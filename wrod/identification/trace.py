@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.effect import Effect, Model, Parameter, effects
-from wrod.identification.fit import Laboratory
+from wrod.identification.laboratory import Laboratory
 
 _KNOTS = 7
 _AMPLITUDES = np.logspace(-4, 3, 43)

@@ -9,6 +9,7 @@ class AnisotropicBending(Effect):
     name = "anisotropic_bending"
     title = "two bending stiffnesses about principal directions of the section"
     reference = "Bergou et al. 2008, Discrete Elastic Rods, Sec. 4.2 (anisotropic bending)"
+    kinds = ("clamped", "motion")
     parameters = (
         Parameter("log_ratio_1", "", 0.7),
         Parameter("log_ratio_2", "", 0.7),

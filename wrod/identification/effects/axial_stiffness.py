@@ -9,6 +9,7 @@ class AxialStiffness(Effect):
     name = "axial_stiffness"
     title = "wrong axial stiffness"
     reference = "k_s = 4 k_b / h^2 holds for a homogeneous round section only"
+    kinds = ("clamped", "motion")
     parameters = (Parameter("log_axial_stiffness_ratio", "", 1.5),)
 
     def apply(self, setup, values):

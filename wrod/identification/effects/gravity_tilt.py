@@ -10,6 +10,7 @@ class GravityTilt(Effect):
     name = "gravity_tilt"
     title = "gravity turned about a horizontal axis"
     reference = "rotation of the gravity vector"
+    kinds = ("clamped", "motion")
     parameters = (Parameter("tilt_x", "rad", 0.15), Parameter("tilt_y", "rad", 0.15))
 
     def apply(self, setup, values):

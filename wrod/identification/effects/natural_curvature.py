@@ -12,6 +12,7 @@ class NaturalCurvature(Effect):
         "curvature vector at rest, the axis that the tangent turns about per length: "
         "t' = k x t with k = curvature_1 m1 + curvature_2 m2"
     )
+    kinds = ("clamped", "motion")
     parameters = (
         Parameter("curvature_1", "1/m", 20.0),
         Parameter("curvature_2", "1/m", 20.0),

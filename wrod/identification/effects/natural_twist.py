@@ -7,6 +7,7 @@ class NaturalTwist(Effect):
     name = "natural_twist"
     title = "uniform twist at rest (also: one end mounted with a roll)"
     reference = "Bergou et al. 2010, Discrete Viscous Threads, Sec. 3"
+    kinds = ("clamped", "motion")
     parameters = (Parameter("twist", "rad/m", 5.0),)
 
     def apply(self, setup, values):

@@ -9,7 +9,7 @@ class Softening(Effect):
     name = "softening"
     title = "bending stiffness that falls with curvature, from B to r B"
     reference = (
-        "M = B k (r + (1 - r) / sqrt(1 + (k / k_c)^2)), a smooth form of the stick-slip law of "
+        "M = B k (r + (1 - r) / (1 + (k / k_c)^2)), a smooth form of the stick-slip law of "
         "stranded cables (Papailiou 1997)"
     )
     parameters = (

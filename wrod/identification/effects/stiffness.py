@@ -9,6 +9,7 @@ class Stiffness(Effect):
     name = "stiffness"
     title = "wrong gravito-bending length (every stiffness scales)"
     reference = "L_gb = (k_b / (2 pi h^2 rho g))^(1/3), paper Eq. nondimensionl_mapping"
+    kinds = ("clamped", "motion")
     parameters = (Parameter("log_stiffness_ratio", "", 1.0),)
 
     def apply(self, setup, values):

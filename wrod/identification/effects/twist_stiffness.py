@@ -9,6 +9,7 @@ class TwistStiffness(Effect):
     name = "twist_stiffness"
     title = "wrong twisting stiffness"
     reference = "k_t = k_b / (1 + nu) holds for a homogeneous round section only"
+    kinds = ("clamped", "motion")
     parameters = (Parameter("log_twist_stiffness_ratio", "", 1.0),)
 
     def apply(self, setup, values):

@@ -1,0 +1,89 @@
+"""Campaigns go on where they were stopped, and write the same as if they had not been."""
+
+import pytest
+from click.testing import CliRunner
+
+from wrod.bench import campaign
+from wrod.bench.campaign import Ledger
+from wrod.commands import main
+
+KEYS = ("course", "trial")
+
+
+def rows_of(part, progress):
+    progress(1.0)
+    return [{"course": c, "trial": t, "steps": 10, "value": f"{c}{t}"} for c, t in part]
+
+
+def test_stopped_run_simulates_the_rest_only(tmp_path):
+    keys = [(course, trial) for trial in range(3) for course in "abcd"]
+    asked = []
+
+    def stopped(part, progress):
+        if len(asked) == 2:
+            raise KeyboardInterrupt
+        asked.append(part)
+        return rows_of(part, progress)
+
+    ledger = Ledger(tmp_path / "trials.jsonl", {"speed": 1}, KEYS)
+    with pytest.raises(KeyboardInterrupt):
+        campaign.run(ledger, keys, stopped, device="cpu", batch=4, quiet=True)
+    assert asked == [keys[:4], keys[4:8]]
+    again = Ledger(tmp_path / "trials.jsonl", {"speed": 1}, KEYS)
+    assert again.done() == set(keys[:8])
+    spent = campaign.run(again, keys, rows_of, device="cpu", batch=3, quiet=True)
+    assert (spent.trials, spent.steps) == (4, 40)
+    assert [row["value"] for row in again.of(keys)] == [f"{c}{t}" for c, t in keys]
+
+
+def test_rows_come_in_the_order_of_the_trials(tmp_path):
+    """Whatever the order in which they were finished: so are the files of a resumed run."""
+    ledger = Ledger(tmp_path / "trials.jsonl", {}, KEYS)
+    ledger.add(rows_of([("b", 0), ("a", 0), ("c", 0)], lambda fraction: None))
+    assert [row["course"] for row in ledger.of([("a", 0), ("b", 0), ("d", 0)])] == ["a", "b"]
+
+
+def test_comparison_of_closures_is_resumed_to_the_same_files(tmp_path, monkeypatch):
+    """Laid on coarse meshes; the second run is stopped after two of its eight deployments."""
+    import wrod.deployment
+
+    def call(folder):
+        args = ["bench", "closures", "--out", str(tmp_path / folder), "--device", "cpu"]
+        args += ["--frictions", "0.4", "--curvatures", "1", "--names", "line", "--json"]
+        args += ["--rods", "pink-vps", "--batch", "2"]
+        return CliRunner().invoke(
+            main, [*args, "--speed", "0.2", "--step", "0.05", "--spacing", "0.03"]
+        )
+
+    whole = call("whole")
+    assert whole.exit_code == 0, whole.output
+    simulate, calls = wrod.deployment.simulate_deployments, []
+
+    def stopped(*args, **options):
+        calls.append(len(args[0]))
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return simulate(*args, **options)
+
+    monkeypatch.setattr(wrod.deployment, "simulate_deployments", stopped)
+    assert call("stopped").exit_code != 0
+    lines = (tmp_path / "stopped" / "trials.jsonl").read_text().splitlines()
+    assert len(lines) == 1 + 2
+    assert not (tmp_path / "stopped" / "closures.csv").exists()
+    monkeypatch.setattr(wrod.deployment, "simulate_deployments", simulate)
+    assert '"simulated_now": 6' in call("stopped").output
+    for name in ("closures.csv", "closures.md"):
+        one, two = (tmp_path / folder / name for folder in ("whole", "stopped"))
+        assert one.read_bytes() == two.read_bytes()
+    text = (tmp_path / "whole" / "closures.md").read_text()
+    assert "put down exactly" in text and "min friction" in text
+    assert (tmp_path / "whole" / "closures.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("text", ["", "one", "0.1,-1", "nan"])
+def test_bad_axes_are_refused(tmp_path, text):
+    from wrod.bench.closures import _numbers
+    from wrod.errors import RodError
+
+    with pytest.raises(RodError, match="frictions"):
+        _numbers(text, "frictions", 0.0, 10.0)

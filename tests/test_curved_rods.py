@@ -1,0 +1,294 @@
+"""Naturally curved rods: grasps, plans, deployments and datasets of them."""
+
+import json
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+from test_deployment import QUICK, ROD, quarter_turn
+from wrod.training import store
+from wrod.training.dataset import generate, load
+from wrod.training.sampling import RodInputs, sample
+
+import wrod
+from wrod.commands import main
+from wrod.deployment import Trial, simulate_deployments
+from wrod.deployment_setup import tail
+from wrod.errors import DataError, GraspError, RodError, WrodWarning
+from wrod.grasps import solve_grasps
+from wrod.planner import natural_roll
+from wrod.substrate import Contact
+from wrod.trajectory import Trajectory
+
+CURVED = replace(ROD, natural_curvature=(6.0, 0.0))
+LENGTHS = np.array([1.5, 4.0, 9.0, 20.0])
+CURVATURES = np.array([0.0, 0.8, -0.5, 1.6])
+
+
+@pytest.fixture(scope="module")
+def straight():
+    return solve_grasps(LENGTHS, CURVATURES, 2000.0)
+
+
+def test_a_hardly_curved_rod_is_a_straight_one(straight):
+    """Another mesh and another system of equations, in the limit the same rod."""
+    grasps = solve_grasps(LENGTHS, CURVATURES, 2000.0, natural_curvature=(1e-9, 0.0))
+    assert grasps.converged.all()
+    assert np.abs(grasps.position - straight.position).max() < 1e-4
+    assert np.abs(grasps.rotation - straight.rotation).max() < 1e-4
+    assert np.abs(grasps.force - straight.force).max() < 2e-5
+    assert np.abs(grasps.twist).max() < 1e-6
+    assert straight.twist is None
+
+
+def test_zeros_take_the_straight_rods_path(straight):
+    grasps = solve_grasps(LENGTHS, CURVATURES, 2000.0, natural_curvature=np.zeros((4, 2)))
+    assert (grasps.position == straight.position).all()
+    assert (grasps.rotation == straight.rotation).all()
+
+
+def test_mirror_image_of_a_curved_rod():
+    left = solve_grasps(LENGTHS, CURVATURES, 2000.0, natural_curvature=(0.12, 0.05))
+    right = solve_grasps(LENGTHS, -CURVATURES, 2000.0, natural_curvature=(-0.12, 0.05))
+    assert left.converged.all() and right.converged.all()
+    assert np.abs(left.position - right.position * [1, -1, 1]).max() < 1e-8
+    assert np.abs(left.force - right.force * [1, -1, 1]).max() < 1e-8
+    assert np.abs(left.rotation - right.rotation * [-1, 1, -1]).max() < 1e-8
+    assert np.abs(left.twist + right.twist).max() < 1e-8
+
+
+def test_curvature_in_the_plane_of_a_straight_pattern_stays_in_it():
+    """Bent upwards, the rod of a straight pattern leaves neither its plane nor its roll."""
+    grasps = solve_grasps(LENGTHS, 0.0, 2000.0, natural_curvature=(0.0, 0.15))
+    assert grasps.converged.all()
+    assert np.abs(grasps.position[:, 1]).max() < 1e-9
+    assert np.abs(grasps.twist).max() < 1e-9
+
+
+def test_moment_about_the_vertical_is_carried_to_the_grip():
+    """Weight has no moment about z: that of the contact, kappa - c_y, is what the horizontal force
+    has about it, and the torque that twists the part which hangs straight, G J times the rate."""
+    kappa, natural = 1.6, 0.13
+    grasps = solve_grasps([20.0, 24.0], kappa, 2000.0, natural_curvature=(natural, 0.0))
+    (x, y, _), (f_x, f_y, _) = grasps.position[0], -grasps.force[0]
+    torque = (kappa - natural) - (x * f_y - y * f_x)
+    vertical = Rotation.from_rotvec(grasps.rotation[0]).apply([1.0, 0.0, 0.0])[2]
+    rate = (grasps.twist[1] - grasps.twist[0]) / 4.0
+    assert abs(torque) > 0.1
+    assert rate / (1.0 + 0.5) * vertical == pytest.approx(torque, abs=2e-3)
+
+
+@pytest.mark.parametrize("closure", ["min_force", "min_friction"])
+def test_closures_of_a_curved_rod_are_minima(closure):
+    natural = (0.12, 0.0)
+    best = solve_grasps(LENGTHS, CURVATURES, 2000.0, closure=closure, natural_curvature=natural)
+    other = solve_grasps(LENGTHS, CURVATURES, 2000.0, natural_curvature=natural)
+    assert best.converged.all()
+    axes = slice(None) if closure == "min_force" else slice(2)
+    size, before = (np.linalg.norm(g.force[:, axes], axis=1) for g in (best, other))
+    assert (size <= before + 1e-9).all()
+    assert size[3] < before[3] - 0.05
+
+
+def test_bad_natural_curvature_is_named():
+    with pytest.raises(GraspError, match="outside the -1 to 1"):
+        solve_grasps(5.0, 0.0, 2000.0, natural_curvature=(1.5, 0.0))
+    with pytest.raises(GraspError, match="outside"):
+        solve_grasps(5.0, 0.0, 2000.0, natural_curvature=(np.nan, 0.0))
+    with pytest.raises(GraspError, match=r"\(2,\) or \(n, 2\)"):
+        solve_grasps(5.0, 0.0, 2000.0, natural_curvature=(0.1, 0.0, 0.0))
+    with pytest.raises(GraspError, match="sensitivities"):
+        solve_grasps(5.0, 0.0, 2000.0, natural_curvature=(0.1, 0.0), sensitivities=True)
+    with pytest.raises(GraspError, match="poisson"):
+        solve_grasps(5.0, 0.0, 2000.0, natural_curvature=(0.1, 0.0), poisson=0.7)
+
+
+def test_rod_file_carries_natural_curvature(tmp_path):
+    rod = replace(CURVED, natural_curvature=(3.0, -1.0))
+    assert wrod.RodMaterial.load(rod.save(tmp_path / "rod.json")) == rod
+    assert not rod.is_straight and ROD.is_straight
+    assert rod.curvature_held(0.0) == (3.0, -1.0)
+    # A quarter turn takes the first director from left to up, the second from up to right.
+    assert rod.curvature_held(np.pi / 2) == pytest.approx((1.0, 3.0))
+    for bad in ((1.0,), (1.0, np.nan), "x", None):
+        with pytest.raises(RodError, match="natural_curvature"):
+            replace(ROD, natural_curvature=bad)
+
+
+def model_file(path, effects, **rod):
+    numbers = {"radius": 0.0016, "gravito_bending_length": 0.018, "length": 0.2, **rod}
+    content = {"format": "wrod-rod-model-1", "rod": numbers}
+    content["effects"] = [{"name": name, "parameters": {}} for name in effects]
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_identified_model_loads_as_a_rod(tmp_path):
+    path = model_file(
+        tmp_path / "model.json", ["natural_curvature", "stiffness"], natural_curvature=[4.0, 0.5]
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rod = wrod.RodMaterial.load(path)
+    assert rod.natural_curvature == (4.0, 0.5)
+    aside = model_file(tmp_path / "aside.json", ["camera_scale", "stiffness", "grip_slip"])
+    with pytest.warns(WrodWarning, match="camera_scale, grip_slip set aside"):
+        wrod.RodMaterial.load(aside)
+    (tmp_path / "broken.json").write_text('{"format": "wrod-rod-model-1", "rod": 3}')
+    with pytest.raises(RodError, match=r"broken\.json: holds no rod"):
+        wrod.RodMaterial.load(tmp_path / "broken.json")
+
+
+def test_roll_lays_the_curvature_to_the_side_of_the_pattern():
+    pattern = quarter_turn()
+    rod = replace(ROD, natural_curvature=(1.0, 2.0))
+    left, up = rod.curvature_held(natural_roll(pattern, rod))
+    assert (left, up) == pytest.approx((np.sqrt(5.0), 0.0))
+    right = wrod.Pattern.from_points(pattern.sample(np.linspace(0, 0.15, 80))[0] * [1, -1, 1])
+    left, up = rod.curvature_held(natural_roll(right, rod))
+    assert (left, up) == pytest.approx((-np.sqrt(5.0), 0.0))
+    assert natural_roll(pattern, ROD) == 0.0
+
+
+@pytest.fixture(scope="module")
+def plans():
+    """Of the curved rod: as it is, and as it was believed, held the same way."""
+    pattern = quarter_turn()
+    new = wrod.plan(pattern, CURVED, "numeric", device="cpu")
+    old = wrod.plan(pattern, ROD, "numeric", roll=new.metadata["roll"], device="cpu")
+    return pattern, new, old
+
+
+def test_plan_of_a_curved_rod(plans, tmp_path):
+    pattern, new, old = plans
+    assert new.metadata["rod"]["natural_curvature"] == (6.0, 0.0)
+    assert old.twist is None and len(new.twist) == len(new)
+    # The twist dwindles with the length that hangs.
+    assert abs(new.twist[0]) > abs(new.twist[-1])
+    assert 1e-3 < np.linalg.norm(new.position - old.position, axis=1).max() < 0.02
+    again = Trajectory.load(new.save(tmp_path / "plan")[1])
+    assert (again.twist == new.twist).all()
+    with pytest.warns(WrodWarning, match="naturally straight rods only"):
+        neural = wrod.plan(pattern, CURVED, device="cpu")
+    assert neural.metadata["method"] == "numeric"
+    assert np.abs(neural.position - new.position).max() < 1e-12
+    with pytest.raises(GraspError, match="roll is nan"):
+        wrod.plan(pattern, CURVED, roll=float("nan"))
+
+
+def test_knowing_the_curvature_lays_the_rod_better(plans):
+    pattern, new, old = plans
+    known, unknown = simulate_deployments(
+        [
+            Trial(pattern, CURVED, path, wrod.Friction(0.8), tail=tail(pattern, rod, path))
+            for path, rod in ((new, CURVED), (old, ROD))
+        ],
+        **QUICK,
+    )
+    assert not known.diverged and not unknown.diverged
+    assert known.error_mean < 1e-3
+    assert unknown.error_mean > 2.0 * known.error_mean
+
+
+def test_deployment_bends_the_rod_the_way_that_it_is_held(plans):
+    """Held upside down, the same rod drifts to the other side."""
+    pattern, _, old = plans
+    turned = replace(old, metadata={**old.metadata, "roll": old.metadata["roll"] + np.pi})
+    trials = [
+        Trial(pattern, CURVED, path, wrod.Friction(0.8), tail=tail(pattern, ROD, path))
+        for path in (old, turned)
+    ]
+    one, other = simulate_deployments(trials, **QUICK)
+    ideal = wrod.simulate_deployment(pattern, ROD, old, 0.8, **QUICK)
+    s = np.linspace(0.06, pattern.length, 20)
+    tangent = pattern.sample(s)[1]
+    sides = [
+        np.array(
+            [np.interp(s, d.arc_length, (d.centerline - ideal.centerline)[:, c]) for c in (0, 1)]
+        )
+        for d in (one, other)
+    ]
+    drift = [(-tangent[:, 1] * x + tangent[:, 0] * y).mean() for x, y in sides]
+    assert drift[0] * drift[1] < 0.0
+    assert min(np.abs(drift)) > 2e-4
+
+
+def test_roll_of_a_laid_rod_is_kept_unless_it_rolls():
+    from wrod.batch import RodBatch
+
+    batch = RodBatch(
+        np.stack([np.column_stack([np.linspace(0, 0.1, 5), np.zeros(5), np.full(5, 1.5e-3)])] * 3),
+        stretching_stiffness=1.0,
+        bending_stiffness=1e-6,
+        twisting_stiffness=1e-6,
+    )
+    friction = [wrod.Friction(0.5), wrod.Friction(0.5, rolling=True), wrod.Friction(0.5)]
+    contact = Contact(batch, 1.6e-3, 100.0, friction, keeps_roll=np.array([True, True, False]))
+    before = batch.state.dof
+    after = batch.state.dof.numpy().copy()
+    after[:, 3::4] += 0.01
+    import warp as wp
+
+    turned = wp.array(after, dtype=wp.float64)
+    batch.derivatives.gradient.zero_()
+    batch.derivatives.hessian.zero_()
+    contact.add(batch.every_rod, turned, before)
+    torque = batch.derivatives.gradient.numpy()[:, 3::4]
+    assert (torque[0] > 1e-6).all()
+    assert torque[2] == pytest.approx(np.zeros(4), abs=1e-15)
+    # A rolling rod is held back by friction of its surface only.
+    assert (torque[1] < 1e-3 * torque[0]).all()
+
+
+def test_dataset_of_one_rod(tmp_path):
+    folder = tmp_path / "grasps"
+    generate(folder, 12, shard_size=6, edge_count=32, rod=CURVED, device="cpu")
+    manifest = store.read_manifest(folder)
+    one = manifest.rod_inputs
+    assert one == RodInputs.of(CURVED)
+    assert one.natural_curvature == (pytest.approx(6.0 * 0.018), 0.0)
+    table = load(folder)
+    assert len(table) == 12 and table.sensitivity is None
+    assert np.ptp(table.inputs[:, 2]) == 0.0
+    assert table.inputs[:, 1].min() < 0.0 < table.inputs[:, 1].max()
+    assert table.inputs[:, 0].max() <= 1.06 * one.length
+    again = solve_grasps(
+        *table.inputs[:3].T, natural_curvature=one.natural_curvature, edge_count=32
+    )
+    assert np.abs(again.position - table.outputs[:3, :3]).max() < 1e-9
+    with pytest.raises(DataError, match="rod"):
+        generate(folder, 12, shard_size=6, edge_count=32, device="cpu")
+    # One straight rod: left turns only, and its derivatives.
+    assert (sample(0, 16, 0, RodInputs.of(ROD))[:, 1] >= 0.0).all()
+
+
+def test_dataset_command_takes_a_model_and_training_says_no(tmp_path):
+    path = model_file(tmp_path / "model.json", ["natural_curvature"], natural_curvature=[0.0, 5.0])
+    out = tmp_path / "grasps"
+    args = ["dataset", "--size", "4", "--rod", str(path), "--length", "0.3", "--out", str(out)]
+    result = CliRunner().invoke(main, [*args, "--device", "cpu", "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["unconverged"] == 0
+    assert store.read_manifest(out).rod["length"] == pytest.approx(0.3 / 0.018)
+    args = ["train", "--dataset", str(out), "--out", str(tmp_path / "c"), "--device", "cpu"]
+    result = CliRunner().invoke(main, args)
+    assert result.exit_code == 2
+    assert "one rod" in result.stderr
+
+
+def test_plan_command_takes_a_model(tmp_path):
+    path = model_file(
+        tmp_path / "model.json", ["natural_curvature", "air_flow"], natural_curvature=[0.0, 5.0]
+    )
+    args = ["plan", "line", "--rod", str(path), "--length", "0.7", "--out", str(tmp_path / "o")]
+    args += ["--no-robot", "--spacing", "0.05", "--device", "cpu", "--json"]
+    result = CliRunner().invoke(main, args)
+    assert result.exit_code == 0, result.output
+    assert "air_flow set aside" in result.stderr
+    figures = json.loads(result.stdout)
+    assert figures["rod"]["natural_curvature"] == [0.0, 5.0]
+    assert figures["roll"] == pytest.approx(-np.pi / 2)
+    assert len(figures["twist"]) == 2

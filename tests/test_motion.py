@@ -1,0 +1,222 @@
+"""Motion: recordings in, sensitivities, and what is found in motions made by the dynamics."""
+
+import numpy as np
+import pytest
+
+from wrod.batch import RodBatch
+from wrod.dynamics import Dynamics
+from wrod.errors import DataError
+from wrod.identification.effect import Model, effects
+from wrod.identification.motion_data import load_motion, motion_from_arrays
+from wrod.identification.motion_fit import MotionLaboratory
+from wrod.identification.motion_report import identify_motion
+from wrod.statics import EquilibriumSolver, prescribe
+
+GRAVITY, RATE, MARKERS = 9.81, 100.0, 8
+EDGE, HELD = 0.12, 0.03
+L_GB, CURVATURE, VISCOUS, AIR = 0.16, 4.0, 0.04, 0.5
+
+
+class Shaking:
+    """Moves both held edges of every rod along smooth paths of its own."""
+
+    def __init__(self, batch, path):
+        self.batch, self.path = batch, path
+
+    def prescribe(self, running, time, step, start):
+        dof = self.batch.state.dof.numpy().copy()
+        going = running.numpy() != 0
+        ends = self.path(time.numpy() + step.numpy())
+        n = self.batch.node_count
+        for k, i in enumerate((0, 1, n - 2, n - 1)):
+            dof[going, 4 * i : 4 * i + 3] = ends[going, k]
+        self.batch.state.dof.assign(dof)
+
+
+def paths(rods, seed):
+    """Held nodes (rod, 4, 3) as a function of (rod,) times: grips that point down and swing."""
+    rng = np.random.default_rng(seed)
+    size = rng.uniform(0.02, 0.06, (rods, 2, 3, 2))
+    rate = rng.uniform(2.0, 7.0, (rods, 2, 3, 2))
+    phase = rng.uniform(0.0, 2 * np.pi, (rods, 2, 3, 2))
+    centre = np.array([[-0.18, 0.0, 0.0], [0.18, 0.0, 0.0]])
+
+    def at(time):
+        t = np.asarray(time)[:, None, None, None]
+        ramp = np.minimum(t / 0.3, 1.0)[..., 0] ** 2
+        move = centre + ramp * (size * np.sin(rate * t + phase)).sum(axis=-1)
+        tilt = 0.15 * ramp[..., 0, 0]
+        out = np.zeros((len(t), 4, 3))
+        for end, sign in ((0, -1.0), (1, 1.0)):
+            lean = np.stack([sign * tilt[:], 0.3 * tilt, -np.ones(len(t))], axis=1)
+            lean /= np.linalg.norm(lean, axis=1, keepdims=True)
+            inner, outer = move[:, end], move[:, end] - HELD * lean
+            out[:, [0, 1] if end == 0 else [3, 2]] = np.stack([outer, inner], axis=1)
+        return out
+
+    return at
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """Recordings of a viscous rod with a bend of its own, by implicit dynamics on a finer mesh."""
+    rods, fine, first, frames = 8, 4, 60, 70
+    inner = (MARKERS - 3) * fine
+    rest = np.r_[HELD, np.full(inner, EDGE / fine), HELD]
+    n = len(rest) + 1
+    at = paths(rods, seed=4)
+    ends = at(np.zeros(rods))
+    # From a smooth loop between the grips to equilibrium.
+    u = np.linspace(0.0, 1.0, inner + 1)[:, None]
+    loop = (1 - u) * ends[0, 1] + u * ends[0, 2] - np.array([0, 0, 0.2]) * np.sin(np.pi * u)
+    position = np.concatenate([ends[0, :1], loop, ends[0, 3:]])
+    position = np.repeat(position[None], rods, axis=0)
+    bending = 2.0 * GRAVITY * L_GB**3
+    length = 0.5 * (np.r_[rest, 0.0] + np.r_[0.0, rest])
+    stiffness = np.full((rods, n, 2), bending)
+    natural = np.zeros((rods, n, 2))
+    natural[:, :, 0] = CURVATURE
+    for i in (1, n - 2):
+        share = 0.5 * (EDGE / fine) / length[i]
+        stiffness[:, i] /= share
+        natural[:, i] *= share
+    batch = RodBatch(
+        position,
+        rest_length=rest,
+        stretching_stiffness=GRAVITY * rest.sum() / 1e-3,
+        bending_stiffness=stiffness,
+        twisting_stiffness=stiffness[:, :, 0] / 1.5,
+        natural_curvature=natural,
+        node_mass=length,
+        gravity=[0.0, 0.0, -GRAVITY],
+        # The first director, m1, is the inside of the loop: the rod is bent the way it hangs.
+        director=np.array([1.0, 0.0, 0.0]),
+    )
+    prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
+    assert EquilibriumSolver(batch).solve(ramp_loads=True).converged.all()
+    dynamics = Dynamics(
+        batch,
+        scheme="bdf2",
+        radius=4e-3,
+        air_damping=AIR,
+        internal_damping=VISCOUS,
+        motion=Shaking(batch, at),
+    )
+    place = [0, *range(1, n - 1, fine), n - 1]
+    out = []
+    for k in range(first + frames):
+        assert not dynamics.advance(k / RATE + 1e-9, 2.5e-3).diverged.any() if k else True
+        if k >= first:
+            out.append(batch.positions()[:, place].copy())
+    positions = np.stack(out, axis=1)
+    positions += np.random.default_rng(0).normal(0.0, 2e-5, positions.shape)
+    return {
+        "positions": positions,
+        "rate_hz": np.float64(RATE),
+        "held": np.array([0, 1, MARKERS - 2, MARKERS - 1]),
+        "gravity": np.float64(GRAVITY),
+    }
+
+
+def test_tangents_are_the_derivatives_of_the_motion(recorded):
+    laboratory = MotionLaboratory(motion_from_arrays(recorded))
+    model = Model(tuple(effects("motion").values()))
+    rng = np.random.default_rng(1)
+    values = np.array([0.1 * min(p.scale, 1.0) * rng.uniform(0.5, 1.0) for p in model.parameters])
+    windows = laboratory.windows([0, 1], [5], frames=20)
+    _, rates, _ = laboratory.run(
+        windows, model.setup(laboratory.base, values), laboratory.rates(model, values)
+    )
+    for j, parameter in enumerate(model.parameters):
+        if j % 3 and parameter.key.startswith("curvature_"):
+            continue
+        step = np.zeros(len(values))
+        step[j] = 1e-5
+        difference = (
+            laboratory.predict(windows, model, values + step)
+            - laboratory.predict(windows, model, values - step)
+        ) / 2e-5
+        scale = np.abs(difference).max()
+        assert scale > 0, parameter.key
+        assert np.abs(rates[:, :, :, j] - difference).max() < 1e-4 * scale, parameter.key
+
+
+def test_damping_and_natural_curvature_are_found(recorded):
+    names = ("internal_damping", "natural_curvature", "marker_offset", "quadratic_drag")
+    report = identify_motion(motion_from_arrays(recorded), candidates=names)
+    content = report.to_dict()
+    found = {e["name"]: e["parameters"] for e in content["effects"]}
+    assert set(found) >= {"internal_damping", "natural_curvature"}
+    assert content["after_mm"] < 0.1 * content["before_mm"]
+    assert found["internal_damping"]["viscous_time"]["value"] == pytest.approx(VISCOUS, rel=0.1)
+    assert found["natural_curvature"]["curvature"]["value"] == pytest.approx(CURVATURE, rel=0.1)
+    assert content["base"]["stiffness"]["L_gb"]["value"] == pytest.approx(L_GB, rel=0.03)
+
+
+def test_lost_frames_are_counted_and_survived(recorded):
+    data = dict(recorded)
+    x = recorded["positions"]
+    kept = np.r_[0:20, 24:60]
+    data["positions"] = x[:, kept]
+    m = motion_from_arrays(data)
+    assert m.gap[:, 19].tolist() == [5] * len(x)
+    assert (m.gap == 1).sum() == m.gap.size - len(x)
+    laboratory = MotionLaboratory(m)
+    whole = MotionLaboratory(motion_from_arrays(recorded))
+    model, values = Model(), np.zeros(0)
+    cut = laboratory.predict(laboratory.windows([0]), model, values)
+    full = whole.predict(whole.windows([0], frames=60), model, values)[:, kept]
+    # The same motion but for the grips' path through the gap; ten times less than ignoring it.
+    assert np.abs(cut - full).max() < 4e-3
+
+
+def test_exchanged_grip_markers_are_put_back(recorded):
+    data = dict(recorded)
+    data["positions"] = recorded["positions"].copy()
+    data["positions"][3, 10:, [-2, -1]] = data["positions"][3, 10:, [-1, -2]]
+    m = motion_from_arrays(data)
+    assert m.repaired.tolist() == [0, 0, 0, len(recorded["positions"][0]) - 10, 0, 0, 0, 0]
+    np.testing.assert_array_equal(m.positions, recorded["positions"])
+
+
+def _with(recorded, **change):
+    return {**recorded, **change}
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda d: {"positions": 1e3 * d["positions"]}, "must be in metres"),
+        (lambda d: {"positions": d["positions"][:1]}, "at least two are needed"),
+        (lambda d: {"positions": d["positions"][..., :2]}, "give \\(recording, frame, M, 3\\)"),
+        (lambda d: {"held": np.array([0, 1, 2, 3])}, "held is"),
+        (lambda d: {"rate_hz": np.float64(0.0)}, "rate_hz is 0; it must be positive"),
+        (lambda d: {"rate_hz": np.float64(1e5)}, "check rate_hz"),
+        (lambda d: {"gravity": np.array("g")}, "gravity does not hold numbers"),
+        (lambda d: {"file_ids": np.array(["a"])}, "file_ids has shape"),
+    ],
+)
+def test_bad_data_are_named_in_a_sentence(recorded, change, sentence):
+    with pytest.raises(DataError, match=sentence):
+        motion_from_arrays(_with(recorded, **change(recorded)))
+
+
+def test_a_lost_marker_is_named(recorded):
+    x = recorded["positions"].copy()
+    x[2, 7, 4, 1] = np.nan
+    with pytest.raises(DataError, match="marker 4 of recording 2 is not finite in frame 7"):
+        motion_from_arrays(_with(recorded, positions=x))
+
+
+def test_markers_in_another_order_are_named(recorded):
+    x = recorded["positions"].copy()
+    x[5, :, [2, 4]] = x[5, :, [4, 2]]
+    with pytest.raises(DataError, match=r"of recording 5 are .* apart"):
+        motion_from_arrays(_with(recorded, positions=x))
+
+
+def test_a_file_without_a_field_is_named(recorded, tmp_path):
+    path = tmp_path / "motion.npz"
+    np.savez(path, **{k: v for k, v in recorded.items() if k != "gravity"})
+    with pytest.raises(DataError, match="lacks gravity"):
+        load_motion(path)

@@ -1,0 +1,439 @@
+"""Rods in Newton scenes: closed forms, worlds side by side, held ends, and what is refused."""
+
+import subprocess
+import sys
+
+import newton
+import numpy as np
+import pytest
+import warp as wp
+
+import wrod
+from wrod.errors import RodError, WrodWarning
+
+ROD = wrod.RodMaterial(radius=0.0016, gravito_bending_length=0.032, length=0.2)
+SolverDER = wrod.SolverDER
+ROOT = 1.875104068711961  # first root of cos(x) cosh(x) = -1
+
+
+def scene(gravity=-9.81):
+    builder = newton.ModelBuilder(gravity=(0.0, 0.0, gravity))
+    SolverDER.register_custom_attributes(builder)
+    return builder
+
+
+def straight(nodes, length, height=0.0, axis=0, shift=(0.0, 0.0, 0.0)):
+    points = np.zeros((nodes, 3))
+    points[:, axis] = np.linspace(0.0, length, nodes)
+    points[:, 2] += height
+    return points + shift
+
+
+def simulate(model, steps, dt, each=None, **options):
+    """State after some steps; `each(k, state)` may write the state before a step."""
+    solver = SolverDER(model, **options)
+    state, other = model.state(), model.state()
+    for k in range(steps):
+        if each is not None:
+            each(k, state)
+        solver.step(state, other, None, None, dt)
+        state, other = other, state
+    return solver, state
+
+
+def nodes(state, rod=None):
+    q = state.der.node_q.numpy()
+    if rod is None:
+        return q
+    der = rod[0].der
+    first, count = der.rod_first_node.numpy()[rod[1]], der.rod_node_count.numpy()[rod[1]]
+    return q[first : first + count]
+
+
+def place(model, state, body, position, rotation=(0.0, 0.0, 0.0, 1.0)):
+    poses = state.body_q.numpy().copy()
+    poses[body] = [*position, *rotation]
+    state.body_q.assign(poses)
+
+
+@pytest.mark.parametrize("end", ["start", "end"])
+def test_sag_of_a_cantilever(end):
+    """Tip deflection of a clamped rod of N edges under its weight: w L^4 / (8 k_b) (1 + 1/N^2).
+
+    The moment at node j, w (L - x_j)^2 / 2, turns it by M h / k_b, at the clamp by half of that;
+    summed over the nodes this is the beam's formula with exactly that mesh error.
+    """
+    length, count = 0.02, 11
+    builder = scene()
+    SolverDER.add_rod(
+        builder, straight(count, length), ROD, air_damping=2e3, visible=False, **{end: "clamped"}
+    )
+    _, state = simulate(builder.finalize(device="cpu"), 60, 0.01, scheme="euler")
+    tip = nodes(state)[-1 if end == "start" else 0]
+    expected = -ROD.weight * length**4 / (8 * ROD.bending_stiffness)
+    expected *= 1.0 + 1.0 / (count - 1) ** 2
+    assert tip[2] == pytest.approx(expected, rel=5e-4)  # it sags by 1.5 % of its length
+
+
+def test_frequency_of_a_cantilever():
+    """omega = 1.8751^2 sqrt(k_b / (m L^4)) within 1 %, and no gain of energy in the swing."""
+    length, count = 0.1, 26
+    line = ROD.weight / ROD.gravity
+    omega = ROOT**2 * np.sqrt(ROD.bending_stiffness / line) / length**2
+    x = ROOT * np.linspace(0.0, 1.0, count)
+    ratio = (np.sinh(ROOT) - np.sin(ROOT)) / (np.cosh(ROOT) + np.cos(ROOT))
+    mode = np.cosh(x) - np.cos(x) - ratio * (np.sinh(x) - np.sin(x))
+    velocity = np.zeros((count, 3))
+    velocity[:, 2] = 0.01 * length * omega * mode / mode[-1]
+    builder = scene(gravity=0.0)
+    SolverDER.add_rod(builder, straight(count, length), ROD, start="clamped", velocity=velocity)
+    samples = 60
+    heights = []
+    simulate(
+        builder.finalize(device="cpu"),
+        2 * samples + 20,
+        2 * np.pi / omega / samples,
+        lambda k, state: heights.append(nodes(state)[-1, 2]),
+    )
+    z = np.array(heights[1:])
+    i = np.flatnonzero(z[:-1] * z[1:] < 0)
+    crossings = i + z[i] / (z[i] - z[i + 1])
+    assert len(crossings) >= 4
+    assert 2 * np.diff(crossings).mean() == pytest.approx(samples, rel=0.01)
+    assert np.abs(z).max() <= 0.01 * length * 1.01
+
+
+def test_rest_on_the_ground_and_friction_of_the_shape():
+    """The ground carries the weight; tilted gravity moves the rod if and only if tan > mu."""
+    builder = scene()
+    mu = 0.6
+    builder.default_shape_cfg.mu = mu
+    for _ in range(2):
+        builder.begin_world()
+        SolverDER.add_rod(builder, straight(15, 0.07, 1.2 * ROD.radius), ROD)
+        builder.end_world()
+    builder.add_ground_plane(height=0.0)
+    model = builder.finalize(device="cpu")
+    slopes = np.radians([28.0, 34.0])  # arctan(0.6) = 30.96
+    solver = SolverDER(model, scheme="euler")
+    state = model.state()
+    steps, dt = 40, 5e-3
+
+    def tilt(part):
+        gravity = np.zeros((3, 3))
+        gravity[:2, 0] = 9.81 * np.sin(part * slopes)
+        gravity[:2, 2] = -9.81 * np.cos(part * slopes)
+        gravity[2, 2] = -9.81
+        model.gravity.assign(gravity)
+        solver.notify_model_changed(newton.ModelFlags.MODEL_PROPERTIES)
+
+    for _ in range(steps):
+        solver.step(state, state, None, None, dt)
+    force = state.der.node_contact_f.numpy().reshape(2, -1, 3).sum(axis=1)
+    assert force[:, 2] == pytest.approx(ROD.weight * 0.07, rel=1e-3)
+    assert 0.95 * ROD.radius < nodes(state)[:, 2].min() <= nodes(state)[:, 2].max() < ROD.radius
+    before = nodes(state).reshape(2, -1, 3).mean(axis=1)
+    for part in np.linspace(0.0, 1.0, 17)[1:]:  # a sudden tilt would jerk it loose
+        tilt(part)
+        solver.step(state, state, None, None, dt)
+    for _ in range(steps):
+        solver.step(state, state, None, None, dt)
+    moved = (nodes(state).reshape(2, -1, 3).mean(axis=1) - before)[:, 0]
+    assert moved[0] < 1e-3 * ROD.radius
+    t = steps * dt
+    slide = 9.81 * (np.sin(slopes[1]) - mu * np.cos(slopes[1])) * t**2 / 2
+    assert moved[1] == pytest.approx(slide, rel=0.25)  # it began while the tilt was growing
+
+
+def test_boxes_and_cylinders_and_their_friction():
+    """A rod falls across a box and a cylinder and comes to rest a radius above both tops."""
+    builder = scene()
+    builder.add_shape_box(
+        -1, xform=wp.transform((0.02, 0, 0.01), wp.quat_identity()), hx=0.01, hy=0.05, hz=0.01
+    )
+    turned = wp.quat_from_axis_angle(wp.vec3(1, 0, 0), np.pi / 2)
+    builder.add_shape_cylinder(
+        -1, xform=wp.transform((0.08, 0, 0.015), turned), radius=0.005, half_height=0.05
+    )
+    builder.add_shape_sphere(-1, xform=wp.transform((0.5, 0, 0), wp.quat_identity()), radius=0.1)
+    SolverDER.add_rod(
+        builder, straight(21, 0.1, 0.023), ROD, internal_damping=0.05, air_damping=5.0
+    )
+    model = builder.finalize(device="cpu")
+    with pytest.warns(WrodWarning, match=r"pass through 1 shapes: .*sphere"):
+        _, state = simulate(model, 80, 5e-3, scheme="euler")
+    q, force = nodes(state), state.der.node_contact_f.numpy()
+    assert force.sum(axis=0)[2] == pytest.approx(ROD.weight * 0.1, rel=0.01)
+    on_box = (q[:, 0] > 0.011) & (q[:, 0] < 0.029)
+    assert q[on_box, 2].max() == pytest.approx(0.02 + ROD.radius, abs=0.05 * ROD.radius)
+    top = np.abs(q[:, 0] - 0.08) < 0.004
+    assert force[top, 2].sum() > 0.2 * ROD.weight * 0.1
+
+
+def different_rods():
+    """Points, material and holds of rods that differ in everything."""
+    soft = wrod.RodMaterial(radius=0.002, gravito_bending_length=0.02, length=0.2)
+    return [
+        (straight(12, 0.06, 0.05), ROD, dict(start="clamped", internal_damping=0.02)),
+        (straight(9, 0.05, 0.03, axis=1), soft, dict(end="pinned", air_damping=3.0)),
+        (straight(12, 0.08, 0.012), soft, dict(natural_curvature=(5.0, -3.0))),
+    ]
+
+
+def test_worlds_do_not_mix():
+    """Rods of several node counts in worlds of their own do what each does alone."""
+    together = scene()
+    for points, material, options in different_rods():
+        together.begin_world()
+        SolverDER.add_rod(together, points, material, **options)
+        together.end_world()
+    together.add_ground_plane()
+    model = together.finalize(device="cpu")
+    _, state = simulate(model, 20, 0.01)
+    for rod, (points, material, options) in enumerate(different_rods()):
+        alone = scene()
+        SolverDER.add_rod(alone, points, material, **options)
+        alone.add_ground_plane()
+        _, expected = simulate(alone.finalize(device="cpu"), 20, 0.01)
+        got = nodes(state, (model, rod))
+        assert np.abs(got - points).max() > 1e-3
+        assert np.abs(got - nodes(expected)).max() < 1e-9
+
+
+def test_replicated_worlds_move_rods_and_keep_shapes_apart():
+    """Copies turned and shifted do the same in their places, each on its own table."""
+    world = scene()
+    SolverDER.add_rod(world, straight(9, 0.04, 0.012), ROD, internal_damping=0.02)
+    world.add_shape_box(
+        -1, xform=wp.transform((0.02, 0, 0), wp.quat_identity()), hx=0.05, hy=0.05, hz=0.01
+    )
+    turn = wp.quat_from_axis_angle(wp.vec3(0, 0, 1), np.pi / 2)
+    places = [wp.transform_identity(), wp.transform((3.0, -2.0, 0.5), turn)]
+    builder = scene()
+    builder.replicate(world, copy_count=2, xforms=places)
+    model = builder.finalize(device="cpu")
+    solver, state = simulate(model, 20, 0.01)
+    assert not solver.diverged.any()
+    first, second = nodes(state, (model, 0)), nodes(state, (model, 1))
+    assert first[:, 2].min() == pytest.approx(0.01 + ROD.radius, abs=0.05 * ROD.radius)
+    moved = np.column_stack([-first[:, 1] + 3.0, first[:, 0] - 2.0, first[:, 2] + 0.5])
+    assert np.abs(second - moved).max() < 1e-6  # Newton's poses are float32
+
+
+def test_held_ends_follow_kinematic_bodies():
+    """Place, direction and twist of both ends go with their bodies, on every substep's way."""
+    builder = scene(gravity=0.0)
+    left = builder.add_body(is_kinematic=True, label="left")
+    right = builder.add_body(
+        xform=wp.transform((0.1, 0, 0), wp.quat_identity()), is_kinematic=True, label="right"
+    )
+    points = straight(11, 0.1)
+    SolverDER.add_rod(
+        builder, points, ROD, director=(0, 1, 0), internal_damping=0.02,
+        start="clamped", start_body=left, end="clamped", end_body=right,
+    )  # fmt: skip
+    model = builder.finalize(device="cpu")
+    steps = 50
+
+    def move(k, state):
+        part = (k + 1) / steps
+        place(model, state, left, (0.03 * part, 0.0, 0.01 * part))
+        twist = wp.quat_from_axis_angle(wp.vec3(1, 0, 0), 1.5 * np.pi * part)
+        place(model, state, right, (0.1, 0.0, 0.0), twist)
+
+    _, state = simulate(model, steps, 0.01, move, max_step=0.005)
+    q, director = nodes(state), state.der.edge_director.numpy()
+    assert q[0] == pytest.approx([0.03, 0.0, 0.01], abs=1e-7)
+    assert q[-1] == pytest.approx([0.1, 0.0, 0.0], abs=1e-7)
+    # Directions at the clamps: bending and twisting move the first free edge away only by a part.
+    for edge in (q[1] - q[0], q[-1] - q[-2]):
+        assert edge[0] / np.linalg.norm(edge) > 0.95
+    assert director[0] @ [0, 1, 0] > 0.9
+    assert director[-1] @ [0, 0, -1] > 0.9  # y turned by 270 degrees about x
+    assert np.abs(state.body_q.numpy()[left, :3] - [0.03, 0, 0.01]).max() < 1e-6
+
+
+def test_moving_shapes_push_and_drag():
+    """A kinematic belt carries a rod along by friction; a kinematic box pushes another."""
+    builder = scene()
+    belt = builder.add_link(is_kinematic=True, label="belt")
+    flat = newton.ModelBuilder.ShapeConfig(density=0.0, mu=0.5)
+    at = wp.transform((0.0, 0.0, -0.01), wp.quat_identity())
+    builder.add_shape_box(belt, xform=at, hx=0.5, hy=0.1, hz=0.01, cfg=flat)
+    SolverDER.add_rod(builder, straight(11, 0.05, ROD.radius, axis=1), ROD)
+    pusher = builder.add_link(
+        xform=wp.transform((0, 1.0, 0.01), wp.quat_identity()), is_kinematic=True, label="pusher"
+    )
+    builder.add_shape_box(pusher, hx=0.01, hy=0.1, hz=0.01, cfg=flat)
+    builder.add_ground_plane(height=-0.02)
+    ice = newton.ModelBuilder.ShapeConfig(mu=0.0)
+    table = wp.transform((0.0, 1.0, -0.01), wp.quat_identity())
+    builder.add_shape_box(-1, xform=table, hx=0.5, hy=0.1, hz=0.01, cfg=ice)
+    SolverDER.add_rod(
+        builder, straight(11, 0.05, ROD.radius, axis=1, shift=(0.02, 0.975, 0.0)), ROD
+    )
+    model = builder.finalize(device="cpu")
+    steps, dt = 60, 1 / 120
+    way = 0.08
+
+    def move(k, state):
+        part = max(k - 9, 0) / steps  # at first it settles on the belt
+        smooth = way * part**3 * (10 - 15 * part + 6 * part**2)
+        place(model, state, belt, (smooth, 0.0, 0.0))
+        place(model, state, pusher, (smooth, 1.0, 0.01))
+
+    solver, state = simulate(model, steps + 10, dt, move, max_step=dt / 2)
+    assert not solver.diverged.any()
+    carried, pushed = nodes(state, (model, 0)), nodes(state, (model, 1))
+    # The belt's acceleration stays below mu g: the rod sticks to it.
+    assert np.abs(carried[:, 0] - way).max() < 0.02 * ROD.radius
+    # The pusher's face ends at its half size plus the way; without friction the rod ran ahead.
+    assert pushed[:, 0].min() > 0.01 + way + 0.95 * ROD.radius
+    assert np.ptp(pushed[:, 0]) < ROD.radius
+
+
+def test_example():
+    """The headless example's own criteria hold, and fail before it has run."""
+    from types import SimpleNamespace
+
+    from newton.viewer import ViewerNull
+
+    from wrod.newton_solver.example import Example
+
+    example = Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+    with pytest.raises(ValueError, match="does not lie on the table"):
+        example.test_final()
+    for _ in range(example.frame_count):
+        example.step()
+    example.render()
+    example.test_final()
+
+
+def test_capsules_show_the_edges():
+    builder = scene()
+    SolverDER.add_rod(builder, straight(8, 0.05, 0.1), ROD, start="clamped")
+    SolverDER.add_rod(builder, straight(8, 0.05, 0.2), ROD, start="pinned", visible=False)
+    model = builder.finalize(device="cpu")
+    assert model.body_count == 8
+    _, state = simulate(model, 10, 0.01)
+    q, poses = nodes(state, (model, 0)), state.body_q.numpy()[:7]
+    assert np.abs(poses[:, :3] - 0.5 * (q[1:] + q[:-1])).max() < 1e-6
+    edges = np.diff(q, axis=0)
+    for pose, edge, director in zip(poses, edges, state.der.edge_director.numpy(), strict=False):
+        turn = wp.quat(*map(float, pose[3:]))
+        z = np.array(wp.quat_rotate(turn, wp.vec3(0, 0, 1)))
+        assert z @ edge / np.linalg.norm(edge) == pytest.approx(1.0, abs=1e-6)
+        assert np.array(wp.quat_rotate(turn, wp.vec3(1, 0, 0))) @ director == pytest.approx(1.0)
+
+
+def test_states_from_outside_and_reset():
+    """A state that is set back goes on from there, as a new solver would; reset starts over."""
+    builder = scene()
+    SolverDER.add_rod(builder, straight(8, 0.05, 0.02), ROD, start="clamped")
+    SolverDER.add_rod(builder, straight(8, 0.05, 0.02, axis=1), ROD, start="pinned")
+    builder.add_ground_plane()
+    model = builder.finalize(device="cpu")
+    solver, state = simulate(model, 10, 0.01)
+    kept = model.state()
+    kept.assign(state)
+    a, b = model.state(), model.state()
+    for _ in range(5):
+        solver.step(state, state, None, None, 0.01)
+    solver.step(kept, a, None, None, 0.01)
+    SolverDER(model).step(kept, b, None, None, 0.01)
+    assert np.abs(nodes(a) - nodes(kept)).max() > 1e-5
+    assert np.abs(nodes(a) - nodes(b)).max() < 1e-12
+    solver.reset(a)
+    assert np.array_equal(nodes(a), model.der.node_q.numpy())
+    assert not a.der.node_qd.numpy().any()
+
+
+def test_diverging_rod_is_cut_out_and_can_be_reset():
+    """One world's gravity throws its rod farther in the shortest step than Newton can follow."""
+    builder = scene()
+    for _ in range(2):
+        builder.begin_world()
+        SolverDER.add_rod(builder, straight(8, 0.05), ROD, start="clamped")
+        builder.end_world()
+    model = builder.finalize(device="cpu")
+    solver = SolverDER(model)
+    state, start = model.state(), model.state()
+    gravity = model.gravity.numpy().copy()
+    wild = gravity.copy()
+    wild[0, 2] = -1e16
+    model.gravity.assign(wild)
+    solver.notify_model_changed(newton.ModelFlags.MODEL_PROPERTIES)
+    with pytest.warns(WrodWarning, match="rods cut out because no time step converged: 0"):
+        solver.step(state, state, None, None, 0.01)
+    assert solver.diverged.tolist() == [True, False]
+    assert np.abs(nodes(state, (model, 1)) - nodes(start, (model, 1))).max() > 1e-5
+    model.gravity.assign(gravity)
+    solver.notify_model_changed(newton.ModelFlags.MODEL_PROPERTIES)
+    mask = wp.array([True, False, False], dtype=wp.bool, device="cpu")
+    moved = nodes(state, (model, 1)).copy()
+    solver.reset(state, mask)
+    assert np.array_equal(nodes(state, (model, 1)), moved)
+    solver.step(state, state, None, None, 0.01)
+    assert not solver.diverged.any()
+    assert nodes(state, (model, 0))[-1, 2] < 0.0
+
+
+def test_errors_say_what_to_call():
+    bare = newton.ModelBuilder()
+    points = straight(5, 0.1)
+    with pytest.raises(RodError, match="register_custom_attributes"):
+        SolverDER.add_rod(bare, points, ROD)
+    with pytest.raises(RodError, match="register_custom_attributes"):
+        SolverDER(bare.finalize(device="cpu"))
+    with pytest.raises(RodError, match=r"no rods; .*SolverDER\.add_rod"):
+        SolverDER(scene().finalize(device="cpu"))
+    for wrong, match in [
+        (dict(points=points[:2]), "3 or more"),
+        (dict(points=points[[0, 1, 1, 2]]), "points 1 and 2 coincide"),
+        (dict(points=points * np.nan), "not finite"),
+        (dict(material=3.0), "wrod.RodMaterial"),
+        (dict(start="glued"), "free, pinned, clamped"),
+        (dict(start="pinned", start_body=7), "start_body is 7"),
+        (dict(director=(1, 0, 0)), "along the rod's first edge"),
+        (dict(natural_curvature=np.zeros((3, 2))), "natural_curvature has shape"),
+        (dict(air_damping=-1.0), "air_damping"),
+    ]:
+        builder = scene()
+        with pytest.raises(RodError, match=match):
+            SolverDER.add_rod(builder, **{"points": points, "material": ROD, **wrong})
+        assert builder.body_count == 0
+    builder = scene()
+    SolverDER.add_rod(builder, points, ROD)
+    model = builder.finalize(device="cpu")
+    with pytest.raises(RodError, match="scheme"):
+        SolverDER(model, scheme="rk4")
+    solver = SolverDER(model)
+    with pytest.raises(RodError, match="dt is"):
+        solver.step(model.state(), model.state(), None, None, 0.0)
+    with pytest.raises(RodError, match=r"call model\.state"):
+        solver.step(scene().finalize(device="cpu").state(), model.state(), None, None, 0.01)
+
+
+def test_without_newton():
+    """One sentence says what to install; the rest of wrod is there."""
+    code = (
+        "import sys; sys.modules['newton'] = None; import wrod; wrod.rod('rope')\n"
+        "try: wrod.SolverDER\n"
+        "except wrod.errors.RodError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "SolverDER needs Newton; install wrod[newton]\n"
+
+
+def test_changed_properties_are_taken_up():
+    """Twice the stiffness halves the sag, after ROD_PROPERTIES."""
+    builder = scene()
+    SolverDER.add_rod(builder, straight(9, 0.02), ROD, start="clamped", air_damping=2e3)
+    model = builder.finalize(device="cpu")
+    solver, state = simulate(model, 40, 0.01, scheme="euler")
+    sag = nodes(state)[-1, 2]
+    model.der.node_bending_stiffness.assign(2 * model.der.node_bending_stiffness.numpy())
+    solver.notify_model_changed(SolverDER.ROD_PROPERTIES)
+    for _ in range(40):
+        solver.step(state, state, None, None, 0.01)
+    assert nodes(state)[-1, 2] == pytest.approx(sag / 2, rel=0.01)

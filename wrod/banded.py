@@ -1,0 +1,67 @@
+"""Systems of equations with the banded Hessians of a batch of rods."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wrod.batch import RodBatch
+from wrod.kernels import banded, banded_lanes
+from wrod.kernels.assembly import HALF_BANDWIDTH
+from wrod.kernels.lanes import lanes
+
+
+class BandedSystem:
+    """Factorisation of the free block of a batch's Hessian, and solutions with it.
+
+    A CPU takes the rods one by one; a GPU gives each rod a warp.
+
+    Args:
+        batch: the rods.
+        right_hand_sides: how many `solve` takes.
+
+    Attributes:
+        factor: (rod, dof, 11) L and D of the last factorisation; see `kernels.banded`.
+        shift: (rod,) multiple of the identity that `factorise` adds to the Hessian.
+        negative_pivots: (rod,) negative eigenvalues of what was factorised.
+        x: (rod, right-hand side, dof) right-hand sides, then solutions.
+    """
+
+    def __init__(self, batch: RodBatch, right_hand_sides: int = 1):
+        rods, dofs, device = batch.rod_count, batch.dof_count, batch.device
+        self.batch = batch
+        self.factor = wp.zeros((rods, dofs, HALF_BANDWIDTH + 1), dtype=wp.float64, device=device)
+        self.shift = wp.zeros(rods, dtype=wp.float64, device=device)
+        self.negative_pivots = wp.zeros(rods, dtype=wp.int32, device=device)
+        self.x = wp.zeros((rods, right_hand_sides, dofs), dtype=wp.float64, device=device)
+
+    def factorise(self, hessian: wp.array, active: wp.array) -> None:
+        """Factorise the free blocks of `hessian` (rod, dof, 11), which is contiguous."""
+        self._launch(
+            (banded.factorise, banded_lanes.factorise),
+            (self.batch.rod_count,),
+            [active, self.batch.free, hessian, self.shift],
+            [self.factor, self.negative_pivots],
+        )
+
+    def solve(self, active: wp.array, columns: int | None = None) -> None:
+        """Overwrite the first (default: all) right-hand sides in `x` with their solutions."""
+        self._launch(
+            (banded.solve, banded_lanes.solve),
+            (self.batch.rod_count, columns or self.x.shape[1]),
+            [active, self.batch.free, self.factor],
+            [self.x],
+        )
+
+    def _launch(self, kernels, dim: tuple, inputs: list, outputs: list) -> None:
+        """Of the two kernels the first takes a rod a thread, the second a rod a warp."""
+        device = self.batch.device
+        count = lanes(device)
+        on_gpu = count > 1
+        wp.launch(
+            kernels[on_gpu],
+            dim=(*dim, count) if on_gpu else dim,
+            inputs=inputs,
+            outputs=outputs,
+            device=device,
+            block_dim=count,
+        )

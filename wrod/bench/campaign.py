@@ -1,0 +1,188 @@
+"""Campaigns of simulated deployments: finished trials are kept, so that a stopped run goes on."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from wrod.errors import DataError
+from wrod.files import write_atomically
+
+# Points at which laid curves are kept.
+_CURVE_POINTS = 60
+# Trials simulated between two notes in the ledger, on a CPU.
+_CPU_BATCH = 32
+
+
+class Ledger:
+    """A file of one finished trial a line; what a killed run wrote is there for the next.
+
+    Args:
+        path: the file.
+        settings: what all trials have in common; a file that was begun with others is refused.
+        keys: the fields of a row that tell which trial it is.
+        title: what the campaign's files are called.
+
+    Raises:
+        DataError: the file belongs to a campaign with other settings, or is not one.
+    """
+
+    def __init__(self, path: Path, settings: dict, keys: Sequence[str], title: str = "campaign"):
+        self.path, self.keys, self.rows = path, tuple(keys), []
+        head = {"format": f"wrod-{title}-1", **settings}
+        if not path.exists():
+            write_atomically(path, lambda file: file.write(json.dumps(head) + "\n"))
+            return
+        lines = path.read_text(encoding="utf-8").split("\n")
+        whole, broken = lines[:-1], lines[-1]  # a killed run may leave half a line
+        try:
+            found = json.loads(whole[0])
+            self.rows = [json.loads(line) for line in whole[1:]]
+        except (IndexError, ValueError):
+            raise DataError(f"{path}: is not a readable campaign; choose another --out") from None
+        if found != json.loads(json.dumps(head)):
+            raise DataError(
+                f"{path}: was begun with other settings ({found}); choose another --out or delete "
+                "it"
+            )
+        if broken:
+            write_atomically(path, lambda file: file.write("\n".join(whole) + "\n"))
+
+    def key(self, row: dict) -> tuple:
+        return tuple(row[key] for key in self.keys)
+
+    def done(self) -> set[tuple]:
+        return {self.key(row) for row in self.rows}
+
+    def add(self, rows: list[dict]) -> None:
+        with open(self.path, "a", encoding="utf-8") as file:
+            file.writelines(json.dumps(row) + "\n" for row in rows)
+        self.rows += rows
+
+    def of(self, keys: Sequence[tuple]) -> list[dict]:
+        """The rows of these trials, in the order in which the trials are given."""
+        by_key = {self.key(row): row for row in self.rows}
+        return [by_key[key] for key in keys if key in by_key]
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a run cost: trials simulated, their time steps, and seconds."""
+
+    trials: int
+    steps: int
+    seconds: float
+
+    @property
+    def rate(self) -> float | None:
+        """Rod steps per second."""
+        return self.steps / self.seconds if self.trials else None
+
+    def __str__(self) -> str:
+        rate = "" if self.rate is None else f", {self.rate:.0f} rod steps per second"
+        return f"{self.trials} trials in {self.seconds:.1f} s{rate}"
+
+
+def run(
+    ledger: Ledger,
+    keys: Sequence[tuple],
+    simulate: Callable[[list[tuple], Callable[[float], None]], list[dict]],
+    *,
+    device: str,
+    batch: int | None = None,
+    quiet: bool = False,
+) -> Spent:
+    """Simulate the trials that the ledger lacks, and note each batch of them when it is done.
+
+    Args:
+        ledger: of the campaign.
+        keys: every trial that is wanted, in order.
+        simulate: called with some of them and with what it reports its progress to (fractions
+            done since the last call); returns their rows, each with "steps".
+        device: where it runs.
+        batch: trials at once; default: 32 on a CPU, all on a GPU.
+        quiet: show no progress.
+    """
+    from tqdm import tqdm
+
+    done = ledger.done()
+    pending = [key for key in keys if key not in done]
+    size = batch or (_CPU_BATCH if device == "cpu" else max(len(pending), 1))
+    start, steps = time.perf_counter(), 0
+    with tqdm(
+        total=len(keys), initial=len(keys) - len(pending), unit="trial", disable=quiet,
+        bar_format="{desc}{percentage:3.0f}% |{bar}| {elapsed} < {remaining}",
+    ) as bar:  # fmt: skip
+        for first in range(0, len(pending), size):
+            part = pending[first : first + size]
+            rows = simulate(part, _counted(bar, len(part)))
+            ledger.add(rows)
+            steps += sum(row["steps"] for row in rows)
+    return Spent(len(pending), steps, time.perf_counter() - start)
+
+
+def _counted(bar, count: int) -> Callable[[float], None]:
+    return lambda fraction: bar.update(fraction * count)
+
+
+def figures_of(deployment, pattern) -> dict:
+    """What is kept of a trial: figures [cm], and the laid curve at 60 points [m].
+
+    Args:
+        deployment: a `Deployment`.
+        pattern: with its remainder.
+    """
+    s = np.linspace(0.0, pattern.length, _CURVE_POINTS) + pattern.remainder_length
+    laid = [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
+    names = ("error_mean", "error_std", "released_error_mean", "released_error_std")
+    return {
+        **{name: 100.0 * getattr(deployment, name) for name in names},
+        "slip": 100.0 * float(deployment.slip.max()),
+        "diverged": deployment.diverged,
+        "steps": deployment.steps,
+        "curve": np.round(np.column_stack(laid), 5).tolist(),
+    }
+
+
+def options(*, speed: float, step: float, spacing: float) -> Callable:
+    """Adds the options that all campaigns have, with these defaults."""
+    folder = click.Path(file_okay=False, path_type=Path)
+    patterns = click.Path(file_okay=False, exists=True, path_type=Path)
+    added = [
+        click.option("--out", type=folder, required=True),
+        click.option(
+            "--patterns",
+            type=patterns,
+            help="Folder of pattern files (line.txt, letterA.txt, ...); default: the built-in "
+            "patterns.",
+        ),
+        click.option(
+            "--release",
+            default=0.05,
+            show_default=True,
+            help="Laid length at which the free end, held for 5 cm, is let go [m].",
+        ),
+        click.option(
+            "--speed", default=speed, show_default=True, help="Speed of the contact [m/s]."
+        ),
+        click.option("--step", default=step, show_default=True, help="Largest time step [s]."),
+        click.option(
+            "--spacing", default=spacing, show_default=True, help="Length of the edges [m]."
+        ),
+        click.option("--batch", type=int, help="Trials simulated at once; default: 32, CUDA all."),
+        click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto."),
+        click.option("--json", "as_json", is_flag=True, help="Print figures for machines."),
+    ]
+
+    def decorate(function):
+        for option in reversed(added):
+            function = option(function)
+        return function
+
+    return decorate

@@ -1,0 +1,319 @@
+"""`wrod bench closures`: which of the optimal grasps lays a rod most accurately? Restartable."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import click
+
+from wrod.bench import campaign
+
+# Arcs, in L_gb: constant curvature, and easing in and out of it, without which no table would hold
+# their ends. They may lie on themselves, as rods do not touch each other.
+_ARC_LENGTH, _ARC_EASE = 6.0, 4.0
+_PLAN_SPACING = 0.005
+_ALL_PATTERNS = "line,circle,sine,letter-U,letter-C,letter-L,letter-A"
+_SMALL = {
+    "frictions": "0,0.1,0.3,0.6,1",
+    "curvatures": "0,1,2,3",
+    "stretch_ratios": "1600",
+    "rods": "green-vps",
+    "names": "line,letter-U,letter-A",
+}
+_FULL = {
+    "frictions": "0,0.05,0.1,0.2,0.3,0.6,1,1.5",
+    "curvatures": "0,0.5,1,1.5,2,2.5,3",
+    "stretch_ratios": "150,1600,15000",
+    "rods": "pink-vps,green-vps,rope",
+    "names": _ALL_PATTERNS,
+}
+
+
+@click.command(name="closures")
+@click.option("--full", is_flag=True, help="The whole range instead of what two cores manage.")
+@click.option("--frictions", help="Friction coefficients, with commas between them.")
+@click.option("--curvatures", help="Curvatures of arcs [1/L_gb].")
+@click.option("--stretch-ratios", help="k_s of the rods that lay the arcs (L_gb 3.2 cm).")
+@click.option("--rods", help="Rods that lay the patterns.")
+@click.option("--names", help="Patterns.")
+@click.option("--trials", default=1, show_default=True, help="Disturbed trials a cell.")
+@campaign.options(speed=0.04, step=0.02, spacing=0.01)
+def command(
+    full: bool,
+    frictions: str | None,
+    curvatures: str | None,
+    stretch_ratios: str | None,
+    rods: str | None,
+    names: str | None,
+    trials: int,
+    out: Path,
+    patterns: Path | None,
+    release: float,
+    speed: float,
+    step: float,
+    spacing: float,
+    batch: int | None,
+    device: str,
+    as_json: bool,
+) -> None:
+    """Lay arcs and patterns by every closure and by INT, on tables of all kinds.
+
+    Every method meets the same disturbances: jitter, error in L_gb, natural curvature. Finished
+    trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
+    """
+    from wrod.batch import resolve_device
+    from wrod.bench import machine_line
+    from wrod.bench.closures_report import (
+        KEYS,
+        METHODS,
+        PUT_DOWN,
+        cells,
+        draw,
+        markdown,
+        summary,
+        write_csv,
+    )
+    from wrod.deployment import simulate_deployments
+    from wrod.errors import RodError
+
+    if trials < 1:
+        raise RodError(f"trials is {trials}; give 1 or more")
+    device = resolve_device(device)
+    given = _FULL if full else _SMALL
+    axes = {
+        "frictions": _numbers(frictions or given["frictions"], "frictions", 0.0, 10.0),
+        "curvatures": _numbers(curvatures or given["curvatures"], "curvatures", 0.0, 3.5),
+        "stretch_ratios": _numbers(
+            stretch_ratios or given["stretch_ratios"], "stretch-ratios", 50.0, 1e5
+        ),
+    }
+    courses = _drawn(rods or given["rods"], names or given["names"], patterns)
+    courses += _arcs(axes["curvatures"], axes["stretch_ratios"])
+    nodes = _nodes(courses, spacing)
+    settings = {
+        "speed": speed,
+        "step": step,
+        "spacing": spacing,
+        "release": release,
+        "nodes": nodes,
+        "patterns": "built-in" if patterns is None else patterns.name,
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    ledger = campaign.Ledger(out / "trials.jsonl", settings, KEYS, "closures")
+    start = time.perf_counter()
+    plans, lacking = _plans(courses, METHODS, device, as_json)
+    planned = time.perf_counter() - start
+    keys = [
+        (course.rod_name, course.name, mu, method, trial)
+        for trial, course, mu, method in product(range(trials), courses, axes["frictions"], METHODS)
+        if (course.rod_name, course.name, method) in plans
+    ]
+    lying = [
+        (course.rod_name, course.name, mu, PUT_DOWN, 0)
+        for course, mu in product(courses, axes["frictions"])
+    ]
+    by_name = {(course.rod_name, course.name): course for course in courses}
+
+    def lay(part, progress):
+        deployments = simulate_deployments(
+            [_trial(key, by_name, plans) for key in part],
+            release=release,
+            speed=speed,
+            step=step,
+            spacing=spacing,
+            node_count=nodes,
+            device=device,
+            progress=progress,
+        )
+        return [
+            dict(zip(KEYS, key, strict=True)) | _figures(laid, by_name[key[:2]].led)
+            for key, laid in zip(part, deployments, strict=True)
+        ]
+
+    def leave(part, progress):
+        rows = _put_down_rows(part, by_name, nodes, step, device)
+        progress(1.0)
+        return rows
+
+    costs = [
+        campaign.run(ledger, wanted, simulate, device=device, batch=batch, quiet=as_json)
+        for wanted, simulate in ((keys, lay), (lying, leave))
+    ]
+    table = cells(ledger.of(lying + keys))
+    head = (
+        f"e_mean [cm] (N = 50) with the grip holding, {trials} disturbed trials a cell; contact "
+        f"speed {speed:g} m/s, step {step:g} s, edges {spacing:g} m, free end held for the first "
+        f"{release:g} m, patterns {settings['patterns']}."
+    )
+    words = [*summary(table), *lacking]
+    (out / "closures.md").write_text(markdown(table, head, words), encoding="utf-8")
+    written = [
+        write_csv(out / "closures.csv", table),
+        out / "closures.md",
+        draw(out / "closures.png", table),
+        ledger.path,
+    ]
+    figures = {
+        "machine": machine_line(device),
+        "device": device,
+        "trials": len(keys),
+        "simulated_now": costs[0].trials,
+        "planning_seconds": planned,
+        "simulation_seconds": costs[0].seconds,
+        "rod_steps_per_second": costs[0].rate,
+        "nodes": nodes,
+        "summary": words,
+        "written": [str(path) for path in written],
+    }
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return
+    click.echo(figures["machine"])
+    click.echo(f"{costs[0]} of {nodes} nodes on {device} (plans {planned:.1f} s)")
+    for line in words:
+        click.echo(line)
+    for path in written:
+        click.echo(f"wrote {path}")
+
+
+@dataclass(frozen=True)
+class Course:
+    """What is laid by which rod; `led` is the pattern with the remainder of its plan."""
+
+    rod_name: str
+    name: str
+    led: object
+    rod: object
+
+
+def _numbers(text: str, name: str, low: float, high: float) -> list[float]:
+    from wrod.errors import RodError
+
+    try:
+        values = [float(word) for word in text.split(",")]
+    except ValueError:
+        values = []
+    if not values or not all(low <= value <= high for value in values):
+        raise RodError(f"{name} is {text!r}; give numbers from {low:g} to {high:g}, such as 0,1,2")
+    return sorted(set(values))
+
+
+def _arcs(curvatures: list[float], ratios: list[float]) -> list[Course]:
+    """Arcs of constant curvature for rods that differ in thickness alone."""
+    from wrod.material import rod
+    from wrod.patterns import Pattern
+    from wrod.planner import prepare
+    from wrod.shapes import strokes
+
+    base = rod("green-vps")
+    lgb = base.gravito_bending_length
+    courses = []
+    for ratio, kappa in product(ratios, curvatures):
+        material = replace(base, radius=2.0 * lgb / ratio**0.5)
+        bend = kappa / lgb
+        ease, length = _ARC_EASE * lgb, _ARC_LENGTH * lgb
+        pieces = [(ease, 0.0, bend), (length, bend, bend), (ease, bend, 0.0)]
+        arc = Pattern(*strokes(0.0, pieces), name=f"arc {kappa:g}")
+        courses.append(Course(f"k_s {ratio:g}", arc.name, prepare(arc, material, None), material))
+    return courses
+
+
+def _drawn(rods: str, names: str, folder: Path | None) -> list[Course]:
+    from wrod.bench.table3_paper import read_pattern
+    from wrod.material import rod
+    from wrod.planner import prepare
+
+    courses = []
+    for rod_name, name in product(rods.split(","), names.split(",")):
+        material = rod(rod_name)
+        drawn = read_pattern(name, folder)
+        courses.append(Course(rod_name, name, prepare(drawn, material, None), material))
+    return courses
+
+
+def _nodes(courses: list[Course], spacing: float) -> int:
+    """The same for all, so that no trial depends on which others are simulated."""
+    from wrod.deployment_setup import mesh
+
+    return max(len(mesh(c.rod, c.led.length + c.led.remainder_length, spacing)) for c in courses)
+
+
+def _plans(courses: list[Course], methods, device: str, quiet: bool) -> tuple[dict, list[str]]:
+    """(rod, course, method) -> trajectory and tail; and sentences on what could not be planned."""
+    from tqdm import tqdm
+
+    from wrod.deployment_setup import tail
+    from wrod.errors import GraspError
+    from wrod.planner import plan
+
+    plans, lacking = {}, []
+    jobs = list(product(courses, methods))
+    for course, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
+        how = {"method": "intuitive"}
+        if method != "intuitive":
+            how = {"method": "numeric", "closure": method}
+        try:
+            path = plan(
+                course.led, course.rod, **how,
+                spacing=_PLAN_SPACING, remainder=False, device=device,
+            )  # fmt: skip
+        except GraspError as error:
+            lacking.append(f"{course.rod_name}, {course.name}, {method}: no plan ({error}).")
+            continue
+        plans[course.rod_name, course.name, method] = (path, tail(course.led, course.rod, path))
+    return plans, lacking
+
+
+def _trial(key: tuple, courses: dict, plans: dict):
+    """A rod's trials of a course meet the same disturbances by every method on every table."""
+    import zlib
+
+    from wrod.deployment import Trial
+    from wrod.deployment_setup import Disturbance
+    from wrod.substrate import Friction
+
+    rod_name, name, mu, method, trial = key
+    course = courses[rod_name, name]
+    path, rest = plans[rod_name, name, method]
+    seed = zlib.crc32(f"{rod_name} {name} {trial}".encode())
+    # Misplacement moves whatever is laid, and says nothing about how it was laid.
+    disturbance = replace(Disturbance.random(seed), offset=(0.0, 0.0), yaw=0.0)
+    return Trial(course.led, course.rod, path, Friction(mu), disturbance, rest)
+
+
+def _figures(deployment, pattern) -> dict:
+    from wrod.deployment_result import errors_along
+
+    error = errors_along(pattern, deployment.arc_length, deployment.centerline)[1]
+    return campaign.figures_of(deployment, pattern) | {"error_fifths": _fifths(error)}
+
+
+def _fifths(error) -> list[float]:
+    """Mean error [cm] of each fifth of the pattern, from its start to its end."""
+    return [round(100.0 * float(part.mean()), 5) for part in error.reshape(5, -1)]
+
+
+def _put_down_rows(part: list[tuple], courses: dict, nodes: int, step: float, device: str):
+    from wrod.bench.closures_report import KEYS
+    from wrod.bench.put_down import put_down
+    from wrod.deployment_result import errors_along
+    from wrod.substrate import Friction
+
+    jobs = [(courses[k[:2]].led, courses[k[:2]].rod, Friction(k[2])) for k in part]
+    rows = []
+    for key, (pattern, *_), (s, place, diverged, steps) in zip(
+        part, jobs, put_down(jobs, node_count=nodes, step=step, device=device), strict=True
+    ):
+        error = errors_along(pattern, s, place)[1]
+        mean, std = 100.0 * float(error.mean()), 100.0 * float(error.std())
+        rows.append(
+            dict(zip(KEYS, key, strict=True))
+            | {"error_mean": mean, "error_std": std}
+            | {"released_error_mean": mean, "released_error_std": std}
+            | {"diverged": diverged, "steps": steps, "error_fifths": _fifths(error)}
+        )
+    return rows

@@ -1,0 +1,157 @@
+"""`wrod bench newton`: `SolverDER` beside Newton's cable and PyElastica, on one problem."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+# Steps of the implicit solvers over the period.
+_DER_STEP, _VBD_STEP = 1.0 / 80.0, 1.0 / 400.0
+_SWING = 0.01  # amplitude over the length
+
+
+def _numbers(context, parameter, value: str) -> list[int]:
+    try:
+        numbers = [int(part) for part in value.split(",")]
+    except ValueError:
+        numbers = []
+    if not numbers or min(numbers) < 1:
+        raise click.BadParameter(f"{value!r}: give whole numbers above 0, as 10,20,40")
+    return numbers
+
+
+@click.command(name="newton")
+@click.option("--rod", "rod_name", default="green-vps", show_default=True, help="Rod.")
+@click.option("--length", default=0.1, show_default=True, help="Its free length [m].")
+@click.option(
+    "--scale",
+    default=10.0,
+    show_default=True,
+    help="Enlarges all lengths: Newton's cable is made for metres.",
+)
+@click.option("--edges", default="10,20,40", show_default=True, callback=_numbers, help="Meshes.")
+@click.option(
+    "--iterations",
+    default="10,40,160",
+    show_default=True,
+    callback=_numbers,
+    help="Iterations of Newton's cable.",
+)
+@click.option("--rods", default=64, show_default=True, help="Rods of the batch that is timed.")
+@click.option("--periods", default=4.0, show_default=True, help="Time to come to rest.")
+@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for table and picture.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    rod_name: str,
+    length: float,
+    scale: float,
+    edges: list[int],
+    iterations: list[int],
+    rods: int,
+    periods: float,
+    device: str,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Compare a heavy cantilever at rest and swinging with the continuum, and time it.
+
+    SolverDER, Newton's cable (SolverVBD) and, where it is installed, PyElastica, in one run.
+    """
+    import importlib.util
+    import warnings
+    from dataclasses import asdict
+    from importlib.metadata import version
+
+    from tqdm import tqdm
+
+    from wrod.batch import resolve_device
+    from wrod.bench import machine_line
+    from wrod.bench.cantilever import Cantilever, Start, come_to_rest, swing
+    from wrod.bench.cantilever_solvers import Der, Elastica, Vbd
+    from wrod.bench.newton_report import draw, markdown
+    from wrod.errors import RodError
+    from wrod.material import RodMaterial, rod
+
+    device = resolve_device(device)
+    if not (scale > 0 and length > 0 and periods > 0):
+        raise RodError("scale, length and periods must be positive")
+    small = rod(rod_name)
+    material = RodMaterial(
+        scale * small.radius, scale * small.gravito_bending_length, scale * small.length,
+        small.poisson, small.density, small.gravity,
+    )  # fmt: skip
+    problem = Cantilever(material, scale * length)
+    duration = periods * problem.period
+    with_elastica = importlib.util.find_spec("elastica") is not None
+    if not with_elastica:
+        click.echo("PyElastica is not installed; for its rows: pip install wrod[peers]", err=True)
+
+    def der(mesh, start):
+        return Der(problem, mesh, _DER_STEP * problem.period, start, device)
+
+    def vbd(count):
+        return lambda mesh, start: Vbd(
+            problem, mesh, _VBD_STEP * problem.period, start, device, count
+        )
+
+    def elastica(mesh, start):
+        return Elastica(problem, mesh, Elastica.stable_step(problem, mesh), start)
+
+    solvers = [der, *map(vbd, iterations), *([elastica] if with_elastica else [])]
+    free = Start(gravity=False, damping=False, swing=_SWING * problem.length)
+    rows, speed = [], []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Newton corrects the inertia of thin capsules
+        for make, mesh in tqdm([(s, n) for n in edges for s in solvers], unit="row", disable=None):
+            solver = make(mesh, Start())
+            rest = come_to_rest(solver, problem, duration)
+            rows.append(
+                {
+                    "solver": solver.name, "edges": mesh, "effort": solver.effort,
+                    "step": solver.dt, "rest": asdict(rest),
+                    "swing": asdict(swing(make(mesh, free), problem)),
+                }
+            )  # fmt: skip
+        middle = edges[len(edges) // 2]
+        batches = [der, vbd(iterations[-1]), *([elastica] if with_elastica else [])]
+        for make, count in tqdm([(s, n) for s in batches for n in (1, rods)], disable=None):
+            solver = make(middle, Start(rods=count))
+            # Long enough to time it; its accuracy is in the table above.
+            rest = come_to_rest(solver, problem, min(duration, 0.4 * problem.period), count)
+            row = next(
+                r for r in rows
+                if (r["solver"], r["effort"], r["edges"]) == (solver.name, solver.effort, middle)
+            )  # fmt: skip
+            speed.append(
+                {
+                    "solver": solver.name, "rods": count, "edges": middle, "effort": solver.effort,
+                    "step": solver.dt, "rod_steps_per_second": 1e3 * count / rest.step_ms,
+                    "simulated_per_second": 1.0 / rest.cpu_per_second,
+                    "error": row["rest"]["error"], "drift": row["rest"]["drift"],
+                }
+            )  # fmt: skip
+    versions = f"newton {version('newton')}"
+    if with_elastica:
+        versions += f"; pyelastica {version('pyelastica')}"
+    figures = {
+        "machine": f"{machine_line(device)}; {versions}",
+        "device": device,
+        "problem": {
+            "rod": rod_name, "scale": scale, "length": problem.length, "tip": problem.tip.tolist(),
+            "period": problem.period,
+        },
+        "rows": rows,
+        "speed": speed,
+    }  # fmt: skip
+    text = markdown(figures)
+    click.echo(json.dumps(figures) if as_json else text)
+    if out is not None:
+        from wrod.files import write_atomically
+
+        out.mkdir(parents=True, exist_ok=True)
+        write_atomically(out / "newton.md", lambda file: file.write(text + "\n"))
+        for path in (out / "newton.md", draw(out / "newton.png", figures)):
+            click.echo(f"wrote {path}", err=as_json)

@@ -1,0 +1,115 @@
+"""The comparison of cantilevers, told as Markdown and as a picture."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from wrod.files import write_atomically
+
+_INK, _MUTED, _FAINT = "#22262b", "#59616b", "#e6e9ee"
+_COLORS = {"SolverDER": "#d1495b", "newton SolverVBD": "#0b5fa5", "PyElastica": "#3a8f5c"}
+_MARKERS = ("s", "D", "^", "v", "P", "X")
+
+
+def markdown(figures: dict) -> str:
+    """Tables of accuracy and speed."""
+    problem = figures["problem"]
+    lines = [
+        figures["machine"],
+        "",
+        f"{problem['length']:g} m of {problem['rod']} enlarged {problem['scale']:g} times, clamped "
+        "level: at rest under its weight, and swinging without it (period "
+        f"{problem['period']:.3f} s); errors against the continuum",
+        "",
+        "| solver | edges | effort | step [ms] | error at rest [% of L] | still moving [% of L/s] "
+        "| frequency error [%] | amplitude kept [%] | time per step [ms] | time per simulated s |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in figures["rows"]:
+        rest, swing = row["rest"], row["swing"]
+        lines.append(
+            f"| {row['solver']} | {row['edges']} | {row['effort']} | {1e3 * row['step']:.3g} "
+            f"| {100 * rest['error']:.2g} | {100 * rest['drift']:.1g} "
+            f"| {_or_dash(100 * swing['frequency'], '+.2f')} "
+            f"| {_or_dash(100 * swing['amplitude'], '.0f')} "
+            f"| {rest['step_ms']:.3g} | {rest['cpu_per_second']:.3g} s |"
+        )
+    lines += [
+        "",
+        "| solver | rods | edges | effort | rod steps per s | simulated rod seconds per s "
+        "| error at rest [% of L] |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in figures["speed"]:
+        lines.append(
+            f"| {row['solver']} | {row['rods']} | {row['edges']} | {row['effort']} "
+            f"| {row['rod_steps_per_second']:.0f} | {row['simulated_per_second']:.3g} "
+            f"| {100 * row['error']:.2g} |"
+        )
+    return "\n".join(lines)
+
+
+def _or_dash(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "–"
+
+
+def draw(path: str | os.PathLike[str], figures: dict) -> Path:
+    """Write a PNG: error against computing time, at rest and swinging, one line for each solver."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    figure = Figure(figsize=(9.6, 4.3), dpi=130, facecolor="white")
+    FigureCanvasAgg(figure)
+    panels = (
+        ("rest", "error", "at rest: error of the tip [% of length]"),
+        ("swing", "frequency", "swinging: error of the frequency [%]"),
+    )
+    efforts = list(dict.fromkeys((row["solver"], row["effort"]) for row in figures["rows"]))
+    cables = [effort for solver, effort in efforts if solver == "newton SolverVBD"]
+    handles = []
+    for j, (part, key, title) in enumerate(panels):
+        axes = figure.add_axes((0.065 + 0.485 * j, 0.225, 0.43, 0.66))
+        for solver, effort in efforts:
+            rows = [r for r in figures["rows"] if (r["solver"], r["effort"]) == (solver, effort)]
+            cost = [r[part]["cpu_per_second"] for r in rows]
+            error = [abs(100 * r[part][key]) for r in rows]
+            shade, marker = 1.0, "o"
+            if effort in cables:
+                shade = 0.3 + 0.7 * (cables.index(effort) + 1) / len(cables)
+                marker = _MARKERS[cables.index(effort) % len(_MARKERS)]
+            (line,) = axes.loglog(
+                cost, error, color=_COLORS[solver], alpha=shade, marker=marker, ms=5.5, lw=1.6,
+                label=f"{solver}, {effort}",
+            )  # fmt: skip
+            for x, y, row in zip(cost, error, rows, strict=True):
+                axes.annotate(
+                    str(row["edges"]), (x, y), (5, 4), textcoords="offset points",
+                    fontsize=7, color=_MUTED,
+                )  # fmt: skip
+            if j == 0:
+                handles.append(line)
+        axes.set_title(title, loc="left", fontsize=9.5, color=_MUTED)
+        axes.set_xlabel("computing time per simulated second [s]", fontsize=8.5, color=_INK)
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.grid(color=_FAINT, lw=0.6)
+        axes.set_axisbelow(True)
+        axes.tick_params(labelsize=8, colors=_MUTED, which="both", length=0)
+        for side, spine in axes.spines.items():
+            spine.set_visible(side in ("left", "bottom"))
+            spine.set_color(_FAINT)
+    figure.text(0.065, 0.955, "A heavy cantilever against the continuum", fontsize=11.5, color=_INK)
+    figure.text(0.935, 0.957, "numbers at the marks: edges", fontsize=8, color=_MUTED, ha="right")
+    figure.legend(
+        handles=handles, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncol=3, fontsize=8,
+        frameon=False, labelcolor=_MUTED,
+    )  # fmt: skip
+    write_atomically(
+        path, lambda file: figure.savefig(file, format="png", metadata={"Software": None}), "wb"
+    )
+    return Path(path)

@@ -1,0 +1,78 @@
+"""What friction alone does to a rod that lies exactly on its pattern: no controller lays better.
+
+The rod is cut where the pattern ends, put down without any motion, and left to itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Seconds that the rods are left to themselves.
+_REST = 3.0
+
+
+def put_down(
+    courses: list[tuple], *, node_count: int, step: float, device: str
+) -> list[tuple[np.ndarray, np.ndarray, bool, int]]:
+    """Rods put down exactly, and where they lie after three seconds.
+
+    Args:
+        courses: (pattern with its remainder, rod, `Friction`) of each rod.
+        node_count: nodes of every rod.
+        step: largest time step [s].
+        device: "cpu" or "cuda:0".
+
+    Returns:
+        For each rod its nodes' arc length (node,) and position (node, 3) [m], whether it diverged,
+        and its time steps.
+    """
+    from wrod.batch import RodBatch
+    from wrod.dynamics import Dynamics
+    from wrod.substrate import Contact
+
+    patterns, rods, friction = zip(*courses, strict=True)
+    lengths = np.array([p.length + p.remainder_length for p in patterns])
+    arc_length = np.linspace(0.0, lengths, node_count, axis=1)
+    rest = np.diff(arc_length, axis=1)
+    places, directors = [], []
+    for pattern, rod, s in zip(patterns, rods, arc_length, strict=True):
+        place, tangent, _ = pattern.sample(s - pattern.remainder_length)
+        place[:, 2] = rod.radius
+        places.append(place)
+        directors.append(np.cross([0.0, 0.0, 1.0], tangent[0]))
+    weight = np.array([rod.weight for rod in rods])
+    gravity = np.zeros((len(rods), 3))
+    gravity[:, 2] = [-rod.gravity for rod in rods]
+    shares = 0.5 * (weight / -gravity[:, 2])[:, None] * rest
+    mass = np.pad(shares, ((0, 0), (0, 1))) + np.pad(shares, ((0, 0), (1, 0)))
+
+    def per_rod(name):
+        return np.array([[getattr(rod, name)] for rod in rods])
+
+    batch = RodBatch(
+        np.stack(places),
+        rest_length=rest,
+        stretching_stiffness=per_rod("stretching_stiffness"),
+        bending_stiffness=per_rod("bending_stiffness"),
+        twisting_stiffness=per_rod("twisting_stiffness"),
+        node_mass=mass,
+        gravity=gravity,
+        director=np.stack(directors),
+        device=device,
+    )
+    radius = per_rod("radius")[:, 0]
+    # As in a deployment: the table gives way by a small part of the radius.
+    contact = Contact(batch, radius, 600.0 * weight / radius, list(friction))
+    dynamics = Dynamics(
+        batch,
+        scheme="euler",
+        radius=radius,
+        air_damping=1.0,
+        contact=contact,
+        force_scale=weight * per_rod("gravito_bending_length")[:, 0],
+        tolerance=1e-5,
+    )
+    end = dynamics.advance(_REST, step)
+    return list(
+        zip(arc_length, batch.positions(), end.diverged.tolist(), end.steps.tolist(), strict=True)
+    )

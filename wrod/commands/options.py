@@ -1,0 +1,142 @@
+"""Options that several commands share, and what they mean: a rod, a pattern, method and closure.
+
+`options(ROD, METHOD)` is a decorator that adds whole groups to a command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+ROD = (
+    click.option(
+        "--rod",
+        "rod_name",
+        help="Rod by name (green-vps, ...), rod.json, or the model.json of `wrod identify`.",
+    ),
+    click.option("--radius", type=float, help="Radius of a rod of your own [m]."),
+    click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`)."),
+    click.option("--length", type=float, help="Its total length, or a rod file's instead [m]."),
+)
+UNITS = (click.option("--units", help="Units of a pattern file: m, cm, mm, um or in."),)
+CLOSURE = (
+    click.option(
+        "--closure",
+        default="zero_tension",
+        show_default=True,
+        help="zero_tension, min_force or min_friction.",
+    ),
+)
+METHOD = (
+    click.option(
+        "--method", default="auto", show_default=True, help="neural, numeric, auto or intuitive."
+    ),
+    click.option(
+        "--closure",
+        help="zero_tension, min_force or min_friction; default: the most accurate for auto, "
+        "zero_tension for other methods.",
+    ),
+)
+DEVICE = (click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto."),)
+PICTURE = (
+    click.option(
+        "--markers",
+        type=click.Path(path_type=Path),
+        help="A picture's scale: layout of its ArUco markers (JSON).",
+    ),
+    click.option("--sheet", help="Or the size of the bright sheet drawn on: WIDTHxHEIGHT [m]."),
+    click.option("--scale", type=float, help="Or its metres per pixel, seen from above [m/px]."),
+    click.option("--camera", type=click.Path(path_type=Path), help="Camera matrix and distortion."),
+    click.option(
+        "--start",
+        help="Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left).",
+    ),
+)
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
+
+
+def options(*groups: tuple) -> Callable:
+    """Decorator that adds groups of options, shown in the order given."""
+
+    def add(function):
+        for option in reversed([option for group in groups for option in group]):
+            function = option(function)
+        return function
+
+    return add
+
+
+def read_rod(name: str | None, radius: float | None, lgb: float | None, length: float | None):
+    """The `RodMaterial` that `ROD`'s options name.
+
+    Raises:
+        RodError: none, or more than one is named.
+    """
+    from wrod.errors import RodError
+    from wrod.material import RodMaterial, rod
+
+    own = {"--radius": radius, "--lgb": lgb, "--length": length}
+    given = [option for option, value in own.items() if value is not None]
+    from_file = name is not None and name.endswith(".json")
+    if from_file and given == ["--length"]:
+        # Measurements between clamps know the stretch between them only.
+        return replace(RodMaterial.load(name), length=length)
+    if name is not None and given:
+        raise RodError(
+            f"--rod {name} and {', '.join(given)} were both given; give one or the other"
+        )
+    if name is not None:
+        return RodMaterial.load(name) if from_file else rod(name)
+    missing = [option for option in own if option not in given]
+    if missing == list(own):
+        raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")
+    if missing:
+        raise RodError(f"{', '.join(missing)} missing; a rod of your own needs all three")
+    return RodMaterial(radius, lgb, length)
+
+
+def read_pattern(name: str, units: str | None, reading: dict | None = None):
+    """The `Pattern` of that name, file of points, or picture.
+
+    Args:
+        name: what the command was given.
+        units: of a file of points.
+        reading: values of `PICTURE`'s options by name; None where not given.
+
+    Raises:
+        PatternError, PerceptionError: unknown, unreadable, or an option does not belong to it.
+    """
+    from wrod.errors import PatternError
+    from wrod.patterns import Pattern, pattern, pattern_names
+
+    path = Path(name)
+    given = {option: value for option, value in (reading or {}).items() if value is not None}
+    if path.suffix.lower() in _PICTURES:
+        return _scanned(path, units, given)
+    if given:
+        named = ", ".join(f"--{option}" for option in given)
+        raise PatternError(f"{named} belong to a picture, and {name} is none; drop them")
+    if name in pattern_names() and not path.is_file():
+        if units is not None:
+            raise PatternError(f"{name} is built in and has its size in metres; drop --units")
+        return pattern(name)
+    if not path.suffix and not path.exists():
+        return pattern(name)
+    return Pattern.load(path, units=units)
+
+
+def _scanned(path: Path, units: str | None, given: dict):
+    from wrod.commands.scan import parse_numbers, parse_start
+    from wrod.errors import PatternError
+    from wrod.perception.scan import scan
+
+    if units is not None:
+        raise PatternError(f"{path}: a picture's scale is not --units; drop it")
+    if "sheet" in given:
+        given["sheet"] = parse_numbers(given["sheet"], 2, "--sheet", "x")
+    if "start" in given:
+        given["start"] = parse_start(given["start"])
+    return scan(path, **given)

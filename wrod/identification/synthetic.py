@@ -1,0 +1,104 @@
+"""Synthetic measurements of a clamped rod: what cameras and wrist would see of a true rod."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from wrod.errors import DataError
+from wrod.identification.clamped import ClampedSolver
+from wrod.identification.measurements import measurements_from_arrays
+from wrod.identification.setup import Setup, rotation_of
+from wrod.material import RodMaterial
+
+# The rod is solved on a mesh finer than any that a fit uses.
+_EDGES = 150
+# Noise of one wrench component: relative, and absolute [N], [N m].
+_FORCE_NOISE, _TORQUE_NOISE = (0.02, 2e-3), (0.02, 2e-4)
+
+
+def clamped_experiment(
+    rod: RodMaterial,
+    believed: RodMaterial,
+    *,
+    free_length: float = 0.30,
+    trials: int = 16,
+    test_trials: int = 4,
+    markers: int = 21,
+    noise: float = 3e-4,
+    seed: int = 0,
+) -> dict[str, np.ndarray]:
+    """Measurements of a piece of `rod` between clamp and gripper, labelled as of `believed`.
+
+    The gripper stands 70 % of the free length away, in random poses; both clamps roll together, so
+    that what turns with the material is seen from every side.
+
+    Args:
+        rod: the rod that is measured, natural curvature included.
+        believed: the rod that its user takes it for: the numbers that the data come with.
+        free_length: between the clamps [m].
+        trials, test_trials: shapes in all, and how many of them are kept for scoring.
+        markers: seen along the rod, ends included.
+        noise: standard deviation of a marker coordinate [m].
+        seed: of poses and noise.
+
+    Returns:
+        Arrays as `wrod.load_measurements` reads them from a file.
+
+    Raises:
+        DataError: too few trials or markers, or the rod finds no equilibrium in a pose.
+    """
+    if not 0 < test_trials < trials or markers < 3:
+        raise DataError(
+            f"{trials} trials with {test_trials} to score on and {markers} markers; give at least "
+            "one trial of each kind and 3 markers"
+        )
+    rng = np.random.default_rng(seed)
+    level = np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])
+    rolls = rng.uniform(-np.pi, np.pi, trials)
+    clamp = np.stack([level @ rotation_of(np.array([0.0, 0.0, roll])) for roll in rolls])
+    turns = rng.uniform(-0.35, 0.35, (trials, 3)) * [1.0, 1.0, 1.5]
+    grip = np.stack([c @ rotation_of(turn) for c, turn in zip(clamp, turns, strict=True)])
+    reach = free_length * (rng.uniform(-0.1, 0.1, (trials, 3)) + [0.7, 0.0, 0.0])
+    arc_length = np.linspace(0.0, free_length, markers)
+    foot = np.tile([0.3, -0.2, 0.5], (trials, 1))
+    data = {
+        "clamp_position": foot,
+        "clamp_rotation": clamp,
+        "grip_position": foot + reach,
+        "grip_rotation": grip,
+        "arc_length": arc_length,
+        "centerline": foot[:, None] + (arc_length / free_length)[:, None] * reach[:, None],
+        "train_idx": np.arange(trials - test_trials),
+        "test_idx": np.arange(trials - test_trials, trials),
+        "noise_std": noise,
+        **_numbers(replace(rod, length=free_length)),
+    }
+    measurements = measurements_from_arrays(data, name="synthetic")
+    setup = Setup.base(measurements, np.arange(trials), _EDGES)
+    setup.natural_curvature = setup.natural_curvature + np.array(rod.natural_curvature)
+    seen = ClampedSolver([setup]).predict([setup])
+
+    def noisy(value, relative, absolute):
+        value = np.real(value)
+        return value + np.hypot(relative * value, absolute) * rng.standard_normal(value.shape)
+
+    return {
+        **data,
+        **_numbers(replace(believed, length=free_length)),
+        "centerline": noisy(seen.position[0], 0.0, noise),
+        "grip_force": noisy(seen.force[0], *_FORCE_NOISE),
+        "grip_torque": noisy(seen.torque[0], *_TORQUE_NOISE),
+    }
+
+
+def _numbers(rod: RodMaterial) -> dict[str, float]:
+    return {
+        "length": rod.length,
+        "radius": rod.radius,
+        "density": rod.density,
+        "L_gb": rod.gravito_bending_length,
+        "poisson": rod.poisson,
+        "gravity": rod.gravity,
+    }

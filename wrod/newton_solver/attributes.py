@@ -1,0 +1,283 @@
+"""What a rod is in a Newton model: its custom attributes, and how one is added to a builder."""
+
+from __future__ import annotations
+
+import newton
+import numpy as np
+import warp as wp
+from newton import Model, ModelBuilder
+
+from wrod.errors import RodError
+from wrod.material import RodMaterial
+
+FREE, PINNED, CLAMPED = 0, 1, 2
+HOLDS = {"free": FREE, "pinned": PINNED, "clamped": CLAMPED}
+NAMESPACE = "der"
+ROD, NODE, EDGE = "der:rod", "der:node", "der:edge"
+_COLOR = (0.16, 0.42, 0.62)
+
+
+def _moved(name: str, turn_only: bool):
+    """Callback that carries vectors of nodes or edges along when a builder is copied elsewhere.
+
+    A builder's pose reaches bodies only: every rod owns at least one, which tells where it went.
+    """
+
+    def move(values: list, context: dict) -> list:
+        source, target = context["builder"], context["destination_builder"]
+        offset = context["entity_offsets"]["body"]
+
+        def column(key):
+            return source.custom_attributes[f"der:rod_{key}"].values
+
+        out = list(values)
+        for body, first, count in zip(
+            column("body"), column(f"first_{name}"), column("node_count"), strict=True
+        ):
+            a, b = source.body_q[body], target.body_q[body + offset]
+            if np.allclose(a, b, rtol=0.0, atol=1e-7):
+                continue
+            place = wp.transform_multiply(
+                wp.transformd(*b), wp.transform_inverse(wp.transformd(*a))
+            )
+            rows = range(first, first + count - (name == "edge"))
+            for i in rows:
+                v = wp.vec3d(*out[i])
+                v = wp.transform_vector(place, v) if turn_only else wp.transform_point(place, v)
+                out[i] = np.array(v)
+        return out
+
+    return move
+
+
+_MOVE_POINTS = _moved("node", turn_only=False)
+_TURN_NODES = _moved("node", turn_only=True)
+_TURN_EDGES = _moved("edge", turn_only=True)
+
+
+def register(builder: ModelBuilder) -> None:
+    """Declare the frequencies der:rod, der:node, der:edge and their attributes; repeat at will."""
+    for name in ("rod", "node", "edge"):
+        builder.add_custom_frequency(ModelBuilder.CustomFrequency(name=name, namespace=NAMESPACE))
+    model, state = Model.AttributeAssignment.MODEL, Model.AttributeAssignment.STATE
+
+    def add(frequency, name, dtype, *, assignment=model, default=None, references=None, move=None):
+        builder.add_custom_attribute(
+            ModelBuilder.CustomAttribute(
+                name=name,
+                namespace=NAMESPACE,
+                frequency=frequency,
+                dtype=dtype,
+                assignment=assignment,
+                default=default,
+                references=references,
+                reference_value_transformer=move,
+            )
+        )
+
+    add(ROD, "rod_world", wp.int32, default=-1, references="world")
+    add(ROD, "rod_first_node", wp.int32, references=NODE)
+    add(ROD, "rod_first_edge", wp.int32, references=EDGE)
+    add(ROD, "rod_node_count", wp.int32)
+    add(ROD, "rod_body", wp.int32, default=-1, references="body")
+    add(ROD, "rod_visible", wp.int32)
+    for end in ("start", "end"):
+        add(ROD, f"rod_{end}_hold", wp.int32)
+        add(ROD, f"rod_{end}_body", wp.int32, default=-1, references="body")
+    for name in ("radius", "air_damping", "internal_damping"):
+        add(ROD, f"rod_{name}", wp.float64)
+    for name in ("rest_length", "stretching_stiffness"):
+        add(EDGE, f"edge_{name}", wp.float64)
+    add(NODE, "node_mass", wp.float64)
+    add(NODE, "node_bending_stiffness", wp.vec2d)
+    add(NODE, "node_twisting_stiffness", wp.float64)
+    add(NODE, "node_natural_curvature", wp.vec2d)
+    add(NODE, "node_natural_twist", wp.float64)
+    add(NODE, "node_q", wp.vec3d, assignment=state, move=_MOVE_POINTS)
+    add(NODE, "node_qd", wp.vec3d, assignment=state, move=_TURN_NODES)
+    add(NODE, "node_contact_f", wp.vec3d, assignment=state)
+    add(EDGE, "edge_director", wp.vec3d, assignment=state, move=_TURN_EDGES)
+    add(EDGE, "edge_spin", wp.float64, assignment=state)
+
+
+def add_rod(
+    builder: ModelBuilder,
+    points: np.ndarray,
+    material: RodMaterial,
+    *,
+    start: str,
+    start_body: int,
+    end: str,
+    end_body: int,
+    director,
+    velocity,
+    natural_curvature,
+    natural_twist,
+    air_damping: float,
+    internal_damping: float,
+    visible: bool,
+    color,
+    label: str | None,
+) -> int:
+    """`SolverDER.add_rod`, which documents the arguments."""
+    if not builder.has_custom_attribute("der:node_q"):
+        raise RodError(
+            "the builder does not know rods; call SolverDER.register_custom_attributes(builder) "
+            "before SolverDER.add_rod"
+        )
+    if not isinstance(material, RodMaterial):
+        raise RodError(f"material is {type(material).__name__}; give a wrod.RodMaterial")
+    points = _points(points)
+    count = len(points)
+    rest = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    for name, kind, body in (("start", start, start_body), ("end", end, end_body)):
+        if kind not in HOLDS:
+            raise RodError(f"{name} is {kind!r}; use one of {', '.join(HOLDS)}")
+        if not -1 <= body < builder.body_count:
+            raise RodError(
+                f"{name}_body is {body}; give a body of the builder (it has "
+                f"{builder.body_count}), or -1 for the world"
+            )
+    for name, value in (("air_damping", air_damping), ("internal_damping", internal_damping)):
+        if not (np.isfinite(value) and value >= 0):
+            raise RodError(f"{name} is {value!r}; give a finite number of at least 0")
+    directors = _directors(points, rest, director)
+
+    def per_node(name, value, size=()):
+        try:
+            value = np.broadcast_to(np.asarray(value, dtype=float), (count, *size))
+        except ValueError:
+            raise RodError(
+                f"{name} has shape {np.shape(value)}, which does not broadcast to {(count, *size)}"
+            ) from None
+        if not np.isfinite(value).all():
+            raise RodError(f"{name} holds a value that is not finite")
+        return value
+
+    velocity = per_node("velocity", velocity, (3,))
+    natural_curvature = per_node("natural_curvature", natural_curvature, (2,))
+    natural_twist = per_node("natural_twist", natural_twist)
+    mass = np.zeros(count)
+    mass[:-1] += rest / 2
+    mass[1:] += rest / 2
+    mass *= material.weight / material.gravity
+
+    first_node = builder._custom_frequency_counts.get(NODE, 0)
+    first_edge = builder._custom_frequency_counts.get(EDGE, 0)
+    label = label or f"rod_{builder._custom_frequency_counts.get(ROD, 0)}"
+    body = _add_bodies(builder, points, directors, rest, material.radius, visible, color, label)
+    builder.add_custom_values_batch(
+        {
+            "der:node_mass": float(mass[i]),
+            "der:node_bending_stiffness": wp.vec2d(*[material.bending_stiffness] * 2),
+            "der:node_twisting_stiffness": material.twisting_stiffness,
+            "der:node_natural_curvature": wp.vec2d(*natural_curvature[i]),
+            "der:node_natural_twist": float(natural_twist[i]),
+            "der:node_q": points[i],
+            "der:node_qd": velocity[i],
+        }
+        for i in range(count)
+    )
+    builder.add_custom_values_batch(
+        {
+            "der:edge_rest_length": float(rest[i]),
+            "der:edge_stretching_stiffness": material.stretching_stiffness,
+            "der:edge_director": directors[i],
+        }
+        for i in range(count - 1)
+    )
+    added = builder.add_custom_values(
+        **{
+            "der:rod_first_node": first_node,
+            "der:rod_first_edge": first_edge,
+            "der:rod_node_count": count,
+            "der:rod_body": body,
+            "der:rod_visible": int(visible),
+            "der:rod_start_hold": HOLDS[start],
+            "der:rod_start_body": start_body,
+            "der:rod_end_hold": HOLDS[end],
+            "der:rod_end_body": end_body,
+            "der:rod_radius": material.radius,
+            "der:rod_air_damping": float(air_damping),
+            "der:rod_internal_damping": float(internal_damping),
+        }
+    )
+    return added["der:rod_node_count"]
+
+
+def _points(points) -> np.ndarray:
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
+        raise RodError(f"rod points have shape {points.shape}; give (node, 3) with 3 or more")
+    if not np.isfinite(points).all():
+        raise RodError("rod points hold a value that is not finite")
+    edges = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if not (edges > 0).all():
+        i = int(np.argmin(edges))
+        raise RodError(f"rod points {i} and {i + 1} coincide; give neighbours some distance")
+    return points
+
+
+def _directors(points: np.ndarray, rest: np.ndarray, director) -> np.ndarray:
+    """(node - 1, 3) first material directors, carried along the rod without twist."""
+    tangents = np.diff(points, axis=0) / rest[:, None]
+    if director is None:
+        director = np.eye(3)[np.argmin(np.abs(tangents[0]))]
+    before = np.asarray(director, dtype=float)
+    if before.shape != (3,) or not np.isfinite(before).all():
+        raise RodError("director must be three finite numbers: a direction across the first edge")
+    out = np.empty_like(tangents)
+    last = tangents[0]
+    for i, t in enumerate(tangents):
+        axis, cosine = np.cross(last, t), float(last @ t)
+        turned = cosine * before + np.cross(axis, before)
+        turned = turned + (axis @ before) / max(1.0 + cosine, 1e-12) * axis
+        turned = turned - (turned @ t) * t
+        size = np.linalg.norm(turned)
+        if not size > 1e-9:
+            raise RodError("director is along the rod's first edge; give one across it")
+        out[i] = before = turned / size
+        last = t
+    return out
+
+
+def _add_bodies(builder, points, directors, rest, radius, visible, color, label) -> int:
+    """A kinematic capsule on every edge, or one body without shape; the first one's index."""
+    config = ModelBuilder.ShapeConfig(
+        density=0.0, has_shape_collision=False, has_particle_collision=False, collision_group=0
+    )
+    first = builder.body_count
+    for i in range(len(rest) if visible else 1):
+        z = (points[i + 1] - points[i]) / rest[i]
+        frame = np.column_stack([directors[i], np.cross(z, directors[i]), z])
+        turn = wp.quat_from_matrix(wp.mat33(*frame.ravel()))
+        middle = wp.vec3(*(0.5 * (points[i] + points[i + 1])))
+        # A link without a joint: nothing but the solver moves it.
+        body = builder.add_link(
+            xform=wp.transform(middle, turn), is_kinematic=True, label=f"{label}/edge_{i}"
+        )
+        if visible:
+            builder.add_shape_capsule(
+                body,
+                radius=radius,
+                half_height=0.5 * rest[i],
+                cfg=config,
+                color=color or _COLOR,
+                label=f"{label}/capsule_{i}",
+            )
+    return first
+
+
+def require(model: newton.Model):
+    """The model's namespace of rods.
+
+    Raises:
+        RodError: the model has none.
+    """
+    attributes = getattr(model, NAMESPACE, None)
+    if attributes is None or not hasattr(attributes, "rod_node_count"):
+        raise RodError(
+            "the model has no rods; call SolverDER.register_custom_attributes(builder) and "
+            "SolverDER.add_rod(builder, ...) before builder.finalize()"
+        )
+    return attributes

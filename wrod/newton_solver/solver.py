@@ -1,0 +1,294 @@
+"""`SolverDER`: discrete elastic rods as a solver of Newton."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import warp as wp
+
+import wrod.kernels  # noqa: F401  # before Newton: starts Warp quietly
+from wrod.errors import RodError, WrodWarning
+
+try:
+    import newton
+except ImportError as error:
+    raise RodError("SolverDER needs Newton; install wrod[newton]") from error
+
+from newton.solvers import SolverBase
+
+from wrod.dynamics import SCHEMES
+from wrod.material import RodMaterial
+from wrod.newton_solver import attributes
+from wrod.newton_solver.group import RodGroup
+from wrod.newton_solver.holds import find_holds
+from wrod.newton_solver.shapes import ModelShapes
+
+_STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
+_PASSED_ON = ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd")
+
+
+class SolverDER(SolverBase):
+    """Implicit discrete elastic rods, in float64, inside a Newton scene.
+
+    Rods are no bodies of Newton's: their state is in `state.der` (`node_q` [m], `node_qd` [m/s],
+    `node_contact_f` [N], `edge_director`, `edge_spin` [rad/s]), their properties in `model.der`.
+    They touch the model's planes, boxes and cylinders with the friction of the shape (`mu`), but
+    not each other; their ends may be held by bodies. Bodies and particles pass through a step
+    unchanged and do not feel the rods: kinematic ones are moved by the caller, others by another
+    solver before.
+
+    The pose that `state_in.body_q` gives a body is the one that it has at the end of the step. A
+    state that is not the one this solver wrote last is taken up as it is (the rod then starts anew
+    from it, with one step of first order), so states may be changed, copied and set back at will.
+
+    Example
+    -------
+
+    .. code-block:: python
+
+        builder = newton.ModelBuilder()
+        wrod.SolverDER.register_custom_attributes(builder)
+        wrod.SolverDER.add_rod(builder, points, wrod.rod("green-vps"), start="clamped")
+        builder.add_ground_plane()
+        model = builder.finalize()
+
+        solver = wrod.SolverDER(model)
+        for i in range(100):
+            solver.step(state_in, state_out, control, contacts, dt)
+            state_in, state_out = state_out, state_in
+
+    """
+
+    ROD_PROPERTIES = 1 << 24
+    """Bit for `notify_model_changed`: `model.der` was changed."""
+
+    def __init__(
+        self,
+        model: newton.Model,
+        *,
+        scheme: str = "bdf2",
+        max_step: float | None = None,
+        tolerance: float = 1e-6,
+        max_iterations: int = 12,
+        contact_stiffness: float | None = None,
+    ):
+        """
+        Args:
+            model: The model to be simulated.
+            scheme: "bdf2" (second order, hardly dissipates) or "euler" (first order, dissipates).
+            max_step: Longest time step of a rod [s]; a longer `dt` is divided. Defaults to `dt`.
+            tolerance: Largest unbalanced force of a step over the rod's weight, or over
+                k_b / L^2 if that is larger.
+            max_iterations: Of Newton's method; a step that needs more is halved.
+            contact_stiffness: Normal and tangential stiffness of contacts per length of rod
+                [N/m^2]. Defaults to what lets a rod sink in by 1/600 of its radius under its own
+                weight on Earth.
+
+        Raises:
+            RodError: The model has no rods, or an option is none.
+        """
+        super().__init__(model=model)
+        der = attributes.require(model)
+        if scheme not in SCHEMES:
+            raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
+        for name, value in (("max_step", max_step), ("contact_stiffness", contact_stiffness)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise RodError(f"{name} is {value!r}; give a positive finite number")
+        self.max_step = max_step
+        self.rod_count = len(der.rod_node_count)
+        self._options = dict(scheme=scheme, tolerance=tolerance, max_iterations=max_iterations)
+        self._contact_stiffness = contact_stiffness
+        self._holds = find_holds(model)
+        self._initial = {name: wp.clone(getattr(der, name)) for name in _STATE}
+        self._diverged = np.zeros(self.rod_count, dtype=bool)
+        self._body_before = wp.clone(model.body_q)
+        self._build()
+
+    def _build(self) -> None:
+        model, der = self.model, self.model.der
+        shapes = ModelShapes(model)
+        clamps = (self._holds["kind"] == attributes.CLAMPED).sum(axis=1)
+        sizes = np.stack([der.rod_node_count.numpy(), clamps], axis=1)
+        self._groups = [
+            RodGroup(
+                model,
+                rods := np.flatnonzero((sizes == size).all(axis=1)),
+                shapes,
+                self._holds[rods],
+                self._contact_stiffness,
+                self._options,
+            )
+            for size in np.unique(sizes, axis=0)
+        ]
+
+    @property
+    def diverged(self) -> np.ndarray:
+        """(rod_count,) whether the rod was cut out because no step converged. Its state is the
+        last good one; it goes on when that state is changed, or after `reset`."""
+        return self._diverged.copy()
+
+    def step(
+        self,
+        state_in: newton.State,
+        state_out: newton.State,
+        control: newton.Control | None,
+        contacts: newton.Contacts | None,
+        dt: float,
+        *,
+        observables: SolverBase.Observables | None = None,
+    ) -> None:
+        """Move the rods on by `dt`.
+
+        Args:
+            state_in: The input state; bodies where they are at the end of the step.
+            state_out: The output state; may be the input state.
+            control: Not used.
+            contacts: Not used: rods find their own contacts.
+            dt: The time step [s].
+            observables: None, or a container without requests.
+
+        Raises:
+            RodError: dt is not positive, or a state was made from another model.
+        """
+        self.validate_observables(observables, contacts)
+        if not (np.isfinite(dt) and dt > 0):
+            raise RodError(f"dt is {dt!r}; give a positive finite number of seconds")
+        for state in (state_in, state_out):
+            nodes = getattr(getattr(state, "der", None), "node_q", None)
+            if nodes is None or nodes.shape != self.model.der.node_q.shape:
+                raise RodError("the state does not hold this model's rods; call model.state()")
+        if state_out is not state_in:
+            for name in _PASSED_ON:
+                source = getattr(state_in, name, None)
+                if source is not None and len(source):
+                    wp.copy(getattr(state_out, name), source)
+        parts = 1 if self.max_step is None else int(np.ceil(dt / self.max_step * (1 - 1e-9)))
+        for group in self._groups:
+            progress = group.step(state_in, dt, dt / parts, self._body_before)
+            self._note_diverged(group, progress)
+        wp.copy(self._body_before, state_in.body_q)
+        for group in self._groups:
+            group.write(state_out)
+
+    def _note_diverged(self, group: RodGroup, progress) -> None:
+        new = progress.diverged & ~self._diverged[group.rods]
+        self._diverged[group.rods] = progress.diverged
+        if new.any():
+            rods = ", ".join(map(str, group.rods[new]))
+            warnings.warn(
+                f"rods cut out because no time step converged: {rods}; the others go on. Take "
+                "a shorter dt, or reset(state) them",
+                WrodWarning,
+                stacklevel=3,
+            )
+
+    def notify_model_changed(self, flags: newton.ModelFlags | int) -> None:
+        """Take up changed gravity (MODEL_PROPERTIES), shapes (SHAPE_PROPERTIES), or attributes
+        of the rods (`SolverDER.ROD_PROPERTIES`, which starts the rods anew)."""
+        flags = int(flags)
+        if flags & (self.ROD_PROPERTIES | int(newton.ModelFlags.SHAPE_TYPE_AND_SOURCE)):
+            self._build()
+            return
+        for group in self._groups:
+            if flags & int(newton.ModelFlags.MODEL_PROPERTIES):
+                group.refresh_gravity()
+            if flags & int(newton.ModelFlags.SHAPE_PROPERTIES):
+                group.refresh_shapes()
+
+    def reset(self, state, world_mask=None, flags=None) -> None:
+        """Put rods back to where they were when the solver was made, at the same velocities.
+
+        Args:
+            state: The state to reset, in place.
+            world_mask: (world_count + 1,) which worlds, the last for world -1; None for all.
+            flags: Not used: all of `state.der` is reset.
+        """
+        mask = self._normalize_reset_world_mask(world_mask)
+        for group in self._groups:
+            if mask is None:
+                chosen = np.ones(len(group.rods), dtype=bool)
+            else:
+                chosen = mask.numpy()[group.worlds].astype(bool)
+            group.reset(state, self._initial, chosen)
+            self._diverged[group.rods[chosen]] = False
+
+    @classmethod
+    def register_custom_attributes(cls, builder: newton.ModelBuilder) -> None:
+        """Tell a builder what rods are: call it before `add_rod`, and on the builder that a
+        scene of rods is added to or replicated in.
+
+        Args:
+            builder: The model builder.
+        """
+        attributes.register(builder)
+
+    @staticmethod
+    def add_rod(
+        builder: newton.ModelBuilder,
+        points: np.ndarray,
+        material: RodMaterial,
+        *,
+        start: str = "free",
+        start_body: int = -1,
+        end: str = "free",
+        end_body: int = -1,
+        director: np.ndarray | None = None,
+        velocity: np.ndarray | float = 0.0,
+        natural_curvature: np.ndarray | float = 0.0,
+        natural_twist: np.ndarray | float = 0.0,
+        air_damping: float = 0.0,
+        internal_damping: float = 0.0,
+        visible: bool = True,
+        color: tuple[float, float, float] | None = None,
+        label: str | None = None,
+    ) -> int:
+        """Add a rod to a builder that knows rods (`register_custom_attributes`).
+
+        Its edges are unstretched as given; its weight acts with the model's gravity.
+
+        Args:
+            builder: The model builder.
+            points: (node, 3) first shape, 3 nodes or more [m].
+            material: Radius, density and stiffnesses; its `length` and `gravity` are not used.
+            start: How the first node is held: "free", "pinned" (place) or "clamped" (place,
+                direction and twist).
+            start_body: What holds it: a body, or -1 for the world.
+            end: How the last node is held.
+            end_body: What holds it.
+            director: (3,) first material director of the first edge, carried along the rod without
+                twist. Defaults to any direction across it.
+            velocity: (node, 3) first velocities [m/s].
+            natural_curvature: (node, 2) curvature at rest about the two directors [1/m]; 0: a
+                rod that is straight at rest, whatever its first shape.
+            natural_twist: (node,) twist at rest [rad/m].
+            air_damping: Drag per mass and velocity [1/s].
+            internal_damping: Kelvin-Voigt time of the material [s].
+            visible: Show the rod by a kinematic capsule on every edge, which the solver moves.
+            color: Of the capsules.
+            label: Of the rod's bodies and shapes.
+
+        Returns:
+            The index of the rod.
+
+        Raises:
+            RodError: The builder does not know rods, or an argument is unusable.
+        """
+        return attributes.add_rod(
+            builder,
+            points,
+            material,
+            start=start,
+            start_body=start_body,
+            end=end,
+            end_body=end_body,
+            director=director,
+            velocity=velocity,
+            natural_curvature=natural_curvature,
+            natural_twist=natural_twist,
+            air_damping=air_damping,
+            internal_damping=internal_damping,
+            visible=visible,
+            color=color,
+            label=label,
+        )
