@@ -31,7 +31,7 @@ _FINGERS = 0.012
 _AWAY = np.array([0.0, 2.0, 0.0])  # [m]
 # First stretch of a rod, which ends before the first crossing, and what is laid when it is let go
 # [m].
-_HOLD, _RELEASE = 0.04, 0.10
+_HOLD, _RELEASE = 0.05, 0.10
 _SETTLE, _REST = 0.4, 0.6
 # Fastest over mean speed of the smooth way of a hand.
 _PEAK = 1.9
