@@ -198,3 +198,5 @@ def test_why_a_trial_failed():
     assert "slipped" in result("right trefoil", "unknot", slipped=["pull"]).why
     assert not result("right trefoil", "right trefoil", missed=["pull"]).success
     assert result("right trefoil", None).why == "not pulled"
+    blocked = result("right trefoil", "right trefoil", blocked=True, missed=["no room for rod 2"])
+    assert blocked.why == "no room for rod 2"

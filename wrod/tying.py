@@ -61,6 +61,8 @@ class TyingResult:
         load: (hand,) pull at the end [N].
         missed: moves whose hand found no rod.
         slipped: moves whose rod slipped out of the hand.
+        blocked: a rod could not be laid, since another lay where it begins; what follows is then
+            without meaning.
         diverged: no step converged any more.
         error: (rod,) mean distance of the laid rods from their patterns [m].
         rods: (node, 3) centrelines of every rod at the end [m]; `stages` those after laying, the
@@ -78,6 +80,7 @@ class TyingResult:
     load: np.ndarray = field(default_factory=lambda: np.zeros(2))
     missed: list[str] = field(default_factory=list)
     slipped: list[str] = field(default_factory=list)
+    blocked: bool = False
     diverged: bool = False
     error: list[float] = field(default_factory=list)
     stages: dict[str, list[np.ndarray]] = field(default_factory=dict)
@@ -95,6 +98,8 @@ class TyingResult:
     @property
     def why(self) -> str:
         """ "tied", or why it is not, in a few words."""
+        if self.blocked:
+            return self.missed[0]
         if self.diverged:
             return "diverged"
         if self.tied is None or self.pulled is None:

@@ -7,10 +7,11 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from wrod.deployment import with_remainder_of
-from wrod.deployment_setup import Disturbance, prepare_deployment, tail
+from wrod.deployment_setup import Disturbance, disturb, prepare_deployment, tail
 from wrod.grip import KEY_INTERVAL, smooth_noise
 from wrod.hand_paths import hand_path, path_length, smooth
 from wrod.knot_plan import KnotPlan, Move
@@ -27,9 +28,10 @@ from wrod.workbench import TICK, Poses, Workbench
 _EDGE = 2.0
 # A hand finds a rod whose centreline is this near [m].
 _FINGERS = 0.012
+_AWAY = np.array([0.0, 2.0, 0.0])  # [m]
 # First stretch of a rod, which ends before the first crossing, and what is laid when it is let go
 # [m].
-_HOLD, _RELEASE = 0.04, 0.10
+_HOLD, _RELEASE = 0.05, 0.10
 _SETTLE, _REST = 0.4, 0.6
 # Fastest over mean speed of the smooth way of a hand.
 _PEAK = 1.9
@@ -105,19 +107,22 @@ class Session:
         edges = int(np.ceil(rod.length / (_EDGE * rod.radius)))
         arc = np.linspace(0.0, rod.length, edges + 1)
         rest = tail(pattern, rod, trajectory)
-        setups = [
-            prepare_deployment(
-                pattern, rod, trajectory, arc, _laying(trial, k), rest,
-                hold=_HOLD, release=_RELEASE, speed=self.speed,
-            )
-            for trial in self.trials
-        ]  # fmt: skip
+        undisturbed = prepare_deployment(
+            pattern, rod, trajectory, arc, rest, hold=_HOLD, release=_RELEASE, speed=self.speed
+        )
+        setups = [disturb(undisturbed, _laying(trial, k)) for trial in self.trials]
         position = np.stack([setup.position for setup in setups])
         director = np.stack([setup.director for setup in setups])
         director = np.stack([_carried(p, d) for p, d in zip(position, director, strict=True)])
         if self.bench is not None:
             before = self.bench.batch
-            position = np.concatenate([before.positions(), position], axis=1)
+            lying = before.positions()
+            for scene, result in enumerate(self.results):
+                if self._blocked(lying[scene], position[scene], k):
+                    result.missed.append(f"no room for rod {k + 1}")
+                    result.blocked = True
+                    lying[scene] += _AWAY  # so that the other scenes may go on beside this one
+            position = np.concatenate([lying, position], axis=1)
             link = position[:, before.node_count] - position[:, before.node_count - 1]
             across = np.cross(link, [0.31, 0.59, 0.74])[:, None]
             director = np.concatenate(
@@ -165,6 +170,15 @@ class Session:
             on = arc <= pattern.length + pattern.remainder_length
             gap = np.linalg.norm((laid - target)[on, :2], axis=1)
             result.error.append(float(gap.mean()))
+
+    def _blocked(self, lying: np.ndarray, start: np.ndarray, k: int) -> bool:
+        """Whether a rod would begin inside those that lie on the table."""
+        fine = [_refined(lying[rod]) for rod in self.bench.slices]
+        radii = [rod.radius for _, rod, _ in self.plans]
+        return any(
+            cKDTree(rod).query(_refined(start))[0].min() < 0.9 * (radius + radii[k])
+            for rod, radius in zip(fine, radii[:k], strict=True)
+        )
 
     # Moves
 
@@ -380,6 +394,12 @@ def _carried(position: np.ndarray, director: np.ndarray) -> np.ndarray:
             (before @ after) * d + np.cross(axis, d) + axis * (axis @ d) / (1 + before @ after)
         )
     return np.array(out) / np.linalg.norm(out, axis=1)[:, None]
+
+
+def _refined(line: np.ndarray) -> np.ndarray:
+    """(4 n - 3, 3) points along a polyline (n, 3)."""
+    at = np.arange(0, len(line) - 0.75, 0.25)
+    return np.column_stack([np.interp(at, np.arange(len(line)), c) for c in line.T])
 
 
 def _padded(values: np.ndarray, count: int) -> np.ndarray:

@@ -103,14 +103,15 @@ class Hands:
             self._rotation[k].assign(rotation)
 
     def load(self) -> np.ndarray:
-        """(scene, hand) force with which each hand holds its edge at the end of the last step
-        [N]."""
+        """(scene, hand) force with which each hand holds its edge against slipping out at the end
+        of the last step [N]; a hand that presses it on the table holds it the better."""
         gradient = self.batch.derivatives.gradient.numpy()
         out = np.zeros(self.edge.shape)
         for (scene, hand), e in np.ndenumerate(self.edge):
             if e >= 0:
                 g = gradient[scene, 4 * e : 4 * e + 7]
-                out[scene, hand] = np.linalg.norm(g[:3] + g[4:7])
+                x, y, z = g[:3] + g[4:7]
+                out[scene, hand] = np.linalg.norm([x, y, max(z, 0.0)])
         return out
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):

@@ -12,6 +12,8 @@ from wrod.patterns import Pattern
 
 # The cable on steel, the rods of the knots on steel (Table 2 of the paper).
 CABLE_FRICTION, KNOT_FRICTION, ROD_FRICTION = FRICTION["low"], FRICTION["medium"], 0.4
+# Laid length at which the free end, whose first 5 cm are held, is let go [m].
+_RELEASE = 0.10
 _FILM = 0.2  # [s]
 _POINTS = 160  # of a curve that is kept
 
@@ -76,7 +78,7 @@ def _cable(case, method, trials, device, folder):
     ]
     clock = time.process_time()
     deployments = simulate_deployments(
-        jobs, device=device, frame_interval=_FILM if folder else None
+        jobs, release=_RELEASE, device=device, frame_interval=_FILM if folder else None
     )
     seconds = (time.process_time() - clock) / len(trials)
     rows, scenes = [], []

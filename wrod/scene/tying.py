@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import tempfile
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from wrod.errors import RobotError, SceneError
 from wrod.files import write_atomically
@@ -31,6 +34,9 @@ SUFFIXES = (".usdc", ".usda", ".usd")
 _STEEL, _OTHER = (0.62, 0.64, 0.67), (0.10, 0.50, 0.22)
 # The gripper's collision shape ends in a ball wider than its fingers, which do reach the table.
 _FINGER_ROOM = 0.025  # [m]
+# An arm that cannot follow the corners of its hand's way may round them over so many frames
+# (standard deviation): splines through sharp corners swing.
+_ROUNDED = 1.5
 _SIDE = 0.10  # [m] beside the patterns, where rods wait that are laid later
 
 
@@ -175,9 +181,9 @@ def _arms(hands: np.ndarray, ground: np.ndarray) -> tuple[list[tuple[int, JointP
         if arms:
             choices = [_opposite(arms[0][1].placement, ground), "auto"]
         problem = None
-        for choice in choices:
+        for choice, rounded in product(choices, (0.0, _ROUNDED)):
             try:
-                joint_path = _solve(trajectory, choice)
+                joint_path = _solve(trajectory, choice, rounded)
             except RobotError as error:
                 problem = error
                 continue
@@ -188,12 +194,13 @@ def _arms(hands: np.ndarray, ground: np.ndarray) -> tuple[list[tuple[int, JointP
     return arms, missing
 
 
-def _solve(trajectory: Trajectory, placement) -> JointPath:
+def _solve(trajectory: Trajectory, placement, rounded: float) -> JointPath:
     """The fingers reach the table, which therefore counts as lower."""
-    from dataclasses import replace
-
     lift = np.array([0.0, 0.0, _FINGER_ROOM])
-    raised = replace(trajectory, position=trajectory.position + lift)
+    way = trajectory.position
+    if rounded > 0.0:
+        way = gaussian_filter1d(way, rounded, axis=0, mode="nearest")
+    raised = replace(trajectory, position=way + lift)
     if isinstance(placement, Placement):
         placement = replace(placement, z=placement.z - _FINGER_ROOM)
     found = solve_joint_path(raised, placement=placement, grip_angle=0.0, rod_radius=0.001)
