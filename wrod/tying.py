@@ -104,11 +104,13 @@ class TyingResult:
             return "diverged"
         if self.tied is None or self.pulled is None:
             return "not pulled"
-        if self.slipped:
-            return f"slipped out of the grip: {self.slipped[0]}, {self.pulled.name}"
         if self.tied.name != self.wanted:
-            missed = f", grasped nothing: {self.missed[0]}" if self.missed else ""
-            return f"tied {self.tied.name}{missed}"
+            after = f", slipped out of the grip: {self.slipped[0]}" if self.slipped else ""
+            if self.missed:
+                after += f", grasped nothing: {self.missed[0]}"
+            return f"tied {self.tied.name}{after}"
+        if "pull" in self.slipped:
+            return f"slipped out of the grip: pull, {self.pulled.name}"
         if "pull" in self.missed:
             return "grasped nothing: pull"
         if self.pulled.name != self.wanted:
