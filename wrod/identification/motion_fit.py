@@ -23,6 +23,8 @@ _DAMPING, _HARDER, _TRIALS = 1e-2, 5.0, 7
 _CONVERGED = 2e-3
 # A parameter as large as its prior's scale costs this share of the misfit that a fit starts from.
 _PRIOR = 2e-3
+# Slices of windows that are run side by side: launches take turns, so more would only wait.
+_SLICES = 2
 # Time steps a frame at most, where longer ones do not converge.
 _FINEST = 4
 
@@ -99,7 +101,8 @@ class MotionLaboratory:
         return x, rate, failed
 
     def _run(self, windows: Windows, setup: MotionSetup, rates: Sequence[MotionSetup]):
-        count = min(os.cpu_count() or 1, len(windows.recording)) if self.device == "cpu" else 1
+        count = min(os.cpu_count() or 1, _SLICES, len(windows.recording))
+        count = count if self.device == "cpu" else 1
         slices = np.array_split(np.arange(len(windows.recording)), count)
 
         def one(rods):

@@ -17,8 +17,8 @@ from wrod.identification.motion_fit import Linearised, MotionLaboratory
 
 # The base model: straight, uniform, isotropic; only what cannot be known beforehand is fitted.
 BASE = ("stiffness", "air_damping")
-TRIED = 2
-LEAST_GAIN = 0.02
+TRIED = 3
+LEAST_GAIN = 0.01
 MOST_EFFECTS = 10
 PARTLY = 0.8
 AT_NOISE = 1.15
@@ -102,9 +102,12 @@ def select_motion(
     say("base model")
     model = Model(tuple(known[name] for name in BASE))
     values, _ = rod.fit(short, model, np.array([0.0, 1.0]))
-    base_values = values
     validation_error, test_error = scores(model, values)
-    validation_before, before = validation_error, test_error
+    # What is compared with is the base model at its best, fitted to long stretches as the last is.
+    length = min(_LONG, frames)
+    long = rod.windows(_some(m.fit, _MOST_POLISHED), sorted({0, max(0, frames - length)}), length)
+    base_values, _ = rod.fit(long, model, values, iterations=8)
+    validation_before, before = scores(model, base_values)
     rounds = []
     left = [c for c in candidates if c.name not in BASE]
     while True:
@@ -145,12 +148,6 @@ def select_motion(
             break
 
     say("polish")
-    separate = len(np.intersect1d(m.test, m.fit)) == 0 and m.test.min() > m.fit.max()
-    several = np.concatenate([m.fit, m.validation]) if separate else m.fit
-    length = min(_LONG, frames)
-    long = rod.windows(
-        _some(np.sort(several), _MOST_POLISHED), sorted({0, max(0, frames - length)}), length
-    )
     polished, fit = rod.fit(long, model, values, iterations=4, converged=0.005)
     polished_errors = scores(model, polished)
     if polished_errors[0] <= validation_error:
