@@ -136,7 +136,8 @@ def test_handling_is_random_and_repeatable():
 @pytest.mark.parametrize("name", ["trefoil", "reef"])
 def test_shipped_plans(name):
     plan = KnotPlan.load_plan(KNOTS / f"{name}.json")
-    assert 1 <= sum(len(step) for step in plan.steps) <= 4
+    assert 1 <= len(plan.steps) <= 3
+    assert sum(len(step) for step in plan.steps) <= 6  # a few: two hands at once
     assert len(plan.pull) == 2
     for pattern, rod in plan.rods:
         assert pattern.length < rod.length
