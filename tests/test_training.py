@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -251,9 +252,10 @@ def test_train_from_nothing_is_one_command_that_resumes(tmp_path):
 
 @pytest.mark.parametrize("source", [["--generate", "100"], ["--dataset", "ready"]])
 def test_out_that_cannot_be_written_is_said_before_training(tmp_path, monkeypatch, source, table):
-    from wrod.training import dataset
+    from wrod.training import dataset, store
 
     monkeypatch.setattr(dataset, "load", lambda folder, most: table)
+    monkeypatch.setattr(store, "read_manifest", lambda folder: SimpleNamespace(rod=None))
     (tmp_path / "file").touch()
     trained = []
     monkeypatch.setattr(Training, "run", lambda self, **options: trained.append(self))

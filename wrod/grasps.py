@@ -187,9 +187,8 @@ def check_inputs(*inputs) -> tuple[np.ndarray, ...]:
         raise GraspError(f"grasp inputs have shapes {shapes}, which do not broadcast") from None
     if arrays[0].ndim != 1:
         raise GraspError(f"grasp inputs have shape {arrays[0].shape}; give one-dimensional arrays")
-    for name, value in zip(
-        ("suspended_length", "curvature", "stretch_ratio"), arrays, strict=False
-    ):
+    names = ("suspended_length", "curvature", "stretch_ratio")
+    for name, value in zip(names, arrays, strict=False):
         low, high = LIMITS[name]
         bad = np.flatnonzero(~((value >= low) & (value <= high)))
         if bad.size:

@@ -113,7 +113,7 @@ def command(
             release=release,
             frame_interval=frames,
             device=device,
-            progress=lambda fraction: bar.update(100 * fraction),
+            progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
         )
     title = f"{curve.name} · {path.metadata.get('method', '')} · friction {friction:g}"
     try:
