@@ -162,9 +162,9 @@ def touch(
 def contact(
     # Model:
     shapes: wp.array2d(dtype=Shape),
-    radius: wp.array(dtype=wp.float64),
+    radius: wp.array2d(dtype=wp.float64),
     stiffness: wp.array2d(dtype=wp.float64),
-    skin: wp.array(dtype=wp.float64),
+    skin: wp.array2d(dtype=wp.float64),
     static_friction: wp.array2d(dtype=wp.float64),
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
@@ -188,8 +188,8 @@ def contact(
         return
     for k in range(shapes.shape[1]):
         c = touch(
-            shapes[r, k], radius[r], rolling[r], stiffness[r, i], skin[r], dof, dof_before,
-            bristle[r, k, i], r, i,
+            shapes[r, k], radius[r, i], rolling[r], stiffness[r, i], skin[r, i], dof,
+            dof_before, bristle[r, k, i], r, i,
         )  # fmt: skip
         if c.force > ZERO:
             mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
@@ -240,9 +240,9 @@ def add_spin(
 def settle_friction(
     # Model:
     shapes: wp.array2d(dtype=Shape),
-    radius: wp.array(dtype=wp.float64),
+    radius: wp.array2d(dtype=wp.float64),
     stiffness: wp.array2d(dtype=wp.float64),
-    skin: wp.array(dtype=wp.float64),
+    skin: wp.array2d(dtype=wp.float64),
     static_friction: wp.array2d(dtype=wp.float64),
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
@@ -264,8 +264,8 @@ def settle_friction(
     total = wp.vec3d(ZERO, ZERO, ZERO)
     for k in range(shapes.shape[1]):
         c = touch(
-            shapes[r, k], radius[r], rolling[r], stiffness[r, i], skin[r], dof, dof_before,
-            bristle[r, k, i], r, i,
+            shapes[r, k], radius[r, i], rolling[r], stiffness[r, i], skin[r, i], dof,
+            dof_before, bristle[r, k, i], r, i,
         )  # fmt: skip
         mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
         size = wp.length(c.bristle)
@@ -300,9 +300,9 @@ def forget_friction(
 def hold_roll(
     # Model:
     shapes: wp.array2d(dtype=Shape),
-    radius: wp.array(dtype=wp.float64),
+    radius: wp.array2d(dtype=wp.float64),
     stiffness: wp.array2d(dtype=wp.float64),
-    skin: wp.array(dtype=wp.float64),
+    skin: wp.array2d(dtype=wp.float64),
     roll_stiffness: wp.array(dtype=wp.float64),
     # State in:
     active: wp.array(dtype=wp.int32),
@@ -321,8 +321,8 @@ def hold_roll(
     last = gradient.shape[1] // 4
     for k in range(shapes.shape[1]):
         c = touch(
-            shapes[r, k], radius[r], ZERO, stiffness[r, i], skin[r], dof, dof_before,
-            bristle[r, k, i], r, i,
+            shapes[r, k], radius[r, i], ZERO, stiffness[r, i], skin[r, i], dof,
+            dof_before, bristle[r, k, i], r, i,
         )  # fmt: skip
         if c.force > ZERO:
             for side in range(2):

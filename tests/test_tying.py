@@ -97,6 +97,24 @@ def test_put_down_it_lies_over_the_other_rod(carried):
     assert recognise_knot(one).name == "unknot"
 
 
+def test_rods_of_two_thicknesses_lie_at_rest_each_on_its_own_radius():
+    thick = wrod.RodMaterial(0.004, 0.03, 0.15)
+    thin = wrod.RodMaterial(0.001, 0.03, 0.15)
+    lines = [
+        np.column_stack([ARC, 0 * ARC + 0.05 * k, 0 * ARC + rod.radius])
+        for k, rod in enumerate((thin, thick))
+    ]
+    start = np.concatenate(lines)[None]
+    table = Workbench(
+        [[thin, thick]], [ARC, ARC], start, np.array([[0.0, 1.0, 0.3]]),
+        (Friction(0.5), Friction(0.3)),
+    )  # fmt: skip
+    away = pose([0.0, 0.0, 0.2])
+    table.run(0.4, lambda t: [away, away])
+    for rod, before, after in zip((thin, thick), lines, table.positions(), strict=True):
+        assert np.abs(after[0] - before).max() < 0.01 * rod.radius
+
+
 def test_way_of_a_hand_passes_over():
     first, last = np.array([0.0, 0.0, 0.003]), np.array([0.1, 0.05, 0.003])
     path = hand_path(first, last, 0.05)
@@ -118,7 +136,8 @@ def test_handling_is_random_and_repeatable():
 @pytest.mark.parametrize("name", ["trefoil", "reef"])
 def test_shipped_plans(name):
     plan = KnotPlan.load_plan(KNOTS / f"{name}.json")
-    assert 1 <= sum(len(step) for step in plan.steps) <= 4
+    assert 1 <= len(plan.steps) <= 3
+    assert sum(len(step) for step in plan.steps) <= 6  # a few: two hands at once
     assert len(plan.pull) == 2
     for pattern, rod in plan.rods:
         assert pattern.length < rod.length

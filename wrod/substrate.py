@@ -83,9 +83,11 @@ class Contact:
 
     Args:
         batch: the rods.
-        radius: (rod,) radius of the section [length].
-        stiffness: (rod,) normal and tangential stiffness of the contact per length of rod
-            [force/length^2]: under its weight w per length a rod sinks in by about w / stiffness.
+        radius: (rod,) radius of the section, or (rod, node) in a batch whose rows hold several
+            rods [length].
+        stiffness: (rod,) or (rod, node) normal and tangential stiffness of the contact per length
+            of rod [force/length^2]: under its weight w per length a rod sinks in by about
+            w / stiffness.
         friction: one for all rods, one per rod, or for every rod a list of one per shape.
         shapes: planes, boxes and cylinders that every rod touches, or for every rod a list of its
             own; default: the table z = 0.
@@ -113,11 +115,8 @@ class Contact:
     def __post_init__(self) -> None:
         batch, device = self.batch, self.batch.device
         rods, nodes = batch.rod_count, batch.node_count
-        radius = np.broadcast_to(np.asarray(self.radius, dtype=float), (rods,))
-        stiffness = np.broadcast_to(np.asarray(self.stiffness, dtype=float), (rods,))
-        for name, value in (("radius", radius), ("stiffness", stiffness)):
-            if not (np.isfinite(value) & (value > 0)).all():
-                raise RodError(f"contact {name} must be positive and finite")
+        radius = _per_node("radius", self.radius, (rods, nodes))
+        stiffness = _per_node("stiffness", self.stiffness, (rods, nodes))
 
         def floats(values):
             return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
@@ -126,7 +125,7 @@ class Contact:
         self._model = [
             shapes,
             floats(radius),
-            floats(stiffness[:, None] * _node_lengths(batch)),
+            floats(stiffness * _node_lengths(batch)),
             floats(0.01 * radius),  # the skin: thin against the penetration that is allowed
             floats(static),
             floats(kinetic),
@@ -245,6 +244,16 @@ class Contact:
             outputs=[self._bristle, self._sliding, self.slip, self.force],
             device=self.batch.device,
         )
+
+
+def _per_node(name: str, values, shape: tuple[int, int]) -> np.ndarray:
+    """(rod, node) of what is given for all, per rod or per node."""
+    values = np.asarray(values, dtype=float)
+    if values.ndim < 2:
+        values = np.broadcast_to(values, shape[:1])[:, None]
+    if not (np.isfinite(values) & (values > 0)).all():
+        raise RodError(f"contact {name} must be positive and finite")
+    return np.broadcast_to(values, shape)
 
 
 def _node_lengths(batch: RodBatch) -> np.ndarray:

@@ -279,7 +279,7 @@ class Session:
         bench, knot = self.bench, self.knot
         heights = [self.plans[pull.rod][1].radius for pull in knot.pull]
         self._approach({h: np.array([*pull.where, heights[h]]) for h, pull in enumerate(knot.pull)})
-        begin = bench.time
+        begin = since = bench.time
         way = np.zeros((len(self.trials), 2))
         going = np.ones(len(self.trials), dtype=bool)
         starts = [np.array([*pull.where, 0.0]) for pull in knot.pull]
@@ -288,9 +288,16 @@ class Session:
         directions = [np.array([*pull.direction, 0.0]) for pull in knot.pull]
         directions = [d / np.linalg.norm(d) for d in directions]
 
+        far = np.array([pull.distance for pull in knot.pull])
+        speed = 0.5 * self.hand_speed * far / far.max()
+
+        def at(t: float) -> np.ndarray:
+            return way + going[:, None] * speed * (t - since)
+
         def poses(t: float) -> list[Poses]:
+            here = at(t)
             return [
-                self._hand(h, starts[h] + way[:, h, None] * directions[h], 0.0) for h in range(2)
+                self._hand(h, starts[h] + here[:, h, None] * directions[h], 0.0) for h in range(2)
             ]
 
         for hand, pull in enumerate(knot.pull):
@@ -298,12 +305,10 @@ class Session:
         load = np.zeros((len(self.trials), 2))
 
         def after() -> None:
-            nonlocal load
+            nonlocal load, way, since
             load = bench.held.load()
-            done = (load.min(axis=1) >= knot.load) | (way[:, 0] >= knot.pull[0].distance)
-            going[done] = False
-            far = np.array([pull.distance for pull in knot.pull])
-            way[going] += 0.5 * self.hand_speed * TICK * far / far.max()
+            way, since = at(bench.time), bench.time
+            going[(load.min(axis=1) >= knot.load) | (way[:, 0] >= far[0])] = False
             watch()
 
         watch = self._shoot(poses, "pull")

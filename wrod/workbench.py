@@ -148,7 +148,6 @@ class Workbench:
         position: (scene, node, 3) of all rods' nodes, one rod after the other [m].
         director: (scene, node - 1, 3) first material director of every edge, or (scene, 3).
         friction: of rods on the table, and of rods on rods.
-            The table is felt at the radius of the thickest rod of a scene.
         hands: how many there are.
         step: largest time step [s].
 
@@ -200,17 +199,16 @@ class Workbench:
         if cuts:
             batch.cut(cuts)
         self.batch = batch
-        radius = np.array([max(rod.radius for rod in scene) for scene in self.rods])
-        weight = np.array([max(rod.weight for rod in scene) for scene in self.rods])
+        radius, weight = self._along("radius"), self._along("weight")
         load = np.array([rod[0].weight * rod[0].gravito_bending_length for rod in self.rods])
         table, between = self.friction
         self.table = Contact(batch, radius, weight / (_SINKING * radius), table)
-        self.touch = RodContact(batch, radius=self._along("radius")[:, :-1], friction=between)
+        self.touch = RodContact(batch, radius=radius[:, :-1], friction=between)
         self.held = Hands(batch, self.hands)
         self.dynamics = Dynamics(
             batch,
             scheme="euler",
-            radius=radius,
+            radius=radius.max(axis=1),
             air_damping=self.air_damping,
             contact=[self.table, self.touch],
             motion=self.held,
