@@ -226,6 +226,7 @@ def judge_step(
 def shift_history(
     # State in:
     accepted: wp.array(dtype=wp.int32),
+    residual: wp.array2d(dtype=wp.float64),
     step: wp.array(dtype=wp.float64),
     coefficient: wp.array(dtype=wp.vec3d),
     dof: wp.array2d(dtype=wp.float64),
@@ -234,7 +235,10 @@ def shift_history(
     dof_older: wp.array2d(dtype=wp.float64),
     velocity: wp.array2d(dtype=wp.float64),
     velocity_older: wp.array2d(dtype=wp.float64),
+    # State out:
+    reaction_out: wp.array2d(dtype=wp.float64),
 ):
+    """Carry an accepted step over to the next, and keep the forces that hold the rod in it."""
     r, a = wp.tid()
     if accepted[r] == 0:
         return
@@ -242,6 +246,7 @@ def shift_history(
     velocity_older[r, a] = velocity[r, a]
     velocity[r, a] = v
     dof_older[r, a] = dof_before[r, a]
+    reaction_out[r, a] = residual[r, a]
 
 
 @wp.kernel

@@ -60,7 +60,7 @@ def carried():
     before = table.positions()
     table.held.grasp(0, 0, 24, poses(0.0)[0])
     table.run(0.75, poses)
-    middle, load = table.positions(), table.held.load()
+    middle, load = table.positions(), table.load()
     table.run(1.5, poses)
     held = table.positions()
     table.held.open(0, 0)

@@ -138,6 +138,8 @@ class Dynamics:
             wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(3)
         )
         self.dof_older = wp.clone(batch.state.dof)
+        # (rod, dof): forces that held prescribed degrees of freedom at the end of the last step.
+        self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
         self.keeps_recording, self._recording = keeps_recording, None
 
     def forget_recording(self) -> None:
@@ -401,8 +403,15 @@ class Dynamics:
             )
         self._per_dof(
             kernels.shift_history,
-            [self.accepted, self.step, self.coefficient, dof, start.dof],
-            [self.dof_older, self.velocity, self.velocity_older],
+            [
+                self.accepted,
+                batch.derivatives.gradient,
+                self.step,
+                self.coefficient,
+                dof,
+                start.dof,
+            ],
+            [self.dof_older, self.velocity, self.velocity_older, self.reaction],
         )
         self._copy(self.accepted, batch.state, start)
         self._copy(self.rejected, start, batch.state)

@@ -306,7 +306,7 @@ class Session:
 
         def after() -> None:
             nonlocal load, way, since
-            load = bench.held.load()
+            load = bench.load()
             way, since = at(bench.time), bench.time
             going[(load.min(axis=1) >= knot.load) | (way[:, 0] >= far[0])] = False
             watch()
@@ -316,7 +316,7 @@ class Session:
         while bench.time < begin + longest and going.any():
             bench.run(bench.time + 0.4, poses, after)
         bench.run(bench.time + _SETTLE, poses, watch)
-        load = bench.held.load()
+        load = bench.load()
         for result, pull in zip(self.results, load, strict=True):
             result.load = pull
         self.now = poses(bench.time)
@@ -344,7 +344,7 @@ class Session:
         return after
 
     def _slip(self, name: str) -> None:
-        load = self.bench.held.load()
+        load = self.bench.load()
         for scene, trial in enumerate(self.trials):
             for hand in range(2):
                 if self.bench.held.edge[scene, hand] < 0 or not trial.strength:

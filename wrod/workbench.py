@@ -102,14 +102,13 @@ class Hands:
             self._position[k].assign(position)
             self._rotation[k].assign(rotation)
 
-    def load(self) -> np.ndarray:
-        """(scene, hand) force with which each hand holds its edge against slipping out at the end
-        of the last step [N]; a hand that presses it on the table holds it the better."""
-        gradient = self.batch.derivatives.gradient.numpy()
+    def load(self, reaction: np.ndarray) -> np.ndarray:
+        """(scene, hand) force with which each hand holds its edge against slipping out [N]; a hand
+        that presses it on the table holds it the better. `reaction` (scene, dof) holds it [N]."""
         out = np.zeros(self.edge.shape)
         for (scene, hand), e in np.ndenumerate(self.edge):
             if e >= 0:
-                g = gradient[scene, 4 * e : 4 * e + 7]
+                g = reaction[scene, 4 * e : 4 * e + 7]
                 x, y, z = g[:3] + g[4:7]
                 out[scene, hand] = np.linalg.norm([x, y, max(z, 0.0)])
         return out
@@ -236,6 +235,10 @@ class Workbench:
         """(scene, node, 3) of each rod [m]."""
         nodes = self.batch.positions()
         return [nodes[:, s].copy() for s in self.slices]
+
+    def load(self) -> np.ndarray:
+        """(scene, hand) force with which each hand holds its rod after the last step [N]."""
+        return self.held.load(self.dynamics.reaction.numpy())
 
     def run(
         self,
