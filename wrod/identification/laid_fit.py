@@ -102,9 +102,11 @@ def fit_laid(
                   tail=after_plan)
             for v in many
         ]  # fmt: skip
-        watch = None
-        if progress is not None:
-            watch = lambda share: progress(share * len(many) / (3 * iterations + 1))  # noqa: E731
+
+        def watch(share: float) -> None:
+            if progress is not None:
+                progress(share * len(many) / (3 * iterations + 1))
+
         laid = simulate_deployments(trials, progress=watch, **options)
         if any(d.diverged for d in laid):
             raise DataError("a simulated deployment diverged; take a smaller step or other rods")

@@ -170,7 +170,7 @@ def is_motion(path: str | os.PathLike[str]) -> bool:
     try:
         with np.load(path, allow_pickle=False) as file:
             return "positions" in file.files and "rate_hz" in file.files
-    except Exception:
+    except Exception:  # whatever is wrong with the file, its loader says it
         return False
 
 

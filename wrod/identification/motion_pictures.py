@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from wrod.identification.motion_fit import errors_of
-from wrod.identification.pictures import (
-    _AFTER,
-    _BEFORE,
-    _INK,
-    _MEASURED,
-    _MUTED,
-    _dress,
-    _figure,
-    _png,
+from wrod.identification.style import (
+    AFTER,
+    BEFORE,
+    INK,
+    MEASURED,
+    MUTED,
+    as_png,
+    dress,
+    new_figure,
 )
 
 
@@ -24,7 +24,7 @@ def shapes(report, count: int = 6) -> bytes:
     r = int(np.argsort(error)[len(error) // 2])
     last = int(w.seen[r].sum()) - 1
     frames = np.linspace(last // count, last, count).astype(int)
-    figure = _figure(11.0, 3.0)
+    figure = new_figure(11.0, 3.0)
     line = w.markers[r, :, -2] - w.markers[r, :, 1]
     along = np.array([*line.mean(axis=0)[:2], 0.0])
     along /= max(np.linalg.norm(along), 1e-12)
@@ -35,26 +35,26 @@ def shapes(report, count: int = 6) -> bytes:
         def plane(points, origin=origin):
             return 1e2 * (points - origin) @ along, 1e2 * (points - origin)[:, 2]
 
-        axes.plot(*plane(report.predicted_before[r, f]), color=_BEFORE, lw=1.4, label="before")
-        axes.plot(*plane(report.predicted_after[r, f]), color=_AFTER, lw=1.4, label="after")
-        axes.plot(*plane(w.markers[r, f]), "o", ms=2.6, color=_MEASURED, label="measured", zorder=3)
+        axes.plot(*plane(report.predicted_before[r, f]), color=BEFORE, lw=1.4, label="before")
+        axes.plot(*plane(report.predicted_after[r, f]), color=AFTER, lw=1.4, label="after")
+        axes.plot(*plane(w.markers[r, f]), "o", ms=2.6, color=MEASURED, label="measured", zorder=3)
         axes.set_aspect("equal", adjustable="datalim")
-        _dress(axes)
-        axes.set_title(f"{f / report.measurements.rate:.1f} s", fontsize=9, color=_INK)
-        axes.set_xlabel("cm", fontsize=8, color=_MUTED)
+        dress(axes)
+        axes.set_title(f"{f / report.measurements.rate:.1f} s", fontsize=9, color=INK)
+        axes.set_xlabel("cm", fontsize=8, color=MUTED)
         if k == 0:
             axes.legend(fontsize=8, frameon=False)
-    return _png(figure)
+    return as_png(figure)
 
 
 def errors(report) -> bytes:
     """Error over time and of every test recording."""
     w, rate = report.windows, report.measurements.rate
-    figure = _figure(11.0, 3.0)
+    figure = new_figure(11.0, 3.0)
     left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
     series = (
-        ("before", report.predicted_before, _BEFORE),
-        ("after", report.predicted_after, _AFTER),
+        ("before", report.predicted_before, BEFORE),
+        ("after", report.predicted_after, AFTER),
     )
     for k, (label, predicted, color) in enumerate(series):
         error = np.where(w.seen, 1e3 * errors_of(w, predicted), np.nan)
@@ -62,23 +62,23 @@ def errors(report) -> bytes:
         left.plot(time, np.nanmean(error, axis=0), color=color, lw=1.4, label=label)
         place = np.arange(len(error)) + 0.4 * k - 0.2
         right.bar(place, np.nanmean(error, axis=1), width=0.38, color=color)
-    left.set_xlabel("time [s]", fontsize=8, color=_MUTED)
-    left.set_ylabel("mean |difference| [mm]", fontsize=8, color=_MUTED)
+    left.set_xlabel("time [s]", fontsize=8, color=MUTED)
+    left.set_ylabel("mean |difference| [mm]", fontsize=8, color=MUTED)
     left.legend(fontsize=8, frameon=False)
     right.set_xticks(
         range(len(w.recording)), [report.measurements.names[r] for r in w.recording], fontsize=8
     )
-    right.set_xlabel("test recording", fontsize=8, color=_MUTED)
+    right.set_xlabel("test recording", fontsize=8, color=MUTED)
     for axes in (left, right):
-        _dress(axes)
+        dress(axes)
         axes.set_ylim(bottom=0.0)
-    return _png(figure)
+    return as_png(figure)
 
 
 def residual(report) -> bytes:
     """Residual maps before and after, and the mean residual in two frames."""
     r = report.residual
-    figure = _figure(11.0, 3.2)
+    figure = new_figure(11.0, 3.2)
     axes = figure.subplots(1, 4, gridspec_kw={"width_ratios": [1.2, 1.2, 1.0, 1.0]})
     top = 1e3 * r.by_marker_before.max()
     for k, (title, value) in enumerate(
@@ -87,28 +87,28 @@ def residual(report) -> bytes:
         shown = axes[k].imshow(
             1e3 * value, aspect="auto", origin="lower", cmap="magma", vmin=0.0, vmax=top
         )
-        axes[k].set_title(f"{title}: mean |difference| [mm]", fontsize=9, color=_INK)
-        axes[k].set_xlabel("time", fontsize=8, color=_MUTED)
+        axes[k].set_title(f"{title}: mean |difference| [mm]", fontsize=9, color=INK)
+        axes[k].set_xlabel("time", fontsize=8, color=MUTED)
         axes[k].set_xticks([])
-        axes[k].set_ylabel("marker", fontsize=8, color=_MUTED)
-        axes[k].tick_params(labelsize=8, colors=_MUTED, length=0)
-    figure.colorbar(shown, ax=axes[1], shrink=0.9).ax.tick_params(labelsize=7, colors=_MUTED)
+        axes[k].set_ylabel("marker", fontsize=8, color=MUTED)
+        axes[k].tick_params(labelsize=8, colors=MUTED, length=0)
+    figure.colorbar(shown, ax=axes[1], shrink=0.9).ax.tick_params(labelsize=7, colors=MUTED)
     parts = (
         ("fixed in the laboratory", r.laboratory, ("x", "y", "z")),
         ("fixed to the rod", r.local, ("tangent", "inside of bend", "across")),
     )
     for panel, (title, value, labels) in zip(axes[2:], parts, strict=True):
-        for c, color in enumerate((_AFTER, _BEFORE, "#3a8f5c")):
+        for c, color in enumerate((AFTER, BEFORE, "#3a8f5c")):
             panel.plot(1e3 * value[:, c], color=color, lw=1.4, label=labels[c])
-        panel.axhline(0.0, color=_MUTED, lw=0.6)
+        panel.axhline(0.0, color=MUTED, lw=0.6)
         share = 100 * r.explained[title]
-        panel.set_title(f"{title}: {share:.0f} %", fontsize=9, color=_INK)
+        panel.set_title(f"{title}: {share:.0f} %", fontsize=9, color=INK)
         panel.xaxis.get_major_locator().set_params(integer=True)
-        panel.set_xlabel("marker", fontsize=8, color=_MUTED)
+        panel.set_xlabel("marker", fontsize=8, color=MUTED)
         panel.legend(fontsize=7, frameon=False)
-        _dress(panel)
-    axes[2].set_ylabel("mean residual before [mm]", fontsize=8, color=_MUTED)
-    return _png(figure)
+        dress(panel)
+    axes[2].set_ylabel("mean residual before [mm]", fontsize=8, color=MUTED)
+    return as_png(figure)
 
 
 def ladder(report) -> bytes | None:
@@ -119,20 +119,20 @@ def ladder(report) -> bytes | None:
     names = ["base model", *(e.name.replace("_", " ") for e in report.effects), "last fit"]
     validation = [s.validation_before, *(e.validation for e in report.effects), s.validation_after]
     test = [report.before, *(e.after for e in report.effects), report.after]
-    figure = _figure(11.0, 0.9 + 0.32 * len(names))
+    figure = new_figure(11.0, 0.9 + 0.32 * len(names))
     axes = figure.add_subplot()
     place = np.arange(len(names))
     axes.barh(place - 0.19, 1e3 * np.array(validation), 0.36, color="#c9ced6", label="validation")
-    axes.barh(place + 0.19, 1e3 * np.array(test), 0.36, color=_AFTER, label="test")
+    axes.barh(place + 0.19, 1e3 * np.array(test), 0.36, color=AFTER, label="test")
     for y, value in zip(place, test, strict=True):
-        axes.text(1e3 * value, y + 0.19, f" {1e3 * value:.2f}", fontsize=8, va="center", color=_INK)
+        axes.text(1e3 * value, y + 0.19, f" {1e3 * value:.2f}", fontsize=8, va="center", color=INK)
     axes.set_yticks(place, names, fontsize=9)
     axes.invert_yaxis()
-    axes.set_xlabel("mean |difference| [mm]", fontsize=8, color=_MUTED)
+    axes.set_xlabel("mean |difference| [mm]", fontsize=8, color=MUTED)
     axes.legend(fontsize=8, frameon=False)
-    _dress(axes)
+    dress(axes)
     axes.tick_params(axis="y", labelsize=9)
-    return _png(figure)
+    return as_png(figure)
 
 
 def correlation(report) -> bytes:
@@ -140,7 +140,7 @@ def correlation(report) -> bytes:
     s = report.selection
     chosen = len(s.model.effects)
     value = s.correlation[:chosen]
-    figure = _figure(11.0, 1.8 + 0.27 * chosen)
+    figure = new_figure(11.0, 1.8 + 0.27 * chosen)
     axes = figure.add_subplot()
     shown = axes.imshow(value, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     axes.set_xticks(
@@ -156,9 +156,9 @@ def correlation(report) -> bytes:
             if i != j and value[i, j] > 0:
                 axes.text(
                     j, i, f"{value[i, j]:.2f}", ha="center", va="center", fontsize=7,
-                    color="white" if value[i, j] > 0.6 else _INK,
+                    color="white" if value[i, j] > 0.6 else INK,
                 )  # fmt: skip
-    axes.axvline(chosen - 0.5, color=_INK, lw=0.8)
-    axes.tick_params(colors=_MUTED, length=0)
-    figure.colorbar(shown, ax=axes, shrink=0.9).ax.tick_params(labelsize=7, colors=_MUTED)
-    return _png(figure)
+    axes.axvline(chosen - 0.5, color=INK, lw=0.8)
+    axes.tick_params(colors=MUTED, length=0)
+    figure.colorbar(shown, ax=axes, shrink=0.9).ax.tick_params(labelsize=7, colors=MUTED)
+    return as_png(figure)

@@ -35,7 +35,6 @@ def write_page(path: Path, report) -> Path:
 def _page(report) -> str:
     from wrod.identification import pictures
 
-    name = html.escape(report.measurements.name)
     sections = [
         ("Measured and predicted", "Test trials, not fitted; seen in the vertical plane through "
          "both clamps.", pictures.shapes(report)),
@@ -48,11 +47,27 @@ def _page(report) -> str:
         ("Every effect alone", "Error on test trials after fitting one effect to the train trials.",
          pictures.ranking(report)),
     ]  # fmt: skip
+    numbers = [
+        ("before", report.before),
+        ("after", report.after),
+        ("noise floor", report.noise_floor),
+    ]
+    found = [(e.title, e.parameters, e.after) for e in report.effects]
+    return page(
+        report,
+        [numbers_of(numbers), effects_table(found, report.selection.confounded)],
+        sections,
+        _steps(report),
+    )
+
+
+def page(report, facts: list[str], sections: list[tuple[str, str, bytes]], steps: str) -> str:
+    """The page of a report: its verdict, `facts` (HTML), pictures with title and note, `steps`."""
+    name = html.escape(report.measurements.name)
     body = [
         f'<h1>{name} <span class="badge" style="background:{_COLORS[report.verdict]}">'
         f"{report.verdict}</span></h1><p>{html.escape(report.reason)}.</p>",
-        _numbers(report),
-        _effects_table(report),
+        *facts,
     ]
     for title, note, picture in sections:
         if picture:
@@ -61,31 +76,28 @@ def _page(report) -> str:
                 f'<h2>{title}</h2><p class="note">{note}</p>'
                 f'<img alt="{title}" src="data:image/png;base64,{data}">'
             )
-    body.append(_steps(report))
+    body.append(steps)
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name}</title>'
         f"<style>{_STYLE}</style></head><body>{''.join(body)}</body></html>\n"
     )
 
 
-def _numbers(report) -> str:
-    items = [
-        ("before", report.before),
-        ("after", report.after),
-        ("noise floor", report.noise_floor),
-    ]
+def numbers_of(items: list[tuple[str, float]]) -> str:
+    """Lengths [m] in a row, in millimetres."""
     cells = "".join(f"<div>{label}<b>{1e3 * v:.2f} mm</b></div>" for label, v in items)
     return f'<div class="numbers">{cells}</div>'
 
 
-def _effects_table(report) -> str:
-    if not report.effects:
+def effects_table(found: list[tuple[str, dict, float | None]], confounded) -> str:
+    """Title, parameters and error with it [m] of every effect found, and which are confounded."""
+    if not found:
         return ""
     rows = []
-    for effect in report.effects:
-        for i, (key, estimate) in enumerate(effect.parameters.items()):
-            first = f"<b>{html.escape(effect.title)}</b>" if i == 0 else ""
-            after = f"{1e3 * effect.after:.2f} mm" if i == 0 and effect.after is not None else ""
+    for title, parameters, error in found:
+        for i, (key, estimate) in enumerate(parameters.items()):
+            first = f"<b>{html.escape(title)}</b>" if i == 0 else ""
+            after = f"{1e3 * error:.2f} mm" if i == 0 and error is not None else ""
             rows.append(
                 f"<tr><td>{first}</td><td>{key.replace('_', ' ')}</td>"
                 f'<td class="n">{estimate.value:.4g} ± {estimate.stderr:.2g} {estimate.unit}</td>'
@@ -93,8 +105,9 @@ def _effects_table(report) -> str:
             )
     head = "<tr><th>effect</th><th>parameter</th><th>found</th><th>error with it</th></tr>"
     notes = "".join(
-        f'<p class="note">{" and ".join(c["effects"])} are confounded: {c["evidence"]}.</p>'
-        for c in report.selection.confounded
+        f'<p class="note">{" and ".join(c["effects"])} are confounded: '
+        f"{html.escape(c['evidence'])}.</p>"
+        for c in confounded
     )
     return f"<h2>What was found</h2><table>{head}{''.join(rows)}</table>{notes}"
 

@@ -2,45 +2,27 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 
-_INK, _FAINT, _MUTED = "#22262b", "#c9ced6", "#59616b"
-_MEASURED, _BEFORE, _AFTER = "#22262b", "#d9822b", "#0b5fa5"
-_SERIES = ("#0b5fa5", "#d9822b", "#3a8f5c")
-
-
-def _figure(width: float, height: float):
-    # Figure objects of their own: pyplot would keep state and choose a display.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _png(figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=120)
-    return buffer.getvalue()
-
-
-def _dress(axes) -> None:
-    axes.grid(color="#e6e9ee", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=8, colors=_MUTED, length=0)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(_FAINT)
+from wrod.identification.style import (
+    AFTER,
+    BEFORE,
+    FAINT,
+    INK,
+    MEASURED,
+    MUTED,
+    SERIES,
+    as_png,
+    dress,
+    new_figure,
+)
 
 
 def shapes(report, count: int = 4) -> bytes:
     """Measured markers and predictions before and after, for a few test trials."""
     m = report.measurements
     trials = m.test[:count]
-    figure = _figure(11.0, 3.4)
+    figure = new_figure(11.0, 3.4)
     for k, trial in enumerate(trials):
         axes = figure.add_subplot(1, len(trials), k + 1)
         start = m.clamp_position[trial]
@@ -52,19 +34,19 @@ def shapes(report, count: int = 4) -> bytes:
         def plane(points, along=along, start=start):
             return 1e2 * (points - start) @ along, 1e2 * (points - start)[:, 2]
 
-        axes.plot(*plane(report.predicted_before[trial]), color=_BEFORE, lw=1.4, label="before")
-        axes.plot(*plane(report.predicted_after[trial]), color=_AFTER, lw=1.4, label="after")
+        axes.plot(*plane(report.predicted_before[trial]), color=BEFORE, lw=1.4, label="before")
+        axes.plot(*plane(report.predicted_after[trial]), color=AFTER, lw=1.4, label="after")
         axes.plot(
-            *plane(m.centerline[trial]), "o", ms=2.6, color=_MEASURED, label="measured", zorder=3
+            *plane(m.centerline[trial]), "o", ms=2.6, color=MEASURED, label="measured", zorder=3
         )
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set_title(f"trial {trial}", loc="left", fontsize=9.5, color=_MUTED)
+        axes.set_title(f"trial {trial}", loc="left", fontsize=9.5, color=MUTED)
         axes.set_xlabel("along [cm]", fontsize=8.5)
         if k == 0:
             axes.set_ylabel("up [cm]", fontsize=8.5)
             axes.legend(fontsize=8, frameon=False)
-        _dress(axes)
-    return _png(figure)
+        dress(axes)
+    return as_png(figure)
 
 
 def residuals(report) -> bytes:
@@ -74,29 +56,29 @@ def residuals(report) -> bytes:
         1e3 * np.linalg.norm(predicted - m.centerline, axis=2)
         for predicted in (report.predicted_before, report.predicted_after)
     ]
-    figure = _figure(11.0, 3.6)
+    figure = new_figure(11.0, 3.6)
     top = max(float(np.percentile(maps[0], 99)), 2e3 * m.noise_floor)
     for k, (values, title) in enumerate(zip(maps, ("before", "after"), strict=True)):
         axes = figure.add_subplot(1, 2, k + 1)
         image = axes.imshow(values, aspect="auto", cmap="viridis", vmin=0.0, vmax=top)
-        axes.set_title(title, loc="left", fontsize=9.5, color=_MUTED)
+        axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
         axes.set_xlabel("marker", fontsize=8.5)
         axes.set_ylabel("trial (test trials marked)" if k == 0 else "", fontsize=8.5)
-        axes.plot(np.full(len(m.test), -1.2), m.test, ">", ms=4, color=_AFTER, clip_on=False)
+        axes.plot(np.full(len(m.test), -1.2), m.test, ">", ms=4, color=AFTER, clip_on=False)
         axes.set_xlim(-0.5, values.shape[1] - 0.5)
-        axes.tick_params(labelsize=8, colors=_MUTED, length=0)
+        axes.tick_params(labelsize=8, colors=MUTED, length=0)
         for spine in axes.spines.values():
             spine.set_visible(False)
     bar = figure.colorbar(image, ax=figure.axes, pad=0.01)
     bar.set_label("distance [mm]", fontsize=8.5)
-    bar.ax.tick_params(labelsize=8, colors=_MUTED)
+    bar.ax.tick_params(labelsize=8, colors=MUTED)
     bar.outline.set_visible(False)
-    return _png(figure)
+    return as_png(figure)
 
 
 def force_print(report) -> bytes:
     """The likeliest print and the evidence of all of them."""
-    figure = _figure(11.0, 3.6)
+    figure = new_figure(11.0, 3.6)
     axes = figure.add_subplot(1, 2, 1)
     best = report.prints[0]
     if best.arc_length is None:
@@ -108,15 +90,15 @@ def force_print(report) -> bytes:
             place,
             factor * best.value,
             yerr=2 * factor * best.stderr,
-            color=_AFTER,
+            color=AFTER,
             width=0.6,
-            ecolor=_INK,
+            ecolor=INK,
         )
         labels = [f"{name}\n[{u}]" for name, (_, u) in zip(best.components, units, strict=True)]
         axes.set_xticks(place, labels, fontsize=8)
     else:
         for column, label in enumerate(best.components):
-            color = _SERIES[column % len(_SERIES)]
+            color = SERIES[column % len(SERIES)]
             value, error = best.value[:, column], 2 * best.stderr[:, column]
             axes.plot(best.arc_length, value, color=color, lw=1.6, label=label)
             axes.fill_between(
@@ -124,24 +106,24 @@ def force_print(report) -> bytes:
             )
         axes.set_xlabel("arc length [m]", fontsize=8.5)
         axes.legend(fontsize=8, frameon=False, ncol=3)
-    axes.axhline(0.0, color=_FAINT, lw=0.8, zorder=0)
+    axes.axhline(0.0, color=FAINT, lw=0.8, zorder=0)
     if best.arc_length is not None:
         axes.set_ylabel(f"[{best.unit}]" if best.unit else "relative change", fontsize=8.5)
-    axes.set_title(f"{best.title} (± 2 standard errors)", loc="left", fontsize=9, color=_MUTED)
-    _dress(axes)
+    axes.set_title(f"{best.title} (± 2 standard errors)", loc="left", fontsize=9, color=MUTED)
+    dress(axes)
     axes = figure.add_subplot(1, 2, 2)
     names = [p.name.replace("_", " ") for p in report.prints][::-1]
     values = [max(p.evidence, 0.0) for p in report.prints][::-1]
-    axes.barh(names, values, color=[_FAINT] * (len(names) - 1) + [_AFTER], height=0.62)
+    axes.barh(names, values, color=[FAINT] * (len(names) - 1) + [AFTER], height=0.62)
     for y, p in enumerate(report.prints[::-1]):
         axes.text(
             max(p.evidence, 0.0), y, f"  {100 * max(p.share, 0.0):.0f} %",
-            va="center", fontsize=8, color=_MUTED,
+            va="center", fontsize=8, color=MUTED,
         )  # fmt: skip
     axes.set_xlim(0.0, 1.15 * max(*values, 1.0))
-    axes.set_title("log evidence, and share of the excess", loc="left", fontsize=9, color=_MUTED)
-    _dress(axes)
-    return _png(figure)
+    axes.set_title("log evidence, and share of the excess", loc="left", fontsize=9, color=MUTED)
+    dress(axes)
+    return as_png(figure)
 
 
 def _end_unit(component: str) -> tuple[float, str]:
@@ -157,21 +139,21 @@ def ranking(report) -> bytes | None:
     if not scored:
         return None
     scored.sort(key=lambda c: c["test_mm"])
-    figure = _figure(11.0, 0.8 + 0.2 * len(scored))
+    figure = new_figure(11.0, 0.8 + 0.2 * len(scored))
     axes = figure.add_subplot()
     chosen = {e.name for e in report.effects}
     names = [c["name"].replace("_", " ") for c in scored][::-1]
-    colors = [_AFTER if c["name"] in chosen else _FAINT for c in scored][::-1]
+    colors = [AFTER if c["name"] in chosen else FAINT for c in scored][::-1]
     axes.barh(names, [c["test_mm"] for c in scored][::-1], color=colors, height=0.66)
     lines = (
-        ("base model", report.before, _BEFORE),
-        ("chosen model", report.after, _AFTER),
-        ("noise floor", report.noise_floor, _INK),
+        ("base model", report.before, BEFORE),
+        ("chosen model", report.after, AFTER),
+        ("noise floor", report.noise_floor, INK),
     )
     for label, value, color in lines:
         axes.axvline(1e3 * value, color=color, lw=1.3, label=f"{label} {1e3 * value:.2f} mm")
     axes.set_xlabel("test error [mm]", fontsize=8.5)
     axes.legend(fontsize=8, frameon=True, facecolor="white", edgecolor="none", loc="upper right")
-    _dress(axes)
+    dress(axes)
     axes.tick_params(axis="y", labelsize=7.5)
-    return _png(figure)
+    return as_png(figure)
