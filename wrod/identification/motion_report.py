@@ -24,6 +24,7 @@ from wrod.identification.motion_selection import (
     select_motion,
     verdict_of,
 )
+from wrod.identification.motion_trace import MotionTrace, trace_motion
 from wrod.identification.motion_windows import Windows
 
 METRIC = (
@@ -65,7 +66,7 @@ class MotionReport:
         base: what the base model has fitted.
         effects: what was added, in order.
         candidates: every effect in the first round.
-        selection, residual: the whole evidence.
+        selection, residual, trace: the whole evidence.
         windows: the test recordings; predicted_before, predicted_after: (W, F, M, 3) [m].
     """
 
@@ -81,6 +82,7 @@ class MotionReport:
     candidates: tuple[dict, ...]
     selection: MotionSelection
     residual: Residual
+    trace: MotionTrace
     windows: Windows
     predicted_before: np.ndarray
     predicted_after: np.ndarray
@@ -125,6 +127,7 @@ class MotionReport:
                 for r in s.rounds
             ],
             "residual": self.residual.to_dict(),
+            "trace": self.trace.to_dict(),
             "recordings": {
                 "fit": [m.names[r] for r in m.fit],
                 "validation": [m.names[r] for r in m.validation],
@@ -196,7 +199,14 @@ def identify_motion(
         chosen = [c if isinstance(c, Effect) else _known(c, known) for c in candidates]
     laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=resolve_device(device))
     selection = select_motion(laboratory, chosen, progress=progress)
-    return _report(laboratory, selection)
+    if progress:
+        progress("force print")
+    looked_at = np.union1d(m.fit, m.validation)
+    base = Model(selection.model.effects[: len(BASE)])
+    evidence = trace_motion(
+        m, base, selection.base_values, looked_at, int(m.validation[0]), device=laboratory.device
+    )
+    return _report(laboratory, selection, evidence)
 
 
 def _known(name: str, known: dict[str, Effect]) -> Effect:
@@ -205,7 +215,9 @@ def _known(name: str, known: dict[str, Effect]) -> Effect:
     return known[name]
 
 
-def _report(laboratory: MotionLaboratory, selection: MotionSelection) -> MotionReport:
+def _report(
+    laboratory: MotionLaboratory, selection: MotionSelection, evidence: MotionTrace
+) -> MotionReport:
     m = laboratory.measurements
     windows = laboratory.windows(m.test)
     base = Model(selection.model.effects[: len(BASE)])
@@ -231,6 +243,7 @@ def _report(laboratory: MotionLaboratory, selection: MotionSelection) -> MotionR
         candidates=tuple(_candidate(c) for c in selection.rounds[0].candidates),
         selection=selection,
         residual=residual_of(laboratory, windows, before, after),
+        trace=evidence,
         windows=windows,
         predicted_before=before,
         predicted_after=after,

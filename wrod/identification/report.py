@@ -112,21 +112,7 @@ class IdentificationReport:
                 "final": s.fit.chi_squared,
                 "residuals": s.fit.residual_count,
             },
-            "prints": [
-                {
-                    "name": p.name,
-                    "title": p.title,
-                    "unit": p.unit,
-                    "log_evidence": p.evidence,
-                    "share_of_excess": p.share,
-                    "points_to": list(p.points_to),
-                    "components": list(p.components),
-                    "arc_length": None if p.arc_length is None else p.arc_length.tolist(),
-                    "value": p.value.tolist(),
-                    "stderr": p.stderr.tolist(),
-                }
-                for p in self.prints
-            ],
+            "prints": [p.to_dict() for p in self.prints],
         }
 
     def save(self, out: str | os.PathLike[str]) -> list[Path]:
