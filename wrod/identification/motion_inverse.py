@@ -12,7 +12,7 @@ of every span is left free: what is looked at are the combinations of reactions 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -29,8 +29,8 @@ from wrod.identification.motion_windows import Windows, windows_of
 from wrod.kernels import motion as kernels
 from wrod.statics import EquilibriumSolver, prescribe
 
-# Paths are smoothed by quartics over this long to each side [s]: accelerations keep 98 % at 6 Hz.
-_REACH, _ORDER = 0.05, 4
+# Standard deviation of the Gaussian that paths are smoothed with, in time and at least [s, frames].
+_SMOOTH, _LEAST = 0.015, 1.2
 # Rounds in which the tensions and the shapes between markers settle, and what is expected of the
 # missing force meanwhile, over the weight.
 _ROUNDS, _EXPECTED = 3, 0.1
@@ -153,9 +153,10 @@ def inverse_motion(
     out, and so are those in which no equilibrium between the markers is found.
     """
     m = measurements
-    reach = max(_ORDER, round(_REACH * m.rate))
+    weights = _smoothing(m.rate)
+    reach = weights.shape[1] // 2
     sampled = _sampled(m, np.asarray(recordings), spacing, reach)
-    path = _smoothed(m, setup, sampled, reach)
+    path = _smoothed(m, setup, sampled, weights)
     batch, loads = _batch(m, setup, path, device)
     k = _Condensation(m, setup, path, batch, loads, reach)
     for _ in range(_ROUNDS):
@@ -173,21 +174,29 @@ def _sampled(m, recordings, spacing, reach):
     return np.array(out, dtype=int).reshape(-1, 2)
 
 
-def _smoothed(m, setup, sampled, reach) -> SimpleNamespace:
+def _smoothing(rate: float) -> np.ndarray:
+    """(3, 2 k + 1) weights for the path, its velocity and its acceleration, from neighbours.
+
+    A Gaussian and its derivatives: what is fast is weakened alike in all three, so that smoothed
+    paths still obey the equations of motion, to first order.
+    """
+    width = max(_LEAST, _SMOOTH * rate)
+    k = np.arange(-int(np.ceil(4 * width)), int(np.ceil(4 * width)) + 1)
+    bell = np.exp(-0.5 * (k / width) ** 2)
+    first = k * bell
+    second = ((k / width) ** 2 - 1.0) * bell
+    second -= bell * second.sum() / bell.sum()
+    return np.stack(
+        [bell / bell.sum(), first * rate / (first @ k), 2.0 * second * rate**2 / (second @ k**2)]
+    )
+
+
+def _smoothed(m, setup, sampled, weights) -> SimpleNamespace:
     """Nodes with velocity and acceleration in the sampled frames, and their windows."""
-    from dataclasses import replace
-
-    from scipy.signal import savgol_coeffs
-
     recording, frame = sampled.T
+    reach = weights.shape[1] // 2
     around = frame[:, None] + np.arange(-reach, reach + 1)
     x = m.positions[recording[:, None], around]
-    weights = np.stack(
-        [
-            savgol_coeffs(2 * reach + 1, _ORDER, deriv=d, delta=1.0 / m.rate, use="dot")
-            for d in range(3)
-        ]
-    )
     pieces = int(setup.marker_node[2] - setup.marker_node[1])
     position = m.positions.copy()
     position[recording, frame] = np.einsum("k,skmc->smc", weights[0], x)

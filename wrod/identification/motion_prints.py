@@ -186,7 +186,7 @@ def _hypotheses(seen: InverseMotion, arc_length: np.ndarray) -> list[_Hypothesis
     place = setup.marker_node[1:-1]
     fine = np.stack([np.interp(np.arange(len(mass)), place, e) for e in np.eye(len(place))], 1)
     shifted = -np.einsum("nk,snic->snikc", fine, frames[..., :2]).reshape(*pull.shape, -1)
-    masses = np.einsum("n,nk,sni->snik", setup.node_length, fine, pull)
+    masses = np.einsum("n,nk,sni->snik", setup.node_length, fine[:, 1:-1], pull)
 
     def along(vectors):
         """Columns of a force per mass (S, n, 3, components) times each knot's hat."""
@@ -207,7 +207,7 @@ def _hypotheses(seen: InverseMotion, arc_length: np.ndarray) -> list[_Hypothesis
         _Hypothesis(
             "force_with_acceleration", "force that follows gravity less acceleration, as a "
             "relative change of mass", "", ("mass_gradient", "point_mass"), ("mass",), 0.1,
-            (-0.5, 10.0), seen.force(masses), arc_length, smooth=False,
+            (-0.5, 10.0), seen.force(masses), arc_length[1:-1], smooth=False,
         ),
         _Hypothesis(
             "force_with_velocity", "force against the velocity", "1/s", ("air_damping",),

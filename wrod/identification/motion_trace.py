@@ -23,10 +23,10 @@ _SPACING, _SHOWN_SPACING = 0.2, 0.02
 # Edges between neighbouring markers: nothing is integrated, so the mesh may be finer than a fit's,
 # whose own error would look like a stiffness.
 _SUBDIVISIONS = 4
+# Distances that markers may seem to sit from where the model puts them [m]; below the first a mesh
+# cannot be trusted.
+_PLACEMENTS = 1e-3 * np.array([0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0])
 # Sizes that the missing force may have in a frame, over the weight.
-_PLACEMENTS = 1e-3 * np.array(
-    [0.0, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0]
-)
 _SIZES = np.logspace(-2, 1.5, 43)
 
 
