@@ -66,8 +66,10 @@ def grips(rods: int, seed: int) -> np.ndarray:
 
 
 def moved(hidden=None, rods=8, seed=1):
-    """Recordings of a viscous rod with something hidden; on the mesh of the print, whose own error would
-    be a stiffness that is missing."""
+    """Recordings of a viscous rod with something hidden.
+
+    They are on the mesh of the print, whose own error would be a stiffness that is missing.
+    """
     ends = grips(rods, seed)
     u = np.linspace(0.0, 1.0, MARKERS - 2)[:, None]
     a, b = ends[:, :, None, 1], ends[:, :, None, 2]
@@ -126,7 +128,7 @@ def test_wind_is_fixed_in_the_laboratory_where_it_blows(traces):
     blown, turned = (named(trace, f"force_in_{frame}") for frame in ("laboratory", "material"))
     assert trace.prints[0] is blown
     assert blown.share > turned.share and trace.steps[1][1] > 0.95
-    assert blown.value[4:6, 1] == pytest.approx(WIND / GRAVITY, rel=0.25)
+    assert blown.value[4:6, 1].mean() == pytest.approx(WIND / GRAVITY, rel=0.25)
     assert np.abs(blown.value[1:3, 1]).max() < 0.25 * WIND / GRAVITY
     value, _ = trace.force.mean("laboratory")
     assert np.argmax(np.abs(value).max(axis=1)) >= len(value) // 2

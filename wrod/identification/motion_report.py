@@ -14,6 +14,7 @@ from wrod.batch import resolve_device
 from wrod.errors import DataError
 from wrod.files import write_atomically
 from wrod.identification.effect import Effect, Estimate, Model, effects
+from wrod.identification.model_file import with_effects, write_model
 from wrod.identification.motion_data import MotionMeasurements
 from wrod.identification.motion_fit import MotionLaboratory
 from wrod.identification.motion_loading import load_motion
@@ -24,15 +25,18 @@ from wrod.identification.motion_selection import (
     select_motion,
     verdict_of,
 )
+from wrod.identification.motion_setup import START_L_GB
 from wrod.identification.motion_trace import MotionTrace, trace_motion
 from wrod.identification.motion_windows import Windows
+from wrod.material import RodMaterial
 
 METRIC = (
     "mean |difference| over coordinates and all markers, held ones as zero, from frame 2 to the "
     "last of the test recordings [mm]"
 )
 _FORMAT = "wrod-motion-identification-1"
-_MODEL_FORMAT = "wrod-motion-model-1"
+# Radius over gravito-bending length of the USB cable of the paper's Table 2.
+_SLENDER = 0.0018 / 0.0801
 
 
 @dataclass(frozen=True)
@@ -144,27 +148,29 @@ class MotionReport:
 
         out = Path(out)
         content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        model = json.dumps(self.model_content(), indent=2, allow_nan=False) + "\n"
+        s = self.selection
         return [
             write_atomically(out / "report.json", lambda file: file.write(content)),
             write_motion_page(out / "report.html", self),
-            write_atomically(out / "model.json", lambda file: file.write(model)),
+            write_model(
+                out / "model.json", self.material, s.model, s.values, ("radius", "density")
+            ),
         ]
 
-    def model_content(self) -> dict:
-        """The fitted model: the rod's numbers, and every effect with its raw parameters."""
+    @property
+    def material(self) -> RodMaterial:
+        """The rod with what its own numbers can carry of the model.
+
+        Its length is that from the first marker to the last. Radius and density cannot be seen in
+        motion: density drops out of every plan, and the radius is that of a common cable of its
+        stiffness, L_gb / 45.
+        """
         m, s = self.measurements, self.selection
-        return {
-            "format": _MODEL_FORMAT,
-            "marker_arc_length": m.marker_arc_length.tolist(),
-            "gravity": m.gravity,
-            "gravito_bending_length": self.base["stiffness"]["L_gb"].value,
-            "effects": [
-                {"name": e.name, "parameters": dict(zip((p.key for p in e.parameters), v.tolist(),
-                                                        strict=True))}
-                for e, v in zip(s.model.effects, s.model.split(s.values), strict=True)
-            ],
-        }  # fmt: skip
+        lgb = self.base["stiffness"]["L_gb"].value
+        rod = RodMaterial(
+            _SLENDER * lgb, START_L_GB, float(m.marker_arc_length[-1]), gravity=m.gravity
+        )
+        return with_effects(rod, s.model, s.values, m)
 
 
 def identify_motion(
