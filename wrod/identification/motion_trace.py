@@ -123,10 +123,15 @@ def trace_motion(
     setup = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
     setup = base.setup(setup, values)
     field = _field(m, setup, recordings, _SPACING, device)
-    close = _field(m, setup, [shown], _SHOWN_SPACING, device, field.placement)
-    force, shown = field.missing_force(), close.missing_force()
     prints, steps, remaining = find_prints(field.seen, field.arc_length, field.weigh)
-    return MotionTrace(force, shown, prints, steps, remaining, field.size, field.placement)
+    unexplained, placement = field.size, field.placement
+    # What a print takes away is no misplaced marker.
+    field.fit(field.seen.missing, placement)
+    close = _field(m, setup, [shown], _SHOWN_SPACING, device, placement)
+    return MotionTrace(
+        field.missing_force(), close.missing_force(), prints, steps, remaining, unexplained,
+        placement,
+    )  # fmt: skip
 
 
 def _field(m, setup, recordings, spacing, device, placement=None) -> _Field:
