@@ -275,6 +275,8 @@ def _simulate(
     end = dynamics.advance(ends, step, **advance)
     note(ends)
     released = batch.positions()
+    speed = np.linalg.norm(dynamics.velocities(), axis=2).max(axis=1)
+    penetration = contact.penetration()
     film = None if frames is None else frames.numpy()
     deployments = []
     for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
@@ -298,6 +300,8 @@ def _simulate(
                 float(end.time[k]),
                 int(end.steps[k]),
                 pictures,
+                float(speed[k]),
+                float(penetration[k]),
             )
         )
     return deployments

@@ -126,7 +126,9 @@ def command(
     placed = (
         None
         if fixtures is None
-        else [fixtures.judge(d.released_centerline, rod.radius) for d in deployments]
+        else [
+            fixtures.judge(d.released_centerline, rod.radius, d.released_speed) for d in deployments
+        ]
     )
     figures = {
         "pattern": curve.name,
