@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wrod.deployment_setup import DEVIATIONS
 from wrod.errors import PatternError
 from wrod.fixtures import Fixture, Fixtures
 from wrod.grasp_sources import MIN_SUSPENDED_LENGTH
@@ -80,11 +81,38 @@ def _sideways(pattern, place, laid, hanging, height) -> float:
     return largest
 
 
+def sideways_deviation(
+    pattern: Pattern, rod: RodMaterial, place: np.ndarray, side: np.ndarray
+) -> np.ndarray:
+    """Standard deviation of where a rod comes down, across the pattern [m].
+
+    The root sum of squares of `wrod.deployment_setup.DEVIATIONS`: the robot's place, its yaw about
+    the pattern's start, the grip's shaking, the natural curvature of the last L_gb before the
+    contact, which bends freely, and the error in L_gb, with which the hanging rod's way to the side
+    scales.
+
+    Args:
+        pattern, rod: what is laid.
+        place: (n,) along the pattern [m].
+        side: (n,) how far to the side the rod still is (`approach`) [m].
+    """
+    one = DEVIATIONS
+    start = pattern.sample(0.0)[0][0]
+    lever = np.linalg.norm(pattern.sample(place)[0] - start, axis=1)
+    parts = (
+        one["placement"],
+        one["jitter"],
+        one["yaw"] * lever,
+        one["natural_curvature"] * rod.gravito_bending_length**2 / 2.0,
+        one["lgb_error"] * side,
+    )
+    return np.sqrt(sum(np.square(part) for part in parts))
+
+
 def design_gates(
     pattern: Pattern,
     rod: RodMaterial,
     *,
-    deviation: float,
     pitch: float,
     radius: float = 0.004,
     height: float = 0.004,
@@ -93,16 +121,15 @@ def design_gates(
 ) -> Fixtures:
     """Pairs of posts between which a plan lays a rod, about `pitch` apart.
 
-    The rod slips in if its middle comes down between the posts, so each stands 3 deviations from
-    where the middle is meant to be: from the pattern on the one side, and on the side from which
-    the rod comes as much farther out as it still is when it is as low as the posts. Among all
-    places, gates stand where that is least; the tight side is the inner one of a bend, which the
-    rod presses on once it is laid.
+    The rod slips in if its middle comes down between the posts, so each stands three times
+    `sideways_deviation` from where the middle is meant to be: from the pattern on the one side, and
+    on the side from which the rod comes as much farther out as it still is when it is as low as the
+    posts. Among all places, gates stand where that is least. The tight side is the inner one of a
+    bend, which the rod presses on once it is laid.
 
     Args:
         pattern: the rod's way; gates begin 3 cm from its start.
         rod: with its radius.
-        deviation: standard deviation of where the rod comes down, sideways [m].
         pitch: wanted distance between gates; none are less than half or more than one and a half
             of it apart [m].
         radius, height: of the posts [m].
@@ -115,13 +142,14 @@ def design_gates(
     places, side = approach(pattern, rod, height, closure=closure)
     chosen = _choose(places, np.abs(side), pitch, pattern.length)
     position, tangent, _ = pattern.sample(places[chosen])
-    clear = max(3.0 * deviation, rod.radius)
+    clear = 3.0 * sideways_deviation(pattern, rod, places[chosen], side[chosen])
+    clear = np.maximum(clear, 1.5 * rod.radius)
     items, gates = [], []
-    for k, (point, left, off) in enumerate(
-        zip(position, _left(tangent), side[chosen], strict=True), start=1
+    for k, (point, left, off, margin) in enumerate(
+        zip(position, _left(tangent), side[chosen], clear, strict=True), start=1
     ):
         for label, sign in (("left", 1.0), ("right", -1.0)):
-            away = sign * (clear + max(sign * off, 0.0) + radius)
+            away = sign * (margin + max(sign * off, 0.0) + radius)
             x, y = (float(v) for v in np.round((point + away * left)[:2], 5))
             post = Cylinder((x, y, height / 2), radius, height / 2)
             items.append(Fixture(f"{k}-{label}", post))
