@@ -49,6 +49,7 @@ def command(
     from wrod.batch import resolve_device
     from wrod.bench import machine_line
     from wrod.bench.applications_cables import disturbances_text
+    from wrod.bench.applications_cables_picture import draw_cables
     from wrod.bench.applications_report import METHODS, draw, markdown, table
     from wrod.bench.applications_trials import run_trials
     from wrod.bench.ledger import Ledger
@@ -87,6 +88,8 @@ def command(
     text = markdown(cells) + "\n" + disturbances_text(rows)
     (out / "applications.md").write_text(text, encoding="utf-8")
     written += [out / "applications.md", draw(out / "applications.png", rows), ledger.path]
+    cables = draw_cables(out / "cables.png", rows)
+    written += [] if cables is None else [cables]
     figures = {
         "machine": machine_line(device),
         "device": device,

@@ -89,3 +89,37 @@ def disturbances_text(rows: list[dict]) -> str:
     ]
     lines += [f"| {name} | {size:g} | {rms(pick, scale)} |" for name, size, pick, scale in entries]
     return "\n".join(lines) + f"\n\n{_KNOTS}\n"
+
+
+# How far beside a gate, and how high above it, the cable's way there is kept [m].
+_NEAR, _LOW = 0.04, 0.03
+
+
+def ways_to_gates(frames: np.ndarray, fixtures: Fixtures) -> list[list]:
+    """How the cable comes to each gate: (y, z) of its middle in the gate's plane over time [mm], y
+    from the middle of the gate to the left, z from where it lies on the table.
+
+    Args:
+        frames: (frame, node, 3) [m].
+        fixtures: whose gates.
+    """
+    by_name = {item.name: np.array(item.shape.center[:2]) for item in fixtures.items}
+    out = []
+    for left, right in fixtures.gates:
+        a, b = by_name[left], by_name[right]
+        across = (a - b) / np.linalg.norm(a - b)
+        flat = frames[:, :, :2] - (a + b) / 2
+        y = flat @ across
+        ahead = flat @ np.array([across[1], -across[0]])
+        frame, node = np.nonzero((ahead[:, :-1] < 0) & (ahead[:, 1:] >= 0))
+        part = ahead[frame, node] / (ahead[frame, node] - ahead[frame, node + 1])
+
+        def there(values, frame=frame, node=node, part=part):
+            first = values[frame, node]
+            return first + part * (values[frame, node + 1] - first)
+
+        side, height = there(y), there(frames[:, :, 2])
+        near = (np.abs(side) < _NEAR) & (height < _LOW)
+        way = 1e3 * np.column_stack([side, height])[near]
+        out.append(np.round(way, 1).tolist())
+    return out

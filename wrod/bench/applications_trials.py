@@ -77,9 +77,7 @@ def _cable(case, method, trials, device, folder):
         for trial in trials
     ]
     clock = time.process_time()
-    deployments = simulate_deployments(
-        jobs, release=_RELEASE, device=device, frame_interval=_FILM if folder else None
-    )
+    deployments = simulate_deployments(jobs, release=_RELEASE, device=device, frame_interval=_FILM)
     seconds = (time.process_time() - clock) / len(trials)
     rows = cable_rows(case, method, trials, jobs, deployments, seconds)
     if folder is None:
@@ -93,6 +91,8 @@ def _cable(case, method, trials, device, folder):
 def cable_rows(case, method, trials, jobs, deployments, seconds) -> list[dict]:
     """What the ledger keeps of each deployment of a cable."""
     from dataclasses import asdict
+
+    from wrod.bench.applications_cables import ways_to_gates
 
     rows = []
     for trial, job, d in zip(trials, jobs, deployments, strict=True):
@@ -112,10 +112,19 @@ def cable_rows(case, method, trials, jobs, deployments, seconds) -> list[dict]:
                 "speed": d.released_speed,
                 "penetration": d.penetration / material.radius,
                 "disturbance": asdict(job.disturbance),
-                "curves": {"end": [_kept(d.released_centerline)]},
+                "ways": ways_to_gates(d.frames, fixtures),
+                "curves": {
+                    "film": [_kept(d.frames[k]) for k in _stages(len(d.frames))],
+                    "end": [_kept(d.released_centerline)],
+                },
             }
         )
     return rows
+
+
+def _stages(frames: int) -> list[int]:
+    """A few moments while the rod is laid."""
+    return (np.linspace(0.1, 0.9, 7) * (frames - 1)).astype(int).tolist()
 
 
 def _cable_stage(folder, case, method, trial, d, material, pattern, fixtures):
