@@ -145,7 +145,12 @@ def command(
                 **(
                     {}
                     if placed is None
-                    else {"placed": placed[k].placed, "gates": placed[k].gates.tolist()}
+                    else {
+                        "placed": placed[k].placed,
+                        "gates": placed[k].gates.tolist(),
+                        "released_speed": d.released_speed,
+                        "penetration": d.penetration,
+                    }
                 ),
             }
             for k, d in enumerate(deployments)
