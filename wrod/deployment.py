@@ -300,8 +300,8 @@ def _simulate(
                 float(end.time[k]),
                 int(end.steps[k]),
                 pictures,
-                float(speed[k]),
-                float(penetration[k]),
+                released_speed=float(speed[k]),
+                penetration=float(penetration[k]),
             )
         )
     return deployments
