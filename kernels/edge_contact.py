@@ -331,9 +331,8 @@ def refuse_tunnelling(
 ):
     """Nothing tunnels: a step stands only if no centreline can have met a fixture on the way.
 
-    An edge whose nodes move by m stays at least D - m away, from either end of the step. So all is
-    well if it ends and starts half a radius away and moves by no more than that, or starts half a
-    radius farther away than it moves. Fixtures that move themselves are left to who moves them.
+    An edge whose nodes move by m, from a distance D to a distance D', was nowhere nearer than
+    (D + D' - m) / 2. Fixtures that move themselves are left to who moves them.
     """
     r, i = wp.tid()
     if converged[r] == 0 or radius[r, i] == ZERO:
@@ -342,16 +341,17 @@ def refuse_tunnelling(
     p = node(dof, r, i + 1)
     q_before = node(dof_before, r, i)
     p_before = node(dof_before, r, i + 1)
-    half = HALF * radius[r, i]
     way = wp.max(wp.length(q - q_before), wp.length(p - p_before))
     c = SMOOTHING * rest_length[r, i]
     for k in range(shapes.shape[1]):
         shape = shapes[r, k]
-        if shape.moves == 0 and within_reach(shape, q_before, p_before - q_before, way + half):
+        if shape.moves == 0 and within_reach(shape, q_before, p_before - q_before, way):
             before = closest_on_edge(shape, q_before, p_before - q_before, c)
             after = closest_on_edge(shape, q, p - q, c)
-            deeper = after.distance < half and after.distance < before.distance
-            if deeper or (way > half and before.distance < way + half):
+            # Smoothed distances are up to c / 8 too large.
+            met = before.distance + after.distance - wp.float64(0.25) * c <= way
+            # What began inside may come out.
+            if met and (before.distance > ZERO or after.distance < before.distance):
                 converged[r] = 0
 
 

@@ -80,6 +80,10 @@ def test_posts_in_the_way_are_refused():
     pattern, _ = cable_scene("S cable")
     with pytest.raises(PatternError, match="stand in the way"):
         design_gates(pattern, CABLE, pitch=0.045, radius=0.04)
+    with pytest.raises(PatternError, match="too short"):
+        design_gates(pattern, CABLE, pitch=0.9)
+    with pytest.raises(PatternError, match="pitch"):
+        design_gates(pattern, CABLE, pitch=0.0)
 
 
 def setup(seconds=4.0):

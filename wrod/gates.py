@@ -20,8 +20,8 @@ from wrod.substrate import Cylinder
 
 # Spacing of laid lengths at which the hanging rod is looked at, and of possible gates [m].
 _STEP = 0.004
-# The rod is laid by hand for so long, and a gate is to be that far from the ends [m].
-_FIRST, _LAST = 0.05, 0.01
+# The rod's first piece is laid at once; gates begin and end so far from the pattern's ends [m].
+_FIRST, _GATE, _LAST = 0.05, 0.03, 0.01
 
 
 def approach(
@@ -137,8 +137,16 @@ def design_gates(
         name: of the scene.
 
     Raises:
-        PatternError: the posts would stand in each other's or the pattern's way.
+        PatternError: the pattern is too short, or the posts would stand in each other's or the
+            pattern's way.
     """
+    if not (np.isfinite(pitch) and pitch > 0):
+        raise PatternError(f"the pitch of gates is {pitch!r}; give a positive length [m]")
+    if pattern.length < _FIRST + _LAST + pitch:
+        raise PatternError(
+            f"{pattern.source}: is {pattern.length:.3g} m long, too short for gates {pitch:g} m "
+            "apart; give a smaller pitch"
+        )
     places, side = approach(pattern, rod, height, closure=closure)
     chosen = _choose(places, np.abs(side), pitch, pattern.length)
     position, tangent, _ = pattern.sample(places[chosen])
@@ -162,7 +170,7 @@ def design_gates(
 def _choose(places: np.ndarray, side: np.ndarray, pitch: float, length: float) -> np.ndarray:
     """Indices of the places that cost least: the mean square of `side` in steps, and of how far
     distances are from the pitch in quarters of it (dynamic programming)."""
-    usable = (places >= 0.03) & (places <= length - _LAST)
+    usable = (places >= _GATE) & (places <= length - _LAST)
     index = np.flatnonzero(usable)
     s, cost = places[index], (side[index] / _STEP) ** 2
     total, before = np.full(len(s), np.inf), np.full(len(s), -1)
