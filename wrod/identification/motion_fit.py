@@ -154,8 +154,10 @@ class MotionLaboratory:
         """The misfit and its derivatives."""
         setup = model.setup(self.base, values)
         x, rate, failed = self.run(windows, setup, self.rates(model, values))
-        seen, difference, root, cost, prior = self._misfit(windows, model, values, x, failed)
+        seen, difference, root, cost, prior = self._misfit(windows, model, values, x)
         count = difference.size
+        # Where a run ended early its derivatives mean nothing.
+        rate[failed] = 0.0
         weighted = difference / root
         j = rate[seen]
         share = 3 * np.einsum("fmpc,fmc->fp", j, weighted) / (count * _ROBUST)
@@ -176,14 +178,13 @@ class MotionLaboratory:
 
     def cost(self, windows: Windows, model: Model, values: np.ndarray) -> float:
         """The misfit alone."""
-        x, _, failed = self.run(windows, model.setup(self.base, values))
-        return self._misfit(windows, model, values, x, failed)[3]
+        x, _, _ = self.run(windows, model.setup(self.base, values))
+        return self._misfit(windows, model, values, x)[3]
 
-    def _misfit(self, windows, model, values, x, failed):
+    def _misfit(self, windows, model, values, x):
         """Frames that count, their differences, robust weights, cost and the prior's curvature."""
         seen = windows.seen.copy()
         seen[:, :2] = False
-        seen[failed] = False
         difference = (x - windows.markers)[seen]
         square = np.sum(difference**2, axis=-1, keepdims=True)
         root = np.sqrt(1.0 + square / _ROBUST**2)
@@ -192,7 +193,7 @@ class MotionLaboratory:
         if self.misfit is None:
             self.misfit = cost
         prior = _PRIOR * self.misfit / scale**2
-        cost += 0.5 * np.sum(prior * values**2) + 1e3 * failed.sum() * _ROBUST
+        cost += 0.5 * np.sum(prior * values**2)
         return seen, difference, root, float(cost), prior
 
     def fit(
