@@ -7,8 +7,8 @@ from wrod.batch import RodBatch
 from wrod.dynamics import Dynamics
 from wrod.errors import DataError
 from wrod.identification.effect import Model, effects
-from wrod.identification.motion_data import load_motion, motion_from_arrays
 from wrod.identification.motion_fit import MotionLaboratory
+from wrod.identification.motion_loading import load_motion, motion_from_arrays
 from wrod.identification.motion_report import identify_motion
 from wrod.identification.motion_setup import START_L_GB
 from wrod.statics import EquilibriumSolver, prescribe

@@ -14,8 +14,9 @@ from wrod.batch import resolve_device
 from wrod.errors import DataError
 from wrod.files import write_atomically
 from wrod.identification.effect import Effect, Estimate, Model, effects
-from wrod.identification.motion_data import MotionMeasurements, load_motion
+from wrod.identification.motion_data import MotionMeasurements
 from wrod.identification.motion_fit import MotionLaboratory
+from wrod.identification.motion_loading import load_motion
 from wrod.identification.motion_residual import Residual, residual_of
 from wrod.identification.motion_selection import (
     BASE,
