@@ -10,7 +10,7 @@ CONFOUNDED = 0.9
 
 
 def start_of(effect: Effect) -> np.ndarray:
-    """Where an effect is linearised and fits start: at zero, or where it says that zero is blind."""
+    """Where fits of an effect start: at zero, or where it says if zero is blind to a part of it."""
     if any(p.anywhere for p in effect.parameters):
         return effect.starts(None)[0]
     return np.zeros(len(effect.parameters))

@@ -6,7 +6,7 @@ import copy
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +47,16 @@ class Linearised:
     error: float
     failed: int
     scatter: np.ndarray
+
+    def part(self, index: np.ndarray) -> Linearised:
+        """The same for some of the parameters, the others held."""
+        block = np.ix_(index, index)
+        return replace(
+            self,
+            hessian=self.hessian[block],
+            gradient=self.gradient[index],
+            scatter=self.scatter[block],
+        )
 
     @property
     def covariance(self) -> np.ndarray:
@@ -207,8 +217,6 @@ class MotionLaboratory:
         say=None,
     ) -> tuple[np.ndarray, Linearised]:
         """Levenberg-Marquardt from `values`."""
-        lower, upper = (np.array([getattr(p, b) for p in model.parameters]) for b in
-                        ("lower", "upper"))  # fmt: skip
         values = np.asarray(values, dtype=float)
         self.misfit = None
         now = self.linearise(windows, model, values)
@@ -217,27 +225,42 @@ class MotionLaboratory:
             if say:
                 say(values, now)
             before = now.cost
-            # A parameter at its bound stays there while the cost falls beyond it.
-            inside = ~(
-                ((values <= lower) & (now.gradient > 0)) | ((values >= upper) & (now.gradient < 0))
-            )
-            for _ in range(_TRIALS):
-                trial = np.clip(values + _newton(now, damping, inside), lower, upper)
-                cost = self.cost(windows, model, trial)
-                if cost < before:
-                    break
-                damping *= _HARDER
-            else:
+            trial, cost, damping = self._step(windows, model, values, now, damping)
+            if trial is None:
                 break
-            step = trial - values
-            promised = -(now.gradient @ step + 0.5 * step @ now.hessian @ step)
-            if before - cost > 0.5 * promised:
-                damping = max(damping / _HARDER, 1e-6)
             values = trial
             now = self.linearise(windows, model, values)
             if before - cost < converged * before:
                 break
         return values, now
+
+    def step(
+        self, windows: Windows, model: Model, values: np.ndarray, now: Linearised
+    ) -> np.ndarray:
+        """One step of Levenberg-Marquardt; `values` where none lowers the misfit."""
+        now = replace(now, cost=self.cost(windows, model, values))
+        trial, _, _ = self._step(windows, model, values, now, _DAMPING)
+        return values if trial is None else trial
+
+    def _step(self, windows, model, values, now, damping):
+        """Parameters, cost and next damping of a step that lowers the cost; None without one."""
+        lower, upper = (np.array([getattr(p, b) for p in model.parameters]) for b in
+                        ("lower", "upper"))  # fmt: skip
+        # A parameter at its bound stays there while the cost falls beyond it.
+        inside = ~(
+            ((values <= lower) & (now.gradient > 0)) | ((values >= upper) & (now.gradient < 0))
+        )
+        for _ in range(_TRIALS):
+            trial = np.clip(values + _newton(now, damping, inside), lower, upper)
+            cost = self.cost(windows, model, trial)
+            if cost < now.cost:
+                step = trial - values
+                promised = -(now.gradient @ step + 0.5 * step @ now.hessian @ step)
+                if now.cost - cost > 0.5 * promised:
+                    damping = max(damping / _HARDER, 1e-6)
+                return trial, cost, damping
+            damping *= _HARDER
+        return None, now.cost, damping
 
 
 def _newton(at: Linearised, damping: float, inside: np.ndarray) -> np.ndarray:

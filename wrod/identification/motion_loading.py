@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError
-from wrod.identification.motion_data import MotionMeasurements, split_by_neighbours
+from wrod.identification.motion_data import MotionMeasurements
 from wrod.identification.motion_repair import frame_gaps, sorted_grips
+from wrod.identification.motion_split import split_evenly
 
 _FIELDS = ("positions", "rate_hz", "held", "gravity")
 # A rod of this length [m], or a thousandth of it, was not given in metres; nor moves one so [m/s].
@@ -84,7 +85,7 @@ def motion_from_arrays(
     _check_positions(x, names, rate, where)
     x, repaired = sorted_grips(x)
     gap = np.stack([frame_gaps(recording[:, [0, 1, -2, -1]]) for recording in x])
-    fit, validation, test = split_by_neighbours(recordings)
+    fit, validation, test = split_evenly(recordings)
     return MotionMeasurements(name, x, rate, gravity, names, gap, repaired, fit, validation, test)
 
 

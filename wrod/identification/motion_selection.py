@@ -2,11 +2,11 @@
 
 The base model is a straight, uniform rod with drag in air and inside. In each round the candidates
 are ranked by the misfit that they promise to take away in the problem linearised around the present
-model, all in one run. The `TRIED` most promising are fitted briefly, the `KEPT_ON` of them with the
-least error on the validation recordings longer. The best joins if it lowers that error by
-`LEAST_GAIN` or more; the rounds end when none does, or after `MOST_EFFECTS`. Then every effect
-without which the refitted model's validation error rises by less than `LEAST_GAIN` is taken out
-again. What is left is fitted to whole recordings, those of the validation included.
+model, all in one run. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them
+with the least error on whole validation recordings are fitted. The best joins if it lowers that
+error by `LEAST_GAIN` or more; the rounds end when none does, or after `MOST_EFFECTS`. Then every
+effect without which the refitted model's validation error rises by less than `LEAST_GAIN` is taken
+out again. What is left is fitted to whole recordings, those of the validation included.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from wrod.identification.motion_fit import Linearised, MotionLaboratory
 # ring on, and one damped by air alone is a local optimum that fits do not leave.
 _BASE = {"stiffness": 0.0, "air_damping": 0.5, "internal_damping": 0.05}
 BASE = tuple(_BASE)
-TRIED, KEPT_ON = 5, 2
+TRIED, KEPT_ON = 6, 2
 LEAST_GAIN = 0.01
 MOST_EFFECTS = 8
 PARTLY = 0.8
 AT_NOISE = 1.15
 # (frames, recordings) of the windows: to begin with, of the selection and of the last fit.
-_SHORT, _MEDIUM, _WHOLE = (60, 10), (250, 12), (None, 32)
+_SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
 
 
 @dataclass(frozen=True)
@@ -198,21 +198,22 @@ class _Selection:
 
     def _round(self, now: _Fitted) -> _Fitted | None:
         """The model with one effect more, if one is worth it."""
-        ranked = _promises(self.rod, self.medium, now.model, now.values, self.left)
-        tried = {
-            effect.name: self._fit(
-                now.model.extended(effect), np.concatenate([now.values, start]), iterations=2
-            )
-            for _, effect, start in ranked[:TRIED]
-        }
-        for name in sorted(tried, key=lambda n: tried[n].validation)[:KEPT_ON]:
-            longer = self._fit(tried[name].model, tried[name].values, iterations=3)
-            tried[name] = min(tried[name], longer, key=lambda t: t.validation)
+        ranked, at = _promises(self.rod, self.medium, now.model, now.values, self.left)
+        tried, stepped = {}, {}
+        for _, effect, start, index in ranked[:TRIED]:
+            model = now.model.extended(effect)
+            values = self.rod.step(self.medium, model, np.r_[now.values, start], at.part(index))
+            error = self._error(self.validation, model, values)
+            stepped[effect.name] = _Fitted(model, values, error)
+        for name in sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]:
+            fitted = self._fit(stepped[name].model, stepped[name].values, iterations=3)
+            tried[name] = min(stepped[name], fitted, key=lambda t: t.validation)
+        found = stepped | tried
         rows = [
-            Candidate(e.name, p, tried[e.name].validation if e.name in tried else float("nan"))
-            for p, e, _ in ranked
+            Candidate(e.name, p, found[e.name].validation if e.name in found else float("nan"))
+            for p, e, *_ in ranked
         ]
-        best = min(tried.values(), key=lambda t: t.validation)
+        best = min(found.values(), key=lambda t: t.validation)
         gain = 1.0 - best.validation / now.validation
         if not gain >= LEAST_GAIN:
             reason = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
@@ -267,9 +268,11 @@ def _some(recordings: np.ndarray, count: int) -> np.ndarray:
 
 
 def _promises(rod, windows, model, values, left):
-    """[(promise, effect, start values)] of every candidate, best first, from one run."""
+    """[(promise, effect, start values, indices)] of every candidate, best first, and the problem
+    linearised by the parameters of all, of which the indices are those of the extended model."""
     start = [start_of(e) for e in left]
     everything = Model((*model.effects, *left))
+    rod.misfit = None
     at = rod.linearise(windows, everything, np.concatenate([values, *start]))
 
     def gain(index):
@@ -279,8 +282,8 @@ def _promises(rod, windows, model, values, left):
     own = np.arange(len(values))
     known, first, out = gain(own), len(values), []
     for effect, zero in zip(left, start, strict=True):
-        index = np.arange(first, first + len(zero))
+        index = np.r_[own, np.arange(first, first + len(zero))]
         first += len(zero)
-        promise = (gain(np.concatenate([own, index])) - known) / at.cost
-        out.append((float(promise), effect, zero))
-    return sorted(out, key=lambda o: -o[0])
+        promise = (gain(index) - known) / at.cost
+        out.append((float(promise), effect, zero, index))
+    return sorted(out, key=lambda o: -o[0]), at
