@@ -25,7 +25,7 @@ _BASE = {"stiffness": 0.0, "air_damping": 0.5, "internal_damping": 0.05}
 BASE = tuple(_BASE)
 TRIED, KEPT_ON = 6, 2
 LEAST_GAIN = 0.01
-MOST_EFFECTS = 8
+MOST_EFFECTS = 6
 PARTLY = 0.8
 AT_NOISE = 1.15
 # (frames, recordings) of the windows: to begin with, of the selection and of the last fit.
