@@ -234,6 +234,17 @@ class MotionLaboratory:
                 break
         return values, now
 
+    def refine(self, windows: Windows, model: Model, values: np.ndarray, steps: int) -> np.ndarray:
+        """`fit` in a few steps, without the linearisation that would follow the last."""
+        self.misfit, damping = None, _DAMPING
+        for _ in range(steps):
+            now = self.linearise(windows, model, values)
+            trial, _, damping = self._step(windows, model, values, now, damping)
+            if trial is None:
+                break
+            values = trial
+        return values
+
     def step(
         self, windows: Windows, model: Model, values: np.ndarray, now: Linearised
     ) -> np.ndarray:

@@ -6,7 +6,8 @@ model, all in one run. The `TRIED` most promising take one Newton step in it; th
 with the least error on whole validation recordings are fitted. The best joins if it lowers that
 error by `LEAST_GAIN` or more; the rounds end when none does, or after `MOST_EFFECTS`. Then every
 effect without which the refitted model's validation error rises by less than `LEAST_GAIN` is taken
-out again. What is left is fitted to whole recordings, those of the validation included.
+out again; only those are tried that the linearised problem hardly needs. What is left is fitted to
+whole recordings, those of the validation included.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.effect import Effect, Model, effects
-from wrod.identification.motion_confounding import confounded_pairs, correlations_of, start_of
+from wrod.identification.motion_confounding import confounded_pairs, correlations_of
 from wrod.identification.motion_fit import Linearised, MotionLaboratory
+from wrod.identification.motion_promises import losses_of, promises_of
 
 # What cannot be known beforehand, with the value that fits start from: a rod without damping would
 # ring on, and one damped by air alone is a local optimum that fits do not leave.
@@ -25,11 +27,13 @@ _BASE = {"stiffness": 0.0, "air_damping": 0.5, "internal_damping": 0.05}
 BASE = tuple(_BASE)
 TRIED, KEPT_ON = 6, 2
 LEAST_GAIN = 0.01
-MOST_EFFECTS = 6
+MOST_EFFECTS = 5
 PARTLY = 0.8
 AT_NOISE = 1.15
 # (frames, recordings) of the windows: to begin with, of the selection and of the last fit.
-_SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
+_SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 8), (None, 24)
+# Effects without which the linearised misfit rises by more than this share are not idle.
+_BUSY = 0.02
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ class MotionSelection:
         model, values: the chosen model, `BASE` first.
         fit: its linearised misfit; covariance: (P, P) of the values.
         rounds: the steps that led there; the first is internal damping, as part of the base model.
-        undamped: test error of the base model without internal damping [m].
+        undamped: test error of the base model without internal damping, as the rounds fit it [m].
         before, after: test errors [m]; validation_before, validation_after, of the models before
             they were fitted to the validation recordings too.
         confounded: pairs of effects whose estimates hang together, with their correlation.
@@ -135,8 +139,8 @@ class _Selection:
     def _error(self, windows, model, values) -> float:
         return self.rod.error(windows, self.rod.predict(windows, model, values))
 
-    def _fit(self, model: Model, values: np.ndarray, iterations: int) -> _Fitted:
-        values, _ = self.rod.fit(self.medium, model, values, iterations=iterations, converged=0.01)
+    def _fit(self, model: Model, values: np.ndarray, steps: int) -> _Fitted:
+        values = self.rod.refine(self.medium, model, values, steps)
         return _Fitted(model, values, self._error(self.validation, model, values))
 
     def run(self) -> MotionSelection:
@@ -161,10 +165,7 @@ class _Selection:
         self.say("whole recordings")
         rod, whole = self.rod, self.whole
         base_values, _ = rod.fit(whole, base.model, base.values, iterations=4, converged=0.005)
-        low_values, _ = rod.fit(
-            whole, undamped.model, undamped.values, iterations=4, converged=0.005
-        )
-        values, fit = rod.fit(whole, now.model, now.values, iterations=5, converged=0.005)
+        values, fit = rod.fit(whole, now.model, now.values, iterations=4, converged=0.005)
         self.say("confounding")
         names, correlation = correlations_of(rod, self.medium, now.model, values, self.left)
         return MotionSelection(
@@ -174,7 +175,7 @@ class _Selection:
             fit=fit,
             covariance=fit.covariance,
             rounds=tuple(self.rounds),
-            undamped=self._error(self.test, undamped.model, low_values),
+            undamped=self._error(self.test, undamped.model, undamped.values),
             before=self._error(self.test, base.model, base_values),
             after=self._error(self.test, now.model, values),
             validation_before=base.validation,
@@ -188,7 +189,7 @@ class _Selection:
         model = Model(tuple(known[name] for name in names))
         start = np.array([_BASE[name] for name in names])
         values, _ = self.rod.fit(self.short, model, start)
-        return self._fit(model, values, iterations=8)
+        return self._fit(model, values, steps=5)
 
     def _note(self, model, after: _Fitted, rows, reason, *, accepted=None, removed=None) -> None:
         test = self._error(self.test, after.model, after.values)
@@ -198,7 +199,7 @@ class _Selection:
 
     def _round(self, now: _Fitted) -> _Fitted | None:
         """The model with one effect more, if one is worth it."""
-        ranked, at = _promises(self.rod, self.medium, now.model, now.values, self.left)
+        ranked, at = promises_of(self.rod, self.medium, now.model, now.values, self.left)
         tried, stepped = {}, {}
         for _, effect, start, index in ranked[:TRIED]:
             model = now.model.extended(effect)
@@ -206,7 +207,7 @@ class _Selection:
             error = self._error(self.validation, model, values)
             stepped[effect.name] = _Fitted(model, values, error)
         for name in sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]:
-            fitted = self._fit(stepped[name].model, stepped[name].values, iterations=3)
+            fitted = self._fit(stepped[name].model, stepped[name].values, steps=2)
             tried[name] = min(stepped[name], fitted, key=lambda t: t.validation)
         found = stepped | tried
         rows = [
@@ -226,13 +227,16 @@ class _Selection:
 
     def _without_idle(self, now: _Fitted) -> _Fitted:
         """The model without effects that later ones have made idle, the oldest looked at first."""
+        loss = losses_of(self.rod, self.medium, now.model, now.values)
         for effect in now.model.effects[len(BASE) : -1]:
+            if loss[effect.name] > _BUSY:
+                continue
             self.say(f"without {effect.name}")
             keep = [e.name != effect.name for e in now.model.effects]
             model = Model(tuple(e for e, k in zip(now.model.effects, keep, strict=True) if k))
             parts = now.model.split(now.values)
             values = np.concatenate([v for v, k in zip(parts, keep, strict=True) if k])
-            less = self._fit(model, values, iterations=4)
+            less = self._fit(model, values, steps=3)
             gain = 1.0 - now.validation / less.validation
             if gain < LEAST_GAIN:
                 reason = f"with the later effects it {_lowers(gain)}"
@@ -265,25 +269,3 @@ def _some(recordings: np.ndarray, count: int) -> np.ndarray:
     """At most `count` of the recordings, evenly."""
     index = np.unique(np.linspace(0, len(recordings) - 1, min(count, len(recordings))).round())
     return np.asarray(recordings)[index.astype(int)]
-
-
-def _promises(rod, windows, model, values, left):
-    """[(promise, effect, start values, indices)] of every candidate, best first, and the problem
-    linearised by the parameters of all, of which the indices are those of the extended model."""
-    start = [start_of(e) for e in left]
-    everything = Model((*model.effects, *left))
-    rod.misfit = None
-    at = rod.linearise(windows, everything, np.concatenate([values, *start]))
-
-    def gain(index):
-        h = at.hessian[np.ix_(index, index)] * (1.0 + 1e-6 * np.eye(len(index)))
-        return 0.5 * at.gradient[index] @ np.linalg.solve(h, at.gradient[index])
-
-    own = np.arange(len(values))
-    known, first, out = gain(own), len(values), []
-    for effect, zero in zip(left, start, strict=True):
-        index = np.r_[own, np.arange(first, first + len(zero))]
-        first += len(zero)
-        promise = (gain(index) - known) / at.cost
-        out.append((float(promise), effect, zero, index))
-    return sorted(out, key=lambda o: -o[0]), at
