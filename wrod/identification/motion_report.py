@@ -14,6 +14,7 @@ from wrod.batch import resolve_device
 from wrod.errors import DataError
 from wrod.files import write_atomically
 from wrod.identification.effect import Effect, Estimate, Model, effects
+from wrod.identification.model_file import with_effects, write_model
 from wrod.identification.motion_data import MotionMeasurements
 from wrod.identification.motion_fit import MotionLaboratory
 from wrod.identification.motion_loading import load_motion
@@ -24,14 +25,18 @@ from wrod.identification.motion_selection import (
     select_motion,
     verdict_of,
 )
+from wrod.identification.motion_setup import START_L_GB
+from wrod.identification.motion_trace import MotionTrace, trace_motion
 from wrod.identification.motion_windows import Windows
+from wrod.material import RodMaterial
 
 METRIC = (
     "mean |difference| over coordinates and all markers, held ones as zero, from frame 2 to the "
     "last of the test recordings [mm]"
 )
 _FORMAT = "wrod-motion-identification-1"
-_MODEL_FORMAT = "wrod-motion-model-1"
+# Radius over gravito-bending length of the USB cable of the paper's Table 2.
+_SLENDER = 0.0018 / 0.0801
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,7 @@ class MotionReport:
         base: what the base model has fitted.
         effects: what was added, in order.
         candidates: every effect in the first round.
-        selection, residual: the whole evidence.
+        selection, residual, trace: the whole evidence.
         windows: the test recordings; predicted_before, predicted_after: (W, F, M, 3) [m].
     """
 
@@ -81,6 +86,7 @@ class MotionReport:
     candidates: tuple[dict, ...]
     selection: MotionSelection
     residual: Residual
+    trace: MotionTrace
     windows: Windows
     predicted_before: np.ndarray
     predicted_after: np.ndarray
@@ -125,6 +131,7 @@ class MotionReport:
                 for r in s.rounds
             ],
             "residual": self.residual.to_dict(),
+            "trace": self.trace.to_dict(),
             "recordings": {
                 "fit": [m.names[r] for r in m.fit],
                 "validation": [m.names[r] for r in m.validation],
@@ -141,27 +148,29 @@ class MotionReport:
 
         out = Path(out)
         content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        model = json.dumps(self.model_content(), indent=2, allow_nan=False) + "\n"
+        s = self.selection
         return [
             write_atomically(out / "report.json", lambda file: file.write(content)),
             write_motion_page(out / "report.html", self),
-            write_atomically(out / "model.json", lambda file: file.write(model)),
+            write_model(
+                out / "model.json", self.material, s.model, s.values, ("radius", "density")
+            ),
         ]
 
-    def model_content(self) -> dict:
-        """The fitted model: the rod's numbers, and every effect with its raw parameters."""
+    @property
+    def material(self) -> RodMaterial:
+        """The rod with what its own numbers can carry of the model.
+
+        Its length is that from the first marker to the last. Radius and density cannot be seen in
+        motion: density drops out of every plan, and the radius is that of a common cable of its
+        stiffness, L_gb / 45.
+        """
         m, s = self.measurements, self.selection
-        return {
-            "format": _MODEL_FORMAT,
-            "marker_arc_length": m.marker_arc_length.tolist(),
-            "gravity": m.gravity,
-            "gravito_bending_length": self.base["stiffness"]["L_gb"].value,
-            "effects": [
-                {"name": e.name, "parameters": dict(zip((p.key for p in e.parameters), v.tolist(),
-                                                        strict=True))}
-                for e, v in zip(s.model.effects, s.model.split(s.values), strict=True)
-            ],
-        }  # fmt: skip
+        lgb = self.base["stiffness"]["L_gb"].value
+        rod = RodMaterial(
+            _SLENDER * lgb, START_L_GB, float(m.marker_arc_length[-1]), gravity=m.gravity
+        )
+        return with_effects(rod, s.model, s.values, m)
 
 
 def identify_motion(
@@ -196,7 +205,14 @@ def identify_motion(
         chosen = [c if isinstance(c, Effect) else _known(c, known) for c in candidates]
     laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=resolve_device(device))
     selection = select_motion(laboratory, chosen, progress=progress)
-    return _report(laboratory, selection)
+    if progress:
+        progress("force print")
+    looked_at = np.union1d(m.fit, m.validation)
+    base = Model(selection.model.effects[: len(BASE)])
+    evidence = trace_motion(
+        m, base, selection.base_values, looked_at, int(m.validation[0]), device=laboratory.device
+    )
+    return _report(laboratory, selection, evidence)
 
 
 def _known(name: str, known: dict[str, Effect]) -> Effect:
@@ -205,7 +221,9 @@ def _known(name: str, known: dict[str, Effect]) -> Effect:
     return known[name]
 
 
-def _report(laboratory: MotionLaboratory, selection: MotionSelection) -> MotionReport:
+def _report(
+    laboratory: MotionLaboratory, selection: MotionSelection, evidence: MotionTrace
+) -> MotionReport:
     m = laboratory.measurements
     windows = laboratory.windows(m.test)
     base = Model(selection.model.effects[: len(BASE)])
@@ -231,6 +249,7 @@ def _report(laboratory: MotionLaboratory, selection: MotionSelection) -> MotionR
         candidates=tuple(_candidate(c) for c in selection.rounds[0].candidates),
         selection=selection,
         residual=residual_of(laboratory, windows, before, after),
+        trace=evidence,
         windows=windows,
         predicted_before=before,
         predicted_after=after,
