@@ -27,11 +27,11 @@ _BASE = {"stiffness": 0.0, "air_damping": 0.5, "internal_damping": 0.05}
 BASE = tuple(_BASE)
 TRIED, KEPT_ON = 6, 2
 LEAST_GAIN = 0.01
-MOST_EFFECTS = 5
+MOST_EFFECTS = 6
 PARTLY = 0.8
 AT_NOISE = 1.15
 # (frames, recordings) of the windows: to begin with, of the selection and of the last fit.
-_SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 8), (None, 24)
+_SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
 # Effects without which the linearised misfit rises by more than this share are not idle.
 _BUSY = 0.02
 
@@ -165,7 +165,7 @@ class _Selection:
         self.say("whole recordings")
         rod, whole = self.rod, self.whole
         base_values, _ = rod.fit(whole, base.model, base.values, iterations=4, converged=0.005)
-        values, fit = rod.fit(whole, now.model, now.values, iterations=4, converged=0.005)
+        values, fit = rod.fit(whole, now.model, now.values, iterations=5, converged=0.005)
         self.say("confounding")
         names, correlation = correlations_of(rod, self.medium, now.model, values, self.left)
         return MotionSelection(
@@ -189,7 +189,7 @@ class _Selection:
         model = Model(tuple(known[name] for name in names))
         start = np.array([_BASE[name] for name in names])
         values, _ = self.rod.fit(self.short, model, start)
-        return self._fit(model, values, steps=5)
+        return self._fit(model, values, steps=6)
 
     def _note(self, model, after: _Fitted, rows, reason, *, accepted=None, removed=None) -> None:
         test = self._error(self.test, after.model, after.values)
@@ -207,7 +207,7 @@ class _Selection:
             error = self._error(self.validation, model, values)
             stepped[effect.name] = _Fitted(model, values, error)
         for name in sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]:
-            fitted = self._fit(stepped[name].model, stepped[name].values, steps=2)
+            fitted = self._fit(stepped[name].model, stepped[name].values, steps=3)
             tried[name] = min(stepped[name], fitted, key=lambda t: t.validation)
         found = stepped | tried
         rows = [
