@@ -168,7 +168,9 @@ def test_damping_and_natural_curvature_are_found(recorded):
     content = report.to_dict()
     found = {e["name"]: e["parameters"] for e in content["effects"]}
     assert set(found) == {"internal_damping", "natural_curvature"}
-    assert content["after_mm"] < 0.3 * content["before_mm"]
+    # Gentle motions: the bend is seen less than the damping, which the base model has already.
+    assert content["after_mm"] < 0.3 * content["before_without_internal_damping_mm"]
+    assert content["after_mm"] < 0.7 * content["before_mm"]
     # The mesh's own error, of second order: 12, 5 % of the curvature with 2, 3 edges an interval.
     assert found["internal_damping"]["viscous_time"]["value"] == pytest.approx(VISCOUS, rel=0.05)
     assert found["natural_curvature"]["curvature"]["value"] == pytest.approx(CURVATURE, rel=0.08)
@@ -182,7 +184,7 @@ def test_independent_dynamics_show_the_same_effects(recorded, tmp_path):
     content = report.to_dict()
     found = {e["name"]: e["parameters"] for e in content["effects"]}
     assert set(found) >= {"internal_damping", "natural_curvature"}
-    assert content["after_mm"] < 0.4 * content["before_mm"]
+    assert content["after_mm"] < 0.4 * content["before_without_internal_damping_mm"]
     assert found["internal_damping"]["viscous_time"]["value"] == pytest.approx(VISCOUS, rel=0.15)
     assert content["base"]["stiffness"]["L_gb"]["value"] == pytest.approx(L_GB, rel=0.05)
     written = {path.name for path in report.save(tmp_path)}

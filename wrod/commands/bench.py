@@ -17,6 +17,7 @@ BENCHMARKS = (
     "knot-force",
     "newton",
     "identify",
+    "cables",
     "loop",
     "closures",
     "applications",

@@ -149,23 +149,3 @@ class MotionMeasurements:
             validation=held_out,
             test=test,
         )
-
-
-def split_by_neighbours(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Recordings to fit, to choose effects by, and to score on: contiguous blocks.
-
-    Neighbouring recordings come from one session, so single ones would not be held out; half of
-    the validation and of the test lies in the middle of the list, half at its end.
-    """
-    index = np.arange(count)
-    if count < 8:
-        held = max(1, count // 3)
-        return index[:-held], index[-held:], index[-held:]
-    seven = max(1, count // 7)
-    middle = count // 2
-    out = index[middle - seven // 2 : middle - seven // 2 + seven], index[count - seven :]
-    validation = np.concatenate([b[: (len(b) + 1) // 2] for b in out])
-    test = np.setdiff1d(np.concatenate(out), validation)
-    if len(test) == 0:
-        test = validation
-    return np.setdiff1d(index, np.concatenate(out)), validation, test

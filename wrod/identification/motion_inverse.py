@@ -24,9 +24,10 @@ from wrod.identification.motion_curves import through_markers
 from wrod.identification.motion_data import MotionMeasurements
 from wrod.identification.motion_setup import MotionSetup
 from wrod.identification.motion_start import held_ends
-from wrod.identification.motion_tangents import COMPLEX_STEP, VECTORS, node_columns
+from wrod.identification.motion_tangents import COMPLEX_STEP, kind_of, node_columns
 from wrod.identification.motion_windows import Windows, windows_of
 from wrod.kernels import motion as kernels
+from wrod.kernels import motion_tangents
 from wrod.statics import EquilibriumSolver, prescribe
 
 # Standard deviation of the Gaussian that paths are smoothed with, in time and at least [s, frames].
@@ -91,12 +92,13 @@ class InverseMotion:
         """
         b, count = self.batch, len(rates)
         names = ("rest_length", "stretching", "stiffness", "rest_strain", "viscous_time")
+        names = (*names, "softening")
         base = {k: np.real(v) for k, v in self.setup.arrays().items()}
         changes = [r.arrays() for r in rates]
 
         def upload(key, value):
-            kind = wp.vec3d if key in VECTORS else wp.float64
-            return wp.array(np.ascontiguousarray(value, dtype=float), dtype=kind, device=b.device)
+            value = np.ascontiguousarray(value, dtype=float)
+            return wp.array(value, dtype=kind_of(key), device=b.device)
 
         model = [b.rest_length] + [upload(k, base[k][None]) for k in names[1:]]
         moved = [
@@ -114,11 +116,11 @@ class InverseMotion:
         s = b.state
         # The kernel's strain rate is a difference of strains over a step: here it is given.
         wp.launch(
-            kernels.elastic_tangents,
-            (b.rod_count, b.node_count - 1, count),
+            motion_tangents.elastic_tangents,
+            (b.rod_count, b.node_count - 1, 1),
             inputs=[*model, *moved, wp.vec3d(0.0, 1.0, 0.0), wp.float64(1.0)]
             + [s.dof, s.director, s.reference_twist, self.strain_rate, self.strain_rate]
-            + [strains, strains],
+            + [strains, strains, count],
             outputs=[out],
             device=b.device,
         )
@@ -356,9 +358,10 @@ class _Condensation:
         out = wp.zeros((b.rod_count, 1, b.node_count), dtype=wp.vec3d, device=b.device)
         s = b.state
         wp.launch(
-            kernels.measure_strain_tangents,
+            motion_tangents.measure_strain_tangents,
             (b.rod_count, b.node_count - 2, 1),
-            inputs=[s.dof, s.director, wp.array(rate[:, None], dtype=wp.float64, device=b.device)],
+            inputs=[s.dof, s.director]
+            + [wp.array(rate[:, None], dtype=wp.float64, device=b.device), 1],
             outputs=[out],
             device=b.device,
         )

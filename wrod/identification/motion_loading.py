@@ -9,8 +9,9 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.identification.motion_checks import check_positions
-from wrod.identification.motion_data import MotionMeasurements, split_by_neighbours
+from wrod.identification.motion_data import MotionMeasurements
 from wrod.identification.motion_repair import frame_gaps, sorted_grips
+from wrod.identification.motion_split import split_evenly
 
 _FIELDS = ("positions", "rate_hz", "held", "gravity")
 _SHORTEST = 12
@@ -86,7 +87,7 @@ def motion_from_arrays(
     check_positions(x, names, rate, where)
     x, repaired = sorted_grips(x)
     gap = np.stack([frame_gaps(recording[:, [0, 1, -2, -1]]) for recording in x])
-    fit, validation, test = split_by_neighbours(recordings)
+    fit, validation, test = split_evenly(recordings)
     return MotionMeasurements(name, x, rate, gravity, names, gap, repaired, fit, validation, test)
 
 

@@ -56,7 +56,7 @@ def _page(report) -> str:
         ("noise floor", report.noise_floor),
     ]
     base = [(name.replace("_", " "), found, None) for name, found in report.base.items()]
-    added = [(e.title, e.parameters, e.after) for e in report.effects]
+    added = [(e.title, e.parameters, e.after) for e in report.effects if e.name not in report.base]
     return page(
         report,
         [
@@ -77,8 +77,9 @@ def _steps(report) -> str:
             for c in r.candidates
             if c.validation == c.validation
         )
+        left = f"without {r.removed}" if r.removed else "stop"
         rows.append(
-            f"<tr><td>{html.escape(r.current[-1])}</td><td>{r.accepted or 'stop'}</td>"
+            f"<tr><td>{html.escape(r.current[-1])}</td><td>{r.accepted or left}</td>"
             f"<td>{html.escape(tried)}</td><td>{html.escape(r.reason)}</td></tr>"
         )
     head = "<tr><th>after</th><th>next</th><th>fitted, validation error</th><th>because</th></tr>"

@@ -125,12 +125,13 @@ def residual(report) -> bytes:
 
 def ladder(report) -> bytes | None:
     """Errors on validation and test recordings after each effect."""
-    if not report.effects:
+    added = [e for e in report.effects if e.name not in report.base]
+    if not added:
         return None
-    s = report.selection
-    names = ["base model", *(e.name.replace("_", " ") for e in report.effects), "last fit"]
-    validation = [s.validation_before, *(e.validation for e in report.effects), s.validation_after]
-    test = [report.before, *(e.after for e in report.effects), report.after]
+    names = ["base model", *(e.name.replace("_", " ") for e in added), "last fit"]
+    # The last fit has seen the validation recordings.
+    validation = [report.selection.validation_before, *(e.validation for e in added), np.nan]
+    test = [report.before, *(e.after for e in added), report.after]
     figure = new_figure(11.0, 0.9 + 0.32 * len(names))
     axes = figure.add_subplot()
     place = np.arange(len(names))

@@ -103,6 +103,7 @@ class MotionReport:
             "noise_floor_mm": 1e3 * self.noise_floor,
             "numerical_error_mm": 1e3 * self.numerical_error,
             "before_mm": 1e3 * self.before,
+            "before_without_internal_damping_mm": 1e3 * s.undamped,
             "after_mm": 1e3 * self.after,
             "validation_before_mm": 1e3 * s.validation_before,
             "validation_after_mm": 1e3 * s.validation_after,
@@ -125,6 +126,7 @@ class MotionReport:
                 {
                     "model": list(r.current),
                     "accepted": r.accepted,
+                    "removed": r.removed,
                     "reason": r.reason,
                     "candidates": [_candidate(c) for c in r.candidates],
                 }
@@ -246,7 +248,7 @@ def _report(
         numerical_error=numerical,
         base={name: described[name] for name in BASE},
         effects=tuple(_found(selection, described)),
-        candidates=tuple(_candidate(c) for c in selection.rounds[0].candidates),
+        candidates=tuple(_candidate(c) for c in _first_candidates(selection)),
         selection=selection,
         residual=residual_of(laboratory, windows, before, after),
         trace=evidence,
@@ -267,14 +269,18 @@ def _described(selection: MotionSelection, m) -> dict[str, dict[str, Estimate]]:
 
 
 def _found(selection: MotionSelection, described):
-    joined = [r for r in selection.rounds if r.accepted]
     by_name = {e.name: e for e in selection.model.effects}
-    for r in joined:
+    for r in (r for r in selection.rounds if r.accepted in by_name):
         effect = by_name[r.accepted]
         yield FoundMotionEffect(
             effect.name, effect.title, effect.reference, described[effect.name],
             r.validation, r.test,
         )  # fmt: skip
+
+
+def _first_candidates(selection: MotionSelection):
+    """Those of the first round that had some."""
+    return next((r.candidates for r in selection.rounds if r.candidates), ())
 
 
 def _candidate(candidate) -> dict:
