@@ -11,7 +11,7 @@ from wrod.identification import identify_motion
 from wrod.identification.motion_loading import motion_from_arrays
 
 BEND = 6.0
-CANDIDATES = ("natural_curvature_profile", "internal_damping", "gravity_tilt", "mass_gradient")
+CANDIDATES = ("natural_curvature_profile", "gravity_tilt", "mass_gradient")
 
 
 def bent(rod):
