@@ -77,7 +77,7 @@ def renumber(
         going = any_lane(going)
         turn += 1
     if lane == 0:
-        # Farthest first, and in their order along the rod: counting sort.
+        # Farthest first, and among equals the last along the rod: counting sort.
         for v in range(n):
             tally[r, distance[r, v]] = tally[r, distance[r, v]] + 1
         before = int(0)
@@ -86,7 +86,8 @@ def renumber(
             size = tally[r, at]
             tally[r, at] = before
             before += size
-        for v in range(n):
+        for w in range(n):
+            v = n - 1 - w
             p = tally[r, distance[r, v]]
             tally[r, distance[r, v]] = p + 1
             rank_out[r, v] = p

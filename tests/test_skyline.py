@@ -208,7 +208,7 @@ def test_order_goes_by_the_distance_from_the_end(kernels, device, nodes, count):
         for d in range(nodes):
             distance[reached & (distance == nodes)] = d
             reached = coupled[reached].any(axis=0)
-        order = np.lexsort((np.arange(nodes), -distance))
+        order = np.lexsort((-np.arange(nodes), -distance))
         assert (system.order.numpy()[r] == order).all()
         assert (system.rank.numpy()[r][order] == np.arange(nodes)).all()
         envelope = coupled[np.ix_(order, order)]
