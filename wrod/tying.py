@@ -147,9 +147,26 @@ def tie(
         device: "cpu", "cuda:0", "auto".
         progress: called with what comes next.
     """
-    from wrod.tying_session import Session
+    from wrod.tying_course import Course
+    from wrod.tying_laying import lay
+    from wrod.tying_moves import make
+    from wrod.tying_pull import pull
 
-    return Session(
-        knot, trials, method, friction, rod_friction, speed, hand_speed, step, film_interval,
-        device, progress or (lambda what: None),
-    ).run()  # fmt: skip
+    progress = progress or (lambda what: None)
+    course = Course(
+        knot, trials, method, friction, rod_friction, speed, hand_speed, step, film_interval, device
+    )
+    for k in range(len(knot.rods)):
+        progress(f"lay rod {k + 1}")
+        lay(course, k)
+    course.note("laid")
+    course.bench.handle_roughly()
+    for number, moves in enumerate(knot.steps, start=1):
+        progress(f"move {number}")
+        make(course, moves, f"move {number}")
+    course.note("tied")
+    if knot.pull:
+        progress("pull")
+        pull(course)
+        course.note("pulled")
+    return course.finished()
