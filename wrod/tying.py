@@ -67,8 +67,9 @@ class TyingResult:
         error: (rod,) mean distance of the laid rods from their patterns [m].
         rods: (node, 3) centrelines of every rod at the end [m]; `stages` those after laying, the
             moves and pulling.
-        time, frames, hands: of the film: (T,) times [s], (T, node, 3) of every rod (NaN before it
-            is laid), and (T, hand, 4, 4) poses of the hands.
+        time, frames, hands, closed: of the film: (T,) times [s], (T, node, 3) of every rod (NaN
+            before it is laid), (T, hand, 4, 4) poses of the hands, and (T, hand) whether a hand is
+            at work: it may go elsewhere while it is not.
         duration: simulated time [s].
         steps: time steps taken.
     """
@@ -87,6 +88,7 @@ class TyingResult:
     time: np.ndarray | None = None
     frames: list[np.ndarray] = field(default_factory=list)
     hands: np.ndarray | None = None
+    closed: np.ndarray | None = None
     duration: float = 0.0
     steps: int = 0
 

@@ -54,10 +54,12 @@ class Course:
         self.arc: list[np.ndarray] = []
         self.bench: Workbench | None = None
         self.elapsed = 0.0
+        self.begun = 0.0  # when the clock of `bench` was started
+        self.closed = [False, False]  # which hands are at work, whether they hold a rod or not
         self.home = [Poses(_repeat(place, trials), _upright(trials)) for place in _home(knot)]
         self.now = list(self.home)
         self.grasps = 0
-        self.film: list[tuple[float, list[np.ndarray], np.ndarray]] = []
+        self.film: list[tuple[float, list[np.ndarray], np.ndarray, list[bool]]] = []
         rng = [np.random.default_rng([trial.seed, 11]) for trial in trials]
         # (scene, hand, tick, 3): a minute of shaking, over and over.
         self.shaking = np.stack(
@@ -96,14 +98,14 @@ class Course:
                 self._slip(name)
             if self.film_interval is None:
                 return
-            now = self.elapsed + bench.time
+            now = self.begun + bench.time
             if self.film and now < self.film[-1][0] + self.film_interval - 1e-9:
                 return
             hands = np.tile(np.eye(4), (len(self.trials), 2, 1, 1))
             for h, pose in enumerate(poses(bench.time)):
                 hands[:, h, :3, 3] = pose.position
                 hands[:, h, :3, :3] = pose.rotation.as_matrix()
-            self.film.append((now, bench.positions(), hands))
+            self.film.append((now, bench.positions(), hands, list(self.closed)))
 
         return after
 
@@ -134,17 +136,18 @@ class Course:
     def finished(self) -> list[TyingResult]:
         self.count_steps()
         for scene, result in enumerate(self.results):
-            result.duration = self.elapsed + self.bench.time
+            result.duration = self.begun + self.bench.time
             if not self.film:
                 continue
-            result.time = np.array([time for time, _, _ in self.film])
+            result.time = np.array([frame[0] for frame in self.film])
             for k, arc in enumerate(self.arc):
                 frames = [
                     rods[k][scene] if k < len(rods) else np.full((len(arc), 3), np.nan)
-                    for _, rods, _ in self.film
+                    for _, rods, _, _ in self.film
                 ]
                 result.frames.append(np.stack(frames))
-            result.hands = np.stack([hands[scene] for _, _, hands in self.film])
+            result.hands = np.stack([hands[scene] for _, _, hands, _ in self.film])
+            result.closed = np.array([frame[3] for frame in self.film])
         return self.results
 
 

@@ -48,6 +48,7 @@ def lay(course: Course, k: int) -> None:
         director = np.concatenate([before.material_directors()[:, :, 0], across, director], axis=1)
         course.count_steps()
     course.arc.append(arc)
+    course.begun = course.elapsed
     course.bench = bench = Workbench(
         [scene[: k + 1] for scene in course.true_rods],
         course.arc,
@@ -72,11 +73,13 @@ def lay(course: Course, k: int) -> None:
     start = follow(0.0)
     for scene in range(len(course.trials)):
         bench.held.grasp(scene, 0, last, start[0])
+    course.closed[0] = True
     bench.run(min(s.release_time for s in schedule), follow, course.watch(follow))
     bench.held.hold_still(None)
     bench.run(min(s.let_go_time for s in schedule), follow, course.watch(follow))
     for scene in range(len(course.trials)):
         bench.held.open(scene, 0)
+    course.closed[0] = False
     bench.run(bench.time + 1.0, follow, course.watch(follow))
     course.elapsed += bench.time
     course.now = follow(bench.time)

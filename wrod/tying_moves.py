@@ -44,12 +44,14 @@ def make(course: Course, moves: list[Move], name: str) -> None:
 
     for hand, move in ((m.hand, m) for m in moves):
         grasp(course, hand, move, name, poses(begin)[hand])
+        course.closed[hand] = True
     after = course.watch(poses, name)
     bench.run(begin + duration, poses, after)
     bench.run(bench.time + 0.2, poses, after)
     for move in moves:
         for scene in range(len(course.trials)):
             bench.held.open(scene, move.hand)
+        course.closed[move.hand] = False
     bench.run(bench.time + _REST, poses, course.watch(poses))
     course.now = poses(bench.time)
     course.grasps += len(moves)

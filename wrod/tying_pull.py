@@ -39,6 +39,7 @@ def pull(course: Course) -> None:
 
     for hand, one in enumerate(knot.pull):
         grasp(course, hand, one, "pull", poses(begin)[hand])
+        course.closed[hand] = True
     load = np.zeros((len(course.trials), 2))
 
     def after() -> None:
