@@ -35,6 +35,8 @@ class Deployment:
         duration: simulated time [s].
         steps: time steps taken.
         frames: (frame, node, 3) the rod at the multiples of the frame interval [m], or None.
+        hand: (frame, 4, 4) pose of the grip, x along the rod, at the same times [m], or None.
+        let_go: when it let go [s], or None.
     """
 
     arc_length: np.ndarray
@@ -50,6 +52,8 @@ class Deployment:
     duration: float
     steps: int
     frames: np.ndarray | None = None
+    hand: np.ndarray | None = None
+    let_go: float | None = None
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything as an NPZ file (the suffix of `path` is replaced)."""

@@ -1,31 +1,18 @@
-"""One arm at its place: what it may not touch, and how it follows a hand at work."""
+"""One arm at its place, and what it may not touch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
-from wrod.errors import RobotError
 from wrod.robot.collision import CollisionModel, between
-from wrod.robot.grip import TURN_LENGTH
-from wrod.robot.holds import Grasp, Hand, Hold
-from wrod.robot.kinematics import grasp_poses, refine
+from wrod.robot.holds import Hand
+from wrod.robot.kinematics import grasp_poses
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
-from wrod.robot.redundancy import Surroundings, improve
-from wrod.robot.search import Branch, follow_targets
 
-LIMIT_MARGIN = 0.02  # [rad]
 LINK_ROOM = 0.005  # [m] between links of one arm, and above the table
 ARM_ROOM = 0.02  # [m] between the arms
 TIP_ROOM = -0.0015  # [m] fingers press on the table by no more than a rod gives way
-_REACHED = 1e-4  # [m], a turn of one radian counting as `TURN_LENGTH`
-_COARSE = 0.025  # [m] of travel between the samples that are searched
-_TRIED = 4  # branches that are improved
-_SEEDS = 16
 
 
 class Arm:
@@ -110,146 +97,6 @@ def gap_between(one, other) -> np.ndarray:
 
     start, end = (torch.from_numpy(p) for p in one[:2])
     return between(start, end, one[2], *other).flatten(1).amin(-1).numpy()
-
-
-def coarse_frames(hold: Hold, least: int = 8) -> np.ndarray:
-    """Frames of a hold that are about `_COARSE` of travel apart; both ends are among them."""
-    travel = hold_travel(hold)
-    if travel[-1] < 1e-4:
-        return np.array([0, len(travel) - 1]) if len(travel) > 1 else np.array([0])
-    count = max(least, int(np.ceil(travel[-1] / _COARSE)))
-    frames = np.searchsorted(travel, np.linspace(0.0, travel[-1], count) - 1e-12)
-    frames = np.unique(np.append(frames, len(travel) - 1))
-    # Frames at rest share one travel: keep the first.
-    return frames[np.r_[True, np.diff(travel[frames]) > 1e-9]]
-
-
-def hold_travel(hold: Hold) -> np.ndarray:
-    """(frame,) way of the hand since the first frame, a radian counting `TURN_LENGTH` [m]."""
-    turns = Rotation.from_matrix(hold.poses[:, :3, :3])
-    turn = (turns[:-1].inv() * turns[1:]).magnitude()
-    step = np.hypot(
-        np.linalg.norm(np.diff(hold.poses[:, :3, 3], axis=0), axis=1), TURN_LENGTH * turn
-    )
-    return np.concatenate([[0.0], np.cumsum(np.where(step < 1e-6, 0.0, step))])
-
-
-@dataclass(frozen=True)
-class HoldPath:
-    """Joint positions (frame, n) [rad] of an arm over the frames of a hold."""
-
-    hold: Hold
-    grasp: Grasp
-    positions: np.ndarray
-
-
-def solve_hold(
-    arm: Arm, hold: Hold, grasps: list[Grasp], interval: np.ndarray, other=None
-) -> HoldPath:
-    """Follow a hand over a hold.
-
-    Args:
-        arm: which follows.
-        hold, grasps: what, and the ways to hold the rod, the best first.
-        interval: (frame - 1,) seconds between the frames.
-        other: the other arm's joint positions at these frames are known: its capsules.
-
-    Raises:
-        RobotError: it cannot; names what fails on the best try.
-    """
-    frames = coarse_frames(hold)
-    to_base = arm.placement.base_from_world
-    targets = np.stack([to_base @ grasp.targets(hold, frames) for grasp in grasps])
-    branches = []
-    for choice, positions, miss, excess in follow_targets(arm.robot, targets, _SEEDS):
-        branch = Branch(arm.placement, grasps[choice].grip, positions, miss, excess)
-        short, _ = arm.problem(positions, _at(other, frames))
-        cost = branch.cost + 10.0 * short + 0.5 * abs(grasps[choice].slant)
-        branches.append((cost, choice, branch))
-    branches.sort(key=lambda item: item[0])
-    best: tuple[float, str | None] = (np.inf, None)
-    for _, choice, branch in _distinct(branches):
-        path = HoldPath(
-            hold, grasps[choice], _filled(arm, hold, grasps[choice], frames, branch, other)
-        )
-        short, what = _check(arm, path, interval, other)
-        if what is None:
-            return path
-        if short < best[0]:
-            best = short, what
-    raise RobotError(
-        f"an arm at {arm.placement} cannot follow hand {hold.hand} over frames {hold.first} to "
-        f"{hold.last}: {best[1]}; move the pattern or give the arms other places"
-    )
-
-
-def _at(other, frames):
-    return None if other is None else (other[0][frames], other[1][frames], other[2])
-
-
-def _distinct(branches):
-    kept = []
-    for item in branches:
-        if all(
-            item[1] != k[1] or np.abs(item[2].positions - k[2].positions).max() > 0.1 for k in kept
-        ):
-            kept.append(item)
-        if len(kept) == _TRIED:
-            break
-    return kept
-
-
-def _filled(arm: Arm, hold: Hold, grasp: Grasp, frames, branch: Branch, other) -> np.ndarray:
-    """The branch at every frame, its elbow improved."""
-    positions = branch.positions
-    goals = arm.placement.base_from_world @ grasp.targets(hold)
-    if branch.miss.max() < 0.02 and len(frames) > 2:
-        near = None if other is None else arm.in_base(_at(other, frames))
-        around = Surroundings(
-            arm.placement.z, np.zeros((1, 3)), np.zeros(len(frames), dtype=int), 0.0, near
-        )
-        positions = improve(arm.robot, arm.model, positions, goals[frames], around, 12)
-    travel = hold_travel(hold)
-    if len(frames) > 2:
-        start = CubicSpline(travel[frames], positions)(travel)
-    else:
-        start = np.repeat(positions[:1], len(travel), axis=0)
-    return refine(arm.robot, start, goals)[0]
-
-
-def _check(arm: Arm, path: HoldPath, interval: np.ndarray, other) -> tuple[float, str | None]:
-    """By how much a path fails, and how; a miss counts most."""
-    q, robot = path.positions, arm.robot
-    reached = arm.grasps(q)
-    wanted = path.grasp.targets(path.hold)
-    off = np.linalg.norm(reached[:, :3, 3] - wanted[:, :3, 3], axis=1)
-    turn = Rotation.from_matrix(reached[:, :3, :3].mT @ wanted[:, :3, :3]).magnitude()
-    miss = np.hypot(off, TURN_LENGTH * turn)
-    if miss.max() > _REACHED:
-        k = int(miss.argmax())
-        return 100.0 + miss[k], (
-            f"the grasp is out of reach at frame {path.hold.first + k}: the nearest pose found is "
-            f"{1e3 * off[k]:.1f} mm and {np.degrees(turn[k]):.1f} degrees away"
-        )
-    room = np.minimum(q - robot.lower, robot.upper - q)
-    if room.min() < LIMIT_MARGIN:
-        k, joint = np.unravel_index(room.argmin(), room.shape)
-        return 10.0 - room.min(), (
-            f"joint {robot.joint_names[joint]} comes within {room.min():.3f} rad of its limit at "
-            f"frame {path.hold.first + k}"
-        )
-    if len(q) > 1:
-        load = np.abs(np.diff(q, axis=0)) / (robot.velocity * interval[:, None])
-        if load.max() > 1.0:
-            k, joint = np.unravel_index(load.argmax(), load.shape)
-            return 5.0 + load.max(), (
-                f"joint {robot.joint_names[joint]} would have to turn {load.max():.1f} times as "
-                f"fast as it can after frame {path.hold.first + k}"
-            )
-    short, what = arm.problem(*with_middles(q, other))
-    if what is not None:
-        what += f" between frames {path.hold.first} and {path.hold.last}"
-    return short, what
 
 
 def with_middles(positions: np.ndarray, other=None):

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 
 from wrod.errors import RobotError
-from wrod.robot.arm import ARM_ROOM, Arm, HoldPath, gap_between
+from wrod.robot.arm import ARM_ROOM, Arm, gap_between
+from wrod.robot.hold_path import HoldPath
 from wrod.robot.holds import HandFilm
 from wrod.robot.transfer import Way, find_way
 
@@ -100,57 +99,69 @@ class Course:
             RobotError: an arm finds no way, or no order of their ways keeps the arms apart.
         """
         begin, end = self._at(before), self._at(after)
-        options = []
-        for hand, arm in enumerate(self.arms):
-            at, to = self._work(hand, before), self._work(hand, after)
-            if (at is None and to is None) or (at is to):
-                options.append([None])
-                continue
-            stops = [None, self.waiting[hand]] if at is not None and to is not None else [None]
-            ways = [
-                find_way(
-                    arm, begin[hand], end[hand],
-                    leave=at is not None, arrive=to is not None, wait=stop,
-                )
-                for stop in stops
-            ]  # fmt: skip
-            options.append([way for way in ways if way is not None])
-            if not options[-1]:
-                raise RobotError(
-                    f"arm {hand} finds no way from frame {before} to frame {after} of the film; "
-                    "give the arms other places"
-                )
-        best: tuple[float, object] = (-np.inf, None)
-        for need, ways, delays in _orders(options):
+        work = [(self._work(h, before), self._work(h, after)) for h in range(2)]
+        moving = [h for h, (at, to) in enumerate(work) if at is not to]
 
-            def motion(t, ways=ways, delays=delays):
-                return [
-                    np.repeat(begin[k][None], len(t), axis=0) if way is None else way.at(t - delay)
-                    for k, (way, delay) in enumerate(zip(ways, delays, strict=True))
-                ]
+        def find(hand: int, stops: str, other) -> Way | None:
+            """From the "rod" of the run before, or where the arm "waits", to either."""
+            here = {"r": begin[hand], "w": self.waiting[hand]}[stops[0]]
+            there = {"r": end[hand], "w": self.waiting[hand]}[stops[1]]
+            at, to = work[hand]
+            leave, arrive = stops[0] == "r" and at is not None, stops[1] == "r" and to is not None
+            for wait in (None, self.waiting[hand]):
+                way = find_way(
+                    self.arms[hand], here, there,
+                    leave=leave, arrive=arrive, wait=wait, other=other,
+                )  # fmt: skip
+                if way is not None:
+                    return way
+            return None
 
-            gap = self._gap(motion(np.arange(0.0, need + _CHECK, _CHECK)))
-            if gap >= ARM_ROOM:
-                return motion, need
-            if gap > best[0]:
-                best = gap, motion
+        together = [find(h, "rr", None) if h in moving else None for h in range(2)]
+        plan = [(h, 0.0, way) for h, way in enumerate(together) if way is not None]
+        if len(plan) == len(moving):
+            need = max((way.duration for _, _, way in plan), default=0.0)
+            if self._gap(_played(plan, begin, np.arange(0.0, need + _CHECK, _CHECK))) >= ARM_ROOM:
+                return lambda t: _played(plan, begin, t), need
+        # One after the other, each keeping clear of where the other stands.
+        orders = [[(h, "rr") for h in order] for order in (moving, moving[::-1])]
+        if len(moving) == 2:
+            orders += [[(a, "rw"), (b, "rr"), (a, "wr")] for a, b in ((0, 1), (1, 0))]
+        best: tuple[float, list] = (np.inf, [])
+        for order in orders:
+            if len(order) == 3 and best[1]:
+                break  # no need to step aside
+            found = self._one_by_one(order, begin, find)
+            if found is not None:
+                best = min(best, found, key=lambda item: item[0])
+        if best[1]:
+            return lambda t: _played(best[1], begin, t), best[0]
         raise RobotError(
-            f"the arms come within {1e3 * best[0]:.1f} mm of each other between frames {before} "
-            f"and {after} of the film, whichever goes first; give them other places"
+            f"the arms cannot pass each other between frames {before} and {after} of the film, "
+            f"whichever goes first, and keep {1e3 * ARM_ROOM:g} mm apart; give them other places"
         )
+
+    def _one_by_one(self, order, begin, find) -> tuple[float, list] | None:
+        """Seconds and parts (arm, begin [s], way) of moves one after the other."""
+        clock, parts, now = 0.0, [], list(begin)
+        for hand, stops in order:
+            way = find(hand, stops, self.arms[1 - hand].capsules(now[1 - hand][None]))
+            if way is None:
+                return None
+            parts.append((hand, clock, way))
+            clock += way.duration + _PAUSE
+            now[hand] = way.legs[-1].knots[-1]
+        return clock - _PAUSE, parts
 
     def _gap(self, both) -> float:
         one, other = (arm.capsules(q) for arm, q in zip(self.arms, both, strict=True))
         return float(gap_between(one, other).min())
 
 
-def _orders(options: list[list[Way | None]]):
-    """Ways of both arms, together or one after the other, the shortest first."""
-    found = []
-    for ways in product(*options):
-        first, second = (0.0 if way is None else way.duration for way in ways)
-        found.append((max(first, second), ways, (0.0, 0.0)))
-        if first and second:
-            found.append((first + second + _PAUSE, ways, (0.0, first + _PAUSE)))
-            found.append((first + second + _PAUSE, ways, (second + _PAUSE, 0.0)))
-    return sorted(found, key=lambda item: item[0])
+def _played(parts: list[tuple[int, float, Way]], begin, time: np.ndarray) -> list[np.ndarray]:
+    """Joint positions (k, n) of both arms at times (k,) [s]; one at rest stays where it is."""
+    out = [np.repeat(q[None], len(time), axis=0) for q in begin]
+    for hand, start, way in parts:
+        later = time >= start
+        out[hand][later] = way.at(time[later] - start)
+    return out

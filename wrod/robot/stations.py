@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from wrod.errors import RobotError
-from wrod.robot.arm import coarse_frames
 from wrod.robot.grip import Grip
+from wrod.robot.hold_path import coarse_frames
 from wrod.robot.holds import Grasp, Hold
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement, candidates
@@ -19,7 +19,7 @@ _FRAMES, _SEEDS, _GRASPS = 80, 4, 3
 _APART = 0.9  # [m] between two bases
 _FACING = np.cos(np.radians(110.0))  # seen from the middle of the table
 _POOR = 1.0  # a branch of this cost misses by a centimetre
-_PAIRS = 6
+_PAIRS = 8
 
 
 def pairs_of_stations(
@@ -55,7 +55,15 @@ def pairs_of_stations(
             "all that they do; use a smaller pattern or shorter moves"
         )
     pairs.sort(key=lambda item: item[0])
-    return [(first, second) for _, first, second in pairs[:_PAIRS]]
+    # The best of each pair of bearings before the second best of any: places side by side fail
+    # alike.
+    seen: dict[tuple[float, float], int] = {}
+    order = []
+    for rank, (_, first, second) in enumerate(pairs):
+        key = first.yaw, second.yaw
+        seen[key] = seen.get(key, 0) + 1
+        order.append((seen[key], rank))
+    return [pairs[rank][1:] for _, rank in sorted(order)[:_PAIRS]]
 
 
 def _stations(robot, holds, grasps, ground) -> list[tuple[float, Placement]]:

@@ -148,6 +148,7 @@ def find_way(
     leave: bool,
     arrive: bool,
     wait: np.ndarray | None = None,
+    other=None,
 ) -> Way | None:
     """A way between joint positions (n,) that keeps clear of the table and the arm's own links.
 
@@ -155,6 +156,7 @@ def find_way(
         first, last: where it begins and ends [rad].
         leave, arrive: whether a rod is there, from which the hand moves straight back.
         wait: where the arm passes on the way; None: nowhere.
+        other: capsules of another arm that stands still, which is kept clear of, too.
 
     Returns:
         None if none was found.
@@ -169,7 +171,7 @@ def find_way(
         stops.insert(1, wait)
     for a, b in pairwise(stops):
         if np.abs(b - a).max() > 1e-9:
-            part = _through_air(arm, a, b)
+            part = _through_air(arm, a, b, other)
             if part is None:
                 return None
             legs += part
@@ -178,7 +180,7 @@ def find_way(
     return Way(tuple(legs)) if legs else Way((Leg(np.stack([first, last]), 0.2),))
 
 
-def _through_air(arm: Arm, a: np.ndarray, b: np.ndarray) -> list[Leg] | None:
+def _through_air(arm: Arm, a: np.ndarray, b: np.ndarray, other) -> list[Leg] | None:
     """Straight in the joints' space, or round what is in the way; None if neither."""
     rng = np.random.default_rng(5)
     lower, upper = np.maximum(arm.robot.lower, -4.7), np.minimum(arm.robot.upper, 4.7)
@@ -190,7 +192,7 @@ def _through_air(arm: Arm, a: np.ndarray, b: np.ndarray) -> list[Leg] | None:
     for via in vias:
         stops = [a, b] if via is None else [a, via, b]
         legs = [_timed(arm, np.stack(pair)) for pair in pairwise(stops)]
-        if arm.problem(np.concatenate([_points(leg) for leg in legs]))[1] is None:
+        if arm.problem(np.concatenate([_points(leg) for leg in legs]), other)[1] is None:
             if via is None:
                 return legs
             found.append(legs)

@@ -8,9 +8,10 @@ from itertools import product
 import numpy as np
 
 from wrod.errors import RobotError
-from wrod.robot.arm import ARM_ROOM, Arm, HoldPath, gap_between, solve_hold, with_middles
+from wrod.robot.arm import ARM_ROOM, Arm, gap_between, with_middles
 from wrod.robot.arm_course import Course
 from wrod.robot.collision import CollisionModel
+from wrod.robot.hold_path import Follower, HoldPath, follow, follow_both
 from wrod.robot.holds import Grasp, Hand, HandFilm, Hold, find_grasps, find_holds
 from wrod.robot.kinematics import one_torch_thread
 from wrod.robot.model import Robot, load_robot
@@ -128,7 +129,7 @@ def _apart(holds: list[Hold], grasps: dict[int, list[Grasp]], hand: Hand) -> dic
             mine, theirs = out[id(one)], out[id(other)]
             for a, b in product(mine, theirs):
                 gap = _hand_gap(hand, one, a, other, b, np.array(common))
-                cost = abs(a.slant) + abs(b.slant) + 100.0 * max(0.0, _HANDS_APART - gap)
+                cost = a.slant**2 + b.slant**2 + 100.0 * max(0.0, _HANDS_APART - gap)
                 if best is None or cost < best[0] - 1e-9:
                     best = cost, a, b
             out[id(one)] = _like(mine, best[1])
@@ -159,22 +160,38 @@ def _solve(film: HandFilm, arms: list[Arm], holds, grasps, ground: np.ndarray) -
     middle = (ground.min(0) + ground.max(0)) / 2 * [1, 1, 0]
     waiting = [park(arm, middle) for arm in arms]
     resting = [arm.capsules(q[None]) for arm, q in zip(arms, waiting, strict=True)]
-    paths: list[HoldPath] = []
     steps = np.diff(film.time)
-    for hold in holds:
-        count = hold.last - hold.first + 1
+    paths: list[HoldPath] = []
+
+    def follower(hold: Hold) -> Follower:
+        side = Follower(arms[hold.hand], hold, grasps[id(hold)], steps[hold.first : hold.last])
+        side.other = beside(side)
+        return side
+
+    def beside(side: Follower, path: HoldPath | None = None):
+        """The other arm's capsules beside a hold: at work where that is known, else waiting."""
+        hold, known = side.hold, paths if path is None else [*paths, path]
         start, end, radius = resting[1 - hold.hand]
+        count = hold.last - hold.first + 1
         start, end = np.repeat(start, count, axis=0), np.repeat(end, count, axis=0)
-        for path in paths:
-            first, last = max(path.hold.first, hold.first), min(path.hold.last, hold.last)
-            if path.hold.hand == hold.hand or last < first:
+        for work in known:
+            first, last = max(work.hold.first, hold.first), min(work.hold.last, hold.last)
+            if work.hold.hand == hold.hand or last < first:
                 continue
-            there = slice(first - path.hold.first, last + 1 - path.hold.first)
+            there = slice(first - work.hold.first, last + 1 - work.hold.first)
             here = slice(first - hold.first, last + 1 - hold.first)
-            start[here], end[here], _ = arms[path.hold.hand].capsules(path.positions[there])
-        interval = steps[hold.first : hold.last]
-        other = (start, end, radius)
-        paths.append(solve_hold(arms[hold.hand], hold, grasps[id(hold)], interval, other))
+            start[here], end[here], _ = arms[work.hold.hand].capsules(work.positions[there])
+        return start, end, radius
+
+    left = list(holds)
+    while left:
+        hold = left.pop(0)
+        partner = next((h for h in left if h.hand != hold.hand and h.first <= hold.last), None)
+        if partner is None:
+            paths.append(follow(follower(hold)))
+        else:
+            left = [h for h in left if h is not partner]
+            paths += follow_both(follower(hold), follower(partner), beside)
     return measured(film, arms, *Course(film, arms, paths, waiting).run())
 
 
