@@ -33,7 +33,7 @@ def with_waiting(
         share = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
         # Edges turn from one direction into the other, so that the rod keeps its length.
         tangent = _turned(np.array([1.0, 0.0, 0.0]), edges / length[:, None], share)
-        tip = waiting[1] + share * (first[-1] - waiting[1])
+        tip = waiting[-1] + share * (first[-1] - waiting[-1])
         places = np.concatenate([np.zeros((1, 3)), np.cumsum(tangent * length[:, None], axis=0)])
         places += tip - places[-1]
         places[:, 2] += max(0.0, min(radius, first[:, 2].min()) - places[:, 2].min())
@@ -42,10 +42,10 @@ def with_waiting(
 
 
 def waiting_line(length: float, ground: np.ndarray, radius: float) -> np.ndarray:
-    """(2, 3) ends of a rod that waits [m]."""
+    """(n, 3) points of a rod that waits [m], from end to end."""
     middle = (ground[:, 0].min() + ground[:, 0].max()) / 2
-    ends = np.array([-0.5, 0.5]) * length + middle
-    return np.column_stack([ends, np.full(2, ground[:, 1].min()), np.full(2, radius)])
+    x = np.linspace(-0.5, 0.5, 20) * length + middle
+    return np.column_stack([x, np.full_like(x, ground[:, 1].min()), np.full_like(x, radius)])
 
 
 def _turned(start: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from wrod.errors import RobotError, SceneError
 from wrod.files import write_atomically
 from wrod.fixtures import Fixtures
-from wrod.robot.holds import HandFilm
+from wrod.robot.holds import HandFilm, Hold, find_holds
 from wrod.robot.placement import Placement
 from wrod.robot.two_arms import ArmFilm, solve_two_arms
 from wrod.scene.arm import add_arm
@@ -114,7 +114,9 @@ def export_scene(
     _fill(stage, clock, time[frame], shown, names, radii, drawn, ground, arms, fixtures)
     prim = stage.GetPrimAtPath(_ROOT)
     told = {k: v for k, v in (facts or {}).items() if v is not None}
-    prim.SetCustomDataByKey("wrod", told | ({} if arms is None else {"arms": arms.facts}))
+    if arms is not None:
+        told |= {"arms": arms.facts, "moments": _moments(find_holds(film), arms)}
+    prim.SetCustomDataByKey("wrod", told)
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / f"scene{path.suffix}"
         if not stage.GetRootLayer().Export(str(draft)):
@@ -124,6 +126,31 @@ def export_scene(
 
 
 _ROOT = "/World/Deployment_000"
+
+
+def _moments(holds: list[Hold], arms: ArmFilm) -> dict[str, float]:
+    """Time codes worth a picture: laying, and what follows it."""
+
+    def code(frame: float) -> float:
+        return float(np.searchsorted(arms.frame, round(frame)))
+
+    laying = [hold for hold in holds if hold.end]
+    moves = [hold for hold in holds if not hold.end]
+    end = float(len(arms.frame) - 1)
+    if not moves:
+        if not laying:
+            return {"end": end}
+        first, last = laying[0].first, laying[-1].last
+        thirds = {f"laying_{k}": code(first + k * (last - first) / 3) for k in (1, 2)}
+        return {**thirds, "laid": code(last), "end": end}
+    # The last of them pull.
+    tied = [hold for hold in moves if hold.first < moves[-1].first] or moves
+    return {
+        "laying": code((laying[-1].first + laying[-1].last) / 2 if laying else 0),
+        "move": code((tied[-1].first + tied[-1].last) / 2),
+        "tied": code(moves[-1].first),
+        "pulled": end,
+    }
 
 
 def _ground(drawn, rods, radii, hands, closed) -> np.ndarray:
@@ -153,8 +180,9 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
     table = table_under(ground, None, 0.0)
     prim = UsdGeom.Xform.Define(stage, _ROOT).GetPrim()
     add_table(stage, f"{_ROOT}/table", table, materials)
+    radius = min(radii)
     for k, points in enumerate(drawn):
-        add_pattern(stage, f"{_ROOT}/pattern_{k}", points + [0, 0, radii[k]], radii[k], materials)
+        add_pattern(stage, f"{_ROOT}/pattern_{k}", points + [0, 0, radius], radius, materials)
     for k, frames in enumerate(shown):
         color = ROD_COLORS.get(names[k], _OTHER)
         add_curve(stage, f"{_ROOT}/rod_{k}", frames, 2 * radii[k], materials, color, codes)
@@ -162,7 +190,7 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
         _add_fixtures(stage, f"{_ROOT}/fixtures", fixtures, materials)
     seen = [table.corners(), *[rod[:: max(1, len(rod) // 20)].reshape(-1, 3) for rod in shown]]
     floor, across = table.floor, np.array([0.0, -1.0])
-    near = [*seen]
+    work = [ground, ground + [0.0, 0.0, 0.45], table.corners()]
     if arms is not None:
         bases = [placement.world_from_base for placement in arms.placements]
         for number, (base, positions) in enumerate(zip(bases, arms.positions, strict=True)):
@@ -171,9 +199,12 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
             floor = min(floor, float(base[2, 3]) - BASE_HEIGHT)
             poses = arms.robot.link_poses(positions[:: max(1, len(positions) // 20)])
             links = [p[:, :3, 3] @ base[:3, :3].T + base[:3, 3] for p in poses.values()]
-            near += links
             feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
             seen += [*links, base[:3, 3] + feet]
+            work.append(
+                base[:3, 3]
+                + [[x, y, z] for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (-0.25, 0.6)]
+            )
         # From the side, so that neither arm stands before the table.
         apart = (bases[1] - bases[0])[:2, 3]
         across = np.array([apart[1], -apart[0]]) / np.linalg.norm(apart)
@@ -183,7 +214,10 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
     add_lights(stage)
     corners = np.stack([ground.min(0) - 0.08, ground.max(0) + 0.08])
     add_cameras(stage, points, across, corners)
-    add_view(stage, "side", np.concatenate(near), [*across, 0.45])
+    add_view(stage, "side", np.concatenate(work), [*across, 0.55])
+    near = np.concatenate(drawn)
+    centre = (near.min(0) + near.max(0)) / 2
+    add_view(stage, "close", centre + 1.25 * (near - centre), [*across, 1.1])
     for name, values in (("time", clock), ("simulatedTime", simulated)):
         attribute = prim.CreateAttribute(f"wrod:{name}", Sdf.ValueTypeNames.Double, custom=True)
         for code, value in zip(codes, values, strict=True):
