@@ -26,6 +26,7 @@ _RANKED = 12  # branches of each of two arms that are paired
 _SEEDS = 16
 _PAIR_ROOM = 0.08  # [m] wanted between the branches of two arms before they are improved
 _PAIR_FRAMES = 10
+_FAR = 0.05  # cost of a radian between two holds
 
 
 def coarse_frames(hold: Hold, least: int = 8) -> np.ndarray:
@@ -67,12 +68,13 @@ class Follower:
         hold: what.
         grasps: the ways to hold the rod, the best first.
         interval: (frame - 1,) seconds between the frames.
+        before: (n,) where the arm comes from: branches near that are preferred [rad].
         other: the other arm's capsules at these frames as far as they are known, else None.
     """
 
-    def __init__(self, arm: Arm, hold: Hold, grasps: list[Grasp], interval, other=None):
+    def __init__(self, arm: Arm, hold: Hold, grasps: list[Grasp], interval, before, other=None):
         self.arm, self.hold, self.grasps = arm, hold, grasps
-        self.interval, self.other = interval, other
+        self.interval, self.before, self.other = interval, before, other
         self.frames = coarse_frames(hold)
         self.travel = hold_travel(hold)
 
@@ -85,7 +87,9 @@ class Follower:
             grasp = self.grasps[choice]
             branch = Branch(self.arm.placement, grasp.grip, positions, miss, excess)
             short, _ = self.arm.problem(positions, _at(self.other, self.frames))
-            found.append((branch.cost + 10.0 * short + 0.5 * abs(grasp.slant), grasp, positions))
+            far = np.abs(positions[0] - self.before).max()
+            cost = branch.cost + 10.0 * short + 0.5 * abs(grasp.slant) + _FAR * far
+            found.append((cost, grasp, positions))
         found.sort(key=lambda item: item[0])
         kept: list = []
         for item in found:

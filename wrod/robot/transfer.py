@@ -15,7 +15,7 @@ from wrod.robot.kinematics import refine, solve_poses
 
 BACK = 0.06  # [m] a hand moves back along its fingers before it goes elsewhere
 _SHARE = 0.6  # of the joints' speed limits that empty hands use
-_LINE_SPEED = 0.08  # [m/s] beside a rod
+_LINE_SPEED, _HAND_SPEED = 0.08, 0.6  # [m/s] of hands beside a rod, and in the air
 _CHECKED = 0.04  # [rad] between the points of a way that are checked
 _SEEDS = 24
 # Where an arm may wait: distance of the grasp from its base, height above the table [m], and its
@@ -24,7 +24,7 @@ _PARKED = [
     (r, h, b) for b in (60, -60, 85, -85, 110, -110) for r in (0.36, 0.44) for h in (0.35, 0.45)
 ]
 _TURNED = 0.05  # [m/rad] of reach over the table that less turning aside is worth
-_VIAS, _SPREAD = 24, 0.7  # random ways round obstacles, their deviation [rad]
+_VIAS, _SPREAD = 60, 0.7  # random ways round obstacles, their deviation [rad]
 
 
 @dataclass(frozen=True)
@@ -79,12 +79,14 @@ def _points(leg: Leg) -> np.ndarray:
     return leg.at(np.linspace(0.0, 1.0, max(3, int(2 * way / _CHECKED))))
 
 
-def _timed(arm: Arm, knots: np.ndarray, length: float = 0.0) -> Leg:
-    """With the speeds and accelerations of a smoothstep within the joints' limits."""
+def _timed(arm: Arm, knots: np.ndarray, speed: float = _HAND_SPEED) -> Leg:
+    """With the speeds and accelerations of a smoothstep within the limits of joints and hand."""
     way = np.abs(np.diff(knots, axis=0)).sum(0)
     fast = (1.875 * way / (_SHARE * arm.robot.velocity)).max()
     hard = np.sqrt(5.774 * way / arm.robot.acceleration).max()
-    return Leg(knots, float(max(fast, hard, 1.875 * length / _LINE_SPEED, 0.2)))
+    hand = arm.grasps(_points(Leg(knots, 1.0)))[:, :3, 3]
+    length = np.linalg.norm(np.diff(hand, axis=0), axis=1).sum()
+    return Leg(knots, float(max(fast, hard, 1.875 * length / speed, 0.2)))
 
 
 def park(arm: Arm, middle: np.ndarray) -> np.ndarray:
@@ -137,7 +139,7 @@ def retreat(arm: Arm, positions: np.ndarray) -> Leg | None:
         knots.append(q[0])
     knots = np.array(knots)
     room = np.minimum(knots - arm.robot.lower, arm.robot.upper - knots)
-    return None if room.min() < 0.0 else _timed(arm, knots, BACK)
+    return None if room.min() < 0.0 else _timed(arm, knots, _LINE_SPEED)
 
 
 def find_way(
@@ -182,18 +184,17 @@ def find_way(
 
 def _through_air(arm: Arm, a: np.ndarray, b: np.ndarray, other) -> list[Leg] | None:
     """Straight in the joints' space, or round what is in the way; None if neither."""
+    straight = [_timed(arm, np.stack([a, b]))]
+    if arm.problem(_points(straight[0]), other)[1] is None:
+        return straight
     rng = np.random.default_rng(5)
     lower, upper = np.maximum(arm.robot.lower, -4.7), np.minimum(arm.robot.upper, 4.7)
-    vias = [None] + [
-        np.clip((a + b) / 2 + _SPREAD * rng.standard_normal(len(a)), lower + 0.1, upper - 0.1)
-        for _ in range(_VIAS)
-    ]
-    found = []
-    for via in vias:
-        stops = [a, b] if via is None else [a, via, b]
-        legs = [_timed(arm, np.stack(pair)) for pair in pairwise(stops)]
-        if arm.problem(np.concatenate([_points(leg) for leg in legs]), other)[1] is None:
-            if via is None:
+    vias = (a + b) / 2 + _SPREAD * rng.standard_normal((_VIAS, len(a)))
+    vias = np.clip(vias, lower + 0.1, upper - 0.1)
+    shortest = np.argsort(np.maximum(np.abs(vias - a), np.abs(vias - b)).max(1))
+    for via in vias[shortest]:
+        if arm.problem(via[None], other)[1] is None:
+            legs = [_timed(arm, np.stack([a, via])), _timed(arm, np.stack([via, b]))]
+            if all(arm.problem(_points(leg), other)[1] is None for leg in legs):
                 return legs
-            found.append(legs)
-    return min(found, key=lambda legs: sum(leg.duration for leg in legs), default=None)
+    return None

@@ -164,7 +164,14 @@ def _solve(film: HandFilm, arms: list[Arm], holds, grasps, ground: np.ndarray) -
     paths: list[HoldPath] = []
 
     def follower(hold: Hold) -> Follower:
-        side = Follower(arms[hold.hand], hold, grasps[id(hold)], steps[hold.first : hold.last])
+        done = [path for path in paths if path.hold.hand == hold.hand]
+        side = Follower(
+            arms[hold.hand],
+            hold,
+            grasps[id(hold)],
+            steps[hold.first : hold.last],
+            done[-1].positions[-1] if done else waiting[hold.hand],
+        )
         side.other = beside(side)
         return side
 

@@ -32,6 +32,7 @@ from wrod.substrate import Cylinder
 SUFFIXES = (".usdc", ".usda", ".usd")
 _STEEL, _OTHER = (0.62, 0.64, 0.67), (0.10, 0.50, 0.22)
 _SIDE = 0.08  # [m] beside what is laid, where rods wait that are laid later
+_BODY = (-0.25, 0.25)  # [m] about an arm's base
 _LOW = 0.03  # [m] what is lower lies on the table
 
 
@@ -201,10 +202,7 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
             links = [p[:, :3, 3] @ base[:3, :3].T + base[:3, 3] for p in poses.values()]
             feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
             seen += [*links, base[:3, 3] + feet]
-            work.append(
-                base[:3, 3]
-                + [[x, y, z] for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (-0.25, 0.6)]
-            )
+            work += [base[:3, 3] + [[x, y, z]] for x in _BODY for y in _BODY for z in (-0.2, 0.6)]
         # From the side, so that neither arm stands before the table.
         apart = (bases[1] - bases[0])[:2, 3]
         across = np.array([apart[1], -apart[0]]) / np.linalg.norm(apart)
@@ -214,7 +212,7 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
     add_lights(stage)
     corners = np.stack([ground.min(0) - 0.08, ground.max(0) + 0.08])
     add_cameras(stage, points, across, corners)
-    add_view(stage, "side", np.concatenate(work), [*across, 0.55])
+    add_view(stage, "side", np.vstack(work), [*across, 0.55])
     near = np.concatenate(drawn)
     centre = (near.min(0) + near.max(0)) / 2
     add_view(stage, "close", centre + 1.25 * (near - centre), [*across, 1.1])
