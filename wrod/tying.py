@@ -67,8 +67,9 @@ class TyingResult:
         error: (rod,) mean distance of the laid rods from their patterns [m].
         rods: (node, 3) centrelines of every rod at the end [m]; `stages` those after laying, the
             moves and pulling.
-        time, frames, hands: of the film: (T,) times [s], (T, node, 3) of every rod (NaN before it
-            is laid), and (T, hand, 4, 4) poses of the hands.
+        time, frames, hands, closed: of the film: (T,) times [s], (T, node, 3) of every rod (NaN
+            before it is laid), (T, hand, 4, 4) poses of the hands, and (T, hand) whether a hand is
+            at work: it may go elsewhere while it is not.
         duration: simulated time [s].
         steps: time steps taken.
     """
@@ -87,6 +88,7 @@ class TyingResult:
     time: np.ndarray | None = None
     frames: list[np.ndarray] = field(default_factory=list)
     hands: np.ndarray | None = None
+    closed: np.ndarray | None = None
     duration: float = 0.0
     steps: int = 0
 
@@ -147,9 +149,26 @@ def tie(
         device: "cpu", "cuda:0", "auto".
         progress: called with what comes next.
     """
-    from wrod.tying_session import Session
+    from wrod.tying_course import Course
+    from wrod.tying_laying import lay
+    from wrod.tying_moves import make
+    from wrod.tying_pull import pull
 
-    return Session(
-        knot, trials, method, friction, rod_friction, speed, hand_speed, step, film_interval,
-        device, progress or (lambda what: None),
-    ).run()  # fmt: skip
+    progress = progress or (lambda what: None)
+    course = Course(
+        knot, trials, method, friction, rod_friction, speed, hand_speed, step, film_interval, device
+    )
+    for k in range(len(knot.rods)):
+        progress(f"lay rod {k + 1}")
+        lay(course, k)
+    course.note("laid")
+    course.bench.handle_roughly()
+    for number, moves in enumerate(knot.steps, start=1):
+        progress(f"move {number}")
+        make(course, moves, f"move {number}")
+    course.note("tied")
+    if knot.pull:
+        progress("pull")
+        pull(course)
+        course.note("pulled")
+    return course.finished()

@@ -23,7 +23,11 @@ CASES = ("S cable", "U cable", "trefoil", "reef")
     help="Only this application; may be given again.",
 )
 @click.option("--batch", type=int, help="Trials simulated at once; default: 5, CUDA all.")
-@click.option("--usd", is_flag=True, help="Write every trial run now as a scene with both arms.")
+@click.option(
+    "--usd",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Write every trial run now as a scene with both arms into this folder.",
+)
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
@@ -31,7 +35,7 @@ def command(
     trials: int,
     chosen: tuple[str, ...],
     batch: int | None,
-    usd: bool,
+    usd: Path | None,
     device: str,
     as_json: bool,
 ) -> None:
@@ -75,9 +79,7 @@ def command(
             for first in range(0, len(mine), size):
                 part = mine[first : first + size]
                 bar.set_postfix_str(f"{case} {method}")
-                rows, scenes = run_trials(
-                    case, method, part, device=device, folder=out / "usd" if usd else None
-                )
+                rows, scenes = run_trials(case, method, part, device=device, folder=usd)
                 ledger.add(rows)
                 written += scenes
                 bar.update(len(part))
