@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False})
 
 WARP = 32
 # Lanes that wait for each other.
-TEAM = 64
+TEAM = 128
 
 
 def lanes(device: str, count: int = WARP) -> int:

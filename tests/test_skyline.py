@@ -106,7 +106,8 @@ class System:
         negative = wp.full(RODS, -1, dtype=wp.int32, device=self.device)
         inputs = [self.coupled, self.overflow, *self.profile]
         if self.kernels is skyline_lanes:
-            inputs += [self.zeros(wp.float64, 4), self.zeros(wp.vec4d, 4), self.zeros(wp.vec4d, 4)]
+            widths = (4, skyline_lanes.STRIDE, skyline_lanes.STRIDE)
+            inputs += [self.zeros(wp.float64, width) for width in widths]
         self.launch(self.kernels.factorise, inputs, [self.stored, negative])
         return negative.numpy().copy()
 

@@ -57,11 +57,9 @@ class CoupledSystem(BandedSystem):
                 dtype=wp.vec4d,
                 device=device,
             )
-            self._product, self._column = (
-                wp.zeros((rods, 4 * nodes), dtype=wp.vec4d, device=device) for _ in range(2)
-            )
-            self._size, self._y = (
-                wp.zeros((rods, 4 * nodes), dtype=wp.float64, device=device) for _ in range(2)
+            self._product, self._column, self._size, self._y = (
+                wp.zeros((rods, width * nodes), dtype=wp.float64, device=device)
+                for width in (skyline_lanes.STRIDE, skyline_lanes.STRIDE, 4, 4)
             )
 
     def _together(self, kernel, inputs, outputs) -> None:

@@ -222,25 +222,24 @@ class Dynamics:
         graph = None
         if self._recording is not None and self._recording[0] == key:
             graph = self._recording[1]
-        rounds = 0
+        taken = 0
         if graph is None:
             self._ask()
         while graph is not None or self._going.numpy()[1] != 0:
             # Launches are replayed faster than they can be made, but recording costs as much as
             # taking them; the first round has compiled the kernels.
-            if graph is None and rounds > 0 and (self.keeps_recording or not on_cpu):
+            if graph is None and taken > 0 and (self.keeps_recording or not on_cpu):
                 graph = self._record(take_round)
                 self._recording = (key, graph) if self.keeps_recording else None
             self._rounds.zero_()
             if graph is None:
                 take_round()
-                rounds += 1
             else:
                 wp.capture_launch(graph)
-                rounds += _ROUNDS
                 if self._going.numpy()[1] == 0:
                     break
-            if progress is not None and rounds % _ROUNDS == 0:
+            taken += 1
+            if progress is not None and (graph is not None or taken % _ROUNDS == 0):
                 progress(self.time.numpy().copy())
         if self.rod_contact is not None:
             self.rod_contact.check_capacity()
