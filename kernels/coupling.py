@@ -53,26 +53,31 @@ def fill_band(
     hessian: wp.array3d(dtype=wp.float64),
     shift: wp.array(dtype=wp.float64),
     rank: wp.array2d(dtype=wp.int32),
+    order: wp.array2d(dtype=wp.int32),
     first: wp.array2d(dtype=wp.int32),
     row: wp.array2d(dtype=wp.int32),
     # State out:
     block_out: wp.array2d(dtype=wp.mat44d),
 ):
-    """Row of node v: zero, and the blocks of the rod itself. Launched over (rod, node)."""
-    r, v = wp.tid()
+    """Row of node v: blocks of the rod itself, and zero elsewhere. Launched over (rod, node, 5):
+    one for each node near v along the rod."""
+    r, v, k = wp.tid()
     if coupled[r] == 0 or overflow[r] != 0:
         return
     p = rank[r, v]
     at = row[r, p]
-    for b in range(first[r, p], p + 1):
-        block_out[r, at + b] = wp.mat44d()
-    for u in range(wp.max(v - 2, 0), wp.min(v + 3, rank.shape[1])):
-        b = rank[r, u]
-        if b <= p:
-            m = band_block(hessian, r, v, u)
-            if b == p:
-                m = m + shift[r] * wp.identity(4, dtype=wp.float64)
-            block_out[r, at + b] = masked(free, m, r, v, u)
+    for b in range(first[r, p] + k, p, 5):
+        if wp.abs(order[r, b] - v) > 2:
+            block_out[r, at + b] = wp.mat44d()
+    u = v + k - 2
+    if u < 0 or u >= rank.shape[1]:
+        return
+    b = rank[r, u]
+    if b <= p:
+        m = band_block(hessian, r, v, u)
+        if b == p:
+            m = m + shift[r] * wp.identity(4, dtype=wp.float64)
+        block_out[r, at + b] = masked(free, m, r, v, u)
 
 
 @wp.struct

@@ -105,12 +105,14 @@ class CoupledSystem(BandedSystem):
             [self._rank, self._order, self._first, self._last, self._row, overflow],
         )
         chosen = [self.coupled, overflow, batch.free]
+        profile = [self._rank, self._order, self._first, self._row]
         wp.launch(
             coupling.fill_band,
-            dim=(batch.rod_count, batch.node_count),
-            inputs=[*chosen, hessian, self.shift, self._rank, self._first, self._row],
+            dim=(batch.rod_count, batch.node_count, 5),
+            inputs=[*chosen, hessian, self.shift, *profile],
             outputs=[self._block],
             device=batch.device,
+            block_dim=lanes(batch.device, TEAM),
         )
         self._together(
             coupling.add_pairs,
