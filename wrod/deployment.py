@@ -154,6 +154,9 @@ def simulate_deployments(
     if device == "cpu":
         size = max(1, min(_CPU_CHUNK, -(-size // workers)))
     chunks = _chunks(trials, size)
+    parallel = workers > 1 and len(chunks) > 1
+    # Recording is the process's: threads would record each other's launches.
+    options["keeps_recording"] = device == "cpu" and not parallel
 
     def report(fraction: float, count: int) -> None:
         if progress is not None:
@@ -168,7 +171,7 @@ def simulate_deployments(
             **options,
         )
 
-    if workers > 1 and len(chunks) > 1:
+    if parallel:
         with ThreadPoolExecutor(workers) as pool:
             parts = list(pool.map(run, chunks))
     else:
@@ -246,6 +249,7 @@ def _simulate(
     tolerance,
     frame_interval,
     device,
+    keeps_recording,
     report,
 ) -> list[Deployment]:
     batch, rods = _batch(trials, setups, device)
@@ -270,6 +274,7 @@ def _simulate(
         motion=GripMotion(batch, [setup.schedule for setup in setups]),
         force_scale=load,
         tolerance=tolerance,
+        keeps_recording=keeps_recording,
     )
     ends = np.array([setup.end_time for setup in setups])
     frames = None
