@@ -165,11 +165,15 @@ def _knot(case, method, trials, device, folder):
                 "cpu_seconds": seconds,
                 "steps": r.steps,
                 "knots": {
-                    stage: [found.name, found.share]
-                    for stage in ("laid", "tied", "pulled")
+                    stage: [found.name, found.share, found.share_of(knot.knot)]
+                    for stage in ("laid", "tied", "tight", "pulled")
                     if (found := getattr(r, stage)) is not None
                 },
                 "load": [round(float(v), 4) for v in r.load],
+                "strongest": round(r.strongest, 4),
+                "crept": round(r.crept, 5),
+                "missed": r.missed,
+                "slipped": r.slipped,
                 "curves": {stage: [_kept(rod) for rod in rods] for stage, rods in r.stages.items()},
             }
         )
