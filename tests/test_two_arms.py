@@ -9,8 +9,12 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError
-from wrod.robot.collision import capsule_of
-from wrod.robot.holds import HandFilm, find_holds
+from wrod.robot.arm import Arm
+from wrod.robot.collision import CollisionModel, capsule_of
+from wrod.robot.hold_path import Follower, follow
+from wrod.robot.holds import Hand, HandFilm, find_grasps, find_holds
+from wrod.robot.model import load_robot
+from wrod.robot.placement import Placement
 from wrod.robot.two_arms import solve_two_arms
 from wrod.scene.brought import with_waiting
 from wrod.scene.moments import moments
@@ -194,7 +198,7 @@ LINE = np.linspace(0.0, 1.0, 12)[:, None] * [0.1, 0.0, 0.0] + [-0.1, -0.1, 0.004
 
 
 def test_hands_too_near_each_other_are_refused():
-    with pytest.raises(RobotError, match="arm"):
+    with pytest.raises(RobotError, match="two hands at work come within"):
         solve_two_arms(two_hands(LINE, LINE + [0.0, 0.02, 0.0]), GROUND)
 
 
@@ -204,10 +208,17 @@ def test_hand_out_of_reach_is_refused():
 
 
 def test_too_fast_a_hand_is_refused():
-    film = two_hands(LINE, LINE + [0.0, 0.25, 0.0])
-    fast = HandFilm(film.time / 50.0, film.hands, film.closed, ())
+    robot = load_robot("sawyer")
+    model = CollisionModel(robot)
+    hand = Hand.of(model)
+    arm = Arm(robot, model, hand, Placement(0.6, 0.0, -0.25))
+    hold = find_holds(two_hands(LINE, LINE + [0.0, 0.25, 0.0]))[0]
+    grasps = find_grasps(hold, hand)
+    before = np.zeros(7)
+    path = follow(Follower(arm, hold, grasps, np.full(11, 0.4), before))
+    assert len(path.positions) == 12
     with pytest.raises(RobotError, match="as fast as it can"):
-        solve_two_arms(fast, GROUND)
+        follow(Follower(arm, hold, grasps, np.full(11, 0.004), before))
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 import wrod
 from wrod.bench.applications_report import markdown, table
 from wrod.errors import DataError, PatternError
+from wrod.fingers import GRIP_FORCE, PAD_FRICTION, holding_force
 from wrod.hand_paths import hand_path
 from wrod.knot_plan import KnotPlan, Move
 from wrod.substrate import Friction
@@ -129,8 +130,27 @@ def test_way_of_a_hand_passes_over():
 def test_handling_is_random_and_repeatable():
     assert Handling.random(3) == Handling.random(3)
     assert Handling.random(3) != Handling.random(4)
-    strength = np.concatenate([Handling.random(k, strength=0.6).strength for k in range(40)])
-    assert np.median(strength) == pytest.approx(0.6, rel=0.1)
+    trials = [Handling.random(k) for k in range(60)]
+    assert np.std([trial.offset for trial in trials]) == pytest.approx(1e-3, rel=0.15)
+    friction = np.log([trial.pad_friction for trial in trials])
+    assert np.exp(friction.mean()) == pytest.approx(PAD_FRICTION, rel=0.1)
+    assert friction.std() == pytest.approx(0.3, rel=0.1)
+
+
+def test_fingers_hold_by_friction_until_they_end_over_the_rod():
+    radius, friction = 0.0016, 0.5
+    firm = 2.0 * GRIP_FORCE * friction
+    tips = np.array([0.0, radius, 1.3 * radius, 1.6 * radius, 2.5 * radius])
+    held = holding_force(radius, radius, tips, friction)
+    assert held[:2] == pytest.approx([firm, firm])
+    assert 0.0 < held[2] < 0.5 * firm
+    assert (held[3:] == 0.0).all()  # beyond sin(atan(0.5)) = 0.45 radii over the axis
+    # The limit is where the lean is the angle of friction.
+    edge = radius * (1.0 + np.sin(np.arctan(friction)))
+    assert holding_force(radius, radius, edge - 1e-7, friction) > 0.0
+    assert holding_force(radius, radius, edge + 1e-7, friction) == 0.0
+    # A rod that lies on another is deeper between the same fingers.
+    assert holding_force(radius, 3.0 * radius, tips[3], friction) == pytest.approx(firm)
 
 
 @pytest.mark.parametrize("name", ["trefoil", "reef"])
@@ -200,15 +220,21 @@ def test_table_of_successes():
 def test_why_a_trial_failed():
     from wrod.topology import Recognition
 
-    def result(tied, pulled, **more):
+    def result(tied, pulled, tight="right trefoil", share=1.0, **more):
         found = {
-            name: Recognition(what, 1.0, {})
-            for name, what in (("tied", tied), ("pulled", pulled))
+            name: Recognition(what, share, {what: 15})
+            for name, what in (("tied", tied), ("tight", tight), ("pulled", pulled))
             if what
         }
-        return TyingResult(wanted="right trefoil", **found, **more)
+        return TyingResult(wanted="right trefoil", **{"held": True, **found, **more})
 
     assert result("right trefoil", "right trefoil").success
+    inside = result("right trefoil", "right trefoil", share=0.6, missed=["move 2"])
+    assert inside.why == "tied nothing clear, grasped nothing: move 2"
+    gave = result("right trefoil", "right trefoil", held=False, crept=0.02)
+    assert gave.why == "gave 20 mm under the pull"
+    loose = result("right trefoil", "right trefoil", tight=None, held=False, strongest=0.31)
+    assert loose.why == "did not tighten: 0.31 N"
     assert result("right trefoil", "unknot").why == "came loose: unknot"
     assert result("unknot", "unknot", missed=["move 2"]).why == (
         "tied unknot, grasped nothing: move 2"
@@ -217,5 +243,3 @@ def test_why_a_trial_failed():
     assert "slipped" in result("right trefoil", "unknot", slipped=["pull"]).why
     assert not result("right trefoil", "right trefoil", missed=["pull"]).success
     assert result("right trefoil", None).why == "not pulled"
-    blocked = result("right trefoil", "right trefoil", blocked=True, missed=["no room for rod 2"])
-    assert blocked.why == "no room for rod 2"

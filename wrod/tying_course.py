@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.deployment import with_remainder_of
 from wrod.deployment_setup import Disturbance
+from wrod.fingers import REACH, holding_force
 from wrod.grip import smooth_noise
 from wrod.knot_plan import KnotPlan, Move
 from wrod.material import RodMaterial
@@ -55,11 +56,13 @@ class Course:
         self.bench: Workbench | None = None
         self.elapsed = 0.0
         self.begun = 0.0  # when the clock of `bench` was started
-        self.closed = [False, False]  # which hands are at work, whether they hold a rod or not
+        # (scene, hand) whether a hand is at work, whatever it has found.
+        self.closed = np.zeros((len(trials), 2), dtype=bool)
         self.home = [Poses(_repeat(place, trials), _upright(trials)) for place in _home(knot)]
         self.now = list(self.home)
         self.grasps = 0
-        self.film: list[tuple[float, list[np.ndarray], np.ndarray, list[bool]]] = []
+        self.strength = np.full((len(trials), 2), np.inf)  # of the grasps [N]
+        self.film: list[tuple[float, list[np.ndarray], np.ndarray, np.ndarray]] = []
         rng = [np.random.default_rng([trial.seed, 11]) for trial in trials]
         # (scene, hand, tick, 3): a minute of shaking, over and over.
         self.shaking = np.stack(
@@ -80,12 +83,16 @@ class Course:
         point = point + (s - clipped) * along
         return np.array([point[0], point[1], rod.radius])
 
-    def hand_pose(self, hand: int, position: np.ndarray, yaw: np.ndarray | float) -> Poses:
-        """A hand's true pose for a commanded one, (3,) or (scene, 3)."""
+    def hand_pose(
+        self, hand: int, position: np.ndarray, yaw: np.ndarray | float = 0.0, floor: float = 0.0
+    ) -> Poses:
+        """A hand's true pose for a commanded one, (3,) or (scene, 3); at the height `floor` its
+        fingertips touch the table."""
         count = len(self.trials)
         tick = round((self.elapsed + self.bench.time) / TICK) % self.shaking.shape[2]
         out = np.broadcast_to(position, (count, 3)) + self.shaking[:, hand, tick]
-        out[:, :2] += [trial.offset[hand] for trial in self.trials]
+        out += [trial.offset[hand] for trial in self.trials]
+        out[:, 2] = np.maximum(out[:, 2], floor)
         yaw = np.broadcast_to(yaw, (count,))
         return Poses(out, Rotation.from_euler("z", yaw[:, None]) * _UPRIGHT)
 
@@ -105,28 +112,55 @@ class Course:
             for h, pose in enumerate(poses(bench.time)):
                 hands[:, h, :3, 3] = pose.position
                 hands[:, h, :3, :3] = pose.rotation.as_matrix()
-            self.film.append((now, bench.positions(), hands, list(self.closed)))
+            self.film.append((now, bench.positions(), hands, self.closed.copy()))
 
         return after
 
-    def _slip(self, name: str) -> None:
-        load = self.bench.load()
-        for scene, trial in enumerate(self.trials):
-            for hand in range(2):
-                if self.bench.held.edge[scene, hand] < 0 or not trial.strength:
-                    continue
-                strength = trial.strength[(self.grasps + hand) % len(trial.strength)]
-                if load[scene, hand] > strength:
-                    self.bench.held.open(scene, hand)
-                    self.results[scene].slipped.append(name)
+    def grasp(
+        self, hand: int, rod: int, name: str, poses: Poses, scenes: Iterable[int] | None = None
+    ) -> None:
+        """Close a hand, of some scenes, all by default, on what it finds, its fingertips a radius
+        of the rod below it."""
+        middle, _ = self.bench.held.edges()
+        radius = self.knot.rods[rod][1].radius
+        for scene in range(len(self.trials)) if scenes is None else scenes:
+            trial, place = self.trials[scene], poses.position[scene]
+            gap = np.linalg.norm(middle[scene] - place, axis=1)
+            for s in self.bench.slices[:-1]:
+                gap[s.stop - 1] = np.inf  # between two rods
+            edge = int(np.argmin(gap))
+            found = next(k for k, s in enumerate(self.bench.slices) if edge < s.stop)
+            thick, height = self.true_rods[scene][found].radius, middle[scene, edge, 2]
+            tip = place[2] - radius
+            if gap[edge] > REACH or tip > height + thick:
+                self.results[scene].missed.append(name)
+                continue
+            self.bench.held.grasp(scene, hand, edge, poses)
+            self.strength[scene, hand] = np.inf
+            if trial.pad_friction:
+                pads = trial.pad_friction[(self.grasps + hand) % len(trial.pad_friction)]
+                self.strength[scene, hand] = holding_force(thick, height, tip, pads)
 
-    def note(self, stage: str) -> None:
+    def _slip(self, name: str) -> None:
+        overloaded = self.bench.load() > self.strength
+        for scene, hand in np.argwhere(overloaded & (self.bench.held.edge >= 0)):
+            self.bench.held.open(scene, hand)
+            self.results[scene].slipped.append(name)
+
+    def keep(self, stage: str, scenes: Iterable[int] | None = None) -> list[int]:
+        """Keep the rods of some scenes, all by default."""
         rods = self.bench.positions()
-        for scene, result in enumerate(self.results):
-            lines = [rod[scene] for rod in rods]
-            result.stages[stage] = lines
+        chosen = list(range(len(self.trials)) if scenes is None else scenes)
+        for scene in chosen:
+            self.results[scene].stages[stage] = [rod[scene] for rod in rods]
+        return chosen
+
+    def note(self, stage: str, scenes: Iterable[int] | None = None) -> None:
+        """Keep them, and recognise their knots."""
+        for scene in self.keep(stage, scenes):
+            lines = self.results[scene].stages[stage]
             found = recognise_knot(lines[0]) if len(lines) == 1 else recognise_pair(*lines)
-            setattr(result, stage, found)
+            setattr(self.results[scene], stage, found)
 
     def count_steps(self) -> None:
         for scene, result in enumerate(self.results):
@@ -146,8 +180,8 @@ class Course:
                     for _, rods, _, _ in self.film
                 ]
                 result.frames.append(np.stack(frames))
-            result.hands = np.stack([hands[scene] for _, _, hands, _ in self.film])
-            result.closed = np.array([frame[3] for frame in self.film])
+            result.hands = np.stack([frame[2][scene] for frame in self.film])
+            result.closed = np.stack([frame[3][scene] for frame in self.film])
         return self.results
 
 

@@ -15,14 +15,14 @@ from wrod.workbench import Poses, Workbench
 
 # Length of the edges over the rod's radius: rods in contact want edges no longer than thick.
 _EDGE = 2.0
-_AWAY = np.array([0.0, 2.0, 0.0])  # [m]
 # First stretch of a rod, which ends before the first crossing, and what is laid when it is let go
 # [m].
 _HOLD, _RELEASE = 0.05, 0.10
 
 
 def lay(course: Course, k: int) -> None:
-    """Put the scene's rods on a new table, the next one hanging from the first hand."""
+    """Put the scene's rods on a new table, the next one hanging from the first hand, lay it, and
+    let it go."""
     pattern, rod, trajectory = course.plans[k]
     edges = int(np.ceil(rod.length / (_EDGE * rod.radius)))
     arc = np.linspace(0.0, rod.length, edges + 1)
@@ -37,11 +37,9 @@ def lay(course: Course, k: int) -> None:
     if course.bench is not None:
         before = course.bench.batch
         lying = before.positions()
-        for scene, result in enumerate(course.results):
-            if _blocked(course, lying[scene], position[scene], k):
-                result.missed.append(f"no room for rod {k + 1}")
-                result.blocked = True
-                lying[scene] += _AWAY  # so that the other scenes may go on beside this one
+        for scene in range(len(course.trials)):
+            position[scene] = _over(course, lying[scene], position[scene], arc, rod.radius)
+        director = np.stack([_carried(p, d[0]) for p, d in zip(position, director, strict=True)])
         position = np.concatenate([lying, position], axis=1)
         link = position[:, before.node_count] - position[:, before.node_count - 1]
         across = np.cross(link, [0.31, 0.59, 0.74])[:, None]
@@ -49,6 +47,11 @@ def lay(course: Course, k: int) -> None:
         course.count_steps()
     course.arc.append(arc)
     course.begun = course.elapsed
+    counts = [len(nodes) for nodes in course.arc]
+    natural = [
+        np.repeat([laying_of(trial, j).natural_curvature for j in range(k + 1)], counts)
+        for trial in course.trials
+    ]
     course.bench = bench = Workbench(
         [scene[: k + 1] for scene in course.true_rods],
         course.arc,
@@ -57,6 +60,7 @@ def lay(course: Course, k: int) -> None:
         course.friction,
         step=course.step,
         device=course.device,
+        natural_curvature=np.array(natural),
     )
     schedule = [setup.schedule for setup in setups]
     last = bench.batch.node_count - 2
@@ -73,13 +77,13 @@ def lay(course: Course, k: int) -> None:
     start = follow(0.0)
     for scene in range(len(course.trials)):
         bench.held.grasp(scene, 0, last, start[0])
-    course.closed[0] = True
+    course.closed[:, 0] = True
     bench.run(min(s.release_time for s in schedule), follow, course.watch(follow))
     bench.held.hold_still(None)
     bench.run(min(s.let_go_time for s in schedule), follow, course.watch(follow))
     for scene in range(len(course.trials)):
         bench.held.open(scene, 0)
-    course.closed[0] = False
+    course.closed[:, 0] = False
     bench.run(bench.time + 1.0, follow, course.watch(follow))
     course.elapsed += bench.time
     course.now = follow(bench.time)
@@ -93,14 +97,30 @@ def lay(course: Course, k: int) -> None:
         result.error.append(float(gap.mean()))
 
 
-def _blocked(course: Course, lying: np.ndarray, start: np.ndarray, k: int) -> bool:
-    """Whether a rod would begin inside those that lie on the table."""
-    fine = [_refined(lying[rod]) for rod in course.bench.slices]
-    radii = [rod.radius for _, rod, _ in course.plans]
-    return any(
-        cKDTree(rod).query(_refined(start))[0].min() < 0.9 * (radius + radii[k])
-        for rod, radius in zip(fine, radii[:k], strict=True)
-    )
+def _over(
+    course: Course, lying: np.ndarray, start: np.ndarray, arc: np.ndarray, radius: float
+) -> np.ndarray:
+    """(node, 3) the first shape of a rod, held over what already lies where it begins.
+
+    Rods that were laid astray may lie there; the hand that holds the free end lays it over them.
+    """
+    raised = start.copy()
+    for nodes, (_, rod, _) in zip(course.bench.slices, course.plans, strict=False):
+        thick = rod.radius + radius
+        below = _refined(lying[nodes])
+        if cKDTree(below).query(_refined(start))[0].min() > 0.95 * thick:
+            continue
+        away = np.linalg.norm(raised[:, None, :2] - below[None, :, :2], axis=2)
+        # As wide as rods that cross at a slant ask.
+        need = below[:, 2] + 1.12 * thick * np.exp(-((away / (2.6 * thick)) ** 4))
+        raised[:, 2] = np.maximum(raised[:, 2], np.where(away < 4 * thick, need, 0.0).max(axis=1))
+    if (raised == start).all():
+        return start
+    # The detour takes length from the free end.
+    length = np.linalg.norm(np.diff(raised, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(length)])
+    along += arc[-1] - along[-1]
+    return np.column_stack([np.interp(arc, along, raised[:, c]) for c in range(3)])
 
 
 def _carried(position: np.ndarray, director: np.ndarray) -> np.ndarray:

@@ -10,8 +10,6 @@ from wrod.knot_plan import Move
 from wrod.tying_course import Course
 from wrod.workbench import Poses
 
-# A hand finds a rod whose centreline is this near [m].
-_FINGERS = 0.012
 _REST = 0.6  # [s]
 # Fastest over mean speed of the smooth way of a hand.
 _PEAK = 1.9
@@ -39,19 +37,19 @@ def make(course: Course, moves: list[Move], name: str) -> None:
                 out.append(course.now[hand])
                 continue
             path, turn, _ = ends[hand]
-            out.append(course.hand_pose(hand, path(u), turn * u))
+            out.append(course.hand_pose(hand, path(u), turn * u, starts[hand][2]))
         return out
 
-    for hand, move in ((m.hand, m) for m in moves):
-        grasp(course, hand, move, name, poses(begin)[hand])
-        course.closed[hand] = True
+    for move in moves:
+        course.grasp(move.hand, move.rod, name, poses(begin)[move.hand])
+        course.closed[:, move.hand] = True
     after = course.watch(poses, name)
     bench.run(begin + duration, poses, after)
     bench.run(bench.time + 0.2, poses, after)
     for move in moves:
         for scene in range(len(course.trials)):
             bench.held.open(scene, move.hand)
-        course.closed[move.hand] = False
+        course.closed[:, move.hand] = False
     bench.run(bench.time + _REST, poses, course.watch(poses))
     course.now = poses(bench.time)
     course.grasps += len(moves)
@@ -70,7 +68,7 @@ def approach(course: Course, places: dict[int, np.ndarray]) -> None:
         x = (t - begin) / duration
         out = list(course.now)
         for hand, (start, path) in paths.items():
-            here = course.hand_pose(hand, path(smooth(x)), 0.0)
+            here = course.hand_pose(hand, path(smooth(x)), floor=places[hand][2])
             # Out of the pose in which the rod was laid into the upright one.
             turn = (here.rotation * start.rotation.inv()).as_rotvec()
             left = Rotation.from_rotvec((smooth(3.0 * x) - 1.0) * turn)
@@ -79,17 +77,3 @@ def approach(course: Course, places: dict[int, np.ndarray]) -> None:
 
     bench.run(begin + duration, poses, course.watch(poses))
     course.now = poses(bench.time)
-
-
-def grasp(course: Course, hand: int, move: Move, name: str, poses: Poses) -> None:
-    """Close a hand on what it finds."""
-    middle, _ = course.bench.held.edges()
-    for scene in range(len(course.trials)):
-        gap = np.linalg.norm(middle[scene] - poses.position[scene], axis=1)
-        for s in course.bench.slices[:-1]:
-            gap[s.stop - 1] = np.inf  # between two rods
-        edge = int(np.argmin(gap))
-        if gap[edge] > _FINGERS:
-            course.results[scene].missed.append(name)
-        else:
-            course.bench.held.grasp(scene, hand, edge, poses)

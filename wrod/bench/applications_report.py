@@ -24,7 +24,7 @@ PAPER = {
 }
 _INK, _MUTED, _FAINT = "#22262b", "#59616b", "#c9ced6"
 _PATTERN = "#0b5fa5"
-_RODS = {"cable": ("#2a2d33",), "trefoil": ("#d0416b",), "reef": ("#2c8f4e", "#d0416b")}
+RODS = {"cable": ("#2a2d33",), "trefoil": ("#d0416b",), "reef": ("#2c8f4e", "#d0416b")}
 
 
 def table(rows: list[dict]) -> dict[tuple[str, str], dict]:
@@ -123,7 +123,7 @@ def _cables(axes, case: str, method: str, rows: list[dict], cell: dict) -> None:
     for row in rows:
         if (row["case"], row["method"]) == (case, method):
             rod = np.array(row["curves"]["end"][0])
-            axes.plot(*rod[:, :2].T, color=_RODS["cable"][0], lw=1.2, alpha=0.8)
+            axes.plot(*rod[:, :2].T, color=RODS["cable"][0], lw=1.2, alpha=0.8)
     _head(axes, f"{case}, {SHORT[method]}  {_score(cell)}", "let go; all trials")
 
 
@@ -146,13 +146,23 @@ def _knots(axes, case: str, rows: list[dict], cells: dict) -> None:
         for curve in [stage] if stage in row["curves"] else []:
             rods = [np.array(rod) for rod in row["curves"][curve]]
             radii = [material.radius for _, material in plan.rods]
-            _woven(one, rods, radii, _RODS[case])
-        name = row["knots"].get(stage, ["", 0.0])[0]
+            woven(one, rods, radii, RODS[case])
         score = f"  {_score(cells[case, method])}" if stage != "laid" else ""
-        _head(one, f"{case}, {SHORT[method]}{score}", f"{stage}: {name}")
+        note = f"{stage}: {_shown(row, stage, plan.knot)}"
+        if method == "intuitive" and not row["success"]:
+            note = row["why"]
+        _head(one, f"{case}, {SHORT[method]}{score}", note)
 
 
-def _woven(axes, rods, radii, colors) -> None:
+def _shown(row: dict, stage: str, wanted: str) -> str:
+    """The knot at a stage; a tight one is still there if some closures show it."""
+    from wrod.tying import STILL
+
+    name, _, share = row["knots"].get(stage, ["", 0.0, 0.0])
+    return wanted if stage == "pulled" and share >= STILL else name
+
+
+def woven(axes, rods, radii, colors) -> None:
     """Rods from above, upper strands drawn over lower ones with a white edge."""
     from matplotlib.collections import LineCollection
 

@@ -184,31 +184,29 @@ def _knot(case, method, trials, device, folder):
             "cpu_seconds": seconds,
             "steps": r.steps,
             "knots": {
-                stage: [found.name, found.share]
-                for stage in ("laid", "tied", "pulled")
+                stage: [found.name, found.share, found.share_of(knot.knot)]
+                for stage in ("laid", "tied", "tight", "pulled")
                 if (found := getattr(r, stage)) is not None
             },
             "load": [round(float(v), 4) for v in r.load],
+            "strongest": round(r.strongest, 4),
+            "crept": round(r.crept, 5),
+            "missed": r.missed,
+            "slipped": r.slipped,
             "curves": {stage: [_kept(rod) for rod in rods] for stage, rods in r.stages.items()},
         }
         rows.append(row)
         if folder is None or r.time is None:
             continue
-        # What is laid when there is no room for the next rod is without meaning.
-        until, rods = len(r.time), r.frames
-        if r.blocked:
-            until = int(np.isnan(r.frames[1]).all(axis=(1, 2)).sum())
-            rods = r.frames[:1]
-        count = len(rods)
         places = _stage(
             folder, row, scenes, places,
-            time=r.time[:until],
-            rods=[rod[:until] for rod in rods],
-            names=list(knot.rod_names[:count]),
-            radii=[material.radius for _, material in knot.rods[:count]],
+            time=r.time,
+            rods=r.frames,
+            names=list(knot.rod_names),
+            radii=[material.radius for _, material in knot.rods],
             patterns=[pattern for pattern, _ in knot.rods],
-            hands=r.hands[:until],
-            closed=r.closed[:until],
+            hands=r.hands,
+            closed=r.closed,
         )  # fmt: skip
     return rows, scenes
 

@@ -80,7 +80,8 @@ class Hand:
     """The parts of an arm that move with the grasp, in its frame (+z along the fingers).
 
     Attributes:
-        start, end, radius: (capsule, 3), (capsule, 3), (capsule,) without the fingers' [m].
+        start, end, radius: (capsule, 3), (capsule, 3), (capsule,) [m].
+        lifted: (capsule,) whether it is no finger, and must stay above the table.
         tips: (n, 3) corners of the fingers [m].
         fingers: numbers of the fingers' capsules in the collision model.
     """
@@ -88,6 +89,7 @@ class Hand:
     start: np.ndarray
     end: np.ndarray
     radius: np.ndarray
+    lifted: np.ndarray
     tips: np.ndarray
     fingers: np.ndarray
 
@@ -105,7 +107,7 @@ class Hand:
         mine = model.depth == model.depth.max()
         at_tip = np.minimum(np.linalg.norm(start, axis=1), np.linalg.norm(end, axis=1)) < 1e-3
         fingers = np.flatnonzero(mine & at_tip)
-        mine[fingers] = False
+        lifted = ~np.isin(np.flatnonzero(mine), fingers)
         poses = robot.link_poses(rest)
         tips = [np.zeros((1, 3))]
         for shape in robot.shapes("visual"):
@@ -114,13 +116,15 @@ class Hand:
             corners = np.array(list(product((-0.5, 0.5), repeat=3))) * shape.size
             world = grasp @ poses[shape.link][0] @ shape.pose
             tips.append(corners @ world[:3, :3].T + world[:3, 3])
-        return cls(start[mine], end[mine], model.radius[mine], np.concatenate(tips), fingers)
+        return cls(
+            start[mine], end[mine], model.radius[mine], lifted, np.concatenate(tips), fingers
+        )
 
     def lowest(self, poses: np.ndarray) -> tuple[float, float]:
         """Least heights [m] of the hand and of the fingers' tips over grasp poses (n, 4, 4)."""
         up, height = poses[:, 2, :3], poses[:, 2, 3][:, None]
-        ends = np.minimum(up @ self.start.T, up @ self.end.T)
-        hand = (ends + height - self.radius).min() if len(self.radius) else math.inf
+        ends = np.minimum(up @ self.start.T, up @ self.end.T) + height - self.radius
+        hand = ends[:, self.lifted].min(initial=math.inf)
         return float(hand), float((up @ self.tips.T + height).min())
 
 

@@ -85,8 +85,8 @@ def _timed(arm: Arm, knots: np.ndarray, speed: float = _HAND_SPEED) -> Leg:
     fast = (1.875 * way / (_SHARE * arm.robot.velocity)).max()
     hard = np.sqrt(5.774 * way / arm.robot.acceleration).max()
     hand = arm.grasps(_points(Leg(knots, 1.0)))[:, :3, 3]
-    length = np.linalg.norm(np.diff(hand, axis=0), axis=1).sum()
-    return Leg(knots, float(max(fast, hard, 1.875 * length / speed, 0.2)))
+    step = np.linalg.norm(np.diff(hand, axis=0), axis=1).max()
+    return Leg(knots, float(max(fast, hard, step * (len(hand) - 1) / speed, 0.2)))
 
 
 def park(arm: Arm, middle: np.ndarray) -> np.ndarray:

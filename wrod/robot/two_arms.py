@@ -118,20 +118,30 @@ def _pairs(robot, holds, grasps, ground, first):
 
 
 def _apart(holds: list[Hold], grasps: dict[int, list[Grasp]], hand: Hand) -> dict[int, list[Grasp]]:
-    """Of hands at work at the same time, the grasps of least slant that keep them apart."""
+    """Of hands at work at the same time, the grasps of least slant that keep them apart.
+
+    Raises:
+        RobotError: none do.
+    """
     out = dict(grasps)
     for k, one in enumerate(holds):
         for other in holds[k + 1 :]:
             common = range(max(one.first, other.first), min(one.last, other.last) + 1)
             if one.hand == other.hand or not common:
                 continue
-            best = None
+            best: tuple[float, Grasp, Grasp, float] | None = None
             mine, theirs = out[id(one)], out[id(other)]
             for a, b in product(mine, theirs):
                 gap = _hand_gap(hand, one, a, other, b, np.array(common))
                 cost = a.slant**2 + b.slant**2 + 100.0 * max(0.0, _HANDS_APART - gap)
                 if best is None or cost < best[0] - 1e-9:
-                    best = cost, a, b
+                    best = cost, a, b, gap
+            if best[3] < ARM_ROOM:
+                raise RobotError(
+                    f"two hands at work come within {1e3 * best[3]:.1f} mm of each other between "
+                    f"frames {common[0]} and {common[-1]} of the film, however they are turned; "
+                    "grasp farther apart or one after the other"
+                )
             out[id(one)] = _like(mine, best[1])
             out[id(other)] = _like(theirs, best[2])
     return out
