@@ -68,50 +68,23 @@ _FACTORISE = (
         for (int a = lane; a < 4 * n; a += TEAM)
             sizes[a] = lines[16 * (rows[a / 4] + a / 4) + 5 * (a % 4)];
     }
-    // A block column of L D and of L, close at hand unless it is very long; then also the column
-    // that is due next, its diagonal block first.
-    const int LONGEST = 64;
+    // A block column of L D and of L, close at hand unless it is very long.
+    const int LONGEST = 96;
     WROD_SHARED double near_product[LONGEST * 17];
     WROD_SHARED double near_column[LONGEST * 17];
-    WROD_SHARED double due[LONGEST * 17];
     double* far_product = product.data + (size_t)r * STRIDE * n;
     double* far_column = column.data + (size_t)r * STRIDE * n;
-    // Four lanes take the blocks (i, j) of a triangle, i >= j, in turn, beginning with this one.
-    WROD_LANE_ARRAY(int, begin, 2);
-    WROD_TEAM {
-        int i = 0, j = lane / 4;
-        while (j > i) j -= ++i;
-        WROD_OWN(begin, 0) = i;
-        WROD_OWN(begin, 1) = j;
-    }
     int negative = 0;
     WROD_WAIT();
     for (int b = 0; b < n; ++b) {
         const int below = ends[b] - b;
-        const bool kept = starts[b] < b && ends[b - 1] - (b - 1) <= LONGEST;
-        // A lane's first line of the column and of the triangle arrive while pivots are found.
-        WROD_LANE_ARRAY(double, ahead, 8);
-        WROD_TEAM {
-            const int p = b + 1 + lane / 4;
-            if (lane < 4 * below && starts[p] <= b) {
-                const double* line = lines + 16 * (rows[p] + b) + 4 * (lane % 4);
-                if (kept && starts[p] < b) line = due + STRIDE * (p - b) + 4 * (lane % 4);
-                _Pragma("unroll") for (int c = 0; c < 4; ++c) WROD_OWN(ahead, c) = line[c];
-            }
-            const int i = b + 1 + WROD_OWN(begin, 0), j = b + 1 + WROD_OWN(begin, 1);
-            if (i <= ends[b] && starts[i] <= b && starts[j] <= b) {
-                const double* line = lines + 16 * (rows[i] + j) + 4 * (lane % 4);
-                _Pragma("unroll") for (int c = 0; c < 4; ++c) WROD_OWN(ahead, 4 + c) = line[c];
-            }
-        }
         double* products = below <= LONGEST ? near_product : far_product;
         double* scaled = below <= LONGEST ? near_column : far_column;
         // Every lane factorises the diagonal block.
         double* diagonal = lines + 16 * (rows[b] + b);
-        const double* present = kept ? due : diagonal;
         double d[4][4], inverse[4];
         _Pragma("unroll") for (int x = 0; x < 4; ++x)
-            _Pragma("unroll") for (int y = 0; y <= x; ++y) d[x][y] = present[4 * x + y];
+            _Pragma("unroll") for (int y = 0; y <= x; ++y) d[x][y] = diagonal[4 * x + y];
         _Pragma("unroll") for (int c = 0; c < 4; ++c) {
             // A pivot that cancels to nothing would end as infinity; keep its sign, give it a size.
             const double least = smallest * (fabs(sizes[4 * b + c]) + smallest);
@@ -131,7 +104,7 @@ _FACTORISE = (
                 double* line = lines + 16 * (rows[p] + b) + 4 * (k % 4);
                 double m[4];
                 _Pragma("unroll") for (int c = 0; c < 4; ++c) {
-                    m[c] = k == lane ? WROD_OWN(ahead, c) : line[c];
+                    m[c] = line[c];
                     _Pragma("unroll") for (int e = 0; e < c; ++e) m[c] -= m[e] * d[c][e];
                 }
                 const int at = STRIDE * (k / 4) + 4 * (k % 4);
@@ -149,8 +122,9 @@ _FACTORISE = (
                 _Pragma("unroll") for (int x = 0; x < 4; ++x)
                     _Pragma("unroll") for (int y = 0; y <= x; ++y) diagonal[4 * x + y] = d[x][y];
             }
-            int i = WROD_OWN(begin, 0), j = WROD_OWN(begin, 1);
-            bool begins = true;
+            // Four lanes take the blocks (i, j) of a triangle, i >= j, in turn.
+            int i = 0, j = lane / 4;
+            while (j > i) j -= ++i;
             while (i < below) {
                 const int p = b + 1 + i, q = b + 1 + j, x = lane % 4;
                 if (starts[p] <= b && starts[q] <= b) {
@@ -161,12 +135,9 @@ _FACTORISE = (
                         double change = 0.0;
                         _Pragma("unroll") for (int c = 0; c < 4; ++c)
                             change += left[c] * right[4 * y + c];
-                        const double entry = (begins ? WROD_OWN(ahead, 4 + y) : line[y]) - change;
-                        line[y] = entry;
-                        if (j == 0 && below <= LONGEST) due[STRIDE * i + 4 * x + y] = entry;
+                        line[y] -= change;
                     }
                 }
-                begins = false;
                 j += TEAM / 4;
                 while (j > i) j -= ++i;
             }

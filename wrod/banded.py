@@ -95,3 +95,9 @@ class BorderedSystem(BandedSystem):
             outputs=[self.x],
             device=self.batch.device,
         )
+
+    def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
+        """Factorise `hessian`, and solve for `gradient` and for all columns of the border."""
+        self.factorise(hessian, active)
+        self.load(gradient, hessian, active)
+        self.solve(active)

@@ -76,7 +76,8 @@ class Dynamics:
         max_iterations: of Newton; a step that needs more is halved.
         keeps_recording: record the launches of a round on any device, and replay them in later
             calls of `advance` too, for callers that advance step by step. `motion` and contacts
-            must then keep their arrays and numbers, or `forget_recording` be called.
+            must then keep their arrays and numbers, or `forget_recording` be called. On a CPU no
+            other thread may launch anything meanwhile: it would be recorded too.
 
     Raises:
         RodError: unknown scheme, a node without mass, or two `RodContact`.
@@ -217,15 +218,16 @@ class Dynamics:
             self._ask()
 
         on_cpu = wp.get_device(batch.device).is_cpu
-        key = (step, smallest, self.tolerance, None if frames is None else frames.ptr)
-        key = (*key, frame_interval)
+        array = None if frames is None else frames.ptr
+        key = (step, smallest, self.tolerance, array, frame_interval)
         graph = None
         if self._recording is not None and self._recording[0] == key:
             graph = self._recording[1]
         taken = 0
         if graph is None:
             self._ask()
-        while graph is not None or self._going.numpy()[1] != 0:
+        going = graph is not None or self._going.numpy()[1] != 0
+        while going:
             # Launches are replayed faster than they can be made, but recording costs as much as
             # taking them; the first round has compiled the kernels.
             if graph is None and taken > 0 and (self.keeps_recording or not on_cpu):
@@ -236,9 +238,8 @@ class Dynamics:
                 take_round()
             else:
                 wp.capture_launch(graph)
-                if self._going.numpy()[1] == 0:
-                    break
             taken += 1
+            going = self._going.numpy()[1] != 0
             if progress is not None and (graph is not None or taken % _ROUNDS == 0):
                 progress(self.time.numpy().copy())
         if self.rod_contact is not None:

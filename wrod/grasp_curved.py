@@ -165,10 +165,8 @@ class CurvedGraspSolver(GraspSolver):
         """Hessian (n, 8, 8) and gradient (n, 8) condensed on the border, and what is unbalanced."""
         batch, system = self.batch, self.system
         out = batch.evaluate(order=2, active=active)
-        system.factorise(out.hessian, active)
+        system.eliminate(out.gradient, out.hessian, active)
         rods, device = batch.rod_count, self.device
-        system.load(out.gradient, out.hessian, active)
-        system.solve(active)
         wp.launch(
             curved_grasping.condense,
             dim=(rods, 8),

@@ -217,10 +217,7 @@ class GraspSolver:
 
     def _condense(self, gradient: wp.array, active: wp.array, reaction: wp.array) -> None:
         """Factorise, and condense Hessian and gradient on node 2 and the grip."""
-        system, hessian = self.system, self.batch.derivatives.hessian
-        system.factorise(hessian, active)
-        system.load(gradient, hessian, active)
-        system.solve(active)
+        self.system.eliminate(gradient, self.batch.derivatives.hessian, active)
         self._reduce(gradient, active, reaction)
 
     def _reduce(self, gradient: wp.array, active: wp.array, reaction: wp.array) -> None:

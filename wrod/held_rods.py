@@ -233,9 +233,7 @@ class HeldRods:
 
     def _condense(self, out) -> None:
         batch, system = self.batch, self.system
-        system.factorise(out.hessian, self.active)
-        system.load(out.gradient, out.hessian, self.active)
-        system.solve(self.active)
+        system.eliminate(out.gradient, out.hessian, self.active)
         wp.launch(
             holding.condense_grip,
             dim=batch.rod_count,
