@@ -288,10 +288,12 @@ def _simulate(
         pattern = with_remainder_of(trial.pattern, trial.trajectory)
         sink = np.array([0.0, 0.0, trial.rod.radius - pattern.sample(0.0)[0][0, 2]])
         now, later = held[k] - sink, released[k] - sink
-        pictures = None
+        pictures = hand = None
         if film is not None:
             count = int(np.floor(end.time[k] / frame_interval + 1e-9)) + 1
             pictures = node_positions(film[k, :count]) - sink
+            hand = setup.schedule.poses(frame_interval * np.arange(count))
+            hand[:, :3, 3] -= sink
         deployments.append(
             Deployment(
                 setup.arc_length,
@@ -305,6 +307,8 @@ def _simulate(
                 float(end.time[k]),
                 int(end.steps[k]),
                 pictures,
+                hand,
+                setup.schedule.let_go_time,
                 released_speed=float(speed[k]),
                 penetration=float(penetration[k]),
             )

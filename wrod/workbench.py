@@ -148,6 +148,7 @@ class Workbench:
         friction: of rods on the table, and of rods on rods.
         hands: how many there are.
         step: largest time step [s].
+        natural_curvature: (scene, node) curvature at rest, towards the first director [1/m].
 
     Attributes:
         time: now [s].
@@ -163,6 +164,7 @@ class Workbench:
     air_damping: float = 1.0
     tolerance: float = 1e-4
     device: str = "cpu"
+    natural_curvature: np.ndarray | float = 0.0
     time: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
@@ -183,12 +185,15 @@ class Workbench:
         )
         gravity = np.zeros((len(self.rods), 3))
         gravity[:, 2] = [-scene[0].gravity for scene in self.rods]
+        natural = np.zeros((len(self.rods), sum(counts), 2))
+        natural[:, :, 0] = self.natural_curvature
         batch = RodBatch(
             self.position,
             rest_length=np.broadcast_to(rest, (len(self.rods), len(rest))),
             stretching_stiffness=self._along("stretching_stiffness")[:, :-1],
             bending_stiffness=self._along("bending_stiffness"),
             twisting_stiffness=self._along("twisting_stiffness"),
+            natural_curvature=natural,
             node_mass=mass,
             gravity=gravity,
             director=self.director,

@@ -68,10 +68,14 @@ def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarra
     eye = (middle[0], middle[1], corners[:, 2].max() + height)
     add_camera(stage, "top", eye, middle, (0.0, 1.0, 0.0), fov)
 
-    fov, margin = 36.0, 1.12
     side = np.array([front[1], -front[0]])
-    back = np.array([*(0.80 * front + 0.95 * side), 0.50])
-    back /= np.linalg.norm(back)
+    add_view(stage, "perspective", points, [*(0.80 * front + 0.95 * side), 0.50])
+
+
+def add_view(stage, name: str, points: np.ndarray, back, fov: float = 36.0) -> None:
+    """Camera that looks at all of points (n, 3) [m] from the direction `back` (3,)."""
+    margin = 1.12
+    back = np.asarray(back, dtype=float) / np.linalg.norm(back)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
     up = np.cross(back, right)
@@ -81,4 +85,4 @@ def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarra
     across = np.maximum(*(np.abs(local - middle)[:, :2] * [3 / 4, 1]).T)
     distance = (local[:, 2] - middle[2] + margin * across / np.tan(np.radians(fov) / 2)).max()
     middle = middle @ frame
-    add_camera(stage, "perspective", middle + distance * back, middle, fov=fov)
+    add_camera(stage, name, middle + distance * back, middle, fov=fov)
