@@ -141,9 +141,9 @@ class TyingResult:
         if self.pulled.share_of(self.wanted) < STILL:
             return f"came loose: {self.pulled.name}"
         if self.tight is None:
-            return f"did not tighten: {self.strongest:.2f} N"
+            return "gave way before the full pull"
         if not self.held:
-            return f"gave {1e3 * self.crept:.0f} mm under the pull"
+            return "gave too far under the pull"
         return "tied"
 
 

@@ -24,6 +24,7 @@ PAPER = {
 }
 _INK, _MUTED, _FAINT = "#22262b", "#59616b", "#c9ced6"
 _PATTERN = "#0b5fa5"
+_STAGES = ("laid", "tied", "pulled")
 RODS = {"cable": ("#2a2d33",), "trefoil": ("#d0416b",), "reef": ("#2c8f4e", "#d0416b")}
 
 
@@ -63,7 +64,7 @@ def markdown(cells: dict) -> str:
 
 
 def draw(path: Path, rows: list[dict]) -> Path:
-    """Write a PNG: all cables, and one knot of each method at every stage."""
+    """Write a PNG: all cables, and knots of each method at several stages."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -72,9 +73,10 @@ def draw(path: Path, rows: list[dict]) -> Path:
     cables = [case for case in cases if case.endswith("cable")]
     knots = [case for case in cases if not case.endswith("cable")]
     height = int(bool(cables)) + len(knots)
-    figure = Figure(figsize=(13.0, 3.5 * height), facecolor="white")
+    wide = 5 if knots else 4
+    figure = Figure(figsize=(3.25 * wide, 3.5 * height), facecolor="white")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(height, 4, squeeze=False)
+    grid = figure.subplots(height, wide, squeeze=False)
     for axes in grid.flat:
         axes.set_axis_off()
     for k, (case, method) in enumerate((c, m) for c in cables for m in METHODS):
@@ -116,30 +118,48 @@ def _cables(axes, case: str, method: str, rows: list[dict], cell: dict) -> None:
 
 
 def _knots(axes, case: str, rows: list[dict], cells: dict) -> None:
-    """INT as laid, then OPT laid, tied and pulled: the first that succeeded."""
+    """INT as laid and at the end, an example of its commonest end; OPT laid, tied and pulled."""
     from wrod.bench.applications_trials import knot_plan
 
     plan = knot_plan(case)
-    panels = [("intuitive", "tied"), ("neural", "laid"), ("neural", "tied"), ("neural", "pulled")]
+    panels = [("intuitive", "laid"), ("intuitive", "end"), *(("neural", s) for s in _STAGES)]
     for one, (method, stage) in zip(axes, panels, strict=True):
         mine = [row for row in rows if (row["case"], row["method"]) == (case, method)]
         if not mine:
             continue
-        mine.sort(key=lambda row: (not row["success"], row["trial"]))
+        ends = [row["why"] for row in mine]
+        mine.sort(key=lambda row, ends=ends: (-ends.count(row["why"]), row["trial"]))
         row = mine[0]
-        if stage in ("laid", "tied"):
+        note = row["why"]
+        if stage == "end":
+            # Only what was tied has been pulled.
+            stage = "pulled" if row["strongest"] > 0.0 else "tied"
+        else:
+            note = f"{stage}: {_shown(row, stage, plan.knot)}"
+        if stage != "pulled":
             for pattern, _ in plan.rods:
                 target = pattern.sample(np.linspace(0.0, pattern.length, 300))[0]
                 one.plot(*target[:, :2].T, color=_PATTERN, lw=3, alpha=0.22)
-        for curve in [stage] if stage in row["curves"] else []:
-            rods = [np.array(rod) for rod in row["curves"][curve]]
-            radii = [material.radius for _, material in plan.rods]
-            woven(one, rods, radii, RODS[case])
+        rods = [np.array(rod) for rod in row["curves"][stage]]
+        radii = [material.radius for _, material in plan.rods]
+        close = stage == "pulled"
+        woven(one, rods, radii, RODS[case], width=3000 if close else 900)
+        if close:
+            x, y = _tightest(rods)
+            one.set(xlim=(x - 0.06, x + 0.06), ylim=(y - 0.06, y + 0.06))
         score = f"  {_score(cells[case, method])}" if stage != "laid" else ""
-        note = f"{stage}: {_shown(row, stage, plan.knot)}"
-        if method == "intuitive" and not row["success"]:
-            note = row["why"]
         _head(one, f"{case}, {SHORT[method]}{score}", note)
+
+
+def _tightest(rods: list[np.ndarray]) -> np.ndarray:
+    """(2,) where two rods are nearest to each other, or where one bends most."""
+    if len(rods) == 2:
+        gap = np.linalg.norm(rods[0][:, None] - rods[1][None], axis=2)
+        i, j = np.unravel_index(gap.argmin(), gap.shape)
+        return (rods[0][i, :2] + rods[1][j, :2]) / 2
+    edges = np.diff(rods[0], axis=0)
+    turning = np.linalg.norm(np.cross(edges[1:], edges[:-1]), axis=1)
+    return np.average(rods[0][1:-1, :2], axis=0, weights=turning**2)
 
 
 def _shown(row: dict, stage: str, wanted: str) -> str:
@@ -150,8 +170,9 @@ def _shown(row: dict, stage: str, wanted: str) -> str:
     return wanted if stage == "pulled" and share >= STILL else name
 
 
-def woven(axes, rods, radii, colors) -> None:
-    """Rods from above, upper strands drawn over lower ones with a white edge."""
+def woven(axes, rods, radii, colors, width: float = 900) -> None:
+    """Rods from above, upper strands drawn over lower ones with a white edge; `width` points per
+    metre of radius."""
     from matplotlib.collections import LineCollection
 
     pieces = []
@@ -166,13 +187,13 @@ def woven(axes, rods, radii, colors) -> None:
     for layer in np.unique(layers):
         chosen = [piece for piece, here in zip(pieces, layers, strict=True) if here == layer]
         lines = [[a, b] for _, a, b, _, _ in chosen]
-        width = [900 * radius for _, _, _, radius, _ in chosen]
+        widths = [width * radius for _, _, _, radius, _ in chosen]
         axes.add_collection(
-            LineCollection(lines, colors="white", linewidths=[w + 2.2 for w in width])
+            LineCollection(lines, colors="white", linewidths=[w + 2.2 for w in widths])
         )
         axes.add_collection(
             LineCollection(
-                lines, colors=[c for *_, c in chosen], linewidths=width, capstyle="round"
+                lines, colors=[c for *_, c in chosen], linewidths=widths, capstyle="round"
             )
         )
     axes.autoscale_view()

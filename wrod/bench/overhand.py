@@ -27,7 +27,7 @@ from wrod.rod_contact import RodContact
 from wrod.substrate import Friction
 
 # Part of the loosest loop's radius that a knot is pulled by before it is looked at.
-RUN_IN = 0.15
+RUN_IN = 0.3
 # And after it came to rest on the way.
 _ONCE_MORE = 0.05
 
@@ -224,7 +224,7 @@ def pull(
     length = batch.rest_length.numpy().sum(axis=1)
     # Tails lie slanted at first, so that the ends are nearer than the loop's size says.
     first = (length - np.linalg.norm(ends.ends[:, 1] - ends.ends[:, 0], axis=1)).max() / (2 * np.pi)
-    ends.start, now = 0.0, 2 * np.pi * (first - (1.0 + _ONCE_MORE) * loosest) / speed
+    ends.start, now = 0.0, 2 * np.pi * (first - (1 + _ONCE_MORE) * loosest) / speed
     pulled.advance(now, 0.25 / speed)
     ends.stop()
     pulled.air_damping.fill_(2.0 / period)

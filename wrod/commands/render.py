@@ -55,7 +55,7 @@ def command(
             if moments:
                 written = [draw_moments(scene, out, size=size, progress=progress)]
             elif out.suffix.lower() == ".html":
-                written = [write_page(scene, out, hidden=hide, progress=progress)]
+                written = [write_page(scene, out, camera=camera, hidden=hide, progress=progress)]
             else:
                 count = frames if frames is not None else (1 if out.suffix else 24)
                 written = render(
