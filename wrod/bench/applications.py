@@ -49,9 +49,9 @@ def command(
     Every trial is disturbed: L_gb by 3 %, the robot's place by 0.5 mm and 0.2 degrees, the grip by
     0.3 mm of shaking, the rod's natural curvature by 0.2 /m; cables slip through the grip by 1 mm;
     in knots each hand's place is off by 1 mm in every direction, up too, and the friction of its
-    fingertips by 30 %, which decide when a rod slips out (standard deviations). INT and OPT meet
-    the same; the report says what was drawn. A knot has to be tied and then to bear the plan's pull
-    for 3 s, giving less than a diameter of its thinnest rod. Finished trials are kept in
+    fingertips, which decides when a rod slips out, by 30 % (standard deviations). INT and OPT meet
+    the same. A knot has to be tied and then to bear the plan's pull for 3 s, giving less than a
+    diameter of its thinnest rod. The report says what was drawn. Finished trials are kept in
     OUT/trials.jsonl: a run that was stopped goes on from there.
     """
     from tqdm import tqdm

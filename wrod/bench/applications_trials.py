@@ -81,21 +81,22 @@ def _cable(case, method, trials, device, folder):
     deployments = simulate_deployments(jobs, release=_RELEASE, device=device, frame_interval=_FILM)
     seconds = (time.process_time() - clock) / len(trials)
     rows = cable_rows(case, method, trials, jobs, deployments, seconds)
-    scenes, places = [], None
-    for row, d in zip(rows if folder else (), deployments, strict=False):
-        lift = [0.0, 0.0, material.radius]
-        clock_of_film = _FILM * np.arange(len(d.frames))
+    if folder is None:
+        return rows, []
+    scenes, places, lift = [], None, [0.0, 0.0, material.radius]
+    for row, d in zip(rows, deployments, strict=True):
+        filmed = _FILM * np.arange(len(d.frames))
         hands = d.hand[:, None].copy()
         hands[..., :3, 3] += lift
         places = _stage(
             folder, row, scenes, places,
-            time=clock_of_film,
+            time=filmed,
             rods=[d.frames + lift],
             names=["cable"],
             radii=[material.radius],
             patterns=[pattern],
             hands=hands,
-            closed=clock_of_film[:, None] < d.let_go,
+            closed=filmed[:, None] < d.let_go,
             fixtures=fixtures,
         )  # fmt: skip
     return rows, scenes

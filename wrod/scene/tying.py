@@ -17,6 +17,7 @@ from wrod.robot.placement import Placement
 from wrod.robot.two_arms import ArmFilm, solve_two_arms
 from wrod.scene.arm import add_arm
 from wrod.scene.brought import waiting_line, with_waiting
+from wrod.scene.closeup import knot_corners
 from wrod.scene.primitives import Materials, add_curve, add_shape
 from wrod.scene.stage import add_cameras, add_lights, add_view, new_stage
 from wrod.scene.workplace import (
@@ -32,7 +33,7 @@ from wrod.substrate import Cylinder
 SUFFIXES = (".usdc", ".usda", ".usd")
 _STEEL, _OTHER = (0.62, 0.64, 0.67), (0.10, 0.50, 0.22)
 _SIDE = 0.08  # [m] beside what is laid, where rods wait that are laid later
-_BODY = (-0.25, 0.25)  # [m] about an arm's base
+_HIGH = 0.6  # [m]
 _LOW = 0.03  # [m] what is lower lies on the table
 
 
@@ -112,11 +113,13 @@ def export_scene(
         for rod, radius in zip(rods, radii, strict=True)
     ]
     stage = new_stage(len(frame))
-    _fill(stage, clock, time[frame], shown, names, radii, drawn, ground, arms, fixtures)
+    across = _fill(stage, clock, time[frame], shown, names, radii, drawn, ground, arms, fixtures)
+    moments = {} if arms is None else _moments(find_holds(film), arms)
+    _add_close(stage, np.concatenate(drawn), across, shown, radii, moments)
     prim = stage.GetPrimAtPath(_ROOT)
     told = {k: v for k, v in (facts or {}).items() if v is not None}
     if arms is not None:
-        told |= {"arms": arms.facts, "moments": _moments(find_holds(film), arms)}
+        told |= {"arms": arms.facts, "moments": moments}
     prim.SetCustomDataByKey("wrod", told)
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / f"scene{path.suffix}"
@@ -150,8 +153,21 @@ def _moments(holds: list[Hold], arms: ArmFilm) -> dict[str, float]:
         "laying": code((laying[-1].first + laying[-1].last) / 2 if laying else 0),
         "move": code((tied[-1].first + tied[-1].last) / 2),
         "tied": code(moves[-1].first),
-        "pulled": end,
+        "end": end,
     }
+
+
+def _add_close(stage, drawn: np.ndarray, across, shown, radii, moments: dict) -> None:
+    """Camera on the patterns, and on the knot once it is tied: pulling takes it along."""
+    centre = (drawn.min(0) + drawn.max(0)) / 2
+    patterns, later = centre + 1.25 * (drawn - centre), None
+    if "tied" in moments:
+        first, last = moments["tied"], moments["end"]
+        later = {0.0: patterns, first: patterns}
+        for code in np.unique(np.round(np.linspace(first, last, 20)))[1:]:
+            corners = knot_corners([rod[int(code)] for rod in shown], radii)
+            later[float(code)] = patterns if corners is None else corners
+    add_view(stage, "close", patterns, [*across, 1.1], later=later)
 
 
 def _ground(drawn, rods, radii, hands, closed) -> np.ndarray:
@@ -173,7 +189,8 @@ def _ground(drawn, rods, radii, hands, closed) -> np.ndarray:
     return ground
 
 
-def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fixtures) -> None:
+def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fixtures):
+    """Add everything; returns the horizontal direction (2,) from which both arms are seen best."""
     from pxr import Sdf, UsdGeom
 
     materials = Materials(stage)
@@ -202,7 +219,10 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
             links = [p[:, :3, 3] @ base[:3, :3].T + base[:3, 3] for p in poses.values()]
             feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
             seen += [*links, base[:3, 3] + feet]
-            work += [base[:3, 3] + [[x, y, z]] for x in _BODY for y in _BODY for z in (-0.2, 0.6)]
+            # How high a hand begins to lay would leave little of the picture to the table.
+            work += [
+                np.clip(part, [-np.inf, -np.inf, 0.0], [np.inf, np.inf, _HIGH]) for part in links
+            ]
         # From the side, so that neither arm stands before the table.
         apart = (bases[1] - bases[0])[:2, 3]
         across = np.array([apart[1], -apart[0]]) / np.linalg.norm(apart)
@@ -213,13 +233,11 @@ def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fix
     corners = np.stack([ground.min(0) - 0.08, ground.max(0) + 0.08])
     add_cameras(stage, points, across, corners)
     add_view(stage, "side", np.vstack(work), [*across, 0.55])
-    near = np.concatenate(drawn)
-    centre = (near.min(0) + near.max(0)) / 2
-    add_view(stage, "close", centre + 1.25 * (near - centre), [*across, 1.1])
     for name, values in (("time", clock), ("simulatedTime", simulated)):
         attribute = prim.CreateAttribute(f"wrod:{name}", Sdf.ValueTypeNames.Double, custom=True)
         for code, value in zip(codes, values, strict=True):
             attribute.Set(float(value), float(code))
+    return across
 
 
 def _add_fixtures(stage, path: str, fixtures: Fixtures, materials: Materials) -> None:
