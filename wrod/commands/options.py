@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -17,7 +16,7 @@ ROD = (
         "rod_name",
         help="Rod by name (green-vps, ...), rod.json, or the model.json of `wrod identify`.",
     ),
-    click.option("--radius", type=float, help="Radius of a rod of your own [m]."),
+    click.option("--radius", type=float, help="Radius of a rod of your own, or a rod file's [m]."),
     click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`)."),
     click.option("--length", type=float, help="Its total length, or a rod file's instead [m]."),
 )
@@ -81,9 +80,9 @@ def read_rod(name: str | None, radius: float | None, lgb: float | None, length: 
     own = {"--radius": radius, "--lgb": lgb, "--length": length}
     given = [option for option, value in own.items() if value is not None]
     from_file = name is not None and name.endswith(".json")
-    if from_file and given == ["--length"]:
-        # Measurements between clamps know the stretch between them only.
-        return replace(RodMaterial.load(name), length=length)
+    if from_file and "--lgb" not in given:
+        # Measurements between clamps know the stretch between them only, those of motion no radius.
+        return RodMaterial.load(name, radius=radius, length=length)
     if name is not None and given:
         raise RodError(
             f"--rod {name} and {', '.join(given)} were both given; give one or the other"
