@@ -1,4 +1,4 @@
-"""Contact of a rod's nodes with fixed shapes, and Coulomb friction that sticks.
+"""Contact of a rod's nodes with planes, and Coulomb friction that sticks.
 
 Normal force: zero apart, quadratic over a thin skin, then linear in the penetration p, so that its
 slope is continuous. Friction: an elastic bristle between rod and shape carries the load while it
@@ -140,6 +140,9 @@ def touch(
     i: int,
 ) -> Touch:
     out = Touch()
+    if shape.kind != PLANE:
+        # Edges touch all else: `wrod.kernels.edge_contact`.
+        return out
     q = node(dof, r, i)
     distance = shape_distance(shape, q)
     law = normal_force(radius - distance[0], stiffness, skin)

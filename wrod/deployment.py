@@ -153,7 +153,8 @@ def simulate_deployments(
     size = len(trials)
     if device == "cpu":
         size = max(1, min(_CPU_CHUNK, -(-size // workers)))
-    chunks = _chunks(trials, size)
+    every = list(range(len(trials)))
+    chunks = [every[first : first + size] for first in range(0, len(trials), size)]
 
     def report(fraction: float, count: int) -> None:
         if progress is not None:
@@ -173,26 +174,7 @@ def simulate_deployments(
             parts = list(pool.map(run, chunks))
     else:
         parts = [run(chunk) for chunk in chunks]
-    order = np.argsort(np.concatenate(chunks))
-    deployments = [deployment for part in parts for deployment in part]
-    return [deployments[i] for i in order]
-
-
-def _chunks(trials: list[Trial], size: int) -> list[list[int]]:
-    """Indices of the trials that are stepped together: they share their fixtures."""
-    scenes: list[tuple[Fixtures | None, list[int]]] = []
-    for i, trial in enumerate(trials):
-        for fixtures, members in scenes:
-            if fixtures == trial.fixtures:
-                members.append(i)
-                break
-        else:
-            scenes.append((trial.fixtures, [i]))
-    return [
-        members[first : first + size]
-        for _, members in scenes
-        for first in range(0, len(members), size)
-    ]
+    return [deployment for part in parts for deployment in part]
 
 
 def nodes_needed(trials: list[Trial], spacing: float) -> int:
@@ -251,13 +233,12 @@ def _simulate(
     batch, rods = _batch(trials, setups, device)
     radius = np.array([rod.radius for rod in rods])
     load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
-    fixtures = trials[0].fixtures
     contact = Contact(
         batch,
         radius,
-        _stiffness(rods, fixtures),
+        _stiffness(rods, [t.fixtures for t in trials]),
         [t.friction for t in trials],
-        (Plane(),) if fixtures is None else fixtures.shapes,
+        [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
         keeps_roll=np.array([not t.rod.is_straight for t in trials]),
     )
     dynamics = Dynamics(
@@ -294,6 +275,8 @@ def _simulate(
     end = dynamics.advance(ends, step, **advance)
     note(ends)
     released = batch.positions()
+    speed = np.linalg.norm(dynamics.velocities(), axis=2).max(axis=1)
+    penetration = contact.penetration()
     film = None if frames is None else frames.numpy()
     deployments = []
     for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
@@ -317,19 +300,23 @@ def _simulate(
                 float(end.time[k]),
                 int(end.steps[k]),
                 pictures,
+                released_speed=float(speed[k]),
+                penetration=float(penetration[k]),
             )
         )
     return deployments
 
 
-def _stiffness(rods: list[RodMaterial], fixtures: Fixtures | None) -> np.ndarray:
+def _stiffness(rods: list[RodMaterial], fixtures: list[Fixtures | None]) -> np.ndarray:
     """(rod,) contact stiffness per length [Pa].
 
     Fixtures carry the rod's bending, not its weight: a post presses with about k_b / L_gb^2, some
-    2 w L_gb, on a node or two.
+    2 w L_gb, on an edge or two.
     """
-    sinking = _SINKING if fixtures is None else _SINKING_AT_POSTS
-    return np.array([rod.weight / (sinking * rod.radius) for rod in rods])
+    sinking = [_SINKING if f is None else _SINKING_AT_POSTS for f in fixtures]
+    return np.array(
+        [rod.weight / (part * rod.radius) for rod, part in zip(rods, sinking, strict=True)]
+    )
 
 
 def _batch(trials, setups, device) -> tuple[RodBatch, list[RodMaterial]]:

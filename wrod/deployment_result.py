@@ -29,12 +29,15 @@ class Deployment:
             between points of the same arc length on pattern and rod [m].
         released_centerline, released_error_mean, released_error_std: the same after the grip laid
             the tail down and let go.
-        contact_force: (node, 3) force of the table on each node, the grip still holding [N].
+        contact_force: (node, 3) force of table and fixtures on each node, the grip still holding
+            [N].
         slip: (node,) how far each node slid on the table until then [m].
         diverged: no step converged any more; everything above is from the last good step.
         duration: simulated time [s].
         steps: time steps taken.
         frames: (frame, node, 3) the rod at the multiples of the frame interval [m], or None.
+        released_speed: speed of the fastest node when the released rod is measured [m/s].
+        penetration: how deep the rod is then in any fixture [m].
     """
 
     arc_length: np.ndarray
@@ -50,6 +53,8 @@ class Deployment:
     duration: float
     steps: int
     frames: np.ndarray | None = None
+    released_speed: float = 0.0
+    penetration: float = 0.0
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything as an NPZ file (the suffix of `path` is replaced)."""

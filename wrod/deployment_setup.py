@@ -29,6 +29,18 @@ _TAIL_SPACING = 0.01
 _STRAIGHTEN = 3.0
 
 
+# Standard deviations of a careful laboratory [m, -, m, rad, 1/m].
+DEVIATIONS = {
+    "jitter": 0.3e-3,
+    "lgb_error": 0.03,
+    "placement": 0.5e-3,
+    "yaw": float(np.radians(0.2)),
+    "natural_curvature": 0.2,
+}
+# How long a slip of the grip takes [s].
+_SLIPPING = 0.3
+
+
 @dataclass(frozen=True)
 class Disturbance:
     """What distinguishes one trial from the next; the default is none.
@@ -41,7 +53,9 @@ class Disturbance:
         yaw: its rotation about the pattern's first point [rad].
         natural_curvature: curvature of the rod at rest, in the horizontal plane where it is laid
             flat [1/m].
-        seed: of the shaking.
+        slip: how far the rod slips through the grip while it is deployed, so that more of it hangs
+            (or less, if negative) [m].
+        seed: of the shaking, and of when the rod slips.
     """
 
     jitter: float = 0.0
@@ -50,23 +64,23 @@ class Disturbance:
     yaw: float = 0.0
     natural_curvature: float = 0.0
     seed: int = 0
+    slip: float = 0.0
 
     @classmethod
-    def random(cls, seed: int) -> Disturbance:
-        """A trial like those of a careful laboratory.
-
-        Standard deviations: jitter 0.3 mm, L_gb 3 %, placement 0.5 mm and 0.2 degrees, natural
-        curvature 0.2 /m.
-        """
+    def random(cls, seed: int, *, slip: float = 0.0) -> Disturbance:
+        """A trial like those of a careful laboratory: `DEVIATIONS`, and the standard deviation
+        `slip` [m]."""
         rng = np.random.default_rng(seed)
-        offset = 0.5e-3 * rng.standard_normal(2)
+        one = DEVIATIONS
+        offset = one["placement"] * rng.standard_normal(2)
         return cls(
-            jitter=0.3e-3,
-            lgb_error=0.03 * float(rng.standard_normal()),
+            jitter=one["jitter"],
+            lgb_error=one["lgb_error"] * float(rng.standard_normal()),
             offset=(float(offset[0]), float(offset[1])),
-            yaw=float(np.radians(0.2) * rng.standard_normal()),
-            natural_curvature=0.2 * float(rng.standard_normal()),
+            yaw=float(one["yaw"] * rng.standard_normal()),
+            natural_curvature=one["natural_curvature"] * float(rng.standard_normal()),
             seed=seed,
+            slip=slip * float(rng.standard_normal()),
         )
 
 
@@ -246,6 +260,8 @@ def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
         shaking = smooth_noise(rng, count, disturbance.jitter, 0.05 / KEY_INTERVAL)
         fade = 1.0 - _blend(KEY_INTERVAL * np.arange(count), setup.approach)
         position = position + fade[:, None] * shaking
+    if disturbance.slip != 0.0:
+        position = position + _slipped(setup, disturbance)
     return replace(
         setup,
         position=turn.apply(setup.position - setup.origin) + shift,
@@ -256,6 +272,17 @@ def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
             rotation=_one_hemisphere((turn * Rotation.from_quat(schedule.rotation)).as_quat()),
         ),
     )
+
+
+def _slipped(setup: Setup, disturbance: Disturbance) -> np.ndarray:
+    """(key, 3) displacement of the held edge along the rod: nothing, then all of the slip, from
+    some moment on while the rod is deployed."""
+    rng = np.random.default_rng([disturbance.seed, 1])
+    start = rng.uniform(setup.approach, max(setup.measure_time - _SLIPPING, setup.approach))
+    t = KEY_INTERVAL * np.arange(len(setup.schedule.position))
+    share = 1.0 - _blend(t - start, _SLIPPING / 0.7)
+    along = Rotation.from_quat(setup.schedule.rotation).apply([1.0, 0.0, 0.0])
+    return disturbance.slip * share[:, None] * along
 
 
 def _blend(t: np.ndarray, approach: float) -> np.ndarray:

@@ -352,8 +352,8 @@ class Dynamics:
             ],
             [self.residual, self.converged],
         )
-        if self.rod_contact is not None:
-            self.rod_contact.refuse(self.converged, self.active, dof, start.dof)
+        for contact in self.contacts:
+            contact.refuse(self.converged, self.active, dof, start.dof)
         self._per_rod(
             kernels.judge_step,
             [

@@ -6,7 +6,7 @@ A scene file is JSON, in metres, in the pattern's frame; z = 0 is the table:
      "fixtures": [
        {"name": "left", "cylinder": {"center": [0, 0.02, 0], "radius": 0.005, "height": 0.006}},
        {"name": "right", "box": {"center": [0, -0.02, 0], "size": [0.02, 0.01, 0.006], "yaw": 0}}],
-     "gates": [["left", "right"]]}
+     "gates": [["left", "right"]], "note": "why they stand there"}
 
 Fixtures stand on their `center` and rise by their height (a box's third size); yaw is in degrees.
 A gate is the gap between two fixtures, named as they stand to the left and to the right of the
@@ -29,6 +29,8 @@ from wrod.patterns import Pattern
 from wrod.substrate import Box, Cylinder, Plane
 
 _FORMAT = "wrod-fixtures-1"
+# A rod is at rest if no part of it is faster [m/s].
+_STILL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -67,21 +69,25 @@ class Placement:
     Attributes:
         gates: (gate,) whether it passes each gate, once, from the right side and below the tops.
         order: whether it passes the gates in their order.
+        still: whether it is at rest.
         placed: all of it.
     """
 
     gates: np.ndarray
     order: bool
+    still: bool = True
 
     @property
     def placed(self) -> bool:
-        return bool(self.gates.all() and self.order)
+        return bool(self.gates.all() and self.order and self.still)
 
     def __str__(self) -> str:
         if self.placed:
             return f"between the fixtures of all {len(self.gates)} gates"
         missed = ", ".join(str(k + 1) for k in np.flatnonzero(~self.gates))
-        return f"not in gate {missed}" if missed else "gates passed out of order"
+        if missed:
+            return f"not in gate {missed}"
+        return "gates passed out of order" if not self.order else "still moving"
 
 
 @dataclass(frozen=True)
@@ -92,11 +98,13 @@ class Fixtures:
         items: the fixtures.
         gates: pairs of names (left, right), in the order in which the cable passes them.
         name: of the scene.
+        note: where it comes from.
     """
 
     items: tuple[Fixture, ...]
     gates: tuple[tuple[str, str], ...] = ()
     name: str = "fixtures"
+    note: str = ""
 
     def __post_init__(self) -> None:
         names = [item.name for item in self.items]
@@ -129,7 +137,7 @@ class Fixtures:
             raise SceneError(f"{path}: not a readable scene file ({error})") from None
         if not isinstance(data, dict) or data.get("format") != _FORMAT:
             raise SceneError(f"{path}: give a JSON object whose format is {_FORMAT!r}")
-        unknown = set(data) - {"format", "name", "fixtures", "gates"}
+        unknown = set(data) - {"format", "name", "fixtures", "gates", "note"}
         if unknown:
             raise SceneError(f"{path}: unknown entry {min(unknown)!r}")
         entries, gates = data.get("fixtures"), data.get("gates", [])
@@ -141,8 +149,8 @@ class Fixtures:
         ):
             raise SceneError(f"{path}: 'gates' must be a list of pairs of names")
         items = tuple(_fixture(entry, f"{path}: fixture {k}") for k, entry in enumerate(entries))
-        name = data.get("name", path.stem)
-        return cls(items, tuple((left, right) for left, right in gates), str(name))
+        name, note = str(data.get("name", path.stem)), str(data.get("note", ""))
+        return cls(items, tuple((left, right) for left, right in gates), name, note)
 
     @classmethod
     def along(
@@ -201,23 +209,25 @@ class Fixtures:
             entries.append({"name": item.name, **what})
 
         def write(file):
-            head = json.dumps({"format": _FORMAT, "name": self.name})[:-1]
+            note = {"note": self.note} if self.note else {}
+            head = json.dumps({"format": _FORMAT, "name": self.name, **note})[:-1]
             rows = ",\n  ".join(json.dumps(entry) for entry in entries)
             gates = ", ".join(json.dumps(gate) for gate in self.gates)
             file.write(f'{head},\n "fixtures": [\n  {rows}],\n "gates": [{gates}]}}\n')
 
         return write_atomically(path, write)
 
-    def judge(self, centerline: np.ndarray, radius: float) -> Placement:
-        """Whether a rod lies between the fixtures.
+    def judge(self, centerline: np.ndarray, radius: float, speed: float = 0.0) -> Placement:
+        """Whether a rod lies between the fixtures, and stays there.
 
         It passes a gate if its centreline, seen from above, crosses the line between the two
         fixtures exactly once, with the left fixture to its left, and if the rod's middle is there
-        below both tops.
+        below both tops. It stays if no part of it moves faster than 1 mm/s.
 
         Args:
             centerline: (node, 3), z from the height at which a rod rests on the table [m].
             radius: of the rod [m].
+            speed: of its fastest part [m/s].
         """
         by_name = {item.name: item for item in self.items}
         passed, places = [], []
@@ -232,7 +242,7 @@ class Fixtures:
             places.append(at[0][0] if at else -1.0)
         gates = np.array(passed, dtype=bool)
         through = np.array(places)[gates] if len(gates) else np.zeros(0)
-        return Placement(gates, bool((np.diff(through) > 0).all()))
+        return Placement(gates, bool((np.diff(through) > 0).all()), speed < _STILL)
 
 
 def _passes(line: np.ndarray, left: np.ndarray, right: np.ndarray) -> list[tuple]:

@@ -31,8 +31,7 @@ class RodContact:
     along the rod are left out: a rod cannot touch itself within half a turn of its tightest bend.
     Friction acts between the surfaces, which roll on each other where the rods are free to spin.
     A step of `Dynamics` in which a node moves by more than half a radius is refused and halved, so
-    that nothing tunnels. A post thinner than the edges are long, through which the nodes' `Contact`
-    could miss the rod, is a rod of its own whose nodes are held.
+    that nothing tunnels. Posts and boxes are touched through `wrod.substrate.Contact`.
 
     Args:
         batch: the rods, already cut (`RodBatch.cut`) where several share a row.

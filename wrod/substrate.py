@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from wrod.batch import RodBatch
+from wrod.edge_contact import EdgeContact
 from wrod.errors import RodError
 from wrod.kernels import contact as kernels
 
@@ -75,11 +76,17 @@ class Friction:
 
 # How stiffly a step holds the roll of what touches, over the twisting stiffness of an edge.
 _ROLL_STIFFNESS = 1e3
+# Normal forces rise over this part of the radius: thin against the penetration that is allowed.
+_SKIN = 0.01
 
 
 @dataclass
 class Contact:
     """Contact of every rod of a batch with shapes; arrays live on the batch's device.
+
+    A rod's nodes touch planes, its edges boxes and cylinders, wherever between their nodes these
+    stand (`wrod.kernels.edge_contact`). A step of `Dynamics` in which a centreline could have
+    met a fixture on the way is refused and halved, so that nothing tunnels however thin it is.
 
     Args:
         batch: the rods.
@@ -126,7 +133,7 @@ class Contact:
             shapes,
             floats(radius),
             floats(stiffness * _node_lengths(batch)),
-            floats(0.01 * radius),  # the skin: thin against the penetration that is allowed
+            floats(_SKIN * radius),
             floats(static),
             floats(kinetic),
             floats(rolling),
@@ -138,11 +145,20 @@ class Contact:
                 axis=1
             )
             self._roll = floats(np.where(held, _ROLL_STIFFNESS * edge, 0.0))
+        self._edges = EdgeContact(
+            batch, radius, stiffness, _SKIN, shapes, self._model[4:], self._roll
+        )
+        self._note_fixtures()
         per_shape = (rods, self._model[0].shape[1], nodes)
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
+
+    def _note_fixtures(self) -> None:
+        rows = self.shapes if isinstance(self.shapes, list) else [self.shapes]
+        rows = rows if all(isinstance(row, (list, tuple)) for row in rows) else [rows]
+        self._has_fixtures = any(not isinstance(s, Plane) for row in rows for s in row)
 
     def _table(self):
         """Shapes (rod, shape), static and kinetic coefficients (rod, shape), rolling (rod,)."""
@@ -204,6 +220,7 @@ class Contact:
         wp.copy(self._model[0], table)
         for array, values in zip(self._model[4:], (static, kinetic, rolling), strict=True):
             array.assign(values)
+        self._note_fixtures()
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces and stiffness at `dof` to the batch's gradient and Hessian."""
@@ -215,7 +232,8 @@ class Contact:
             outputs=[out.gradient, out.hessian],
             device=self.batch.device,
         )
-
+        if self._has_fixtures:
+            self._edges.add(active, dof, dof_before)
         if self._roll is not None:
             wp.launch(
                 kernels.hold_roll,
@@ -227,13 +245,24 @@ class Contact:
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) touch everything for the first time."""
-        wp.launch(
-            kernels.forget_friction,
-            dim=self._bristle.shape,
-            inputs=[chosen],
-            outputs=[self._bristle, self._sliding],
-            device=self.batch.device,
-        )
+        for bristle, sliding in (
+            (self._bristle, self._sliding),
+            (self._edges.bristle, self._edges.sliding),
+        ):
+            wp.launch(
+                kernels.forget_friction,
+                dim=bristle.shape,
+                inputs=[chosen],
+                outputs=[bristle, sliding],
+                device=self.batch.device,
+            )
+
+    def refuse(
+        self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
+    ) -> None:
+        """Take back the convergence of steps that are too large for nothing to tunnel."""
+        if self._has_fixtures:
+            self._edges.refuse(converged, dof, dof_before)
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
@@ -244,6 +273,12 @@ class Contact:
             outputs=[self._bristle, self._sliding, self.slip, self.force],
             device=self.batch.device,
         )
+        if self._has_fixtures:
+            self._edges.settle(accepted, dof, dof_before, self.slip, self.force)
+
+    def penetration(self) -> np.ndarray:
+        """(rod,) how deep each rod is in any box or cylinder now [length]."""
+        return self._edges.penetration(self.batch.state.dof)
 
 
 def _per_node(name: str, values, shape: tuple[int, int]) -> np.ndarray:

@@ -39,15 +39,17 @@ def command(
     ten trials.
 
     Every trial is disturbed: L_gb by 3 %, the robot's place by 0.5 mm and 0.2 degrees, the grip by
-    0.3 mm of shaking, the rod's natural curvature by 0.2 /m; in knots also each hand's place by
-    1 mm and the strength of every grasp, beyond which the rod slips out, by 40 % (standard
-    deviations). INT and OPT meet the same. Finished trials are kept in OUT/trials.jsonl: a run that
-    was stopped goes on from there.
+    0.3 mm of shaking, the rod's natural curvature by 0.2 /m; cables slip through the grip by 1 mm;
+    in knots each hand's place is off by 1 mm and the strength of every grasp, beyond which the rod
+    slips out, by 40 % (standard deviations). INT and OPT meet the same. The report says what was
+    drawn. Finished trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
     """
     from tqdm import tqdm
 
     from wrod.batch import resolve_device
     from wrod.bench import machine_line
+    from wrod.bench.applications_cables import disturbances_text
+    from wrod.bench.applications_cables_picture import draw_cables
     from wrod.bench.applications_report import METHODS, draw, markdown, table
     from wrod.bench.applications_trials import run_trials
     from wrod.bench.ledger import Ledger
@@ -83,9 +85,11 @@ def command(
     wanted = {(case, method, trial) for trial, case, method in keys}
     rows = [r for r in ledger.rows if (r["case"], r["method"], r["trial"]) in wanted]
     cells = table(rows)
-    text = markdown(cells)
+    text = markdown(cells) + "\n" + disturbances_text(rows)
     (out / "applications.md").write_text(text, encoding="utf-8")
     written += [out / "applications.md", draw(out / "applications.png", rows), ledger.path]
+    cables = draw_cables(out / "cables.png", rows)
+    written += [] if cables is None else [cables]
     figures = {
         "machine": machine_line(device),
         "device": device,

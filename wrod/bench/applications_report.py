@@ -44,20 +44,32 @@ def table(rows: list[dict]) -> dict[tuple[str, str], dict]:
             "paper": PAPER[key],
             "failures": reasons,
             "cpu_seconds": float(np.mean([row["cpu_seconds"] for row in mine])),
+            "interval": success_interval(sum(row["success"] for row in mine), len(mine)),
         }
     return out
 
 
+def success_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a rate of success."""
+    from scipy.stats import binomtest
+
+    found = binomtest(int(successes), int(trials)).proportion_ci(0.95, method="wilson")
+    return float(found.low), float(found.high)
+
+
 def markdown(cells: dict) -> str:
     lines = [
-        "| application | scheme | paper | wrod | CPU s a trial | why others failed |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| application | scheme | paper | wrod | 95 % interval | CPU s a trial "
+        "| why others failed |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for (case, method), cell in cells.items():
         reasons = "; ".join(f"{n} x {why}" for why, n in cell["failures"].items())
+        low, high = (100 * share for share in cell["interval"])
         lines.append(
             f"| {case} | {SHORT[method]} | {cell['paper']}/10 | {cell['success']}/"
-            f"{cell['trials']} | {cell['cpu_seconds']:.0f} | {reasons} |"
+            f"{cell['trials']} | {low:.0f} to {high:.0f} % | {cell['cpu_seconds']:.0f} "
+            f"| {reasons} |"
         )
     return "\n".join(lines) + "\n"
 

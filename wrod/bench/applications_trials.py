@@ -53,15 +53,15 @@ def knot_plan(case: str):
 
 
 def _cable(case, method, trials, device, folder):
+    from wrod.bench.applications_cables import disturbance, plan_cable
     from wrod.deployment import Trial, simulate_deployments, with_remainder_of
-    from wrod.deployment_setup import Disturbance, tail
+    from wrod.deployment_setup import tail
     from wrod.material import rod
-    from wrod.planner import plan
     from wrod.substrate import Friction
 
     pattern, fixtures = cable_scene(case)
     material = rod("cable")
-    trajectory = plan(pattern, material, method)
+    trajectory = plan_cable(pattern, material, method)
     pattern = with_remainder_of(pattern, trajectory)
     rest = tail(pattern, material, trajectory)
     jobs = [
@@ -70,20 +70,34 @@ def _cable(case, method, trials, device, folder):
             material,
             trajectory,
             Friction(CABLE_FRICTION),
-            Disturbance.random(100 * len(case) + 1000 * (case[0] == "S") + trial),
+            disturbance(case, trial),
             rest,
             fixtures,
         )
         for trial in trials
     ]
     clock = time.process_time()
-    deployments = simulate_deployments(
-        jobs, release=_RELEASE, device=device, frame_interval=_FILM if folder else None
-    )
+    deployments = simulate_deployments(jobs, release=_RELEASE, device=device, frame_interval=_FILM)
     seconds = (time.process_time() - clock) / len(trials)
-    rows, scenes = [], []
+    rows = cable_rows(case, method, trials, jobs, deployments, seconds)
+    if folder is None:
+        return rows, []
+    scenes = []
     for trial, d in zip(trials, deployments, strict=True):
-        found = fixtures.judge(d.released_centerline, material.radius)
+        scenes += _cable_stage(folder, case, method, trial, d, material, pattern, fixtures)
+    return rows, scenes
+
+
+def cable_rows(case, method, trials, jobs, deployments, seconds) -> list[dict]:
+    """What the ledger keeps of each deployment of a cable."""
+    from dataclasses import asdict
+
+    from wrod.bench.applications_cables import ways_to_gates
+
+    rows = []
+    for trial, job, d in zip(trials, jobs, deployments, strict=True):
+        material, fixtures = job.rod, job.fixtures
+        found = fixtures.judge(d.released_centerline, material.radius, d.released_speed)
         rows.append(
             {
                 "case": case,
@@ -94,12 +108,23 @@ def _cable(case, method, trials, device, folder):
                 "error": [100 * d.error_mean],
                 "cpu_seconds": seconds,
                 "steps": d.steps,
-                "curves": {"end": [_kept(d.released_centerline)]},
+                "closure": job.trajectory.metadata.get("closure"),
+                "speed": d.released_speed,
+                "penetration": d.penetration / material.radius,
+                "disturbance": asdict(job.disturbance),
+                "ways": ways_to_gates(d.frames, fixtures),
+                "curves": {
+                    "film": [_kept(d.frames[k]) for k in _stages(len(d.frames))],
+                    "end": [_kept(d.released_centerline)],
+                },
             }
         )
-        if folder is not None:
-            scenes += _cable_stage(folder, case, method, trial, d, material, pattern, fixtures)
-    return rows, scenes
+    return rows
+
+
+def _stages(frames: int) -> list[int]:
+    """A few moments while the rod is laid."""
+    return (np.linspace(0.1, 0.9, 7) * (frames - 1)).astype(int).tolist()
 
 
 def _cable_stage(folder, case, method, trial, d, material, pattern, fixtures):

@@ -126,7 +126,9 @@ def command(
     placed = (
         None
         if fixtures is None
-        else [fixtures.judge(d.released_centerline, rod.radius) for d in deployments]
+        else [
+            fixtures.judge(d.released_centerline, rod.radius, d.released_speed) for d in deployments
+        ]
     )
     figures = {
         "pattern": curve.name,
@@ -143,7 +145,12 @@ def command(
                 **(
                     {}
                     if placed is None
-                    else {"placed": placed[k].placed, "gates": placed[k].gates.tolist()}
+                    else {
+                        "placed": placed[k].placed,
+                        "gates": placed[k].gates.tolist(),
+                        "released_speed": d.released_speed,
+                        "penetration": d.penetration,
+                    }
                 ),
             }
             for k, d in enumerate(deployments)
