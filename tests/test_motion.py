@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from wrod.batch import RodBatch
+from wrod.commands import main
 from wrod.dynamics import Dynamics
 from wrod.errors import DataError
 from wrod.identification.effect import Model, effects
@@ -233,6 +235,16 @@ def _with(recorded, **change):
     return {**recorded, **change}
 
 
+HELD_MARKERS = np.array([0, 1, MARKERS - 2, MARKERS - 1])
+
+
+def mixed(data, recording, markers, order):
+    """Positions with the markers of a recording in another order."""
+    x = data["positions"].copy()
+    x[recording][..., markers, :] = data["positions"][recording][..., order, :]
+    return x
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -243,6 +255,21 @@ def _with(recorded, **change):
         (lambda d: {"rate_hz": np.float64(0.0)}, "rate_hz is 0; it must be positive"),
         (lambda d: {"rate_hz": np.float64(1e5)}, "check rate_hz"),
         (lambda d: {"gravity": np.array("g")}, "gravity does not hold numbers"),
+        (lambda d: {"gravity": np.float64(981.0)}, "gravity is 981; it must be in m/s"),
+        (lambda d: {"gravity": np.float64(-9.81)}, "gravity is -9.81; it must be positive"),
+        (lambda d: {"positions": d["positions"][0]}, "give \\(recording, frame, M, 3\\)"),
+        (
+            lambda d: {"positions": mixed(d, slice(None), HELD_MARKERS, HELD_MARKERS[::-1])},
+            "are the markers of the two grips exchanged",
+        ),
+        (
+            lambda d: {"positions": mixed(d, 5, HELD_MARKERS, HELD_MARKERS[::-1])},
+            "of recording 5 are .* apart",
+        ),
+        (
+            lambda d: {"positions": mixed(d, 5, np.arange(MARKERS), np.arange(MARKERS)[::-1])},
+            "in recording 5 each grip is where the others have the other one",
+        ),
         (lambda d: {"file_ids": np.array(["a"])}, "file_ids has shape"),
     ],
 )
@@ -263,6 +290,15 @@ def test_markers_in_another_order_are_named(recorded):
     x[5, :, [2, 4]] = x[5, :, [4, 2]]
     with pytest.raises(DataError, match=r"of recording 5 are .* apart"):
         motion_from_arrays(_with(recorded, positions=x))
+
+
+def test_bad_data_end_a_command_with_one_sentence(recorded, tmp_path):
+    path = tmp_path / "motion.npz"
+    np.savez(path, **_with(recorded, positions=1e3 * recorded["positions"]))
+    result = CliRunner().invoke(main, ["identify", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1 and "must be in metres" in result.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_file_without_a_field_is_named(recorded, tmp_path):

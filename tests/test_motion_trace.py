@@ -96,16 +96,18 @@ def moved(hidden=None, rods=8, seed=1):
     return motion_from_arrays(data)
 
 
-def traced(m):
+def traced(m, viscous=0.0):
     known = effects("motion")
-    base = Model((known["stiffness"], known["air_damping"]))
-    return trace_motion(m, base, np.array([STIFFNESS, DRAG]), range(m.recording_count), 0)
+    base = Model(tuple(known[name] for name in ("stiffness", "air_damping", "internal_damping")))
+    values = np.array([STIFFNESS, DRAG, viscous])
+    return trace_motion(m, base, values, range(m.recording_count), 0)
 
 
 @pytest.fixture(scope="module")
 def traces():
     found = {name: traced(moved(hidden)) for name, hidden in HIDDEN.items()}
-    return found | {"nothing": traced(moved())}
+    m = moved()
+    return found | {"nothing": traced(m), "nothing, damped": traced(m, VISCOUS)}
 
 
 def named(trace, name):
@@ -121,6 +123,25 @@ def test_internal_damping_follows_the_rate_of_bending(traces):
     # Nothing else is missing.
     assert np.median(trace.unexplained) < 0.03
     assert max(trace.remaining.values()) < 0.5
+
+
+def test_the_model_that_made_a_motion_lacks_nothing(traces):
+    damped, undamped = traces["nothing, damped"], traces["nothing"]
+    assert np.median(damped.force.size) < 0.5 * np.median(undamped.force.size)
+    assert np.median(damped.force.size) < 0.02
+    viscous = named(damped, "moment_with_strain_rate")
+    assert np.abs(viscous.value).max() < 0.15 * VISCOUS
+
+
+def test_recordings_too_short_to_tell_accelerations_have_no_trace(recordings=3, frames=12):
+    short = moved(rods=recordings)
+    data = {
+        "positions": short.positions[:, :frames],
+        "rate_hz": np.float64(RATE),
+        "held": np.array([0, 1, MARKERS - 2, MARKERS - 1]),
+        "gravity": np.float64(GRAVITY),
+    }
+    assert traced(motion_from_arrays(data)) is None
 
 
 def test_wind_is_fixed_in_the_laboratory_where_it_blows(traces):

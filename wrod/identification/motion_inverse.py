@@ -48,10 +48,8 @@ class InverseMotion:
         recording, frame: (S,) where each is.
         velocity, acceleration: (S, n, 3) of the nodes.
         frames: (S, n, 3, 3) columns m1, m2, tangent at the nodes.
-        reaction: (S, 3 F) force that the model lacks at each free marker, the tensions at their
-            likeliest.
         left: (S, Q, D) what the numbers that are left see of a generalised force.
-        missing: (S, Q) these numbers of the reaction.
+        missing: (S, Q) these numbers of the reactions.
         noise: (S, Q, Q) their covariance from the markers' noise.
         stiffness: (S, Q, D) rates of `missing` by the degrees of freedom; zero for those that
             find their equilibrium.
@@ -62,7 +60,6 @@ class InverseMotion:
     velocity: np.ndarray
     acceleration: np.ndarray
     frames: np.ndarray
-    reaction: np.ndarray
     left: np.ndarray
     missing: np.ndarray
     noise: np.ndarray
@@ -148,23 +145,41 @@ def inverse_motion(
     spacing: int,
     *,
     device: str = "cpu",
-) -> InverseMotion:
+) -> InverseMotion | None:
     """What `setup` lacks in every `spacing`-th frame of recordings.
 
     Frames too near to the ends of a recording, or to lost frames, to know the acceleration are left
-    out, and so are those in which no equilibrium between the markers is found.
+    out, and so are those in which no equilibrium between the markers is found; None where no frame
+    is left.
     """
     m = measurements
     weights = _smoothing(m.rate)
     reach = weights.shape[1] // 2
     sampled = _sampled(m, np.asarray(recordings), spacing, reach)
+    if len(sampled) == 0:
+        return None
+    found, settled = _settled(m, setup, sampled, weights, device)
+    if not settled.any():
+        return None
+    if not settled.all():
+        sampled = sampled[settled]
+        found, _ = _settled(m, setup, sampled, weights, device)
+    seen = found.result(sampled)
+    if np.any(setup.viscous_time):
+        # The moments of the viscous rod are linear in its viscous times.
+        flowing = replace(setup, viscous_time=1j * COMPLEX_STEP * setup.viscous_time)
+        seen.missing = seen.missing - seen.rates([flowing])[:, :, 0]
+    return seen
+
+
+def _settled(m, setup, sampled, weights, device):
+    """The sampled rods at rest between their markers, and (S,) whether they came to rest."""
     path = _smoothed(m, setup, sampled, weights)
-    batch, loads = _batch(m, setup, path, device)
-    k = _Condensation(m, setup, path, batch, loads, reach)
+    found = _Condensation(m, setup, path, _batch(m, setup, path, device))
     for _ in range(_ROUNDS):
-        k.solve()
-        k.relax()
-    return k.result(sampled, k.solve())
+        found.solve()
+        found.relax()
+    return found, found.solve()
 
 
 def _sampled(m, recordings, spacing, reach):
@@ -217,8 +232,8 @@ def _smoothed(m, setup, sampled, weights) -> SimpleNamespace:
     )
 
 
-def _batch(m, setup, path, device) -> tuple[RodBatch, np.ndarray]:
-    """The rods, and their loads (S, n, 3): weight, drag and minus mass times acceleration."""
+def _batch(m, setup, path, device) -> RodBatch:
+    """The rods under weight, drag and minus mass times acceleration."""
     a = {k: np.real(v) for k, v in setup.arrays().items()}
     speed = np.linalg.norm(path.velocity, axis=2, keepdims=True)
     drag = a["linear_drag"][:, None] + a["quadratic_drag"][:, None] * speed
@@ -253,14 +268,14 @@ def _batch(m, setup, path, device) -> tuple[RodBatch, np.ndarray]:
     edges = batch.node_count - 1
     dof[:, 3::4] = dof[:, 3:4] + (dof[:, -4:-3] - dof[:, 3:4]) * (np.arange(edges) / (edges - 1))
     state.dof.assign(dof)
-    return batch, loads
+    return batch
 
 
 class _Condensation:
     """The sampled rods between their markers, and what the markers feel of them."""
 
-    def __init__(self, m, setup, path, batch, loads, reach):
-        self.m, self.setup, self.path, self.batch, self.loads = m, setup, path, batch, loads
+    def __init__(self, m, setup, path, batch):
+        self.m, self.setup, self.path, self.batch = m, setup, path, batch
         n = batch.node_count
         place = setup.marker_node
         self.markers = (4 * place[:, None] + np.arange(3)).ravel()
@@ -321,7 +336,7 @@ class _Condensation:
         self.reaction = self.reaction + np.einsum("sfk,sk->sf", self.by_tension, change)
         self.change = change
 
-    def result(self, sampled, good) -> InverseMotion:
+    def result(self, sampled) -> InverseMotion:
         """What is left when the tensions are free."""
         b, path = self.batch, self.path
         full = np.linalg.qr(self.by_tension, mode="complete")[0]
@@ -334,7 +349,6 @@ class _Condensation:
             velocity=path.velocity,
             acceleration=path.acceleration,
             frames=_node_frames(directors[:, :, 0], t),
-            reaction=self.reaction,
             left=left @ self.see,
             missing=np.einsum("sqf,sf->sq", left, self.reaction),
             noise=left @ self.noise @ left.transpose(0, 2, 1),

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.identification.motion_checks import check_positions
 from wrod.identification.motion_data import MotionMeasurements
 from wrod.identification.motion_repair import frame_gaps, sorted_grips
 from wrod.identification.motion_split import split_evenly
 
 _FIELDS = ("positions", "rate_hz", "held", "gravity")
-# A rod of this length [m], or a thousandth of it, was not given in metres; nor moves one so [m/s].
-_FAR = 10.0
-_FAST = 15.0
 _SHORTEST = 12
+# No planet to stand on pulls so [m/s^2].
+_HEAVY = 30.0
 
 
 def is_motion(path: str | os.PathLike[str]) -> bool:
@@ -72,6 +72,8 @@ def motion_from_arrays(
             "markers are needed"
         )
     rate, gravity = (_scalar(data, key, where) for key in ("rate_hz", "gravity"))
+    if gravity > _HEAVY:
+        raise DataError(f"{where}: gravity is {gravity:g}; it must be in m/s^2")
     held = np.asarray(data["held"]).ravel()
     if held.tolist() != [0, 1, markers - 2, markers - 1]:
         raise DataError(
@@ -82,7 +84,7 @@ def motion_from_arrays(
     if np.shape(names) != (recordings,):
         raise DataError(f"{where}: file_ids has shape {np.shape(names)}; give ({recordings},)")
     names = tuple(str(n) for n in names)
-    _check_positions(x, names, rate, where)
+    check_positions(x, names, rate, where)
     x, repaired = sorted_grips(x)
     gap = np.stack([frame_gaps(recording[:, [0, 1, -2, -1]]) for recording in x])
     fit, validation, test = split_evenly(recordings)
@@ -96,49 +98,3 @@ def _scalar(data, key: str, where: str) -> float:
     if not (np.isfinite(value) and value > 0):
         raise DataError(f"{where}: {key} is {value:g}; it must be positive")
     return float(value)
-
-
-def _check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
-    bad = np.argwhere(~np.isfinite(x).all(axis=3))
-    if len(bad):
-        r, f, m = bad[0]
-        raise DataError(
-            f"{where}: marker {m} of recording {names[r]} is not finite in frame {f} "
-            f"({len(bad)} such markers in all); interpolate them or leave the recording out"
-        )
-    edge = np.linalg.norm(np.diff(x, axis=2), axis=3)
-    mean = np.median(edge, axis=(0, 1))
-    length = mean.sum()
-    if length > _FAR or np.abs(x).max() > 10 * _FAR:
-        raise DataError(
-            f"{where}: the rod would be {length:.3g} m long; positions must be in metres"
-        )
-    if length < 1e-3 * _FAR:
-        raise DataError(
-            f"{where}: the rod would be {length:.3g} m long; positions must be in metres"
-        )
-    if not (mean > 0).all():
-        m = int(np.argmin(mean))
-        raise DataError(f"{where}: markers {m} and {m + 1} are in the same place")
-    ratio = np.median(edge, axis=1) / mean
-    if ratio.max() > 1.5 or ratio.min() < 0.5:
-        r, m = np.unravel_index(np.argmax(np.abs(np.log(ratio))), ratio.shape)
-        raise DataError(
-            f"{where}: markers {m} and {m + 1} of recording {names[r]} are "
-            f"{1e3 * np.median(edge[r, :, m]):.0f} mm apart, {1e3 * mean[m]:.0f} mm in the others; "
-            "are its markers in another order, or is it of another rod?"
-        )
-    step = np.linalg.norm(np.diff(x, axis=1), axis=3)
-    middle = np.median(step, axis=2)
-    typical = np.median(middle)
-    if typical * rate > _FAST:
-        raise DataError(
-            f"{where}: markers move at {typical * rate:.0f} m/s; check rate_hz and the unit"
-        )
-    jump = np.abs(np.diff(edge, axis=1)).max(axis=2)
-    if jump.max() > 0.5 * length:
-        r, f = np.unravel_index(np.argmax(jump), jump.shape)
-        raise DataError(
-            f"{where}: the markers of recording {names[r]} change places at frame {f + 1}; sort "
-            "them or leave the recording out"
-        )

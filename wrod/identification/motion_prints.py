@@ -220,8 +220,8 @@ def _hypotheses(seen: InverseMotion, arc_length: np.ndarray) -> list[_Hypothesis
         ),
         _Hypothesis(
             "moment_with_strain_rate", "moment that follows the rate of bending, as a viscous time",
-            "s", ("internal_damping",), ("viscous time",), 0.03, (0.0, 1.0),
-            of(_Viscosity(0.03)), even,
+            "s", ("internal_damping",), ("viscous time",), 0.03,
+            (-np.max(setup.viscous_time), 1.0), of(_Viscosity(0.03)), even,
         ),
         _Hypothesis(
             "moment_in_material", "moment that turns with the material, as a curvature at rest",

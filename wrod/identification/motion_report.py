@@ -86,7 +86,7 @@ class MotionReport:
     candidates: tuple[dict, ...]
     selection: MotionSelection
     residual: Residual
-    trace: MotionTrace
+    trace: MotionTrace | None
     windows: Windows
     predicted_before: np.ndarray
     predicted_after: np.ndarray
@@ -133,7 +133,7 @@ class MotionReport:
                 for r in s.rounds
             ],
             "residual": self.residual.to_dict(),
-            "trace": self.trace.to_dict(),
+            "trace": None if self.trace is None else self.trace.to_dict(),
             "recordings": {
                 "fit": [m.names[r] for r in m.fit],
                 "validation": [m.names[r] for r in m.validation],
@@ -224,7 +224,7 @@ def _known(name: str, known: dict[str, Effect]) -> Effect:
 
 
 def _report(
-    laboratory: MotionLaboratory, selection: MotionSelection, evidence: MotionTrace
+    laboratory: MotionLaboratory, selection: MotionSelection, evidence: MotionTrace | None
 ) -> MotionReport:
     m = laboratory.measurements
     windows = laboratory.windows(m.test)

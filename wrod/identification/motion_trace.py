@@ -111,11 +111,12 @@ def trace_motion(
     shown: int,
     *,
     device: str = "cpu",
-) -> MotionTrace:
-    """The missing force and the prints of recordings, about a base model.
+) -> MotionTrace | None:
+    """The missing force and the prints of recordings, about a base model; None where recordings
+    are too short, or too broken by lost frames, to tell accelerations.
 
     Args:
-        base, values: the base model, with drag as its only damping.
+        base, values: the base model.
         recordings: those to look at.
         shown: a recording to look at closely.
     """
@@ -123,15 +124,25 @@ def trace_motion(
     setup = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
     setup = base.setup(setup, values)
     field = _field(m, setup, recordings, _SPACING, device)
-    close = _field(m, setup, [shown], _SHOWN_SPACING, device, field.placement)
-    force, shown = field.missing_force(), close.missing_force()
+    if field is None:
+        return None
+    if shown not in field.seen.recording:
+        shown = int(field.seen.recording[0])
     prints, steps, remaining = find_prints(field.seen, field.arc_length, field.weigh)
-    return MotionTrace(force, shown, prints, steps, remaining, field.size, field.placement)
+    unexplained, placement = field.size, field.placement
+    # What a print takes away is no misplaced marker.
+    field.fit(field.seen.missing, placement)
+    close = _field(m, setup, [shown], _SHOWN_SPACING, device, placement)
+    return MotionTrace(
+        field.missing_force(), close.missing_force(), prints, steps, remaining, unexplained,
+        placement,
+    )  # fmt: skip
 
 
-def _field(m, setup, recordings, spacing, device, placement=None) -> _Field:
+def _field(m, setup, recordings, spacing, device, placement=None) -> _Field | None:
     every = max(1, round(spacing * m.rate))
-    return _Field(inverse_motion(m, setup, recordings, every, device=device), m, placement)
+    seen = inverse_motion(m, setup, recordings, every, device=device)
+    return None if seen is None else _Field(seen, m, placement)
 
 
 class _Field:
