@@ -36,6 +36,7 @@ def as_they_are(position: np.ndarray, frame: np.ndarray) -> np.ndarray:
 
 NO_MASS, NO_CURVATURE, NO_FORCE = constant(0.0), constant(0.0, 0.0), constant(0.0, 0.0, 0.0)
 ISOTROPIC = constant(1.0, 1.0)
+_SMALLEST_STEP = 0.02
 
 
 @dataclass
@@ -213,7 +214,8 @@ def measured(
         data: everything but what is measured, as `hanging` gives it.
         world: what the rod is really like.
         seed: of the noise; noise: standard deviation of a marker coordinate [m].
-        steps: in which the effect grows from nothing, so that rods stay on their branch.
+        steps: in which the effect grows from nothing, so that rods stay on their branch; halved
+            where a rod does not follow.
 
     Raises:
         DataError: a trial finds no equilibrium.
@@ -236,13 +238,18 @@ def measured(
         return position + share * shift, rotation @ Rotation.from_rotvec(share * turn).as_matrix()
 
     for i in range(trials):
-        guess = guesses[i]
-        for step in range(1, steps + 1):
-            share = step / steps
-            found = _solve(
-                rod, world, share, *held("clamp", i, share), *held("grip", i, share), guess
-            )
-            guess = found.x, found.y
+        guess, share, step = guesses[i], 0.0, 1.0 / steps
+        while share < 1.0:
+            ahead = min(share + step, 1.0)
+            ends = (*held("clamp", i, ahead), *held("grip", i, ahead))
+            try:
+                found = _solve(rod, world, ahead, *ends, guess)
+            except DataError:
+                step *= 0.5
+                if step < _SMALLEST_STEP:
+                    raise
+                continue
+            guess, share = (found.x, found.y), ahead
         y = found.sol(m.arc_length / (rod.length + world.slip))
         positions.append(y[:3].T)
         frames.append(np.moveaxis(frames_of(y[3:7]), 2, 0))

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.bench.continuous_rod import World, constant, measured
+from wrod.errors import DataError
 from wrod.material import RodMaterial
 
+_REDRAWS = 3
 TRIALS, TEST_TRIALS, MARKERS, NOISE = 24, 8, 31, 5e-4
 _AIR_DRAG = 1.2 * 1.2  # rho_air C_d, as the plug-in takes it [kg/m^3]
 
@@ -382,12 +385,22 @@ def cases() -> dict[str, Callable[[np.random.Generator, RodMaterial], Hidden]]:
 
 
 def hidden_set(name: str, seed: int) -> tuple[dict[str, np.ndarray], Hidden]:
-    """A case's measurements, as `wrod.load_measurements` reads them from a file, and its truth."""
+    """A case's measurements, as `wrod.load_measurements` reads them from a file, and its truth.
+
+    Raises:
+        DataError: several draws in a row have a trial without an equilibrium.
+    """
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    rod = _rod(rng)
-    hidden = cases()[name](rng, rod)
-    data = measured(_poses(rng, rod), hidden.world, seed=int(rng.integers(2**31)), noise=NOISE)
-    return data, hidden
+
+    def draw():
+        rod = _rod(rng)
+        hidden, poses = cases()[name](rng, rod), _poses(rng, rod)
+        return measured(poses, hidden.world, seed=int(rng.integers(2**31)), noise=NOISE), hidden
+
+    for _ in range(_REDRAWS):
+        with suppress(DataError):  # a rod that is led through a fold
+            return draw()
+    return draw()
 
 
 def _rod(rng) -> RodMaterial:
