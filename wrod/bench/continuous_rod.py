@@ -116,7 +116,7 @@ def excess_of(moment: np.ndarray, stiffness: np.ndarray, law: Callable | None, s
     return excess * (e / size)
 
 
-def _solve(rod, world: World, share: float, a, ra, b, rb, guess):
+def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6):
     """One trial with a share of the effect; (s, y) of the guess on the unit interval."""
     length = rod.length + share * world.slip
     k_b, k_s = rod.bending_stiffness, rod.stretching_stiffness * world.stretching**share
@@ -155,7 +155,7 @@ def _solve(rod, world: World, share: float, a, ra, b, rb, guess):
         left = product(inverse[:, None], y1[3:7, None])[1:, 0]
         return np.concatenate([y0[:3] - a, y0[3:7] - qa, y1[:3] - b, left])
 
-    found = solve_bvp(rhs, ends, *guess, tol=1e-6, max_nodes=4000)
+    found = solve_bvp(rhs, ends, *guess, tol=tolerance, max_nodes=4000)
     if not found.success:
         raise DataError(f"collocation finds no equilibrium of the clamped rod: {found.message}")
     return found
@@ -206,7 +206,7 @@ def measured(
     *,
     seed: int = 0,
     noise: float = 5e-4,
-    steps: int = 3,
+    steps: int = 10,
 ) -> dict[str, np.ndarray]:
     """A set of measurements of the rod and at the poses in `data` (fields of a measured file).
 
@@ -240,18 +240,22 @@ def measured(
     for i in range(trials):
         guess, share, step = guesses[i], 0.0, 1.0 / steps
         while share < 1.0:
-            ahead = min(share + step, 1.0)
+            ahead = share + step if share + step < 1.0 - 1e-9 else 1.0
             ends = (*held("clamp", i, ahead), *held("grip", i, ahead))
             try:
-                found = _solve(rod, world, ahead, *ends, guess)
+                # On the way a rough solution keeps to the branch as well.
+                found = _solve(rod, world, ahead, *ends, guess, 1e-6 if ahead == 1.0 else 1e-4)
             except DataError:
                 step *= 0.5
                 if step < _SMALLEST_STEP:
                     raise
                 continue
             guess, share = (found.x, found.y), ahead
-        y = found.sol(m.arc_length / (rod.length + world.slip))
-        positions.append(y[:3].T)
+        length = rod.length + world.slip
+        y = found.sol(np.minimum(m.arc_length / length, 1.0))
+        # What has slipped into the gripper lies straight in it.
+        inside = np.maximum(m.arc_length - length, 0.0)
+        positions.append(y[:3].T + inside[:, None] * frames_of(y[3:7])[:, 2].T)
         frames.append(np.moveaxis(frames_of(y[3:7]), 2, 0))
         forces.append(found.y[7:10, -1])
         torques.append(found.y[10:13, -1])

@@ -28,7 +28,7 @@ class Laboratory:
     """
 
     def __init__(
-        self, measurements: ClampedMeasurements, *, edge_count: int = 60, device: str = "cpu"
+        self, measurements: ClampedMeasurements, *, edge_count: int = 90, device: str = "cpu"
     ):
         self.measurements = measurements
         self.edge_count, self.device = edge_count, device

@@ -103,18 +103,25 @@ def judge(
         empty.chi_squared,
         cross_validation,
     )
-    selection.confounded = _confounded(laboratory, fit, rounds)
+    if named.model.effects:
+        selection.confounded = _confounded(laboratory, fit, rounds)
     return selection
 
 
 def _confounded(laboratory: Laboratory, fit: Fit, rounds: list[Round]) -> list[dict]:
     """Rivals that the data do not rule out, and parameters that trade against each other."""
     found = []
-    accepted = [step for step in rounds if step.accepted is not None]
-    if accepted:
-        best = accepted[-1].best
+    compared = [
+        (step.fits, own)
+        for step in rounds
+        for own in step.fits
+        if set(own.model.names) == set(fit.model.names)
+    ]
+    if compared:
+        # The last step that weighed the chosen effects against others.
+        rivals, best = compared[-1]
         mine = {e.name: e for e in best.model.effects}
-        for rival in accepted[-1].fits:
+        for rival in rivals:
             theirs = {e.name: e for e in rival.model.effects}
             own, other = sorted(set(mine) - set(theirs)), sorted(set(theirs) - set(mine))
             if not own or not other:
