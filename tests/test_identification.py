@@ -193,6 +193,30 @@ def test_two_effects_are_found_together(tmp_path):
     assert rod.bending_stiffness == pytest.approx(1.3 * ROD.bending_stiffness, rel=0.05)
 
 
+def test_a_part_of_another_effect_that_does_the_same_is_a_rival():
+    """A twist at rest is a gripper that rolls: its two other angles do not set it apart."""
+
+    def apply(setup):
+        setup.natural_twist = setup.natural_twist + 2.0
+
+    names = ["natural_twist", "grip_rotation", "stiffness"]
+    report = identify(measurements_from_arrays(synthetic(apply)), candidates=names)
+    assert [e.name for e in report.effects] == ["natural_twist"]
+    assert [c["effects"] for c in report.selection.confounded] == [
+        ["natural_twist", "grip_rotation"]
+    ]
+
+
+def test_what_contains_the_chosen_effect_is_no_rival():
+    def apply(setup):
+        setup.bending, setup.twisting = 1.3 * setup.bending, 1.3 * setup.twisting
+
+    names = ["stiffness", "stiffness_gradient", "gravity_tilt"]
+    report = identify(measurements_from_arrays(synthetic(apply)), candidates=names)
+    assert [e.name for e in report.effects] == ["stiffness"]
+    assert report.selection.confounded == []
+
+
 def test_an_effect_that_no_plug_in_covers_is_not_named_explained():
     """A knock against the rod, another one in every trial: not one of the candidates."""
 

@@ -123,7 +123,7 @@ def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6)
     k_t = rod.twisting_stiffness * world.twisting**share
     line = rod.weight / rod.gravity
     gravity = Rotation.from_rotvec(share * world.gravity_turn).apply([0, 0, -rod.gravity])
-    c, d = np.cos(share * world.principal), np.sin(share * world.principal)
+    c, d = np.cos(world.principal), np.sin(world.principal)
     principal = np.array([[c, d], [-d, c]])
 
     def rhs(u, y):

@@ -82,7 +82,7 @@ class Laboratory:
         setup, done, step = base, 0.0, 0.5
         while done < 1.0 and len(values):
             before = solver.saved()
-            setup = model.setup(base, min(done + step, 1.0) * values)
+            setup = model.setup(base, model.grown(values, min(done + step, 1.0)))
             if solver.solve([setup]).all():
                 done, step = done + step, 2.0 * step
             elif step > _SMALLEST_STEP:
@@ -132,7 +132,7 @@ class Laboratory:
         solver = ClampedSolver([base] * len(models), device=self.device, start=state)
         reached = np.ones(len(models), dtype=bool)
         for share in (0.5, 1.0):
-            setups = [m.setup(base, share * v) for m, v in zip(models, values, strict=True)]
+            setups = [m.setup(base, m.grown(v, share)) for m, v in zip(models, values, strict=True)]
             reached &= solver.solve(setups).all(axis=1)
         prediction = solver.predict(setups)
         scores: list[float | None] = []
