@@ -161,7 +161,7 @@ def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6)
     return found
 
 
-def _first_guesses(measurements, edge_count: int = 40):
+def _first_guesses(measurements, edge_count: int = 60):
     """wrod's base solution of every trial as (u, y)."""
     trials = np.arange(measurements.trial_count)
     setup = Setup.base(measurements, trials, edge_count)

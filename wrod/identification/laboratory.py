@@ -15,6 +15,8 @@ from wrod.identification.sensing import Prediction
 from wrod.identification.setup import Setup
 
 _SMALLEST_STEP = 1.0 / 64
+# Of the free length, RMS over the markers; 90 edges move rods by less than a tenth of it.
+_LARGEST_CORRECTION = 0.005
 
 
 class Laboratory:
@@ -55,13 +57,19 @@ class Laboratory:
         return np.concatenate(target, axis=1), np.concatenate(deviation, axis=1)
 
     def refine(self, model: Model, values: np.ndarray) -> None:
-        """Set the mesh correction to that of a model: a third of what halving the mesh changes."""
+        """Set the mesh correction to that of a model: a third of what halving the mesh changes.
+
+        A trial whose rod reaches another equilibrium on the coarser mesh keeps none.
+        """
         fine = self.observe(model, values, corrected=False)
         half = Setup.base(self.measurements, self.trials, self.edge_count // 2)
         solver = ClampedSolver([half], device=self.device)
         setup = self._lead(solver, half, model, values)
         coarse = self.observed(model, values, setup, solver.predict([setup]), 0).real
-        self.mesh_correction = (fine - coarse) / 3.0
+        correction = (fine - coarse) / 3.0
+        move = np.sqrt((self._markers(correction) ** 2).sum(axis=2).mean(axis=1))
+        same = move < _LARGEST_CORRECTION * self.measurements.material.length
+        self.mesh_correction = correction * same[:, None]
 
     def adopt(self, other: Laboratory) -> None:
         """Take the mesh of another laboratory of the same measurements."""
