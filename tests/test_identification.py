@@ -133,6 +133,38 @@ def test_derivatives_are_exact(laboratory, name):
         assert np.abs(numeric).max() > 0.0
 
 
+def test_principal_directions_of_a_round_rod_mean_nothing(laboratory):
+    """However far they turn, a rod with equal stiffnesses stays in its equilibrium."""
+    model = Model((effects()["anisotropic_bending"],))
+    base = laboratory.observe(Model(), np.zeros(0))
+    for angle in (-2.9, 1.2, 3.0):
+        turned = laboratory.observe(model, np.array([0.0, 0.0, angle]))
+        assert np.abs(turned - base).max() < 1e-7
+
+
+def test_effects_grow_in_place():
+    model = Model((effects()["point_mass"], effects()["gravity_tilt"]))
+    grown = model.grown(np.array([2e-3, 0.3, 0.1, -0.2]), 0.25)
+    assert np.allclose(grown, [5e-4, 0.3, 0.025, -0.05])
+
+
+def test_another_equilibrium_on_the_coarse_mesh_is_no_correction(plain, monkeypatch):
+    laboratory = Laboratory(measurements_from_arrays(plain), edge_count=30)
+    kept = laboratory.mesh_correction.copy()
+    predict = ClampedSolver.predict
+
+    def elsewhere(self, setups):
+        seen = predict(self, setups)
+        if self.edge_count == 15:
+            seen.position[0, 2] += 0.05
+        return seen
+
+    monkeypatch.setattr(ClampedSolver, "predict", elsewhere)
+    laboratory.refine(Model(), np.zeros(0))
+    assert np.all(laboratory.mesh_correction[2] == 0.0)
+    assert np.allclose(np.delete(laboratory.mesh_correction, 2, 0), np.delete(kept, 2, 0))
+
+
 def test_clamped_solutions_are_of_second_order():
     base = measurements_from_arrays(synthetic())
     shapes = []
