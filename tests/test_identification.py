@@ -1,5 +1,6 @@
 """Identification: exact derivatives, known effects found, bad data named."""
 
+import copy
 import itertools
 import json
 import re
@@ -133,13 +134,26 @@ def test_derivatives_are_exact(laboratory, name):
         assert np.abs(numeric).max() > 0.0
 
 
-def test_principal_directions_of_a_round_rod_mean_nothing(laboratory):
-    """However far they turn, a rod with equal stiffnesses stays in its equilibrium."""
-    model = Model((effects()["anisotropic_bending"],))
-    base = laboratory.observe(Model(), np.zeros(0))
-    for angle in (-2.9, 1.2, 3.0):
-        turned = laboratory.observe(model, np.array([0.0, 0.0, angle]))
-        assert np.abs(turned - base).max() < 1e-7
+def test_turned_principal_directions_do_no_work_on_a_round_rod(laboratory):
+    """They turn all along the rod: it stays in equilibrium, and a state put back knows its own."""
+    base = laboratory.base
+    turned = copy.copy(base)
+    turned.principal_angle = 2.5
+    solver = ClampedSolver([base], start=laboratory.base_state)
+    free = solver.batch.free.numpy() != 0
+    before = solver.batch.state.dof.numpy().copy()
+
+    def largest_force():
+        solver.batch.evaluate(order=1)
+        return np.abs(solver.batch.derivatives.gradient.numpy()[free]).max()
+
+    at_rest = largest_force()
+    solver._turn_principal([turned])
+    assert largest_force() < 10.0 * at_rest + 1e-12
+    assert np.allclose(solver.batch.state.dof.numpy()[:, 3::4] - before[:, 3::4], 2.5)
+    solver.restore(laboratory.base_state)
+    assert solver.solve([base]).all()
+    assert np.abs(solver.batch.state.dof.numpy() - before).max() < 1e-6
 
 
 def test_effects_grow_in_place():
