@@ -274,6 +274,7 @@ def _solve_chunk(
         _put(coarse, lost, back)
         _put(fine, lost, cold)
     if extrapolate:
+        coarse.rotation = _same_way_round(coarse.rotation, fine.rotation)
         for name in _EXTRAPOLATED:
             value = getattr(fine, name)
             if value is not None:
@@ -295,6 +296,15 @@ _EXTRAPOLATED = (
 )
 # Grasps on the gentle branch turn by less than this, those that have looped by more.
 _GENTLE = 2.0 * np.pi
+
+
+def _same_way_round(vectors: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """Rotation vectors (n, 3) of the same rotations, with no full turn between them and `like`:
+    those of two meshes may lie on either side of half a turn."""
+    angle = np.linalg.norm(vectors, axis=1, keepdims=True)
+    axis = vectors / np.maximum(angle, 1e-300)
+    turns = np.rint(((like - vectors) * axis).sum(axis=1, keepdims=True) / (2.0 * np.pi))
+    return vectors + 2.0 * np.pi * turns * axis
 
 
 def _put(target: GraspSolution, where: np.ndarray, source: GraspSolution) -> None:
