@@ -265,7 +265,7 @@ def test_dataset_of_one_rod(tmp_path):
     assert (sample(0, 16, 0, RodInputs.of(ROD))[:, 1] >= 0.0).all()
 
 
-def test_dataset_command_takes_a_model_and_training_says_no(tmp_path):
+def test_dataset_command_takes_a_model(tmp_path):
     path = model_file(tmp_path / "model.json", ["natural_curvature"], natural_curvature=[0.0, 5.0])
     out = tmp_path / "grasps"
     args = ["dataset", "--size", "4", "--rod", str(path), "--length", "0.3", "--out", str(out)]
@@ -273,10 +273,23 @@ def test_dataset_command_takes_a_model_and_training_says_no(tmp_path):
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["unconverged"] == 0
     assert store.read_manifest(out).rod["length"] == pytest.approx(0.3 / 0.018)
-    args = ["train", "--dataset", str(out), "--out", str(tmp_path / "c"), "--device", "cpu"]
-    result = CliRunner().invoke(main, args)
+
+
+def test_training_refuses_one_straight_rod(tmp_path):
+    generate(tmp_path / "grasps", 4, edge_count=32, rod=ROD, device="cpu")
+    args = ["train", "--dataset", str(tmp_path / "grasps"), "--out", str(tmp_path / "c")]
+    result = CliRunner().invoke(main, [*args, "--device", "cpu"])
     assert result.exit_code == 2
-    assert "one rod" in result.stderr
+    assert "one straight rod" in result.stderr
+
+
+def test_grasps_around_half_a_turn_are_not_torn():
+    """The meshes' rotation vectors lie on either side of half a turn here."""
+    lengths = [23.17550296018525, 23.18]
+    grasps = solve_grasps(lengths, 1.5409942319616674, 1600.0, natural_curvature=(0.128, 0.0))
+    here, near = Rotation.from_rotvec(grasps.rotation)
+    assert np.linalg.norm(grasps.rotation[0]) == pytest.approx(np.pi, abs=1e-3)
+    assert (here.inv() * near).magnitude() < 0.01
 
 
 def test_plan_command_takes_a_model(tmp_path):

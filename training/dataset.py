@@ -14,6 +14,7 @@ from wrod.training import store
 from wrod.training.sampling import MAX_INDEX, RodInputs, sample
 
 from wrod import __version__
+from wrod.controller_curved import untwisted
 from wrod.errors import DataError
 from wrod.grasps import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
 from wrod.material import RodMaterial
@@ -199,8 +200,12 @@ def _columns(inputs: np.ndarray, grasps: Grasps, manifest: store.Manifest) -> di
 
 @dataclass
 class GraspTable:
-    """Grasps to learn from, float64 NumPy: inputs (n, 3), position, rotation, force (n, 3), and
-    their derivatives by the inputs (n, 9, 3) in that order, or None."""
+    """Grasps to learn from, float64 NumPy: inputs (n, 3), outputs (n, 9): position, rotation vector
+    and force, and their derivatives by the inputs (n, 9, 3) in that order, or None.
+
+    Outputs of a naturally curved rod are (n, 10): its rotation vectors are those without the twist
+    between contact and grip, and the twist is the last [rad].
+    """
 
     inputs: np.ndarray
     outputs: np.ndarray
@@ -214,7 +219,12 @@ class GraspTable:
         """Those rows of a shard that are results."""
         good = columns["converged"] & columns["stable"]
         names = ("position", "rotation", "force")
-        outputs = np.concatenate([columns[name][good] for name in names], axis=1)
+        parts = {name: columns[name][good] for name in names}
+        if "twist" in columns:
+            twist = columns["twist"][good]
+            parts["rotation"] = untwisted(parts["rotation"], twist)
+            parts["twist"] = twist[:, None]
+        outputs = np.concatenate(list(parts.values()), axis=1)
         sensitivity = None
         if "position_sensitivity" in columns:
             parts = [columns[f"{name}_sensitivity"][good] for name in names]
@@ -244,6 +254,14 @@ class GraspTable:
     def take(self, rows) -> GraspTable:
         sensitivity = None if self.sensitivity is None else self.sensitivity[rows]
         return GraspTable(self.inputs[rows], self.outputs[rows], sensitivity)
+
+
+def largest_curvature(folder: str | os.PathLike[str], most: float) -> float:
+    """Largest |kappa| [1/L_gb], at most `most`, below which every sample of a dataset is usable."""
+    for columns in store.shards(Path(folder)):
+        lost = ~(columns["converged"] & columns["stable"])
+        most = min(most, *np.abs(columns["inputs"][lost, 1]), np.inf)
+    return most
 
 
 def load(folder: str | os.PathLike[str], most: int | None = None) -> GraspTable:

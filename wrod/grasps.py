@@ -16,6 +16,7 @@ import numpy as np
 from wrod.batch import resolve_device
 from wrod.errors import GraspError
 from wrod.grasp_curved import CurvedGraspSolver
+from wrod.grasp_mesh import MIRROR, MIRROR_ROTATION
 from wrod.grasp_solver import GraspSolution, GraspSolver
 from wrod.kernels import grasping
 
@@ -35,8 +36,6 @@ LIMITS = {
 }
 # Grasps solved at once: few on a CPU, whose cache they should not leave; many on a GPU.
 _CPU_CHUNK, _CUDA_CHUNK = 128, 32768
-_MIRROR = np.array([1.0, -1.0, 1.0])
-_MIRROR_ROTATION = np.array([-1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -325,20 +324,20 @@ def _grasps(parts: list[GraspSolution], kappa: np.ndarray, sensitivities: bool) 
     position, rotation, force = join("position"), join("rotation"), join("force")
     jacobian = join("force_jacobian")
     shape = None if parts[0].shape is None else join("shape")
-    position[right] *= _MIRROR
-    force[right] *= _MIRROR
-    rotation[right] *= _MIRROR_ROTATION
+    position[right] *= MIRROR
+    force[right] *= MIRROR
+    rotation[right] *= MIRROR_ROTATION
     if shape is not None:
-        shape[right] *= _MIRROR
-    jacobian[right] *= np.outer(_MIRROR, _MIRROR)
+        shape[right] *= MIRROR
+    jacobian[right] *= np.outer(MIRROR, MIRROR)
     extra = {}
     if parts[0].eigenvalue is not None:
         extra["eigenvalue"] = join("eigenvalue")
     if sensitivities:
         for name, mirror in (
-            ("position_sensitivity", _MIRROR),
-            ("rotation_sensitivity", _MIRROR_ROTATION),
-            ("force_sensitivity", _MIRROR),
+            ("position_sensitivity", MIRROR),
+            ("rotation_sensitivity", MIRROR_ROTATION),
+            ("force_sensitivity", MIRROR),
         ):
             extra[name] = join(name)
             extra[name][right] *= np.outer(mirror, [1.0, -1.0, 1.0])

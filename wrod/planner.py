@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -17,6 +18,9 @@ from wrod.grasp_sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs, Grasp
 from wrod.material import RodMaterial
 from wrod.patterns import Pattern
 from wrod.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from wrod.controller import Controller
 
 # A dimensionless start curvature above this gets a remainder unless the caller decides. The paper's
 # circle and sine start above it; its letters, laid without a remainder, start below 0.11.
@@ -48,6 +52,7 @@ def plan(
     spacing: float = 0.0025,
     remainder: bool | float | None = None,
     roll: float | None = None,
+    controller: Controller | None = None,
     device: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
@@ -56,12 +61,13 @@ def plan(
     Args:
         pattern: where the rod is to lie.
         rod: its material and length.
-        method: "neural" (optimal grasps from the trained controller; of a naturally curved rod,
-            which it does not know, from the rod solver), "numeric" (from the rod solver), "auto"
-            (neural where the controller was trained, numeric elsewhere) or "intuitive" (straight
-            above the contact).
-        closure: "zero_tension", "min_force" or "min_friction"; "neural" knows the first only.
-            None: what lays the pattern most accurately for "auto" (see `favoured_closure`),
+        method: "neural" (optimal grasps from the trained controller; of a naturally curved rod
+            without a controller of its own, from the rod solver), "numeric" (from the rod solver),
+            "auto" (neural where the controller was trained, numeric elsewhere) or "intuitive"
+            (straight above the contact).
+        closure: "zero_tension", "min_force" or "min_friction"; "neural" knows its controller's
+            only, which for the one that ships is the first. None: the given controller's; without
+            one, what lays the pattern most accurately for "auto" (see `favoured_closure`), and
             "zero_tension", which is the paper's, for the others.
         spacing: largest distance between the contact nodes [m].
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
@@ -69,6 +75,8 @@ def plan(
         roll: how the rod is put into the grip: the laid rod's first material director is turned
             by it from left towards up [rad]. None lays the rod with its natural curvature in the
             table's plane, bent to the side to which the pattern turns in all; see `natural_roll`.
+        controller: what "neural" and "auto" ask, for example one that was trained for this
+            naturally curved rod; None is the one that ships, for all straight rods.
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
         progress: called with the nodes done since the last call and the number of all nodes.
 
@@ -80,7 +88,8 @@ def plan(
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
             bend it tighter than its own radius, or spacing is not positive.
-        GraspError: unknown method, or a grasp that did not converge; names node and inputs.
+        GraspError: unknown method, a grasp that did not converge (names node and inputs), or a
+            controller that was made for another rod.
 
     Warns:
         StabilityWarning: some grasps are elastically unstable, or close to it.
@@ -89,7 +98,9 @@ def plan(
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
     pattern = prepare(pattern, rod, remainder)
-    if closure is None:
+    if closure is None and controller is not None and method in ("auto", "neural"):
+        closure = controller.closure
+    elif closure is None:
         closure = favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
     first = -pattern.remainder_length
     total = pattern.length - first
@@ -106,15 +117,15 @@ def plan(
     roll = natural_roll(pattern, rod) if roll is None else _finite_roll(roll)
     inputs = GraspInputs.of(
         rod, rod.length - laid, curvature,
-        roll=roll, closure=closure, device=device, progress=progress,
+        roll=roll, closure=closure, device=device, progress=progress, controller=controller,
     )  # fmt: skip
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
-        if method == "neural" and not rod.is_straight:
+        if method == "neural" and controller is None and not rod.is_straight:
             method = "numeric"
             warnings.warn(
-                "the controller knows naturally straight rods only and this one is curved at rest, "
-                "so its grasps come from the rod solver",
+                "the controller that ships knows naturally straight rods only and this one is "
+                "curved at rest, so its grasps come from the rod solver",
                 WrodWarning,
                 stacklevel=2,
             )

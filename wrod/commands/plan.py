@@ -25,6 +25,13 @@ from wrod.commands.options import (
 @options(ROD)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @options(METHOD)
+@click.option(
+    "--controller",
+    "controller_file",
+    type=click.Path(path_type=Path),
+    help="Controller that `wrod train` made, of this naturally curved rod for one; default: the "
+    "one that ships, for straight rods.",
+)
 @click.option("--spacing", default=0.0025, show_default=True, help="Distance between nodes [m].")
 @options(UNITS, PICTURE)
 @click.option("--friction", type=float, help="Static friction coefficient to check against.")
@@ -63,6 +70,7 @@ def command(
     out: Path,
     method: str,
     closure: str | None,
+    controller_file: Path | None,
     spacing: float,
     units: str | None,
     markers: Path | None,
@@ -89,12 +97,14 @@ def command(
     """
     from tqdm import tqdm
 
+    from wrod.controller import Controller
     from wrod.errors import DataError
     from wrod.friction import friction_bound
     from wrod.picture import draw_plan
     from wrod.planner import plan, prepare, with_shapes
 
     rod = read_rod(rod_name, radius, lgb, length)
+    controller = None if controller_file is None else Controller.load(controller_file)
     reading = {
         "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
     }  # fmt: skip
@@ -109,7 +119,8 @@ def command(
         chosen = None if device == "auto" else device
         trajectory = plan(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
-            roll=None if roll is None else radians(roll), device=chosen, progress=progress,
+            roll=None if roll is None else radians(roll), controller=controller, device=chosen,
+            progress=progress,
         )  # fmt: skip
         if shapes:
             bar.n = 0
