@@ -33,6 +33,8 @@ _MAX_NODES = 20_000
 # Dimensionless curvatures between which "min_friction" lays a pattern better, and points at which
 # curvature is looked at; beyond the range not all grasps of that closure exist.
 _GENTLE, _TIGHT = 0.4, 3.0
+# The same for a naturally curved rod, and the natural curvature [1/L_gb] up to which they do.
+_TIGHT_CURVED, _MILD = 1.4, 0.3
 _COURSE_POINTS = 2000
 # Stiffness of a rod's softest motion over weight per length by suspended length. A chain that hangs
 # without bending stiffness has (j_0 / 2)^2; optimal grasps have more, and one with a third of it
@@ -173,13 +175,16 @@ def favoured_closure(pattern: Pattern, rod: RodMaterial) -> str:
     elsewhere. In bends the first asks the table for less: at 1 / L_gb for a tangential force of
     0.55 instead of 0.93 of the normal one, so that less slides on slippery tables. On a straight
     pattern both are the same grasps; in gentle bends both lay as well, and the trained controller
-    knows the second. Evidence: `wrod bench closures`, docs/deployment.md; for naturally curved
-    rods there is none, and they get "zero_tension".
+    knows the second. Evidence: `wrod bench closures`, docs/deployment.md, and for naturally curved
+    rods docs/loop.md. Of a rod curved by more than 0.3 / L_gb not all grasps exist that ask for the
+    least, and it gets "zero_tension".
     """
     s = np.linspace(-pattern.remainder_length, pattern.length, _COURSE_POINTS)
-    sharpest = np.max(np.abs(pattern.sample(s)[2])) * rod.gravito_bending_length
-    bent = _GENTLE < sharpest <= _TIGHT
-    return "min_friction" if bent and rod.is_straight else "zero_tension"
+    lgb = rod.gravito_bending_length
+    sharpest = np.max(np.abs(pattern.sample(s)[2])) * lgb
+    natural = np.hypot(*rod.natural_curvature) * lgb
+    tight = _TIGHT if rod.is_straight else _TIGHT_CURVED
+    return "min_friction" if _GENTLE < sharpest <= tight and natural <= _MILD else "zero_tension"
 
 
 def with_shapes(
