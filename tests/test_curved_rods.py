@@ -261,6 +261,7 @@ def test_dataset_of_one_rod(tmp_path):
     assert np.abs(again.position - table.outputs[:3, :3]).max() < 1e-9
     with pytest.raises(DataError, match="rod"):
         generate(folder, 12, shard_size=6, edge_count=32, device="cpu")
+    assert RodInputs.of(CURVED, np.pi / 2).natural_curvature == pytest.approx((0.0, 0.108))
     # One straight rod: left turns only, and its derivatives.
     assert (sample(0, 16, 0, RodInputs.of(ROD))[:, 1] >= 0.0).all()
 
@@ -273,6 +274,14 @@ def test_dataset_command_takes_a_model(tmp_path):
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["unconverged"] == 0
     assert store.read_manifest(out).rod["length"] == pytest.approx(0.3 / 0.018)
+    assert store.read_manifest(out).rod["natural_curvature"] == pytest.approx([0.09, 0.0])
+    args[-1] += "-up"
+    result = CliRunner().invoke(main, [*args, "--roll", "0", "--device", "cpu"])
+    assert result.exit_code == 0, result.output
+    up = store.read_manifest(tmp_path / "grasps-up").rod["natural_curvature"]
+    assert up == pytest.approx([0.0, 0.09])
+    result = CliRunner().invoke(main, ["dataset", "--size", "4", "--roll", "0", "--out", args[-1]])
+    assert result.exit_code == 2 and "name it with --rod" in result.stderr
 
 
 def test_training_refuses_one_straight_rod(tmp_path):

@@ -92,6 +92,7 @@ def generate(
     shard_size: int = SHARD_SIZE,
     edge_count: int = EDGE_COUNT,
     rod: RodMaterial | None = None,
+    roll: float | None = None,
     device: str = "auto",
     rank: Rank | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -110,8 +111,9 @@ def generate(
         sensitivities: store the derivatives by the inputs ("zero_tension" only).
         shard_size: samples per file.
         edge_count: resolution of the solver.
-        rod: solve grasps of this rod alone, with its natural curvature in the table's plane and to
-            the left; by default those of all rods.
+        rod: solve grasps of this rod alone; by default those of all rods.
+        roll: that the rod is laid at [rad]; by default its natural curvature lies in the table's
+            plane and to the left. See `RodMaterial.curvature_held`.
         device: "auto", "cpu" or "cuda:0".
         rank: this process's part; by default read from the environment.
         progress: called with the samples done since the last call and those of this rank.
@@ -130,7 +132,7 @@ def generate(
     if closure not in CLOSURES:
         solve_grasps([5.0], [0.0], [1e3], closure=closure)  # raises with the names
     device = rank.device(device)
-    one = None if rod is None else RodInputs.of(rod)
+    one = None if rod is None else RodInputs.of(rod, roll)
     curved = one is not None and not one.is_straight
     own = {"natural_curvature": one.natural_curvature, "poisson": one.poisson} if curved else {}
     # A list is what the manifest's file gives back.

@@ -54,11 +54,16 @@ class RodInputs:
     poisson: float = 0.5
 
     @classmethod
-    def of(cls, rod: RodMaterial) -> RodInputs:
-        """A rod laid with its natural curvature in the table's plane, to the left."""
+    def of(cls, rod: RodMaterial, roll: float | None = None) -> RodInputs:
+        """A rod laid with this roll of its first director from left to up [rad]; None lays it with
+        its natural curvature in the table's plane, to the left."""
         lgb = rod.gravito_bending_length
-        curvature = lgb * math.hypot(*rod.natural_curvature)
-        return cls(rod.length / lgb, rod.stretch_ratio, (curvature, 0.0), rod.poisson)
+        if roll is None:
+            held = math.hypot(*rod.natural_curvature), 0.0
+        else:
+            held = rod.curvature_held(roll)
+        own = (float(lgb * held[0]), float(lgb * held[1]))
+        return cls(rod.length / lgb, rod.stretch_ratio, own, rod.poisson)
 
     @property
     def range(self) -> dict[str, tuple[float, float]]:

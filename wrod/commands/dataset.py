@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from math import isfinite, radians
 from pathlib import Path
 
 import click
@@ -21,6 +22,12 @@ from wrod.commands.options import CLOSURE, DEVICE, ROD, options, read_rod
     help="Store the derivatives by the inputs (zero_tension only).",
 )
 @options(ROD)
+@click.option(
+    "--roll",
+    type=float,
+    help="Roll of that rod as it is laid, if curved: from left to up [degrees]; default: curved in "
+    "the plane.",
+)
 @click.option("--shard-size", type=click.IntRange(min=1), help="Samples per file; default 2048.")
 @options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
@@ -34,11 +41,15 @@ def command(
     radius: float | None,
     lgb: float | None,
     length: float | None,
+    roll: float | None,
     shard_size: int | None,
     device: str,
     as_json: bool,
 ) -> None:
     """Solve grasps at low-discrepancy samples of (l_s, kappa, k_s), or of one rod alone.
+
+    Grasps of one naturally curved rod, such as the model.json of `wrod identify`, are what `wrod
+    train` makes a controller for that rod from.
 
     The same command goes on where a killed one was. Every process that torchrun starts takes its
     share of the shards, and a GPU of its own where there are several; the dataset stays the same:
@@ -54,6 +65,8 @@ def command(
 
     given = (rod_name, radius, lgb, length)
     rod = None if given == (None,) * 4 else read_rod(*given)
+    if roll is not None and (rod is None or not isfinite(roll)):
+        raise DataError("--roll is a finite angle of one rod; name it with --rod")
     rank = Rank.from_environment()
     label = "grasps" if rank.count == 1 else f"grasps of rank {rank.index}"
     with tqdm(
@@ -67,7 +80,8 @@ def command(
         try:
             outcome = generate(
                 out, size, seed=seed, closure=closure, sensitivities=sensitivities,
-                shard_size=shard_size or SHARD_SIZE, rod=rod, device=device, rank=rank,
+                shard_size=shard_size or SHARD_SIZE, rod=rod,
+                roll=None if roll is None else radians(roll), device=device, rank=rank,
                 progress=progress,
             )  # fmt: skip
         except OSError as error:
