@@ -111,6 +111,8 @@ def test_rod_file_carries_natural_curvature(tmp_path):
     assert wrod.RodMaterial.load(rod.save(tmp_path / "rod.json")) == rod
     assert not rod.is_straight and ROD.is_straight
     assert rod.curvature_held(0.0) == (3.0, -1.0)
+    assert rod.curvature_held(rod.roll_up()) == pytest.approx((0.0, np.sqrt(10.0)))
+    assert ROD.roll_up() == 0.0
     # A quarter turn takes the first director from left to up, the second from up to right.
     assert rod.curvature_held(np.pi / 2) == pytest.approx((1.0, 3.0))
     for bad in ((1.0,), (1.0, np.nan), "x", None):
@@ -276,12 +278,15 @@ def test_dataset_command_takes_a_model(tmp_path):
     assert store.read_manifest(out).rod["length"] == pytest.approx(0.3 / 0.018)
     assert store.read_manifest(out).rod["natural_curvature"] == pytest.approx([0.09, 0.0])
     args[-1] += "-up"
-    result = CliRunner().invoke(main, [*args, "--roll", "0", "--device", "cpu"])
+    result = CliRunner().invoke(main, [*args, "--roll", "up", "--device", "cpu"])
     assert result.exit_code == 0, result.output
     up = store.read_manifest(tmp_path / "grasps-up").rod["natural_curvature"]
     assert up == pytest.approx([0.0, 0.09])
     result = CliRunner().invoke(main, ["dataset", "--size", "4", "--roll", "0", "--out", args[-1]])
     assert result.exit_code == 2 and "name it with --rod" in result.stderr
+    for roll in ("nan", "left"):
+        result = CliRunner().invoke(main, [*args, "--roll", roll])
+        assert result.exit_code == 2 and "use plane, up or" in result.stderr
 
 
 def test_training_refuses_one_straight_rod(tmp_path):

@@ -64,6 +64,7 @@ def controller_for(
     rod: RodMaterial,
     folder: str | os.PathLike[str],
     *,
+    roll: float | None = None,
     grasps: int = GRASPS,
     steps: int | None = None,
     test: int = 300,
@@ -76,6 +77,7 @@ def controller_for(
     Args:
         rod: to be laid.
         folder: where dataset and checkpoints go.
+        roll: see `generate`.
         grasps: to learn from.
         steps: of the optimiser; default: the recipe's.
         test: fresh inputs that the result is scored on.
@@ -94,8 +96,8 @@ def controller_for(
         tell(0.5 * done[0] / total)
 
     generate(
-        folder / "dataset", grasps, seed=seed, shard_size=256, rod=rod, device=device,
-        progress=solved,
+        folder / "dataset", grasps, seed=seed, shard_size=256, rod=rod, roll=roll,
+        device=device, progress=solved,
     )  # fmt: skip
     chosen = recipe("curved")
     training = Training(

@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from wrod.bench.loop_trials import CONTROLLERS
+from wrod.commands.options import ROLL, options, read_roll
 
 EFFECTS = ("natural_curvature", "stiffness")
 
@@ -47,6 +48,8 @@ EFFECTS = ("natural_curvature", "stiffness")
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Of its training; default: the recipe's.")
 @click.option("--friction", default=1.0, show_default=True, help="Friction coefficient.")
+@click.option("--rolling", is_flag=True, help="Let the laid rod roll freely.")
+@options(ROLL)
 @click.option("--speed", default=0.03, show_default=True, help="Speed of the contact [m/s].")
 @click.option("--step", default=0.02, show_default=True, help="Largest time step [s].")
 @click.option("--spacing", default=0.006, show_default=True, help="Length of the edges [m].")
@@ -68,6 +71,8 @@ def command(
     grasps: int,
     steps: int | None,
     friction: float,
+    rolling: bool,
+    roll_text: str | None,
     speed: float,
     step: float,
     spacing: float,
@@ -91,6 +96,7 @@ def command(
     from wrod.bench.table3_paper import PATTERNS, read_pattern
     from wrod.deployment import simulate_deployments
     from wrod.material import rod
+    from wrod.substrate import Friction
 
     device, believed = resolve_device(device), rod(rod_name)
     curves = {name: read_pattern(name, patterns) for name in names or PATTERNS}
@@ -111,6 +117,7 @@ def command(
     for effect, report in reports.items():
         written += report.save(out / effect)
         model, network = with_length(report.material, believed), None
+        roll = read_roll(roll_text, model)
         if "network" in controllers:
             with (
                 _timed(seconds, "training"),
@@ -119,16 +126,17 @@ def command(
                 ) as bar,
             ):
                 network = network_for(
-                    model, out / effect, grasps=grasps, steps=steps, seed=seed, device=device,
+                    model, out / effect, roll=roll, grasps=grasps, steps=steps, seed=seed,
+                    device=device,
                     progress=lambda share, bar=bar: bar.update(100 * share - bar.n),
                 )  # fmt: skip
         if network is not None:
             written.append(out / effect / "controller.safetensors")
-        cases[effect] = Case(true[effect], report, model, network)
-    jobs = {}
+        cases[effect] = Case(true[effect], report, model, network, roll)
+    jobs, law = {}, Friction(friction, rolling=rolling)
     with _timed(seconds, "plans"):
         for name, curve in tqdm(curves.items(), desc="plans", leave=False, disable=as_json):
-            jobs |= trials_along(name, curve, believed, cases, controllers, friction)
+            jobs |= trials_along(name, curve, believed, cases, controllers, law)
     with (
         _timed(seconds, "deployments"),
         tqdm(total=100, leave=False, desc="laid", disable=as_json, bar_format=shown) as bar,
@@ -141,7 +149,8 @@ def command(
     found = {effect: _found(case) for effect, case in cases.items()}
     head = (
         f"Simulated deployments of {rod_name}, e_mean ± sigma [cm] (N = 50); friction "
-        f"{friction:g}, contact speed {speed:g} m/s, step {step:g} s, edges {spacing:g} m, "
+        f"{friction:g}{', rolling freely' if rolling else ''}, roll {roll_text or 'plane'}, "
+        f"contact speed {speed:g} m/s, step {step:g} s, edges {spacing:g} m, "
         f"{'built-in patterns' if patterns is None else 'patterns of a folder'}."
     )
     text = markdown(rows, found, head)

@@ -15,13 +15,14 @@ CONTROLLERS = ("network", "numeric", "default")
 
 @dataclass(frozen=True)
 class Case:
-    """A rod with an effect: as it is, as it was identified, and a network for the latter; None
-    where the one that ships knows it."""
+    """A rod with an effect: as it is, as it was identified, the network for the latter (None where
+    the one that ships knows it), and the roll that plans hold it at (None: see `wrod.plan`)."""
 
     true: RodMaterial
     report: object
     model: RodMaterial
     network: object | None
+    roll: float | None = None
 
 
 def identified(true, believed, trials, noise, seed, candidates, device):
@@ -39,6 +40,7 @@ def network_for(
     model: RodMaterial,
     folder: Path,
     *,
+    roll: float | None,
     grasps: int,
     steps: int | None,
     seed: int,
@@ -52,25 +54,25 @@ def network_for(
     from wrod.training.finish import controller_for
 
     made = controller_for(
-        model, folder, grasps=grasps, steps=steps, seed=seed, device=device, progress=progress
-    )
+        model, folder, roll=roll, grasps=grasps, steps=steps, seed=seed, device=device,
+        progress=progress,
+    )  # fmt: skip
     made.save(folder / "controller.safetensors")
     return made
 
 
 def trials_along(
-    name: str, curve, believed: RodMaterial, cases: dict[str, Case], controllers, friction: float
+    name: str, curve, believed: RodMaterial, cases: dict[str, Case], controllers, law
 ) -> dict:
     """Deployments along one pattern by (effect, controller, pattern, plan): old, new, and of a rod
     without any effect.
 
     Old and new plan hold the rod at the same roll, so that only the model behind the grasps
-    differs.
+    differs. `law` is the table's `Friction`.
     """
     from wrod.deployment import Trial, with_remainder_of
     from wrod.deployment_setup import tail
     from wrod.planner import plan
-    from wrod.substrate import Friction
 
     def trial(rod, model, controller, network=None, roll=None):
         method = {"network": "neural", "numeric": "numeric", "default": "auto"}[controller]
@@ -79,13 +81,13 @@ def trials_along(
             controller=network if controller == "network" else None,
         )  # fmt: skip
         led = with_remainder_of(curve, path)
-        return Trial(led, rod, path, Friction(friction), tail=tail(led, model, path))
+        return Trial(led, rod, path, law, tail=tail(led, model, path))
 
     jobs = {}
     for controller in controllers:
         jobs["none", controller, name, "old"] = trial(believed, believed, controller)
         for effect, case in cases.items():
-            new = trial(case.true, case.model, controller, case.network)
+            new = trial(case.true, case.model, controller, case.network, case.roll)
             roll = new.trajectory.metadata["roll"]
             jobs[effect, controller, name, "old"] = trial(
                 case.true, believed, controller, roll=roll

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from math import isfinite, radians
 from pathlib import Path
 
 import click
 
-from wrod.commands.options import CLOSURE, DEVICE, ROD, options, read_rod
+from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, options, read_rod, read_roll
 
 
 @click.command(name="dataset")
@@ -22,12 +21,7 @@ from wrod.commands.options import CLOSURE, DEVICE, ROD, options, read_rod
     help="Store the derivatives by the inputs (zero_tension only).",
 )
 @options(ROD)
-@click.option(
-    "--roll",
-    type=float,
-    help="Roll of that rod as it is laid, if curved: from left to up [degrees]; default: curved in "
-    "the plane.",
-)
+@options(ROLL)
 @click.option("--shard-size", type=click.IntRange(min=1), help="Samples per file; default 2048.")
 @options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
@@ -41,7 +35,7 @@ def command(
     radius: float | None,
     lgb: float | None,
     length: float | None,
-    roll: float | None,
+    roll_text: str | None,
     shard_size: int | None,
     device: str,
     as_json: bool,
@@ -65,8 +59,6 @@ def command(
 
     given = (rod_name, radius, lgb, length)
     rod = None if given == (None,) * 4 else read_rod(*given)
-    if roll is not None and (rod is None or not isfinite(roll)):
-        raise DataError("--roll is a finite angle of one rod; name it with --rod")
     rank = Rank.from_environment()
     label = "grasps" if rank.count == 1 else f"grasps of rank {rank.index}"
     with tqdm(
@@ -81,7 +73,7 @@ def command(
             outcome = generate(
                 out, size, seed=seed, closure=closure, sensitivities=sensitivities,
                 shard_size=shard_size or SHARD_SIZE, rod=rod,
-                roll=None if roll is None else radians(roll), device=device, rank=rank,
+                roll=read_roll(roll_text, rod), device=device, rank=rank,
                 progress=progress,
             )  # fmt: skip
         except OSError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from math import degrees, pi, radians
+from math import degrees, pi
 from pathlib import Path
 
 import click
@@ -13,10 +13,12 @@ from wrod.commands.options import (
     METHOD,
     PICTURE,
     ROD,
+    ROLL,
     UNITS,
     options,
     read_pattern,
     read_rod,
+    read_roll,
 )
 
 
@@ -45,11 +47,7 @@ from wrod.commands.options import (
     default=None,
     help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
 )
-@click.option(
-    "--roll",
-    type=float,
-    help="Roll of a naturally curved rod: from left to up [degrees]; default: curved in the plane.",
-)
+@options(ROLL)
 @click.option("--robot", default="sawyer", show_default=True, help="sawyer, or a URDF file.")
 @click.option("--no-robot", is_flag=True, help="Leave out joint path and scene.")
 @click.option(
@@ -81,7 +79,7 @@ def command(
     friction: float | None,
     shapes: bool,
     remainder: bool | None,
-    roll: float | None,
+    roll_text: str | None,
     robot: str,
     no_robot: bool,
     placement: str,
@@ -119,7 +117,7 @@ def command(
         chosen = None if device == "auto" else device
         trajectory = plan(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
-            roll=None if roll is None else radians(roll), controller=controller, device=chosen,
+            roll=read_roll(roll_text, rod), controller=controller, device=chosen,
             progress=progress,
         )  # fmt: skip
         if shapes:
