@@ -23,7 +23,7 @@ from wrod.errors import DataError, GraspError
 from wrod.grasps import solve_grasps
 
 CURVED = replace(ROD, natural_curvature=(0.0, 6.0), length=0.26)
-ONE = RodInputs.of(CURVED)
+ONE = RodInputs.of(CURVED, "plane")
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -37,7 +37,8 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("curved")
     model = str(CURVED.save(folder / "rod.json"))
     for args in (
-        ["dataset", "--size", "300", "--rod", model, "--out", str(folder / "grasps")],
+        ["dataset", "--size", "300", "--rod", model, "--roll", "plane",
+         "--out", str(folder / "grasps")],
         ["train", "--dataset", str(folder / "grasps"), "--out", str(folder / "trained"),
          "--steps", "1000", "--width", "32", "--test", "40"],
     ):  # fmt: skip
@@ -111,9 +112,11 @@ def test_its_file_says_what_it_was_made_for(controller, tmp_path):
 def test_plans_to_either_side_are_those_of_the_rod_solver(controller, side):
     points = quarter_turn().sample(np.linspace(0.0, 0.12, 60))[0] * [1.0, side, 1.0]
     pattern = wrod.Pattern.from_points(points)
-    numeric = wrod.plan(pattern, CURVED, "numeric", spacing=0.02, device="cpu")
+    numeric = wrod.plan(pattern, CURVED, "numeric", roll="plane", spacing=0.02, device="cpu")
     for method in ("neural", "auto"):
-        neural = wrod.plan(pattern, CURVED, method, spacing=0.02, controller=controller)
+        neural = wrod.plan(
+            pattern, CURVED, method, roll="plane", spacing=0.02, controller=controller
+        )
         assert neural.metadata["closure"] == "zero_tension" and neural.shape is None
         lgb = CURVED.gravito_bending_length
         assert np.abs(neural.position - numeric.position).max() < 0.03 * lgb
@@ -125,8 +128,9 @@ def test_plans_to_either_side_are_those_of_the_rod_solver(controller, side):
 def test_where_it_was_not_trained_the_rod_solver_helps(controller):
     longer = replace(CURVED, length=0.3)
     pattern = quarter_turn()
-    mixed = wrod.plan(pattern, longer, spacing=0.02, controller=controller, device="cpu")
-    numeric = wrod.plan(pattern, longer, "numeric", spacing=0.02, device="cpu")
+    same = {"roll": "plane", "spacing": 0.02, "device": "cpu"}
+    mixed = wrod.plan(pattern, longer, controller=controller, **same)
+    numeric = wrod.plan(pattern, longer, "numeric", **same)
     assert np.abs(mixed.twist - numeric.twist).max() < 0.05
     # Beyond the controller's length they are the solver's own.
     assert np.abs(mixed.position[0] - numeric.position[0]).max() == 0.0
@@ -136,10 +140,10 @@ def test_where_it_was_not_trained_the_rod_solver_helps(controller):
 @pytest.mark.parametrize(
     "rod, roll, says",
     [
-        (ROD, None, r"held with \(0, 0\)"),
-        (replace(CURVED, natural_curvature=(0.0, 7.0)), None, r"held with \(0\.126, 0\)"),
-        (CURVED, 0.0, r"held with \(0, 0\.108\)"),
-        (replace(CURVED, poisson=0.3), None, "Poisson's ratio 0.5 and this one has 0.3"),
+        (ROD, "plane", r"held with \(0, 0\)"),
+        (replace(CURVED, natural_curvature=(0.0, 7.0)), "plane", r"held with \(0\.126, 0\)"),
+        (CURVED, "up", r"held with \(0, 0\.108\)"),
+        (replace(CURVED, poisson=0.3), "plane", "Poisson's ratio 0.5 and this one has 0.3"),
     ],
 )
 @pytest.mark.parametrize("method", ["auto", "neural"])
@@ -157,6 +161,7 @@ def test_a_controller_of_straight_rods_refuses_curved_ones():
 
 def test_plan_command_takes_a_controller(made, tmp_path):
     args = ["plan", "line", "--rod", str(made / "rod.json"), "--length", "0.7", "--no-robot"]
+    args += ["--roll", "plane"]
     args += ["--controller", str(made / "trained" / "controller.safetensors"), "--no-shapes"]
     args += ["--spacing", "0.1", "--device", "cpu", "--json"]
     result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "plan")])

@@ -19,7 +19,7 @@ from wrod.deployment import Trial, simulate_deployments
 from wrod.deployment_setup import tail
 from wrod.errors import DataError, GraspError, RodError, WrodWarning
 from wrod.grasps import solve_grasps
-from wrod.planner import natural_roll
+from wrod.planner import roll_angle
 from wrod.substrate import Contact
 from wrod.trajectory import Trajectory
 
@@ -111,8 +111,6 @@ def test_rod_file_carries_natural_curvature(tmp_path):
     assert wrod.RodMaterial.load(rod.save(tmp_path / "rod.json")) == rod
     assert not rod.is_straight and ROD.is_straight
     assert rod.curvature_held(0.0) == (3.0, -1.0)
-    assert rod.curvature_held(rod.roll_up()) == pytest.approx((0.0, np.sqrt(10.0)))
-    assert ROD.roll_up() == 0.0
     # A quarter turn takes the first director from left to up, the second from up to right.
     assert rod.curvature_held(np.pi / 2) == pytest.approx((1.0, 3.0))
     for bad in ((1.0,), (1.0, np.nan), "x", None):
@@ -144,22 +142,32 @@ def test_identified_model_loads_as_a_rod(tmp_path):
         wrod.RodMaterial.load(tmp_path / "broken.json")
 
 
-def test_roll_lays_the_curvature_to_the_side_of_the_pattern():
+def test_rolls_by_word():
     pattern = quarter_turn()
     rod = replace(ROD, natural_curvature=(1.0, 2.0))
-    left, up = rod.curvature_held(natural_roll(pattern, rod))
+    held = rod.curvature_held(roll_angle("up", pattern, rod))
+    assert held == pytest.approx((0.0, np.sqrt(5.0)))
+    # In the plane, to the side to which the pattern turns.
+    left, up = rod.curvature_held(roll_angle("plane", pattern, rod))
     assert (left, up) == pytest.approx((np.sqrt(5.0), 0.0))
     right = wrod.Pattern.from_points(pattern.sample(np.linspace(0, 0.15, 80))[0] * [1, -1, 1])
-    left, up = rod.curvature_held(natural_roll(right, rod))
+    left, up = rod.curvature_held(roll_angle("plane", right, rod))
     assert (left, up) == pytest.approx((-np.sqrt(5.0), 0.0))
-    assert natural_roll(pattern, ROD) == 0.0
+    for word in ("up", "plane"):
+        assert roll_angle(word, pattern, ROD) == 0.0
+        left, up = rod.curvature_held(roll_angle(word, pattern, rod))
+        assert RodInputs.of(rod, word).natural_curvature == pytest.approx(
+            (0.018 * left, 0.018 * up)
+        )
+    with pytest.raises(GraspError, match="roll is 'sideways'"):
+        roll_angle("sideways", pattern, rod)
 
 
 @pytest.fixture(scope="module")
 def plans():
     """Of the curved rod: as it is, and as it was believed, held the same way."""
     pattern = quarter_turn()
-    new = wrod.plan(pattern, CURVED, "numeric", device="cpu")
+    new = wrod.plan(pattern, CURVED, "numeric", roll="plane", device="cpu")
     old = wrod.plan(pattern, ROD, "numeric", roll=new.metadata["roll"], device="cpu")
     return pattern, new, old
 
@@ -174,7 +182,7 @@ def test_plan_of_a_curved_rod(plans, tmp_path):
     again = Trajectory.load(new.save(tmp_path / "plan")[1])
     assert (again.twist == new.twist).all()
     with pytest.warns(WrodWarning, match="naturally straight rods only"):
-        neural = wrod.plan(pattern, CURVED, "neural", device="cpu")
+        neural = wrod.plan(pattern, CURVED, "neural", roll="plane", device="cpu")
     assert neural.metadata["method"] == "numeric"
     assert np.abs(neural.position - new.position).max() < 1e-12
     with pytest.raises(GraspError, match="roll is nan"):
@@ -183,16 +191,20 @@ def test_plan_of_a_curved_rod(plans, tmp_path):
 
 def test_knowing_the_curvature_lays_the_rod_better(plans):
     pattern, new, old = plans
-    known, unknown = simulate_deployments(
+    upright = wrod.plan(pattern, ROD, "numeric", device="cpu")
+    upright.metadata["roll"] = roll_angle("up", pattern, CURVED)
+    known, unknown, up = simulate_deployments(
         [
             Trial(pattern, CURVED, path, wrod.Friction(0.8), tail=tail(pattern, rod, path))
-            for path, rod in ((new, CURVED), (old, ROD))
+            for path, rod in ((new, CURVED), (old, ROD), (upright, ROD))
         ],
         **QUICK,
     )
-    assert not known.diverged and not unknown.diverged
+    assert not known.diverged and not unknown.diverged and not up.diverged
     assert known.error_mean < 1e-3
     assert unknown.error_mean > 2.0 * known.error_mean
+    # Held with its curvature up, even the rod that nobody knows is curved is hardly pushed aside.
+    assert up.error_mean < 0.5 * unknown.error_mean
 
 
 def test_deployment_bends_the_rod_the_way_that_it_is_held(plans):
@@ -251,7 +263,7 @@ def test_dataset_of_one_rod(tmp_path):
     manifest = store.read_manifest(folder)
     one = manifest.rod_inputs
     assert one == RodInputs.of(CURVED)
-    assert one.natural_curvature == (pytest.approx(6.0 * 0.018), 0.0)
+    assert one.natural_curvature == (0.0, pytest.approx(6.0 * 0.018))
     table = load(folder)
     assert len(table) == 12 and table.sensitivity is None
     assert np.ptp(table.inputs[:, 2]) == 0.0
@@ -263,7 +275,7 @@ def test_dataset_of_one_rod(tmp_path):
     assert np.abs(again.position - table.outputs[:3, :3]).max() < 1e-9
     with pytest.raises(DataError, match="rod"):
         generate(folder, 12, shard_size=6, edge_count=32, device="cpu")
-    assert RodInputs.of(CURVED, np.pi / 2).natural_curvature == pytest.approx((0.0, 0.108))
+    assert RodInputs.of(CURVED, 0.0).natural_curvature == pytest.approx((0.108, 0.0))
     # One straight rod: left turns only, and its derivatives.
     assert (sample(0, 16, 0, RodInputs.of(ROD))[:, 1] >= 0.0).all()
 
@@ -276,17 +288,17 @@ def test_dataset_command_takes_a_model(tmp_path):
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["unconverged"] == 0
     assert store.read_manifest(out).rod["length"] == pytest.approx(0.3 / 0.018)
-    assert store.read_manifest(out).rod["natural_curvature"] == pytest.approx([0.09, 0.0])
-    args[-1] += "-up"
-    result = CliRunner().invoke(main, [*args, "--roll", "up", "--device", "cpu"])
+    assert store.read_manifest(out).rod["natural_curvature"] == pytest.approx([0.0, 0.09])
+    args[-1] += "-turned"
+    result = CliRunner().invoke(main, [*args, "--roll", "-90", "--device", "cpu"])
     assert result.exit_code == 0, result.output
-    up = store.read_manifest(tmp_path / "grasps-up").rod["natural_curvature"]
-    assert up == pytest.approx([0.0, 0.09])
+    turned = store.read_manifest(tmp_path / "grasps-turned").rod["natural_curvature"]
+    assert turned == pytest.approx([0.09, 0.0])
     result = CliRunner().invoke(main, ["dataset", "--size", "4", "--roll", "0", "--out", args[-1]])
     assert result.exit_code == 2 and "name it with --rod" in result.stderr
     for roll in ("nan", "left"):
         result = CliRunner().invoke(main, [*args, "--roll", roll])
-        assert result.exit_code == 2 and "use plane, up or" in result.stderr
+        assert result.exit_code == 2 and "use up, plane or" in result.stderr
 
 
 def test_training_refuses_one_straight_rod(tmp_path):
@@ -317,5 +329,5 @@ def test_plan_command_takes_a_model(tmp_path):
     assert "air_flow set aside" in result.stderr
     figures = json.loads(result.stdout)
     assert figures["rod"]["natural_curvature"] == [0.0, 5.0]
-    assert figures["roll"] == pytest.approx(-np.pi / 2)
+    assert figures["roll"] == pytest.approx(0.0)
     assert len(figures["twist"]) == 2

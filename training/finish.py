@@ -64,7 +64,7 @@ def controller_for(
     rod: RodMaterial,
     folder: str | os.PathLike[str],
     *,
-    roll: float | None = None,
+    roll: float | str = "up",
     grasps: int = GRASPS,
     steps: int | None = None,
     test: int = 300,

@@ -54,14 +54,12 @@ class RodInputs:
     poisson: float = 0.5
 
     @classmethod
-    def of(cls, rod: RodMaterial, roll: float | None = None) -> RodInputs:
-        """A rod laid with this roll of its first director from left to up [rad]; None lays it with
-        its natural curvature in the table's plane, to the left."""
-        lgb = rod.gravito_bending_length
-        if roll is None:
-            held = math.hypot(*rod.natural_curvature), 0.0
-        else:
-            held = rod.curvature_held(roll)
+    def of(cls, rod: RodMaterial, roll: float | str = "up") -> RodInputs:
+        """A rod laid with this roll of its first director from left to up [rad]; "up" and "plane"
+        turn its natural curvature upwards or to the left."""
+        lgb, size = rod.gravito_bending_length, math.hypot(*rod.natural_curvature)
+        words = {"up": (0.0, size), "plane": (size, 0.0)}
+        held = words[roll] if roll in words else rod.curvature_held(roll)
         own = (float(lgb * held[0]), float(lgb * held[1]))
         return cls(rod.length / lgb, rod.stretch_ratio, own, rod.poisson)
 

@@ -156,11 +156,6 @@ class RodMaterial:
         cosine, sine = math.cos(roll), math.sin(roll)
         return first * cosine - second * sine, first * sine + second * cosine
 
-    def roll_up(self) -> float:
-        """The roll [rad] that holds the rod with its natural curvature upwards; 0 if straight."""
-        first, second = self.natural_curvature
-        return 0.0 if self.is_straight else 0.5 * math.pi - math.atan2(second, first)
-
     @property
     def stretch_ratio(self) -> float:
         """Dimensionless stretching stiffness k_s L_gb^2 / k_b = 4 L_gb^2 / h^2 [-]."""

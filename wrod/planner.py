@@ -53,7 +53,7 @@ def plan(
     closure: str | None = None,
     spacing: float = 0.0025,
     remainder: bool | float | None = None,
-    roll: float | None = None,
+    roll: float | str = "up",
     controller: Controller | None = None,
     device: str | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -75,8 +75,10 @@ def plan(
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
             curvature is considerable (over 0.15 / L_gb), True, False, or its length [m].
         roll: how the rod is put into the grip: the laid rod's first material director is turned
-            by it from left towards up [rad]. None lays the rod with its natural curvature in the
-            table's plane, bent to the side to which the pattern turns in all; see `natural_roll`.
+            by it from left towards up [rad]; or "up" and "plane", which turn its natural curvature
+            upwards, or into the table's plane to the side to which the pattern turns in all. Up is
+            the default: the rod is hardly twisted, hardly pushed aside where its curvature is
+            misjudged, and does least harm where the table lets it roll (docs/loop.md).
         controller: what "neural" and "auto" ask, for example one that was trained for this
             naturally curved rod; None is the one that ships, for all straight rods.
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
@@ -116,7 +118,7 @@ def plan(
     _refuse_tight_bends(pattern, rod, s, curvature)
     lgb = rod.gravito_bending_length
     laid = s - first
-    roll = natural_roll(pattern, rod) if roll is None else _finite_roll(roll)
+    roll = roll_angle(roll, pattern, rod)
     inputs = GraspInputs.of(
         rod, rod.length - laid, curvature,
         roll=roll, closure=closure, device=device, progress=progress, controller=controller,
@@ -266,22 +268,25 @@ def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray
     return tuple(course) if laid else own
 
 
-def natural_roll(pattern: Pattern, rod: RodMaterial) -> float:
-    """Roll [rad] of a laid rod whose natural curvature lies in the table's plane and bends it to
-    the side to which the pattern turns in all; 0 for a straight rod."""
+def roll_angle(roll: float | str, pattern: Pattern, rod: RodMaterial) -> float:
+    """The roll [rad] that `plan`'s words "up" and "plane" mean; 0 for a straight rod.
+
+    Raises:
+        GraspError: the roll is neither these nor a finite number.
+    """
+    if roll not in ("up", "plane"):
+        if isinstance(roll, str) or not np.isfinite(roll):
+            raise GraspError(f"roll is {roll!r}; give a finite angle in radians, 'up' or 'plane'")
+        return float(roll)
     if rod.is_straight:
         return 0.0
+    left = -float(np.arctan2(*rod.natural_curvature[::-1]))
+    if roll == "up":
+        return left + 0.5 * np.pi
     s = np.linspace(-pattern.remainder_length, pattern.length, 1000)
     turning = float(np.mean(pattern.sample(s)[2])) * (s[-1] - s[0])
-    left = -float(np.arctan2(*rod.natural_curvature[::-1]))
     # A pattern that turns by nothing but rounding has no side.
     return left + np.pi if turning < -1e-3 else left
-
-
-def _finite_roll(roll: float) -> float:
-    if not np.isfinite(roll):
-        raise GraspError(f"roll is {roll!r}; give a finite angle in radians")
-    return float(roll)
 
 
 def _contact_frame(tangent: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from wrod.bench.loop_trials import CONTROLLERS
-from wrod.commands.options import ROLL, options, read_roll
+from wrod.commands.options import read_roll
 
 EFFECTS = ("natural_curvature", "stiffness")
 
@@ -49,7 +49,14 @@ EFFECTS = ("natural_curvature", "stiffness")
 @click.option("--steps", type=click.IntRange(min=1), help="Of its training; default: the recipe's.")
 @click.option("--friction", default=1.0, show_default=True, help="Friction coefficient.")
 @click.option("--rolling", is_flag=True, help="Let the laid rod roll freely.")
-@options(ROLL)
+@click.option(
+    "--roll",
+    "roll_text",
+    default="plane",
+    show_default=True,
+    help="How all plans hold the rod: plane, as one would by accident who knows of no curvature, "
+    "up, or degrees (see `wrod plan`).",
+)
 @click.option("--speed", default=0.03, show_default=True, help="Speed of the contact [m/s].")
 @click.option("--step", default=0.02, show_default=True, help="Largest time step [s].")
 @click.option("--spacing", default=0.006, show_default=True, help="Length of the edges [m].")
@@ -72,7 +79,7 @@ def command(
     steps: int | None,
     friction: float,
     rolling: bool,
-    roll_text: str | None,
+    roll_text: str,
     speed: float,
     step: float,
     spacing: float,
@@ -149,7 +156,7 @@ def command(
     found = {effect: _found(case) for effect, case in cases.items()}
     head = (
         f"Simulated deployments of {rod_name}, e_mean ± sigma [cm] (N = 50); friction "
-        f"{friction:g}{', rolling freely' if rolling else ''}, roll {roll_text or 'plane'}, "
+        f"{friction:g}{', rolling freely' if rolling else ''}, roll {roll_text}, "
         f"contact speed {speed:g} m/s, step {step:g} s, edges {spacing:g} m, "
         f"{'built-in patterns' if patterns is None else 'patterns of a folder'}."
     )

@@ -16,13 +16,13 @@ CONTROLLERS = ("network", "numeric", "default")
 @dataclass(frozen=True)
 class Case:
     """A rod with an effect: as it is, as it was identified, the network for the latter (None where
-    the one that ships knows it), and the roll that plans hold it at (None: see `wrod.plan`)."""
+    the one that ships knows it), and the roll that plans hold it at (see `wrod.plan`)."""
 
     true: RodMaterial
     report: object
     model: RodMaterial
     network: object | None
-    roll: float | None = None
+    roll: float | str
 
 
 def identified(true, believed, trials, noise, seed, candidates, device):
@@ -40,7 +40,7 @@ def network_for(
     model: RodMaterial,
     folder: Path,
     *,
-    roll: float | None,
+    roll: float | str,
     grasps: int,
     steps: int | None,
     seed: int,
@@ -74,7 +74,7 @@ def trials_along(
     from wrod.deployment_setup import tail
     from wrod.planner import plan
 
-    def trial(rod, model, controller, network=None, roll=None):
+    def trial(rod, model, controller, network=None, roll="up"):
         method = {"network": "neural", "numeric": "numeric", "default": "auto"}[controller]
         path = plan(
             curve, model, method, roll=roll, device="cpu",

@@ -59,8 +59,8 @@ ROLL = (
     click.option(
         "--roll",
         "roll_text",
-        help="How a naturally curved rod is held: plane (curved in the table's plane; default), up "
-        "(curved upwards), or the roll of its first director from left to up [degrees].",
+        help="How a naturally curved rod is held: up (curved upwards; default), plane (curved in "
+        "the table's plane), or the roll of its first director from left to up [degrees].",
     ),
 )
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
@@ -106,8 +106,8 @@ def read_rod(name: str | None, radius: float | None, lgb: float | None, length: 
     return RodMaterial(radius, lgb, length)
 
 
-def read_roll(text: str | None, rod) -> float | None:
-    """The roll [rad] that `ROLL`'s option means for this `RodMaterial`; None for the plane.
+def read_roll(text: str | None, rod) -> float | str:
+    """What `wrod.plan` takes as roll for `ROLL`'s option and this `RodMaterial`.
 
     Raises:
         RodError: it is none, or there is no rod.
@@ -117,17 +117,17 @@ def read_roll(text: str | None, rod) -> float | None:
     from wrod.errors import RodError
 
     if text is None:
-        return None
+        return "up"
     if rod is None:
         raise RodError("--roll belongs to one rod; name it with --rod")
-    if text in ("plane", "up"):
-        return None if text == "plane" else rod.roll_up()
+    if text in ("up", "plane"):
+        return text
     try:
         roll = radians(float(text))
     except ValueError:
         roll = float("nan")
     if not isfinite(roll):
-        raise RodError(f"--roll {text} is no roll; use plane, up or a finite number of degrees")
+        raise RodError(f"--roll {text} is no roll; use up, plane or a finite number of degrees")
     return roll
 
 
