@@ -304,3 +304,26 @@ def test_turn_of_a_capsule_points_along_its_segment(tmp_path):
     assert np.abs(poses[:, :3] - along - points[:-1]).max() < 1e-6
     assert np.abs(poses[:, :3] + along - points[1:]).max() < 1e-6
     assert math.isclose(half[4], np.linalg.norm(points[5] - points[4]) / 2, rel_tol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "up"), [("perspective", (0, 0, 1)), ("top", (0, 1, 0))])
+def test_browser_view_begins_with_the_stages_camera(scene, name, up):
+    from types import SimpleNamespace
+
+    from pxr import UsdGeom
+
+    from wrod.scene.view import _look_through
+
+    stage = open_stage(scene)
+    camera = prims(stage)[name]
+    first = SimpleNamespace()
+    _look_through(camera, SimpleNamespace(server=SimpleNamespace(initial_camera=first)))
+    pose = world(camera, 0.0)
+    assert first.position == pytest.approx(tuple(pose[:3, 3]), abs=1e-6)
+    ahead = np.subtract(first.look_at, first.position)
+    focus = UsdGeom.Camera(camera).GetFocusDistanceAttr().Get()
+    assert ahead == pytest.approx(-focus * pose[:3, 2], abs=1e-5)
+    assert first.up == pytest.approx(up, abs=1e-6)
+    lens = UsdGeom.Camera(camera)
+    half = lens.GetVerticalApertureAttr().Get() / lens.GetFocalLengthAttr().Get() / 2.0
+    assert math.tan(first.fov / 2.0) == pytest.approx(half, rel=1e-6)

@@ -49,7 +49,7 @@ def command(
 
         try:
             if out.suffix.lower() == ".html":
-                written = [write_page(scene, out, hidden=hide, progress=progress)]
+                written = [write_page(scene, out, camera=camera, hidden=hide, progress=progress)]
             else:
                 count = frames if frames is not None else (1 if out.suffix else 24)
                 written = render(

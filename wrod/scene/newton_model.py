@@ -37,7 +37,7 @@ class NewtonScene:
         hidden: names of prims that are left out with all below them (`robot`, ...).
 
     Attributes:
-        stage: the stage.
+        stage: the stage; `cameras` are its cameras by name.
         model, state: of Newton; `state.body_q` holds the poses of the last `update`.
         start, end: first and last time code.
 
@@ -52,8 +52,13 @@ class NewtonScene:
             import newton
         except ImportError as error:
             raise SceneError("showing a scene needs Newton; install wrod[newton]") from error
+        from pxr import UsdGeom
 
+        self._path = path
         self.stage = open_stage(path)
+        self.cameras = {
+            prim.GetName(): prim for prim in self.stage.Traverse() if prim.IsA(UsdGeom.Camera)
+        }
         self.start, self.end = self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()
         self._parts = self._collect(path, hidden)
         builder = newton.ModelBuilder()
@@ -64,6 +69,19 @@ class NewtonScene:
         self._poses = self.state.body_q.numpy() if self.model.body_count else np.zeros((0, 7))
         self._scales = self.model.shape_scale.numpy()
         self.update(self.start)
+
+    def camera(self, name: str):
+        """The prim of a camera.
+
+        Raises:
+            SceneError: the stage has no camera of that name.
+        """
+        if name not in self.cameras:
+            raise SceneError(
+                f"{self._path}: no camera {name!r}; its cameras are "
+                f"{', '.join(self.cameras) or 'none'}"
+            )
+        return self.cameras[name]
 
     def update(self, time: float) -> None:
         """Move everything to a time code."""

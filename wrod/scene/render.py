@@ -16,13 +16,6 @@ _SUN = (-0.35, 0.40, -0.85)
 _BACKGROUND = (226, 230, 236)
 
 
-def find_cameras(stage) -> dict[str, object]:
-    """A stage's cameras by name."""
-    from pxr import UsdGeom
-
-    return {prim.GetName(): prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)}
-
-
 class Renderer:
     """Draws a stage through one of its cameras.
 
@@ -59,13 +52,7 @@ class Renderer:
         from wrod.scene.newton_model import NewtonScene
 
         self.scene = NewtonScene(path, hidden)
-        stage = self.scene.stage
-        cameras = find_cameras(stage)
-        if camera not in cameras:
-            raise SceneError(
-                f"{path}: no camera {camera!r}; its cameras are {', '.join(cameras) or 'none'}"
-            )
-        self._camera = cameras[camera]
+        self._camera = self.scene.camera(camera)
         self._sensor = SensorCamera(self.scene.model)
         self._sensor.create_default_light(
             direction=wp.normalize(wp.vec3f(*_SUN)), color=(0.72, 0.71, 0.68)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import time as clock
 from collections.abc import Callable
+from math import radians
 from pathlib import Path
 
 from wrod.errors import SceneError
@@ -13,6 +14,7 @@ from wrod.files import write_atomically
 from wrod.scene.stage import FRAMES_PER_SECOND
 
 _ADDRESS, _PORT = "127.0.0.1", 8080  # this machine only
+_DEFAULT = "perspective"  # camera; stages of others may have none
 _STRIDE = 2  # every other time code is enough for a page
 
 
@@ -27,23 +29,45 @@ def _viewer(model, port: int, verbose: bool):
     return viewer
 
 
+def _look_through(camera, viewer) -> None:
+    """Begin with the view of a camera of the stage; with the viewer's own where it is None."""
+    if camera is None:
+        return
+    from pxr import UsdGeom
+
+    lens = UsdGeom.Camera(camera).GetCamera()
+    frustum = lens.frustum
+    first = viewer.server.initial_camera
+    first.position = tuple(frustum.position)
+    ahead = frustum.ComputeViewDirection()
+    first.look_at = tuple(frustum.position + lens.focusDistance * ahead)
+    # The mouse turns the view about `up`: the vertical, unless the camera looks along it.
+    first.up = (0.0, 0.0, 1.0) if abs(ahead[2]) < 0.99 else tuple(frustum.ComputeUpVector())
+    first.fov = radians(lens.GetFieldOfView(lens.FOVVertical))
+
+
 def write_page(
     path: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
+    camera: str = _DEFAULT,
     hidden: tuple[str, ...] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Write a stage as one HTML page that plays the deployment, without outside links.
 
+    It begins with the view of one of the stage's cameras.
+
     Raises:
-        SceneError: no stage, or Newton or Viser is missing.
+        SceneError: no stage, no such camera, or Newton or Viser is missing.
     """
     from wrod.scene.newton_model import NewtonScene
 
     scene = NewtonScene(path, hidden)
+    eye = scene.camera(camera) if camera != _DEFAULT or scene.cameras else None
     viewer = _viewer(scene.model, _PORT, False)
     try:
+        _look_through(eye, viewer)
         recording = viewer.server.get_scene_serializer()
         count = int(scene.end - scene.start) // _STRIDE + 1
         for number in range(count):
@@ -70,6 +94,7 @@ def view(path: str | os.PathLike[str], port: int = _PORT) -> None:
 
     scene = NewtonScene(path)
     viewer = _viewer(scene.model, port, True)
+    _look_through(scene.cameras.get(_DEFAULT), viewer)
     code, shown = scene.start, 0.0
     try:
         while True:
