@@ -263,7 +263,7 @@ def test_dataset_of_one_rod(tmp_path):
     manifest = store.read_manifest(folder)
     one = manifest.rod_inputs
     assert one == RodInputs.of(CURVED)
-    assert one.natural_curvature == (0.0, pytest.approx(6.0 * 0.018))
+    assert one.natural_curvature == (pytest.approx(6.0 * 0.018), 0.0)
     table = load(folder)
     assert len(table) == 12 and table.sensitivity is None
     assert np.ptp(table.inputs[:, 2]) == 0.0
@@ -275,7 +275,7 @@ def test_dataset_of_one_rod(tmp_path):
     assert np.abs(again.position - table.outputs[:3, :3]).max() < 1e-9
     with pytest.raises(DataError, match="rod"):
         generate(folder, 12, shard_size=6, edge_count=32, device="cpu")
-    assert RodInputs.of(CURVED, 0.0).natural_curvature == pytest.approx((0.108, 0.0))
+    assert RodInputs.of(CURVED, np.pi / 2).natural_curvature == pytest.approx((0.0, 0.108))
     # One straight rod: left turns only, and its derivatives.
     assert (sample(0, 16, 0, RodInputs.of(ROD))[:, 1] >= 0.0).all()
 
@@ -288,17 +288,17 @@ def test_dataset_command_takes_a_model(tmp_path):
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["unconverged"] == 0
     assert store.read_manifest(out).rod["length"] == pytest.approx(0.3 / 0.018)
-    assert store.read_manifest(out).rod["natural_curvature"] == pytest.approx([0.0, 0.09])
+    assert store.read_manifest(out).rod["natural_curvature"] == pytest.approx([0.09, 0.0])
     args[-1] += "-turned"
-    result = CliRunner().invoke(main, [*args, "--roll", "-90", "--device", "cpu"])
+    result = CliRunner().invoke(main, [*args, "--roll", "up", "--device", "cpu"])
     assert result.exit_code == 0, result.output
     turned = store.read_manifest(tmp_path / "grasps-turned").rod["natural_curvature"]
-    assert turned == pytest.approx([0.09, 0.0])
+    assert turned == pytest.approx([0.0, 0.09])
     result = CliRunner().invoke(main, ["dataset", "--size", "4", "--roll", "0", "--out", args[-1]])
     assert result.exit_code == 2 and "name it with --rod" in result.stderr
     for roll in ("nan", "left"):
         result = CliRunner().invoke(main, [*args, "--roll", roll])
-        assert result.exit_code == 2 and "use up, plane or" in result.stderr
+        assert result.exit_code == 2 and "use plane, up or" in result.stderr
 
 
 def test_training_refuses_one_straight_rod(tmp_path):
@@ -329,5 +329,5 @@ def test_plan_command_takes_a_model(tmp_path):
     assert "air_flow set aside" in result.stderr
     figures = json.loads(result.stdout)
     assert figures["rod"]["natural_curvature"] == [0.0, 5.0]
-    assert figures["roll"] == pytest.approx(0.0)
+    assert figures["roll"] == pytest.approx(-np.pi / 2)
     assert len(figures["twist"]) == 2

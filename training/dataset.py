@@ -92,7 +92,7 @@ def generate(
     shard_size: int = SHARD_SIZE,
     edge_count: int = EDGE_COUNT,
     rod: RodMaterial | None = None,
-    roll: float | str = "up",
+    roll: float | str = "plane",
     device: str = "auto",
     rank: Rank | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -112,7 +112,7 @@ def generate(
         shard_size: samples per file.
         edge_count: resolution of the solver.
         rod: solve grasps of this rod alone; by default those of all rods.
-        roll: that the rod is laid at: its natural curvature "up", in the "plane" to the left, or
+        roll: that the rod is laid at: its natural curvature in the "plane" to the left, "up", or
             an angle [rad]; see `wrod.plan`.
         device: "auto", "cpu" or "cuda:0".
         rank: this process's part; by default read from the environment.

@@ -64,7 +64,7 @@ def controller_for(
     rod: RodMaterial,
     folder: str | os.PathLike[str],
     *,
-    roll: float | str = "up",
+    roll: float | str = "plane",
     grasps: int = GRASPS,
     steps: int | None = None,
     test: int = 300,

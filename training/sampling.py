@@ -54,9 +54,9 @@ class RodInputs:
     poisson: float = 0.5
 
     @classmethod
-    def of(cls, rod: RodMaterial, roll: float | str = "up") -> RodInputs:
-        """A rod laid with this roll of its first director from left to up [rad]; "up" and "plane"
-        turn its natural curvature upwards or to the left."""
+    def of(cls, rod: RodMaterial, roll: float | str = "plane") -> RodInputs:
+        """A rod laid with this roll of its first director from left to up [rad]; "plane" and
+        "up" turn its natural curvature to the left or upwards."""
         lgb, size = rod.gravito_bending_length, math.hypot(*rod.natural_curvature)
         words = {"up": (0.0, size), "plane": (size, 0.0)}
         held = words[roll] if roll in words else rod.curvature_held(roll)

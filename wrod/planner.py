@@ -53,7 +53,7 @@ def plan(
     closure: str | None = None,
     spacing: float = 0.0025,
     remainder: bool | float | None = None,
-    roll: float | str = "up",
+    roll: float | str = "plane",
     controller: Controller | None = None,
     device: str | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -75,10 +75,9 @@ def plan(
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
             curvature is considerable (over 0.15 / L_gb), True, False, or its length [m].
         roll: how the rod is put into the grip: the laid rod's first material director is turned
-            by it from left towards up [rad]; or "up" and "plane", which turn its natural curvature
-            upwards, or into the table's plane to the side to which the pattern turns in all. Up is
-            the default: the rod is hardly twisted, hardly pushed aside where its curvature is
-            misjudged, and does least harm where the table lets it roll (docs/loop.md).
+            by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
+            into the table's plane to the side to which the pattern turns in all, or upwards. In
+            the plane the twist changes least; up, less is pushed aside (docs/loop.md).
         controller: what "neural" and "auto" ask, for example one that was trained for this
             naturally curved rod; None is the one that ships, for all straight rods.
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
@@ -276,7 +275,7 @@ def roll_angle(roll: float | str, pattern: Pattern, rod: RodMaterial) -> float:
     """
     if roll not in ("up", "plane"):
         if isinstance(roll, str) or not np.isfinite(roll):
-            raise GraspError(f"roll is {roll!r}; give a finite angle in radians, 'up' or 'plane'")
+            raise GraspError(f"roll is {roll!r}; give a finite angle in radians, 'plane' or 'up'")
         return float(roll)
     if rod.is_straight:
         return 0.0

@@ -74,7 +74,7 @@ def trials_along(
     from wrod.deployment_setup import tail
     from wrod.planner import plan
 
-    def trial(rod, model, controller, network=None, roll="up"):
+    def trial(rod, model, controller, network=None, roll="plane"):
         method = {"network": "neural", "numeric": "numeric", "default": "auto"}[controller]
         path = plan(
             curve, model, method, roll=roll, device="cpu",

@@ -59,8 +59,8 @@ ROLL = (
     click.option(
         "--roll",
         "roll_text",
-        help="How a naturally curved rod is held: up (curved upwards; default), plane (curved in "
-        "the table's plane), or the roll of its first director from left to up [degrees].",
+        help="How a naturally curved rod is held: plane (curved in the table's plane; default), up "
+        "(curved upwards), or the roll of its first director from left to up [degrees].",
     ),
 )
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
@@ -117,17 +117,17 @@ def read_roll(text: str | None, rod) -> float | str:
     from wrod.errors import RodError
 
     if text is None:
-        return "up"
+        return "plane"
     if rod is None:
         raise RodError("--roll belongs to one rod; name it with --rod")
-    if text in ("up", "plane"):
+    if text in ("plane", "up"):
         return text
     try:
         roll = radians(float(text))
     except ValueError:
         roll = float("nan")
     if not isfinite(roll):
-        raise RodError(f"--roll {text} is no roll; use up, plane or a finite number of degrees")
+        raise RodError(f"--roll {text} is no roll; use plane, up or a finite number of degrees")
     return roll
 
 
