@@ -184,7 +184,9 @@ def test_independent_dynamics_show_the_same_effects(recorded, tmp_path):
     content = report.to_dict()
     found = {e["name"]: e["parameters"] for e in content["effects"]}
     assert set(found) >= {"internal_damping", "natural_curvature"}
-    assert content["after_mm"] < 0.4 * content["before_without_internal_damping_mm"]
+    # What is left is the mesh's: coarser than the one that made the motions, and another law.
+    assert content["after_mm"] < 0.7 * content["before_without_internal_damping_mm"]
+    assert content["after_mm"] < 0.2
     assert found["internal_damping"]["viscous_time"]["value"] == pytest.approx(VISCOUS, rel=0.15)
     assert content["base"]["stiffness"]["L_gb"]["value"] == pytest.approx(L_GB, rel=0.05)
     written = {path.name for path in report.save(tmp_path)}

@@ -6,11 +6,14 @@ from click.testing import CliRunner
 
 from wrod.bench.cables import command, lines, summary
 from wrod.identification import motion_solver
-from wrod.identification.effect import Model, effects
-from wrod.identification.motion_fit import MotionLaboratory
+from wrod.identification.effect import Effect, Model, Parameter, effects
+from wrod.identification.motion_fit import Linearised, MotionLaboratory
 from wrod.identification.motion_loading import motion_from_arrays
+from wrod.identification.motion_promises import losses_of
+from wrod.identification.motion_selection import select_motion
 from wrod.identification.motion_solver import MotionSolver
 from wrod.identification.motion_split import folds, split_evenly, with_test
+from wrod.identification.motion_tangents import COMPLEX_STEP
 
 RECORDINGS, FRAMES, MARKERS = 12, 16, 9
 
@@ -87,6 +90,61 @@ def test_twist_starts_where_newton_fails(measured, monkeypatch):
     solver = MotionSolver(rod.windows([0], frames=3), measured.rate)
     solver.run(setup)
     assert not solver.failed.any()
+
+
+class _Linear(MotionLaboratory):
+    """Motions that are linear in effects that move every marker alike; truth is a + b."""
+
+    def __init__(self, measurements):
+        super().__init__(measurements)
+        self.base.shift = np.zeros(3)
+        self.noise = np.random.default_rng(0).normal(0.0, 1e-4, measurements.positions.shape)
+
+    def run(self, windows, setup, rates=()):
+        frames = np.minimum(windows.start[:, None] + np.arange(windows.seen.shape[1]), FRAMES - 1)
+        noise = self.noise[windows.recording[:, None], frames]
+        x = windows.markers + noise + np.real(setup.shift) - [2e-3, 2e-3, 0.0]
+        columns = [np.imag(r.shift) / COMPLEX_STEP for r in rates]
+        rate = np.zeros((*x.shape[:3], len(rates), 3))
+        rate[:] = np.array(columns).reshape(-1, 3)
+        return x, rate, np.zeros(len(x), dtype=bool)
+
+
+class _Shift(Effect):
+    kinds = ()
+
+    def __init__(self, name, direction):
+        self.name, self.direction = name, np.array(direction)
+        self.parameters = (Parameter("size", "m", 1.0),)
+
+    def apply(self, setup, values):
+        setup.shift = setup.shift + values[0] * self.direction
+
+
+def test_an_effect_that_later_ones_make_idle_leaves_again(measured):
+    """The first explains most of a + b at once, and something that is not there."""
+    shifts = [("most", (1, 1, 0.5)), ("a", (1, 0, 0)), ("b", (0, 1, 0))]
+    selection = select_motion(_Linear(measured), [_Shift(*shift) for shift in shifts])
+    steps = [r.accepted or r.removed for r in selection.rounds]
+    assert steps[1] == "most"
+    assert selection.rounds[-1].removed == "most"
+    assert sorted(selection.model.names[3:]) == ["a", "b"]
+    np.testing.assert_allclose(selection.values[3:], 2e-3, rtol=0.05)
+    # Where nothing is damped no fit can say that something is.
+    assert selection.rounds[0].accepted is None
+    assert selection.after < 0.1 * selection.before
+
+
+def test_a_loss_is_that_of_the_other_parameters_fitted_anew():
+    class Quadratic:
+        def linearise(self, windows, model, values):
+            return Linearised(2.0, np.array([[2.0, 1.0], [1.0, 3.0]]), None, 0.0, 0, None)
+
+    model = Model((_Shift("a", (1, 0, 0)), _Shift("b", (0, 1, 0))))
+    loss = losses_of(Quadratic(), None, model, np.array([0.5, 2.0]))
+    assert loss == pytest.approx(
+        {"a": 0.5 * 0.25 * (2 - 1 / 3) / 2, "b": 0.5 * 4 * (3 - 1 / 2) / 2}
+    )
 
 
 def _row(fold, base, after, rounds):
