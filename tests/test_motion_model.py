@@ -52,8 +52,8 @@ def test_the_model_is_a_rod_with_what_motion_tells(folder):
     assert "radius" in sentence and "density" in sentence and "assumed" in sentence
     # The mesh of fits is half as fine.
     assert rod.gravito_bending_length == pytest.approx(L_GB, rel=0.1)
-    # dt/ds at rest along (m1, m2): the curvature vector, turned by a quarter. Its size hardly shows:
-    # between two clamps a uniform bend leaves no force while the rod stays in its plane.
+    # dt/ds at rest along (m1, m2): the curvature vector, turned by a quarter. Its size hardly
+    # shows: between two clamps a uniform bend leaves no force while the rod stays in its plane.
     direction = np.array(rod.natural_curvature) / np.linalg.norm(rod.natural_curvature)
     true = np.array([CURVATURE[1], -CURVATURE[0]]) / np.linalg.norm(CURVATURE)
     assert direction @ true > 0.95
