@@ -36,6 +36,8 @@ class Deployment:
         duration: simulated time [s].
         steps: time steps taken.
         frames: (frame, node, 3) the rod at the multiples of the frame interval [m], or None.
+        hand: (frame, 4, 4) pose of the grip, x along the rod, at the same times [m], or None.
+        let_go: when it let go [s], or None.
         released_speed: speed of the fastest node when the released rod is measured [m/s].
         penetration: how deep the rod is then in any fixture [m].
     """
@@ -53,6 +55,8 @@ class Deployment:
     duration: float
     steps: int
     frames: np.ndarray | None = None
+    hand: np.ndarray | None = None
+    let_go: float | None = None
     released_speed: float = 0.0
     penetration: float = 0.0
 

@@ -109,6 +109,14 @@ class GripSchedule:
     release_time: float
     let_go_time: float
 
+    def poses(self, time: np.ndarray) -> np.ndarray:
+        """(n, 4, 4) poses at times (n,) [s], at rest after the last key [m]."""
+        keys = np.minimum(np.rint(time / KEY_INTERVAL).astype(int), len(self.position) - 1)
+        out = np.tile(np.eye(4), (len(keys), 1, 1))
+        out[:, :3, 3] = self.position[keys]
+        out[:, :3, :3] = Rotation.from_quat(self.rotation[keys]).as_matrix()
+        return out
+
 
 class GripMotion:
     """Carries the last edge of every rod of a batch (a `wrod.dynamics.Motion`)."""

@@ -73,6 +73,10 @@ class Recognition:
     share: float
     counts: dict[str, int]
 
+    def share_of(self, name: str) -> float:
+        """Fraction of the closures that show this knot [-]."""
+        return self.counts.get(name, 0) / sum(self.counts.values())
+
 
 def diagram(curves: list[np.ndarray] | np.ndarray, seed: int = 0) -> Diagram:
     """Diagram of closed curves, seen along a random direction.

@@ -42,7 +42,7 @@ class Hands:
         self._edge = wp.array(self.edge, dtype=wp.int32, device=device)
         self._position = [wp.zeros(shape, dtype=wp.vec3d, device=device) for _ in range(2)]
         self._rotation = [wp.zeros(shape, dtype=wp.quatd, device=device) for _ in range(2)]
-        self._times = (0.0, 1.0)
+        self._times = wp.array([0.0, 1.0], dtype=wp.float64, device=device)
         # Of the held edge in the hand.
         self._offset = np.zeros((scenes, count, 3))
         self._turn = np.tile([0.0, 0.0, 0.0, 1.0], (scenes, count, 1))
@@ -86,7 +86,7 @@ class Hands:
 
     def move(self, times: tuple[float, float], first: list[Poses], last: list[Poses]) -> None:
         """From one pose of every hand to another."""
-        self._times = times
+        self._times.assign(times)
         for k, poses in enumerate((first, last)):
             position = np.stack([p.position for p in poses], axis=1)
             position = position + np.stack(
@@ -121,8 +121,7 @@ class Hands:
             inputs=[
                 batch.rest_length,
                 self._edge,
-                wp.float64(self._times[0]),
-                wp.float64(self._times[1]),
+                self._times,
                 *self._position,
                 *self._rotation,
                 running,
@@ -149,6 +148,7 @@ class Workbench:
         friction: of rods on the table, and of rods on rods.
         hands: how many there are.
         step: largest time step [s].
+        natural_curvature: (scene, node) curvature at rest, towards the first director [1/m].
 
     Attributes:
         time: now [s].
@@ -164,6 +164,7 @@ class Workbench:
     air_damping: float = 1.0
     tolerance: float = 1e-4
     device: str = "cpu"
+    natural_curvature: np.ndarray | float = 0.0
     time: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
@@ -184,12 +185,15 @@ class Workbench:
         )
         gravity = np.zeros((len(self.rods), 3))
         gravity[:, 2] = [-scene[0].gravity for scene in self.rods]
+        natural = np.zeros((len(self.rods), sum(counts), 2))
+        natural[:, :, 0] = self.natural_curvature
         batch = RodBatch(
             self.position,
             rest_length=np.broadcast_to(rest, (len(self.rods), len(rest))),
             stretching_stiffness=self._along("stretching_stiffness")[:, :-1],
             bending_stiffness=self._along("bending_stiffness"),
             twisting_stiffness=self._along("twisting_stiffness"),
+            natural_curvature=natural,
             node_mass=mass,
             gravity=gravity,
             director=self.director,
@@ -214,6 +218,7 @@ class Workbench:
             force_scale=load,
             tolerance=self.tolerance,
             max_iterations=20,
+            keeps_recording=True,
         )
         self.diverged = np.zeros(len(self.rods), dtype=bool)
         self.steps = np.zeros(len(self.rods), dtype=int)

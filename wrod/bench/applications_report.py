@@ -24,7 +24,8 @@ PAPER = {
 }
 _INK, _MUTED, _FAINT = "#22262b", "#59616b", "#c9ced6"
 _PATTERN = "#0b5fa5"
-_RODS = {"cable": ("#2a2d33",), "trefoil": ("#d0416b",), "reef": ("#2c8f4e", "#d0416b")}
+_STAGES = ("laid", "tied", "pulled")
+RODS = {"cable": ("#2a2d33",), "trefoil": ("#d0416b",), "reef": ("#2c8f4e", "#d0416b")}
 
 
 def table(rows: list[dict]) -> dict[tuple[str, str], dict]:
@@ -75,7 +76,7 @@ def markdown(cells: dict) -> str:
 
 
 def draw(path: Path, rows: list[dict]) -> Path:
-    """Write a PNG: all cables, and one knot of each method at every stage."""
+    """Write a PNG: all cables, and knots of each method at several stages."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -84,9 +85,11 @@ def draw(path: Path, rows: list[dict]) -> Path:
     cables = [case for case in cases if case.endswith("cable")]
     knots = [case for case in cases if not case.endswith("cable")]
     height = int(bool(cables)) + len(knots)
-    figure = Figure(figsize=(13.0, 3.5 * height), facecolor="white")
+    wide = 5 if knots else 4
+    figure = Figure(figsize=(3.25 * wide, 3.5 * height), facecolor="white")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(height, 4, squeeze=False)
+    grid = figure.subplots(height, wide, squeeze=False)
+    figure.subplots_adjust(0.01, 0.01, 0.99, 1.0 - 0.16 / height, 0.04, 0.16)
     for axes in grid.flat:
         axes.set_axis_off()
     for k, (case, method) in enumerate((c, m) for c in cables for m in METHODS):
@@ -94,7 +97,6 @@ def draw(path: Path, rows: list[dict]) -> Path:
             _cables(grid[0, k], case, method, rows, cells[case, method])
     for row, case in enumerate(knots, start=int(bool(cables))):
         _knots(grid[row], case, rows, cells)
-    figure.subplots_adjust(0.01, 0.01, 0.99, 1.0 - 0.16 / height, 0.04, 0.16)
 
     def write(file):
         figure.savefig(file, format="png", dpi=100)
@@ -123,37 +125,74 @@ def _cables(axes, case: str, method: str, rows: list[dict], cell: dict) -> None:
     for row in rows:
         if (row["case"], row["method"]) == (case, method):
             rod = np.array(row["curves"]["end"][0])
-            axes.plot(*rod[:, :2].T, color=_RODS["cable"][0], lw=1.2, alpha=0.8)
+            axes.plot(*rod[:, :2].T, color=RODS["cable"][0], lw=1.2, alpha=0.8)
     _head(axes, f"{case}, {SHORT[method]}  {_score(cell)}", "let go; all trials")
 
 
 def _knots(axes, case: str, rows: list[dict], cells: dict) -> None:
-    """INT as laid, then OPT laid, tied and pulled: the first that succeeded."""
+    """INT as laid and at the end, an example of its commonest end; OPT laid, tied and pulled."""
     from wrod.bench.applications_trials import knot_plan
 
     plan = knot_plan(case)
-    panels = [("intuitive", "tied"), ("neural", "laid"), ("neural", "tied"), ("neural", "pulled")]
+    panels = [("intuitive", "laid"), ("intuitive", "end"), *(("neural", s) for s in _STAGES)]
     for one, (method, stage) in zip(axes, panels, strict=True):
         mine = [row for row in rows if (row["case"], row["method"]) == (case, method)]
         if not mine:
             continue
-        mine.sort(key=lambda row: (not row["success"], row["trial"]))
+        ends = [row["why"] for row in mine]
+        mine.sort(key=lambda row, ends=ends: (-ends.count(row["why"]), row["trial"]))
         row = mine[0]
-        if stage in ("laid", "tied"):
+        note = row["why"]
+        if stage == "end":
+            # Only what was tied has been pulled.
+            stage = "pulled" if row["strongest"] > 0.0 else "tied"
+        else:
+            note = f"{stage}: {_shown(row, stage, plan.knot)}"
+        if stage != "pulled":
             for pattern, _ in plan.rods:
                 target = pattern.sample(np.linspace(0.0, pattern.length, 300))[0]
                 one.plot(*target[:, :2].T, color=_PATTERN, lw=3, alpha=0.22)
-        for curve in [stage] if stage in row["curves"] else []:
-            rods = [np.array(rod) for rod in row["curves"][curve]]
-            radii = [material.radius for _, material in plan.rods]
-            _woven(one, rods, radii, _RODS[case])
-        name = row["knots"].get(stage, ["", 0.0])[0]
+        rods = [np.array(rod) for rod in row["curves"][stage]]
+        radii = [material.radius for _, material in plan.rods]
+        close = stage == "pulled"
+        woven(one, rods, radii, RODS[case], width=3000 if close else 900)
         score = f"  {_score(cells[case, method])}" if stage != "laid" else ""
-        _head(one, f"{case}, {SHORT[method]}{score}", f"{stage}: {name}")
+        _head(one, f"{case}, {SHORT[method]}{score}", note)
+        if close:
+            close_up(one, tightest(rods), 0.06)
 
 
-def _woven(axes, rods, radii, colors) -> None:
-    """Rods from above, upper strands drawn over lower ones with a white edge."""
+def close_up(axes, middle: np.ndarray, half: float) -> None:
+    """Show what is within `half` [m] of a point to both sides, in the whole panel."""
+    box = axes.get_position().transformed(axes.figure.transFigure)
+    x, y = middle
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlim(x - half, x + half)
+    axes.set_ylim(y - half * box.height / box.width, y + half * box.height / box.width)
+
+
+def tightest(rods: list[np.ndarray]) -> np.ndarray:
+    """(2,) where two rods are nearest to each other, or where one bends most."""
+    if len(rods) == 2:
+        gap = np.linalg.norm(rods[0][:, None] - rods[1][None], axis=2)
+        i, j = np.unravel_index(gap.argmin(), gap.shape)
+        return (rods[0][i, :2] + rods[1][j, :2]) / 2
+    edges = np.diff(rods[0], axis=0)
+    turning = np.linalg.norm(np.cross(edges[1:], edges[:-1]), axis=1)
+    return np.average(rods[0][1:-1, :2], axis=0, weights=turning**2)
+
+
+def _shown(row: dict, stage: str, wanted: str) -> str:
+    """The knot at a stage; a tight one is still there if some closures show it."""
+    from wrod.tying import STILL
+
+    name, _, share = row["knots"].get(stage, ["", 0.0, 0.0])
+    return wanted if stage == "pulled" and share >= STILL else name
+
+
+def woven(axes, rods, radii, colors, width: float = 900) -> None:
+    """Rods from above, upper strands drawn over lower ones with a white edge; `width` points per
+    metre of radius."""
     from matplotlib.collections import LineCollection
 
     pieces = []
@@ -168,13 +207,13 @@ def _woven(axes, rods, radii, colors) -> None:
     for layer in np.unique(layers):
         chosen = [piece for piece, here in zip(pieces, layers, strict=True) if here == layer]
         lines = [[a, b] for _, a, b, _, _ in chosen]
-        width = [900 * radius for _, _, _, radius, _ in chosen]
+        widths = [width * radius for _, _, _, radius, _ in chosen]
         axes.add_collection(
-            LineCollection(lines, colors="white", linewidths=[w + 2.2 for w in width])
+            LineCollection(lines, colors="white", linewidths=[w + 2.2 for w in widths])
         )
         axes.add_collection(
             LineCollection(
-                lines, colors=[c for *_, c in chosen], linewidths=width, capstyle="round"
+                lines, colors=[c for *_, c in chosen], linewidths=widths, capstyle="round"
             )
         )
     axes.autoscale_view()

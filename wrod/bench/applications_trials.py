@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod.bench.applications_report import SHORT
 from wrod.bench.table3_paper import FRICTION
 from wrod.patterns import Pattern
 
@@ -82,9 +83,22 @@ def _cable(case, method, trials, device, folder):
     rows = cable_rows(case, method, trials, jobs, deployments, seconds)
     if folder is None:
         return rows, []
-    scenes = []
-    for trial, d in zip(trials, deployments, strict=True):
-        scenes += _cable_stage(folder, case, method, trial, d, material, pattern, fixtures)
+    scenes, places, lift = [], None, [0.0, 0.0, material.radius]
+    for row, d in zip(rows, deployments, strict=True):
+        filmed = _FILM * np.arange(len(d.frames))
+        hands = d.hand[:, None].copy()
+        hands[..., :3, 3] += lift
+        places = _stage(
+            folder, row, scenes, places,
+            time=filmed,
+            rods=[d.frames + lift],
+            names=["cable"],
+            radii=[material.radius],
+            patterns=[pattern],
+            hands=hands,
+            closed=filmed[:, None] < d.let_go,
+            fixtures=fixtures,
+        )  # fmt: skip
     return rows, scenes
 
 
@@ -127,42 +141,24 @@ def _stages(frames: int) -> list[int]:
     return (np.linspace(0.1, 0.9, 7) * (frames - 1)).astype(int).tolist()
 
 
-def _cable_stage(folder, case, method, trial, d, material, pattern, fixtures):
+def _stage(folder: Path, row: dict, scenes: list[Path], places, **film):
+    """Write a trial's scene, note its arms' distances in the row, and return where they stand."""
+    import warnings
+
+    from wrod.errors import WrodWarning
     from wrod.scene.tying import export_scene
 
-    lifted = d.frames + [0.0, 0.0, material.radius]
-    path, missing = export_scene(
-        folder / f"{case.replace(' ', '-')}-{method}-{trial}.usdc",
-        time=_FILM * np.arange(len(lifted)),
-        rods=[lifted],
-        names=["cable"],
-        radii=[material.radius],
-        patterns=[pattern],
-        hands=_grip_poses(lifted)[:, None],
-        fixtures=fixtures,
-        facts={"case": case, "method": method, "trial": trial},
-    )
-    _say(missing)
-    return [path]
-
-
-def _grip_poses(frames: np.ndarray) -> np.ndarray:
-    """(T, 4, 4) of a hand that carries the last edge, turned as little as its tangent asks."""
-    along = frames[:, -1] - frames[:, -2]
-    x = along / np.linalg.norm(along, axis=1)[:, None]
-    out = np.tile(np.eye(4), (len(frames), 1, 1))
-    y = np.cross([0.0, 0.0, 1.0], x[0])
-    y = np.array([0.0, 1.0, 0.0]) if np.linalg.norm(y) < 1e-6 else y / np.linalg.norm(y)
-    for k, tangent in enumerate(x):
-        y = y - (y @ tangent) * tangent
-        y /= np.linalg.norm(y)
-        out[k, :3, :3] = np.column_stack([tangent, y, np.cross(tangent, y)])
-    out[:, :3, 3] = frames[:, -1]
-    return out
+    name = f"{row['case'].replace(' ', '-')}-{SHORT[row['method']]}-{row['trial']}.usdc"
+    facts = {key: row[key] for key in ("case", "method", "trial", "success", "why")}
+    scene = export_scene(folder / name, facts=facts, placements=places, **film)
+    for what in scene.missing:
+        warnings.warn(f"{scene.path}: left out {what}", WrodWarning, stacklevel=3)
+    scenes.append(scene.path)
+    row["arms"] = scene.missing[0] if scene.arms is None else scene.arms.facts
+    return places if scene.arms is None else scene.arms.placements
 
 
 def _knot(case, method, trials, device, folder):
-    from wrod.scene.tying import export_scene
     from wrod.tying import Handling, tie
 
     knot = knot_plan(case)
@@ -177,51 +173,43 @@ def _knot(case, method, trials, device, folder):
         device=device,
     )
     seconds = (time.process_time() - clock) / len(trials)
-    rows, scenes = [], []
+    rows, scenes, places = [], [], None
     for trial, r in zip(trials, results, strict=True):
-        rows.append(
-            {
-                "case": case,
-                "method": method,
-                "trial": trial,
-                "success": bool(r.success),
-                "why": r.why,
-                "error": [100 * e for e in r.error],
-                "cpu_seconds": seconds,
-                "steps": r.steps,
-                "knots": {
-                    stage: [found.name, found.share]
-                    for stage in ("laid", "tied", "pulled")
-                    if (found := getattr(r, stage)) is not None
-                },
-                "load": [round(float(v), 4) for v in r.load],
-                "curves": {stage: [_kept(rod) for rod in rods] for stage, rods in r.stages.items()},
-            }
-        )
+        row = {
+            "case": case,
+            "method": method,
+            "trial": trial,
+            "success": bool(r.success),
+            "why": r.why,
+            "error": [100 * e for e in r.error],
+            "cpu_seconds": seconds,
+            "steps": r.steps,
+            "knots": {
+                stage: [found.name, found.share, found.share_of(knot.knot)]
+                for stage in ("laid", "tied", "tight", "pulled")
+                if (found := getattr(r, stage)) is not None
+            },
+            "load": [round(float(v), 4) for v in r.load],
+            "strongest": round(r.strongest, 4),
+            "crept": round(r.crept, 5),
+            "missed": r.missed,
+            "slipped": r.slipped,
+            "curves": {stage: [_kept(rod) for rod in rods] for stage, rods in r.stages.items()},
+        }
+        rows.append(row)
         if folder is None or r.time is None:
             continue
-        path, missing = export_scene(
-            folder / f"{case}-{method}-{trial}.usdc",
+        places = _stage(
+            folder, row, scenes, places,
             time=r.time,
             rods=r.frames,
             names=list(knot.rod_names),
             radii=[material.radius for _, material in knot.rods],
             patterns=[pattern for pattern, _ in knot.rods],
             hands=r.hands,
-            facts={"case": case, "method": method, "trial": trial, "why": r.why},
-        )
-        _say(missing)
-        scenes.append(path)
+            closed=r.closed,
+        )  # fmt: skip
     return rows, scenes
-
-
-def _say(missing: list[str]) -> None:
-    import warnings
-
-    from wrod.errors import WrodWarning
-
-    for what in missing:
-        warnings.warn(f"left out of the scene: {what}", WrodWarning, stacklevel=3)
 
 
 def _kept(rod: np.ndarray) -> list:

@@ -26,6 +26,11 @@ from wrod.dynamics import Dynamics
 from wrod.rod_contact import RodContact
 from wrod.substrate import Friction
 
+# Part of the loosest loop's radius that a knot is pulled by before it is looked at.
+RUN_IN = 0.3
+# And after it came to rest on the way.
+_ONCE_MORE = 0.05
+
 
 def solve_braid(
     points: int = 161, half_length: float = 8.0, stiffness: float = 1e4
@@ -136,16 +141,21 @@ class Pull:
 
 
 class _Ends:
-    """Moves both end nodes apart along x, each by half."""
+    """Moves both end nodes apart, each by half, from the time `start` on."""
 
-    def __init__(self, batch: RodBatch, speed: float, start: float):
-        self.batch, self.speed, self.start = batch, speed, start
-        self.ends = batch.positions()[:, [0, -1]].copy()
+    def __init__(self, batch: RodBatch, speed: float):
+        self.batch, self.speed = batch, speed
+        self.stop()
         along = self.ends[:, 1] - self.ends[:, 0]
         self.direction = along / np.linalg.norm(along, axis=1)[:, None]
         free = np.ones(batch.dof_count, dtype=bool)
         free[[0, 1, 2, -3, -2, -1]] = False
         batch.set_free(free)
+
+    def stop(self) -> None:
+        """Stand still where the ends are."""
+        self.start = np.inf
+        self.ends = self.batch.positions()[:, [0, -1]].copy()
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start) -> None:
         dof = self.batch.state.dof.numpy().copy()
@@ -169,10 +179,15 @@ def pull(
     progress=None,
 ) -> Pull:
     """Pull overhand knots with these coefficients of friction, from loop radius `loosest` to
-    `tightest` (over the section's), in `slowness` periods R^2 of the loop per radius of section."""
+    `tightest` (over the section's), in `slowness` periods R^2 of the loop per radius of section.
+
+    Knots find their first shape without friction, which would keep slack in their tails. They
+    start looser by `RUN_IN`, are pulled until they slide, and come to rest once more, for their
+    tails to stop swinging, before anything is recorded."""
+    start = (1.0 + RUN_IN) * loosest
     speed, period = 1 / (slowness * loosest**2), loosest**2
-    shortening = 2 * np.pi * loosest
-    position = open_trefoil(shortening, 2 * loosest, spacing)
+    shortening = 2 * np.pi * start
+    position = open_trefoil(shortening, 2 * start, spacing)
     count = len(position)
     edge = np.linalg.norm(np.diff(position, axis=0), axis=1)
     mass = np.zeros(count)
@@ -185,27 +200,43 @@ def pull(
         twisting_stiffness=1 / 1.5,
         node_mass=mass,
     )
-    contact = RodContact(batch, 1.0, [Friction(f) for f in friction], stiffness=stiffness)
-    relaxed = 25 * period
-    ends = _Ends(batch, speed, relaxed)
-    dynamics = Dynamics(
-        batch,
-        scheme="euler",
-        radius=1.0,
-        contact=contact,
-        air_damping=2 / period,
-        internal_damping=0.3 * period,
-        motion=ends,
-        force_scale=1.0 / loosest**2,
-        tolerance=1e-5,
+    smooth, rough = (
+        RodContact(batch, 1.0, [Friction(f) for f in coefficients], stiffness=stiffness)
+        for coefficients in ([0.0] * len(friction), friction)
     )
-    dynamics.advance(relaxed, 0.05 * period)
-    dynamics.air_damping.fill_(0.02 / period)
-    radii, forces, normals, depths, shapes = [], [], [], [], []
+    ends = _Ends(batch, speed)
+
+    def dynamics(contact: RodContact, air_damping: float) -> Dynamics:
+        return Dynamics(
+            batch,
+            scheme="euler",
+            radius=1.0,
+            contact=contact,
+            air_damping=air_damping / period,
+            internal_damping=0.3 * period,
+            motion=ends,
+            force_scale=1.0 / loosest**2,
+            tolerance=1e-5,
+        )
+
+    dynamics(smooth, 2.0).advance(25 * period, 0.05 * period)
+    contact, pulled = rough, dynamics(rough, 0.1)
     length = batch.rest_length.numpy().sum(axis=1)
+    # Tails lie slanted at first, so that the ends are nearer than the loop's size says.
+    first = (length - np.linalg.norm(ends.ends[:, 1] - ends.ends[:, 0], axis=1)).max() / (2 * np.pi)
+    ends.start, now = 0.0, 2 * np.pi * (first - (1 + _ONCE_MORE) * loosest) / speed
+    pulled.advance(now, 0.25 / speed)
+    ends.stop()
+    pulled.air_damping.fill_(2.0 / period)
+    now += 25 * period
+    pulled.advance(now, 0.05 * period)
+    ends.start = now
+    now += 2 * np.pi * _ONCE_MORE * loosest / speed
+    pulled.air_damping.fill_(0.02 / period)
+    radii, forces, normals, depths, shapes = [], [], [], [], []
     duration = 2 * np.pi * (loosest - tightest) / speed
     for part in np.linspace(0, 1, frames):
-        result = dynamics.advance(relaxed + part * duration, 0.25 / speed)
+        result = pulled.advance(now + part * duration, 0.25 / speed)
         q = batch.positions()
         force = batch.evaluate(order=1).gradient.numpy().reshape(len(friction), -1)
         tension = force[:, -3:] - force[:, :3]
@@ -222,5 +253,5 @@ def pull(
         np.array(normals),
         np.array(depths),
         np.array(shapes),
-        dynamics.iteration_count.numpy().copy(),
+        pulled.iteration_count.numpy().copy(),
     )

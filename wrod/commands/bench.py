@@ -15,6 +15,7 @@ BENCHMARKS = (
     "table3",
     "deploy",
     "knot-force",
+    "bends",
     "newton",
     "identify",
     "cables",

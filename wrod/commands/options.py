@@ -54,6 +54,14 @@ PICTURE = (
         help="Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left).",
     ),
 )
+ROLL = (
+    click.option(
+        "--roll",
+        "roll_text",
+        help="How a naturally curved rod is held: plane (curved in the table's plane; default), up "
+        "(curved upwards), or the roll of its first director from left to up [degrees].",
+    ),
+)
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 
 
@@ -95,6 +103,31 @@ def read_rod(name: str | None, radius: float | None, lgb: float | None, length: 
     if missing:
         raise RodError(f"{', '.join(missing)} missing; a rod of your own needs all three")
     return RodMaterial(radius, lgb, length)
+
+
+def read_roll(text: str | None, rod) -> float | str:
+    """What `wrod.plan` takes as roll for `ROLL`'s option and this `RodMaterial`.
+
+    Raises:
+        RodError: it is none, or there is no rod.
+    """
+    from math import isfinite, radians
+
+    from wrod.errors import RodError
+
+    if text is None:
+        return "plane"
+    if rod is None:
+        raise RodError("--roll belongs to one rod; name it with --rod")
+    if text in ("plane", "up"):
+        return text
+    try:
+        roll = radians(float(text))
+    except ValueError:
+        roll = float("nan")
+    if not isfinite(roll):
+        raise RodError(f"--roll {text} is no roll; use plane, up or a finite number of degrees")
+    return roll
 
 
 def read_pattern(name: str, units: str | None, reading: dict | None = None):

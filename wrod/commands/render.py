@@ -20,6 +20,7 @@ def _size(ctx, param, value: str) -> tuple[int, int]:
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder, PNG or HTML.")
 @click.option("--camera", default="perspective", show_default=True, help="top, perspective, ...")
 @click.option("--frames", type=int, help="Pictures from first to last; 24, or 1 for a PNG.")
+@click.option("--moments", is_flag=True, help="One PNG of the scene's moments: knots and cables.")
 @click.option("--size", default="960x720", show_default=True, callback=_size, help="Pixels.")
 @click.option("--hide", multiple=True, help="Leave out prims of this name (robot, ...).")
 def command(
@@ -27,17 +28,20 @@ def command(
     out: Path,
     camera: str,
     frames: int | None,
+    moments: bool,
     size: tuple[int, int],
     hide: tuple[str, ...],
 ) -> None:
     """Draw SCENE, a USD stage, without a display.
 
     A folder gets one PNG per frame; a .png the last one; a .html the whole deployment as a page
-    that plays in any browser.
+    that plays in any browser. --moments draws the stages of tying in one .png, from the cameras
+    side and close.
     """
     from tqdm import tqdm
 
     from wrod.errors import DataError
+    from wrod.scene.moments import draw_moments
     from wrod.scene.render import render
     from wrod.scene.view import write_page
 
@@ -48,7 +52,9 @@ def command(
             bar.update(done - bar.n)
 
         try:
-            if out.suffix.lower() == ".html":
+            if moments:
+                written = [draw_moments(scene, out, size=size, progress=progress)]
+            elif out.suffix.lower() == ".html":
                 written = [write_page(scene, out, camera=camera, hidden=hide, progress=progress)]
             else:
                 count = frames if frames is not None else (1 if out.suffix else 24)

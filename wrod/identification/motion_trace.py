@@ -7,6 +7,7 @@ things are made of them: the missing force, a field along the rod in every frame
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,36 +124,55 @@ def trace_motion(
     m = measurements
     setup = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
     setup = base.setup(setup, values)
-    field = _field(m, setup, recordings, _SPACING, device)
-    if field is None:
+    seen = inverse_motion(m, setup, recordings, _every(_SPACING, m), device=device)
+    if seen is None:
         return None
-    if shown not in field.seen.recording:
-        shown = int(field.seen.recording[0])
-    prints, steps, remaining = find_prints(field.seen, field.arc_length, field.weigh)
-    unexplained, placement = field.size, field.placement
+    if shown not in seen.recording:
+        shown = int(seen.recording[0])
+    weighed = _Field(seen, m, _smooth)
+    prints, steps, remaining = find_prints(seen, weighed.arc_length, weighed.weigh)
     # What a print takes away is no misplaced marker.
-    field.fit(field.seen.missing, placement)
-    close = _field(m, setup, [shown], _SHOWN_SPACING, device, placement)
-    return MotionTrace(
-        field.missing_force(), close.missing_force(), prints, steps, remaining, unexplained,
-        placement,
-    )  # fmt: skip
+    placement = weighed.placement
+    close = inverse_motion(m, setup, [shown], _every(_SHOWN_SPACING, m), device=device)
+    force, shown_force = (_Field(s, m, _rough, placement).missing_force() for s in (seen, close))
+    return MotionTrace(force, shown_force, prints, steps, remaining, weighed.size, placement)
 
 
-def _field(m, setup, recordings, spacing, device, placement=None) -> _Field | None:
-    every = max(1, round(spacing * m.rate))
-    seen = inverse_motion(m, setup, recordings, every, device=device)
-    return None if seen is None else _Field(seen, m, placement)
+def _every(spacing: float, m: MotionMeasurements) -> int:
+    return max(1, round(spacing * m.rate))
+
+
+def _smooth(place: np.ndarray) -> np.ndarray:
+    """(K, K) correlation of what no print takes away: alike over a fifth of the rod, so that what
+    is rougher counts as a marker beside its place."""
+    distance = place[:, None] - place
+    return np.exp(-0.5 * (distance / (0.2 * place[-1])) ** 2) + 1e-9 * np.eye(len(place))
+
+
+def _rough(place: np.ndarray) -> np.ndarray:
+    """(K, K) correlation of the force that is shown: a kink's changes sign between markers."""
+    return np.exp(-np.abs(place[:, None] - place) / np.diff(place).mean())
 
 
 class _Field:
     """A force in every frame on its own, as the prior of what is missing.
 
-    Along the rod its covariance falls to 1/e over the markers' mean distance; its size is the
-    likeliest for the frame, so that a frame of slow motion counts as much as one of fast.
+    Its size is the likeliest for the frame, so that a frame of slow motion counts as much as one of
+    fast.
+
+    Args:
+        correlation: along the rod, out of the markers' arc lengths.
+        placement: distance that markers sit from where the model puts them [m]; default: the
+            likeliest.
     """
 
-    def __init__(self, seen: InverseMotion, m: MotionMeasurements, placement: float | None = None):
+    def __init__(
+        self,
+        seen: InverseMotion,
+        m: MotionMeasurements,
+        correlation: Callable,
+        placement: float | None = None,
+    ):
         self.seen = seen
         setup, place = seen.setup, seen.setup.marker_node[1:-1]
         n = seen.velocity.shape[1]
@@ -161,9 +181,7 @@ class _Field:
         weight = np.linalg.norm(setup.gravity) * setup.node_length
         nodal = np.einsum("n,nk,ce->ncke", weight, hats, np.eye(3)).reshape(n, 3, -1)
         self.see = seen.force(np.broadcast_to(nodal, (len(seen.frame), *nodal.shape)))
-        distance = np.abs(self.arc_length[:, None] - self.arc_length)
-        like = np.exp(-0.5 * (distance / (0.2 * self.arc_length[-1])) ** 2)
-        self.prior = np.kron(like, np.eye(3))
+        self.prior = np.kron(correlation(self.arc_length), np.eye(3))
         columns = (4 * setup.marker_node[:, None] + np.arange(3)).ravel()
         moved = seen.stiffness[:, :, columns]
         self.moved = moved @ moved.transpose(0, 2, 1)

@@ -180,6 +180,21 @@ class CollisionModel:
         return gap - torch.from_numpy(self.radius[low]) - rod_radius
 
 
+def between(start, end, radius, other_start, other_end, other_radius) -> torch.Tensor:
+    """(K, C, D) gaps between the capsules of two arms [m], in one frame.
+
+    Args:
+        start, end: (K, C, 3) of one [m], tensors.
+        radius: (C,) [m].
+        other_start, other_end, other_radius: the same of the other, arrays.
+    """
+    import torch
+
+    first, last = (torch.from_numpy(p)[:, None] for p in (other_start, other_end))
+    gap = segment_distance(start[:, :, None], end[:, :, None], first, last)
+    return gap - torch.from_numpy(radius[:, None] + other_radius[None])
+
+
 def segment_distance(p1, q1, p2, q2):
     """Distance (...) between segments p1-q1 and p2-q2, each end (..., 3), differentiable.
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from wrod.robot.collision import CollisionModel
+from wrod.robot.collision import CollisionModel, between
 from wrod.robot.kinematics import manipulability, null_basis, refine
 from wrod.robot.model import Robot
 
@@ -32,17 +32,19 @@ class Surroundings:
         contact: (N, 3) points of the laid rod, in laying order [m].
         laid: (K,) how many of them lie at each sample of the path.
         rod_radius: [m].
+        other: another arm's capsules at each sample: (K, C, 3) starts, (K, C, 3) ends, (C,) radii.
     """
 
     table_height: float
     contact: np.ndarray
     laid: np.ndarray
     rod_radius: float
+    other: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
 
 def gaps(model: CollisionModel, positions, around: Surroundings) -> dict:
     """Gaps [m] at joint positions (K, n), as torch tensors: "links" (K, pairs), "table" and
-    "laid rod" (K, low capsules).
+    "laid rod" (K, low capsules), and "other arm" (K, pairs) where there is one.
 
     The laid rod lies on the table: poses that keep `GAP_ROOM` above it need no closer look, and
     get the height above the rod for their gap.
@@ -62,7 +64,10 @@ def gaps(model: CollisionModel, positions, around: Surroundings) -> dict:
             around.rod_radius,
         )
         laid = laid.index_copy(0, close, near)
-    return {"links": model.self_distances(start, end), "table": table, "laid rod": laid}
+    found = {"links": model.self_distances(start, end), "table": table, "laid rod": laid}
+    if around.other is not None:
+        found["other arm"] = between(start, end, model.radius, *around.other).flatten(1)
+    return found
 
 
 def improve(

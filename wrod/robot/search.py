@@ -47,38 +47,50 @@ def find_branches(
 ) -> list[Branch]:
     """Follow several inverse kinematics solutions of each choice along the path, best first.
 
-    The path is entered in its middle, where each placement is solved from the same seeds, and
-    followed to both ends.
-
     Args:
         travel: (K,) coarse samples of the path.
         choices: placements with grips to try.
         seeds: starts per choice.
     """
     poses = path.poses(travel)
-    middle = len(travel) // 2
     targets = np.stack([grasp_targets(poses, g, p.base_from_world) for p, g in choices])
+    rows = follow_targets(robot, targets, seeds)
+    branches = [Branch(*choices[choice], *row) for choice, *row in rows]
+    return sorted(branches, key=lambda branch: branch.cost)
+
+
+def follow_targets(
+    robot: Robot, targets: np.ndarray, seeds: int = 10
+) -> list[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+    """Follow several inverse kinematics solutions along each of several ways of the grasp.
+
+    A way is entered in its middle, where each is solved from the same seeds, and followed to both
+    ends.
+
+    Args:
+        targets: (ways, K, 4, 4) grasp poses in the base frame [m].
+        seeds: starts per way.
+
+    Returns:
+        For each branch: its way, then positions, miss and excess as in `Branch`.
+    """
+    middle = targets.shape[1] // 2
     rng = np.random.default_rng(0)
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     inset = 0.15 * (upper - lower)
     start = rng.uniform(lower + inset, upper - inset, (seeds, len(lower)))
     solved, _ = solve_poses(robot, targets[:, middle], start)
     solved = _wrap(robot, solved)
-    count = len(choices) * seeds
+    count = len(targets) * seeds
     q = solved.reshape(count, -1)
-    targets = np.repeat(targets, seeds, axis=0)
+    goals = np.repeat(targets, seeds, axis=0)
     good = (q > robot.lower - 0.3).all(1) & (q < robot.upper + 0.3).all(1)
     index = np.flatnonzero(good)
     if len(index) == 0:
         index = np.arange(count)
-    positions, miss = _follow(robot, q[index], targets[index], middle)
-    excess = np.maximum(positions - robot.upper, robot.lower - positions)
-    branches = []
-    for row, i in enumerate(index):
-        placement, grip = choices[i // seeds]
-        joints = positions[row]
-        branches.append(Branch(placement, grip, joints, miss[row], excess[row].max(-1)))
-    return sorted(branches, key=lambda branch: branch.cost)
+    positions, miss = _follow(robot, q[index], goals[index], middle)
+    excess = np.maximum(positions - robot.upper, robot.lower - positions).max(-1)
+    return [(int(i) // seeds, positions[k], miss[k], excess[k]) for k, i in enumerate(index)]
 
 
 def _wrap(robot: Robot, positions: np.ndarray) -> np.ndarray:

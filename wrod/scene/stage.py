@@ -37,7 +37,7 @@ def add_lights(stage) -> None:
     sky.CreateColorAttr(Gf.Vec3f(0.93, 0.96, 1.0))
 
 
-def add_camera(stage, name: str, eye, target, up=(0.0, 0.0, 1.0), fov: float = 40.0) -> None:
+def add_camera(stage, name: str, eye, target, up=(0.0, 0.0, 1.0), fov: float = 40.0):
     """Perspective camera at `eye`, 4:3, with a vertical field of view [degrees]."""
     from pxr import Gf, UsdGeom
 
@@ -50,6 +50,7 @@ def add_camera(stage, name: str, eye, target, up=(0.0, 0.0, 1.0), fov: float = 4
     camera.CreateFocalLengthAttr(float(13.5 / np.tan(np.radians(fov) / 2)))
     camera.CreateFocusDistanceAttr(float(np.linalg.norm(np.subtract(eye, target))))
     camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 200.0))
+    return camera
 
 
 def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarray) -> None:
@@ -68,10 +69,34 @@ def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarra
     eye = (middle[0], middle[1], corners[:, 2].max() + height)
     add_camera(stage, "top", eye, middle, (0.0, 1.0, 0.0), fov)
 
-    fov, margin = 36.0, 1.12
     side = np.array([front[1], -front[0]])
-    back = np.array([*(0.80 * front + 0.95 * side), 0.50])
-    back /= np.linalg.norm(back)
+    add_view(stage, "perspective", points, [*(0.80 * front + 0.95 * side), 0.50])
+
+
+def add_view(
+    stage, name: str, points: np.ndarray, back, fov: float = 36.0, later: dict | None = None
+) -> None:
+    """Camera that looks at all of points (n, 3) [m] from the direction `back` (3,).
+
+    Args:
+        later: time code -> other points to look at; the camera moves between codes.
+    """
+    eye, middle = _stand(points, back, fov)
+    camera = add_camera(stage, name, eye, middle, fov=fov)
+    if later:
+        from pxr import Gf
+
+        (place,) = camera.GetOrderedXformOps()
+        for code, other in later.items():
+            eye, middle = _stand(other, back, fov)
+            view = Gf.Matrix4d().SetLookAt(Gf.Vec3d(*eye), Gf.Vec3d(*middle), Gf.Vec3d(0, 0, 1))
+            place.Set(view.GetInverse(), float(code))
+
+
+def _stand(points: np.ndarray, back, fov: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where a camera stands (3,) and what it looks at (3,) [m]."""
+    margin = 1.12
+    back = np.asarray(back, dtype=float) / np.linalg.norm(back)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
     up = np.cross(back, right)
@@ -81,4 +106,4 @@ def add_cameras(stage, points: np.ndarray, front: np.ndarray, pattern: np.ndarra
     across = np.maximum(*(np.abs(local - middle)[:, :2] * [3 / 4, 1]).T)
     distance = (local[:, 2] - middle[2] + margin * across / np.tan(np.radians(fov) / 2)).max()
     middle = middle @ frame
-    add_camera(stage, "perspective", middle + distance * back, middle, fov=fov)
+    return middle + distance * back, middle

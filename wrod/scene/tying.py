@@ -1,24 +1,25 @@
-"""A tied knot, with both arms, as a USD stage."""
+"""A rod laid between fixtures, or a tied knot, with both arms, as a USD stage."""
 
 from __future__ import annotations
 
 import os
 import tempfile
-from dataclasses import replace
-from itertools import product
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from wrod.errors import RobotError, SceneError
 from wrod.files import write_atomically
 from wrod.fixtures import Fixtures
-from wrod.robot.joint_path import JointPath, solve_joint_path
+from wrod.robot.holds import HandFilm, Hold, find_holds
 from wrod.robot.placement import Placement
+from wrod.robot.two_arms import ArmFilm, solve_two_arms
 from wrod.scene.arm import add_arm
+from wrod.scene.brought import waiting_line, with_waiting
+from wrod.scene.closeup import knot_corners
 from wrod.scene.primitives import Materials, add_curve, add_shape
-from wrod.scene.stage import add_cameras, add_lights, new_stage
+from wrod.scene.stage import add_cameras, add_lights, add_view, new_stage
 from wrod.scene.workplace import (
     BASE_HEIGHT,
     ROD_COLORS,
@@ -28,16 +29,27 @@ from wrod.scene.workplace import (
     table_under,
 )
 from wrod.substrate import Cylinder
-from wrod.trajectory import Trajectory
 
 SUFFIXES = (".usdc", ".usda", ".usd")
 _STEEL, _OTHER = (0.62, 0.64, 0.67), (0.10, 0.50, 0.22)
-# The gripper's collision shape ends in a ball wider than its fingers, which do reach the table.
-_FINGER_ROOM = 0.025  # [m]
-# An arm that cannot follow the corners of its hand's way may round them over so many frames
-# (standard deviation): splines through sharp corners swing.
-_ROUNDED = 1.5
-_SIDE = 0.10  # [m] beside the patterns, where rods wait that are laid later
+_SIDE = 0.08  # [m] beside what is laid, where rods wait that are laid later
+_HIGH = 0.6  # [m]
+_LOW = 0.03  # [m] what is lower lies on the table
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A written stage.
+
+    Attributes:
+        path: the file.
+        missing: what was left out, and why.
+        arms: of the stage; None where they were left out.
+    """
+
+    path: Path
+    missing: list[str]
+    arms: ArmFilm | None
 
 
 def export_scene(
@@ -49,32 +61,33 @@ def export_scene(
     radii: list[float],
     patterns: list,
     hands: np.ndarray | None = None,
+    closed: np.ndarray | None = None,
     fixtures: Fixtures | None = None,
     facts: dict | None = None,
-) -> tuple[Path, list[str]]:
-    """Write a stage of rods, fixtures and two arms over time; time code k is frame k.
+    placements: tuple[Placement, Placement] | None = None,
+) -> Scene:
+    """Write a stage of rods, fixtures and two arms over time; see `wrod.robot.two_arms`.
 
-    The arms stand opposite each other; each follows its hand through all frames. An arm whose path
-    is out of reach is left out, and named. Arms are not checked against each other.
+    The attribute `wrod:time` is the scene's clock [s], `wrod:simulatedTime` that of the film, which
+    stands still where the arms need longer than the hands. If the arms cannot do it, the stage is
+    written without them. The stage's custom data tells how near the arms come to each other and to
+    the table.
 
     Args:
         path: the file, .usdc, .usda or .usd.
-        time: (T,) [s], written as the attribute `wrod:time`.
+        time: (T,) [s].
         rods: (T, node, 3) of every rod [m]; NaN before it is laid. The table is z = 0.
         names, radii: of the rods; names of presets give their colours.
         patterns: what was to be laid.
-        hands: (T, hand, 4, 4) poses of the hands, x along the rod that hangs from it.
+        hands: (T, hand, 4, 4) poses of one or two hands, x along the rod that hangs from it.
+        closed: (T, hand) whether a hand is at work; default: always.
         fixtures: posts and clips.
         facts: custom data of the stage.
-
-    Returns:
-        The path, and what was left out.
+        placements: of the arms, tried first.
 
     Raises:
         SceneError: the suffix is another, or the arrays do not fit.
     """
-    from pxr import Sdf, UsdGeom
-
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise SceneError(f"{path}: a stage needs one of the suffixes {', '.join(SUFFIXES)}")
@@ -82,143 +95,149 @@ def export_scene(
     for rod in rods:
         if rod.ndim != 3 or len(rod) != len(time):
             raise SceneError(f"a rod's frames are {rod.shape}; give ({len(time)}, nodes, 3)")
-    stage = new_stage(len(time))
-    materials = Materials(stage)
-    codes = np.arange(len(time), dtype=float)
     drawn = [p.sample(np.linspace(-p.remainder_length, p.length, 300))[0] for p in patterns]
-    ground = np.concatenate(drawn)
-    ground = np.vstack([ground, ground.min(0) - _SIDE * np.array([0, 1, 0])])
-    arms, missing = [], []
+    if hands is not None and closed is None:
+        closed = np.ones(hands.shape[:2], dtype=bool)
+    ground = _ground(drawn, rods, radii, hands, closed)
+    arms, missing = None, []
     if hands is not None:
-        arms, missing = _arms(hands, ground)
-    placement = arms[0][1].placement if arms else None
-    table = table_under(ground, None, 0.0)
-    root = "/World/Deployment_000"
-    prim = UsdGeom.Xform.Define(stage, root).GetPrim()
-    add_table(stage, f"{root}/table", table, materials)
-    for k, points in enumerate(drawn):
-        add_pattern(stage, f"{root}/pattern_{k}", points + [0, 0, radii[k]], radii[k], materials)
-    for k, rod in enumerate(rods):
-        color = ROD_COLORS.get(names[k], _OTHER)
-        frames = _waiting(rod, ground, radii[k])
-        add_curve(stage, f"{root}/rod_{k}", frames, 2 * radii[k], materials, color, codes)
-    if fixtures is not None:
-        _add_fixtures(stage, f"{root}/fixtures", fixtures, materials)
-    seen = [table.corners(), *[np.nan_to_num(rod[::10].reshape(-1, 3)) for rod in rods]]
-    floor = table.floor
-    front = np.array([0.0, -1.0])
-    for number, joint_path in arms:
-        base = joint_path.placement.world_from_base
-        robot = joint_path.robot
-        add_arm(
-            stage,
-            f"{root}/robot_{number}",
-            robot,
-            base,
-            joint_path.node_positions,
-            codes,
-            materials,
-        )
-        floor = min(floor, float(base[2, 3]) - BASE_HEIGHT)
-        poses = robot.link_poses(joint_path.node_positions[:: max(1, len(time) // 20)])
-        for link in poses.values():
-            seen.append(link[:, :3, 3] @ base[:3, :3].T + base[:3, 3])
-        feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
-        seen.append(base[:3, 3] + feet)
-    if placement is not None:
-        # From the side, so that neither arm stands before the table.
-        front = np.array([-placement.world_from_base[1, 0], placement.world_from_base[0, 0]])
-    points = np.concatenate(seen)
-    low, high = points.min(0), points.max(0)
-    add_floor(stage, "/World/floor", (low + high)[:2] / 2, (high - low)[:2] + 8.0, floor, materials)
-    add_lights(stage)
-    corners = np.stack([ground.min(0) - 0.08, ground.max(0) + 0.08])
-    add_cameras(stage, points, front, corners)
-    attribute = prim.CreateAttribute("wrod:time", Sdf.ValueTypeNames.Double, custom=True)
-    for code, value in zip(codes, time, strict=True):
-        attribute.Set(float(value), float(code))
-    prim.SetCustomDataByKey("wrod", {k: v for k, v in (facts or {}).items() if v is not None})
+        try:
+            film = HandFilm(time, hands, closed, tuple(rods))
+            arms = solve_two_arms(film, ground, placements=placements)
+        except RobotError as error:
+            missing.append(f"both arms: {error}")
+    frame = np.arange(len(time)) if arms is None else arms.frame
+    clock = time if arms is None else arms.time
+    shown = [
+        with_waiting(rod[frame], clock, ground, radius)
+        for rod, radius in zip(rods, radii, strict=True)
+    ]
+    stage = new_stage(len(frame))
+    across = _fill(stage, clock, time[frame], shown, names, radii, drawn, ground, arms, fixtures)
+    moments = {} if arms is None else _moments(find_holds(film), arms)
+    _add_close(stage, np.concatenate(drawn), across, shown, radii, moments)
+    prim = stage.GetPrimAtPath(_ROOT)
+    told = {k: v for k, v in (facts or {}).items() if v is not None}
+    if arms is not None:
+        told |= {"arms": arms.facts, "moments": moments}
+    prim.SetCustomDataByKey("wrod", told)
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / f"scene{path.suffix}"
         if not stage.GetRootLayer().Export(str(draft)):
             raise SceneError(f"{path}: the stage could not be written")
         data = draft.read_bytes()
-    return write_atomically(path, lambda file: file.write(data), "wb"), missing
+    return Scene(write_atomically(path, lambda file: file.write(data), "wb"), missing, arms)
 
 
-def _waiting(rod: np.ndarray, ground: np.ndarray, radius: float) -> np.ndarray:
-    """Frames without gaps: until it is laid, a rod waits straight beside the patterns."""
-    out = np.array(rod, dtype=float)
-    absent = np.isnan(out).any(axis=(1, 2))
-    if absent.any():
-        first = out[~absent][0]
-        arc = np.concatenate([[0.0], np.linalg.norm(np.diff(first, axis=0), axis=1).cumsum()])
-        x = arc - arc[-1] / 2 + (ground[:, 0].min() + ground[:, 0].max()) / 2
-        line = np.column_stack([x, np.full_like(x, ground[:, 1].min()), np.full_like(x, radius)])
-        out[absent] = line
-    return out
+_ROOT = "/World/Deployment_000"
 
 
-def hand_trajectory(poses: np.ndarray, ground: np.ndarray) -> Trajectory:
-    """A hand's film (T, 4, 4) as a trajectory for `wrod.solve_joint_path`: its 'arc length' only
-    orders the frames."""
-    count = len(poses)
-    way = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    order = np.concatenate([[0.0], np.cumsum(np.maximum(way, 1e-3))])
-    contact = ground[np.linspace(0, len(ground) - 1, count).astype(int)] * [1, 1, 0]
-    return Trajectory(
-        order, contact, poses[:, :3, 3], poses[:, :3, :3], np.full((count, 3), np.nan)
-    )
+def _moments(holds: list[Hold], arms: ArmFilm) -> dict[str, float]:
+    """Time codes worth a picture: laying, and what follows it."""
+
+    def code(frame: float) -> float:
+        return float(np.searchsorted(arms.frame, round(frame)))
+
+    laying = [hold for hold in holds if hold.end]
+    moves = [hold for hold in holds if not hold.end]
+    end = float(len(arms.frame) - 1)
+    if not moves:
+        if not laying:
+            return {"end": end}
+        first, last = laying[0].first, laying[-1].last
+        thirds = {f"laying_{k}": code(first + k * (last - first) / 3) for k in (1, 2)}
+        return {**thirds, "laid": code(last), "end": end}
+    # The last of them pull.
+    tied = [hold for hold in moves if hold.first < moves[-1].first] or moves
+    return {
+        "laying": code((laying[-1].first + laying[-1].last) / 2 if laying else 0),
+        "move": code((tied[-1].first + tied[-1].last) / 2),
+        "tied": code(moves[-1].first),
+        "end": end,
+    }
 
 
-def _arms(hands: np.ndarray, ground: np.ndarray) -> tuple[list[tuple[int, JointPath]], list[str]]:
-    """Joint paths of the arms that reach all frames, and those that do not."""
-    arms: list[tuple[int, JointPath]] = []
-    missing = []
-    for hand in range(hands.shape[1]):
-        trajectory = hand_trajectory(hands[:, hand], ground * [1, 1, 0])
-        choices = ["auto"]
-        if arms:
-            choices = [_opposite(arms[0][1].placement, ground), "auto"]
-        problem = None
-        for choice, rounded in product(choices, (0.0, _ROUNDED)):
-            try:
-                joint_path = _solve(trajectory, choice, rounded)
-            except RobotError as error:
-                problem = error
-                continue
-            arms.append((hand, joint_path))
-            break
-        else:
-            missing.append(f"arm {hand}: {problem}")
-    return arms, missing
+def _add_close(stage, drawn: np.ndarray, across, shown, radii, moments: dict) -> None:
+    """Camera on the patterns, and on the knot once it is tied: pulling takes it along."""
+    centre = (drawn.min(0) + drawn.max(0)) / 2
+    patterns, later = centre + 1.25 * (drawn - centre), None
+    if "tied" in moments:
+        first, last = moments["tied"], moments["end"]
+        later = {0.0: patterns, first: patterns}
+        for code in np.unique(np.round(np.linspace(first, last, 20)))[1:]:
+            corners = knot_corners([rod[int(code)] for rod in shown], radii)
+            later[float(code)] = patterns if corners is None else corners
+    add_view(stage, "close", patterns, [*across, 1.1], later=later)
 
 
-def _solve(trajectory: Trajectory, placement, rounded: float) -> JointPath:
-    """The fingers reach the table, which therefore counts as lower."""
-    lift = np.array([0.0, 0.0, _FINGER_ROOM])
-    way = trajectory.position
-    if rounded > 0.0:
-        way = gaussian_filter1d(way, rounded, axis=0, mode="nearest")
-    raised = replace(trajectory, position=way + lift)
-    if isinstance(placement, Placement):
-        placement = replace(placement, z=placement.z - _FINGER_ROOM)
-    found = solve_joint_path(raised, placement=placement, grip_angle=0.0, rod_radius=0.001)
-    return replace(found, placement=replace(found.placement, z=found.placement.z + _FINGER_ROOM))
+def _ground(drawn, rods, radii, hands, closed) -> np.ndarray:
+    """(n, 3) points of the table that are drawn on, lain on or worked at [m]."""
+    found = list(drawn)
+    for rod in rods:
+        points = rod[:: max(1, len(rod) // 30)].reshape(-1, 3)
+        found.append(points[points[:, 2] < _LOW])  # NaN is not lower
+    if hands is not None:
+        places = hands[closed][:, :3, 3]
+        found.append(places[places[:, 2] < _LOW])
+    ground = np.concatenate(found) * [1.0, 1.0, 0.0]
+    for rod, radius in zip(rods, radii, strict=True):
+        if np.isnan(rod).any():
+            laid = rod[~np.isnan(rod).any(axis=(1, 2))][0]
+            length = np.linalg.norm(np.diff(laid, axis=0), axis=1).sum()
+            beside = np.vstack([ground, ground.min(0) - [0.0, _SIDE, 0.0]])
+            ground = np.vstack([ground, waiting_line(length, beside, radius) * [1.0, 1.0, 0.0]])
+    return ground
 
 
-def _opposite(placement: Placement, ground: np.ndarray) -> Placement:
-    """The same place before the table, on its other side."""
-    middle = (ground.min(0) + ground.max(0)) / 2
-    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
-    turn[:2, 3] = 2 * middle[:2]
-    base = np.linalg.inv(turn @ placement.world_from_base)
-    return Placement(
-        float(base[0, 3]),
-        float(base[1, 3]),
-        float(base[2, 3]),
-        float(np.arctan2(base[1, 0], base[0, 0])),
-    )
+def _fill(stage, clock, simulated, shown, names, radii, drawn, ground, arms, fixtures):
+    """Add everything; returns the horizontal direction (2,) from which both arms are seen best."""
+    from pxr import Sdf, UsdGeom
+
+    materials = Materials(stage)
+    codes = np.arange(len(clock), dtype=float)
+    table = table_under(ground, None, 0.0)
+    prim = UsdGeom.Xform.Define(stage, _ROOT).GetPrim()
+    add_table(stage, f"{_ROOT}/table", table, materials)
+    radius = min(radii)
+    for k, points in enumerate(drawn):
+        add_pattern(stage, f"{_ROOT}/pattern_{k}", points + [0, 0, radius], radius, materials)
+    for k, frames in enumerate(shown):
+        color = ROD_COLORS.get(names[k], _OTHER)
+        add_curve(stage, f"{_ROOT}/rod_{k}", frames, 2 * radii[k], materials, color, codes)
+    if fixtures is not None:
+        _add_fixtures(stage, f"{_ROOT}/fixtures", fixtures, materials)
+    seen = [table.corners(), *[rod[:: max(1, len(rod) // 20)].reshape(-1, 3) for rod in shown]]
+    floor, across = table.floor, np.array([0.0, -1.0])
+    work = [ground, ground + [0.0, 0.0, 0.45], table.corners()]
+    if arms is not None:
+        bases = [placement.world_from_base for placement in arms.placements]
+        for number, (base, positions) in enumerate(zip(bases, arms.positions, strict=True)):
+            name = f"{_ROOT}/robot_{number}"
+            add_arm(stage, name, arms.robot, base, positions, codes, materials)
+            floor = min(floor, float(base[2, 3]) - BASE_HEIGHT)
+            poses = arms.robot.link_poses(positions[:: max(1, len(positions) // 20)])
+            links = [p[:, :3, 3] @ base[:3, :3].T + base[:3, 3] for p in poses.values()]
+            feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
+            seen += [*links, base[:3, 3] + feet]
+            # How high a hand begins to lay would leave little of the picture to the table.
+            work += [
+                np.clip(part, [-np.inf, -np.inf, 0.0], [np.inf, np.inf, _HIGH]) for part in links
+            ]
+        # From the side, so that neither arm stands before the table.
+        apart = (bases[1] - bases[0])[:2, 3]
+        across = np.array([apart[1], -apart[0]]) / np.linalg.norm(apart)
+    points = np.concatenate(seen)
+    low, high = points.min(0), points.max(0)
+    add_floor(stage, "/World/floor", (low + high)[:2] / 2, (high - low)[:2] + 8.0, floor, materials)
+    add_lights(stage)
+    corners = np.stack([ground.min(0) - 0.08, ground.max(0) + 0.08])
+    add_cameras(stage, points, across, corners)
+    add_view(stage, "side", np.vstack(work), [*across, 0.55])
+    for name, values in (("time", clock), ("simulatedTime", simulated)):
+        attribute = prim.CreateAttribute(f"wrod:{name}", Sdf.ValueTypeNames.Double, custom=True)
+        for code, value in zip(codes, values, strict=True):
+            attribute.Set(float(value), float(code))
+    return across
 
 
 def _add_fixtures(stage, path: str, fixtures: Fixtures, materials: Materials) -> None:

@@ -1,0 +1,122 @@
+"""Reef and granny knots of two rods: their shapes, their names, and how they take a pull."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import wrod
+from wrod.bench.bend_shapes import BENDS, bend
+from wrod.bench.bends import pull_bend
+from wrod.substrate import Friction
+from wrod.topology import recognise_pair
+from wrod.tying import STILL
+from wrod.tying_pull import HOLD, SETTLE, keep_up
+from wrod.workbench import Poses, Workbench
+
+PAIR = [wrod.rod("green-vps"), wrod.rod("pink-vps-thick")]
+
+
+@pytest.mark.parametrize("name", BENDS)
+def test_shapes_are_what_they_are_called(name):
+    lines, arcs = bend(name, PAIR)
+    assert recognise_pair(*lines).name == name
+    for line, arc, rod in zip(lines, arcs, PAIR, strict=True):
+        assert line[:, 2].min() == pytest.approx(rod.radius, abs=1e-6)
+        assert np.diff(arc) == pytest.approx(2 * rod.radius, rel=0.05)
+    gap = np.linalg.norm(lines[0][:, None] - lines[1][None], axis=2).min()
+    assert gap > 0.95 * sum(rod.radius for rod in PAIR)
+
+
+@pytest.mark.parametrize("turn", [-180, -90, 90, 180])
+def test_turned_ends_do_not_hide_a_knot_and_show_no_other(turn):
+    """A knot that is pulled tight turns the legs on one side about each other."""
+    shown = {}
+    for name in BENDS:
+        one, other = (line[::6].copy() for line in bend(name, PAIR)[0])
+        part = np.clip((-one[:, 0] - 0.08) / 0.1, 0.0, 1.0)
+        one = Rotation.from_euler("x", np.radians(turn) * part[:, None]).apply(one)
+        shown[name] = recognise_pair(one, other)
+    for name, found in shown.items():
+        assert found.share_of(name) >= STILL
+        for wrong in set(BENDS) - {name}:
+            assert found.share_of(wrong) == 0.0
+
+
+def straight(friction=0.5):
+    """One straight rod on the table, held near both ends."""
+    rod = wrod.RodMaterial(0.003, 0.03, 0.2)
+    arc = np.linspace(0.0, 0.2, 34)
+    position = np.column_stack([arc, 0 * arc, 0 * arc + rod.radius])
+    table = Workbench(
+        [[rod]], [arc], position[None], np.array([[0.0, 1.0, 0.0]]),
+        (Friction(friction), Friction(0.3)), step=0.02,
+    )  # fmt: skip
+    starts = np.array([position[:2].mean(axis=0), position[-2:].mean(axis=0)])
+    for hand, edge in enumerate((0, 32)):
+        table.held.grasp(0, hand, edge, Poses(starts[hand][None], Rotation.identity(1)))
+    return table, starts, rod
+
+
+def pulled(table, starts, load, way=0.05, give=0.002, after=lambda poses: lambda: None):
+    tight = []
+    outcome = keep_up(
+        table,
+        starts,
+        way * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
+        load,
+        give,
+        speed=0.01,
+        hand_pose=lambda hand, place: Poses(place, Rotation.identity(1)),
+        after_tick=after,
+        when_tight=lambda scenes: tight.extend([table.time] * len(scenes)),
+    )
+    return outcome, tight
+
+
+def test_pull_is_reached_and_kept_up():
+    table, starts, rod = straight()
+    load = 0.06 * rod.stretching_stiffness
+    outcome, tight = pulled(table, starts, load)
+    assert outcome.held.all() and outcome.crept[0] < 0.001
+    assert outcome.load[0] == pytest.approx(load, rel=0.06)
+    assert table.time - tight[0] == pytest.approx(SETTLE + HOLD, abs=0.05)
+    # The rod is stretched by load / EA between the hands.
+    line = table.positions()[0][0]
+    length = np.linalg.norm(np.diff(line[1:-1], axis=0), axis=1).sum()
+    assert length / (0.2 * 31 / 33) - 1.0 == pytest.approx(0.06, rel=0.05)
+
+
+def test_way_that_ends_before_the_load_is_reached_does_not_count():
+    table, starts, rod = straight()
+    outcome, tight = pulled(table, starts, 0.06 * rod.stretching_stiffness, way=0.003)
+    assert not tight and not outcome.held.any()
+    assert 0.0 < outcome.strongest[0] < 0.06 * rod.stretching_stiffness
+
+
+def test_rod_that_slips_out_of_a_hand_is_not_held():
+    table, starts, rod = straight()
+    load = 0.06 * rod.stretching_stiffness
+
+    def after(poses):
+        def slip():
+            if table.load()[0, 1] > 0.9 * load:
+                table.held.open(0, 1)
+
+        return slip
+
+    outcome, tight = pulled(table, starts, load, after=after)
+    assert not tight and not outcome.held.any()
+
+
+@pytest.mark.slow
+def test_reef_knot_holds_and_without_friction_it_slips():
+    held = pull_bend("reef knot", PAIR, 0.4, 0.5)
+    assert held["held"] and held["pulled"] == "reef knot"
+    slipped = pull_bend("reef knot", PAIR, 0.1, 0.5)
+    assert not slipped["held"] and not slipped["tight"] and slipped["pulled"] == "unknot"
+
+
+@pytest.mark.slow
+def test_granny_gives_where_a_reef_knot_holds():
+    granny = pull_bend("right granny knot", PAIR, 0.4, 0.5)
+    assert not granny["held"] and granny["crept"] > 0.005

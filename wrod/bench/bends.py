@@ -1,0 +1,164 @@
+"""`wrod bench bends`: does a pull tell a reef knot from a granny, and what does friction do?"""
+
+from __future__ import annotations
+
+import json
+import time
+
+import click
+
+
+@click.command(name="bends")
+@click.option(
+    "--friction", "frictions", default="0.1,0.4,0.8", show_default=True, help="Of rod on rod."
+)
+@click.option("--load", default=0.5, show_default=True, help="Pull of both hands [N].")
+@click.option("--rods", default="green-vps,pink-vps-thick", show_default=True, help="Two presets.")
+@click.option("--only", multiple=True, help="Only this bend; may be given again.")
+@click.option("--out", default=None, type=click.Path(), help="Write a picture to this PNG file.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    frictions: str, load: float, rods: str, only: tuple, out: str | None, as_json: bool
+) -> None:
+    """Pull ready-made reef and granny knots of two rods, and rods that are not tied, as `wrod bench
+    applications` pulls its knots: up to a load that is kept up.
+    A minute or two of CPU each."""
+    from tqdm import tqdm
+
+    from wrod.bench import machine_line
+    from wrod.bench.bend_shapes import BENDS
+    from wrod.errors import RodError
+    from wrod.material import rod
+
+    try:
+        friction = [float(f) for f in frictions.split(",")]
+    except ValueError:
+        raise RodError(f"friction is {frictions!r}; give numbers with commas between") from None
+    names = only or tuple(BENDS)
+    for name in names:
+        if name not in BENDS:
+            raise RodError(f"no bend is called {name!r}; there are {', '.join(BENDS)}")
+    pair = [rod(name) for name in rods.split(",")]
+    if len(pair) != 2:
+        raise RodError(f"rods is {rods!r}; give two names with a comma between")
+    if not load > 0.0:
+        raise RodError(f"load is {load:g} N; it must be positive")
+    rows = []
+    jobs = [(name, f) for name in names for f in (friction if name != "unknot" else friction[:1])]
+    for name, f in tqdm(jobs, leave=False, disable=as_json):
+        clock = time.process_time()
+        rows.append({**pull_bend(name, pair, f, load), "cpu_seconds": time.process_time() - clock})
+    figures = {"machine": machine_line(), "load": load, "rods": rods, "rows": rows}
+    if out:
+        draw(out, rows, [one.radius for one in pair])
+        figures["picture"] = out
+    if as_json:
+        click.echo(json.dumps(figures))
+        return
+    click.echo(figures["machine"])
+    click.echo(f"{rods}, both hands pull with {load:g} N\n")
+    click.echo("| laid as | friction | pull reached [N] | gave [mm] | held | at the end |")
+    click.echo("| --- | --- | --- | --- | --- | --- |")
+    for row in rows:
+        gave = f"{1e3 * row['crept']:.1f}" if row["tight"] else ""
+        click.echo(
+            f"| {row['laid']} | {row['friction']:g} | {row['strongest']:.2f} | {gave} | "
+            f"{'yes' if row['held'] else 'no'} | {row['pulled']} |"
+        )
+    if out:
+        click.echo(f"wrote {out}")
+
+
+def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> dict:
+    """Lay a bend (`bend_shapes.bend`, which takes `shape`), let it come to rest, and pull the
+    first ends of both rods."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from wrod.bench.bend_shapes import bend
+    from wrod.substrate import Friction
+    from wrod.topology import recognise_pair
+    from wrod.tying import STILL
+    from wrod.tying_pull import CREEP, keep_up
+    from wrod.workbench import Poses, Workbench
+
+    lines, arcs = bend(name, rods, **shape)
+    position = np.concatenate(lines)[None]
+    table = Workbench(
+        [rods],
+        arcs,
+        position,
+        np.cross(np.diff(position, axis=1), [0.1, 0.2, 1.0]),
+        (Friction(0.6), Friction(friction)),
+    )
+    away = Poses(np.array([[0.0, 0.0, 1.0]]), Rotation.identity(1))
+    table.run(0.6, lambda t: [away, away])
+    table.handle_roughly()
+    laid = [one[0] for one in table.positions()]
+    starts = np.array([(one[0] + one[1]) / 2 for one in laid])
+    seen: dict[str, list] = {"laid": laid}
+
+    def when_tight(scenes) -> None:
+        if len(scenes):
+            seen["tight"] = [one[0] for one in table.positions()]
+
+    def hand(_, place) -> Poses:
+        return Poses(place, Rotation.identity(1))
+
+    for h, nodes in enumerate(table.slices):
+        table.held.grasp(0, h, nodes.start, hand(h, starts[h][None]))
+    outcome = keep_up(
+        table,
+        starts,
+        0.6 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
+        load,
+        2.0 * CREEP * min(one.radius for one in rods),
+        speed=0.03,
+        hand_pose=hand,
+        after_tick=lambda poses: lambda: None,
+        when_tight=when_tight,
+    )
+    seen["pulled"] = [one[0] for one in table.positions()]
+    first, last = recognise_pair(*laid).name, recognise_pair(*seen["pulled"])
+    return {
+        "laid": first,
+        "friction": friction,
+        "tight": "tight" in seen,
+        "pulled": first if last.share_of(first) >= STILL else last.name,
+        "strongest": float(outcome.strongest[0]),
+        "crept": float(outcome.crept[0]),
+        "held": bool(outcome.held[0]),
+        "curves": {stage: [one.round(4).tolist() for one in now] for stage, now in seen.items()},
+    }
+
+
+def draw(path: str, rows: list[dict], radii: list[float]) -> None:
+    """Write a PNG: every bend as laid, when the pull was reached, and at the end."""
+    import numpy as np
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from wrod.bench.applications_report import RODS, close_up, tightest, woven
+    from wrod.files import write_atomically
+
+    figure = Figure(figsize=(11.0, 2.1 * len(rows)), facecolor="white")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(rows), 3, squeeze=False)
+    figure.subplots_adjust(0.01, 0.01, 0.99, 1.0 - 0.12 / len(rows), 0.04, 0.2)
+    for row, line in zip(rows, grid, strict=True):
+        for axes, stage in zip(line, ("laid", "tight", "pulled"), strict=True):
+            axes.set_axis_off()
+            if stage not in row["curves"]:
+                continue
+            curves = [np.array(one) for one in row["curves"][stage]]
+            gap = np.linalg.norm(curves[0][:, None] - curves[1][None], axis=2).min()
+            near = stage != "laid" and gap < 0.02
+            woven(axes, curves, radii, RODS["reef"], width=2600 if near else 900)
+            close_up(axes, tightest(curves) if near else np.zeros(2), 0.06 if near else 0.2)
+            said = {
+                "laid": f"{row['laid']}, friction {row['friction']:g}",
+                "tight": "when the pull was reached",
+                "pulled": "held" if row["held"] else f"did not hold: {row['pulled']}",
+            }
+            axes.set_title(said[stage], fontsize=9, loc="left", color="#22262b")
+    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=80), "wb")

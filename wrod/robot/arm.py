@@ -1,0 +1,112 @@
+"""One arm at its place, and what it may not touch."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrod.robot.collision import CollisionModel, between
+from wrod.robot.holds import Hand
+from wrod.robot.kinematics import grasp_poses
+from wrod.robot.model import Robot
+from wrod.robot.placement import Placement
+
+LINK_ROOM = 0.005  # [m] between links of one arm, and above the table
+ARM_ROOM = 0.02  # [m] between the arms
+TIP_ROOM = -0.0015  # [m] fingers press on the table by no more than a rod gives way
+
+
+class Arm:
+    """An arm with its capsules, standing before the table z = 0.
+
+    Attributes:
+        robot, model, hand: its description.
+        placement: of the table's frame in its base.
+    """
+
+    def __init__(self, robot: Robot, model: CollisionModel, hand: Hand, placement: Placement):
+        self.robot, self.model, self.hand, self.placement = robot, model, hand, placement
+        self._lifted = np.setdiff1d(model.low, hand.fingers)
+
+    @property
+    def base(self) -> np.ndarray:
+        """(4, 4) pose of the base in the table's frame [m]."""
+        return self.placement.world_from_base
+
+    def capsules(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Starts, ends (K, C, 3) and radii (C,) in the table's frame [m] at (K, n) [rad]."""
+        base = self.base
+        start, end = (p.numpy() for p in self._points(positions))
+        return (
+            start @ base[:3, :3].T + base[:3, 3],
+            end @ base[:3, :3].T + base[:3, 3],
+            self.model.radius,
+        )
+
+    def _points(self, positions: np.ndarray):
+        import torch
+
+        with torch.no_grad():
+            q = torch.from_numpy(np.ascontiguousarray(positions))
+            return self.model.points(self.robot.chain.forward_kinematics_tensor(q))
+
+    def grasps(self, positions: np.ndarray) -> np.ndarray:
+        """(K, 4, 4) poses of the grasp in the table's frame [m]."""
+        return self.base @ grasp_poses(self.robot, positions)
+
+    def rooms(self, positions: np.ndarray) -> dict[str, np.ndarray]:
+        """Gaps (K,) [m] between "links", to the "table", and of the fingers' "tips" to it."""
+        start, end = self._points(positions)
+        links = self.model.self_distances(start, end).amin(-1).numpy()
+        low = self._lifted
+        heights = np.minimum(start[:, low, 2].numpy(), end[:, low, 2].numpy())
+        table = (heights - self.model.radius[low]).min(1) - self.placement.z
+        poses = self.grasps(positions)
+        tips = (poses[:, 2, :3] @ self.hand.tips.T).min(1) + poses[:, 2, 3]
+        return {"links": links, "table": table, "tips": tips}
+
+    def problem(self, positions: np.ndarray, other=None) -> tuple[float, str | None]:
+        """By how much a path (K, n) fails, 0 if it does not, and how; `other` are capsules."""
+        worst, what = 0.0, None
+        rooms = self.rooms(positions)
+        wanted = {"links": LINK_ROOM, "table": LINK_ROOM, "tips": TIP_ROOM}
+        names = {
+            "links": "two of its links come", "table": "it comes", "tips": "its fingers come"
+        }  # fmt: skip
+        if other is not None:
+            rooms["arm"] = gap_between(self.capsules(positions), other)
+            wanted["arm"], names["arm"] = ARM_ROOM, "it comes"
+        for kind, room in rooms.items():
+            short = wanted[kind] - float(room.min())
+            if short > worst:
+                to = {"links": "", "arm": " to the other arm"}.get(kind, " to the table")
+                worst = short
+                what = f"{names[kind]} within {1e3 * room.min():.1f} mm{to}"
+        return worst, what
+
+    def in_base(self, capsules):
+        """Another arm's capsules, given in the table's frame, in this arm's base."""
+        to_base = self.placement.base_from_world
+        start, end, radius = capsules
+        rotated = [p @ to_base[:3, :3].T + to_base[:3, 3] for p in (start, end)]
+        return *rotated, radius
+
+
+def gap_between(one, other) -> np.ndarray:
+    """(K,) least gap [m] between two arms' capsules in one frame; see `Arm.capsules`."""
+    import torch
+
+    start, end = (torch.from_numpy(p) for p in one[:2])
+    return between(start, end, one[2], *other).flatten(1).amin(-1).numpy()
+
+
+def with_middles(positions: np.ndarray, other=None):
+    """A path (2 K - 1, n) with the points half way between its frames, and the same of `other`."""
+
+    def dense(values):
+        out = np.repeat(values, 2, axis=0)[:-1]
+        out[1::2] = (values[1:] + values[:-1]) / 2
+        return out
+
+    if other is None:
+        return dense(positions), None
+    return dense(positions), (dense(other[0]), dense(other[1]), other[2])
