@@ -264,7 +264,10 @@ def test_table_of_successes():
     assert cells["trefoil", "neural"]["success"] == 2
     assert cells["trefoil", "neural"]["paper"] == 9
     text = markdown(cells)
-    assert "| trefoil | OPT | 9/10 | 2/3 | 21 to 94 % | 2 | 1 x slipped out of the grip: pull |" in text
+    assert (
+        "| trefoil | OPT | 9/10 | 2/3 | 21 to 94 % | 2 | 1 x slipped out of the grip: pull |"
+        in text
+    )
 
 
 def test_why_a_trial_failed():
