@@ -5,7 +5,7 @@ which a node moves farther than that is refused. Bristles stay with the pairs th
 """
 
 import warp as wp
-from wrod.kernels.frames import ZERO, node
+from wrod.kernels.frames import HALF, ZERO, node
 from wrod.kernels.rod_contact import nearest_of_edges
 
 wp.set_module_options({"enable_backward": False})
@@ -44,6 +44,12 @@ def apart(a: wp.vec3d, b: wp.vec3d, lower: wp.vec3d, upper: wp.vec3d, reach: wp.
         if wp.min(a[c], b[c]) > upper[c] + reach or wp.max(a[c], b[c]) < lower[c] - reach:
             out = bool(True)
     return out
+
+
+@wp.func
+def centres_apart(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d) -> wp.float64:
+    """What two segments are at least apart: cheaper than what they are."""
+    return HALF * (wp.length(a + b - c - d) - wp.length(b - a) - wp.length(d - c))
 
 
 @wp.kernel
@@ -94,11 +100,13 @@ def list_partners(
                     sum = radius[r, i] + radius[r, j]
                     near_along = arc[r, j] - arc[r, i + 1] < wp.float64(0.5) * skip * sum
                     if radius[r, j] > ZERO and not near_along:
-                        c = nearest_of_edges(dof, rest_length, r, i, j)
-                        if wp.length(c.gap) < sum + margin:
-                            if found < partner.shape[2]:
-                                new_partner[r, i, found] = j
-                            found += 1
+                        least = centres_apart(a, b, node(dof, r, j), node(dof, r, j + 1))
+                        if least < sum + margin:
+                            c = nearest_of_edges(dof, rest_length, r, i, j)
+                            if wp.length(c.gap) < sum + margin:
+                                if found < partner.shape[2]:
+                                    new_partner[r, i, found] = j
+                                found += 1
     if found > partner.shape[2]:
         overflow_out[r] = 1
         found = partner.shape[2]

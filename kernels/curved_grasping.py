@@ -8,30 +8,10 @@ the first edge share one roll. `border` names the degrees of freedom that border
 import warp as wp
 from wrod.kernels.assembly import HALF_BANDWIDTH
 from wrod.kernels.banded import banded_entry
+from wrod.kernels.border import worst_imbalance
 from wrod.kernels.newton import largest_safe_fraction
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.kernel
-def load_border(
-    # Model:
-    border: wp.array(dtype=wp.int32),
-    # In:
-    active: wp.array(dtype=wp.int32),
-    gradient: wp.array2d(dtype=wp.float64),
-    hessian: wp.array3d(dtype=wp.float64),
-    # Out:
-    rhs_out: wp.array3d(dtype=wp.float64),
-):
-    """Right-hand sides: the gradient, then the Hessian's columns of the border coordinates."""
-    r, j, a = wp.tid()
-    if active[r] == 0:
-        return
-    if j == 0:
-        rhs_out[r, 0, a] = gradient[r, a]
-    else:
-        rhs_out[r, j, a] = banded_entry(hessian, r, a, border[j - 1])
 
 
 @wp.kernel
@@ -80,13 +60,7 @@ def measure_imbalance(
     r = wp.tid()
     if active[r] == 0:
         return
-    worst = wp.float64(0.0)
-    for a in range(gradient.shape[1]):
-        value = wp.abs(gradient[r, a])
-        # Comparisons with a NaN are false, so that one is not lost.
-        if free[r, a] != 0 and not (value <= worst) and wp.isfinite(worst):
-            worst = wp.float64(value)
-    imbalance_out[r] = worst
+    imbalance_out[r] = worst_imbalance(free, gradient, r, 0, 0)
 
 
 @wp.kernel

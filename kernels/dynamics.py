@@ -14,6 +14,7 @@ they are smaller than the inertia of the nodes by the square of radius over leng
 import warp as wp
 from wrod.kernels.assembly import HALF_BANDWIDTH
 from wrod.kernels.frames import HALF, ONE, TWO, ZERO
+from wrod.kernels.lanes import count_of_lanes
 from wrod.kernels.newton import largest_safe_fraction_of_lanes
 
 wp.set_module_options({"enable_backward": False})
@@ -292,7 +293,49 @@ def record_frames(
 
 
 @wp.kernel
-def count_running(running: wp.array(dtype=wp.int32), count_out: wp.array(dtype=wp.int32)):
+def begin_advance(
+    # Model:
+    largest_step: wp.float64,
+    until: wp.array(dtype=wp.float64),
+    # State in:
+    time: wp.array(dtype=wp.float64),
+    diverged: wp.array(dtype=wp.int32),
+    # State in and out:
+    wanted_step: wp.array(dtype=wp.float64),
+    # State out:
+    running_out: wp.array(dtype=wp.int32),
+    starting_out: wp.array(dtype=wp.int32),
+):
+    """Start the rods that have not reached their time, with the steps that they wanted last."""
     r = wp.tid()
-    if running[r] != 0:
-        wp.atomic_add(count_out, 0, 1)
+    early = time[r] < until[r] - wp.float64(1.0e-9) * largest_step
+    runs = wp.where(diverged[r] == 0 and early, 1, 0)
+    running_out[r] = runs
+    starting_out[r] = runs
+    if wanted_step[r] > ZERO:
+        wanted_step[r] = wp.min(wanted_step[r], largest_step)
+    else:
+        wanted_step[r] = largest_step
+
+
+@wp.kernel
+def ask_on(
+    # State in:
+    running: wp.array(dtype=wp.int32),
+    most_rounds: int,
+    # State in and out:
+    rounds: wp.array(dtype=wp.int32),
+    # State out:
+    going_out: wp.array(dtype=wp.int32),
+):
+    """Whether to take another round, and whether any rod still runs. Launched over (1, lane)."""
+    _, lane = wp.tid()
+    found = int(0)
+    for r in range(lane, running.shape[0], wp.block_dim()):
+        found += running[r]
+    found = count_of_lanes(found)
+    if lane > 0:
+        return
+    going_out[0] = wp.where(found > 0 and rounds[0] < most_rounds, 1, 0)
+    going_out[1] = wp.where(found > 0, 1, 0)
+    rounds[0] = rounds[0] + 1

@@ -13,6 +13,7 @@ after the free nodes have been brought to balance.
 import warp as wp
 from wrod.kernels.assembly import HALF_BANDWIDTH
 from wrod.kernels.banded import banded_entry
+from wrod.kernels.border import worst_imbalance
 from wrod.kernels.frames import HALF, ONE, ZERO, node
 from wrod.kernels.newton import largest_safe_fraction
 
@@ -38,25 +39,6 @@ def border_column(j: int, dof_count: int) -> int:
     if j < 3:
         return 8 + j
     return dof_count - 6 + j
-
-
-@wp.kernel
-def load_border(
-    # In:
-    active: wp.array(dtype=wp.int32),
-    gradient: wp.array2d(dtype=wp.float64),
-    hessian: wp.array3d(dtype=wp.float64),
-    # Out:
-    rhs_out: wp.array3d(dtype=wp.float64),
-):
-    """Right-hand sides: the gradient, then the Hessian's columns of the border coordinates."""
-    r, j, a = wp.tid()
-    if active[r] == 0:
-        return
-    if j == 0:
-        rhs_out[r, 0, a] = gradient[r, a]
-    else:
-        rhs_out[r, j, a] = banded_entry(hessian, r, a, border_column(j - 1, gradient.shape[1]))
 
 
 @wp.kernel
@@ -208,21 +190,6 @@ def grip_force(reaction: vec6d) -> wp.vec3d:
 
 
 @wp.func
-def worst_imbalance(
-    free: wp.array2d(dtype=wp.int32), gradient: wp.array2d(dtype=wp.float64), r: int
-) -> wp.float64:
-    """Largest unbalanced force of the free degrees of freedom and of node 2."""
-    worst = wp.float64(0.0)
-    for a in range(gradient.shape[1]):
-        if free[r, a] != 0 or (a >= 8 and a < 11):
-            value = wp.abs(gradient[r, a])
-            # Comparisons with a NaN are false, so that one is not lost.
-            if not (value <= worst) and wp.isfinite(worst):
-                worst = wp.float64(value)
-    return worst
-
-
-@wp.func
 def family_rate(inverse: wp.mat44d, s: mat66d, d: wp.vec3d) -> vec6d:
     """Rates (stretch, grip position; then the contact force's y, z) along the family of grasps.
 
@@ -324,7 +291,7 @@ def iterate_grasp(
     d = first_direction(half_turn(kappa, length))
     inverse = wp.inverse(border_matrix(s, d))
 
-    worst = worst_imbalance(free, gradient, r)
+    worst = worst_imbalance(free, gradient, r, 8, 11)  # node 2 too
     worst = wp.max(worst, wp.abs(gradient[r, n - 3] + thrust[r]))
     residual_out[r] = worst
     iterations[r] = iterations[r] + 1

@@ -11,8 +11,7 @@ def carry(
     # Model:
     rest_length: wp.array2d(dtype=wp.float64),
     edge: wp.array2d(dtype=wp.int32),
-    first_time: wp.float64,
-    last_time: wp.float64,
+    times: wp.array(dtype=wp.float64),
     first_position: wp.array2d(dtype=wp.vec3d),
     last_position: wp.array2d(dtype=wp.vec3d),
     first_rotation: wp.array2d(dtype=wp.quatd),
@@ -34,7 +33,7 @@ def carry(
     if running[r] == 0 or e < 0:
         return
     now = time[r] + step[r]
-    x = wp.clamp((now - first_time) / (last_time - first_time), ZERO, ONE)
+    x = wp.clamp((now - times[0]) / (times[1] - times[0]), ZERO, ONE)
     middle = wp.lerp(first_position[r, h], last_position[r, h], x)
     turn = wp.quat_slerp(first_rotation[r, h], last_rotation[r, h], x)
     tangent = wp.quat_rotate(turn, wp.vec3d(ONE, ZERO, ZERO))

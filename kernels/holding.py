@@ -9,6 +9,7 @@ at both ends stays taut on the way.
 import warp as wp
 from wrod.kernels.assembly import HALF_BANDWIDTH
 from wrod.kernels.banded import banded_entry
+from wrod.kernels.border import worst_imbalance
 from wrod.kernels.frames import HALF, ONE, ZERO, node
 from wrod.kernels.grasping import CONVERGED, FAILED
 from wrod.kernels.newton import largest_safe_fraction
@@ -32,26 +33,6 @@ def point_on_way(start: wp.vec3d, target: wp.vec3d, progress: wp.float64) -> wp.
     across = wp.cross(axis / sine, u)
     turned = progress * angle
     return distance * (wp.cos(turned) * u + wp.sin(turned) * across)
-
-
-@wp.kernel
-def load_grip(
-    # In:
-    active: wp.array(dtype=wp.int32),
-    gradient: wp.array2d(dtype=wp.float64),
-    hessian: wp.array3d(dtype=wp.float64),
-    # Out:
-    rhs_out: wp.array3d(dtype=wp.float64),
-):
-    """Right-hand sides: the gradient, then the Hessian's columns of the grip's coordinates."""
-    r, j, a = wp.tid()
-    if active[r] == 0:
-        return
-    n = gradient.shape[1]
-    if j == 0:
-        rhs_out[r, 0, a] = gradient[r, a]
-    else:
-        rhs_out[r, j, a] = banded_entry(hessian, r, a, n - 4 + j)
 
 
 @wp.func
@@ -101,20 +82,6 @@ def condense_grip(
     stiffness_out[r] = stiffness
 
 
-@wp.func
-def largest_imbalance(
-    free: wp.array2d(dtype=wp.int32), gradient: wp.array2d(dtype=wp.float64), r: int
-) -> wp.float64:
-    worst = wp.float64(0.0)
-    for a in range(gradient.shape[1]):
-        if free[r, a] != 0:
-            value = wp.abs(gradient[r, a])
-            # Comparisons with a NaN are false, so that one is not lost.
-            if not (value <= worst) and wp.isfinite(worst):
-                worst = wp.float64(value)
-    return worst
-
-
 @wp.kernel
 def walk_grip(
     # Model:
@@ -152,7 +119,7 @@ def walk_grip(
         return
     n = gradient.shape[1]
     arrived = progress[r] >= ONE
-    worst = largest_imbalance(free, gradient, r)
+    worst = worst_imbalance(free, gradient, r, 0, 0)
     residual_out[r] = worst
     iterations[r] = iterations[r] + 1
     wanted = tolerance[r]

@@ -1,7 +1,9 @@
-"""Walks along one rod, shared by the lanes of a warp on a GPU.
+"""Work on one rod, shared by the lanes of a warp or of a whole block on a GPU.
 
 Kernels that walk along whole rods are launched over (rod, lane) in blocks of `lanes(device)`: on a
-GPU each of 32 lanes takes every 32nd degree of freedom, on a CPU one lane takes all.
+GPU each of 32 lanes takes every 32nd degree of freedom, on a CPU one lane takes all. Those whose
+lanes need each other's results wait for them in between; they are launched in blocks of
+`lanes(device, TEAM)`.
 """
 
 import warp as wp
@@ -9,11 +11,64 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 WARP = 32
+# Lanes that wait for each other.
+TEAM = 128
 
 
-def lanes(device: str) -> int:
-    """Lanes that a device walks along a rod with, and threads of a block that does so."""
-    return 1 if wp.get_device(device).is_cpu else WARP
+def lanes(device: str, count: int = WARP) -> int:
+    """Lanes that a device works on a rod with, and threads of a block that does so."""
+    return 1 if wp.get_device(device).is_cpu else count
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+""")
+def wait_for_lanes():
+    """Let every lane of a block see what all others have written."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(flag);
+#endif
+    return flag;
+""")
+def any_lane(flag: int) -> int:
+    """Wait for all lanes of a block; whether any of them brings a flag that is not 0."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    for (int reach = 16; reach > 0; reach /= 2)
+        value += __shfl_xor_sync(0xffffffffu, value, reach);
+#endif
+    return value;
+""")
+def count_of_lanes(value: int) -> int:
+    """Sum of the counts of a warp's lanes, in every lane."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const int lane = threadIdx.x % 32;
+    int sum = value;
+    for (int reach = 1; reach < 32; reach *= 2) {
+        const int other = __shfl_up_sync(0xffffffffu, sum, reach);
+        if (lane >= reach) sum += other;
+    }
+    return sum - value;
+#else
+    return 0;
+#endif
+""")
+def count_of_lanes_before(value: int) -> int:
+    """Sum of the counts of the lanes before this one in its warp."""
+    ...
 
 
 @wp.func_native("""

@@ -246,48 +246,6 @@ def rod_contact(
 
 
 @wp.kernel
-def refuse_large_steps(
-    # Model:
-    radius: wp.array2d(dtype=wp.float64),
-    reach: wp.array(dtype=wp.float64),
-    # State in:
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    partner_count: wp.array2d(dtype=wp.int32),
-    partner: wp.array3d(dtype=wp.int32),
-    depth: wp.array3d(dtype=wp.float64),
-    overflow: wp.array(dtype=wp.int32),
-    sticking: wp.array(dtype=wp.int32),
-    overloaded: wp.array(dtype=wp.int32),
-    # State in and out:
-    converged: wp.array(dtype=wp.int32),
-    active: wp.array(dtype=wp.int32),
-):
-    """No tunnelling: a step stands only if no node moved by more than half a radius, for which the
-    lists of partners were made, and no pair is deeper than half a radius: then centrelines that
-    were apart cannot have crossed."""
-    r = wp.tid()
-    if converged[r] == 0:
-        return
-    if sticking[r] != 0 and overloaded[r] != 0:
-        # In balance only with bristles that hold more than they can: iterate.
-        converged[r] = 0
-        active[r] = 1
-        return
-    good = overflow[r] == 0
-    for i in range(partner_count.shape[1] + 1):
-        if wp.length(node(dof, r, i) - node(dof_before, r, i)) > reach[r]:
-            good = bool(False)
-    for i in range(partner_count.shape[1]):
-        for k in range(partner_count[r, i]):
-            limit = wp.float64(0.25) * (radius[r, i] + radius[r, partner[r, i, k]])
-            if depth[r, i, k] > limit:
-                good = bool(False)
-    if not good:
-        converged[r] = 0
-
-
-@wp.kernel
 def begin_sticking(
     starting: wp.array(dtype=wp.int32),
     rejected: wp.array(dtype=wp.int32),

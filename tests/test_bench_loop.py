@@ -9,10 +9,10 @@ import pytest
 from click.testing import CliRunner
 
 import wrod
+from wrod.bench.loop_measurements import clamped_experiment
 from wrod.commands import main
 from wrod.errors import DataError
 from wrod.identification.measurements import measurements_from_arrays
-from wrod.identification.synthetic import clamped_experiment
 
 
 def test_synthetic_measurements_show_the_true_rod():
@@ -35,6 +35,7 @@ def test_loop_is_closed(tmp_path):
     args += ["--pattern", "letter-U", "--effect", "natural_curvature", "--curvature", "5"]
     args += ["--candidate", "natural_curvature", "--candidate", "stiffness"]
     args += ["--spacing", "0.012", "--speed", "0.05", "--friction", "1.0"]
+    args += ["--grasps", "250", "--steps", "800"]
     result = CliRunner().invoke(main, args)
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)
@@ -43,13 +44,22 @@ def test_loop_is_closed(tmp_path):
     assert np.hypot(*found["model"]["natural_curvature"]) == pytest.approx(5.0, rel=0.15)
     model = wrod.RodMaterial.load(tmp_path / "natural_curvature" / "model.json")
     assert list(model.natural_curvature) == found["model"]["natural_curvature"]
-    rows = {(row["effect"], row["plan"]): row for row in figures["rows"]}
-    assert len(rows) == 3 and not any(row["diverged"] for row in rows.values())
-    before = rows["natural_curvature", "old"]["error_mean"]
-    after = rows["natural_curvature", "new"]["error_mean"]
-    assert after < 0.5 * before
+    rows = {(row["effect"], row["controller"], row["plan"]): row for row in figures["rows"]}
+    assert len(rows) == 6 and not any(row["diverged"] for row in rows.values())
+    for controller in ("network", "default"):
+        before = rows["natural_curvature", controller, "old"]["error_mean"]
+        after = rows["natural_curvature", controller, "new"]["error_mean"]
+        assert after < 0.5 * before
+    # The network was trained for the rod that was found, and is what laid it.
+    made = wrod.Controller.load(tmp_path / "natural_curvature" / "controller.safetensors")
+    size = np.hypot(*model.natural_curvature) * model.gravito_bending_length
+    assert made.natural_curvature == (pytest.approx(size), 0.0)
+    assert rows["natural_curvature", "network", "new"]["method"] == "neural"
+    assert found["network"]["held_out"]["mean_absolute_error"] < 0.01
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"natural_curvature", "loop.csv", "loop.md", "loop.png"}
     with open(tmp_path / "loop.csv", newline="") as file:
-        assert len(list(csv.reader(file))) == 4
-    assert "| rod with natural curvature | **new** |" in (tmp_path / "loop.md").read_text()
+        assert len(list(csv.reader(file))) == 7
+    assert (
+        "| rod with natural curvature | network | **new** |" in (tmp_path / "loop.md").read_text()
+    )

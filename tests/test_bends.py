@@ -22,7 +22,7 @@ def test_shapes_are_what_they_are_called(name):
     assert recognise_pair(*lines).name == name
     for line, arc, rod in zip(lines, arcs, PAIR, strict=True):
         assert line[:, 2].min() == pytest.approx(rod.radius, abs=1e-6)
-        assert np.diff(arc) == pytest.approx(2 * rod.radius, rel=0.02)
+        assert np.diff(arc) == pytest.approx(2 * rod.radius, rel=0.05)
     gap = np.linalg.norm(lines[0][:, None] - lines[1][None], axis=2).min()
     assert gap > 0.95 * sum(rod.radius for rod in PAIR)
 
@@ -32,7 +32,7 @@ def test_turned_ends_do_not_hide_a_knot_and_show_no_other(turn):
     """A knot that is pulled tight turns the legs on one side about each other."""
     shown = {}
     for name in BENDS:
-        one, other = (line[::4].copy() for line in bend(name, PAIR)[0])
+        one, other = (line[::6].copy() for line in bend(name, PAIR)[0])
         part = np.clip((-one[:, 0] - 0.08) / 0.1, 0.0, 1.0)
         one = Rotation.from_euler("x", np.radians(turn) * part[:, None]).apply(one)
         shown[name] = recognise_pair(one, other)
@@ -49,7 +49,7 @@ def straight(friction=0.5):
     position = np.column_stack([arc, 0 * arc, 0 * arc + rod.radius])
     table = Workbench(
         [[rod]], [arc], position[None], np.array([[0.0, 1.0, 0.0]]),
-        (Friction(friction), Friction(0.3)),
+        (Friction(friction), Friction(0.3)), step=0.02,
     )  # fmt: skip
     starts = np.array([position[:2].mean(axis=0), position[-2:].mean(axis=0)])
     for hand, edge in enumerate((0, 32)):
@@ -83,7 +83,7 @@ def test_pull_is_reached_and_kept_up():
     # The rod is stretched by load / EA between the hands.
     line = table.positions()[0][0]
     length = np.linalg.norm(np.diff(line[1:-1], axis=0), axis=1).sum()
-    assert length / np.diff(starts[:, 0])[0] - 1.0 == pytest.approx(0.06, rel=0.1)
+    assert length / (0.2 * 31 / 33) - 1.0 == pytest.approx(0.06, rel=0.05)
 
 
 def test_way_that_ends_before_the_load_is_reached_does_not_count():

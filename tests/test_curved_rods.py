@@ -19,7 +19,7 @@ from wrod.deployment import Trial, simulate_deployments
 from wrod.deployment_setup import tail
 from wrod.errors import DataError, GraspError, RodError, WrodWarning
 from wrod.grasps import solve_grasps
-from wrod.planner import natural_roll
+from wrod.planner import roll_angle
 from wrod.substrate import Contact
 from wrod.trajectory import Trajectory
 
@@ -142,22 +142,32 @@ def test_identified_model_loads_as_a_rod(tmp_path):
         wrod.RodMaterial.load(tmp_path / "broken.json")
 
 
-def test_roll_lays_the_curvature_to_the_side_of_the_pattern():
+def test_rolls_by_word():
     pattern = quarter_turn()
     rod = replace(ROD, natural_curvature=(1.0, 2.0))
-    left, up = rod.curvature_held(natural_roll(pattern, rod))
+    held = rod.curvature_held(roll_angle("up", pattern, rod))
+    assert held == pytest.approx((0.0, np.sqrt(5.0)))
+    # In the plane, to the side to which the pattern turns.
+    left, up = rod.curvature_held(roll_angle("plane", pattern, rod))
     assert (left, up) == pytest.approx((np.sqrt(5.0), 0.0))
     right = wrod.Pattern.from_points(pattern.sample(np.linspace(0, 0.15, 80))[0] * [1, -1, 1])
-    left, up = rod.curvature_held(natural_roll(right, rod))
+    left, up = rod.curvature_held(roll_angle("plane", right, rod))
     assert (left, up) == pytest.approx((-np.sqrt(5.0), 0.0))
-    assert natural_roll(pattern, ROD) == 0.0
+    for word in ("up", "plane"):
+        assert roll_angle(word, pattern, ROD) == 0.0
+        left, up = rod.curvature_held(roll_angle(word, pattern, rod))
+        assert RodInputs.of(rod, word).natural_curvature == pytest.approx(
+            (0.018 * left, 0.018 * up)
+        )
+    with pytest.raises(GraspError, match="roll is 'sideways'"):
+        roll_angle("sideways", pattern, rod)
 
 
 @pytest.fixture(scope="module")
 def plans():
     """Of the curved rod: as it is, and as it was believed, held the same way."""
     pattern = quarter_turn()
-    new = wrod.plan(pattern, CURVED, "numeric", device="cpu")
+    new = wrod.plan(pattern, CURVED, "numeric", roll="plane", device="cpu")
     old = wrod.plan(pattern, ROD, "numeric", roll=new.metadata["roll"], device="cpu")
     return pattern, new, old
 
@@ -172,7 +182,7 @@ def test_plan_of_a_curved_rod(plans, tmp_path):
     again = Trajectory.load(new.save(tmp_path / "plan")[1])
     assert (again.twist == new.twist).all()
     with pytest.warns(WrodWarning, match="naturally straight rods only"):
-        neural = wrod.plan(pattern, CURVED, "neural", device="cpu")
+        neural = wrod.plan(pattern, CURVED, "neural", roll="plane", device="cpu")
     assert neural.metadata["method"] == "numeric"
     assert np.abs(neural.position - new.position).max() < 1e-12
     with pytest.raises(GraspError, match="roll is nan"):
@@ -181,16 +191,20 @@ def test_plan_of_a_curved_rod(plans, tmp_path):
 
 def test_knowing_the_curvature_lays_the_rod_better(plans):
     pattern, new, old = plans
-    known, unknown = simulate_deployments(
+    upright = wrod.plan(pattern, ROD, "numeric", device="cpu")
+    upright.metadata["roll"] = roll_angle("up", pattern, CURVED)
+    known, unknown, up = simulate_deployments(
         [
             Trial(pattern, CURVED, path, wrod.Friction(0.8), tail=tail(pattern, rod, path))
-            for path, rod in ((new, CURVED), (old, ROD))
+            for path, rod in ((new, CURVED), (old, ROD), (upright, ROD))
         ],
         **QUICK,
     )
-    assert not known.diverged and not unknown.diverged
+    assert not known.diverged and not unknown.diverged and not up.diverged
     assert known.error_mean < 1e-3
     assert unknown.error_mean > 2.0 * known.error_mean
+    # Held with its curvature up, even the rod that nobody knows is curved is hardly pushed aside.
+    assert up.error_mean < 0.5 * unknown.error_mean
 
 
 def test_deployment_bends_the_rod_the_way_that_it_is_held(plans):
@@ -261,11 +275,12 @@ def test_dataset_of_one_rod(tmp_path):
     assert np.abs(again.position - table.outputs[:3, :3]).max() < 1e-9
     with pytest.raises(DataError, match="rod"):
         generate(folder, 12, shard_size=6, edge_count=32, device="cpu")
+    assert RodInputs.of(CURVED, np.pi / 2).natural_curvature == pytest.approx((0.0, 0.108))
     # One straight rod: left turns only, and its derivatives.
     assert (sample(0, 16, 0, RodInputs.of(ROD))[:, 1] >= 0.0).all()
 
 
-def test_dataset_command_takes_a_model_and_training_says_no(tmp_path):
+def test_dataset_command_takes_a_model(tmp_path):
     path = model_file(tmp_path / "model.json", ["natural_curvature"], natural_curvature=[0.0, 5.0])
     out = tmp_path / "grasps"
     args = ["dataset", "--size", "4", "--rod", str(path), "--length", "0.3", "--out", str(out)]
@@ -273,10 +288,34 @@ def test_dataset_command_takes_a_model_and_training_says_no(tmp_path):
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["unconverged"] == 0
     assert store.read_manifest(out).rod["length"] == pytest.approx(0.3 / 0.018)
-    args = ["train", "--dataset", str(out), "--out", str(tmp_path / "c"), "--device", "cpu"]
-    result = CliRunner().invoke(main, args)
+    assert store.read_manifest(out).rod["natural_curvature"] == pytest.approx([0.09, 0.0])
+    args[-1] += "-turned"
+    result = CliRunner().invoke(main, [*args, "--roll", "up", "--device", "cpu"])
+    assert result.exit_code == 0, result.output
+    turned = store.read_manifest(tmp_path / "grasps-turned").rod["natural_curvature"]
+    assert turned == pytest.approx([0.0, 0.09])
+    result = CliRunner().invoke(main, ["dataset", "--size", "4", "--roll", "0", "--out", args[-1]])
+    assert result.exit_code == 2 and "name it with --rod" in result.stderr
+    for roll in ("nan", "left"):
+        result = CliRunner().invoke(main, [*args, "--roll", roll])
+        assert result.exit_code == 2 and "use plane, up or" in result.stderr
+
+
+def test_training_refuses_one_straight_rod(tmp_path):
+    generate(tmp_path / "grasps", 4, edge_count=32, rod=ROD, device="cpu")
+    args = ["train", "--dataset", str(tmp_path / "grasps"), "--out", str(tmp_path / "c")]
+    result = CliRunner().invoke(main, [*args, "--device", "cpu"])
     assert result.exit_code == 2
-    assert "one rod" in result.stderr
+    assert "one straight rod" in result.stderr
+
+
+def test_grasps_around_half_a_turn_are_not_torn():
+    """The meshes' rotation vectors lie on either side of half a turn here."""
+    lengths = [23.17550296018525, 23.18]
+    grasps = solve_grasps(lengths, 1.5409942319616674, 1600.0, natural_curvature=(0.128, 0.0))
+    here, near = Rotation.from_rotvec(grasps.rotation)
+    assert np.linalg.norm(grasps.rotation[0]) == pytest.approx(np.pi, abs=1e-3)
+    assert (here.inv() * near).magnitude() < 0.01
 
 
 def test_plan_command_takes_a_model(tmp_path):

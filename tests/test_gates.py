@@ -155,7 +155,7 @@ def test_disturbances_are_printed():
 
     rows = [{"disturbance": asdict(cables.disturbance("U cable", k))} for k in range(200)]
     text = cables.disturbances_text([*rows, {"case": "reef"}])
-    for what in ("L_gb", "place", "yaw", "jitter", "curvature", "slip in the grip", "strength"):
+    for what in ("L_gb", "place", "yaw", "jitter", "curvature", "slip in the grip", "fingertips"):
         assert what in text
     stated, drawn = ([float(line.split("|")[k]) for line in text.splitlines()[2:8]] for k in (2, 3))
     assert drawn == pytest.approx(stated, rel=0.2)

@@ -1,5 +1,6 @@
 """Identification: exact derivatives, known effects found, bad data named."""
 
+import copy
 import itertools
 import json
 import re
@@ -133,6 +134,51 @@ def test_derivatives_are_exact(laboratory, name):
         assert np.abs(numeric).max() > 0.0
 
 
+def test_turned_principal_directions_do_no_work_on_a_round_rod(laboratory):
+    """They turn all along the rod: it stays in equilibrium, and a state put back knows its own."""
+    base = laboratory.base
+    turned = copy.copy(base)
+    turned.principal_angle = 2.5
+    solver = ClampedSolver([base], start=laboratory.base_state)
+    free = solver.batch.free.numpy() != 0
+    before = solver.batch.state.dof.numpy().copy()
+
+    def largest_force():
+        solver.batch.evaluate(order=1)
+        return np.abs(solver.batch.derivatives.gradient.numpy()[free]).max()
+
+    at_rest = largest_force()
+    solver._turn_principal([turned])
+    assert largest_force() < 10.0 * at_rest + 1e-12
+    assert np.allclose(solver.batch.state.dof.numpy()[:, 3::4] - before[:, 3::4], 2.5)
+    solver.restore(laboratory.base_state)
+    assert solver.solve([base]).all()
+    assert np.abs(solver.batch.state.dof.numpy() - before).max() < 1e-6
+
+
+def test_effects_grow_in_place():
+    model = Model((effects()["point_mass"], effects()["gravity_tilt"]))
+    grown = model.grown(np.array([2e-3, 0.3, 0.1, -0.2]), 0.25)
+    assert np.allclose(grown, [5e-4, 0.3, 0.025, -0.05])
+
+
+def test_another_equilibrium_on_the_coarse_mesh_is_no_correction(plain, monkeypatch):
+    laboratory = Laboratory(measurements_from_arrays(plain), edge_count=30)
+    kept = laboratory.mesh_correction.copy()
+    predict = ClampedSolver.predict
+
+    def elsewhere(self, setups):
+        seen = predict(self, setups)
+        if self.edge_count == 15:
+            seen.position[0, 2] += 0.05
+        return seen
+
+    monkeypatch.setattr(ClampedSolver, "predict", elsewhere)
+    laboratory.refine(Model(), np.zeros(0))
+    assert np.all(laboratory.mesh_correction[2] == 0.0)
+    assert np.allclose(np.delete(laboratory.mesh_correction, 2, 0), np.delete(kept, 2, 0))
+
+
 def test_clamped_solutions_are_of_second_order():
     base = measurements_from_arrays(synthetic())
     shapes = []
@@ -191,6 +237,30 @@ def test_two_effects_are_found_together(tmp_path):
     assert "http" not in page
     rod = RodMaterial.load(tmp_path / "out" / "rod.json")
     assert rod.bending_stiffness == pytest.approx(1.3 * ROD.bending_stiffness, rel=0.05)
+
+
+def test_a_part_of_another_effect_that_does_the_same_is_a_rival():
+    """A twist at rest is a gripper that rolls: its two other angles do not set it apart."""
+
+    def apply(setup):
+        setup.natural_twist = setup.natural_twist + 2.0
+
+    names = ["natural_twist", "grip_rotation", "stiffness"]
+    report = identify(measurements_from_arrays(synthetic(apply)), candidates=names)
+    assert [e.name for e in report.effects] == ["natural_twist"]
+    assert [c["effects"] for c in report.selection.confounded] == [
+        ["natural_twist", "grip_rotation"]
+    ]
+
+
+def test_what_contains_the_chosen_effect_is_no_rival():
+    def apply(setup):
+        setup.bending, setup.twisting = 1.3 * setup.bending, 1.3 * setup.twisting
+
+    names = ["stiffness", "stiffness_gradient", "gravity_tilt"]
+    report = identify(measurements_from_arrays(synthetic(apply)), candidates=names)
+    assert [e.name for e in report.effects] == ["stiffness"]
+    assert report.selection.confounded == []
 
 
 def test_an_effect_that_no_plug_in_covers_is_not_named_explained():

@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from wrod.batch import RodBatch
+from wrod.commands import main
 from wrod.dynamics import Dynamics
 from wrod.errors import DataError
 from wrod.identification.effect import Model, effects
-from wrod.identification.motion_data import load_motion, motion_from_arrays
 from wrod.identification.motion_fit import MotionLaboratory
+from wrod.identification.motion_loading import load_motion, motion_from_arrays
 from wrod.identification.motion_report import identify_motion
 from wrod.identification.motion_setup import START_L_GB
 from wrod.statics import EquilibriumSolver, prescribe
@@ -166,7 +168,9 @@ def test_damping_and_natural_curvature_are_found(recorded):
     content = report.to_dict()
     found = {e["name"]: e["parameters"] for e in content["effects"]}
     assert set(found) == {"internal_damping", "natural_curvature"}
-    assert content["after_mm"] < 0.3 * content["before_mm"]
+    # Gentle motions: the bend is seen less than the damping, which the base model has already.
+    assert content["after_mm"] < 0.3 * content["before_without_internal_damping_mm"]
+    assert content["after_mm"] < 0.7 * content["before_mm"]
     # The mesh's own error, of second order: 12, 5 % of the curvature with 2, 3 edges an interval.
     assert found["internal_damping"]["viscous_time"]["value"] == pytest.approx(VISCOUS, rel=0.05)
     assert found["natural_curvature"]["curvature"]["value"] == pytest.approx(CURVATURE, rel=0.08)
@@ -180,7 +184,9 @@ def test_independent_dynamics_show_the_same_effects(recorded, tmp_path):
     content = report.to_dict()
     found = {e["name"]: e["parameters"] for e in content["effects"]}
     assert set(found) >= {"internal_damping", "natural_curvature"}
-    assert content["after_mm"] < 0.4 * content["before_mm"]
+    # What is left is the mesh's: coarser than the one that made the motions, and another law.
+    assert content["after_mm"] < 0.7 * content["before_without_internal_damping_mm"]
+    assert content["after_mm"] < 0.2
     assert found["internal_damping"]["viscous_time"]["value"] == pytest.approx(VISCOUS, rel=0.15)
     assert content["base"]["stiffness"]["L_gb"]["value"] == pytest.approx(L_GB, rel=0.05)
     written = {path.name for path in report.save(tmp_path)}
@@ -229,6 +235,16 @@ def _with(recorded, **change):
     return {**recorded, **change}
 
 
+HELD_MARKERS = np.array([0, 1, MARKERS - 2, MARKERS - 1])
+
+
+def mixed(data, recording, markers, order):
+    """Positions with the markers of a recording in another order."""
+    x = data["positions"].copy()
+    x[recording][..., markers, :] = data["positions"][recording][..., order, :]
+    return x
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -239,6 +255,21 @@ def _with(recorded, **change):
         (lambda d: {"rate_hz": np.float64(0.0)}, "rate_hz is 0; it must be positive"),
         (lambda d: {"rate_hz": np.float64(1e5)}, "check rate_hz"),
         (lambda d: {"gravity": np.array("g")}, "gravity does not hold numbers"),
+        (lambda d: {"gravity": np.float64(981.0)}, "gravity is 981; it must be in m/s"),
+        (lambda d: {"gravity": np.float64(-9.81)}, "gravity is -9.81; it must be positive"),
+        (lambda d: {"positions": d["positions"][0]}, "give \\(recording, frame, M, 3\\)"),
+        (
+            lambda d: {"positions": mixed(d, slice(None), HELD_MARKERS, HELD_MARKERS[::-1])},
+            "are the markers of the two grips exchanged",
+        ),
+        (
+            lambda d: {"positions": mixed(d, 5, HELD_MARKERS, HELD_MARKERS[::-1])},
+            "of recording 5 are .* apart",
+        ),
+        (
+            lambda d: {"positions": mixed(d, 5, np.arange(MARKERS), np.arange(MARKERS)[::-1])},
+            "in recording 5 each grip is where the others have the other one",
+        ),
         (lambda d: {"file_ids": np.array(["a"])}, "file_ids has shape"),
     ],
 )
@@ -259,6 +290,15 @@ def test_markers_in_another_order_are_named(recorded):
     x[5, :, [2, 4]] = x[5, :, [4, 2]]
     with pytest.raises(DataError, match=r"of recording 5 are .* apart"):
         motion_from_arrays(_with(recorded, positions=x))
+
+
+def test_bad_data_end_a_command_with_one_sentence(recorded, tmp_path):
+    path = tmp_path / "motion.npz"
+    np.savez(path, **_with(recorded, positions=1e3 * recorded["positions"]))
+    result = CliRunner().invoke(main, ["identify", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1 and "must be in metres" in result.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_file_without_a_field_is_named(recorded, tmp_path):

@@ -1,5 +1,6 @@
 import sys
 import types
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -291,6 +292,9 @@ def test_default_plan_takes_the_closure_that_lays_best():
     assert favoured_closure(bent, ROD) == "min_friction"
     assert favoured_closure(straight, ROD) == "zero_tension"
     assert favoured_closure(bent, wrod.RodMaterial(0.0016, 0.015, 0.885)) == "zero_tension"
+    off_a_spool = replace(ROD, natural_curvature=(4.0, 0.0))
+    assert favoured_closure(bent, off_a_spool) == "min_friction"
+    assert favoured_closure(bent, replace(ROD, natural_curvature=(0.0, 20.0))) == "zero_tension"
     plan = wrod.plan(bent, ROD, spacing=0.05, device="cpu")
     assert (plan.metadata["method"], plan.metadata["closure"]) == ("auto", "min_friction")
     numeric = wrod.plan(bent, ROD, "numeric", closure="min_friction", spacing=0.05, device="cpu")

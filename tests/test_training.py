@@ -255,7 +255,7 @@ def test_out_that_cannot_be_written_is_said_before_training(tmp_path, monkeypatc
     from wrod.training import dataset, store
 
     monkeypatch.setattr(dataset, "load", lambda folder, most: table)
-    monkeypatch.setattr(store, "read_manifest", lambda folder: SimpleNamespace(rod=None))
+    monkeypatch.setattr(store, "read_manifest", lambda folder: SimpleNamespace(rod_inputs=None))
     (tmp_path / "file").touch()
     trained = []
     monkeypatch.setattr(Training, "run", lambda self, **options: trained.append(self))
@@ -270,7 +270,7 @@ def test_out_that_cannot_be_written_is_said_before_training(tmp_path, monkeypatc
     [
         ([], "either --dataset DIR or --generate N"),
         (["--dataset", "nowhere"], "make one with `wrod dataset`"),
-        (["--generate", "200", "--recipe", "best"], "use one of default, paper"),
+        (["--generate", "200", "--recipe", "best"], "use one of default, curved, paper"),
     ],
 )
 def test_bad_options_are_one_sentence(tmp_path, arguments, says):

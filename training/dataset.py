@@ -14,6 +14,7 @@ from wrod.training import store
 from wrod.training.sampling import MAX_INDEX, RodInputs, sample
 
 from wrod import __version__
+from wrod.controller_curved import untwisted
 from wrod.errors import DataError
 from wrod.grasps import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
 from wrod.material import RodMaterial
@@ -91,6 +92,7 @@ def generate(
     shard_size: int = SHARD_SIZE,
     edge_count: int = EDGE_COUNT,
     rod: RodMaterial | None = None,
+    roll: float | str = "plane",
     device: str = "auto",
     rank: Rank | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -109,8 +111,9 @@ def generate(
         sensitivities: store the derivatives by the inputs ("zero_tension" only).
         shard_size: samples per file.
         edge_count: resolution of the solver.
-        rod: solve grasps of this rod alone, with its natural curvature in the table's plane and to
-            the left; by default those of all rods.
+        rod: solve grasps of this rod alone; by default those of all rods.
+        roll: that the rod is laid at: its natural curvature in the "plane" to the left, "up", or
+            an angle [rad]; see `wrod.plan`.
         device: "auto", "cpu" or "cuda:0".
         rank: this process's part; by default read from the environment.
         progress: called with the samples done since the last call and those of this rank.
@@ -129,7 +132,7 @@ def generate(
     if closure not in CLOSURES:
         solve_grasps([5.0], [0.0], [1e3], closure=closure)  # raises with the names
     device = rank.device(device)
-    one = None if rod is None else RodInputs.of(rod)
+    one = None if rod is None else RodInputs.of(rod, roll)
     curved = one is not None and not one.is_straight
     own = {"natural_curvature": one.natural_curvature, "poisson": one.poisson} if curved else {}
     # A list is what the manifest's file gives back.
@@ -199,8 +202,12 @@ def _columns(inputs: np.ndarray, grasps: Grasps, manifest: store.Manifest) -> di
 
 @dataclass
 class GraspTable:
-    """Grasps to learn from, float64 NumPy: inputs (n, 3), position, rotation, force (n, 3), and
-    their derivatives by the inputs (n, 9, 3) in that order, or None."""
+    """Grasps to learn from, float64 NumPy: inputs (n, 3), outputs (n, 9): position, rotation vector
+    and force, and their derivatives by the inputs (n, 9, 3) in that order, or None.
+
+    Outputs of a naturally curved rod are (n, 10): its rotation vectors are those without the twist
+    between contact and grip, and the twist is the last [rad].
+    """
 
     inputs: np.ndarray
     outputs: np.ndarray
@@ -214,7 +221,12 @@ class GraspTable:
         """Those rows of a shard that are results."""
         good = columns["converged"] & columns["stable"]
         names = ("position", "rotation", "force")
-        outputs = np.concatenate([columns[name][good] for name in names], axis=1)
+        parts = {name: columns[name][good] for name in names}
+        if "twist" in columns:
+            twist = columns["twist"][good]
+            parts["rotation"] = untwisted(parts["rotation"], twist)
+            parts["twist"] = twist[:, None]
+        outputs = np.concatenate(list(parts.values()), axis=1)
         sensitivity = None
         if "position_sensitivity" in columns:
             parts = [columns[f"{name}_sensitivity"][good] for name in names]
@@ -244,6 +256,14 @@ class GraspTable:
     def take(self, rows) -> GraspTable:
         sensitivity = None if self.sensitivity is None else self.sensitivity[rows]
         return GraspTable(self.inputs[rows], self.outputs[rows], sensitivity)
+
+
+def largest_curvature(folder: str | os.PathLike[str], most: float) -> float:
+    """Largest |kappa| [1/L_gb], at most `most`, below which every sample of a dataset is usable."""
+    for columns in store.shards(Path(folder)):
+        lost = ~(columns["converged"] & columns["stable"])
+        most = min(most, *np.abs(columns["inputs"][lost, 1]), np.inf)
+    return most
 
 
 def load(folder: str | os.PathLike[str], most: int | None = None) -> GraspTable:

@@ -17,7 +17,7 @@ from wrod.training.dataset import GraspTable
 from wrod.training.network import GraspNetwork
 from wrod.training.optimizer import Soap
 from wrod.training.recipes import Recipe
-from wrod.training.sampling import RANGE, sample_worst
+from wrod.training.sampling import RANGE, RodInputs, sample_worst
 from wrod.training.score import figures
 
 from wrod.controller import Controller
@@ -35,14 +35,22 @@ _PATIENCE = 3
 
 
 def errors(network, table: GraspTable, device: str = "cpu") -> np.ndarray:
-    """(n, 6) errors of position [L_gb] and rotation vector [rad] on every row."""
+    """(n, 6) errors of position [L_gb] and rotation vector [rad] on every row; of a naturally
+    curved rod (n, 7), with the twist [rad]."""
     parts = []
     with torch.no_grad():
         for begin in range(0, len(table), 16384):
             rows = slice(begin, begin + 16384)
             inputs = torch.from_numpy(table.inputs[rows]).to(device)
-            parts.append(network(inputs)[:, :6].cpu().numpy() - table.outputs[rows, :6])
+            found = network(inputs).cpu().numpy()
+            pose = _pose(found.shape[1])
+            parts.append(found[:, pose] - table.outputs[rows][:, pose])
     return np.concatenate(parts)
+
+
+def _pose(columns: int) -> list[int]:
+    """Which of so many outputs are the grip's pose, twist included, and not the force."""
+    return [*range(6), *range(9, columns)]
 
 
 class Training:
@@ -56,10 +64,11 @@ class Training:
         folder: where checkpoints go and come from.
         refine: new grasps to ask for, in two rounds, where the validation error is largest.
         solve: called with (n, 3) inputs for these grasps.
+        rod: that all grasps are of, where they are those of one rod.
 
     Raises:
-        DataError: the recipe wants sensitivities that the table has not, or the folder holds a
-            checkpoint of another run.
+        DataError: the recipe does not learn such rods, or wants sensitivities that the table has
+            not, or the folder holds a checkpoint of another run.
     """
 
     def __init__(
@@ -72,9 +81,17 @@ class Training:
         folder: Path,
         refine: int = 0,
         solve: Callable[[np.ndarray], GraspTable] | None = None,
+        rod: RodInputs | None = None,
     ):
         if recipe.sensitivity_weight and table.sensitivity is None:
             raise DataError("the recipe learns from sensitivities, which this dataset lacks")
+        curved = rod is not None and not rod.is_straight
+        if curved != (recipe.architecture == "curved"):
+            kind = "one naturally curved rod" if curved else "naturally straight rods"
+            raise DataError(
+                f"the grasps are of {kind}, which recipe {recipe.name!r} does not learn; "
+                f"use recipe {'curved' if curved else 'default'!r}"
+            )
         if len(table) < 20:
             raise DataError(f"{len(table)} grasps are too few to learn from; solve more")
         self.recipe, self.seed, self.device, self.folder = recipe, seed, device, Path(folder)
@@ -85,8 +102,10 @@ class Training:
         self.validation = table.take(order[:held_out])
         self.learning = table.take(order[held_out:])
         self.generator = torch.Generator().manual_seed(seed)
+        self.rod = rod
+        size = 0.0 if rod is None else math.hypot(*rod.natural_curvature)
         self.network = GraspNetwork(
-            recipe.architecture, recipe.width, recipe.depth, self.learning, self.generator
+            recipe.architecture, recipe.width, recipe.depth, self.learning, self.generator, size
         ).to(device)
         self.step, self.seconds, self.rounds = 0, 0.0, 0
         self.history: list[list[float]] = []
@@ -186,13 +205,14 @@ class Training:
         return total + self.recipe.sensitivity_weight * self._size(rate - self._known(wanted))
 
     def _known(self, outputs: torch.Tensor) -> torch.Tensor:
-        return outputs if self.network.architecture == "chain" else outputs[:, :6]
+        return outputs[:, :6] if self.network.architecture == "paper" else outputs
 
     def _size(self, error: torch.Tensor) -> torch.Tensor:
         if self.recipe.loss == "absolute":
             return error[:, :6].abs().mean()
         square = error.square().mean(dim=0)
-        return square[:6].sum() + _FORCE_WEIGHT**2 * square[6:].sum()
+        pose = square[_pose(len(square))].sum()
+        return pose + _FORCE_WEIGHT**2 * square[6:9].sum()
 
     def _watch(self) -> None:
         """Validate, and let an alternating recipe react."""
@@ -283,15 +303,20 @@ class Training:
 
     def _run(self) -> dict:
         """What a checkpoint must agree in."""
-        return {**asdict(self.recipe), "seed": self.seed, "samples": self.samples}
+        run = {**asdict(self.recipe), "seed": self.seed, "samples": self.samples}
+        if self.rod is not None:
+            run["rod"] = [self.rod.length, self.rod.stretch_ratio, *self.rod.natural_curvature]
+        return run
 
     def controller(self, metadata: dict) -> Controller:
         """The trained controller, with `metadata` beside what every controller says of itself."""
+        bounds = RANGE if self.rod is None else self.rod.range
         return Controller(
             self.network.arrays(),
             {
                 "architecture": self.recipe.architecture,
-                "range": {name: list(bounds) for name, bounds in RANGE.items()},
+                "range": {name: list(limits) for name, limits in bounds.items()},
+                "rod": None if self.rod is None else asdict(self.rod),
                 "recipe": asdict(self.recipe),
                 "seed": self.seed,
                 "samples": len(self.learning) + len(self.validation),

@@ -1,4 +1,4 @@
-"""Networks to train: the formulas of `wrod.controller_model` with parameters that torch learns."""
+"""Networks to train: the formulas of `wrod.controller` with parameters that torch learns."""
 
 from __future__ import annotations
 
@@ -9,17 +9,21 @@ import torch
 from scipy.spatial.transform import Rotation
 from wrod.training.dataset import GraspTable
 
-from wrod import controller_model
+from wrod import controller_curved, controller_model
+from wrod.controller import ARCHITECTURES
+
+_LEAST = 1e-9
 
 
 class GraspNetwork(torch.nn.Module):
     """A controller in training; float64.
 
     Args:
-        architecture: a name of `controller_model.ARCHITECTURES`.
+        architecture: a name of `wrod.controller.ARCHITECTURES`.
         width, depth: units of a hidden layer, and number of these.
         table: grasps whose mean and scale standardise inputs or outputs.
         generator: of the first weights.
+        natural_curvature: size of the rod's, for the architecture "curved" [1/L_gb].
     """
 
     def __init__(
@@ -29,18 +33,26 @@ class GraspNetwork(torch.nn.Module):
         depth: int,
         table: GraspTable,
         generator: torch.Generator,
+        natural_curvature: float = 0.0,
     ):
         super().__init__()
         self.architecture = architecture
-        self.formula = controller_model.ARCHITECTURES[architecture]
+        self.formula = ARCHITECTURES[architecture]
+        known = {}
         if architecture == "chain":
             first, last, gain = controller_model.FEATURES, controller_model.OUTPUTS, 5.0 / 3.0
-            standardised = _raw_outputs(table)
+            known["mean"], known["scale"] = _moments(_raw_outputs(table))
+        elif architecture == "curved":
+            first, last, gain = controller_curved.FEATURES, controller_curved.OUTPUTS, 5.0 / 3.0
+            seen = controller_curved.features(np, table.inputs)
+            known["input_mean"], known["input_scale"] = _moments(seen)
+            known["mean"], known["scale"] = _curved_moments(table, natural_curvature)
         else:
             first, last, gain = 3, 6, 2.0**0.5
-            standardised = table.inputs
-        self.register_buffer("mean", torch.tensor(standardised.mean(axis=0)))
-        self.register_buffer("scale", torch.tensor(standardised.std(axis=0)))
+            known["mean"], known["scale"] = _moments(table.inputs)
+        self.known = tuple(known)
+        for name, value in known.items():
+            self.register_buffer(name, torch.tensor(value))
         sizes = [first, *[width] * depth, last]
         self.weights, self.biases = torch.nn.ParameterList(), torch.nn.ParameterList()
         for layer, (fan_in, fan_out) in enumerate(itertools.pairwise(sizes)):
@@ -50,27 +62,52 @@ class GraspNetwork(torch.nn.Module):
             self.biases.append(torch.nn.Parameter(torch.zeros(fan_out, dtype=torch.float64)))
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """Parameters under the names of `controller_model`."""
-        named = {"mean": self.mean, "scale": self.scale}
+        """Parameters under the names that the formulas know."""
+        named = {name: getattr(self, name) for name in self.known}
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             named[f"weight.{layer}"], named[f"bias.{layer}"] = weight, bias
         return named
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        """(n, 9) position, rotation vector and force; (n, 6) if the network knows no force."""
+        """(n, 9) position, rotation vector and force; (n, 6) if the network knows no force; (n, 10)
+        with the twist, without which the rotation is then."""
         parts = self.formula(torch, self.tensors(), inputs)
-        return torch.cat([part for part in parts if part is not None], dim=1)
+        columns = [part.reshape(len(inputs), -1) for part in parts if part is not None]
+        return torch.cat(columns, dim=1)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Parameters as NumPy arrays of their own."""
         return {k: v.detach().cpu().numpy().copy() for k, v in self.tensors().items()}
 
 
+def _moments(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and scale of columns; what is always the same keeps a scale."""
+    return values.mean(axis=0), np.maximum(values.std(axis=0), _LEAST)
+
+
+def _quaternions(table: GraspTable) -> np.ndarray:
+    quaternion = Rotation.from_rotvec(table.outputs[:, 3:6]).as_quat(scalar_first=True)
+    return quaternion * np.where(quaternion[:, :1] < 0.0, -1.0, 1.0)
+
+
 def _raw_outputs(table: GraspTable) -> np.ndarray:
-    bent = np.abs(table.inputs[:, 1]) > 1e-2
-    rows = table.take(bent)
-    quaternion = Rotation.from_rotvec(rows.outputs[:, 3:6]).as_quat(scalar_first=True)
-    quaternion *= np.where(quaternion[:, :1] < 0.0, -1.0, 1.0)
+    rows = table.take(np.abs(table.inputs[:, 1]) > 1e-2)
     return controller_model.encode(
-        np, rows.inputs, rows.outputs[:, :3], quaternion, rows.outputs[:, 6:]
+        np, rows.inputs, rows.outputs[:, :3], _quaternions(rows), rows.outputs[:, 6:]
     )
+
+
+def _curved_moments(table: GraspTable, natural_curvature: float) -> tuple[np.ndarray, np.ndarray]:
+    # Sideways forces over kappa are known where kappa is more than the rod's own curvature.
+    bent = np.abs(table.inputs[:, 1]) > np.quantile(np.abs(table.inputs[:, 1]), 0.2)
+    rows = table.take(bent)
+    mean, scale = _moments(
+        controller_curved.encode(
+            np, rows.inputs, rows.outputs[:, :3], _quaternions(rows), rows.outputs[:, 6:9],
+            rows.outputs[:, 9],
+        )
+    )  # fmt: skip
+    added = np.full(controller_curved.OUTPUTS, natural_curvature)
+    slow = controller_curved.SLOW - 1  # the last slow output is added by the natural curvature
+    added[:slow] = scale[:slow]
+    return np.concatenate([mean, np.zeros(len(added) - len(mean))]), added

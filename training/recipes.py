@@ -13,7 +13,7 @@ class Recipe:
 
     Attributes:
         name: of the recipe.
-        architecture: of `wrod.controller_model.ARCHITECTURES`.
+        architecture: of `wrod.controller.ARCHITECTURES`.
         width, depth: units of a hidden layer, and number of these.
         optimizer: "soap" with a falling rate, or "alternating": SGD and Adam in turn.
         learning_rate: the largest.
@@ -54,6 +54,21 @@ RECIPES = {
             batch=1024,
             largest_batch=1024,
             steps=20_000,
+            validation_share=0.1,
+            all_below=0.0,
+            loss="squared",
+        ),
+        # One naturally curved rod: a map of two inputs, learnt from a few thousand grasps.
+        Recipe(
+            name="curved",
+            architecture="curved",
+            width=64,
+            depth=3,
+            optimizer="soap",
+            learning_rate=3e-3,
+            batch=512,
+            largest_batch=512,
+            steps=6000,
             validation_share=0.1,
             all_below=0.0,
             loss="squared",

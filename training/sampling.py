@@ -23,6 +23,8 @@ RANGE = {
     "curvature": (0.0, 3.5),
     "stretch_ratio": (150.0, 15000.0),
 }
+# How far a controller of one rod may be asked beside that rod's k_s.
+_SAME_STRETCH = 1e-3
 # Samples reach a little over the range, so that its faces are interpolated as well.
 _SAMPLED = {
     "suspended_length": (0.94, 53.0),
@@ -52,11 +54,25 @@ class RodInputs:
     poisson: float = 0.5
 
     @classmethod
-    def of(cls, rod: RodMaterial) -> RodInputs:
-        """A rod laid with its natural curvature in the table's plane, to the left."""
-        lgb = rod.gravito_bending_length
-        curvature = lgb * math.hypot(*rod.natural_curvature)
-        return cls(rod.length / lgb, rod.stretch_ratio, (curvature, 0.0), rod.poisson)
+    def of(cls, rod: RodMaterial, roll: float | str = "plane") -> RodInputs:
+        """A rod laid with this roll of its first director from left to up [rad]; "plane" and
+        "up" turn its natural curvature to the left or upwards."""
+        lgb, size = rod.gravito_bending_length, math.hypot(*rod.natural_curvature)
+        words = {"up": (0.0, size), "plane": (size, 0.0)}
+        held = words[roll] if roll in words else rod.curvature_held(roll)
+        own = (float(lgb * held[0]), float(lgb * held[1]))
+        return cls(rod.length / lgb, rod.stretch_ratio, own, rod.poisson)
+
+    @property
+    def range(self) -> dict[str, tuple[float, float]]:
+        """Smallest and largest of each input that a controller of this rod is made for."""
+        low, high = RANGE["suspended_length"]
+        ks = self.stretch_ratio
+        return {
+            "suspended_length": (low, min(high, max(self.length, 2.0 * low))),
+            "curvature": RANGE["curvature"],
+            "stretch_ratio": (ks * (1.0 - _SAME_STRETCH), ks * (1.0 + _SAME_STRETCH)),
+        }
 
     @property
     def is_straight(self) -> bool:

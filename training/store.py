@@ -31,6 +31,8 @@ COLUMNS = {
     "converged": (np.bool_, ()),
     "stable": (np.bool_, ()),
 }
+# Of a naturally curved rod: angle between contact and grip, which may be more than a turn [rad].
+TWIST = {"twist": (np.float64, ())}
 SENSITIVITIES = {
     f"{name}_sensitivity": (np.float64, (3, 3)) for name in ("position", "rotation", "force")
 }
@@ -76,7 +78,9 @@ class Manifest:
 
     @property
     def columns(self) -> dict:
-        return {**COLUMNS, **(SENSITIVITIES if self.sensitivities else {})}
+        one = self.rod_inputs
+        twist = {} if one is None or one.is_straight else TWIST
+        return {**COLUMNS, **twist, **(SENSITIVITIES if self.sensitivities else {})}
 
     @property
     def identity(self) -> str:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import warp as wp
 
 from wrod.batch import RodBatch
-from wrod.kernels import banded, banded_lanes
+from wrod.kernels import banded, banded_lanes, border
 from wrod.kernels.assembly import HALF_BANDWIDTH
 from wrod.kernels.lanes import lanes
 
@@ -65,3 +67,37 @@ class BandedSystem:
             device=device,
             block_dim=count,
         )
+
+
+class BorderedSystem(BandedSystem):
+    """A `BandedSystem` with a border: degrees of freedom that are not free in it, for which a small
+    system is to be condensed.
+
+    Args:
+        batch: the rods.
+        coordinates: indices of the border's degrees of freedom, negative from the end.
+    """
+
+    def __init__(self, batch: RodBatch, coordinates: Sequence[int]):
+        super().__init__(batch, right_hand_sides=1 + len(coordinates))
+        indices = [a % batch.dof_count for a in coordinates]
+        self.border = wp.array(indices, dtype=wp.int32, device=batch.device)
+
+    def load(
+        self, gradient: wp.array, hessian: wp.array, active: wp.array, columns: int | None = None
+    ) -> None:
+        """Fill the first (default: all) right-hand sides: `gradient` (rod, dof), then the columns
+        of `hessian` (rod, dof, 11) that belong to the border."""
+        wp.launch(
+            border.load_border,
+            dim=(self.x.shape[0], columns or self.x.shape[1], self.x.shape[2]),
+            inputs=[self.border, active, gradient, hessian],
+            outputs=[self.x],
+            device=self.batch.device,
+        )
+
+    def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
+        """Factorise `hessian`, and solve for `gradient` and for all columns of the border."""
+        self.factorise(hessian, active)
+        self.load(gradient, hessian, active)
+        self.solve(active)

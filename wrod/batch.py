@@ -388,12 +388,14 @@ class RodBatch:
         )
         return out
 
-    def walk(self, kernel: wp.Kernel, inputs: list, outputs: list = ()) -> None:
+    def walk(
+        self, kernel: wp.Kernel, inputs: list, outputs: list = (), *, rods: int | None = None
+    ) -> None:
         """Launch a kernel that walks along the rods, over (rod, lane); see `kernels.lanes`."""
         count = lanes(self.device)
         wp.launch(
             kernel,
-            dim=(self.rod_count, count),
+            dim=(self.rod_count if rods is None else rods, count),
             inputs=inputs,
             outputs=outputs,
             device=self.device,

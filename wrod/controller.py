@@ -12,22 +12,33 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.controller_model import ARCHITECTURES
+from wrod.controller_curved import curved, twisted
+from wrod.controller_model import chain, paper
 from wrod.errors import DataError, GraspError, OutOfRangeWarning
 from wrod.files import write_atomically
 
 _FORMAT = "wrod-controller-1"
+# Networks by name, each of (xp, parameters, (n, 3) inputs): position, rotation vector and force or
+# None, each (n, 3), and twist (n,), without which the rotation is given, or None. Parameters are
+# "weight.i" and "bias.i" of the layers, and mean and scale of what is standardised.
+ARCHITECTURES = {"chain": chain, "paper": paper, "curved": curved}
 _INPUTS = ("suspended_length", "curvature", "stretch_ratio")
 # Inputs are computed from SI values; their rounding is not out of range.
 _SLACK = 1e-9
+# Differences of a rod that are below what a controller errs by: in natural curvature [1/L_gb] and
+# in Poisson's ratio.
+_SAME_CURVATURE, _SAME_POISSON = 5e-4, 1e-3
 
 
 class Controller:
-    """A trained map from (l_s, kappa, k_s) to the optimal grasp.
+    """A trained map from (l_s, kappa, k_s) to the optimal grasp, of all straight rods or of one
+    naturally curved rod.
 
     Attributes:
         metadata: architecture, range, command, seed, versions and figures of the training.
         closure: that of the grasps it learnt.
+        natural_curvature: (left, up) of the rods it was made for, as they are laid [1/L_gb].
+        poisson: of the rod that it was made for; None for straight ones, which are not twisted.
         range: smallest and largest of each input that it was trained for; of the curvature, the
             absolute value counts.
     """
@@ -36,6 +47,11 @@ class Controller:
         self.metadata = metadata
         self.closure = str(metadata["closure"])
         self.range = {name: tuple(metadata["range"][name]) for name in _INPUTS}
+        rod = metadata.get("rod") or {}
+        left, up = rod.get("natural_curvature", (0.0, 0.0))
+        self.natural_curvature = (float(left), float(up))
+        twists = self.natural_curvature != (0.0, 0.0)
+        self.poisson = float(rod["poisson"]) if twists else None
         self._parameters = parameters
         self._network = ARCHITECTURES[metadata["architecture"]]
         self._on_device: dict = {}
@@ -65,10 +81,10 @@ class Controller:
         try:
             controller = cls(parameters, metadata)
             probe = np.array([[low for low, _ in controller.range.values()]])
-            position, rotation, _ = controller._network(np, parameters, probe)
+            position, rotation, *_ = controller._network(np, parameters, probe)
             whole = position.shape == rotation.shape == (1, 3)
             whole &= bool(np.isfinite(position).all() and np.isfinite(rotation).all())
-        except (KeyError, TypeError, ValueError, IndexError):
+        except (AttributeError, KeyError, TypeError, ValueError, IndexError):
             whole = False
         if not whole:
             raise DataError(f"{path}: its weights or metadata do not fit together; train it again")
@@ -106,6 +122,11 @@ class Controller:
     def predict_with_force(self, suspended_length, curvature, stretch_ratio):
         """As `predict`, and the force (n, 3) [k_b/L_gb^2] on the suspended rod at the contact, or
         None where the network does not know it."""
+        return self.predict_with_twist(suspended_length, curvature, stretch_ratio)[:3]
+
+    def predict_with_twist(self, suspended_length, curvature, stretch_ratio):
+        """As `predict_with_force`, and the twist (n,) between contact and grip [rad], which may be
+        more than a turn; None for straight rods."""
         xp, inputs = self._inputs(suspended_length, curvature, stretch_ratio)
         plain = inputs if xp is np else inputs.detach().cpu().numpy()
         outside = self.out_of_range(*plain.T)
@@ -117,9 +138,46 @@ class Controller:
                 f"first: {first[0]:.4g}, {first[1]:.4g}, {first[2]:.4g}) and may be wrong; use "
                 "the numeric solver there (method 'auto')",
                 OutOfRangeWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
-        return self._network(xp, self._tensors(xp, inputs), inputs)
+        position, rotation, force, twist = self._network(xp, self._tensors(xp, inputs), inputs)
+        if twist is not None:
+            rotation = twisted(xp, rotation, twist)
+        return position, rotation, force, twist
+
+    def side_of(self, natural_curvature: tuple[float, float], poisson: float) -> float:
+        """1 for a rod that is held with the natural curvature (left, up) [1/L_gb] that the
+        controller was made for, -1 for its mirror image, whose grasps are mirror images too.
+
+        Raises:
+            GraspError: it was made for another rod.
+        """
+        left, up = natural_curvature
+        own_left, own_up = self.natural_curvature
+        for side in (1.0, -1.0):
+            apart = max(abs(side * left - own_left), abs(up - own_up))
+            twists = self.poisson is not None
+            if apart <= _SAME_CURVATURE:
+                if twists and abs(poisson - self.poisson) > _SAME_POISSON:
+                    raise GraspError(
+                        f"the controller was made for a rod with Poisson's ratio {self.poisson:g} "
+                        f"and this one has {poisson:g}; train one for it with `wrod dataset --rod` "
+                        "and `wrod train`, or use method 'numeric'"
+                    )
+                return side
+        made, left, up = "naturally straight rods", round(left, 6) + 0.0, round(up, 6) + 0.0
+        if self.poisson is not None:
+            made = f"a natural curvature of ({own_left:.4g}, {own_up:.4g}) / L_gb (left, up)"
+        raise GraspError(
+            f"the controller was made for {made} and this rod is held with ({left:.4g}, {up:.4g}) "
+            "/ L_gb; train one for it with `wrod dataset --rod` and `wrod train`, or use method "
+            "'numeric'"
+        )
+
+    def within(self, name: str, low: float, high: float) -> Controller:
+        """The same controller for a smaller range of one input."""
+        limits = {**self.metadata["range"], name: [low, high]}
+        return Controller(self._parameters, {**self.metadata, "range": limits})
 
     def out_of_range(self, suspended_length, curvature, stretch_ratio) -> np.ndarray:
         """(n,) whether the controller was not trained for an input."""

@@ -107,7 +107,8 @@ def _product(xp, left, right):
     return xp.concatenate([left[i : i + rows] @ right for i in range(0, len(left), rows)])
 
 
-def _layers(xp, parameters, hidden, activation):
+def layers(xp, parameters, hidden, activation):
+    """Hidden layers with their activation, and the last without."""
     count = sum(name.startswith("weight.") for name in parameters)
     for layer in range(count):
         hidden = _product(xp, hidden, parameters[f"weight.{layer}"].T) + parameters[f"bias.{layer}"]
@@ -118,10 +119,10 @@ def _layers(xp, parameters, hidden, activation):
 
 def chain(xp, parameters, inputs):
     """The default network: tanh layers, then `decode`."""
-    hidden = _layers(xp, parameters, features(xp, inputs), xp.tanh)
+    hidden = layers(xp, parameters, features(xp, inputs), xp.tanh)
     raw = parameters["mean"] + parameters["scale"] * hidden
     position, quaternion, force = decode(xp, inputs, raw)
-    return position, rotation_vector(xp, quaternion), force
+    return position, rotation_vector(xp, quaternion), force, None
 
 
 def paper(xp, parameters, inputs):
@@ -132,11 +133,6 @@ def paper(xp, parameters, inputs):
     side = xp.where(inputs[:, 1] < 0.0, -1.0, 1.0)
     left = xp.stack([inputs[:, 0], side * inputs[:, 1], inputs[:, 2]], -1)
     hidden = (left - parameters["mean"]) / parameters["scale"]
-    out = _layers(xp, parameters, hidden, lambda value: value * (value > 0.0))
+    out = layers(xp, parameters, hidden, lambda value: value * (value > 0.0))
     rotation = xp.stack([side * out[:, 3], out[:, 4], side * out[:, 5]], -1)
-    return xp.stack([out[:, 0], side * out[:, 1], out[:, 2]], -1), rotation, None
-
-
-# Networks by name: (position, rotation vector, force or None), each (n, 3), of (n, 3) inputs.
-# Parameters are "weight.i" and "bias.i" of the layers, "mean" and "scale" of what is standardised.
-ARCHITECTURES = {"chain": chain, "paper": paper}
+    return xp.stack([out[:, 0], side * out[:, 1], out[:, 2]], -1), rotation, None, None

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from wrod.banded import BandedSystem
-from wrod.kernels import skyline
-from wrod.kernels.lanes import WARP
+from wrod.kernels import coupling, skyline, skyline_lanes, skyline_order, touching
+from wrod.kernels.lanes import TEAM, lanes
 from wrod.kernels.segments import SMOOTHING
 
 if TYPE_CHECKING:
@@ -42,58 +42,80 @@ class CoupledSystem(BandedSystem):
         else:
             self._capacity = nodes * _BLOCKS_PER_ROW
         pairs = 6 * nodes
-        self.banded, self.coupled, self.pair_count = ints(), ints(), ints()
+        self.banded, self.coupled, self.pair_count, self._changed = (ints() for _ in range(4))
         self.touching = wp.zeros((rods, pairs), dtype=wp.vec3i, device=device)
-        self._head, self._link = ints(nodes), ints(2 * pairs)
-        self._rank, self._order, self._first, self._row = (ints(nodes) for _ in range(4))
+        self._distance, self._tally, self._rank, self._order, self._first, self._last, self._row = (
+            ints(nodes) for _ in range(7)
+        )
         self._block = wp.zeros((rods, self._capacity), dtype=wp.mat44d, device=device)
-        self._y = wp.zeros((rods, nodes), dtype=wp.vec4d, device=device)
+        if lanes(device) == 1:
+            self._y = wp.zeros((rods, nodes), dtype=wp.vec4d, device=device)
+        else:
+            self._lines = wp.array(
+                ptr=self._block.ptr,
+                shape=(rods, 4 * self._capacity),
+                dtype=wp.vec4d,
+                device=device,
+            )
+            self._product, self._column, self._size, self._y = (
+                wp.zeros((rods, width * nodes), dtype=wp.float64, device=device)
+                for width in (skyline_lanes.STRIDE, skyline_lanes.STRIDE, 4, 4)
+            )
 
-    def _per_rod(self, kernel, inputs, outputs) -> None:
+    def _together(self, kernel, inputs, outputs) -> None:
+        """Launch a kernel whose lanes work on a rod together."""
         batch = self.batch
+        count = lanes(batch.device, TEAM)
         wp.launch(
             kernel,
-            batch.rod_count,
+            (batch.rod_count, count),
             inputs=inputs,
             outputs=outputs,
             device=batch.device,
-            block_dim=WARP,
+            block_dim=count,
         )
 
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
         batch, contact = self.batch, self.contact
         overflow = contact.overflow
-        self._per_rod(
-            skyline.collect,
+        batch.walk(
+            touching.collect,
             [active, contact.partner_count, contact.partner, contact.depth],
-            [self.pair_count, self.touching, overflow, self.banded, self.coupled],
+            [
+                self.pair_count,
+                self.touching,
+                overflow,
+                self.banded,
+                self.coupled,
+                self._changed,
+            ],
         )
         super().factorise(hessian, self.banded)
-        profile = [self._rank, self._order, self._first, self._row]
-        self._per_rod(
-            skyline.renumber,
+        self._together(
+            skyline_order.renumber,
             [
-                contact.cut,
                 self.coupled,
+                self._changed,
                 self.pair_count,
                 self.touching,
                 self._capacity,
-                self._head,
-                self._link,
+                self._distance,
+                self._tally,
             ],
-            [*profile, overflow],
+            [self._rank, self._order, self._first, self._last, self._row, overflow],
         )
         chosen = [self.coupled, overflow, batch.free]
-        profile = [self._rank, self._first, self._row]
+        profile = [self._rank, self._order, self._first, self._row]
         wp.launch(
-            skyline.fill_band,
-            dim=(batch.rod_count, batch.node_count),
+            coupling.fill_band,
+            dim=(batch.rod_count, batch.node_count, 5),
             inputs=[*chosen, hessian, self.shift, *profile],
             outputs=[self._block],
             device=batch.device,
+            block_dim=lanes(batch.device, TEAM),
         )
-        self._per_rod(
-            skyline.add_pairs,
+        self._together(
+            coupling.add_pairs,
             [
                 contact.law,
                 contact.edge_radius,
@@ -107,22 +129,33 @@ class CoupledSystem(BandedSystem):
                 contact.sticking,
                 self.pair_count,
                 self.touching,
-                *profile,
+                self._rank,
+                self._row,
             ],
             [self._block],
         )
-        self._per_rod(
-            skyline.factorise,
-            [self.coupled, overflow, self._first, self._row],
-            [self._block, self.negative_pivots],
-        )
+        chosen = [self.coupled, overflow]
+        if lanes(batch.device) == 1:
+            inputs = [*chosen, self._first, self._row]
+            self._together(skyline.factorise, inputs, [self._block, self.negative_pivots])
+        else:
+            scratch = [self._size, self._product, self._column]
+            inputs = [*chosen, self._first, self._last, self._row, *scratch]
+            self._together(skyline_lanes.factorise, inputs, [self._lines, self.negative_pivots])
 
     def solve(self, active: wp.array, columns: int | None = None) -> None:
         """Overwrite `x` with its solution, shortened to what contacts allow in one iteration."""
         super().solve(self.banded, columns)
-        contact = self.contact
-        chosen = [self.coupled, contact.overflow, self.batch.free]
-        profile = [self._order, self._first, self._row]
-        self._per_rod(skyline.solve, [*chosen, *profile, self._block, self._y], [self.x])
-        limits = [contact.reach, contact.overflow, active]
-        self._per_rod(skyline.limit_motion, limits, [self.x, contact.sticking])
+        batch, contact = self.batch, self.contact
+        chosen = [self.coupled, contact.overflow, batch.free, self._order]
+        if lanes(batch.device) == 1:
+            inputs = [*chosen, self._first, self._row, self._block, self._y]
+            self._together(skyline.solve, inputs, [self.x])
+        else:
+            inputs = [*chosen, self._first, self._last, self._row, self._lines, self._y]
+            self._together(skyline_lanes.solve, inputs, [self.x])
+        batch.walk(
+            touching.limit_motion,
+            [contact.reach, contact.overflow, active],
+            [self.x, contact.sticking],
+        )

@@ -155,6 +155,9 @@ def simulate_deployments(
         size = max(1, min(_CPU_CHUNK, -(-size // workers)))
     every = list(range(len(trials)))
     chunks = [every[first : first + size] for first in range(0, len(trials), size)]
+    parallel = workers > 1 and len(chunks) > 1
+    # Recording is the process's: threads would record each other's launches.
+    options["keeps_recording"] = device == "cpu" and not parallel
 
     def report(fraction: float, count: int) -> None:
         if progress is not None:
@@ -169,7 +172,7 @@ def simulate_deployments(
             **options,
         )
 
-    if workers > 1 and len(chunks) > 1:
+    if parallel:
         with ThreadPoolExecutor(workers) as pool:
             parts = list(pool.map(run, chunks))
     else:
@@ -228,6 +231,7 @@ def _simulate(
     tolerance,
     frame_interval,
     device,
+    keeps_recording,
     report,
 ) -> list[Deployment]:
     batch, rods = _batch(trials, setups, device)
@@ -251,6 +255,7 @@ def _simulate(
         motion=GripMotion(batch, [setup.schedule for setup in setups]),
         force_scale=load,
         tolerance=tolerance,
+        keeps_recording=keeps_recording,
     )
     ends = np.array([setup.end_time for setup in setups])
     frames = None

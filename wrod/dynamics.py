@@ -24,8 +24,9 @@ _STEP_LIMIT = 0.3
 # A rod is cut out when it wants steps shorter than this fraction of the largest.
 _SMALLEST_STEP = 1.0 / 4096.0
 _GROWTH = 1.3
-# Rounds that a GPU takes without being asked.
-_ROUNDS_RECORDED = 16
+# Rounds that are taken without looking whether to go on: on end where a device decides by itself,
+# and one after the other where it cannot.
+_ROUNDS, _ROUNDS_BLIND = 128, 16
 
 
 class Motion(Protocol):
@@ -75,7 +76,8 @@ class Dynamics:
         max_iterations: of Newton; a step that needs more is halved.
         keeps_recording: record the launches of a round on any device, and replay them in later
             calls of `advance` too, for callers that advance step by step. `motion` and contacts
-            must then keep their arrays and numbers, or `forget_recording` be called.
+            must then keep their arrays and numbers, or `forget_recording` be called. On a CPU no
+            other thread may launch anything meanwhile: it would be recorded too.
 
     Raises:
         RodError: unknown scheme, a node without mass, or two `RodContact`.
@@ -132,7 +134,9 @@ class Dynamics:
         self.running, self.starting, self.active, self.converged = (ints() for _ in range(4))
         self.iteration, self.iteration_count = ints(), ints()
         self.accepted, self.rejected, self.diverged, self.step_count = (ints() for _ in range(4))
-        self.count = wp.zeros(1, dtype=wp.int32, device=device)
+        # Rounds since last asked; whether to take another, and whether any rod still runs.
+        self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
+        self._going = wp.zeros(2, dtype=wp.int32, device=device)
         shape = (rods, batch.dof_count)
         self.velocity, self.velocity_older, self.gradient_before = (
             wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(3)
@@ -200,44 +204,44 @@ class Dynamics:
             raise RodError(f"time step is {step!r}; give a positive finite number")
         batch = self.batch
         smallest = step * _SMALLEST_STEP if smallest_step is None else smallest_step
-        until = np.broadcast_to(np.asarray(until, dtype=float), (batch.rod_count,))
-        self.until.assign(until)
-        going = (self.diverged.numpy() == 0) & (self.time.numpy() < until - 1e-9 * step)
-        self.running.assign(going.astype(np.int32))
-        wanted = self.wanted_step.numpy().copy()
-        self.wanted_step.assign(np.where(wanted > 0, np.minimum(wanted, step), step))
-        wp.copy(self.starting, self.running)
+        self.until.assign(np.broadcast_to(np.asarray(until, dtype=float), (batch.rod_count,)))
+        self._per_rod(
+            kernels.begin_advance,
+            [wp.float64(step), self.until, self.time, self.diverged],
+            [self.wanted_step, self.running, self.starting],
+        )
 
         def take_round() -> None:
             self._begin()
             self._iterate(step, smallest)
             self._finish(frames, frame_interval)
+            self._ask()
 
         on_cpu = wp.get_device(batch.device).is_cpu
-        # Asking a GPU whether anything still runs makes it wait.
-        recorded = 1 if on_cpu else _ROUNDS_RECORDED
-        key = (step, smallest, None if frames is None else frames.ptr, frame_interval)
-        rounds, graph = 0, None
-        if self.keeps_recording and self._recording is not None and self._recording[0] == key:
+        array = None if frames is None else frames.ptr
+        key = (step, smallest, self.tolerance, array, frame_interval)
+        graph = None
+        if self._recording is not None and self._recording[0] == key:
             graph = self._recording[1]
-        while self._any(self.running):
-            made = 1 if graph is None else recorded
-            if graph is not None:
-                wp.capture_launch(graph)
-            else:
-                take_round()
-            rounds += made
-            if progress is not None and rounds % 128 < made:
-                progress(self.time.numpy().copy())
+        taken = 0
+        if graph is None:
+            self._ask()
+        going = graph is not None or self._going.numpy()[1] != 0
+        while going:
             # Launches are replayed faster than they can be made, but recording costs as much as
             # taking them; the first round has compiled the kernels.
-            worth = self.keeps_recording or (not on_cpu and rounds >= _ROUNDS_RECORDED)
-            if graph is None and worth:
-                with wp.ScopedCapture(batch.device) as capture:
-                    for _ in range(recorded):
-                        take_round()
-                graph = capture.graph
+            if graph is None and taken > 0 and (self.keeps_recording or not on_cpu):
+                graph = self._record(take_round)
                 self._recording = (key, graph) if self.keeps_recording else None
+            self._rounds.zero_()
+            if graph is None:
+                take_round()
+            else:
+                wp.capture_launch(graph)
+            taken += 1
+            going = self._going.numpy()[1] != 0
+            if progress is not None and (graph is not None or taken % _ROUNDS == 0):
+                progress(self.time.numpy().copy())
         if self.rod_contact is not None:
             self.rod_contact.check_capacity()
         return Progress(
@@ -256,10 +260,24 @@ class Dynamics:
         unit = 4 * np.finfo(float).eps * extent / self.force_scale.numpy()
         return np.stack([unit * edge, unit * batch.node_mass.numpy().max(axis=1)], axis=1)
 
-    def _any(self, flags: wp.array) -> bool:
-        self.count.zero_()
-        self._per_rod(kernels.count_running, [flags], [self.count])
-        return bool(self.count.numpy()[0])
+    def _ask(self) -> None:
+        """Find out on the device whether to take another round."""
+        outputs = [self._rounds, self._going]
+        self.batch.walk(kernels.ask_on, [self.running, _ROUNDS], outputs, rods=1)
+
+    def _record(self, take_round: Callable[[], None]) -> wp.Graph:
+        """What takes rounds until all rods are there, or for a while; asking a GPU from outside
+        would make it wait."""
+        device = self.batch.device
+        decides = wp.get_device(device).is_cpu or wp.is_conditional_graph_supported()
+        with wp.ScopedCapture(device) as capture:
+            if decides:
+                self._ask()
+                wp.capture_while(self._going, take_round)
+            else:
+                for _ in range(_ROUNDS_BLIND):
+                    take_round()
+        return capture.graph
 
     def _per_rod(self, kernel, inputs, outputs=()) -> None:
         batch = self.batch

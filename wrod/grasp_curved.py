@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from scipy.interpolate import CubicSpline
 
-from wrod.banded import BandedSystem
+from wrod.banded import BorderedSystem
 from wrod.batch import node_positions
 from wrod.grasp_mesh import two_sided_rest_lengths
 from wrod.grasp_solver import GraspSolution, GraspSolver
@@ -70,15 +70,12 @@ class CurvedGraspSolver(GraspSolver):
     def run(self) -> CurvedGraspSolver:
         super().run()
         self._straight = wp.clone(self.batch.state.dof)
-        # (8,) degrees of freedom: roll of the first edge, node 2, roll and position of the grip.
-        n = self.batch.dof_count
-        border = np.array([7, 8, 9, 10, n - 4, n - 3, n - 2, n - 1])
-        self._border = wp.array(border, dtype=wp.int32, device=self.device)
         free = self.batch.free.numpy().copy()
-        free[:, n - 4] = 0
+        free[:, -4] = 0
         self.batch.set_free(free)
         rods = self.batch.rod_count
-        self.system = BandedSystem(self.batch, right_hand_sides=9)
+        # Roll of the first edge, node 2, roll and position of the grip.
+        self.system = BorderedSystem(self.batch, (7, 8, 9, 10, -4, -3, -2, -1))
         self._condensed = wp.zeros((rods, 8, 8), dtype=wp.float64, device=self.device)
         self._reaction = wp.zeros((rods, 8), dtype=wp.float64, device=self.device)
         self._imbalance = wp.zeros(rods, dtype=wp.float64, device=self.device)
@@ -168,20 +165,12 @@ class CurvedGraspSolver(GraspSolver):
         """Hessian (n, 8, 8) and gradient (n, 8) condensed on the border, and what is unbalanced."""
         batch, system = self.batch, self.system
         out = batch.evaluate(order=2, active=active)
-        system.factorise(out.hessian, active)
+        system.eliminate(out.gradient, out.hessian, active)
         rods, device = batch.rod_count, self.device
-        wp.launch(
-            curved_grasping.load_border,
-            dim=(rods, 9, batch.dof_count),
-            inputs=[self._border, active, out.gradient, out.hessian],
-            outputs=[system.x],
-            device=device,
-        )
-        system.solve(active)
         wp.launch(
             curved_grasping.condense,
             dim=(rods, 8),
-            inputs=[self._border, batch.free, active, out.gradient, out.hessian, system.x],
+            inputs=[system.border, batch.free, active, out.gradient, out.hessian, system.x],
             outputs=[self._condensed, self._reaction],
             device=device,
         )
@@ -238,7 +227,7 @@ class CurvedGraspSolver(GraspSolver):
             curved_grasping.take_step,
             dim=self.batch.rod_count,
             inputs=[
-                self._border,
+                self.system.border,
                 self.batch.free,
                 wp.float64(_STEP_LIMIT),
                 wp.array(moving.astype(np.int32), dtype=wp.int32, device=device),

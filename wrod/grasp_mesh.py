@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 WEIGHT = 0.5  # per length in k_b / L_gb^2 per L_gb, by the definition of L_gb
+# What the mirror y -> -y of the contact frame does to vectors, and to rotation vectors.
+MIRROR, MIRROR_ROTATION = np.array([1.0, -1.0, 1.0]), np.array([-1.0, 1.0, -1.0])
 # Vertical force at the contact of a long rod on a straight pattern.
 _LONG_FORCE = 0.7577
 # Length over which edges stay short: a fraction of the boundary layer at the contact.

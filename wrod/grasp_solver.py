@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wrod.banded import BandedSystem
+from wrod.banded import BorderedSystem
 from wrod.batch import RodBatch
 from wrod.grasp_mesh import (
     WEIGHT,
@@ -148,7 +148,8 @@ class GraspSolver:
         free[:11] = False
         free[-3:] = False
         batch.set_free(free)
-        self.system = BandedSystem(batch, right_hand_sides=7)
+        # Node 2 and the grip.
+        self.system = BorderedSystem(batch, (8, 9, 10, -3, -2, -1))
 
         self.weight = floats(WEIGHT * suspended_length)
         self.curvature_saved = floats(start)
@@ -216,22 +217,8 @@ class GraspSolver:
 
     def _condense(self, gradient: wp.array, active: wp.array, reaction: wp.array) -> None:
         """Factorise, and condense Hessian and gradient on node 2 and the grip."""
-        system, hessian = self.system, self.batch.derivatives.hessian
-        system.factorise(hessian, active)
-        self._load(gradient, active, 7)
-        system.solve(active)
+        self.system.eliminate(gradient, self.batch.derivatives.hessian, active)
         self._reduce(gradient, active, reaction)
-
-    def _load(self, gradient: wp.array, active: wp.array, columns: int) -> None:
-        """Fill the first right-hand sides: the gradient, then the border's columns."""
-        x = self.system.x
-        wp.launch(
-            grasping.load_border,
-            dim=(x.shape[0], columns, x.shape[2]),
-            inputs=[active, gradient, self.batch.derivatives.hessian],
-            outputs=[x],
-            device=self.device,
-        )
 
     def _reduce(self, gradient: wp.array, active: wp.array, reaction: wp.array) -> None:
         batch = self.batch
@@ -402,7 +389,7 @@ class GraspSolver:
             device=device,
         )
         reaction_rate = wp.zeros_like(self.reaction)
-        self._load(gradient_rate, every, 1)
+        self.system.load(gradient_rate, batch.derivatives.hessian, every, columns=1)
         self.system.solve(every, columns=1)
         self._reduce(gradient_rate, every, reaction_rate)
         force_rate = wp.zeros(rods, dtype=wp.vec3d, device=device)

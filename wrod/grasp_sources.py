@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wrod.errors import GraspError
+from wrod.grasp_mesh import MIRROR, MIRROR_ROTATION
 from wrod.material import RodMaterial
+
+if TYPE_CHECKING:
+    from wrod.controller import Controller
 
 # The suspended part must stay this long, in L_gb, at the last contact: grasps of a shorter rod
 # put the gripper's fingers on the table, and the studied range begins here.
@@ -17,8 +22,9 @@ MIN_SUSPENDED_LENGTH = 1.0
 
 @dataclass(frozen=True)
 class GraspInputs:
-    """What a grasp source is given: (T,) dimensionless lengths and curvatures of all nodes, and
-    the natural curvature (left, up) of the rod as it is held [1/L_gb]."""
+    """What a grasp source is given: (T,) dimensionless lengths and curvatures of all nodes, the
+    natural curvature (left, up) of the rod as it is held [1/L_gb], and the controller to ask; None
+    is the one that ships, which knows straight rods."""
 
     suspended_length: np.ndarray
     curvature: np.ndarray
@@ -28,6 +34,7 @@ class GraspInputs:
     progress: Callable[[int, int], None] | None = None
     natural_curvature: tuple[float, float] = (0.0, 0.0)
     poisson: float = 0.5
+    controller: Controller | None = None
 
     @classmethod
     def of(
@@ -40,6 +47,7 @@ class GraspInputs:
         closure: str = "zero_tension",
         device: str | None = None,
         progress: Callable[[int, int], None] | None = None,
+        controller: Controller | None = None,
     ) -> GraspInputs:
         """Inputs of a rod: suspended length (T,) [m] and curvature (T,) [1/m] at the contacts, and
         the roll that it is held at [rad] (see `RodMaterial.curvature_held`)."""
@@ -55,6 +63,7 @@ class GraspInputs:
             progress,
             (left * lgb, up * lgb),
             rod.poisson,
+            controller,
         )
 
     @property
@@ -131,15 +140,16 @@ def _neural(inputs: GraspInputs) -> GraspPoses:
     """Optimal grasps from the trained controller; out of its range it warns."""
     from wrod.controller import Controller
 
-    controller = Controller.load()
-    if not inputs.is_straight:
+    if inputs.controller is None and not inputs.is_straight:
         raise GraspError(
-            "method 'neural' knows naturally straight rods only, and this one is curved at rest; "
-            "use method 'numeric' or 'auto'"
+            "the controller that ships knows naturally straight rods only, and this one is curved "
+            "at rest; train one for it with `wrod dataset --rod` and `wrod train`, or use method "
+            "'numeric' or 'auto'"
         )
+    controller = inputs.controller or Controller.load()
     if inputs.closure != controller.closure:
         raise GraspError(
-            f"method 'neural' knows closure {controller.closure!r} only, not {inputs.closure!r}; "
+            f"the controller knows closure {controller.closure!r} only, not {inputs.closure!r}; "
             "use method 'numeric' or 'auto'"
         )
     return _predicted(controller, inputs)
@@ -149,11 +159,16 @@ def _auto(inputs: GraspInputs) -> GraspPoses:
     """The controller where it was trained for closure and inputs, elsewhere the rod solver."""
     from wrod.controller import Controller
 
-    controller = Controller.load()
+    controller = inputs.controller or Controller.load()
     known = ~controller.out_of_range(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     )
-    known &= inputs.is_straight and inputs.closure == controller.closure
+    known &= inputs.closure == controller.closure
+    if inputs.controller is None:
+        known &= inputs.is_straight
+    else:
+        # One that was named for this plan and does not fit is a mistake.
+        controller.side_of(inputs.natural_curvature, inputs.poisson)
     if known.all():
         return _predicted(controller, inputs)
     solved = _numeric(inputs.at(~known))
@@ -161,8 +176,10 @@ def _auto(inputs: GraspInputs) -> GraspPoses:
         return solved
     predicted = _predicted(controller, inputs.at(known))
     whole = {}
-    for name in ("position", "rotation", "force", "converged", "stable"):
+    for name in ("position", "rotation", "force", "converged", "stable", "twist"):
         value = getattr(solved, name)
+        if value is None:
+            continue
         whole[name] = np.empty((len(known), *value.shape[1:]), dtype=value.dtype)
         whole[name][~known] = value
         # The controller learnt from grasps that converged and are stable.
@@ -174,13 +191,17 @@ def _auto(inputs: GraspInputs) -> GraspPoses:
     return GraspPoses(**whole)
 
 
-def _predicted(controller, inputs: GraspInputs) -> GraspPoses:
-    position, rotation, force = controller.predict_with_force(
-        inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
+def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
+    side = controller.side_of(inputs.natural_curvature, inputs.poisson)
+    position, rotation, force, twist = controller.predict_with_twist(
+        inputs.suspended_length, side * inputs.curvature, inputs.stretch_ratio
     )
-    return GraspPoses(
-        position, rotation, np.full_like(position, np.nan) if force is None else force
-    )
+    if force is None:
+        force = np.full_like(position, np.nan)
+    if side < 0.0:
+        position, rotation, force = MIRROR * position, MIRROR_ROTATION * rotation, MIRROR * force
+        twist = None if twist is None else -twist
+    return GraspPoses(position, rotation, force, twist=twist)
 
 
 # A source takes the dimensionless inputs of every node and returns poses in the contact frame.

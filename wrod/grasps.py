@@ -16,6 +16,7 @@ import numpy as np
 from wrod.batch import resolve_device
 from wrod.errors import GraspError
 from wrod.grasp_curved import CurvedGraspSolver
+from wrod.grasp_mesh import MIRROR, MIRROR_ROTATION
 from wrod.grasp_solver import GraspSolution, GraspSolver
 from wrod.kernels import grasping
 
@@ -35,8 +36,6 @@ LIMITS = {
 }
 # Grasps solved at once: few on a CPU, whose cache they should not leave; many on a GPU.
 _CPU_CHUNK, _CUDA_CHUNK = 128, 32768
-_MIRROR = np.array([1.0, -1.0, 1.0])
-_MIRROR_ROTATION = np.array([-1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -274,6 +273,7 @@ def _solve_chunk(
         _put(coarse, lost, back)
         _put(fine, lost, cold)
     if extrapolate:
+        coarse.rotation = _same_way_round(coarse.rotation, fine.rotation)
         for name in _EXTRAPOLATED:
             value = getattr(fine, name)
             if value is not None:
@@ -297,6 +297,15 @@ _EXTRAPOLATED = (
 _GENTLE = 2.0 * np.pi
 
 
+def _same_way_round(vectors: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """Rotation vectors (n, 3) of the same rotations, with no full turn between them and `like`:
+    those of two meshes may lie on either side of half a turn."""
+    angle = np.linalg.norm(vectors, axis=1, keepdims=True)
+    axis = vectors / np.maximum(angle, 1e-300)
+    turns = np.rint(((like - vectors) * axis).sum(axis=1, keepdims=True) / (2.0 * np.pi))
+    return vectors + 2.0 * np.pi * turns * axis
+
+
 def _put(target: GraspSolution, where: np.ndarray, source: GraspSolution) -> None:
     for field in fields(GraspSolution):
         value = getattr(target, field.name)
@@ -315,20 +324,20 @@ def _grasps(parts: list[GraspSolution], kappa: np.ndarray, sensitivities: bool) 
     position, rotation, force = join("position"), join("rotation"), join("force")
     jacobian = join("force_jacobian")
     shape = None if parts[0].shape is None else join("shape")
-    position[right] *= _MIRROR
-    force[right] *= _MIRROR
-    rotation[right] *= _MIRROR_ROTATION
+    position[right] *= MIRROR
+    force[right] *= MIRROR
+    rotation[right] *= MIRROR_ROTATION
     if shape is not None:
-        shape[right] *= _MIRROR
-    jacobian[right] *= np.outer(_MIRROR, _MIRROR)
+        shape[right] *= MIRROR
+    jacobian[right] *= np.outer(MIRROR, MIRROR)
     extra = {}
     if parts[0].eigenvalue is not None:
         extra["eigenvalue"] = join("eigenvalue")
     if sensitivities:
         for name, mirror in (
-            ("position_sensitivity", _MIRROR),
-            ("rotation_sensitivity", _MIRROR_ROTATION),
-            ("force_sensitivity", _MIRROR),
+            ("position_sensitivity", MIRROR),
+            ("rotation_sensitivity", MIRROR_ROTATION),
+            ("force_sensitivity", MIRROR),
         ):
             extra[name] = join(name)
             extra[name][right] *= np.outer(mirror, [1.0, -1.0, 1.0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from wrod.banded import BandedSystem
+from wrod.banded import BorderedSystem
 from wrod.batch import Derivatives, RodBatch
 from wrod.grasp_mesh import WEIGHT, node_weights, rest_lengths
 from wrod.kernels import grasping, holding
@@ -97,7 +97,7 @@ class HeldRods:
         free[:7] = False
         free[-3:] = False
         batch.set_free(free)
-        self.system = BandedSystem(batch, right_hand_sides=4)
+        self.system = BorderedSystem(batch, (-3, -2, -1))  # the grip
 
         def floats(value=0.0):
             return wp.array(np.broadcast_to(value, (n,)), dtype=wp.float64, device=device)
@@ -233,15 +233,7 @@ class HeldRods:
 
     def _condense(self, out) -> None:
         batch, system = self.batch, self.system
-        system.factorise(out.hessian, self.active)
-        wp.launch(
-            holding.load_grip,
-            dim=system.x.shape,
-            inputs=[self.active, out.gradient, out.hessian],
-            outputs=[system.x],
-            device=self.device,
-        )
-        system.solve(self.active)
+        system.eliminate(out.gradient, out.hessian, self.active)
         wp.launch(
             holding.condense_grip,
             dim=batch.rod_count,

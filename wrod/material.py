@@ -119,25 +119,37 @@ class RodMaterial:
         return write_atomically(path, lambda file: file.write(json.dumps(content, indent=2) + "\n"))
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> RodMaterial:
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        radius: float | None = None,
+        length: float | None = None,
+    ) -> RodMaterial:
         """Read a rod that `save` or `wrod loop` wrote, or the model that `wrod identify` wrote.
+
+        Args:
+            radius, length: instead of the file's, which measurements may not tell [m].
 
         Raises:
             RodError: the file is missing, not a rod file, or holds unphysical values.
 
         Warns:
-            WrodWarning: the model has effects that a uniform, isotropic, linear rod cannot carry.
+            WrodWarning: the model has effects that a uniform, isotropic, linear rod cannot carry,
+                or numbers that were not measured.
         """
+        instead = {"radius": radius, "length": length}
+        instead = {key: value for key, value in instead.items() if value is not None}
         try:
             content = json.loads(Path(path).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise RodError(f"{path}: not a readable rod file ({error})") from None
         if isinstance(content, dict) and content.get("format") == _MODEL_FORMAT:
-            content = {"format": _FORMAT, **_rod_of_model(path, content)}
+            content = {"format": _FORMAT, **_rod_of_model(path, content, instead)}
         if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
             raise RodError(f"{path}: is not a {_FORMAT} file; write one with `wrod loop --out`")
         try:
-            return cls(**content)
+            return cls(**{**content, **instead})
         except TypeError as error:
             reason = str(error).replace("RodMaterial.__init__() ", "")
             raise RodError(f"{path}: {reason}") from None
@@ -187,8 +199,9 @@ class RodMaterial:
         return 4.0 * self.bending_stiffness / (math.pi * self.radius**4)
 
 
-def _rod_of_model(path, content: dict) -> dict:
-    """The rod's numbers of an identified model; says what they do not carry."""
+def _rod_of_model(path, content: dict, instead: dict) -> dict:
+    """The rod's numbers of an identified model; says what they do not carry, and which of them
+    were assumed and are not in `instead`."""
     rod, effects = content.get("rod"), content.get("effects")
     named = isinstance(effects, list) and all(
         isinstance(e, dict) and isinstance(e.get("name"), str) for e in effects
@@ -196,13 +209,19 @@ def _rod_of_model(path, content: dict) -> dict:
     if not isinstance(rod, dict) or not named:
         raise RodError(f"{path}: holds no rod and effects; write it again with `wrod identify`")
     aside = [e["name"] for e in effects if e["name"] not in _CARRIED]
+    assumed = content.get("assumed", [])
+    assumed = [key for key in rod if key in assumed and key not in instead]
+    said = []
     if aside:
-        warnings.warn(
-            f"{path}: {', '.join(aside)} set aside; plans and deployments know a rod's "
-            "stiffness, density and natural curvature",
-            WrodWarning,
-            stacklevel=3,
+        said.append(
+            f"{', '.join(aside)} set aside; plans and deployments know a rod's stiffness, density "
+            "and natural curvature"
         )
+    if assumed:
+        values = ", ".join(f"{key} {rod.get(key)}" for key in assumed)
+        said.append(f"{values} assumed, for motion tells ratios to the weight only")
+    if said:
+        warnings.warn(f"{path}: {'; '.join(said)}", WrodWarning, stacklevel=3)
     return rod
 
 

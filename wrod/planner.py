@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -18,6 +19,9 @@ from wrod.material import RodMaterial
 from wrod.patterns import Pattern
 from wrod.trajectory import Trajectory
 
+if TYPE_CHECKING:
+    from wrod.controller import Controller
+
 # A dimensionless start curvature above this gets a remainder unless the caller decides. The paper's
 # circle and sine start above it; its letters, laid without a remainder, start below 0.11.
 CONSIDERABLE_CURVATURE = 0.15
@@ -29,6 +33,8 @@ _MAX_NODES = 20_000
 # Dimensionless curvatures between which "min_friction" lays a pattern better, and points at which
 # curvature is looked at; beyond the range not all grasps of that closure exist.
 _GENTLE, _TIGHT = 0.4, 3.0
+# The same for a naturally curved rod, and the natural curvature [1/L_gb] up to which they do.
+_TIGHT_CURVED, _MILD = 1.4, 0.3
 _COURSE_POINTS = 2000
 # Stiffness of a rod's softest motion over weight per length by suspended length. A chain that hangs
 # without bending stiffness has (j_0 / 2)^2; optimal grasps have more, and one with a third of it
@@ -47,7 +53,8 @@ def plan(
     closure: str | None = None,
     spacing: float = 0.0025,
     remainder: bool | float | None = None,
-    roll: float | None = None,
+    roll: float | str = "plane",
+    controller: Controller | None = None,
     device: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
@@ -56,19 +63,23 @@ def plan(
     Args:
         pattern: where the rod is to lie.
         rod: its material and length.
-        method: "neural" (optimal grasps from the trained controller; of a naturally curved rod,
-            which it does not know, from the rod solver), "numeric" (from the rod solver), "auto"
-            (neural where the controller was trained, numeric elsewhere) or "intuitive" (straight
-            above the contact).
-        closure: "zero_tension", "min_force" or "min_friction"; "neural" knows the first only.
-            None: what lays the pattern most accurately for "auto" (see `favoured_closure`),
+        method: "neural" (optimal grasps from the trained controller; of a naturally curved rod
+            without a controller of its own, from the rod solver), "numeric" (from the rod solver),
+            "auto" (neural where the controller was trained, numeric elsewhere) or "intuitive"
+            (straight above the contact).
+        closure: "zero_tension", "min_force" or "min_friction"; "neural" knows its controller's
+            only, which for the one that ships is the first. None: the given controller's; without
+            one, what lays the pattern most accurately for "auto" (see `favoured_closure`), and
             "zero_tension", which is the paper's, for the others.
         spacing: largest distance between the contact nodes [m].
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
             curvature is considerable (over 0.15 / L_gb), True, False, or its length [m].
         roll: how the rod is put into the grip: the laid rod's first material director is turned
-            by it from left towards up [rad]. None lays the rod with its natural curvature in the
-            table's plane, bent to the side to which the pattern turns in all; see `natural_roll`.
+            by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
+            into the table's plane to the side to which the pattern turns in all, or upwards. In
+            the plane the twist changes least; up, less is pushed aside (docs/loop.md).
+        controller: what "neural" and "auto" ask, for example one that was trained for this
+            naturally curved rod; None is the one that ships, for all straight rods.
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
         progress: called with the nodes done since the last call and the number of all nodes.
 
@@ -80,7 +91,8 @@ def plan(
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
             bend it tighter than its own radius, or spacing is not positive.
-        GraspError: unknown method, or a grasp that did not converge; names node and inputs.
+        GraspError: unknown method, a grasp that did not converge (names node and inputs), or a
+            controller that was made for another rod.
 
     Warns:
         StabilityWarning: some grasps are elastically unstable, or close to it.
@@ -89,7 +101,9 @@ def plan(
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
     pattern = prepare(pattern, rod, remainder)
-    if closure is None:
+    if closure is None and controller is not None and method in ("auto", "neural"):
+        closure = controller.closure
+    elif closure is None:
         closure = favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
     first = -pattern.remainder_length
     total = pattern.length - first
@@ -103,18 +117,18 @@ def plan(
     _refuse_tight_bends(pattern, rod, s, curvature)
     lgb = rod.gravito_bending_length
     laid = s - first
-    roll = natural_roll(pattern, rod) if roll is None else _finite_roll(roll)
+    roll = roll_angle(roll, pattern, rod)
     inputs = GraspInputs.of(
         rod, rod.length - laid, curvature,
-        roll=roll, closure=closure, device=device, progress=progress,
+        roll=roll, closure=closure, device=device, progress=progress, controller=controller,
     )  # fmt: skip
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
-        if method == "neural" and not rod.is_straight:
+        if method == "neural" and controller is None and not rod.is_straight:
             method = "numeric"
             warnings.warn(
-                "the controller knows naturally straight rods only and this one is curved at rest, "
-                "so its grasps come from the rod solver",
+                "the controller that ships knows naturally straight rods only and this one is "
+                "curved at rest, so its grasps come from the rod solver",
                 WrodWarning,
                 stacklevel=2,
             )
@@ -162,13 +176,16 @@ def favoured_closure(pattern: Pattern, rod: RodMaterial) -> str:
     elsewhere. In bends the first asks the table for less: at 1 / L_gb for a tangential force of
     0.55 instead of 0.93 of the normal one, so that less slides on slippery tables. On a straight
     pattern both are the same grasps; in gentle bends both lay as well, and the trained controller
-    knows the second. Evidence: `wrod bench closures`, docs/deployment.md; for naturally curved
-    rods there is none, and they get "zero_tension".
+    knows the second. Evidence: `wrod bench closures`, docs/deployment.md, and for naturally curved
+    rods docs/loop.md. Of a rod curved by more than 0.3 / L_gb not all grasps exist that ask for the
+    least, and it gets "zero_tension".
     """
     s = np.linspace(-pattern.remainder_length, pattern.length, _COURSE_POINTS)
-    sharpest = np.max(np.abs(pattern.sample(s)[2])) * rod.gravito_bending_length
-    bent = _GENTLE < sharpest <= _TIGHT
-    return "min_friction" if bent and rod.is_straight else "zero_tension"
+    lgb = rod.gravito_bending_length
+    sharpest = np.max(np.abs(pattern.sample(s)[2])) * lgb
+    natural = np.hypot(*rod.natural_curvature) * lgb
+    tight = _TIGHT if rod.is_straight else _TIGHT_CURVED
+    return "min_friction" if _GENTLE < sharpest <= tight and natural <= _MILD else "zero_tension"
 
 
 def with_shapes(
@@ -250,22 +267,25 @@ def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray
     return tuple(course) if laid else own
 
 
-def natural_roll(pattern: Pattern, rod: RodMaterial) -> float:
-    """Roll [rad] of a laid rod whose natural curvature lies in the table's plane and bends it to
-    the side to which the pattern turns in all; 0 for a straight rod."""
+def roll_angle(roll: float | str, pattern: Pattern, rod: RodMaterial) -> float:
+    """The roll [rad] that `plan`'s words "up" and "plane" mean; 0 for a straight rod.
+
+    Raises:
+        GraspError: the roll is neither these nor a finite number.
+    """
+    if roll not in ("up", "plane"):
+        if isinstance(roll, str) or not np.isfinite(roll):
+            raise GraspError(f"roll is {roll!r}; give a finite angle in radians, 'plane' or 'up'")
+        return float(roll)
     if rod.is_straight:
         return 0.0
+    left = -float(np.arctan2(*rod.natural_curvature[::-1]))
+    if roll == "up":
+        return left + 0.5 * np.pi
     s = np.linspace(-pattern.remainder_length, pattern.length, 1000)
     turning = float(np.mean(pattern.sample(s)[2])) * (s[-1] - s[0])
-    left = -float(np.arctan2(*rod.natural_curvature[::-1]))
     # A pattern that turns by nothing but rounding has no side.
     return left + np.pi if turning < -1e-3 else left
-
-
-def _finite_roll(roll: float) -> float:
-    if not np.isfinite(roll):
-        raise GraspError(f"roll is {roll!r}; give a finite angle in radians")
-    return float(roll)
 
 
 def _contact_frame(tangent: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import warp as wp
 from wrod.batch import RodBatch
 from wrod.coupled_system import CoupledSystem
 from wrod.errors import RodError
-from wrod.kernels import contact_pairs
+from wrod.kernels import contact_pairs, touching
 from wrod.kernels import rod_contact as kernels
 from wrod.substrate import Friction
 
@@ -202,10 +202,9 @@ class RodContact:
         self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
     ) -> None:
         """Take back the convergence of steps that are too large for nothing to tunnel."""
-        wp.launch(
-            kernels.refuse_large_steps,
-            dim=self.batch.rod_count,
-            inputs=[
+        self.batch.walk(
+            touching.refuse_large_steps,
+            [
                 self.edge_radius,
                 self.reach,
                 dof,
@@ -217,8 +216,7 @@ class RodContact:
                 self.sticking,
                 self._overloaded,
             ],
-            outputs=[converged, active],
-            device=self.batch.device,
+            [converged, active],
         )
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:

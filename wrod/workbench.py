@@ -42,7 +42,7 @@ class Hands:
         self._edge = wp.array(self.edge, dtype=wp.int32, device=device)
         self._position = [wp.zeros(shape, dtype=wp.vec3d, device=device) for _ in range(2)]
         self._rotation = [wp.zeros(shape, dtype=wp.quatd, device=device) for _ in range(2)]
-        self._times = (0.0, 1.0)
+        self._times = wp.array([0.0, 1.0], dtype=wp.float64, device=device)
         # Of the held edge in the hand.
         self._offset = np.zeros((scenes, count, 3))
         self._turn = np.tile([0.0, 0.0, 0.0, 1.0], (scenes, count, 1))
@@ -86,7 +86,7 @@ class Hands:
 
     def move(self, times: tuple[float, float], first: list[Poses], last: list[Poses]) -> None:
         """From one pose of every hand to another."""
-        self._times = times
+        self._times.assign(times)
         for k, poses in enumerate((first, last)):
             position = np.stack([p.position for p in poses], axis=1)
             position = position + np.stack(
@@ -121,8 +121,7 @@ class Hands:
             inputs=[
                 batch.rest_length,
                 self._edge,
-                wp.float64(self._times[0]),
-                wp.float64(self._times[1]),
+                self._times,
                 *self._position,
                 *self._rotation,
                 running,
@@ -219,6 +218,7 @@ class Workbench:
             force_scale=load,
             tolerance=self.tolerance,
             max_iterations=20,
+            keeps_recording=True,
         )
         self.diverged = np.zeros(len(self.rods), dtype=bool)
         self.steps = np.zeros(len(self.rods), dtype=int)

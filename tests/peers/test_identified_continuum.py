@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from kirchhoff_rod import World, hanging, measured
 
+from wrod.bench.continuous_rod import World, hanging, measured
 from wrod.identification import Effect, Parameter, identify
 from wrod.identification.effect import Model
 from wrod.identification.laboratory import Laboratory

@@ -58,7 +58,7 @@ def disturbance(case: str, trial: int) -> Disturbance:
     return Disturbance.random(_SEED[case] + trial, slip=SLIP)
 
 
-_KNOTS = "knots also: place of each hand 1 mm, strength of a grasp 40 % (log-normal)"
+_KNOTS = "knots also: place of each hand 1 mm in every direction, friction of its fingertips 30 %"
 
 
 def disturbances_text(rows: list[dict]) -> str:

@@ -89,6 +89,7 @@ def draw(path: Path, rows: list[dict]) -> Path:
     figure = Figure(figsize=(3.25 * wide, 3.5 * height), facecolor="white")
     FigureCanvasAgg(figure)
     grid = figure.subplots(height, wide, squeeze=False)
+    figure.subplots_adjust(0.01, 0.01, 0.99, 1.0 - 0.16 / height, 0.04, 0.16)
     for axes in grid.flat:
         axes.set_axis_off()
     for k, (case, method) in enumerate((c, m) for c in cables for m in METHODS):
@@ -96,7 +97,6 @@ def draw(path: Path, rows: list[dict]) -> Path:
             _cables(grid[0, k], case, method, rows, cells[case, method])
     for row, case in enumerate(knots, start=int(bool(cables))):
         _knots(grid[row], case, rows, cells)
-    figure.subplots_adjust(0.01, 0.01, 0.99, 1.0 - 0.16 / height, 0.04, 0.16)
 
     def write(file):
         figure.savefig(file, format="png", dpi=100)
@@ -156,14 +156,22 @@ def _knots(axes, case: str, rows: list[dict], cells: dict) -> None:
         radii = [material.radius for _, material in plan.rods]
         close = stage == "pulled"
         woven(one, rods, radii, RODS[case], width=3000 if close else 900)
-        if close:
-            x, y = _tightest(rods)
-            one.set(xlim=(x - 0.06, x + 0.06), ylim=(y - 0.06, y + 0.06))
         score = f"  {_score(cells[case, method])}" if stage != "laid" else ""
         _head(one, f"{case}, {SHORT[method]}{score}", note)
+        if close:
+            close_up(one, tightest(rods), 0.06)
 
 
-def _tightest(rods: list[np.ndarray]) -> np.ndarray:
+def close_up(axes, middle: np.ndarray, half: float) -> None:
+    """Show what is within `half` [m] of a point to both sides, in the whole panel."""
+    box = axes.get_position().transformed(axes.figure.transFigure)
+    x, y = middle
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlim(x - half, x + half)
+    axes.set_ylim(y - half * box.height / box.width, y + half * box.height / box.width)
+
+
+def tightest(rods: list[np.ndarray]) -> np.ndarray:
     """(2,) where two rods are nearest to each other, or where one bends most."""
     if len(rods) == 2:
         gap = np.linalg.norm(rods[0][:, None] - rods[1][None], axis=2)

@@ -138,27 +138,27 @@ def draw(path: str, rows: list[dict], radii: list[float]) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from wrod.bench.applications_report import RODS, woven
+    from wrod.bench.applications_report import RODS, close_up, tightest, woven
     from wrod.files import write_atomically
 
-    figure = Figure(figsize=(12.0, 1.7 * len(rows)), facecolor="white")
+    figure = Figure(figsize=(11.0, 2.1 * len(rows)), facecolor="white")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(len(rows), 3, squeeze=False, width_ratios=(1, 1, 1))
+    grid = figure.subplots(len(rows), 3, squeeze=False)
+    figure.subplots_adjust(0.01, 0.01, 0.99, 1.0 - 0.12 / len(rows), 0.04, 0.2)
     for row, line in zip(rows, grid, strict=True):
         for axes, stage in zip(line, ("laid", "tight", "pulled"), strict=True):
             axes.set_axis_off()
             if stage not in row["curves"]:
                 continue
-            woven(axes, [np.array(one) for one in row["curves"][stage]], radii, RODS["reef"])
+            curves = [np.array(one) for one in row["curves"][stage]]
+            gap = np.linalg.norm(curves[0][:, None] - curves[1][None], axis=2).min()
+            near = stage != "laid" and gap < 0.02
+            woven(axes, curves, radii, RODS["reef"], width=2600 if near else 900)
+            close_up(axes, tightest(curves) if near else np.zeros(2), 0.06 if near else 0.2)
             said = {
                 "laid": f"{row['laid']}, friction {row['friction']:g}",
-                "tight": f"first pulled with {row['strongest']:.2f} N",
+                "tight": "when the pull was reached",
                 "pulled": "held" if row["held"] else f"did not hold: {row['pulled']}",
             }
             axes.set_title(said[stage], fontsize=9, loc="left", color="#22262b")
-            # The knot, not the legs.
-            middle = np.mean([np.median(one, axis=0) for one in row["curves"]["laid"]], axis=0)
-            if stage == "laid":
-                axes.set_xlim(middle[0] - 0.2, middle[0] + 0.2)
-    figure.tight_layout()
     write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=80), "wb")

@@ -9,16 +9,16 @@ from pathlib import Path
 import click
 
 
-def row(path: Path, device: str) -> dict:
-    """One set: what `wrod identify` says of it, and what that cost."""
+def row(data, device: str) -> dict:
+    """One set, a file or measurements: what `wrod identify` says of it, and what that cost."""
     from wrod.identification import identify
 
     clock, cpu = time.perf_counter(), time.process_time()
-    report = identify(path, device=device)
+    report = identify(data, device=device)
     content = report.to_dict()
     left_out = ("reference", "title")
     return {
-        "set": path.stem,
+        "set": report.measurements.name,
         "verdict": report.verdict,
         "reason": report.reason,
         "before_mm": content["before_mm"],
@@ -41,23 +41,102 @@ def row(path: Path, device: str) -> dict:
     "--sets",
     "folder",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
-    required=True,
     help="Folder of measured sets (.npz).",
 )
+@click.option(
+    "--hidden",
+    "seeds",
+    type=int,
+    multiple=True,
+    help="Seed of sets made here, each with a hidden effect; may be given again.",
+)
+@click.option("--only", multiple=True, help="Hidden: only cases with this text in their name.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Hidden: keep rows.")
+@click.option("--workers", default=1, show_default=True, help="Hidden: processes side by side.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(folder: Path, device: str, as_json: bool) -> None:
-    """Identify every set of a folder: verdict, error before and after, parameters, time."""
+def command(
+    folder: Path | None,
+    seeds: tuple[int, ...],
+    only: tuple[str, ...],
+    out: Path | None,
+    workers: int,
+    device: str,
+    as_json: bool,
+) -> None:
+    """Identify many sets: those of a folder, or rods made here whose effects are known.
+
+    With --sets: verdict, error before and after, parameters and time of every file. With --hidden:
+    a confusion table. A solver of the continuous rod by collocation, which shares nothing with the
+    solver that identifies, makes a set for each effect, for pairs, for none and for effects that
+    no plug-in covers; with --out, OUT/rows.jsonl keeps what is finished and a stopped run goes on.
+    """
+    from wrod.batch import resolve_device
+    from wrod.errors import DataError
+
+    if (folder is None) == (not seeds):
+        raise click.UsageError("give either --sets FOLDER or --hidden SEED")
+    if workers < 1:
+        raise DataError(f"workers is {workers}; give 1 or more")
+    device = resolve_device(device)
+    if seeds:
+        _hidden(seeds, only, out, workers, device, as_json)
+    else:
+        _measured(folder, device, as_json)
+
+
+def _hidden(seeds, only, out, workers, device, as_json) -> None:
     from tqdm import tqdm
 
-    from wrod.batch import resolve_device
+    from wrod.bench import machine_line
+    from wrod.bench.hidden_effects import cases
+    from wrod.bench.hidden_table import examine_all, lines, summary
+    from wrod.bench.ledger import Ledger
+    from wrod.errors import DataError
+
+    names = [n for n in cases() if not only or any(text in n for text in only)]
+    if not names:
+        raise DataError(
+            f"no case is called like {', '.join(only)}; the cases: {', '.join(cases())}"
+        )
+    rows: list[dict] = []
+    keep, have = rows.append, {}
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        ledger = Ledger(out / "rows.jsonl", {}, ("set", "seed"), "identification")
+        have = {ledger.key(r): r for r in ledger.rows}
+
+        def keep(row):
+            ledger.add([row])
+            rows.append(row)
+
+    wanted = [(name, seed) for seed in seeds for name in names]
+    rows += [have[key] for key in wanted if key in have]
+    pending = [key for key in wanted if key not in have]
+    start = time.perf_counter()
+    with tqdm(total=len(wanted), initial=len(rows), unit="set", disable=None, leave=False) as bar:
+        examine_all(pending, min(workers, max(len(pending), 1)), device, keep, bar.update)
+    rows.sort(key=lambda r: wanted.index((r["set"], r["seed"])))
+    seconds = time.perf_counter() - start
+    if as_json:
+        click.echo(json.dumps({"machine": machine_line(device), "seconds": seconds, "rows": rows}))
+        return
+    click.echo(machine_line(device))
+    click.echo("\n".join(lines(rows) + [""] + summary(rows)))
+    click.echo(f"{len(pending)} sets in {seconds:.0f} s with {workers} processes")
+    if out is not None:
+        click.echo(f"wrote {out / 'rows.jsonl'}")
+
+
+def _measured(folder: Path, device: str, as_json: bool) -> None:
+    from tqdm import tqdm
+
     from wrod.bench import machine_line
     from wrod.errors import DataError
 
     paths = sorted(folder.glob("*.npz"))
     if not paths:
         raise DataError(f"{folder}: holds no .npz file of measurements")
-    device = resolve_device(device)
     rows = []
     with tqdm(paths, disable=None, leave=False) as bar:
         for path in bar:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import click
+
+from wrod.bench.loop_trials import CONTROLLERS
+from wrod.commands.options import read_roll
 
 EFFECTS = ("natural_curvature", "stiffness")
 
@@ -32,7 +36,27 @@ EFFECTS = ("natural_curvature", "stiffness")
     "--candidate", "candidates", multiple=True,
     help="Let the identification try this effect only (repeatable); default: all it knows.",
 )  # fmt: skip
+@click.option(
+    "--controller",
+    "controllers",
+    multiple=True,
+    type=click.Choice(CONTROLLERS),
+    help="Who plans (repeatable); default: network, and default: what `wrod plan` does unasked.",
+)
+@click.option(
+    "--grasps", default=2048, show_default=True, help="That a curved rod's network learns."
+)
+@click.option("--steps", type=click.IntRange(min=1), help="Of its training; default: the recipe's.")
 @click.option("--friction", default=1.0, show_default=True, help="Friction coefficient.")
+@click.option("--rolling", is_flag=True, help="Let the laid rod roll freely.")
+@click.option(
+    "--roll",
+    "roll_text",
+    default="plane",
+    show_default=True,
+    help="How all plans hold the rod: plane, as one would by accident who knows of no curvature, "
+    "up, or degrees (see `wrod plan`).",
+)
 @click.option("--speed", default=0.03, show_default=True, help="Speed of the contact [m/s].")
 @click.option("--step", default=0.02, show_default=True, help="Largest time step [s].")
 @click.option("--spacing", default=0.006, show_default=True, help="Length of the edges [m].")
@@ -50,7 +74,12 @@ def command(
     trials: int,
     noise: float,
     candidates: tuple[str, ...],
+    controllers: tuple[str, ...],
+    grasps: int,
+    steps: int | None,
     friction: float,
+    rolling: bool,
+    roll_text: str,
     speed: float,
     step: float,
     spacing: float,
@@ -60,8 +89,9 @@ def command(
 ) -> None:
     """Close the loop on a rod that has an effect nobody declared.
 
-    For each effect: synthetic measurements of the true rod between two clamps, identification that
-    is not told the effect, plans with the old and with the identified model, and simulated
+    For each effect: synthetic measurements of the true rod between two clamps (a continuous rod by
+    collocation), identification that is not told the effect, a network trained for the identified
+    rod where that is curved, plans with the old and with the identified model, and simulated
     deployments of the true rod with both, beside those of a rod without the effect.
     """
     from tqdm import tqdm
@@ -69,9 +99,11 @@ def command(
     from wrod.batch import resolve_device
     from wrod.bench import machine_line
     from wrod.bench.loop_report import draw, markdown, summary, write_csv
+    from wrod.bench.loop_trials import Case, identified, network_for, row, trials_along, with_length
     from wrod.bench.table3_paper import PATTERNS, read_pattern
     from wrod.deployment import simulate_deployments
     from wrod.material import rod
+    from wrod.substrate import Friction
 
     device, believed = resolve_device(device), rod(rod_name)
     curves = {name: read_pattern(name, patterns) for name in names or PATTERNS}
@@ -81,28 +113,51 @@ def command(
             believed, gravito_bending_length=(1.0 + lgb_error) * believed.gravito_bending_length
         ),
     }
-    clock, cases, written = time.perf_counter(), {}, []
-    for effect in effects or EFFECTS:
-        report = _identified(true[effect], believed, trials, noise, seed, candidates, device)
-        written += report.save(out / effect)
-        cases[effect] = (true[effect], report)
-    identified = time.perf_counter()
-    jobs = {}
-    for name, curve in tqdm(curves.items(), desc="plans", leave=False, disable=as_json):
-        jobs |= _trials(name, curve, believed, cases, friction)
-    planned = time.perf_counter()
+    controllers = controllers or ("network", "default")
+    seconds, cases, written = {}, {}, []
     shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-    with tqdm(total=100, leave=False, desc="laid", disable=as_json, bar_format=shown) as bar:
+    with _timed(seconds, "identification"):
+        reports = {
+            effect: identified(true[effect], believed, trials, noise, seed, candidates, device)
+            for effect in tqdm(effects or EFFECTS, desc="identify", leave=False, disable=as_json)
+        }
+    for effect, report in reports.items():
+        written += report.save(out / effect)
+        model, network = with_length(report.material, believed), None
+        roll = read_roll(roll_text, model)
+        if "network" in controllers:
+            with (
+                _timed(seconds, "training"),
+                tqdm(
+                    total=100, leave=False, desc="train", disable=as_json, bar_format=shown
+                ) as bar,
+            ):
+                network = network_for(
+                    model, out / effect, roll=roll, grasps=grasps, steps=steps, seed=seed,
+                    device=device,
+                    progress=lambda share, bar=bar: bar.update(100 * share - bar.n),
+                )  # fmt: skip
+        if network is not None:
+            written.append(out / effect / "controller.safetensors")
+        cases[effect] = Case(true[effect], report, model, network, roll)
+    jobs, law = {}, Friction(friction, rolling=rolling)
+    with _timed(seconds, "plans"):
+        for name, curve in tqdm(curves.items(), desc="plans", leave=False, disable=as_json):
+            jobs |= trials_along(name, curve, believed, cases, controllers, law)
+    with (
+        _timed(seconds, "deployments"),
+        tqdm(total=100, leave=False, desc="laid", disable=as_json, bar_format=shown) as bar,
+    ):
         laid = simulate_deployments(
             list(jobs.values()), speed=speed, step=step, spacing=spacing, device=device,
             progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
         )  # fmt: skip
-    simulated = time.perf_counter()
-    rows = [_row(key, jobs[key], d) for key, d in zip(jobs, laid, strict=True)]
-    found = {effect: _found(*case) for effect, case in cases.items()}
+    rows = [row(key, jobs[key], d) for key, d in zip(jobs, laid, strict=True)]
+    found = {effect: _found(case) for effect, case in cases.items()}
     head = (
         f"Simulated deployments of {rod_name}, e_mean ± sigma [cm] (N = 50); friction "
-        f"{friction:g}, contact speed {speed:g} m/s, step {step:g} s, edges {spacing:g} m, "
+        f"{friction:g}{', rolling freely' if rolling else ''}, roll {roll_text}, "
+        f"contact speed {speed:g} m/s, step {step:g} s, edges {spacing:g} m, "
         f"{'built-in patterns' if patterns is None else 'patterns of a folder'}."
     )
     text = markdown(rows, found, head)
@@ -117,12 +172,8 @@ def command(
         "device": device,
         "found": found,
         "summary": summary(rows),
-        "seconds": {
-            "identification": identified - clock,
-            "plans": planned - identified,
-            "deployments": simulated - planned,
-        },
-        "rows": [{k: v for k, v in row.items() if k != "curve"} for row in rows],
+        "seconds": seconds,
+        "rows": [{k: v for k, v in one.items() if k != "curve"} for one in rows],
         "written": [str(path) for path in written],
     }
     if as_json:
@@ -136,20 +187,23 @@ def command(
         click.echo(f"wrote {path}")
 
 
-def _identified(true, believed, trials, noise, seed, candidates, device):
-    """Report of an identification that knows the measurements and the believed rod only."""
-    from wrod.identification import identify
-    from wrod.identification.measurements import measurements_from_arrays
-    from wrod.identification.synthetic import clamped_experiment
-
-    data = clamped_experiment(true, believed, trials=trials, noise=noise, seed=seed)
-    measurements = measurements_from_arrays(data, name="synthetic")
-    return identify(measurements, candidates=candidates or None, device=device)
+@contextmanager
+def _timed(seconds: dict[str, float], what: str):
+    """Add how long something took [s]."""
+    clock = time.perf_counter()
+    yield
+    seconds[what] = seconds.get(what, 0.0) + time.perf_counter() - clock
 
 
-def _found(true, report) -> dict:
-    """What the identification said, beside the truth."""
+def _found(case) -> dict:
+    """What the identification said, beside the truth, and how well its network learnt."""
+    true, report = case.true, case.report
+    learnt = None
+    if case.network is not None:
+        metadata = case.network.metadata
+        learnt = {key: metadata[key] for key in ("samples", "steps", "seconds", "held_out")}
     return {
+        "network": learnt,
         "verdict": report.verdict,
         "before_mm": 1e3 * report.before,
         "after_mm": 1e3 * report.after,
@@ -166,51 +220,4 @@ def _found(true, report) -> dict:
             "natural_curvature": list(report.material.natural_curvature),
             "gravito_bending_length": report.material.gravito_bending_length,
         },
-    }
-
-
-def _trials(name: str, curve, believed, cases: dict, friction: float) -> dict:
-    """Deployments along one pattern by (effect, pattern, plan): old, new, and none of the effect.
-
-    Old and new plan hold the rod at the same roll and have one closure, so that only the model
-    behind the grasps differs.
-    """
-    from wrod.deployment import Trial, with_remainder_of
-    from wrod.deployment_setup import tail
-    from wrod.planner import plan
-    from wrod.substrate import Friction
-
-    def trial(rod, model, method, roll=None):
-        path = plan(curve, model, method, closure="zero_tension", roll=roll, device="cpu")
-        led = with_remainder_of(curve, path)
-        return Trial(led, rod, path, Friction(friction), tail=tail(led, model, path))
-
-    jobs = {("none", name, "old"): trial(believed, believed, "neural")}
-    for effect, (true, report) in cases.items():
-        model = replace(report.material, length=believed.length)
-        new = trial(true, model, "auto")
-        old = trial(true, believed, "neural", new.trajectory.metadata["roll"])
-        jobs[effect, name, "old"], jobs[effect, name, "new"] = old, new
-    return jobs
-
-
-def _row(key: tuple[str, str, str], trial, deployment) -> dict:
-    """Figures [cm] of a deployment, and the laid curve at 60 points [m]."""
-    import numpy as np
-
-    from wrod.friction import friction_bound
-
-    curve = trial.pattern
-    bound = friction_bound(curve, trial.rod)
-    s = np.linspace(0.0, curve.length, 60) + curve.remainder_length
-    laid = [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
-    names = ("error_mean", "error_std", "released_error_mean", "released_error_std")
-    return {
-        **dict(zip(("effect", "pattern", "plan"), key, strict=True)),
-        "method": trial.trajectory.metadata["method"],
-        **{name: 100.0 * getattr(deployment, name) for name in names},
-        "lacking_friction": float(np.mean(bound.required > trial.friction.static)),
-        "slip": 100.0 * float(deployment.slip.max()),
-        "diverged": deployment.diverged,
-        "curve": np.round(np.column_stack(laid), 5).tolist(),
     }

@@ -14,16 +14,17 @@ TITLES = {
     "stiffness": "rod with a wrong L_gb",
     "none": "rod without the effect",
 }
-# Share of a pattern that may ask for more friction than there is before it is worth a word.
-_MUCH = 0.2
+COLORS = {"old": "#c2533c", "new": "#2f8f5b"}
+_INK, _GREY = "#22262b", "#59616b"
 _COLUMNS = {
     "error_mean": "e_mean [cm]",
     "error_std": "sigma [cm]",
     "released_error_mean": "released e_mean [cm]",
     "released_error_std": "released sigma [cm]",
     "slip": "largest slip [cm]",
-    "lacking_friction": "share of the pattern that asks for more friction [-]",
+    "contact_friction": "largest friction asked for by the plan [-]",
 }
+_NAMES = ("effect", "controller", "pattern", "plan", "method", "closure")
 
 
 def write_csv(path: Path, rows: list[dict]) -> Path:
@@ -31,31 +32,40 @@ def write_csv(path: Path, rows: list[dict]) -> Path:
 
     def write(file):
         writer = csv.writer(file)
-        writer.writerow(["effect", "pattern", "plan", "method", *_COLUMNS.values(), "diverged"])
+        writer.writerow([*_NAMES, *_COLUMNS.values(), "diverged"])
         for row in rows:
             figures = [f"{row[name]:.4f}" for name in _COLUMNS]
-            names = [row[name] for name in ("effect", "pattern", "plan", "method")]
-            writer.writerow([*names, *figures, int(row["diverged"])])
+            writer.writerow([*(row[name] for name in _NAMES), *figures, int(row["diverged"])])
 
     return write_atomically(path, write)
 
 
 def markdown(rows: list[dict], found: dict, head: str) -> str:
     """What was identified, and the errors before and after beside those without the effect."""
-    patterns = list(dict.fromkeys(row["pattern"] for row in rows))
-    cell = {(row["effect"], row["pattern"], row["plan"]): row for row in rows}
+    patterns, controllers = _values(rows, "pattern"), _values(rows, "controller")
+    cell = _cells(rows)
     lines = [head, ""]
     for effect, told in found.items():
         lines += [f"{TITLES[effect]}: {_told(told)}", ""]
-    lines.append("| rod | plan | " + " | ".join(patterns) + " |")
-    lines.append("|" + " --- |" * (2 + len(patterns)))
-    kinds = [("none", "old", TITLES["none"], "old")]
+    lines.append("| rod | controller | plan | " + " | ".join(patterns) + " | mean |")
+    lines.append("|" + " --- |" * (4 + len(patterns)))
+    kinds = [("none", controller, "old", "old") for controller in controllers]
     for effect in found:
-        kinds += [(effect, plan, TITLES[effect], f"**{plan}**") for plan in ("old", "new")]
-    for effect, plan, title, shown in kinds:
-        texts = [_cell(cell[effect, name, plan]) for name in patterns]
-        lines.append(f"| {title} | {shown} | " + " | ".join(texts) + " |")
+        for controller in controllers:
+            kinds += [(effect, controller, plan, f"**{plan}**") for plan in ("old", "new")]
+    for effect, controller, plan, shown in kinds:
+        texts = [_cell(cell[effect, controller, name, plan]) for name in patterns]
+        texts.append(f"{mean_error(rows, effect, controller, plan):.3f}")
+        lines.append(f"| {TITLES[effect]} | {controller} | {shown} | " + " | ".join(texts) + " |")
     return "\n".join([*lines, "", *summary(rows), ""])
+
+
+def _values(rows: list[dict], name: str) -> list[str]:
+    return list(dict.fromkeys(row[name] for row in rows))
+
+
+def _cells(rows: list[dict]) -> dict:
+    return {(r["effect"], r["controller"], r["pattern"], r["plan"]): r for r in rows}
 
 
 def _cell(row: dict) -> str:
@@ -65,72 +75,80 @@ def _cell(row: dict) -> str:
 
 def _told(told: dict) -> str:
     names = ", ".join(told["effects"]) or "nothing"
-    true, model = told["true"], told["model"]
+    true, model, network = told["true"], told["model"], told["network"]
     curved, found = (np.hypot(*m["natural_curvature"]) for m in (true, model))
-    return (
+    text = (
         f"{told['verdict']}, found {names}; clamped shapes off by {told['before_mm']:.2f} mm "
         f"before, {told['after_mm']:.2f} mm after, noise {told['noise_floor_mm']:.2f} mm; "
         f"natural curvature {found:.2f} (true {curved:.2f}) 1/m, L_gb "
         f"{100 * model['gravito_bending_length']:.2f} "
         f"(true {100 * true['gravito_bending_length']:.2f}) cm"
     )
+    if network is None:
+        return text + "; the network that ships knows it"
+    held_out = network["held_out"]
+    return text + (
+        f"; its own network learnt {network['samples']} grasps in {network['seconds']:.0f} s and "
+        f"errs by {held_out['mean_absolute_error']:.1e} on fresh ones, position p99 "
+        f"{held_out['position_error_p99']:.1e} L_gb"
+    )
 
 
 def summary(rows: list[dict]) -> list[str]:
-    """Mean error over the patterns with the old and the new plan."""
+    """Mean error over the patterns with the old and the new plan of every controller, and where
+    the new one is worse."""
     lines = []
-    by_effect = {
-        effect: _means(rows, effect) for effect in dict.fromkeys(r["effect"] for r in rows)
-    }
-    ideal = by_effect.pop("none")["old"]
-    for effect, means in by_effect.items():
-        lines.append(
-            f"{TITLES[effect]}: mean e_mean {means['old']:.3f} cm with the old plan, "
-            f"{means['new']:.3f} cm with the new one ({means['old'] / means['new']:.1f} times "
-            f"less); {ideal:.3f} cm without the effect."
-        )
-    short = {
-        f"{row['pattern']} ({row['lacking_friction']:.0%} of it, {TITLES[row['effect']]})": None
-        for row in rows
-        if row["lacking_friction"] > _MUCH
-    }
-    if short:
-        lines.append(
-            "Asking for more friction than there is, which no plan makes up for: "
-            f"{', '.join(short)}."
-        )
+    for effect in _values(rows, "effect"):
+        for controller in _values(rows, "controller") if effect != "none" else ():
+            old, new = (mean_error(rows, effect, controller, plan) for plan in ("old", "new"))
+            ideal = mean_error(rows, "none", controller, "old")
+            lines.append(
+                f"{TITLES[effect]}, {controller}: mean e_mean {old:.3f} cm with the old plan, "
+                f"{new:.3f} cm with the new one ({old / new:.1f} times less); {ideal:.3f} cm "
+                "without the effect."
+            )
+    cell = _cells(rows)
+    worse = [
+        f"{row['pattern']} ({TITLES[row['effect']]}, {row['controller']}: {before:.3f} to "
+        f"{row['error_mean']:.3f} cm; the new plan asks for friction {row['contact_friction']:.2f})"
+        for (effect, controller, name, plan), row in cell.items()
+        if plan == "new"
+        and row["error_mean"]
+        > 1.1 * (before := cell[effect, controller, name, "old"]["error_mean"]) + 0.01
+    ]
+    if worse:
+        lines.append(f"Worse than before: {'; '.join(worse)}.")
     lost = sum(row["diverged"] for row in rows)
     if lost:
         lines.append(f"{lost} of {len(rows)} deployments diverged.")
     return lines
 
 
-def _means(rows: list[dict], effect: str) -> dict[str, float]:
-    mine = [row for row in rows if row["effect"] == effect]
-    plans = dict.fromkeys(row["plan"] for row in mine)
-    return {
-        plan: float(np.mean([row["error_mean"] for row in mine if row["plan"] == plan]))
-        for plan in plans
-    }
+def mean_error(rows: list[dict], effect: str, controller: str, plan: str) -> float:
+    """Mean of e_mean over the patterns [cm]."""
+    mine = [
+        row["error_mean"]
+        for row in rows
+        if (row["effect"], row["controller"], row["plan"]) == (effect, controller, plan)
+    ]
+    return float(np.mean(mine))
 
 
 def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
-    """Laid curves before and after for every effect and pattern, and the errors as bars."""
+    """Curves laid by the last controller before and after, for every effect and pattern, and the
+    errors of all controllers as bars."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
-    colors = {"old": "#c2533c", "new": "#2f8f5b"}
-    effects = [e for e in dict.fromkeys(row["effect"] for row in rows) if e != "none"]
-    ideal = {row["pattern"]: row["error_mean"] for row in rows if row["effect"] == "none"}
-    cell = {(row["effect"], row["pattern"], row["plan"]): row for row in rows}
-    count = len(patterns)
+    effects = [effect for effect in _values(rows, "effect") if effect != "none"]
+    cell, count = _cells(rows), len(patterns)
+    shown = _values(rows, "controller")[-1]
     figure = Figure(figsize=(2.0 * max(count, 3), 3.6 * len(effects) + 0.6), facecolor="white")
     FigureCanvasAgg(figure)
+    height = figure.get_figheight()
     grid = figure.add_gridspec(
         2 * len(effects), count, height_ratios=[1.0, 0.75] * len(effects),
-        left=0.06, right=0.99, top=1 - 0.62 / figure.get_figheight(), bottom=0.03,
-        hspace=0.12, wspace=0.12,
+        left=0.06, right=0.99, top=1 - 0.62 / height, bottom=0.035, hspace=0.2, wspace=0.12,
     )  # fmt: skip
     for k, effect in enumerate(effects):
         highest = max(row["error_mean"] for row in rows if row["effect"] == effect)
@@ -138,49 +156,63 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
             panel = figure.add_subplot(grid[2 * k, j])
             target = curve.sample(np.linspace(0.0, curve.length, 300))[0]
             panel.plot(target[:, 0], target[:, 1], color="#0b5fa5", lw=4.0, alpha=0.35)
-            for plan, color in colors.items():
-                laid = np.array(cell[effect, name, plan]["curve"])
+            for plan, color in COLORS.items():
+                laid = np.array(cell[effect, shown, name, plan]["curve"])
                 panel.plot(*laid.T, color=color, lw=1.3)
             panel.set_aspect("equal", adjustable="datalim")
             panel.margins(0.12)
             panel.set_axis_off()
             if k == 0:
-                panel.set_title(name, fontsize=11, color="#22262b")
+                panel.set_title(name, fontsize=11, color=_INK)
             bars = figure.add_subplot(grid[2 * k + 1, j])
-            for x, (plan, color) in enumerate(colors.items()):
-                error = cell[effect, name, plan]["error_mean"]
-                bars.bar(x, 10 * error, width=0.7, color=color)
-                bars.text(
-                    x, 10 * error, f"{10 * error:.1f}", ha="center", va="bottom", fontsize=9,
-                    color="#22262b",
-                )  # fmt: skip
-            bars.axhline(10 * ideal[name], color="#59616b", lw=1.0, ls=":")
-            bars.set(xlim=(-0.7, 1.7), ylim=(0, 12.5 * highest), xticks=[])
-            bars.spines[["top", "right"]].set_visible(False)
-            bars.spines[["left", "bottom"]].set_color("#b9bfc6")
-            bars.tick_params(labelsize=8, colors="#59616b")
+            _draw_bars(bars, cell, effect, name, highest)
             if j == 0:
-                bars.set_ylabel("e_mean [mm]", fontsize=9, color="#59616b")
+                bars.set_ylabel("e_mean [mm]", fontsize=9, color=_GREY)
             else:
                 bars.set_yticklabels([])
-        height = 1 - (0.62 + (figure.get_figheight() - 0.7) * (k + 0.5) / len(effects)) / (
-            figure.get_figheight()
-        )
+        middle = 1 - (0.62 + (height - 0.9) * (k + 0.5) / len(effects)) / height
         figure.text(
-            0.012, height, TITLES[effect], fontsize=11, color="#22262b", rotation=90,
-            ha="center", va="center",
+            0.012, middle, TITLES[effect], fontsize=11, color=_INK, rotation=90, ha="center",
+            va="center",
         )  # fmt: skip
-    figure.legend(
-        handles=[
-            Line2D([], [], color="#0b5fa5", lw=4, alpha=0.35, label="pattern"),
-            Line2D([], [], color=colors["old"], lw=1.5, label="old plan"),
-            Line2D([], [], color=colors["new"], lw=1.5, label="plan with the identified model"),
-            Line2D([], [], color="#59616b", lw=1.0, ls=":", label="without the effect"),
-        ],
-        loc="upper right", ncol=4, fontsize=9, frameon=False,
-    )  # fmt: skip
+    _draw_legend(figure, shown)
 
     def write(file):
         figure.savefig(file, format="png", dpi=90)
 
     return write_atomically(path, write, "wb")
+
+
+def _draw_bars(axes, cell: dict, effect: str, name: str, highest: float) -> None:
+    """Errors [mm] of one pattern: old and new of every controller, and that without the effect."""
+    controllers = list(dict.fromkeys(key[1] for key in cell))
+    for i, controller in enumerate(controllers):
+        for side, (plan, color) in zip((-0.2, 0.2), COLORS.items(), strict=True):
+            error = 10 * cell[effect, controller, name, plan]["error_mean"]
+            axes.bar(i + side, error, width=0.38, color=color)
+            axes.text(
+                i + side, error, f"{error:.1f}", ha="center", va="bottom", fontsize=8, color=_INK
+            )
+        ideal = 10 * cell["none", controller, name, "old"]["error_mean"]
+        axes.hlines(ideal, i - 0.45, i + 0.45, color=_GREY, lw=1.0, ls=":")
+    axes.set(xlim=(-0.6, len(controllers) - 0.4), ylim=(0, 12.5 * highest))
+    axes.set_xticks(range(len(controllers)), controllers, fontsize=8, color=_INK)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color("#b9bfc6")
+    axes.tick_params(axis="x", length=0)
+    axes.tick_params(axis="y", labelsize=8, colors=_GREY)
+
+
+def _draw_legend(figure, shown: str) -> None:
+    from matplotlib.lines import Line2D
+
+    figure.legend(
+        handles=[
+            Line2D([], [], color="#0b5fa5", lw=4, alpha=0.35, label="pattern"),
+            Line2D([], [], color=COLORS["old"], lw=1.5, label="old plan"),
+            Line2D([], [], color=COLORS["new"], lw=1.5, label="plan with the identified model"),
+            Line2D([], [], color=_GREY, lw=1.0, ls=":", label="without the effect"),
+            Line2D([], [], color="none", label=f"curves: {shown} controller"),
+        ],
+        loc="upper right", ncol=5, fontsize=9, frameon=False,
+    )  # fmt: skip

@@ -18,6 +18,7 @@ BENCHMARKS = (
     "bends",
     "newton",
     "identify",
+    "cables",
     "loop",
     "closures",
     "applications",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from wrod.commands.options import CLOSURE, DEVICE, ROD, options, read_rod
+from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, options, read_rod, read_roll
 
 
 @click.command(name="dataset")
@@ -21,6 +21,7 @@ from wrod.commands.options import CLOSURE, DEVICE, ROD, options, read_rod
     help="Store the derivatives by the inputs (zero_tension only).",
 )
 @options(ROD)
+@options(ROLL)
 @click.option("--shard-size", type=click.IntRange(min=1), help="Samples per file; default 2048.")
 @options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
@@ -34,11 +35,15 @@ def command(
     radius: float | None,
     lgb: float | None,
     length: float | None,
+    roll_text: str | None,
     shard_size: int | None,
     device: str,
     as_json: bool,
 ) -> None:
     """Solve grasps at low-discrepancy samples of (l_s, kappa, k_s), or of one rod alone.
+
+    Grasps of one naturally curved rod, such as the model.json of `wrod identify`, are what `wrod
+    train` makes a controller for that rod from.
 
     The same command goes on where a killed one was. Every process that torchrun starts takes its
     share of the shards, and a GPU of its own where there are several; the dataset stays the same:
@@ -67,7 +72,8 @@ def command(
         try:
             outcome = generate(
                 out, size, seed=seed, closure=closure, sensitivities=sensitivities,
-                shard_size=shard_size or SHARD_SIZE, rod=rod, device=device, rank=rank,
+                shard_size=shard_size or SHARD_SIZE, rod=rod,
+                roll=read_roll(roll_text, rod), device=device, rank=rank,
                 progress=progress,
             )  # fmt: skip
         except OSError as error:

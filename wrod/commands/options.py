@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -17,7 +16,7 @@ ROD = (
         "rod_name",
         help="Rod by name (green-vps, ...), rod.json, or the model.json of `wrod identify`.",
     ),
-    click.option("--radius", type=float, help="Radius of a rod of your own [m]."),
+    click.option("--radius", type=float, help="Radius of a rod of your own, or a rod file's [m]."),
     click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`)."),
     click.option("--length", type=float, help="Its total length, or a rod file's instead [m]."),
 )
@@ -55,6 +54,14 @@ PICTURE = (
         help="Where a picture's curve begins: X,Y [m], dot, or a corner (default lower-left).",
     ),
 )
+ROLL = (
+    click.option(
+        "--roll",
+        "roll_text",
+        help="How a naturally curved rod is held: plane (curved in the table's plane; default), up "
+        "(curved upwards), or the roll of its first director from left to up [degrees].",
+    ),
+)
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 
 
@@ -81,9 +88,9 @@ def read_rod(name: str | None, radius: float | None, lgb: float | None, length: 
     own = {"--radius": radius, "--lgb": lgb, "--length": length}
     given = [option for option, value in own.items() if value is not None]
     from_file = name is not None and name.endswith(".json")
-    if from_file and given == ["--length"]:
-        # Measurements between clamps know the stretch between them only.
-        return replace(RodMaterial.load(name), length=length)
+    if from_file and "--lgb" not in given:
+        # Measurements between clamps know the stretch between them only, those of motion no radius.
+        return RodMaterial.load(name, radius=radius, length=length)
     if name is not None and given:
         raise RodError(
             f"--rod {name} and {', '.join(given)} were both given; give one or the other"
@@ -96,6 +103,31 @@ def read_rod(name: str | None, radius: float | None, lgb: float | None, length: 
     if missing:
         raise RodError(f"{', '.join(missing)} missing; a rod of your own needs all three")
     return RodMaterial(radius, lgb, length)
+
+
+def read_roll(text: str | None, rod) -> float | str:
+    """What `wrod.plan` takes as roll for `ROLL`'s option and this `RodMaterial`.
+
+    Raises:
+        RodError: it is none, or there is no rod.
+    """
+    from math import isfinite, radians
+
+    from wrod.errors import RodError
+
+    if text is None:
+        return "plane"
+    if rod is None:
+        raise RodError("--roll belongs to one rod; name it with --rod")
+    if text in ("plane", "up"):
+        return text
+    try:
+        roll = radians(float(text))
+    except ValueError:
+        roll = float("nan")
+    if not isfinite(roll):
+        raise RodError(f"--roll {text} is no roll; use plane, up or a finite number of degrees")
+    return roll
 
 
 def read_pattern(name: str, units: str | None, reading: dict | None = None):

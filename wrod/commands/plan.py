@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from math import degrees, pi, radians
+from math import degrees, pi
 from pathlib import Path
 
 import click
@@ -13,10 +13,12 @@ from wrod.commands.options import (
     METHOD,
     PICTURE,
     ROD,
+    ROLL,
     UNITS,
     options,
     read_pattern,
     read_rod,
+    read_roll,
 )
 
 
@@ -25,6 +27,13 @@ from wrod.commands.options import (
 @options(ROD)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @options(METHOD)
+@click.option(
+    "--controller",
+    "controller_file",
+    type=click.Path(path_type=Path),
+    help="Controller that `wrod train` made, of this naturally curved rod for one; default: the "
+    "one that ships, for straight rods.",
+)
 @click.option("--spacing", default=0.0025, show_default=True, help="Distance between nodes [m].")
 @options(UNITS, PICTURE)
 @click.option("--friction", type=float, help="Static friction coefficient to check against.")
@@ -38,11 +47,7 @@ from wrod.commands.options import (
     default=None,
     help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
 )
-@click.option(
-    "--roll",
-    type=float,
-    help="Roll of a naturally curved rod: from left to up [degrees]; default: curved in the plane.",
-)
+@options(ROLL)
 @click.option("--robot", default="sawyer", show_default=True, help="sawyer, or a URDF file.")
 @click.option("--no-robot", is_flag=True, help="Leave out joint path and scene.")
 @click.option(
@@ -63,6 +68,7 @@ def command(
     out: Path,
     method: str,
     closure: str | None,
+    controller_file: Path | None,
     spacing: float,
     units: str | None,
     markers: Path | None,
@@ -73,7 +79,7 @@ def command(
     friction: float | None,
     shapes: bool,
     remainder: bool | None,
-    roll: float | None,
+    roll_text: str | None,
     robot: str,
     no_robot: bool,
     placement: str,
@@ -89,12 +95,14 @@ def command(
     """
     from tqdm import tqdm
 
+    from wrod.controller import Controller
     from wrod.errors import DataError
     from wrod.friction import friction_bound
     from wrod.picture import draw_plan
     from wrod.planner import plan, prepare, with_shapes
 
     rod = read_rod(rod_name, radius, lgb, length)
+    controller = None if controller_file is None else Controller.load(controller_file)
     reading = {
         "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
     }  # fmt: skip
@@ -109,7 +117,8 @@ def command(
         chosen = None if device == "auto" else device
         trajectory = plan(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
-            roll=None if roll is None else radians(roll), device=chosen, progress=progress,
+            roll=read_roll(roll_text, rod), controller=controller, device=chosen,
+            progress=progress,
         )  # fmt: skip
         if shapes:
             bar.n = 0

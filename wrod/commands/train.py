@@ -23,7 +23,12 @@ import click
     help="Solve N grasps first; a fifth of them during training, where the network errs most.",
 )
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--recipe", "name", default="default", show_default=True, help="default or paper.")
+@click.option(
+    "--recipe",
+    "name",
+    help="default, paper, or curved for the grasps of one naturally curved rod; default: by the "
+    "dataset.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--steps", type=click.IntRange(min=1), help="Optimiser steps; default: the recipe's.")
 @click.option("--batch", type=click.IntRange(min=1), help="Grasps per step (the first).")
@@ -44,7 +49,7 @@ def command(
     dataset: Path | None,
     generate: int | None,
     out: Path,
-    name: str,
+    name: str | None,
     seed: int,
     steps: int | None,
     batch: int | None,
@@ -58,39 +63,46 @@ def command(
 ) -> None:
     """Train the neural controller and score it against the numeric solver.
 
+    From the grasps of one naturally curved rod (`wrod dataset --rod`) it makes a controller for
+    that rod, which `wrod plan --controller` takes.
+
     The same command resumes from the last checkpoint in --out. With equal seed and steps (without
     --minutes) it gives the same weights on the same machine.
     """
-    from dataclasses import asdict, replace
+    from dataclasses import replace
 
     from tqdm import tqdm
 
     from wrod.batch import resolve_device
-    from wrod.bench import machine_line
     from wrod.errors import DataError
     from wrod.files import write_atomically
     from wrod.training.dataset import GraspTable, load
+    from wrod.training.finish import finished
     from wrod.training.loop import Training
     from wrod.training.recipes import recipe as find
     from wrod.training.store import read_manifest
 
-    changes = {"steps": steps, "batch": batch, "width": width}
-    changes["sensitivity_weight"] = sensitivity_weight
-    recipe = replace(find(name), **{k: v for k, v in changes.items() if v is not None})
-    recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
-    device = resolve_device(device)
     if (dataset is None) == (generate is None):
         raise DataError("give either --dataset DIR or --generate N")
+    known = None if dataset is None else read_manifest(dataset)
+    rod = None if known is None else known.rod_inputs
+    curved = rod is not None and not rod.is_straight
+    if rod is not None and not curved:
+        raise DataError(
+            f"{dataset}: holds grasps of one straight rod, and the controller that ships knows "
+            "those of all; plan with it"
+        )
+    changes = {"steps": steps, "batch": batch, "width": width}
+    changes["sensitivity_weight"] = sensitivity_weight
+    recipe = find(name or ("curved" if curved else "default"))
+    recipe = replace(recipe, **{k: v for k, v in changes.items() if v is not None})
+    recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
+    device = resolve_device(device)
     refine = 0
     if generate is not None:
         refine = generate // 5
         with _writing(out):
             dataset = _generate(out / "dataset", generate - refine, seed, device, as_json)
-    if read_manifest(dataset).rod is not None:
-        raise DataError(
-            f"{dataset}: holds grasps of one rod, and the networks here learn those of all "
-            "straight rods; plan for that rod with --method numeric"
-        )
     table = load(dataset, rows)
     training = Training(
         recipe,
@@ -100,6 +112,7 @@ def command(
         folder=out,
         refine=refine,
         solve=lambda inputs: GraspTable.solve(inputs, device, table.sensitivity is not None),
+        rod=rod,
     )
     resumed = training.resume()
     with tqdm(unit="step", initial=training.step, total=recipe.steps, disable=as_json) as bar:
@@ -112,21 +125,12 @@ def command(
             if not resumed:
                 training.checkpoint()  # says now, not after the training, if it cannot be written
             training.run(minutes=minutes, progress=progress)
-    from wrod.training.score import held_out, score
-
-    manifest = read_manifest(dataset)
-    controller = training.controller(
-        {
-            "closure": manifest.closure,
-            # With --generate, the dataset is part of the one command.
-            "dataset_command": None if generate else manifest.command(dataset),
-            "command": "wrod train " + " ".join(_arguments()),
-            "machine": machine_line(device),
-            "dataset": asdict(manifest),
-        }
-    )
-    fresh = held_out(test, seed=10_000 + seed, device=device)
-    controller.metadata["held_out"] = score(controller, *fresh)
+    controller = finished(
+        training, dataset, test=test, seed=seed, device=device,
+        # With --generate, the dataset is part of the one command.
+        dataset_command=None if generate else read_manifest(dataset).command(dataset),
+        command="wrod train " + " ".join(_arguments()),
+    )  # fmt: skip
     summary = {k: v for k, v in controller.metadata.items()}
     written = [
         controller.save(out / "controller.safetensors"),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from wrod.identification.effect import Effect, Parameter
 from wrod.identification.measurements import ClampedMeasurements, load_measurements
-from wrod.identification.motion_data import MotionMeasurements, is_motion, load_motion
+from wrod.identification.motion_data import MotionMeasurements
+from wrod.identification.motion_loading import is_motion, load_motion
 from wrod.identification.motion_report import MotionReport, identify_motion
 from wrod.identification.report import IdentificationReport, identify
 

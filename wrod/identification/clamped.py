@@ -52,6 +52,7 @@ class ClampedSolver:
         free[-7:] = False
         self.batch.set_free(free)
         self.sensitivity = Sensitivity(self.batch, self.trial_count, self.edge_count)
+        self.principal = np.zeros(self.batch.rod_count)
         if start is None:
             self._walk_to(setups, poses)
         else:
@@ -62,7 +63,8 @@ class ClampedSolver:
     def saved(self) -> tuple[np.ndarray, ...]:
         """Copies of the state's arrays, (candidate x trial, ...)."""
         s = self.batch.state
-        return tuple(a.numpy().copy() for a in (s.dof, s.tangent, s.director, s.reference_twist))
+        arrays = (s.dof, s.tangent, s.director, s.reference_twist)
+        return (*(a.numpy().copy() for a in arrays), self.principal.copy())
 
     def restore(self, saved: tuple[np.ndarray, ...], rods: np.ndarray | None = None) -> None:
         """Put a saved state back, for the given rods only if a mask (candidate x trial) is given.
@@ -70,16 +72,20 @@ class ClampedSolver:
         A state of fewer candidates is repeated for all of them.
         """
         s = self.batch.state
-        for array, value in zip(
-            (s.dof, s.tangent, s.director, s.reference_twist), saved, strict=True
-        ):
+        *arrays, principal = saved
+
+        def merged(value, present):
             repeats = self.batch.rod_count // len(value)
             value = np.tile(value, (repeats,) + (1,) * (value.ndim - 1))
-            if rods is not None:
-                value = np.where(
-                    rods.reshape((-1,) + (1,) * (value.ndim - 1)), value, array.numpy()
-                )
-            array.assign(value)
+            if rods is None:
+                return value
+            return np.where(rods.reshape((-1,) + (1,) * (value.ndim - 1)), value, present)
+
+        for array, value in zip(
+            (s.dof, s.tangent, s.director, s.reference_twist), arrays, strict=True
+        ):
+            array.assign(merged(value, array.numpy()))
+        self.principal = merged(principal, self.principal)
 
     def total_twist(self) -> np.ndarray:
         """(candidate x trial,) twist of every rod from clamp to clamp [rad]."""
@@ -96,6 +102,7 @@ class ClampedSolver:
         given up: for a fit it is cheaper to try a shorter step.
         """
         self._assign(setups)
+        self._turn_principal(setups)
         twist = self.total_twist()
         targets = self._prescribed(*end_poses(setups), setups)
         if not walk:
@@ -165,6 +172,17 @@ class ClampedSolver:
                 f"the rod of trial {trial} finds no equilibrium at its reported poses; check "
                 "length, L_gb and the poses"
             )
+
+    def _turn_principal(self, setups: Sequence[Setup]) -> None:
+        """Turn the directors that the solver carries to the principal directions of the models.
+
+        Were only the clamps' to turn, the rod would be twisted on the way and might stay so.
+        """
+        principal = np.repeat(np.real([s.principal_angle for s in setups]), self.trial_count)
+        dof = self.batch.state.dof.numpy().copy()
+        dof[:, 3::4] += (principal - self.principal)[:, None]
+        self.batch.state.dof.assign(dof)
+        self.principal = principal
 
     def _straight(self, setups, rest_length) -> np.ndarray:
         a = np.concatenate([np.real(s.clamp_position) for s in setups])

@@ -152,6 +152,10 @@ class Model:
             position = effect.measure(position, frame, part, setup)
         return position
 
+    def grown(self, values: np.ndarray, share: float) -> np.ndarray:
+        """The same effects at a share of their size; places and directions stay."""
+        return np.where([p.anywhere for p in self.parameters], values, share * values)
+
     def prior_mean(self, start: np.ndarray) -> np.ndarray:
         """(P,) middle of the prior of a fit that starts from `start`."""
         return np.where([p.anywhere for p in self.parameters], start, 0.0)

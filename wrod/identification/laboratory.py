@@ -15,6 +15,8 @@ from wrod.identification.sensing import Prediction
 from wrod.identification.setup import Setup
 
 _SMALLEST_STEP = 1.0 / 64
+# Of the free length, RMS over the markers; 90 edges move rods by less than a tenth of it.
+_LARGEST_CORRECTION = 0.005
 
 
 class Laboratory:
@@ -28,7 +30,7 @@ class Laboratory:
     """
 
     def __init__(
-        self, measurements: ClampedMeasurements, *, edge_count: int = 60, device: str = "cpu"
+        self, measurements: ClampedMeasurements, *, edge_count: int = 90, device: str = "cpu"
     ):
         self.measurements = measurements
         self.edge_count, self.device = edge_count, device
@@ -55,13 +57,19 @@ class Laboratory:
         return np.concatenate(target, axis=1), np.concatenate(deviation, axis=1)
 
     def refine(self, model: Model, values: np.ndarray) -> None:
-        """Set the mesh correction to that of a model: a third of what halving the mesh changes."""
+        """Set the mesh correction to that of a model: a third of what halving the mesh changes.
+
+        A trial whose rod reaches another equilibrium on the coarser mesh keeps none.
+        """
         fine = self.observe(model, values, corrected=False)
         half = Setup.base(self.measurements, self.trials, self.edge_count // 2)
         solver = ClampedSolver([half], device=self.device)
         setup = self._lead(solver, half, model, values)
         coarse = self.observed(model, values, setup, solver.predict([setup]), 0).real
-        self.mesh_correction = (fine - coarse) / 3.0
+        correction = (fine - coarse) / 3.0
+        move = np.sqrt((self._markers(correction) ** 2).sum(axis=2).mean(axis=1))
+        same = move < _LARGEST_CORRECTION * self.measurements.material.length
+        self.mesh_correction = correction * same[:, None]
 
     def adopt(self, other: Laboratory) -> None:
         """Take the mesh of another laboratory of the same measurements."""
@@ -82,7 +90,7 @@ class Laboratory:
         setup, done, step = base, 0.0, 0.5
         while done < 1.0 and len(values):
             before = solver.saved()
-            setup = model.setup(base, min(done + step, 1.0) * values)
+            setup = model.setup(base, model.grown(values, min(done + step, 1.0)))
             if solver.solve([setup]).all():
                 done, step = done + step, 2.0 * step
             elif step > _SMALLEST_STEP:
@@ -132,7 +140,7 @@ class Laboratory:
         solver = ClampedSolver([base] * len(models), device=self.device, start=state)
         reached = np.ones(len(models), dtype=bool)
         for share in (0.5, 1.0):
-            setups = [m.setup(base, share * v) for m, v in zip(models, values, strict=True)]
+            setups = [m.setup(base, m.grown(v, share)) for m, v in zip(models, values, strict=True)]
             reached &= solver.solve(setups).all(axis=1)
         prediction = solver.predict(setups)
         scores: list[float | None] = []

@@ -6,7 +6,7 @@ import copy
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +47,16 @@ class Linearised:
     error: float
     failed: int
     scatter: np.ndarray
+
+    def part(self, index: np.ndarray) -> Linearised:
+        """The same for some of the parameters, the others held."""
+        block = np.ix_(index, index)
+        return replace(
+            self,
+            hessian=self.hessian[block],
+            gradient=self.gradient[index],
+            scatter=self.scatter[block],
+        )
 
     @property
     def covariance(self) -> np.ndarray:
@@ -154,8 +164,10 @@ class MotionLaboratory:
         """The misfit and its derivatives."""
         setup = model.setup(self.base, values)
         x, rate, failed = self.run(windows, setup, self.rates(model, values))
-        seen, difference, root, cost, prior = self._misfit(windows, model, values, x, failed)
+        seen, difference, root, cost, prior = self._misfit(windows, model, values, x)
         count = difference.size
+        # Where a run ended early its derivatives mean nothing.
+        rate[failed] = 0.0
         weighted = difference / root
         j = rate[seen]
         share = 3 * np.einsum("fmpc,fmc->fp", j, weighted) / (count * _ROBUST)
@@ -176,14 +188,13 @@ class MotionLaboratory:
 
     def cost(self, windows: Windows, model: Model, values: np.ndarray) -> float:
         """The misfit alone."""
-        x, _, failed = self.run(windows, model.setup(self.base, values))
-        return self._misfit(windows, model, values, x, failed)[3]
+        x, _, _ = self.run(windows, model.setup(self.base, values))
+        return self._misfit(windows, model, values, x)[3]
 
-    def _misfit(self, windows, model, values, x, failed):
+    def _misfit(self, windows, model, values, x):
         """Frames that count, their differences, robust weights, cost and the prior's curvature."""
         seen = windows.seen.copy()
         seen[:, :2] = False
-        seen[failed] = False
         difference = (x - windows.markers)[seen]
         square = np.sum(difference**2, axis=-1, keepdims=True)
         root = np.sqrt(1.0 + square / _ROBUST**2)
@@ -192,7 +203,7 @@ class MotionLaboratory:
         if self.misfit is None:
             self.misfit = cost
         prior = _PRIOR * self.misfit / scale**2
-        cost += 0.5 * np.sum(prior * values**2) + 1e3 * failed.sum() * _ROBUST
+        cost += 0.5 * np.sum(prior * values**2)
         return seen, difference, root, float(cost), prior
 
     def fit(
@@ -206,8 +217,6 @@ class MotionLaboratory:
         say=None,
     ) -> tuple[np.ndarray, Linearised]:
         """Levenberg-Marquardt from `values`."""
-        lower, upper = (np.array([getattr(p, b) for p in model.parameters]) for b in
-                        ("lower", "upper"))  # fmt: skip
         values = np.asarray(values, dtype=float)
         self.misfit = None
         now = self.linearise(windows, model, values)
@@ -216,27 +225,53 @@ class MotionLaboratory:
             if say:
                 say(values, now)
             before = now.cost
-            # A parameter at its bound stays there while the cost falls beyond it.
-            inside = ~(
-                ((values <= lower) & (now.gradient > 0)) | ((values >= upper) & (now.gradient < 0))
-            )
-            for _ in range(_TRIALS):
-                trial = np.clip(values + _newton(now, damping, inside), lower, upper)
-                cost = self.cost(windows, model, trial)
-                if cost < before:
-                    break
-                damping *= _HARDER
-            else:
+            trial, cost, damping = self._step(windows, model, values, now, damping)
+            if trial is None:
                 break
-            step = trial - values
-            promised = -(now.gradient @ step + 0.5 * step @ now.hessian @ step)
-            if before - cost > 0.5 * promised:
-                damping = max(damping / _HARDER, 1e-6)
             values = trial
             now = self.linearise(windows, model, values)
             if before - cost < converged * before:
                 break
         return values, now
+
+    def refine(self, windows: Windows, model: Model, values: np.ndarray, steps: int) -> np.ndarray:
+        """`fit` in a few steps, without the linearisation that would follow the last."""
+        self.misfit, damping = None, _DAMPING
+        for _ in range(steps):
+            now = self.linearise(windows, model, values)
+            trial, _, damping = self._step(windows, model, values, now, damping)
+            if trial is None:
+                break
+            values = trial
+        return values
+
+    def step(
+        self, windows: Windows, model: Model, values: np.ndarray, now: Linearised
+    ) -> np.ndarray:
+        """One step of Levenberg-Marquardt; `values` where none lowers the misfit."""
+        now = replace(now, cost=self.cost(windows, model, values))
+        trial, _, _ = self._step(windows, model, values, now, _DAMPING)
+        return values if trial is None else trial
+
+    def _step(self, windows, model, values, now, damping):
+        """Parameters, cost and next damping of a step that lowers the cost; None without one."""
+        lower, upper = (np.array([getattr(p, b) for p in model.parameters]) for b in
+                        ("lower", "upper"))  # fmt: skip
+        # A parameter at its bound stays there while the cost falls beyond it.
+        inside = ~(
+            ((values <= lower) & (now.gradient > 0)) | ((values >= upper) & (now.gradient < 0))
+        )
+        for _ in range(_TRIALS):
+            trial = np.clip(values + _newton(now, damping, inside), lower, upper)
+            cost = self.cost(windows, model, trial)
+            if cost < now.cost:
+                step = trial - values
+                promised = -(now.gradient @ step + 0.5 * step @ now.hessian @ step)
+                if now.cost - cost > 0.5 * promised:
+                    damping = max(damping / _HARDER, 1e-6)
+                return trial, cost, damping
+            damping *= _HARDER
+        return None, now.cost, damping
 
 
 def _newton(at: Linearised, damping: float, inside: np.ndarray) -> np.ndarray:

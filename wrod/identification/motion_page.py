@@ -27,6 +27,7 @@ def _page(report) -> str:
          "in the laboratory frame, a bend of the rod's own one in the frame that moves with it "
          "(shares of the mean square).",
          pictures.residual(report)),
+        *_evidence(report),
         ("What each effect takes away", "Effects in the order found; the validation recordings "
          "chose them, the test recordings were only scored.", pictures.ladder(report)),
         ("Which effects trade against each other", "Largest correlation between combinations of "
@@ -46,7 +47,7 @@ def _page(report) -> str:
         ("noise floor", report.noise_floor),
     ]
     base = [(name.replace("_", " "), found, None) for name, found in report.base.items()]
-    added = [(e.title, e.parameters, e.after) for e in report.effects]
+    added = [(e.title, e.parameters, e.after) for e in report.effects if e.name not in report.base]
     return page(
         report,
         [
@@ -67,9 +68,29 @@ def _steps(report) -> str:
             for c in r.candidates
             if c.validation == c.validation
         )
+        left = f"without {r.removed}" if r.removed else "stop"
         rows.append(
-            f"<tr><td>{html.escape(r.current[-1])}</td><td>{r.accepted or 'stop'}</td>"
+            f"<tr><td>{html.escape(r.current[-1])}</td><td>{r.accepted or left}</td>"
             f"<td>{html.escape(tried)}</td><td>{html.escape(r.reason)}</td></tr>"
         )
     head = "<tr><th>after</th><th>next</th><th>fitted, validation error</th><th>because</th></tr>"
     return f"<h2>How it was chosen</h2><table>{head}{''.join(rows)}</table>"
+
+
+def _evidence(report) -> list[tuple[str, str, bytes]]:
+    from wrod.identification import motion_trace_pictures as evidence
+
+    if report.trace is None:
+        return []
+    m = report.measurements
+    shown = m.names[int(report.trace.shown.recording[0])]
+    return [
+        ("What the base model lacks, as mechanics", "Before any effect: the force per length, over "
+         "the rod's weight, that would make the base model follow the markers, frame by frame, "
+         "without integrating anything. What stays the same in the material is a bend of the "
+         "rod's own, what stays the same in the laboratory a wind or a tilt.",
+         evidence.missing_force(report.trace, m.rate, shown)),
+        ("What that force is like", "Left: the print that takes away most of it. Right: each "
+         "print's share, in recordings that were left out when it was fitted.",
+         evidence.prints(report.trace)),
+    ]  # fmt: skip

@@ -11,6 +11,7 @@ from wrod.identification.style import (
     INK,
     MEASURED,
     MUTED,
+    SERIES,
     as_png,
     dress,
     new_figure,
@@ -40,10 +41,12 @@ def shapes(report, count: int = 6) -> bytes:
         axes.plot(*plane(w.markers[r, f]), "o", ms=2.6, color=MEASURED, label="measured", zorder=3)
         axes.set_aspect("equal", adjustable="datalim")
         dress(axes)
-        axes.set_title(f"{f / report.measurements.rate:.1f} s", fontsize=9, color=INK)
-        axes.set_xlabel("cm", fontsize=8, color=MUTED)
+        title = f"{f / report.measurements.rate:.1f} s"
+        axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
+        axes.set_xlabel("along [cm]", fontsize=8.5)
         if k == 0:
-            axes.legend(fontsize=8, frameon=False)
+            axes.set_ylabel("up [cm]", fontsize=8.5)
+            axes.legend(fontsize=7.5, frameon=False, loc="lower left")
     return as_png(figure)
 
 
@@ -62,13 +65,13 @@ def errors(report) -> bytes:
         left.plot(time, np.nanmean(error, axis=0), color=color, lw=1.4, label=label)
         place = np.arange(len(error)) + 0.4 * k - 0.2
         right.bar(place, np.nanmean(error, axis=1), width=0.38, color=color)
-    left.set_xlabel("time [s]", fontsize=8, color=MUTED)
-    left.set_ylabel("mean |difference| [mm]", fontsize=8, color=MUTED)
+    left.set_xlabel("time [s]", fontsize=8.5)
+    left.set_ylabel("mean |difference| [mm]", fontsize=8.5)
     left.legend(fontsize=8, frameon=False)
     right.set_xticks(
         range(len(w.recording)), [report.measurements.names[r] for r in w.recording], fontsize=8
     )
-    right.set_xlabel("test recording", fontsize=8, color=MUTED)
+    right.set_xlabel("test recording", fontsize=8.5)
     for axes in (left, right):
         dress(axes)
         axes.set_ylim(bottom=0.0)
@@ -81,44 +84,54 @@ def residual(report) -> bytes:
     figure = new_figure(11.0, 3.2)
     axes = figure.subplots(1, 4, gridspec_kw={"width_ratios": [1.2, 1.2, 1.0, 1.0]})
     top = 1e3 * r.by_marker_before.max()
+    free = slice(2, -2)
+    markers = len(r.by_marker_before)
+    seconds = report.predicted_before.shape[1] / report.measurements.rate
     for k, (title, value) in enumerate(
         (("before", r.by_marker_before), ("after", r.by_marker_after))
     ):
         shown = axes[k].imshow(
-            1e3 * value, aspect="auto", origin="lower", cmap="magma", vmin=0.0, vmax=top
-        )
-        axes[k].set_title(f"{title}: mean |difference| [mm]", fontsize=9, color=INK)
-        axes[k].set_xlabel("time", fontsize=8, color=MUTED)
-        axes[k].set_xticks([])
-        axes[k].set_ylabel("marker", fontsize=8, color=MUTED)
+            1e3 * value[free], aspect="auto", origin="lower", cmap="viridis", vmin=0.0, vmax=top,
+            extent=(0.0, seconds, 1.5, markers - 2.5),
+        )  # fmt: skip
+        axes[k].set_title(title, loc="left", fontsize=9.5, color=MUTED)
+        axes[k].set_xlabel("time [s]", fontsize=8.5)
+        axes[k].set_ylabel("free marker" if k == 0 else "", fontsize=8.5)
+        axes[k].yaxis.get_major_locator().set_params(integer=True)
         axes[k].tick_params(labelsize=8, colors=MUTED, length=0)
-    figure.colorbar(shown, ax=axes[1], shrink=0.9).ax.tick_params(labelsize=7, colors=MUTED)
+        for spine in axes[k].spines.values():
+            spine.set_visible(False)
+    bar = figure.colorbar(shown, ax=axes[:2], pad=0.01)
+    bar.set_label("mean |difference| [mm]", fontsize=8.5)
+    bar.ax.tick_params(labelsize=8, colors=MUTED)
+    bar.outline.set_visible(False)
     parts = (
         ("fixed in the laboratory", r.laboratory, ("x", "y", "z")),
         ("fixed to the rod", r.local, ("tangent", "inside of bend", "across")),
     )
     for panel, (title, value, labels) in zip(axes[2:], parts, strict=True):
-        for c, color in enumerate((AFTER, BEFORE, "#3a8f5c")):
+        for c, color in enumerate(SERIES):
             panel.plot(1e3 * value[:, c], color=color, lw=1.4, label=labels[c])
         panel.axhline(0.0, color=MUTED, lw=0.6)
         share = 100 * r.explained[title]
-        panel.set_title(f"{title}: {share:.0f} %", fontsize=9, color=INK)
+        panel.set_title(f"{title}: {share:.0f} %", loc="left", fontsize=9.5, color=MUTED)
         panel.xaxis.get_major_locator().set_params(integer=True)
-        panel.set_xlabel("marker", fontsize=8, color=MUTED)
+        panel.set_xlabel("marker", fontsize=8.5)
         panel.legend(fontsize=7, frameon=False)
         dress(panel)
-    axes[2].set_ylabel("mean residual before [mm]", fontsize=8, color=MUTED)
+    axes[2].set_ylabel("mean residual before [mm]", fontsize=8.5)
     return as_png(figure)
 
 
 def ladder(report) -> bytes | None:
     """Errors on validation and test recordings after each effect."""
-    if not report.effects:
+    added = [e for e in report.effects if e.name not in report.base]
+    if not added:
         return None
-    s = report.selection
-    names = ["base model", *(e.name.replace("_", " ") for e in report.effects), "last fit"]
-    validation = [s.validation_before, *(e.validation for e in report.effects), s.validation_after]
-    test = [report.before, *(e.after for e in report.effects), report.after]
+    names = ["base model", *(e.name.replace("_", " ") for e in added), "last fit"]
+    # The last fit has seen the validation recordings.
+    validation = [report.selection.validation_before, *(e.validation for e in added), np.nan]
+    test = [report.before, *(e.after for e in added), report.after]
     figure = new_figure(11.0, 0.9 + 0.32 * len(names))
     axes = figure.add_subplot()
     place = np.arange(len(names))
@@ -128,7 +141,7 @@ def ladder(report) -> bytes | None:
         axes.text(1e3 * value, y + 0.19, f" {1e3 * value:.2f}", fontsize=8, va="center", color=INK)
     axes.set_yticks(place, names, fontsize=9)
     axes.invert_yaxis()
-    axes.set_xlabel("mean |difference| [mm]", fontsize=8, color=MUTED)
+    axes.set_xlabel("mean |difference| [mm]", fontsize=8.5)
     axes.legend(fontsize=8, frameon=False)
     dress(axes)
     axes.tick_params(axis="y", labelsize=9)

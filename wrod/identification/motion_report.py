@@ -14,8 +14,10 @@ from wrod.batch import resolve_device
 from wrod.errors import DataError
 from wrod.files import write_atomically
 from wrod.identification.effect import Effect, Estimate, Model, effects
-from wrod.identification.motion_data import MotionMeasurements, load_motion
+from wrod.identification.model_file import with_effects, write_model
+from wrod.identification.motion_data import MotionMeasurements
 from wrod.identification.motion_fit import MotionLaboratory
+from wrod.identification.motion_loading import load_motion
 from wrod.identification.motion_residual import Residual, residual_of
 from wrod.identification.motion_selection import (
     BASE,
@@ -23,14 +25,18 @@ from wrod.identification.motion_selection import (
     select_motion,
     verdict_of,
 )
+from wrod.identification.motion_setup import START_L_GB
+from wrod.identification.motion_trace import MotionTrace, trace_motion
 from wrod.identification.motion_windows import Windows
+from wrod.material import RodMaterial
 
 METRIC = (
     "mean |difference| over coordinates and all markers, held ones as zero, from frame 2 to the "
     "last of the test recordings [mm]"
 )
 _FORMAT = "wrod-motion-identification-1"
-_MODEL_FORMAT = "wrod-motion-model-1"
+# Radius over gravito-bending length of the USB cable of the paper's Table 2.
+_SLENDER = 0.0018 / 0.0801
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,7 @@ class MotionReport:
         base: what the base model has fitted.
         effects: what was added, in order.
         candidates: every effect in the first round.
-        selection, residual: the whole evidence.
+        selection, residual, trace: the whole evidence.
         windows: the test recordings; predicted_before, predicted_after: (W, F, M, 3) [m].
     """
 
@@ -80,6 +86,7 @@ class MotionReport:
     candidates: tuple[dict, ...]
     selection: MotionSelection
     residual: Residual
+    trace: MotionTrace | None
     windows: Windows
     predicted_before: np.ndarray
     predicted_after: np.ndarray
@@ -96,6 +103,7 @@ class MotionReport:
             "noise_floor_mm": 1e3 * self.noise_floor,
             "numerical_error_mm": 1e3 * self.numerical_error,
             "before_mm": 1e3 * self.before,
+            "before_without_internal_damping_mm": 1e3 * s.undamped,
             "after_mm": 1e3 * self.after,
             "validation_before_mm": 1e3 * s.validation_before,
             "validation_after_mm": 1e3 * s.validation_after,
@@ -118,12 +126,14 @@ class MotionReport:
                 {
                     "model": list(r.current),
                     "accepted": r.accepted,
+                    "removed": r.removed,
                     "reason": r.reason,
                     "candidates": [_candidate(c) for c in r.candidates],
                 }
                 for r in s.rounds
             ],
             "residual": self.residual.to_dict(),
+            "trace": None if self.trace is None else self.trace.to_dict(),
             "recordings": {
                 "fit": [m.names[r] for r in m.fit],
                 "validation": [m.names[r] for r in m.validation],
@@ -140,27 +150,29 @@ class MotionReport:
 
         out = Path(out)
         content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        model = json.dumps(self.model_content(), indent=2, allow_nan=False) + "\n"
+        s = self.selection
         return [
             write_atomically(out / "report.json", lambda file: file.write(content)),
             write_motion_page(out / "report.html", self),
-            write_atomically(out / "model.json", lambda file: file.write(model)),
+            write_model(
+                out / "model.json", self.material, s.model, s.values, ("radius", "density")
+            ),
         ]
 
-    def model_content(self) -> dict:
-        """The fitted model: the rod's numbers, and every effect with its raw parameters."""
+    @property
+    def material(self) -> RodMaterial:
+        """The rod with what its own numbers can carry of the model.
+
+        Its length is that from the first marker to the last. Radius and density cannot be seen in
+        motion: density drops out of every plan, and the radius is that of a common cable of its
+        stiffness, L_gb / 45.
+        """
         m, s = self.measurements, self.selection
-        return {
-            "format": _MODEL_FORMAT,
-            "marker_arc_length": m.marker_arc_length.tolist(),
-            "gravity": m.gravity,
-            "gravito_bending_length": self.base["stiffness"]["L_gb"].value,
-            "effects": [
-                {"name": e.name, "parameters": dict(zip((p.key for p in e.parameters), v.tolist(),
-                                                        strict=True))}
-                for e, v in zip(s.model.effects, s.model.split(s.values), strict=True)
-            ],
-        }  # fmt: skip
+        lgb = self.base["stiffness"]["L_gb"].value
+        rod = RodMaterial(
+            _SLENDER * lgb, START_L_GB, float(m.marker_arc_length[-1]), gravity=m.gravity
+        )
+        return with_effects(rod, s.model, s.values, m)
 
 
 def identify_motion(
@@ -195,7 +207,14 @@ def identify_motion(
         chosen = [c if isinstance(c, Effect) else _known(c, known) for c in candidates]
     laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=resolve_device(device))
     selection = select_motion(laboratory, chosen, progress=progress)
-    return _report(laboratory, selection)
+    if progress:
+        progress("force print")
+    looked_at = np.union1d(m.fit, m.validation)
+    base = Model(selection.model.effects[: len(BASE)])
+    evidence = trace_motion(
+        m, base, selection.base_values, looked_at, int(m.validation[0]), device=laboratory.device
+    )
+    return _report(laboratory, selection, evidence)
 
 
 def _known(name: str, known: dict[str, Effect]) -> Effect:
@@ -204,7 +223,9 @@ def _known(name: str, known: dict[str, Effect]) -> Effect:
     return known[name]
 
 
-def _report(laboratory: MotionLaboratory, selection: MotionSelection) -> MotionReport:
+def _report(
+    laboratory: MotionLaboratory, selection: MotionSelection, evidence: MotionTrace | None
+) -> MotionReport:
     m = laboratory.measurements
     windows = laboratory.windows(m.test)
     base = Model(selection.model.effects[: len(BASE)])
@@ -227,9 +248,10 @@ def _report(laboratory: MotionLaboratory, selection: MotionSelection) -> MotionR
         numerical_error=numerical,
         base={name: described[name] for name in BASE},
         effects=tuple(_found(selection, described)),
-        candidates=tuple(_candidate(c) for c in selection.rounds[0].candidates),
+        candidates=tuple(_candidate(c) for c in _first_candidates(selection)),
         selection=selection,
         residual=residual_of(laboratory, windows, before, after),
+        trace=evidence,
         windows=windows,
         predicted_before=before,
         predicted_after=after,
@@ -247,14 +269,18 @@ def _described(selection: MotionSelection, m) -> dict[str, dict[str, Estimate]]:
 
 
 def _found(selection: MotionSelection, described):
-    joined = [r for r in selection.rounds if r.accepted]
     by_name = {e.name: e for e in selection.model.effects}
-    for r in joined:
+    for r in (r for r in selection.rounds if r.accepted in by_name):
         effect = by_name[r.accepted]
         yield FoundMotionEffect(
             effect.name, effect.title, effect.reference, described[effect.name],
             r.validation, r.test,
         )  # fmt: skip
+
+
+def _first_candidates(selection: MotionSelection):
+    """Those of the first round that had some."""
+    return next((r.candidates for r in selection.rounds if r.candidates), ())
 
 
 def _candidate(candidate) -> dict:

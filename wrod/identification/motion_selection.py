@@ -1,9 +1,13 @@
-"""Which effects a rod's motion asks for: forward selection on recordings that were not fitted.
+"""Which effects a rod's motion asks for: selection on recordings that were not fitted.
 
-Stopping rule. In each round the candidates are ranked by the misfit that they promise to take away
-in the problem linearised around the present model, all in one run; the `TRIED` most promising are
-fitted. The one with the least error on the validation recordings joins if it lowers that error by
-`LEAST_GAIN` or more. The selection ends when none does, or after `MOST_EFFECTS`.
+The base model is a straight, uniform rod with drag in air and inside. In each round the candidates
+are ranked by the misfit that they promise to take away in the problem linearised around the present
+model, all in one run. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them
+with the least error on whole validation recordings are fitted. The best joins if it lowers that
+error by `LEAST_GAIN` or more; the rounds end when none does, or after `MOST_EFFECTS`. Then every
+effect without which the refitted model's validation error rises by less than `LEAST_GAIN` is taken
+out again; only those are tried that the linearised problem hardly needs. What is left is fitted to
+whole recordings, those of the validation included.
 """
 
 from __future__ import annotations
@@ -13,18 +17,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.effect import Effect, Model, effects
+from wrod.identification.motion_confounding import confounded_pairs, correlations_of
 from wrod.identification.motion_fit import Linearised, MotionLaboratory
+from wrod.identification.motion_promises import losses_of, promises_of
 
-# The base model: straight, uniform, isotropic; only what cannot be known beforehand is fitted.
-BASE = ("stiffness", "air_damping")
-TRIED = 3
+# What cannot be known beforehand, with the value that fits start from: a rod without damping would
+# ring on, and one damped by air alone is a local optimum that fits do not leave.
+_BASE = {"stiffness": 0.0, "air_damping": 0.5, "internal_damping": 0.05}
+BASE = tuple(_BASE)
+TRIED, KEPT_ON = 6, 2
 LEAST_GAIN = 0.01
-MOST_EFFECTS = 10
+MOST_EFFECTS = 6
 PARTLY = 0.8
 AT_NOISE = 1.15
-CONFOUNDED = 0.9
-_SHORT, _LONG = 60, 250
-_MOST_FITTED, _MOST_POLISHED = 10, 24
+# (frames, recordings) of the windows: to begin with, of the selection and of the last fit.
+_SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
+# Effects without which the linearised misfit rises by more than this share are not idle.
+_BUSY = 0.02
 
 
 @dataclass(frozen=True)
@@ -43,7 +52,12 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Round:
-    """One step of the selection, its candidates the most promising first."""
+    """One step of the selection, its candidates the most promising first.
+
+    Attributes:
+        current: the model that it starts from; accepted, removed: the effect that it changes.
+        validation, test: errors of the model that it leads to [m].
+    """
 
     current: tuple[str, ...]
     candidates: tuple[Candidate, ...]
@@ -51,6 +65,7 @@ class Round:
     reason: str
     validation: float
     test: float
+    removed: str | None = None
 
 
 @dataclass(frozen=True)
@@ -58,11 +73,13 @@ class MotionSelection:
     """What was chosen and why.
 
     Attributes:
-        base_values: (2,) stiffness and air damping of the base model.
+        base_values: (3,) of the base model, fitted as the last model is.
         model, values: the chosen model, `BASE` first.
         fit: its linearised misfit; covariance: (P, P) of the values.
-        rounds: the steps that led there, the base model's errors in the first.
-        before, after: test errors [m]; validation_before, validation_after.
+        rounds: the steps that led there; the first is internal damping, as part of the base model.
+        undamped: test error of the base model without internal damping, as the rounds fit it [m].
+        before, after: test errors [m]; validation_before, validation_after, of the models before
+            they were fitted to the validation recordings too.
         confounded: pairs of effects whose estimates hang together, with their correlation.
         correlation: (E, E) largest correlations between combinations of two effects' parameters,
             for `correlated`, the chosen effects and then those that were left out.
@@ -74,6 +91,7 @@ class MotionSelection:
     fit: Linearised
     covariance: np.ndarray
     rounds: tuple[Round, ...]
+    undamped: float
     before: float
     after: float
     validation_before: float
@@ -87,90 +105,149 @@ def select_motion(
     laboratory: MotionLaboratory, candidates: list[Effect], *, progress=None
 ) -> MotionSelection:
     """Find the effects that explain the laboratory's recordings; `progress` is called with text."""
-    say = progress or (lambda text: None)
-    m = laboratory.measurements
-    rod = laboratory
-    known = effects("motion")
-    frames = m.frame_count
-    starts = sorted({0, max(0, frames // 3), max(0, 2 * frames // 3)})
-    short = rod.windows(_some(m.fit, _MOST_FITTED), starts, min(_SHORT, frames))
-    validation, test = rod.windows(m.validation), rod.windows(m.test)
+    return _Selection(laboratory, candidates, progress or (lambda text: None)).run()
 
-    def scores(model, values):
-        return tuple(rod.error(w, rod.predict(w, model, values)) for w in (validation, test))
 
-    say("base model")
-    model = Model(tuple(known[name] for name in BASE))
-    values, _ = rod.fit(short, model, np.array([0.0, 1.0]))
-    validation_error, test_error = scores(model, values)
-    # What is compared with is the base model at its best, fitted to long stretches as the last is.
-    length = min(_LONG, frames)
-    long = rod.windows(_some(m.fit, _MOST_POLISHED), sorted({0, max(0, frames - length)}), length)
-    base_values, _ = rod.fit(long, model, values, iterations=8)
-    validation_before, before = scores(model, base_values)
-    rounds = []
-    left = [c for c in candidates if c.name not in BASE]
-    while True:
-        say(" + ".join(model.names[2:]) or "effects")
-        ranked = _promises(rod, short, model, values, left)
-        tried = []
-        for promise, effect, start in ranked[:TRIED]:
-            extended = model.extended(effect)
-            fitted, _ = rod.fit(
-                short, extended, np.concatenate([values, start]), iterations=5, converged=0.01
-            )
-            error = rod.error(validation, rod.predict(validation, extended, fitted))
-            tried.append((error, effect, extended, fitted, promise))
-        rows = [Candidate(e.name, p, err) for err, e, _, _, p in tried]
-        rows += [Candidate(e.name, p, float("nan")) for p, e, _ in ranked[TRIED:]]
-        best = min(tried, key=lambda t: t[0], default=None)
-        gain = 0.0 if best is None else 1.0 - best[0] / validation_error
-        if best is None or not gain >= LEAST_GAIN:
-            reason = (
-                f"the best lowers the validation error by {100 * gain:.1f} %, less than "
-                f"{100 * LEAST_GAIN:g} %"
-                if best
-                else "no effect is left"
-            )
-            rounds.append(
-                Round(model.names, tuple(rows), None, reason, validation_error, test_error)
-            )
-            break
-        reason = f"lowers the validation error by {100 * gain:.1f} %"
-        _, effect, model, values, _ = best
-        previous = model.names[:-1]
-        validation_error, test_error = scores(model, values)
-        rounds.append(
-            Round(previous, tuple(rows), effect.name, reason, validation_error, test_error)
+@dataclass(frozen=True)
+class _Fitted:
+    """A model fitted to the medium windows, and its error on the validation recordings [m]."""
+
+    model: Model
+    values: np.ndarray
+    validation: float
+
+
+class _Selection:
+    def __init__(self, laboratory: MotionLaboratory, candidates: list[Effect], say):
+        m = laboratory.measurements
+        self.rod, self.say, self.rounds = laboratory, say, []
+        self.left = [c for c in candidates if c.name not in BASE]
+        self.short, self.medium = (self._windows(m.fit, *size) for size in (_SHORT, _MEDIUM))
+        self.validation, self.test = laboratory.windows(m.validation), laboratory.windows(m.test)
+        # Where nothing is kept for a test the validation recordings are one, and stay unfitted.
+        apart = len(np.intersect1d(m.test, m.validation)) == 0
+        every = np.union1d(m.fit, m.validation) if apart else m.fit
+        self.whole = self._windows(every, *_WHOLE)
+
+    def _windows(self, recordings, frames: int | None, count: int):
+        """Windows of evenly chosen recordings, from their start, their end and between."""
+        every = self.rod.measurements.frame_count
+        length = min(frames or every, every)
+        starts = np.linspace(0, every - length, min(3, -(-every // length))).round().astype(int)
+        return self.rod.windows(_some(recordings, count), sorted(set(starts.tolist())), length)
+
+    def _error(self, windows, model, values) -> float:
+        return self.rod.error(windows, self.rod.predict(windows, model, values))
+
+    def _fit(self, model: Model, values: np.ndarray, steps: int) -> _Fitted:
+        values = self.rod.refine(self.medium, model, values, steps)
+        return _Fitted(model, values, self._error(self.validation, model, values))
+
+    def run(self) -> MotionSelection:
+        known = effects("motion")
+        self.say("base model")
+        base = self._base(BASE, known)
+        undamped = self._base(BASE[:2], known)
+        gain = 1.0 - base.validation / undamped.validation
+        damped = gain >= LEAST_GAIN and base.values[2] > 0.0
+        self._note(
+            undamped.model, base, (), f"part of the base model; {_lowers(gain)}",
+            accepted=BASE[2] if damped else None,
+        )  # fmt: skip
+        now = base
+        while self.left and len(now.model.effects) < len(BASE) + MOST_EFFECTS:
+            self.say(" + ".join(now.model.names[len(BASE) :]) or "effects")
+            better = self._round(now)
+            if better is None:
+                break
+            now = better
+        now = self._without_idle(now)
+        self.say("whole recordings")
+        rod, whole = self.rod, self.whole
+        base_values, _ = rod.fit(whole, base.model, base.values, iterations=4, converged=0.005)
+        values, fit = rod.fit(whole, now.model, now.values, iterations=5, converged=0.005)
+        self.say("confounding")
+        names, correlation = correlations_of(rod, self.medium, now.model, values, self.left)
+        return MotionSelection(
+            base_values=base_values,
+            model=now.model,
+            values=values,
+            fit=fit,
+            covariance=fit.covariance,
+            rounds=tuple(self.rounds),
+            undamped=self._error(self.test, undamped.model, undamped.values),
+            before=self._error(self.test, base.model, base_values),
+            after=self._error(self.test, now.model, values),
+            validation_before=base.validation,
+            validation_after=now.validation,
+            confounded=confounded_pairs(names, correlation, len(now.model.effects)),
+            correlated=names,
+            correlation=correlation,
         )
-        left = [c for c in left if c.name != effect.name]
-        if len(model.effects) >= MOST_EFFECTS + len(BASE) or not left:
-            break
 
-    say("polish")
-    polished, fit = rod.fit(long, model, values, iterations=4, converged=0.005)
-    polished_errors = scores(model, polished)
-    if polished_errors[0] <= validation_error:
-        values, (validation_error, test_error) = polished, polished_errors
-    else:
-        fit = rod.linearise(long, model, values)
-    say("confounding")
-    names, correlation = _correlations(rod, long, model, values, left)
-    return MotionSelection(
-        base_values,
-        model,
-        values,
-        fit,
-        fit.covariance,
-        tuple(rounds),
-        before,
-        test_error,
-        validation_before,
-        validation_error,
-        _confounded(names, correlation, len(model.effects)),
-        names,
-        correlation,
-    )
+    def _base(self, names: tuple[str, ...], known: dict[str, Effect]) -> _Fitted:
+        model = Model(tuple(known[name] for name in names))
+        start = np.array([_BASE[name] for name in names])
+        values, _ = self.rod.fit(self.short, model, start)
+        return self._fit(model, values, steps=6)
+
+    def _note(self, model, after: _Fitted, rows, reason, *, accepted=None, removed=None) -> None:
+        test = self._error(self.test, after.model, after.values)
+        self.rounds.append(
+            Round(model.names, tuple(rows), accepted, reason, after.validation, test, removed)
+        )
+
+    def _round(self, now: _Fitted) -> _Fitted | None:
+        """The model with one effect more, if one is worth it."""
+        ranked, at = promises_of(self.rod, self.medium, now.model, now.values, self.left)
+        tried, stepped = {}, {}
+        for _, effect, start, index in ranked[:TRIED]:
+            model = now.model.extended(effect)
+            values = self.rod.step(self.medium, model, np.r_[now.values, start], at.part(index))
+            error = self._error(self.validation, model, values)
+            stepped[effect.name] = _Fitted(model, values, error)
+        for name in sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]:
+            fitted = self._fit(stepped[name].model, stepped[name].values, steps=3)
+            tried[name] = min(stepped[name], fitted, key=lambda t: t.validation)
+        found = stepped | tried
+        rows = [
+            Candidate(e.name, p, found[e.name].validation if e.name in found else float("nan"))
+            for p, e, *_ in ranked
+        ]
+        best = min(found.values(), key=lambda t: t.validation)
+        gain = 1.0 - best.validation / now.validation
+        if not gain >= LEAST_GAIN:
+            reason = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
+            self._note(now.model, now, rows, reason)
+            return None
+        name = best.model.names[-1]
+        self._note(now.model, best, rows, _lowers(gain), accepted=name)
+        self.left = [c for c in self.left if c.name != name]
+        return best
+
+    def _without_idle(self, now: _Fitted) -> _Fitted:
+        """The model without effects that later ones have made idle, the oldest looked at first."""
+        loss = losses_of(self.rod, self.medium, now.model, now.values)
+        for effect in now.model.effects[len(BASE) : -1]:
+            if loss[effect.name] > _BUSY:
+                continue
+            self.say(f"without {effect.name}")
+            keep = [e.name != effect.name for e in now.model.effects]
+            model = Model(tuple(e for e, k in zip(now.model.effects, keep, strict=True) if k))
+            parts = now.model.split(now.values)
+            values = np.concatenate([v for v, k in zip(parts, keep, strict=True) if k])
+            less = self._fit(model, values, steps=3)
+            gain = 1.0 - now.validation / less.validation
+            if gain < LEAST_GAIN:
+                reason = f"with the later effects it {_lowers(gain)}"
+                self._note(now.model, less, (), reason, removed=effect.name)
+                self.left.append(effect)
+                now = less
+        return now
+
+
+def _lowers(gain: float) -> str:
+    return f"lowers the validation error by {100 * gain:.1f} %"
 
 
 def verdict_of(selection: MotionSelection, floor: float) -> tuple[str, str]:
@@ -192,79 +269,3 @@ def _some(recordings: np.ndarray, count: int) -> np.ndarray:
     """At most `count` of the recordings, evenly."""
     index = np.unique(np.linspace(0, len(recordings) - 1, min(count, len(recordings))).round())
     return np.asarray(recordings)[index.astype(int)]
-
-
-def _starts(effect: Effect) -> np.ndarray:
-    """Where the linearisation is done: at zero, or where the effect's own start says."""
-    return (
-        effect.starts(None)[0]
-        if effect.name == "anisotropic_bending"
-        else np.zeros(len(effect.parameters))
-    )
-
-
-def _promises(rod, windows, model, values, left):
-    """[(promise, effect, start values)] of every candidate, best first, from one run."""
-    if not left:
-        return []
-    start = [_starts(e) for e in left]
-    everything = Model((*model.effects, *left))
-    at = rod.linearise(windows, everything, np.concatenate([values, *start]))
-
-    def gain(index):
-        h = at.hessian[np.ix_(index, index)] * (1.0 + 1e-6 * np.eye(len(index)))
-        return 0.5 * at.gradient[index] @ np.linalg.solve(h, at.gradient[index])
-
-    own = np.arange(len(values))
-    known, first, out = gain(own), len(values), []
-    for effect, zero in zip(left, start, strict=True):
-        index = np.arange(first, first + len(zero))
-        first += len(zero)
-        promise = (gain(np.concatenate([own, index])) - known) / at.cost
-        out.append((float(promise), effect, zero))
-    return sorted(out, key=lambda o: -o[0])
-
-
-def _correlations(rod, windows, model, values, left) -> tuple[tuple[str, ...], np.ndarray]:
-    """Names and (E, E) largest canonical correlations between effects' parameters."""
-    everything = Model((*model.effects, *left))
-    at = rod.linearise(windows, everything, np.concatenate([values, *(_starts(e) for e in left)]))
-    names = everything.names
-    parts = np.split(
-        np.arange(len(at.gradient)), np.cumsum([len(e.parameters) for e in everything.effects])
-    )[:-1]
-    chosen = len(model.effects)
-    own = np.concatenate(parts[:chosen])
-    out = np.eye(len(names))
-
-    def between(covariance, a, b):
-        whiten_a, whiten_b = (
-            np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(i, i)])) for i in (a, b)
-        )
-        return np.linalg.norm(whiten_a @ covariance[np.ix_(a, b)] @ whiten_b.T, 2)
-
-    for j in range(len(names)):
-        # An effect that was left out joins the chosen ones alone.
-        index = own if j < chosen else np.concatenate([own, parts[j]])
-        place = {int(p): k for k, p in enumerate(index)}
-        covariance = np.linalg.inv(at.hessian[np.ix_(index, index)])
-        for i in range(min(j, chosen)):
-            a, b = ([place[int(p)] for p in parts[k]] for k in (i, j))
-            out[i, j] = out[j, i] = between(covariance, a, b)
-    return names, out
-
-
-def _confounded(names, correlation, chosen) -> tuple[dict, ...]:
-    pairs = []
-    for i in range(chosen):
-        for j in range(i + 1, len(names)):
-            if correlation[i, j] >= CONFOUNDED:
-                what = "" if j < chosen else f"; {names[j]} was left out"
-                pairs.append(
-                    {
-                        "effects": [names[i], names[j]],
-                        "correlation": float(correlation[i, j]),
-                        "evidence": f"correlation of the estimates {correlation[i, j]:.2f}{what}",
-                    }
-                )
-    return tuple(sorted(pairs, key=lambda p: -p["correlation"]))

@@ -38,6 +38,8 @@ class MotionSetup:
         linear_drag: (n + 1,) force per mass and velocity [1/s].
         quadratic_drag: (n + 1,) force per mass and velocity squared [1/m].
         viscous_time: (n + 1, 3) Kelvin-Voigt time of bending (two directions) and twisting [s].
+        softening: (n + 1, 2) c [m^2] and r of the moment B e (r + (1 - r) / (1 + c e^2)) at an
+            excess curvature e, its rate times `viscous_time` included; c = 0 is linear.
         clamp_length: (2,) length inside each grip that still bends [m].
         marker_offset: (M, 3) of every marker from the centreline, components along (m1, m2, t) [m].
         roll: (2,) angle of the material frame against each grip's frame [rad].
@@ -61,6 +63,7 @@ class MotionSetup:
     linear_drag: np.ndarray
     quadratic_drag: np.ndarray
     viscous_time: np.ndarray
+    softening: np.ndarray
     clamp_length: np.ndarray
     marker_offset: np.ndarray
     roll: np.ndarray
@@ -97,6 +100,7 @@ class MotionSetup:
             linear_drag=np.zeros(n),
             quadratic_drag=np.zeros(n),
             viscous_time=np.zeros((n, 3)),
+            softening=np.zeros((n, 2)),
             clamp_length=np.zeros(2),
             marker_offset=np.zeros((len(place), 3)),
             roll=np.zeros(2),
@@ -139,6 +143,7 @@ class MotionSetup:
             "stiffness": stiffness / share[:, None],
             "rest_strain": rest * share[:, None],
             "viscous_time": self.viscous_time,
+            "softening": self.softening / np.stack([share**2, np.ones_like(share)], axis=1),
             "mass": mass,
             "linear_drag": self.linear_drag * length,
             "quadratic_drag": self.quadratic_drag * length,

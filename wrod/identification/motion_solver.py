@@ -10,7 +10,7 @@ import warp as wp
 from wrod.batch import RodBatch, RodState
 from wrod.identification.motion_setup import MotionSetup
 from wrod.identification.motion_start import first_nodes, held_ends
-from wrod.identification.motion_tangents import SPIN_INERTIA, VECTORS, Tangents, node_columns
+from wrod.identification.motion_tangents import SPIN_INERTIA, Tangents, kind_of, node_columns
 from wrod.identification.motion_windows import Windows
 from wrod.kernels import motion as kernels
 from wrod.kernels import newton
@@ -20,6 +20,8 @@ from wrod.statics import BandedSystem
 _STEP_LIMIT = 0.3
 _TOLERANCE = 1e-7
 _MAX_ITERATIONS = 25
+# Springs that hold an edge's angle in a flow to equilibrium, over its twisting stiffness.
+_TWIST_SPRINGS = (1.0, 0.3, 0.1, 0.03, 0.01)
 _EULER, _BDF2 = (1.0, -1.0, 0.0), (1.5, -2.0, 0.5)
 
 
@@ -123,18 +125,22 @@ class MotionSolver:
                 [state.dof],
             )
 
-        def solve_step(c, dt, time, inertia=True):
-            """Newton on one step; the last factorisation is that of the solution."""
+        def solve_step(c, dt, time, which, inertia=True, springs=0.0):
+            """Newton on one step of some rods; (rods,) which of them did not converge.
+
+            The last factorisation is that of the solution.
+            """
             coefficient = wp.vec3d(*c)
             launch(
                 kernels.set_viscous_rest,
                 (rods, n - 2),
                 [model["rest_length"], model["stiffness"], model["rest_strain"]]
-                + [model["viscous_time"], coefficient, dt, strain_before, strain_older],
-                [batch.bending_stiffness, batch.natural_curvature]
+                + [model["viscous_time"], model["softening"]]
+                + [coefficient, dt, strain_before, strain_older],
+                [batch.bending_stiffness, batch.natural_curvature, batch.softening]
                 + [batch.twisting_stiffness, batch.natural_twist],
             )
-            active.assign((self.last_good > time).astype(np.int32))
+            active.assign(which.astype(np.int32))
             for iteration in range(_MAX_ITERATIONS + 1):
                 batch.transport_frames(start, state, active)
                 if iteration == 0:
@@ -150,6 +156,13 @@ class MotionSolver:
                         + [before, older, velocity, velocity_older],
                         [out.gradient, out.hessian],
                     )
+                elif springs:
+                    launch(
+                        kernels.hold_angles,
+                        (rods, n - 1),
+                        [anchor, wp.float64(springs), state.dof],
+                        [out.gradient, out.hessian],
+                    )
                 batch.walk(
                     newton.measure_residual,
                     [batch.free, *scales, tolerance, out.gradient, active],
@@ -157,9 +170,7 @@ class MotionSolver:
                 )
                 left = active.numpy() != 0
                 if not left.any() or iteration == _MAX_ITERATIONS:
-                    # Its last good step was the one before; it is left alone from here on.
-                    self.last_good[left] = time - 1
-                    break
+                    return left
                 system.factorise(out.hessian, active)
                 wp.copy(system.x, out.gradient.reshape(system.x.shape))
                 system.solve(active)
@@ -180,14 +191,33 @@ class MotionSolver:
             if columns:
                 columns.observe(batch, place, offset, frame)
 
-        # Twist of the first configuration: equilibrium of the angles with the nodes where they are.
+        # Twist of the first configuration: equilibrium of the angles with the nodes where they are,
+        # from even twist. Where Newton fails, a rod with bends of its own has several such states:
+        # implicit steps of a flow lead downhill to one.
         free_nodes = batch.free.numpy().copy()
         angles = np.zeros(dofs, dtype=bool)
         angles[3::4] = True
         batch.set_free(angles[None] & (free_nodes != 0))
         start.assign(state)
         roll(self.substeps)
-        solve_step((0.0, 0.0, 0.0), 1.0, self.substeps, inertia=False)
+        even = state.dof.numpy().copy()
+        even[:, 3::4] = np.linspace(even[:, 3], even[:, -4], n - 1, axis=1)
+        state.dof.assign(even)
+        anchor = wp.clone(state.dof)
+        still = ((0.0, 0.0, 0.0), 1.0, self.substeps)
+        left = solve_step(*still, np.ones(rods, dtype=bool), inertia=False)
+        if left.any():
+            twisting = float(values["stiffness"][:, 2].mean() / values["rest_length"].mean())
+            for springs in _TWIST_SPRINGS:
+                state.dof.assign(np.where(left[:, None], anchor.numpy(), state.dof.numpy()))
+                springs *= twisting
+                worse = solve_step(*still, left, inertia=False, springs=springs)
+                good = left & ~worse
+                anchor.assign(np.where(good[:, None], state.dof.numpy(), anchor.numpy()))
+            left = solve_step(*still, left, inertia=False)
+            # The last state of the flow will do: what the steps need is a start.
+            state.dof.assign(np.where(left[:, None], anchor.numpy(), state.dof.numpy()))
+            batch.transport_frames(start, state, batch.every_rod)
         self._measure_strains(batch, strain_before)
         wp.copy(strain_older, strain_before)
         if columns:
@@ -224,7 +254,9 @@ class MotionSolver:
                 [state.dof],
             )
             launch(kernels.move_held, (rods, 4), [held_w, time], [state.dof])
-            solve_step(c, h, time)
+            going = self.last_good > time
+            # The last good step of a rod was the one before; it is left alone from here on.
+            self.last_good[solve_step(c, h, time, going) & going] = time - 1
             if columns:
                 columns.step(
                     batch, model, system, c, h, time, grip_t,
@@ -286,11 +318,10 @@ class MotionSolver:
         for key, value in values.items():
             if key == "marker_offset":
                 continue
-            kind = wp.vec3d if key in VECTORS else wp.float64
             if key != "rest_length":
                 value = value[None]
             value = np.ascontiguousarray(value, dtype=float)
-            out[key] = wp.array(value, dtype=kind, device=self.device)
+            out[key] = wp.array(value, dtype=kind_of(key), device=self.device)
         return out
 
     def _batch(self, values, position, director) -> RodBatch:
@@ -302,6 +333,7 @@ class MotionSolver:
             twisting_stiffness=np.ones((1, position.shape[1])),
             natural_curvature=np.zeros((1, position.shape[1], 2)),
             natural_twist=np.zeros((1, position.shape[1])),
+            softening=values["softening"],
             director=director,
             device=self.device,
         )

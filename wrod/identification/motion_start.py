@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wrod.identification.motion_data import through_markers
+from wrod.identification.motion_curves import through_markers
 from wrod.identification.motion_setup import MotionSetup
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ import warp as wp
 
 from wrod.identification.motion_start import first_nodes, held_ends
 from wrod.kernels import banded
-from wrod.kernels import motion as kernels
+from wrod.kernels import motion_tangents as kernels
+from wrod.kernels.assembly import HALF_BANDWIDTH
 from wrod.statics import BandedSystem
 
 if TYPE_CHECKING:
@@ -18,7 +19,14 @@ if TYPE_CHECKING:
 COMPLEX_STEP = 1e-30
 # Inertia of an edge about its axis, per line mass: far too small to be seen.
 SPIN_INERTIA = 1e-7
-VECTORS = ("stiffness", "rest_strain", "viscous_time", "gravity")
+_KINDS = dict.fromkeys(
+    ("stiffness", "rest_strain", "viscous_time", "gravity", "marker_offset"), wp.vec3d
+) | {"softening": wp.vec2d}
+
+
+def kind_of(key: str) -> type:
+    """Warp type of a model's array."""
+    return _KINDS.get(key, wp.float64)
 
 
 def node_columns(node_count: int) -> np.ndarray:
@@ -45,8 +53,8 @@ class Tangents:
             value = np.stack([np.broadcast_to(imag(a[key]), shape) for a in arrays])
             if key == "marker_offset":
                 value = value[:, 1:-1]
-            kind = wp.vec3d if key in (*VECTORS, "marker_offset") else wp.float64
-            self.model[key] = wp.array(np.ascontiguousarray(value), dtype=kind, device=device)
+            value = np.ascontiguousarray(value)
+            self.model[key] = wp.array(value, dtype=kind_of(key), device=device)
         held = [held_ends(solver.windows, r, solver.substeps) for r in rates]
         self.held = wp.array(
             np.ascontiguousarray(np.stack([imag(h[0]) for h in held], axis=2)),
@@ -68,7 +76,7 @@ class Tangents:
             return wp.zeros((rods, P, dofs), dtype=wp.float64, device=device)
 
         self.now, self.older, self.velocity, self.velocity_older = (zeros() for _ in range(4))
-        self.step_held, self.product, self.x = (zeros() for _ in range(3))
+        self.step_held, self.x = zeros(), zeros()
         self.strain, self.strain_older, self.strain_new = (
             wp.zeros((rods, P, nodes), dtype=wp.vec3d, device=device) for _ in range(3)
         )
@@ -76,28 +84,30 @@ class Tangents:
         markers = len(setup.marker_node) - 2
         self.seen = wp.zeros((rods, last, markers, P), dtype=wp.vec3d, device=device)
 
+        # A processor's core takes all columns of a node, a GPU's threads one each.
+        self.per_thread = P if wp.get_device(device).is_cpu else 1
+        self.groups = -(-P // self.per_thread)
+
     def _launch(self, kernel, dim, inputs, outputs=()):
         wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=self.solver.device)
 
     def _elastic(self, batch, model, c, dt, strain_before, strain_older):
         names = ("rest_length", "stretching", "stiffness", "rest_strain", "viscous_time")
+        names = (*names, "softening")
         s = batch.state
         self._launch(
             kernels.elastic_tangents,
-            (self.rods, self.nodes - 1, self.count),
+            (self.rods, self.nodes - 1, self.groups),
             [model[k] for k in names] + [self.model[k] for k in names]
             + [wp.vec3d(*c), dt, s.dof, s.director, s.reference_twist]
-            + [strain_before, strain_older, self.strain, self.strain_older],
+            + [strain_before, strain_older, self.strain, self.strain_older, self.per_thread],
             [self.x.reshape((self.rods * self.count, self.dofs))],
         )  # fmt: skip
 
     def _solve(self, batch, system):
-        """x <- solution of the step's matrix for x, given what is held."""
+        """x <- solution of the step's matrix for x."""
         every = batch.every_rod
-        dim = (self.rods, self.count, self.dofs)
         hessian = batch.derivatives.hessian
-        self._launch(banded.multiply, dim, [every, hessian, self.step_held], [self.product])
-        self._launch(kernels.subtract_product, dim, [batch.free, self.product], [self.x])
         system.factorise(hessian, every)
         self._launch(
             banded.solve,
@@ -110,8 +120,8 @@ class Tangents:
         s = batch.state
         self._launch(
             kernels.measure_strain_tangents,
-            (self.rods, self.nodes - 2, self.count),
-            [s.dof, s.director, self.now],
+            (self.rods, self.nodes - 2, self.groups),
+            [s.dof, s.director, self.now, self.per_thread],
             [out],
         )
 
@@ -129,7 +139,11 @@ class Tangents:
         ends = [3, -4]
         value[:, :, ends] = step.numpy()[:, :, ends]
         self.step_held.assign(value)
-        self.x.zero_()
+        product = wp.zeros_like(self.x)
+        dim = (self.rods, self.count, self.dofs)
+        hessian = batch.derivatives.hessian
+        self._launch(banded.multiply, dim, [batch.every_rod, hessian, self.step_held], [product])
+        self.x.assign(-product.numpy())
         self._elastic(batch, model, (0.0, 0.0, 0.0), 1.0, strain, strain)
         self._solve(batch, BandedSystem(batch))
         self.now.assign(self.x.numpy() + value)
@@ -165,6 +179,13 @@ class Tangents:
             (self.rods, self.count, 2),
             [self.held, self.roll, s.tangent, grip_t, s.dof, batch.free, time],
             [self.step_held],
+        )
+        rows = min(7 + HALF_BANDWIDTH, self.dofs)
+        self._launch(
+            kernels.subtract_held,
+            (self.rods, self.count, 2 * rows),
+            [batch.derivatives.hessian, self.step_held, rows],
+            [self.x],
         )
         self._solve(batch, system)
         self._launch(

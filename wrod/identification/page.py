@@ -14,6 +14,8 @@ _COLORS = {
     "partly-explained": "#d9822b",
     "unexplained": "#d1495b",
 }
+# Parameters of one effect that are shown in rows of their own.
+_LISTED = 6
 _STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;color:#22262b;max-width:62rem;margin:2.5rem auto;
 padding:0 1.2rem}h1{font-size:1.6rem;margin:0}h2{font-size:1.15rem;margin:2.2rem 0 .4rem}
@@ -22,6 +24,7 @@ padding:0 1.2rem}h1{font-size:1.6rem;margin:0}h2{font-size:1.15rem;margin:2.2rem
 .numbers b{display:block;font-size:1.5rem;color:#22262b}table{border-collapse:collapse;
 font-size:.9rem}td,th{text-align:left;padding:.25rem .9rem .25rem 0;border-bottom:1px solid #e6e9ee}
 td.n{text-align:right;font-variant-numeric:tabular-nums}img{width:100%;height:auto}
+details{max-width:40rem;color:#59616b;font-size:.85rem}
 p.note{color:#59616b;font-size:.9rem;margin:.2rem 0 .6rem}
 """
 
@@ -95,13 +98,25 @@ def effects_table(found: list[tuple[str, dict, float | None]], confounded) -> st
         return ""
     rows = []
     for title, parameters, error in found:
-        for i, (key, estimate) in enumerate(parameters.items()):
+        listed = list(parameters.items())
+        # A profile's stations would push everything else off the page.
+        listed, folded = (listed, []) if len(listed) <= _LISTED else (listed[:1], listed[1:])
+        for i, (key, estimate) in enumerate(listed):
             first = f"<b>{html.escape(title)}</b>" if i == 0 else ""
             after = f"{1e3 * error:.2f} mm" if i == 0 and error is not None else ""
             rows.append(
                 f"<tr><td>{first}</td><td>{key.replace('_', ' ')}</td>"
                 f'<td class="n">{estimate.value:.4g} ± {estimate.stderr:.2g} {estimate.unit}</td>'
                 f'<td class="n">{after}</td></tr>'
+            )
+        if folded:
+            numbers = "; ".join(
+                f"{key.replace('_', ' ')}: {e.value:.3g} ± {e.stderr:.2g} {e.unit}"
+                for key, e in folded
+            )
+            rows.append(
+                f'<tr><td></td><td colspan="3"><details><summary>{len(folded)} parameters'
+                f"</summary>{html.escape(numbers)}</details></td></tr>"
             )
     head = "<tr><th>effect</th><th>parameter</th><th>found</th><th>error with it</th></tr>"
     notes = "".join(

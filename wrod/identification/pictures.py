@@ -64,9 +64,11 @@ def residuals(report) -> bytes:
         axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
         axes.set_xlabel("marker", fontsize=8.5)
         axes.set_ylabel("trial (test trials marked)" if k == 0 else "", fontsize=8.5)
-        axes.plot(np.full(len(m.test), -1.2), m.test, ">", ms=4, color=AFTER, clip_on=False)
+        axes.plot(np.full(len(m.test), -1.0), m.test, ">", ms=4, color=AFTER, clip_on=False)
         axes.set_xlim(-0.5, values.shape[1] - 0.5)
         axes.tick_params(labelsize=8, colors=MUTED, length=0)
+        # The marks of test trials stand between the map and the numbers.
+        axes.tick_params(axis="y", pad=14)
         for spine in axes.spines.values():
             spine.set_visible(False)
     bar = figure.colorbar(image, ax=figure.axes, pad=0.01)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from wrod.identification.effect import Effect, Estimate, Model, effects
 from wrod.identification.fit import Fit, fit_models
 from wrod.identification.laboratory import Laboratory
 from wrod.identification.measurements import ClampedMeasurements, load_measurements
+from wrod.identification.model_file import with_effects, write_model
 from wrod.identification.selection import select
 from wrod.identification.trace import Print, trace
 from wrod.identification.verdict import Selection
@@ -24,7 +25,6 @@ from wrod.material import RodMaterial
 
 METRIC = "RMS over test trials and markers of the 3-D distance [mm]"
 _FORMAT = "wrod-identification-1"
-_MODEL_FORMAT = "wrod-rod-model-1"
 
 
 @dataclass(frozen=True)
@@ -112,21 +112,7 @@ class IdentificationReport:
                 "final": s.fit.chi_squared,
                 "residuals": s.fit.residual_count,
             },
-            "prints": [
-                {
-                    "name": p.name,
-                    "title": p.title,
-                    "unit": p.unit,
-                    "log_evidence": p.evidence,
-                    "share_of_excess": p.share,
-                    "points_to": list(p.points_to),
-                    "components": list(p.components),
-                    "arc_length": None if p.arc_length is None else p.arc_length.tolist(),
-                    "value": p.value.tolist(),
-                    "stderr": p.stderr.tolist(),
-                }
-                for p in self.prints
-            ],
+            "prints": [p.to_dict() for p in self.prints],
         }
 
     def save(self, out: str | os.PathLike[str]) -> list[Path]:
@@ -135,27 +121,11 @@ class IdentificationReport:
 
         out = Path(out)
         content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        model = {
-            "format": _MODEL_FORMAT,
-            "rod": asdict(self.material),
-            "effects": [
-                {
-                    "name": e.name,
-                    "parameters": dict(zip((p.key for p in e.parameters), v.tolist(), strict=True)),
-                }
-                for e, v in zip(
-                    self.selection.fit.model.effects,
-                    self.selection.fit.model.split(self.selection.fit.values),
-                    strict=True,
-                )
-            ],
-        }
+        fit = self.selection.fit
         return [
             write_atomically(out / "report.json", lambda file: file.write(content)),
             write_page(out / "report.html", self),
-            write_atomically(
-                out / "model.json", lambda file: file.write(json.dumps(model, indent=2) + "\n")
-            ),
+            write_model(out / "model.json", self.material, fit.model, fit.values),
             self.material.save(out / "rod.json"),
         ]
 
@@ -211,7 +181,7 @@ def identify(
         prints=tuple(prints),
         predicted_before=before,
         predicted_after=after,
-        material=_material(m, fit),
+        material=with_effects(m.material, fit.model, fit.values, m),
     )
 
 
@@ -275,26 +245,3 @@ def _scores(laboratory: Laboratory, selection: Selection) -> list[dict]:
 
 def _millimetres(value: float | None) -> float | None:
     return None if value is None else 1e3 * value
-
-
-def _material(m: ClampedMeasurements, fit: Fit) -> RodMaterial:
-    """The rod with the effects that its own numbers can express."""
-    material = m.material
-    for effect, values in zip(fit.model.effects, fit.model.split(fit.values), strict=True):
-        found = effect.describe(values, np.eye(len(values)), m)
-        if effect.name == "stiffness":
-            ratio = found["stiffness_ratio"].value ** (1 / 3)
-            lgb = material.gravito_bending_length * ratio
-            material = replace(material, gravito_bending_length=lgb)
-        elif effect.name == "density":
-            # The stiffness stays: k_b = 2 pi h^2 rho g L_gb^3.
-            ratio = found["density_ratio"].value
-            material = replace(
-                material,
-                density=material.density * ratio,
-                gravito_bending_length=material.gravito_bending_length / ratio ** (1 / 3),
-            )
-        elif effect.name == "natural_curvature":
-            # The curvature vector turns the tangent: t' = k x t.
-            material = replace(material, natural_curvature=(float(values[1]), -float(values[0])))
-    return material

@@ -26,7 +26,7 @@ from wrod.identification.verdict import AT_NOISE, BIC_MARGIN, Round, Selection, 
 LEAST_SHARE = 0.005
 MOST_EFFECTS = 3
 _FOLDS = 4
-_FINE = 2
+_FINE = 4 / 3
 # Pairs to fit, and how many standard deviations of chi squared deserve them.
 _PAIRS, _FLUCTUATION = 12, 5.0
 
@@ -249,7 +249,7 @@ def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
     """Fit again on a finer mesh, extrapolated at the model that was found."""
     fine = Laboratory(
         laboratory.measurements,
-        edge_count=_FINE * laboratory.edge_count,
+        edge_count=int(_FINE * laboratory.edge_count),
         device=laboratory.device,
     )
     if not fit.model.effects:

@@ -15,7 +15,7 @@ import numpy as np
 from wrod.identification.effect import Effect, Model, Parameter, effects
 from wrod.identification.laboratory import Laboratory
 
-_KNOTS = 7
+KNOTS = 7
 _AMPLITUDES = np.logspace(-4, 3, 43)
 
 
@@ -26,7 +26,8 @@ class Print:
     Attributes:
         name, title, unit: what it is.
         points_to: effects that leave such a print.
-        evidence: log evidence over that of the base model alone [nats]; 0 where nothing is seen.
+        evidence: log evidence over that of the base model alone [nats]; 0 where nothing is seen,
+            None where it is not known.
         share: fraction of the excess of squares that it takes away, to first order.
         arc_length: (K,) places of the profile [m]; None for numbers at an end.
         components: names of the columns of `value`.
@@ -37,15 +38,30 @@ class Print:
     title: str
     unit: str
     points_to: tuple[str, ...]
-    evidence: float
+    evidence: float | None
     share: float
     arc_length: np.ndarray | None
     components: tuple[str, ...]
     value: np.ndarray
     stderr: np.ndarray
 
+    def to_dict(self) -> dict:
+        """As `report.json` has it."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "unit": self.unit,
+            "log_evidence": self.evidence,
+            "share_of_excess": self.share,
+            "points_to": list(self.points_to),
+            "components": list(self.components),
+            "arc_length": None if self.arc_length is None else self.arc_length.tolist(),
+            "value": self.value.tolist(),
+            "stderr": self.stderr.tolist(),
+        }
 
-class _Profile(Effect):
+
+class Profile(Effect):
     """A profile of `width` components, linear between knots."""
 
     width = 3
@@ -53,16 +69,16 @@ class _Profile(Effect):
 
     def __init__(self, scale: float):
         self.parameters = tuple(
-            Parameter(f"{c}_{k}", "", scale) for k in range(_KNOTS) for c in range(self.width)
+            Parameter(f"{c}_{k}", "", scale) for k in range(KNOTS) for c in range(self.width)
         )
 
     def profile(self, setup, values) -> np.ndarray:
-        places = np.linspace(0.0, 1.0, _KNOTS)
-        hats = np.maximum(1.0 - np.abs(setup.fraction[:, None] - places) * (_KNOTS - 1), 0.0)
-        return hats @ np.reshape(values, (_KNOTS, self.width))
+        places = np.linspace(0.0, 1.0, KNOTS)
+        hats = np.maximum(1.0 - np.abs(setup.fraction[:, None] - places) * (KNOTS - 1), 0.0)
+        return hats @ np.reshape(values, (KNOTS, self.width))
 
 
-class _Force(_Profile):
+class _Force(Profile):
     """Force per length, along the columns of a frame in each trial and node."""
 
     def __init__(self, scale, frame):
@@ -76,7 +92,7 @@ class _Force(_Profile):
         setup.force = setup.force + np.einsum("tnij,nj->tni", self.frame, force)
 
 
-class _Curvature(_Profile):
+class _Curvature(Profile):
     """A moment fixed in the material: a curvature vector at rest."""
 
     width = 2
@@ -87,7 +103,7 @@ class _Curvature(_Profile):
         setup.natural_curvature = setup.natural_curvature + bent
 
 
-class _Stiffness(_Profile):
+class _Stiffness(Profile):
     """A moment that follows the curvature."""
 
     width = 1
@@ -176,14 +192,14 @@ def trace(laboratory: Laboratory) -> list[Print]:
         _, rates = laboratory.jacobian(model, np.zeros(len(scale)))
         jacobian = rates[trials] * scale / laboratory.deviation[trials][..., None]
         jacobian = jacobian.reshape(-1, len(scale))
-        profile = isinstance(model.effects[0], _Profile)
-        prior = _smooth(len(components)) if profile else np.eye(len(scale))
-        evidence, share, value, stderr = _infer(jacobian, residual, prior)
+        profile = isinstance(model.effects[0], Profile)
+        prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
+        evidence, _, share, value, stderr = infer(jacobian, residual, prior)
         value, stderr = value * scale, stderr * scale
         arc_length = None
         if profile:
-            arc_length = np.linspace(0.0, m.material.length, _KNOTS)
-            value, stderr = (a.reshape(_KNOTS, -1) for a in (value, stderr))
+            arc_length = np.linspace(0.0, m.material.length, KNOTS)
+            value, stderr = (a.reshape(KNOTS, -1) for a in (value, stderr))
         prints.append(
             Print(
                 name, title, unit, points_to, evidence, share, arc_length, components, value, stderr
@@ -203,15 +219,15 @@ def _node_frames(solver) -> np.ndarray:
     return np.stack([m1, np.cross(t, m1), t], axis=3)
 
 
-def _smooth(width: int) -> np.ndarray:
+def smooth_prior(width: int) -> np.ndarray:
     """Prior covariance of a profile: neighbouring knots, a sixth of the rod apart, are alike."""
-    place = np.arange(_KNOTS)
-    like = np.exp(-0.5 * ((place[:, None] - place) / 1.5) ** 2) + 1e-6 * np.eye(_KNOTS)
+    place = np.arange(KNOTS)
+    like = np.exp(-0.5 * ((place[:, None] - place) / 1.5) ** 2) + 1e-6 * np.eye(KNOTS)
     return np.kron(like, np.eye(width))
 
 
-def _infer(jacobian, residual, prior):
-    """Evidence, share and posterior of a linear model, the prior's amplitude at its likeliest."""
+def infer(jacobian, residual, prior):
+    """Evidence, likeliest variance of the prior, share and posterior of a linear model."""
     root = np.linalg.cholesky(prior)
     whitened = jacobian @ root
     size, vectors = np.linalg.eigh(whitened.T @ whitened)
@@ -229,4 +245,4 @@ def _infer(jacobian, residual, prior):
     left = residual - jacobian @ mean
     excess = max(residual @ residual - len(residual), 1e-300)
     share = float((residual @ residual - left @ left) / excess) if amplitude else 0.0
-    return evidence, min(share, 1.0), mean, np.sqrt((spread**2).sum(axis=1))
+    return evidence, amplitude, min(share, 1.0), mean, np.sqrt((spread**2).sum(axis=1))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import copy
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from wrod.identification.effect import Model
+from wrod.identification.effect import Effect, Model
 from wrod.identification.fit import Fit
 from wrod.identification.laboratory import Laboratory
+from wrod.identification.setup import Setup
 
 BIC_MARGIN = 10.0
 AT_NOISE = 1.1
@@ -101,25 +103,38 @@ def judge(
         empty.chi_squared,
         cross_validation,
     )
-    selection.confounded = _confounded(fit, rounds)
+    if named.model.effects:
+        selection.confounded = _confounded(laboratory, fit, rounds)
     return selection
 
 
-def _confounded(fit: Fit, rounds: list[Round]) -> list[dict]:
+def _confounded(laboratory: Laboratory, fit: Fit, rounds: list[Round]) -> list[dict]:
     """Rivals that the data do not rule out, and parameters that trade against each other."""
     found = []
-    accepted = [step for step in rounds if step.accepted is not None]
-    if accepted:
-        best = accepted[-1].best
-        for rival in accepted[-1].fits:
-            gap = rival.bic - best.bic
+    compared = [
+        (step.fits, own)
+        for step in rounds
+        for own in step.fits
+        if set(own.model.names) == set(fit.model.names)
+    ]
+    if compared:
+        # The last step that weighed the chosen effects against others.
+        rivals, best = compared[-1]
+        mine = {e.name: e for e in best.model.effects}
+        for rival in rivals:
+            theirs = {e.name: e for e in rival.model.effects}
+            own, other = sorted(set(mine) - set(theirs)), sorted(set(theirs) - set(mine))
+            if not own or not other:
+                continue
+            gap = _leanest_bic(rival, other) - best.bic
             # A rival that contains the winner and adds nothing is no rival.
-            empty = len(rival.values) > len(best.values) and (
-                rival.chi_squared > best.chi_squared - BIC_MARGIN
+            empty = (
+                len(rival.values) > len(best.values)
+                and rival.chi_squared > best.chi_squared - BIC_MARGIN
+                and _changed(laboratory, [theirs[n] for n in other])
+                == _changed(laboratory, [mine[n] for n in own])
             )
-            own = sorted(set(best.model.names) - set(rival.model.names))
-            other = sorted(set(rival.model.names) - set(best.model.names))
-            if own and other and gap < BIC_MARGIN and not empty:
+            if gap < BIC_MARGIN and not empty:
                 found.append(
                     {
                         "effects": [" + ".join(own), " + ".join(other)],
@@ -139,3 +154,60 @@ def _confounded(fit: Fit, rounds: list[Round]) -> list[dict]:
                     }
                 )
     return found
+
+
+def _leanest_bic(fit: Fit, names: list[str]) -> float:
+    """BIC of a fit without those parameters of the named effects that the data do not ask for.
+
+    An effect may stand for another one with a part of its parameters: a gripper that only rolls is
+    no other rod than one with a twist. What leaving parameters out costs is taken from the
+    Gaussian posterior.
+    """
+    parameters, owner = (
+        fit.model.parameters,
+        [e.name for e in fit.model.effects for _ in e.parameters],
+    )
+    price = np.log(fit.residual_count)
+    out: list[int] = []
+    best, cost = fit.bic, 0.0
+    for _ in parameters:
+        left = [
+            j
+            for j, p in enumerate(parameters)
+            if owner[j] in names and not p.anywhere and j not in out
+        ]
+        if len(left) < 2:
+            break
+        costs = [_cost_without(fit, [*out, j]) for j in left]
+        place = int(np.argmin(costs))
+        if costs[place] - cost >= price:
+            break
+        out.append(left[place])
+        cost = costs[place]
+        best = fit.bic + cost - price * len(out)
+    return best
+
+
+def _cost_without(fit: Fit, places: list[int]) -> float:
+    """Rise of chi squared if these parameters are 0 and all others follow (Wald)."""
+    value = fit.values[places]
+    return float(value @ np.linalg.solve(fit.covariance[np.ix_(places, places)], value))
+
+
+def _changed(laboratory: Laboratory, own: list[Effect]) -> frozenset[str]:
+    """What the effects change: fields of the setup, `measure` for what cameras report."""
+    m = laboratory.measurements
+    base = Setup.base(m, m.train[:1], 8)
+    found = set()
+    for effect in own:
+        if type(effect).measure is not Effect.measure:
+            found.add("measure")
+        setup = copy.copy(base)
+        start = effect.starts(m)[0]
+        effect.apply(setup, start + 1e-3 * np.array([p.scale for p in effect.parameters]))
+        found |= {
+            f.name
+            for f in fields(Setup)
+            if not np.array_equal(getattr(setup, f.name), getattr(base, f.name))
+        }
+    return frozenset(found)

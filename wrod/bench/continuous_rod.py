@@ -1,8 +1,8 @@
 """A continuous Kirchhoff rod between two clamps by collocation (SciPy): no elements, no DER.
 
-It makes measurements for identification that share no discretisation and no code with wrod; wrod's
-shapes only serve as first guesses. State: position q, orientation (unit quaternion), force n and
-moment m of the part beyond s on the part before it, over unstretched arc length s:
+It makes measurements for identification that share no discretisation and no code with wrod's
+solvers; wrod's shapes only serve as first guesses. Over unstretched arc length s run position q,
+orientation (unit quaternion), force n and moment m of the part beyond s on the part before it:
 
     q' = (1 + n.t / EA) t,   R' = [k]x R,   n' = -f,   m' = -q' x n,
     k = R (m1 / B1 + k1, m2 / B2 + k2, m3 / GJ + twist).
@@ -17,6 +17,7 @@ import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.spatial.transform import Rotation
 
+from wrod.errors import DataError
 from wrod.identification.clamped import ClampedSolver
 from wrod.identification.measurements import measurements_from_arrays
 from wrod.identification.setup import Setup
@@ -35,6 +36,7 @@ def as_they_are(position: np.ndarray, frame: np.ndarray) -> np.ndarray:
 
 NO_MASS, NO_CURVATURE, NO_FORCE = constant(0.0), constant(0.0, 0.0), constant(0.0, 0.0, 0.0)
 ISOTROPIC = constant(1.0, 1.0)
+_SMALLEST_STEP = 0.02
 
 
 @dataclass
@@ -44,20 +46,24 @@ class World:
     Profiles take arc lengths (K,) and give (..., K).
 
     Attributes:
-        bending: factors of (B1, B2); twisting: factor of GJ.
+        bending: factors of (B1, B2), about directions turned from (m1, m2) by `principal` [rad].
+        twisting, stretching: factors of GJ and EA; twist_profile: a factor of GJ along the rod.
         curvature, twist: at rest, in the material frame [1/m], [rad/m].
         force: dead force per length beside the weight [N/m].
         drag: (q, t, s) -> force per length that follows the shape [N/m].
         mass: extra mass per length [kg/m].
         gravity_turn: rotation vector of gravity.
         slip: free length over the nominal one [m], at the gripper.
-        grip_turn: rotation vector in the gripper, or one for each trial (T, 3).
-        softening: (c, r) of the moment B e (r + (1 - r) / (1 + c e^2)).
+        clamp_turn, grip_turn: rotation vector in clamp A and gripper, or one for each trial (T, 3).
+        clamp_shift, grip_shift: displacement there, in the reported frame [m].
+        law: e -> (M / B, its derivative) of the curvature e >= 0 beyond that at rest; None: linear.
         see: what the cameras make of (T, M, 3) markers and (T, M, 3, 3) frames.
     """
 
     bending: Callable = ISOTROPIC
+    principal: float = 0.0
     twisting: float = 1.0
+    twist_profile: Callable = np.ones_like
     stretching: float = 1.0
     curvature: Callable = NO_CURVATURE
     twist: float = 0.0
@@ -66,8 +72,11 @@ class World:
     mass: Callable = NO_MASS
     gravity_turn: np.ndarray = field(default_factory=lambda: np.zeros(3))
     slip: float = 0.0
+    clamp_turn: np.ndarray = field(default_factory=lambda: np.zeros(3))
     grip_turn: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    softening: tuple[float, float] = (0.0, 1.0)
+    clamp_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    grip_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    law: Callable | None = None
     see: Callable = as_they_are
 
 
@@ -89,29 +98,33 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.concatenate([w[None], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:], axis=0)])
 
 
-def excess_of(moment: np.ndarray, stiffness: np.ndarray, softening) -> np.ndarray:
-    """(2, K) curvatures beyond those at rest that carry (2, K) moments."""
+def excess_of(moment: np.ndarray, stiffness: np.ndarray, law: Callable | None, share: float):
+    """(2, K) curvatures beyond those at rest that carry (2, K) moments; Newton's method on
+    (1 - share) e + share law(e) = size of moment over stiffness."""
     excess = moment / stiffness
-    c, kept = softening
-    if c == 0.0:
+    if law is None:
         return excess
     size = np.sqrt((excess**2).sum(axis=0)) + 1e-300
     e = size.copy()
     for _ in range(60):
-        one = 1 + c * e * e
-        value = e * (kept + (1 - kept) / one) - size
-        e = np.maximum(e - value / (kept + (1 - kept) * (2 - one) / one**2), 0.5 * e)
+        value, slope = law(e)
+        away = (1 - share) * e + share * value - size
+        change = away / (1 - share + share * slope)
+        e = np.maximum(e - change, 0.5 * e)
+        if np.all(np.abs(change) < 1e-12 * (1 + e)):
+            break
     return excess * (e / size)
 
 
-def _solve(rod, world: World, share: float, a, ra, b, rb, guess):
+def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6):
     """One trial with a share of the effect; (s, y) of the guess on the unit interval."""
     length = rod.length + share * world.slip
     k_b, k_s = rod.bending_stiffness, rod.stretching_stiffness * world.stretching**share
     k_t = rod.twisting_stiffness * world.twisting**share
     line = rod.weight / rod.gravity
     gravity = Rotation.from_rotvec(share * world.gravity_turn).apply([0, 0, -rod.gravity])
-    kept = 1 - share * (1 - world.softening[1])
+    c, d = np.cos(world.principal), np.sin(world.principal)
+    principal = np.array([[c, d], [-d, c]])
 
     def rhs(u, y):
         s = length * u
@@ -120,9 +133,9 @@ def _solve(rod, world: World, share: float, a, ra, b, rb, guess):
         t = r[:, 2]
         local = np.einsum("ijk,ik->jk", r, m)
         stiffness = k_b * (1 + share * (world.bending(s) - 1))
-        bend = excess_of(local[:2], stiffness, (world.softening[0], kept))
+        bend = principal.T @ excess_of(principal @ local[:2], stiffness, world.law, share)
         bend = bend + share * world.curvature(s)
-        turn = local[2] / k_t + share * world.twist
+        turn = local[2] / (k_t * (1 + share * (world.twist_profile(s) - 1))) + share * world.twist
         k = np.einsum("ijk,jk->ik", r, np.concatenate([bend, turn[None]]))
         dq = (1 + (n * t).sum(axis=0) / k_s) * t
         force = gravity[:, None] * (line + share * world.mass(s)) + share * world.force(s)
@@ -142,30 +155,40 @@ def _solve(rod, world: World, share: float, a, ra, b, rb, guess):
         left = product(inverse[:, None], y1[3:7, None])[1:, 0]
         return np.concatenate([y0[:3] - a, y0[3:7] - qa, y1[:3] - b, left])
 
-    found = solve_bvp(rhs, ends, *guess, tol=1e-6, max_nodes=4000)
-    assert found.success, found.message
+    found = solve_bvp(rhs, ends, *guess, tol=tolerance, max_nodes=4000)
+    if not found.success:
+        raise DataError(f"collocation finds no equilibrium of the clamped rod: {found.message}")
     return found
 
 
-def _first_guess(measurements, trial: int, edge_count: int = 40):
-    """wrod's base solution as (u, y)."""
-    setup = Setup.base(measurements, np.array([trial]), edge_count)
+def _first_guesses(measurements, edge_count: int = 60):
+    """wrod's base solution of every trial as (u, y)."""
+    trials = np.arange(measurements.trial_count)
+    setup = Setup.base(measurements, trials, edge_count)
     solver = ClampedSolver([setup])
     seen = solver.predict([setup])
-    position = solver.batch.positions()[0, 1:-1]
-    t = solver.batch.state.tangent.numpy()[0]
-    d = solver.batch.material_directors()[0, :, 0]
-    t, d = t[1:] + t[:-1], d[1:] + d[:-1]
-    t /= np.linalg.norm(t, axis=1, keepdims=True)
-    d -= (d * t).sum(axis=1, keepdims=True) * t
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    matrices = np.stack([d, np.cross(t, d), t], axis=2)
+    positions = solver.batch.positions()[:, 1:-1]
+    t = solver.batch.state.tangent.numpy()
+    d = solver.batch.material_directors()[:, :, 0]
+    t, d = t[:, 1:] + t[:, :-1], d[:, 1:] + d[:, :-1]
+    t /= np.linalg.norm(t, axis=2, keepdims=True)
+    d -= (d * t).sum(axis=2, keepdims=True) * t
+    d /= np.linalg.norm(d, axis=2, keepdims=True)
+    frames = np.stack([d, np.cross(t, d), t], axis=3)
+    return [
+        _guess_of(measurements.material, positions[i], frames[i], np.real(seen.force[0, i]))
+        for i in trials
+    ]
+
+
+def _guess_of(rod: RodMaterial, position, matrices, force):
+    """(u, y) of one rod: nodes (n + 1, 3), their frames (n + 1, 3, 3), the gripper's force."""
+    edge_count = len(position) - 1
     rotation = Rotation.from_matrix(matrices)
     quaternion = np.roll(rotation.as_quat(), 1, axis=1)
     for i in range(1, len(quaternion)):
         if quaternion[i] @ quaternion[i - 1] < 0:
             quaternion[i] *= -1
-    rod = measurements.material
     u = np.linspace(0.0, 1.0, edge_count + 1)
     curvature = (rotation[1:] * rotation[:-1].inv()).as_rotvec() * edge_count / rod.length
     curvature = np.concatenate([curvature[:1], 0.5 * (curvature[1:] + curvature[:-1])])
@@ -173,7 +196,7 @@ def _first_guess(measurements, trial: int, edge_count: int = 40):
     local = np.einsum("kij,ki->kj", matrices, curvature)
     local *= [rod.bending_stiffness, rod.bending_stiffness, rod.twisting_stiffness]
     m = np.einsum("kij,kj->ki", matrices, local)
-    n = np.real(seen.force[0, 0]) - np.outer(rod.weight * rod.length * (1 - u), [0, 0, 1])
+    n = force - np.outer(rod.weight * rod.length * (1 - u), [0, 0, 1])
     return u, np.concatenate([position, quaternion, n, m], axis=1).T
 
 
@@ -183,9 +206,20 @@ def measured(
     *,
     seed: int = 0,
     noise: float = 5e-4,
-    steps: int = 3,
+    steps: int = 10,
 ) -> dict[str, np.ndarray]:
-    """A set of measurements of the rod and at the poses in `data` (fields of a measured file)."""
+    """A set of measurements of the rod and at the poses in `data` (fields of a measured file).
+
+    Args:
+        data: everything but what is measured, as `hanging` gives it.
+        world: what the rod is really like.
+        seed: of the noise; noise: standard deviation of a marker coordinate [m].
+        steps: in which the effect grows from nothing, so that rods stay on their branch; halved
+            where a rod does not follow.
+
+    Raises:
+        DataError: a trial finds no equilibrium.
+    """
     trials = len(data["clamp_position"])
     line = (
         data["clamp_position"][:, None]
@@ -194,26 +228,34 @@ def measured(
     )
     m = measurements_from_arrays({**data, "centerline": line})
     rod: RodMaterial = m.material
-    turns = np.broadcast_to(world.grip_turn, (trials, 3))
     positions, frames, forces, torques = [], [], [], []
+    guesses = _first_guesses(m)
+
+    def held(end, i, share):
+        turn = np.broadcast_to(getattr(world, f"{end}_turn"), (trials, 3))[i]
+        position, rotation = (getattr(m, f"{end}_{part}")[i] for part in ("position", "rotation"))
+        shift = rotation @ getattr(world, f"{end}_shift")
+        return position + share * shift, rotation @ Rotation.from_rotvec(share * turn).as_matrix()
+
     for i in range(trials):
-        guess = _first_guess(m, i)
-        for step in range(1, steps + 1):
-            share = step / steps
-            turned = m.grip_rotation[i] @ Rotation.from_rotvec(share * turns[i]).as_matrix()
-            found = _solve(
-                rod,
-                world,
-                share,
-                m.clamp_position[i],
-                m.clamp_rotation[i],
-                m.grip_position[i],
-                turned,
-                guess,
-            )
-            guess = found.x, found.y
-        y = found.sol(m.arc_length / (rod.length + world.slip))
-        positions.append(y[:3].T)
+        guess, share, step = guesses[i], 0.0, 1.0 / steps
+        while share < 1.0:
+            ahead = share + step if share + step < 1.0 - 1e-9 else 1.0
+            ends = (*held("clamp", i, ahead), *held("grip", i, ahead))
+            try:
+                # On the way a rough solution keeps to the branch as well.
+                found = _solve(rod, world, ahead, *ends, guess, 1e-6 if ahead == 1.0 else 1e-4)
+            except DataError:
+                step *= 0.5
+                if step < _SMALLEST_STEP:
+                    raise
+                continue
+            guess, share = (found.x, found.y), ahead
+        length = rod.length + world.slip
+        y = found.sol(np.minimum(m.arc_length / length, 1.0))
+        # What has slipped into the gripper lies straight in it.
+        inside = np.maximum(m.arc_length - length, 0.0)
+        positions.append(y[:3].T + inside[:, None] * frames_of(y[3:7])[:, 2].T)
         frames.append(np.moveaxis(frames_of(y[3:7]), 2, 0))
         forces.append(found.y[7:10, -1])
         torques.append(found.y[10:13, -1])

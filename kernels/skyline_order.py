@@ -1,0 +1,125 @@
+"""In which order a rod's nodes are eliminated, and which blocks of its matrix that fills.
+
+Contacts couple nodes that are far apart along the rod. Nodes are numbered by their distance from
+the rod's end in the graph of rod and contacts (after Cuthill and McKee), which keeps the entries of
+a row close to the diagonal even in a knot: its width is that of a few strands.
+"""
+
+import warp as wp
+from wrod.kernels.lanes import any_lane, wait_for_lanes
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def nearer(distance: wp.array2d(dtype=wp.int32), r: int, v: int, best: int) -> int:
+    if v < 0 or v >= distance.shape[1]:
+        return best
+    return wp.min(best, distance[r, v] + 1)
+
+
+@wp.kernel
+def renumber(
+    # State in:
+    coupled: wp.array(dtype=wp.int32),
+    changed: wp.array(dtype=wp.int32),
+    count: wp.array(dtype=wp.int32),
+    touching: wp.array2d(dtype=wp.vec3i),
+    capacity: int,
+    # Scratch:
+    distance: wp.array2d(dtype=wp.int32),
+    tally: wp.array2d(dtype=wp.int32),
+    # State out:
+    rank_out: wp.array2d(dtype=wp.int32),
+    order_out: wp.array2d(dtype=wp.int32),
+    first_out: wp.array2d(dtype=wp.int32),
+    last_out: wp.array2d(dtype=wp.int32),
+    row_out: wp.array2d(dtype=wp.int32),
+    overflow_out: wp.array(dtype=wp.int32),
+):
+    """Order the nodes of rods whose contacts have changed.
+
+    Row p starts at column `first`; the last row that reaches column p is `last`.
+    """
+    r, lane = wp.tid()
+    if coupled[r] == 0 or changed[r] == 0:
+        return
+    n = rank_out.shape[1]
+    for v in range(lane, n, wp.block_dim()):
+        distance[r, v] = (v + 1) // 2  # two nodes a step, without contacts
+        tally[r, v] = 0
+        last_out[r, v] = v
+    wait_for_lanes()
+    going = int(1)
+    turn = int(0)
+    while going != 0:
+        going = int(0)
+        for w in range(lane, n, wp.block_dim()):
+            # To and fro, which lets one lane come to an end in a few turns.
+            v = wp.where(turn % 2 == 0, w, n - 1 - w)
+            best = int(distance[r, v])
+            for step in range(1, 3):
+                best = nearer(distance, r, v - step, best)
+                best = nearer(distance, r, v + step, best)
+            if best < distance[r, v]:
+                wp.atomic_min(distance, r, v, best)
+                going = int(1)
+        for c in range(lane, count[r], wp.block_dim()):
+            i = touching[r, c][0]
+            j = touching[r, c][1]
+            best = wp.min(distance[r, i], distance[r, i + 1])
+            best = wp.min(best, wp.min(distance[r, j], distance[r, j + 1])) + 1
+            for corner in range(4):
+                v = wp.where(corner < 2, i, j) + corner % 2
+                if best < distance[r, v]:
+                    wp.atomic_min(distance, r, v, best)
+                    going = int(1)
+        going = any_lane(going)
+        turn += 1
+    if lane == 0:
+        # Farthest first, and among equals the last along the rod: counting sort.
+        for v in range(n):
+            tally[r, distance[r, v]] = tally[r, distance[r, v]] + 1
+        before = int(0)
+        for d in range(n):
+            at = n - 1 - d
+            size = tally[r, at]
+            tally[r, at] = before
+            before += size
+        for w in range(n):
+            v = n - 1 - w
+            p = tally[r, distance[r, v]]
+            tally[r, distance[r, v]] = p + 1
+            rank_out[r, v] = p
+            order_out[r, p] = v
+    wait_for_lanes()
+    for v in range(lane, n, wp.block_dim()):
+        p = rank_out[r, v]
+        lowest = int(p)
+        for u in range(wp.max(v - 2, 0), wp.min(v + 3, n)):
+            lowest = wp.min(lowest, rank_out[r, u])
+        first_out[r, p] = lowest
+    wait_for_lanes()
+    for c in range(lane, count[r], wp.block_dim()):
+        i = touching[r, c][0]
+        j = touching[r, c][1]
+        lowest = wp.min(rank_out[r, i], rank_out[r, i + 1])
+        lowest = wp.min(lowest, wp.min(rank_out[r, j], rank_out[r, j + 1]))
+        for corner in range(4):
+            v = wp.where(corner < 2, i, j) + corner % 2
+            wp.atomic_min(first_out, r, rank_out[r, v], lowest)
+    wait_for_lanes()
+    for p in range(lane, n, wp.block_dim()):
+        wp.atomic_max(last_out, r, first_out[r, p], p)
+    wait_for_lanes()
+    if lane > 0:
+        return
+    size = int(0)
+    reach = int(0)
+    for p in range(n):
+        row_out[r, p] = size - first_out[r, p]
+        size += p - first_out[r, p] + 1
+        reach = wp.max(reach, last_out[r, p])
+        last_out[r, p] = reach
+    if size > capacity:
+        overflow_out[r] = 1

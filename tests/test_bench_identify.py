@@ -1,0 +1,149 @@
+"""The confusion table of `wrod bench identify --hidden`: its sets, its marks, its command."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from wrod.bench.continuous_rod import excess_of
+from wrod.bench.hidden_effects import TRIALS, cases, hidden_set
+from wrod.bench.hidden_table import error_of, lines, outcome, summary
+from wrod.commands import main
+from wrod.identification.effect import Model, effects
+from wrod.identification.laboratory import Laboratory
+from wrod.identification.measurements import measurements_from_arrays
+
+
+def entry(*names, verdict="explained", rivals=()):
+    return {
+        "verdict": verdict,
+        "effects": [{"name": name, "parameters": {}} for name in names],
+        "confounded": [{"effects": list(pair)} for pair in rivals],
+    }
+
+
+@pytest.mark.parametrize(
+    ("said", "hidden", "uncovered", "mark"),
+    [
+        (entry("stiffness"), {"stiffness"}, False, "right"),
+        (entry("stiffness", verdict="partly-explained"), {"stiffness"}, False, "incomplete"),
+        (entry("stiffness"), {"stiffness", "grip_slip"}, False, "incomplete"),
+        (entry("stiffness", "density"), {"stiffness"}, False, "wrong"),
+        (entry("density"), {"stiffness"}, False, "wrong"),
+        (
+            entry("density", rivals=[("density", "stiffness")]),
+            {"stiffness"},
+            False,
+            "confounded",
+        ),
+        (
+            entry("density", "grip_slip", rivals=[("density", "stiffness")]),
+            {"stiffness", "grip_slip"},
+            False,
+            "confounded",
+        ),
+        (entry(verdict="unexplained"), {"stiffness"}, False, "unexplained"),
+        (entry(verdict="adequate"), set(), False, "right"),
+        (entry("density"), set(), False, "false alarm"),
+        (entry(verdict="unexplained"), set(), True, "right"),
+        (entry("density", verdict="partly-explained"), set(), True, "right"),
+        (entry("density"), set(), True, "wrong"),
+        (entry(verdict="adequate"), set(), True, "wrong"),
+    ],
+)
+def test_marks(said, hidden, uncovered, mark):
+    assert outcome(said, hidden, uncovered) == mark
+
+
+def test_errors_are_those_of_vectors_and_directions_repeat():
+    def estimate(value, stderr, unit=""):
+        return {"value": value, "stderr": stderr, "unit": unit}
+
+    truth = {"a": {("x", "y"): (3.0, 4.0)}, "b": {("turn",): (89.0,)}, "c": {("z",): (1.0,)}}
+    found = {
+        "a": {"x": estimate(3.0, 0.1), "y": estimate(4.1, 0.1)},
+        "b": {"turn": estimate(-89.0, 1.0, "deg")},
+    }
+    worst, deviations = error_of(found, truth)
+    assert worst == pytest.approx(np.radians(2.0))
+    assert deviations == pytest.approx(2.0)
+    assert error_of({}, truth) == (None, None)
+
+
+def test_curvatures_of_a_softening_law_carry_the_moment():
+    def law(e):
+        return 0.3 * e + 0.7 * 5.0 * np.tanh(e / 5.0), 0.3 + 0.7 / np.cosh(e / 5.0) ** 2
+
+    moment, stiffness = np.array([[0.0, 2.0, -9.0], [0.0, 1.0, 4.0]]), np.full((2, 3), 0.5)
+    bend = excess_of(moment, stiffness, law, 0.4)
+    size = np.hypot(*bend)
+    carried = 0.5 * (0.6 * size + 0.4 * law(size)[0])
+    assert np.allclose(carried, np.hypot(*moment), rtol=1e-10)
+
+
+# The size of the true values in the parameters of the plug-in.
+TRUE = {
+    "stiffness": lambda t: [np.log(t[("stiffness_ratio",)][0])],
+    "anisotropic_bending": lambda t: [
+        np.log(t[("stiffer_ratio",)][0]),
+        np.log(t[("softer_ratio",)][0]),
+        np.radians(t[("stiffer_direction",)][0]),
+    ],
+    "camera_scale": lambda t: [*t[("scale",)], *t[("offset_x", "offset_y", "offset_z")]],
+    "grip_rotation": lambda t: t[("rotation_1", "rotation_2", "roll")],
+}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n == "anisotropic_bending" else pytest.mark.slow) for n in TRUE],
+)
+def test_the_plug_in_at_the_true_values_leaves_noise(name):
+    data, hidden = hidden_set(name, seed=11)
+    laboratory = Laboratory(measurements_from_arrays(data))
+    assert len(data["centerline"]) == TRIALS
+    model = Model((effects()[name],))
+    values = np.array(TRUE[name](hidden.truth[name]), dtype=float)
+    residual = (laboratory.target - laboratory.observe(model, values)) / laboratory.deviation
+    # Noise alone: chi squared over its count is 1 within four standard deviations.
+    assert abs((residual**2).mean() - 1.0) < 4.0 * np.sqrt(2.0 / residual.size)
+
+
+def test_every_effect_of_a_clamped_rod_is_hidden_somewhere():
+    """But for those whose like is there at the other end, and the axial stiffness."""
+    rng = np.random.default_rng(0)
+    from wrod.bench.hidden_effects import _rod
+
+    hidden = {name for make in cases().values() for name in make(rng, _rod(rng)).truth}
+    assert set(effects()) - hidden == {
+        "axial_stiffness",
+        "camera_rotation",
+        "clamp_offset",
+        "clamp_slip",
+        "grip_offset",
+    }
+
+
+def test_table_and_its_summary():
+    row = {
+        "seed": 4,
+        "before_mm": 5.0,
+        "after_mm": 0.87,
+        "noise_floor_mm": 0.87,
+        "cpu_seconds": 9.0,
+        "worst_error": 0.01,
+        "worst_deviations": 0.7,
+    }
+    found = {"set": "stiffness", "outcome": "right", **entry("stiffness"), **row}
+    rows = [found, {"set": "kink", "seed": 4, "outcome": "not made", "reason": "no equilibrium"}]
+    text = "\n".join(lines(rows) + summary(rows))
+    assert "no equilibrium" in text
+    assert "one effect              1 sets: right 1" in text
+    assert "within 5 % in 1 of 1" in text
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["--hidden", "1", "--only", "no such"], ["--hidden", "1", "--workers", "0"]]
+)
+def test_bad_questions_are_refused(arguments):
+    result = CliRunner().invoke(main, ["bench", "identify", *arguments])
+    assert result.exit_code == 2

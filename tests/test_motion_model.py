@@ -1,0 +1,94 @@
+"""A motion's report and its model, from recordings to a plan, a deployment and a dataset."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from test_motion_trace import STIFFNESS, VISCOUS, moved
+
+import wrod
+from wrod.commands import main
+from wrod.errors import WrodWarning
+from wrod.identification.effect import effects
+from wrod.identification.motion_report import identify_motion
+from wrod.identification.motion_setup import START_L_GB
+
+CURVATURE = np.array([1.5, -1.0])
+L_GB = START_L_GB * np.exp(STIFFNESS / 3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Files that are written for recordings of a viscous rod with a bend of its own."""
+    m = moved((effects("motion")["natural_curvature"], CURVATURE))
+    report = identify_motion(m, candidates=("natural_curvature",))
+    out = tmp_path_factory.mktemp("identified")
+    written = {path.name for path in report.save(out)}
+    assert written == {"report.json", "report.html", "model.json"}
+    return out
+
+
+def test_the_report_has_the_evidence(folder):
+    content = json.loads((folder / "report.json").read_text())
+    assert {e["name"] for e in content["effects"]} == {"natural_curvature"}
+    viscous = content["base"]["internal_damping"]["viscous_time"]["value"]
+    assert viscous == pytest.approx(VISCOUS, rel=0.2)
+    shares = [p["share_of_excess"] for p in content["trace"]["prints"]]
+    assert len(shares) == 11 and shares == sorted(shares, reverse=True) and shares[0] > 0.3
+    assert content["trace"]["missing_force"]["size"]["median"] > 0.0
+    page = (folder / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 7
+    assert "the base model lacks, as mechanics" in page
+
+
+def test_the_model_is_a_rod_with_what_motion_tells(folder):
+    path = folder / "model.json"
+    with pytest.warns(WrodWarning) as said:
+        rod = wrod.RodMaterial.load(path)
+    (sentence,) = (str(w.message) for w in said)
+    assert "air_damping, internal_damping set aside" in sentence
+    assert "radius" in sentence and "density" in sentence and "assumed" in sentence
+    # The mesh of fits is half as fine.
+    assert rod.gravito_bending_length == pytest.approx(L_GB, rel=0.1)
+    # dt/ds at rest along (m1, m2): the curvature vector, turned by a quarter. Between two clamps a
+    # uniform bend leaves no force but where the rod leaves its plane.
+    assert rod.natural_curvature == pytest.approx((CURVATURE[1], -CURVATURE[0]), rel=0.5)
+    assert rod.gravity == 9.81
+    raw = json.loads(path.read_text())["effects"]
+    found = {e["name"]: e["parameters"] for e in raw}
+    natural = found["natural_curvature"]
+    assert rod.natural_curvature == (natural["curvature_2"], -natural["curvature_1"])
+    report = json.loads((folder / "report.json").read_text())
+    lgb = report["base"]["stiffness"]["L_gb"]["value"]
+    assert rod.gravito_bending_length == pytest.approx(lgb, rel=1e-12)
+    assert set(found) == {"stiffness", "air_damping", "internal_damping", "natural_curvature"}
+    with pytest.warns(WrodWarning, match=r"density 1180\.0 assumed") as said:
+        measured = wrod.RodMaterial.load(path, radius=0.004)
+    assert measured.radius == 0.004 and "radius" not in str(said[0].message)
+
+
+def test_commands_take_the_model(folder, tmp_path):
+    rod = ["--rod", str(folder / "model.json"), "--radius", "0.003", "--length", "1.5"]
+    args = ["plan", "line", *rod, "--out", str(tmp_path / "plan"), "--no-robot"]
+    args += ["--spacing", "0.1", "--device", "cpu", "--json"]
+    result = CliRunner().invoke(main, args)
+    assert result.exit_code == 0, result.output
+    assert "internal_damping set aside" in result.stderr
+    figures = json.loads(result.stdout)
+    assert figures["rod"]["radius"] == 0.003
+    assert np.linalg.norm(figures["rod"]["natural_curvature"]) > 1.0
+    args = ["dataset", "--size", "2", *rod, "--out", str(tmp_path / "grasps"), "--device", "cpu"]
+    result = CliRunner().invoke(main, args)
+    assert result.exit_code == 0, result.output
+
+
+def test_the_model_is_deployed(folder):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", WrodWarning)
+        rod = wrod.RodMaterial.load(folder / "model.json", radius=0.003, length=1.0)
+    pattern = wrod.Pattern.from_points(np.linspace([0, 0, 0], [0.15, 0, 0], 20))
+    trajectory = wrod.plan(pattern, rod, "numeric", device="cpu", spacing=0.05)
+    deployment = wrod.simulate_deployment(pattern, rod, trajectory, device="cpu")
+    assert deployment.error_mean < 0.02

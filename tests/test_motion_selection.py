@@ -1,0 +1,192 @@
+"""Splits, steps and starts of the fits to motions, and the summary of their cross-validation."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from wrod.bench.cables import command, lines, summary
+from wrod.identification import motion_solver
+from wrod.identification.effect import Effect, Model, Parameter, effects
+from wrod.identification.motion_fit import Linearised, MotionLaboratory
+from wrod.identification.motion_loading import motion_from_arrays
+from wrod.identification.motion_promises import losses_of
+from wrod.identification.motion_selection import select_motion
+from wrod.identification.motion_solver import MotionSolver
+from wrod.identification.motion_split import folds, split_evenly, with_test
+from wrod.identification.motion_tangents import COMPLEX_STEP
+
+RECORDINGS, FRAMES, MARKERS = 12, 16, 9
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Arcs between two grips that point down, swung along with them."""
+    s = np.linspace(0.0, np.pi, MARKERS - 2)
+    arc = 0.2 * np.stack([-np.cos(s), 0.0 * s, -np.sin(s)], axis=1)
+    up = np.array([0.0, 0.0, 0.03])
+    arc = np.concatenate([arc[:1] + up, arc, arc[-1:] + up])
+    time = np.arange(FRAMES)[None, :, None] / 100.0
+    phase = np.arange(RECORDINGS)[:, None, None]
+    swing = 0.05 * np.concatenate([np.sin(6 * time + phase), np.cos(5 * time + phase)], axis=2)
+    positions = np.broadcast_to(arc, (RECORDINGS, FRAMES, MARKERS, 3)).copy()
+    positions[..., :2] += swing[:, :, None]
+    return motion_from_arrays(
+        {
+            "positions": positions,
+            "rate_hz": 100.0,
+            "held": np.array([0, 1, MARKERS - 2, MARKERS - 1]),
+            "gravity": 9.81,
+        }
+    )
+
+
+@pytest.mark.parametrize("contiguous", [False, True])
+def test_every_recording_is_in_one_fold(contiguous):
+    parts = folds(56, 7, contiguous=contiguous)
+    assert sorted(np.concatenate(parts)) == list(range(56))
+    steps = {int(np.diff(p).max()) for p in parts}
+    assert steps == ({1} if contiguous else {7})
+
+
+def test_no_recording_has_two_parts(measured):
+    for m in (measured, with_test(measured, np.array([0, 5]))):
+        parts = np.concatenate([m.fit, m.validation, m.test])
+        assert sorted(parts) == list(range(RECORDINGS))
+    assert [len(p) for p in split_evenly(56)] == [32, 16, 8]
+
+
+def test_a_part_of_a_linearised_problem_is_that_of_the_smaller_model(measured):
+    rod, known = MotionLaboratory(measured), effects("motion")
+    small = Model((known["stiffness"], known["internal_damping"]))
+    large = Model((known["stiffness"], known["natural_curvature"], known["internal_damping"]))
+    windows = rod.windows([0, 1])
+    part = rod.linearise(windows, large, np.array([0.1, 0.0, 0.0, 0.05])).part(np.array([0, 3]))
+    alone = rod.linearise(windows, small, np.array([0.1, 0.05]))
+    np.testing.assert_allclose(part.hessian, alone.hessian, rtol=1e-9)
+    np.testing.assert_allclose(part.gradient, alone.gradient, rtol=1e-9)
+    moved = rod.step(windows, small, np.array([0.1, 0.05]), part)
+    assert rod.cost(windows, small, moved) < alone.cost
+
+
+def test_motions_that_do_not_converge_cost_what_they_miss(measured, monkeypatch):
+    rod, known = MotionLaboratory(measured), effects("motion")
+    model = Model((known["stiffness"],))
+    windows = rod.windows([0, 1])
+    whole = rod.cost(windows, model, np.array([0.0]))
+    monkeypatch.setattr(motion_solver, "_MAX_ITERATIONS", 0)
+    stopped = rod.linearise(windows, model, np.array([0.0]))
+    assert stopped.failed == 2
+    # They stay where they were: centimetres off after a sixth of a second, not without bounds.
+    assert whole < stopped.cost < 0.1
+    assert stopped.gradient == 0.0
+
+
+def test_twist_starts_where_newton_fails(measured, monkeypatch):
+    """Bends of its own across the arc, and a roll: the even twist is far from equilibrium."""
+    rod, known = MotionLaboratory(measured), effects("motion")
+    model = Model((known["natural_curvature_profile"], known["grip_roll"]))
+    values = np.r_[np.random.default_rng(6).normal(0.0, 25.0, 20), 2.0]
+    setup = model.setup(rod.base, values)
+    solver = MotionSolver(rod.windows([0], frames=3), measured.rate)
+    solver.run(setup)
+    assert not solver.failed.any()
+
+
+class _Linear(MotionLaboratory):
+    """Motions that are linear in effects that move every marker alike; truth is a + b."""
+
+    def __init__(self, measurements):
+        super().__init__(measurements)
+        self.base.shift = np.zeros(3)
+        self.noise = np.random.default_rng(0).normal(0.0, 1e-4, measurements.positions.shape)
+
+    def run(self, windows, setup, rates=()):
+        frames = np.minimum(windows.start[:, None] + np.arange(windows.seen.shape[1]), FRAMES - 1)
+        noise = self.noise[windows.recording[:, None], frames]
+        x = windows.markers + noise + np.real(setup.shift) - [2e-3, 2e-3, 0.0]
+        columns = [np.imag(r.shift) / COMPLEX_STEP for r in rates]
+        rate = np.zeros((*x.shape[:3], len(rates), 3))
+        rate[:] = np.array(columns).reshape(-1, 3)
+        return x, rate, np.zeros(len(x), dtype=bool)
+
+
+class _Shift(Effect):
+    kinds = ()
+
+    def __init__(self, name, direction):
+        self.name, self.direction = name, np.array(direction)
+        self.parameters = (Parameter("size", "m", 1.0),)
+
+    def apply(self, setup, values):
+        setup.shift = setup.shift + values[0] * self.direction
+
+
+def test_an_effect_that_later_ones_make_idle_leaves_again(measured):
+    """The first explains most of a + b at once, and something that is not there."""
+    shifts = [("most", (1, 1, 0.5)), ("a", (1, 0, 0)), ("b", (0, 1, 0))]
+    selection = select_motion(_Linear(measured), [_Shift(*shift) for shift in shifts])
+    steps = [r.accepted or r.removed for r in selection.rounds]
+    assert steps[1] == "most"
+    assert selection.rounds[-1].removed == "most"
+    assert sorted(selection.model.names[3:]) == ["a", "b"]
+    np.testing.assert_allclose(selection.values[3:], 2e-3, rtol=0.05)
+    # Where nothing is damped no fit can say that something is.
+    assert selection.rounds[0].accepted is None
+    assert selection.after < 0.1 * selection.before
+
+
+def test_a_loss_is_that_of_the_other_parameters_fitted_anew():
+    class Quadratic:
+        def linearise(self, windows, model, values):
+            return Linearised(2.0, np.array([[2.0, 1.0], [1.0, 3.0]]), None, 0.0, 0, None)
+
+    model = Model((_Shift("a", (1, 0, 0)), _Shift("b", (0, 1, 0))))
+    loss = losses_of(Quadratic(), None, model, np.array([0.5, 2.0]))
+    assert loss == pytest.approx(
+        {"a": 0.5 * 0.25 * (2 - 1 / 3) / 2, "b": 0.5 * 4 * (3 - 1 / 2) / 2}
+    )
+
+
+def _row(fold, base, after, rounds):
+    return {
+        "rod": "cable",
+        "fold": fold,
+        "undamped_mm": 1.2 * np.mean(base),
+        "base_mm": {f"{fold}-{k}": v for k, v in enumerate(base)},
+        "after_mm": {f"{fold}-{k}": v for k, v in enumerate(after)},
+        "rounds": [
+            {"accepted": a, "removed": r, "test_mm": t, "validation_mm": t} for a, r, t in rounds
+        ],
+        "effects": [a for a, _, _ in rounds[1:] if a],
+        "cpu_seconds": 10.0,
+    }
+
+
+def test_shares_add_up_to_the_drop():
+    rows = [
+        _row(0, [8.0, 10.0, 9.0], [3.0, 4.0, 5.0],
+             [("damping", None, 9.5), ("bend", None, 6.0), ("tilt", None, 5.0), (None, None, 5.0)]),
+        _row(1, [6.0], [2.0], [("damping", None, 6.5), ("bend", None, 3.0), (None, "bend", 3.5)]),
+    ]  # fmt: skip
+    found = summary(rows)
+    # Recordings count alike, whatever their fold.
+    assert found["base_mm"] == pytest.approx((8 + 10 + 9 + 6) / 4)
+    assert found["after_mm"] == pytest.approx((3 + 4 + 5 + 2) / 4)
+    assert found["share_mm"] == pytest.approx(
+        {"bend": 0.75 * 3.5 + 0.25 * (3.5 - 0.5), "tilt": 0.75 * 1.0}
+    )
+    total = sum(found["share_mm"].values()) + found["last_fit_mm"]
+    assert total == pytest.approx(found["base_mm"] - found["after_mm"])
+    assert "1 of 2 folds" in "\n".join(lines(found))
+
+
+def test_too_many_folds_are_named(measured, tmp_path):
+    np.savez(
+        tmp_path / "rod.npz",
+        positions=measured.positions[:4],
+        rate_hz=100.0,
+        held=np.array([0, 1, MARKERS - 2, MARKERS - 1]),
+        gravity=9.81,
+    )
+    result = CliRunner().invoke(command, ["--data", str(tmp_path), "--folds", "4"])
+    assert "4 recordings in 4 folds leave less than 4" in str(result.exception)

@@ -1,0 +1,82 @@
+"""Recorded rounds of launches do what fresh ones do."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from wrod.batch import RodBatch
+from wrod.dynamics import Dynamics
+from wrod.rod_contact import RodContact
+from wrod.statics import prescribe
+from wrod.substrate import Contact, Friction
+
+RADIUS, WEIGHT, STIFFNESS = 1.6e-3, 0.09, 6e-6
+DEVICES = [
+    "cpu",
+    pytest.param(
+        "cuda:0", marks=pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
+    ),
+]
+
+
+def crossing_rods(device, **options):
+    """Scenes in which a rod falls across one that lies on the table, from other heights."""
+    x = np.linspace(-0.035, 0.035, 15)
+    zero = np.zeros_like(x)
+    lying = np.column_stack([x, zero, zero + RADIUS])
+    scenes = [
+        np.concatenate([lying, np.column_stack([zero + 0.002, x, zero + height])])
+        for height in (4.9e-3, 6e-3, 9e-3)
+    ]
+    edge = np.full(29, 0.005)
+    edge[14] = 0.0
+    mass = WEIGHT / 9.81 * 0.5 * (np.append(edge, 0.0) + np.append(0.0, edge))
+    batch = RodBatch(
+        np.stack(scenes),
+        stretching_stiffness=4 * STIFFNESS / RADIUS**2,
+        bending_stiffness=STIFFNESS,
+        twisting_stiffness=STIFFNESS / 1.5,
+        node_mass=mass,
+        gravity=(0.0, 0.0, -9.81),
+        device=device,
+    )
+    batch.cut([14])
+    prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
+    table = Contact(batch, RADIUS, WEIGHT / (0.01 * RADIUS), Friction(0.3))
+    between = RodContact(batch, RADIUS, Friction(0.3))
+    return Dynamics(
+        batch, scheme="euler", radius=RADIUS, contact=[table, between], tolerance=1e-5, **options
+    )
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_steps_with_contacts(device):
+    """Over many calls, another step length and another tolerance."""
+    results = []
+    for keeps, where in ((True, device), (False, "cpu")):
+        dynamics = crossing_rods(where, keeps_recording=keeps)
+        for k in range(24):
+            if k == 12:
+                dynamics.tolerance = 1e-4
+            progress = dynamics.advance(0.01 * (k + 1), 0.004 if k < 18 else 0.01)
+        assert (dynamics._recording is not None) == keeps
+        assert not progress.diverged.any() and np.allclose(progress.time, 0.24)
+        touching = (dynamics.rod_contact.depth.numpy() > 0).any(axis=(1, 2))
+        assert touching.all()
+        results.append((progress.steps, progress.iterations, dynamics.batch.positions()))
+    (steps, iterations, here), (fresh_steps, fresh_iterations, there) = results
+    if device == "cpu":
+        assert (steps == fresh_steps).all() and (iterations == fresh_iterations).all()
+    assert np.abs(here - there).max() < (1e-14 if device == "cpu" else 1e-6)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_long_ways_are_watched(device):
+    """More rounds than are taken on end: all steps are taken, and the caller is told of them."""
+    seen = []
+    dynamics = crossing_rods(device, keeps_recording=True)
+    progress = dynamics.advance([0.1, 0.2, 0.3], 5e-4, progress=seen.append)
+    assert np.allclose(progress.time, [0.1, 0.2, 0.3]) and progress.steps.max() >= 600
+    assert len(seen) > 3 and (np.diff([times.min() for times in seen]) >= 0).all()
+    again = dynamics.advance([0.1, 0.2, 0.3], 5e-4)
+    assert (again.steps == progress.steps).all()

@@ -1,0 +1,244 @@
+"""Skyline factorisations and solutions against dense ones, on a CPU and on a GPU."""
+
+import numpy as np
+import pytest
+import warp as wp
+from wrod.kernels import skyline, skyline_lanes, skyline_order
+from wrod.kernels.lanes import TEAM, lanes
+
+needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
+WAYS = [
+    pytest.param(skyline, "cpu", id="thread-cpu"),
+    pytest.param(skyline_lanes, "cpu", id="lanes-cpu"),
+    pytest.param(skyline_lanes, "cuda:0", id="lanes-gpu", marks=needs_gpu),
+]
+# Nodes, and pairs of edges that touch.
+SIZES = ((3, 1), (9, 2), (40, 0), (40, 6), (41, 60), (133, 10), (300, 25))
+RODS = 4
+
+
+def touching_pairs(rng, nodes, count):
+    """(count, 2) edges i < j that touch, as strands that lie beside each other do."""
+    i = rng.integers(0, nodes - 1, count)
+    j = rng.integers(0, nodes - 1, count)
+    near = rng.random(count) < 0.5
+    if count:
+        i[near] = np.clip(i[0] + rng.integers(-3, 4, count), 0, nodes - 2)[near]
+        j[near] = np.clip(j[0] - rng.integers(-3, 4, count), 0, nodes - 2)[near]
+    return np.stack([np.minimum(i, j), np.maximum(i, j)], axis=1)
+
+
+def problem(nodes, count, seed=0):
+    """Indefinite matrices (rod, 4 node - 1, same) of rods with contacts, and who couples whom."""
+    rng = np.random.default_rng([seed, nodes, count])
+    pairs = [touching_pairs(rng, nodes, count) for _ in range(RODS)]
+    matrices = []
+    for chosen in pairs:
+        coupled = np.abs(np.subtract.outer(np.arange(nodes), np.arange(nodes))) <= 2
+        for i, j in chosen:
+            corners = [i, i + 1, j, j + 1]
+            coupled[np.ix_(corners, corners)] = True
+        full = np.kron(coupled, np.ones((4, 4)))[:-1, :-1]
+        m = rng.normal(size=full.shape) * full
+        m = m + m.T
+        m[np.diag_indices_from(m)] += rng.uniform(-20, 40, len(m))
+        matrices.append(m)
+    free = rng.random((RODS, 4 * nodes - 1)) > 0.15
+    free[0] = True
+    return np.array(matrices), pairs, free, rng.normal(size=(RODS, 1, 4 * nodes - 1))
+
+
+class System:
+    """The kernels on matrices of given pairs."""
+
+    def __init__(self, kernels, device, nodes, pairs, capacity=None):
+        self.kernels, self.device, self.nodes = kernels, device, nodes
+        self.most = max(1, *(len(p) for p in pairs))
+        self.capacity = nodes * (nodes + 1) // 2 if capacity is None else capacity
+        self.coupled = self.array(np.ones(RODS), wp.int32)
+        self.overflow = self.array(np.zeros(RODS), wp.int32)
+        table = np.zeros((RODS, self.most, 3))
+        for r, chosen in enumerate(pairs):
+            table[r, : len(chosen), :2] = chosen
+        self.count = self.array([len(p) for p in pairs], wp.int32)
+        self.touching = self.array(table, wp.vec3i)
+        scratch = [self.zeros(wp.int32) for _ in range(2)]
+        self.rank, self.order, self.first, self.last, self.row = (
+            self.zeros(wp.int32) for _ in range(5)
+        )
+        self.launch(
+            skyline_order.renumber,
+            [self.coupled, self.coupled, self.count, self.touching, self.capacity, *scratch],
+            [self.rank, self.order, self.first, self.last, self.row, self.overflow],
+        )
+
+    def array(self, values, dtype):
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
+    def zeros(self, dtype, width=1):
+        return wp.zeros((RODS, width * self.nodes), dtype=dtype, device=self.device)
+
+    def launch(self, kernel, inputs, outputs):
+        count = lanes(self.device, TEAM)
+        wp.launch(
+            kernel,
+            (RODS, count),
+            inputs=inputs,
+            outputs=outputs,
+            device=self.device,
+            block_dim=count,
+        )
+
+    def factorise(self, matrices, free):
+        """Prescribed rows and columns are those of the identity; (rod,) negative pivots."""
+        rank, first, row = (a.numpy() for a in (self.rank, self.first, self.row))
+        block = np.zeros((RODS, self.capacity, 4, 4))
+        for r, (m, f) in enumerate(zip(matrices, free, strict=True)):
+            padded = np.eye(4 * self.nodes)
+            padded[:-1, :-1] = np.where(np.outer(f, f), m, np.eye(len(m)))
+            padded = padded.reshape(self.nodes, 4, self.nodes, 4).swapaxes(1, 2)
+            order = np.argsort(rank[r])
+            for p in range(self.nodes):
+                columns = np.arange(first[r, p], p + 1)
+                block[r, row[r, p] + columns] = padded[order[p], order[columns]]
+        self.block = self.array(block.reshape(RODS, -1, 4), wp.vec4d)
+        self.free = self.array(free, wp.int32)
+        negative = wp.full(RODS, -1, dtype=wp.int32, device=self.device)
+        inputs = [self.coupled, self.overflow, *self.profile]
+        if self.kernels is skyline_lanes:
+            widths = (4, skyline_lanes.STRIDE, skyline_lanes.STRIDE)
+            inputs += [self.zeros(wp.float64, width) for width in widths]
+        self.launch(self.kernels.factorise, inputs, [self.stored, negative])
+        return negative.numpy().copy()
+
+    @property
+    def profile(self):
+        """(first, row), between them the last row of a column where lanes ask for it."""
+        by_lanes = self.kernels is skyline_lanes
+        return [self.first, self.last, self.row] if by_lanes else [self.first, self.row]
+
+    @property
+    def stored(self):
+        """The blocks, as lines or whole."""
+        if self.kernels is skyline_lanes:
+            return self.block
+        shape = (RODS, self.block.shape[1] // 4)
+        return wp.array(ptr=self.block.ptr, shape=shape, dtype=wp.mat44d, device=self.device)
+
+    def factor(self):
+        """(rod, block, 4, 4), diagonal blocks without what is above their pivots."""
+        out = self.block.numpy().reshape(RODS, -1, 4, 4).copy()
+        diagonal = self.row.numpy() + np.arange(self.nodes)
+        for r in range(RODS):
+            out[r, diagonal[r]] = np.tril(out[r, diagonal[r]])
+        return out
+
+    def solve(self, right):
+        x = self.array(right, wp.float64)
+        by_lanes = self.kernels is skyline_lanes
+        y = self.zeros(wp.float64, 4) if by_lanes else self.zeros(wp.vec4d)
+        chosen = [self.coupled, self.overflow, self.free, self.order]
+        self.launch(self.kernels.solve, [*chosen, *self.profile, self.stored, y], [x])
+        return x.numpy().copy()
+
+
+@pytest.mark.parametrize(("nodes", "count"), SIZES)
+@pytest.mark.parametrize(("kernels", "device"), WAYS)
+def test_inertia_and_solutions_are_those_of_dense_matrices(kernels, device, nodes, count):
+    matrices, pairs, free, right = problem(nodes, count)
+    system = System(kernels, device, nodes, pairs)
+    negative = system.factorise(matrices, free)
+    x = system.solve(right)
+    for r in range(RODS):
+        f = free[r]
+        dense = matrices[r][np.ix_(f, f)]
+        assert negative[r] == (np.linalg.eigvalsh(dense) < 0).sum()
+        # Without pivoting rounding grows with the pivots' inverses.
+        expected = np.linalg.solve(dense, right[r, 0, f])
+        assert np.allclose(x[r, 0, f], expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+        assert (x[r, 0, ~f] == 0).all()
+
+
+@pytest.mark.parametrize(("nodes", "count"), SIZES)
+@pytest.mark.parametrize(("kernels", "device"), WAYS)
+def test_definite_systems_are_solved_to_rounding(kernels, device, nodes, count):
+    matrices, pairs, free, right = problem(nodes, count, seed=1)
+    shift = 0.1 + np.abs(matrices).sum(axis=2).max()
+    matrices = matrices + shift * np.eye(matrices.shape[1])
+    system = System(kernels, device, nodes, pairs)
+    assert (system.factorise(matrices, free) == 0).all()
+    x = system.solve(right)
+    for r in range(RODS):
+        f = free[r]
+        expected = np.linalg.solve(matrices[r][np.ix_(f, f)], right[r, 0, f])
+        assert np.allclose(x[r, 0, f], expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("nodes", "count"), SIZES)
+@pytest.mark.parametrize(("kernels", "device"), WAYS[1:])
+def test_lanes_find_what_a_thread_finds(kernels, device, nodes, count):
+    matrices, pairs, free, right = problem(nodes, count, seed=2)
+    # Indefinite, but dominated by the diagonal: rounding does not grow without pivoting.
+    signs = np.random.default_rng(nodes).choice([-1.0, 1.0], (RODS, 4 * nodes - 1))
+    diagonal = np.arange(4 * nodes - 1)
+    matrices[:, diagonal, diagonal] += signs * np.abs(matrices).sum(axis=2)
+    results = []
+    for way in ((skyline, "cpu"), (kernels, device)):
+        system = System(*way, nodes, pairs)
+        negative = system.factorise(matrices, free)
+        results.append((negative, system.factor(), system.solve(right)))
+    (negative, factor, x), (lanes_negative, lanes_factor, lanes_x) = results
+    assert (negative == lanes_negative).all()
+    assert np.abs(factor - lanes_factor).max() < 1e-12 * np.abs(factor).max()
+    assert np.abs(x - lanes_x).max() < 1e-12 * np.abs(x).max()
+
+
+@pytest.mark.parametrize(("nodes", "count"), SIZES)
+@pytest.mark.parametrize(("kernels", "device"), WAYS[1:])
+def test_order_goes_by_the_distance_from_the_end(kernels, device, nodes, count):
+    _, pairs, _, _ = problem(nodes, count)
+    system = System(kernels, device, nodes, pairs)
+    for r, chosen in enumerate(pairs):
+        coupled = np.abs(np.subtract.outer(np.arange(nodes), np.arange(nodes))) <= 2
+        for i, j in chosen:
+            corners = [i, i + 1, j, j + 1]
+            coupled[np.ix_(corners, corners)] = True
+        distance = np.full(nodes, nodes)
+        reached = np.arange(nodes) == 0
+        for d in range(nodes):
+            distance[reached & (distance == nodes)] = d
+            reached = coupled[reached].any(axis=0)
+        order = np.lexsort((-np.arange(nodes), -distance))
+        assert (system.order.numpy()[r] == order).all()
+        assert (system.rank.numpy()[r][order] == np.arange(nodes)).all()
+        envelope = coupled[np.ix_(order, order)]
+        first = envelope.argmax(axis=1)
+        assert (system.first.numpy()[r] == first).all()
+        last = [np.flatnonzero(first <= b).max() for b in range(nodes)]
+        assert (system.last.numpy()[r] == last).all()
+        # Rows of blocks follow each other without a gap.
+        ends = np.cumsum(np.arange(nodes) - first + 1)
+        assert (system.row.numpy()[r] + np.arange(nodes) + 1 == ends).all()
+
+
+@pytest.mark.parametrize(("kernels", "device"), WAYS)
+def test_profile_beyond_the_capacity_is_told_and_left_alone(kernels, device):
+    _, pairs, _, right = problem(40, 6)
+    system = System(kernels, device, 40, pairs, capacity=10)
+    assert (system.overflow.numpy() == 1).all()
+    system.block = system.array(np.ones((RODS, 40, 4)), wp.vec4d)
+    system.free = system.array(np.ones(right[:, 0].shape), wp.int32)
+    assert (system.solve(right) == right).all()
+
+
+@pytest.mark.parametrize(("kernels", "device"), WAYS)
+def test_a_pivot_that_cancels_keeps_a_size(kernels, device):
+    """The second row of [[1, 1], [1, 1]] has the pivot 0; its factor is tiny and finite."""
+    nodes = 9
+    matrices, pairs, free, right = problem(nodes, 2)
+    matrices[:] = np.eye(matrices.shape[1])
+    matrices[:, 17, 16] = matrices[:, 16, 17] = 1.0
+    free[:] = True
+    system = System(kernels, device, nodes, pairs)
+    assert (system.factorise(matrices, free) == 0).all()
+    assert np.isfinite(system.solve(right)).all()

@@ -1,0 +1,191 @@
+"""`wrod bench cables`: cross-validation of what is found in recordings of rods in motion."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -> dict:
+    """One fold of one rod: the whole selection without it, and the errors on it [mm]."""
+    import time
+
+    import numpy as np
+
+    from wrod.identification.effect import Model, effects
+    from wrod.identification.motion_fit import MotionLaboratory, errors_of
+    from wrod.identification.motion_loading import load_motion
+    from wrod.identification.motion_selection import BASE, select_motion
+    from wrod.identification.motion_split import folds, with_test
+
+    clock, cpu = time.perf_counter(), time.process_time()
+    m = load_motion(path)
+    m = with_test(m, folds(m.recording_count, number, contiguous=contiguous)[fold])
+    rod = MotionLaboratory(m, device=device)
+    s = select_motion(rod, list(effects("motion").values()))
+    seconds, cpu = time.perf_counter() - clock, time.process_time() - cpu
+    windows = rod.windows(m.test)
+
+    def each(model, values) -> dict[str, float]:
+        error = errors_of(windows, rod.predict(windows, model, values))
+        mean = [1e3 * e[2:][seen[2:]].mean() for e, seen in zip(error, windows.seen, strict=True)]
+        return dict(zip((m.names[r] for r in m.test), map(float, mean), strict=True))
+
+    return {
+        "rod": m.name,
+        "fold": fold,
+        "undamped_mm": 1e3 * s.undamped,
+        "base_mm": each(Model(s.model.effects[: len(BASE)]), s.base_values),
+        "after_mm": each(s.model, s.values),
+        "rounds": [
+            {
+                "accepted": r.accepted,
+                "removed": r.removed,
+                "test_mm": 1e3 * r.test,
+                "validation_mm": 1e3 * r.validation,
+            }
+            for r in s.rounds
+        ],
+        "effects": list(s.model.names[len(BASE) :]),
+        "values": np.asarray(s.values).tolist(),
+        "confounded": [p["effects"] for p in s.confounded],
+        "seconds": seconds,
+        "cpu_seconds": cpu,
+    }
+
+
+def summary(rows: list[dict]) -> dict:
+    """One rod over its folds: mean errors over all recordings, and each effect's share of the drop.
+
+    The shares, the last fit's included, add up to the drop from the base model's error. An effect's
+    share is zero in folds where it was not chosen.
+    """
+    import numpy as np
+
+    weight = np.array([len(r["base_mm"]) for r in rows], dtype=float)
+    weight /= weight.sum()
+
+    def mean(values) -> float:
+        return float(weight @ np.array(list(values)))
+
+    base = mean(np.mean(list(r["base_mm"].values())) for r in rows)
+    after = mean(np.mean(list(r["after_mm"].values())) for r in rows)
+    share: dict[str, float] = {}
+    for w, row in zip(weight, rows, strict=True):
+        errors = [r["test_mm"] for r in row["rounds"]]
+        for r, before, now in zip(row["rounds"][1:], errors, errors[1:], strict=False):
+            name = r["accepted"] or r["removed"]
+            if name:
+                share[name] = share.get(name, 0.0) + w * (before - now)
+    rest = base - after - sum(share.values())
+    chosen = [e for row in rows for e in row["effects"]]
+    return {
+        "rod": rows[0]["rod"],
+        "undamped_mm": mean(r["undamped_mm"] for r in rows),
+        "base_mm": base,
+        "after_mm": after,
+        "median_after_mm": float(np.median([v for r in rows for v in r["after_mm"].values()])),
+        "share_mm": dict(sorted(share.items(), key=lambda s: -s[1])),
+        "last_fit_mm": rest,
+        "chosen_in": {name: chosen.count(name) for name in share},
+        "folds": len(rows),
+        "cpu_seconds": float(np.mean([r["cpu_seconds"] for r in rows])),
+    }
+
+
+def lines(found: dict) -> list[str]:
+    """What the terminal shows of one rod."""
+    out = [
+        f"{found['rod']}: base {found['base_mm']:.2f} mm (without internal damping "
+        f"{found['undamped_mm']:.2f}), after {found['after_mm']:.2f} mm, median of recordings "
+        f"{found['median_after_mm']:.2f}; {found['cpu_seconds']:.0f} s of processor a fold"
+    ]
+    for name, share in found["share_mm"].items():
+        chosen = f"{found['chosen_in'][name]} of {found['folds']} folds"
+        out.append(f"  {name:<26}{share:>7.2f} mm  {chosen}")
+    return [*out, f"  {'fit to whole recordings':<26}{found['last_fit_mm']:>7.2f} mm"]
+
+
+@click.command(name="cables")
+@click.option(
+    "--data",
+    "folder",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    required=True,
+    help="Folder of recordings of rods in motion (.npz), one file a rod.",
+)
+@click.option("--folds", "number", type=click.IntRange(min=2), default=7, show_default=True)
+@click.option("--contiguous", is_flag=True, help="Folds of neighbours, not every n-th recording.")
+@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Write JSON here.")
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def command(
+    folder: Path,
+    number: int,
+    contiguous: bool,
+    workers: int,
+    device: str,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Cross-validate `wrod identify` on recordings of rods in motion.
+
+    Every recording is predicted by a model that has not seen it: neither its fit nor the choice of
+    its effects.
+    """
+    import multiprocessing
+    import sys
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+
+    from tqdm import tqdm
+
+    from wrod.batch import resolve_device
+    from wrod.bench import machine_line
+    from wrod.errors import DataError
+    from wrod.files import write_atomically
+    from wrod.identification.motion_loading import is_motion, load_motion
+
+    paths = [p for p in sorted(folder.glob("*.npz")) if is_motion(p)]
+    if not paths:
+        raise DataError(f"{folder}: holds no .npz file of recordings in motion")
+    for path in paths:
+        count = load_motion(path).recording_count
+        if count - -(-count // number) < 4:
+            raise DataError(
+                f"{path}: {count} recordings in {number} folds leave less than 4 to fit and to "
+                "choose effects by"
+            )
+    device = resolve_device(device)
+    rows: dict[Path, list[dict]] = {p: [] for p in paths}
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        jobs = {
+            pool.submit(fold_row, str(p), k, number, contiguous, device): p
+            for k in range(number)
+            for p in paths
+        }
+        for job in tqdm(as_completed(jobs), total=len(jobs), disable=None, file=sys.stderr):
+            rows[jobs[job]].append(job.result())
+    done = [sorted(rows[p], key=lambda r: r["fold"]) for p in paths]
+    found = [summary(r) for r in done]
+    content = {
+        "machine": machine_line(device),
+        "folds": number,
+        "contiguous": contiguous,
+        "summary": found,
+        "rows": [r for part in done for r in part],
+    }
+    text = json.dumps(content, indent=2, allow_nan=False)
+    if out:
+        write_atomically(out, lambda file: file.write(text + "\n"))
+    if as_json:
+        click.echo(text)
+        return
+    kind = "contiguous folds" if contiguous else "folds of every n-th recording"
+    click.echo(f"{content['machine']}; {number} {kind}")
+    for part in found:
+        click.echo("\n".join(lines(part)))
+    if out:
+        click.echo(f"wrote {out}")

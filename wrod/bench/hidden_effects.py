@@ -1,0 +1,454 @@
+"""Clamped rods with hidden effects, made by a solver that shares nothing with the one that looks.
+
+Every case is drawn at random from a seed: the rod, its poses, the size and the direction of what is
+hidden, the noise. The layout is that of published sets: 24 trials (16 to fit on), 31 markers, a
+wrist sensor, clamp A always rolled the same way.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from wrod.bench.continuous_rod import World, constant, measured
+from wrod.errors import DataError
+from wrod.material import RodMaterial
+
+_REDRAWS = 3
+TRIALS, TEST_TRIALS, MARKERS, NOISE = 24, 8, 31, 5e-4
+_AIR_DRAG = 1.2 * 1.2  # rho_air C_d, as the plug-in takes it [kg/m^3]
+
+Truth = dict[tuple[str, ...], tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What is hidden in a set.
+
+    Attributes:
+        world: the rod as it really is.
+        truth: for each effect's name the true values of what a report says of it, by key; keys
+            that make a vector stand together.
+    """
+
+    world: World
+    truth: dict[str, Truth]
+
+
+# ---- effects that have a plug-in -----------------------------------------------------------------
+
+
+def _between(rng, lower: float, upper: float, *, either_sign: bool = False) -> float:
+    value = rng.uniform(lower, upper)
+    return float(value * rng.choice([-1.0, 1.0]) if either_sign else value)
+
+
+def _in_plane(rng, lower: float, upper: float) -> np.ndarray:
+    angle = rng.uniform(-np.pi, np.pi)
+    return rng.uniform(lower, upper) * np.array([np.cos(angle), np.sin(angle)])
+
+
+def _bump(s, place: float, width: float) -> np.ndarray:
+    """(K,) a bell of area 1 [1/m]."""
+    return np.exp(-0.5 * ((s - place) / width) ** 2) / (width * np.sqrt(2 * np.pi))
+
+
+def _vector(name: str, keys: tuple[str, ...], values) -> dict[str, Truth]:
+    return {name: {keys: tuple(float(v) for v in values)}}
+
+
+def none(rng, rod):
+    return Hidden(World(), {})
+
+
+def natural_curvature(rng, rod):
+    k = _in_plane(rng, 0.3, 0.55) / rod.gravito_bending_length
+    truth = _vector("natural_curvature", ("curvature_1", "curvature_2"), k)
+    return Hidden(World(curvature=constant(*k)), truth)
+
+
+def natural_helix(rng, rod):
+    k = _in_plane(rng, 0.4, 0.6) / rod.gravito_bending_length
+    rate = _between(rng, 6.0, 16.0, either_sign=True)
+
+    def turning(s):
+        c, d = np.cos(rate * s), np.sin(rate * s)
+        return np.array([c * k[0] - d * k[1], d * k[0] + c * k[1]])
+
+    truth = {
+        "natural_helix": {
+            ("curvature_1", "curvature_2"): (float(k[0]), float(k[1])),
+            ("turn_rate",): (rate,),
+        }
+    }
+    return Hidden(World(curvature=turning), truth)
+
+
+def stiffness(rng, rod):
+    ratio = float(np.exp(_between(rng, 0.25, 0.5, either_sign=True)))
+    world = World(bending=constant(ratio, ratio), twisting=ratio, stretching=ratio)
+    return Hidden(world, _vector("stiffness", ("stiffness_ratio",), [ratio]))
+
+
+def stiffness_gradient(rng, rod):
+    ends = np.array([1.0, -1.0]) * rng.choice([-1, 1]) * rng.uniform(0.3, 0.55, 2)
+
+    def profile(s):
+        u = s / rod.length
+        return np.stack([1.0 + ends[0] * (1.0 - u) + ends[1] * u] * 2)
+
+    truth = _vector("stiffness_gradient", ("change_at_clamp", "change_at_grip"), ends)
+    return Hidden(World(bending=profile, twist_profile=lambda s: profile(s)[0]), truth)
+
+
+def anisotropic_bending(rng, rod):
+    stiff, soft = _between(rng, 1.3, 1.7), _between(rng, 0.6, 0.85)
+    angle = _between(rng, -1.4, 1.4)
+    # The solver's stiffnesses are about axes; the report names the direction that the rod bends to.
+    truth = {
+        "anisotropic_bending": {
+            ("stiffer_ratio",): (stiff,),
+            ("softer_ratio",): (soft,),
+            ("stiffer_direction",): (float(np.degrees(angle)) + 90.0,),
+        }
+    }
+    return Hidden(World(bending=constant(stiff, soft), principal=angle), truth)
+
+
+def softening(rng, rod):
+    critical = _between(rng, 0.5, 0.9) / rod.gravito_bending_length
+    kept = _between(rng, 0.2, 0.5)
+
+    def law(e):
+        one = 1.0 + (e / critical) ** 2
+        return e * (kept + (1 - kept) / one), kept + (1 - kept) * (2 - one) / one**2
+
+    truth = {"softening": {("critical_curvature",): (critical,), ("kept_stiffness",): (kept,)}}
+    return Hidden(World(law=law), truth)
+
+
+def softening_by_tanh(rng, rod):
+    """The same effect by another law: M = B (r k + (1 - r) k_c tanh(k / k_c))."""
+    critical = _between(rng, 0.3, 0.6) / rod.gravito_bending_length
+    kept = _between(rng, 0.2, 0.5)
+
+    def law(e):
+        th = np.tanh(e / critical)
+        return kept * e + (1 - kept) * critical * th, kept + (1 - kept) * (1 - th * th)
+
+    return Hidden(World(law=law), {"softening": {}})
+
+
+def softening_by_yield(rng, rod):
+    """The same effect by another law: stiffness B up to k_c, r B beyond (bilinear)."""
+    critical = _between(rng, 0.3, 0.6) / rod.gravito_bending_length
+    kept = _between(rng, 0.2, 0.4)
+
+    width = 0.05 * critical  # of the rounded corner
+
+    def law(e):
+        beyond = np.logaddexp(0.0, (e - critical) / width)
+        at_rest = np.logaddexp(0.0, -critical / width)
+        share = 1.0 / (1.0 + np.exp((critical - e) / width))
+        return e - (1 - kept) * width * (beyond - at_rest), 1.0 - (1 - kept) * share
+
+    return Hidden(World(law=law), {"softening": {}})
+
+
+def point_mass(rng, rod):
+    whole = rod.weight / rod.gravity * rod.length
+    mass, place = _between(rng, 0.12, 0.24) * whole, _between(rng, 0.25, 0.75) * rod.length
+    world = World(mass=lambda s: mass * _bump(s, place, 0.002)[None])
+    return Hidden(world, {"point_mass": {("mass",): (mass,), ("arc_length",): (place,)}})
+
+
+def density_profile(rng, rod):
+    ends = np.array([1.0, -1.0]) * rng.choice([-1, 1]) * rng.uniform(0.25, 0.5, 2)
+    line = rod.weight / rod.gravity
+
+    def extra(s):
+        u = s / rod.length
+        return (line * (ends[0] * (1.0 - u) + ends[1] * u))[None]
+
+    truth = _vector("density_profile", ("change_at_clamp", "change_at_grip"), ends)
+    return Hidden(World(mass=extra), truth)
+
+
+def density(rng, rod):
+    ratio = float(np.exp(_between(rng, 0.2, 0.4, either_sign=True)))
+    extra = constant((ratio - 1.0) * rod.weight / rod.gravity)
+    return Hidden(World(mass=extra), _vector("density", ("density_ratio",), [ratio]))
+
+
+def gravity_tilt(rng, rod):
+    turn = np.radians(_in_plane(rng, 2.0, 4.0))
+    truth = _vector("gravity_tilt", ("tilt_x", "tilt_y"), turn)
+    return Hidden(World(gravity_turn=np.append(turn, 0.0)), truth)
+
+
+def air_flow(rng, rod):
+    drag = _between(rng, 0.1, 0.2) * rod.weight  # on a rod straight across it [N/m]
+    angle = _between(rng, -np.pi, np.pi)
+    flow = np.array([np.cos(angle), np.sin(angle), 0.0])
+
+    def force(q, t, s):
+        across = flow[:, None] - (t * flow[:, None]).sum(axis=0) * t
+        return drag * np.sqrt((across**2).sum(axis=0)) * across
+
+    speed = float(np.sqrt(drag / (_AIR_DRAG * rod.radius)))
+    truth = _vector("air_flow", ("drag_x", "drag_y", "drag_z"), drag * flow)
+    truth["air_flow"][("speed",)] = (speed,)
+    return Hidden(World(drag=force), truth)
+
+
+def grip_slip(rng, rod):
+    slip = _between(rng, 0.005, 0.009, either_sign=True)
+    return Hidden(World(slip=slip), _vector("grip_slip", ("slip",), [slip]))
+
+
+def grip_rotation(rng, rod):
+    turn = np.append(np.radians(_in_plane(rng, 5.0, 8.0)), np.radians(rng.uniform(-8.0, 8.0)))
+    truth = _vector("grip_rotation", ("rotation_1", "rotation_2", "roll"), turn)
+    return Hidden(World(grip_turn=turn), truth)
+
+
+def clamp_rotation(rng, rod):
+    turn = np.append(np.radians(_in_plane(rng, 5.0, 8.0)), np.radians(rng.uniform(-8.0, 8.0)))
+    truth = _vector("clamp_rotation", ("rotation_1", "rotation_2", "roll"), turn)
+    return Hidden(World(clamp_turn=turn), truth)
+
+
+def camera_scale(rng, rod):
+    scale = _between(rng, 0.012, 0.025, either_sign=True)
+    centre = rng.uniform(-0.3, 0.3, 3) + [0.4, 0.0, 0.4]
+    world = World(see=lambda position, frame: centre + (1.0 + scale) * (position - centre))
+    truth = _vector("camera_scale", ("offset_x", "offset_y", "offset_z"), -scale * centre)
+    truth["camera_scale"][("scale",)] = (scale,)
+    return Hidden(world, truth)
+
+
+def camera_offset(rng, rod):
+    offset = _direction(rng) * _between(rng, 0.004, 0.008)
+    truth = _vector("camera_offset", ("offset_x", "offset_y", "offset_z"), offset)
+    return Hidden(World(see=lambda position, frame: position + offset), truth)
+
+
+def marker_offset(rng, rod):
+    offset = np.append(_in_plane(rng, 0.003, 0.005), rng.uniform(-0.001, 0.001))
+    truth = _vector("marker_offset", ("offset_1", "offset_2", "offset_tangent"), offset)
+    return Hidden(World(see=lambda position, frame: position + frame @ offset), truth)
+
+
+def natural_twist(rng, rod):
+    twist = _between(rng, 1.5, 3.5, either_sign=True)
+    return Hidden(World(twist=twist), _vector("natural_twist", ("twist",), [twist]))
+
+
+def twist_stiffness(rng, rod):
+    ratio = float(np.exp(_between(rng, 0.6, 1.0, either_sign=True)))
+    truth = _vector("twist_stiffness", ("twist_stiffness_ratio",), [ratio])
+    return Hidden(World(twisting=ratio), truth)
+
+
+# ---- effects that have none ----------------------------------------------------------------------
+
+
+def kink(rng, rod):
+    """A sharp bend at one place."""
+    place, bend = _between(rng, 0.3, 0.7) * rod.length, _in_plane(rng, 0.5, 0.8)
+    return Hidden(World(curvature=lambda s: bend[:, None] * _bump(s, place, 0.008)), {})
+
+
+def half_draught(rng, rod):
+    """A sideways force on the far half only."""
+    place = _between(rng, 0.45, 0.6) * rod.length
+    force = np.append(_in_plane(rng, 0.2, 0.35), 0.0)[:, None] * rod.weight
+    return Hidden(World(force=lambda s: force / (1.0 + np.exp((place - s) / 0.01))), {})
+
+
+def sticking_roll(rng, rod):
+    """The rod rolls in the gripper, another way in every trial."""
+    return Hidden(World(grip_turn=rng.normal(size=(TRIALS, 1)) * [0.0, 0.0, 0.7]), {})
+
+
+def soft_spot(rng, rod):
+    """A nick: four centimetres with an eighth of the stiffness."""
+    place = _between(rng, 0.3, 0.7) * rod.length
+
+    def profile(s):
+        return np.stack([1.0 - 0.875 * np.exp(-((((s - place) / 0.02) ** 2) ** 2))] * 2)
+
+    return Hidden(World(bending=profile), {})
+
+
+def magnet(rng, rod):
+    """Something in the laboratory that draws the rod towards one point."""
+    point = np.array([0.4, 0.0, 0.2]) + rng.uniform(-0.05, 0.05, 3)
+    strength = _between(rng, 0.4, 0.8) * rod.weight
+
+    def force(q, t, s):
+        away = point[:, None] - q
+        return strength * 0.15**2 * away / ((away**2).sum(axis=0) + 0.05**2) ** 1.5
+
+    return Hidden(World(drag=force), {})
+
+
+def shaking_camera(rng, rod):
+    """Cameras that someone knocks between trials."""
+    offset = 0.004 * rng.normal(size=(TRIALS, 1, 3))
+    return Hidden(World(see=lambda position, frame: position + offset), {})
+
+
+def _direction(rng) -> np.ndarray:
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+KNOWN: dict[str, Callable] = {
+    f.__name__: f
+    for f in (
+        natural_curvature,
+        natural_helix,
+        natural_twist,
+        stiffness,
+        stiffness_gradient,
+        anisotropic_bending,
+        twist_stiffness,
+        softening,
+        softening_by_tanh,
+        softening_by_yield,
+        point_mass,
+        density,
+        density_profile,
+        gravity_tilt,
+        air_flow,
+        grip_slip,
+        grip_rotation,
+        clamp_rotation,
+        camera_scale,
+        camera_offset,
+        marker_offset,
+    )
+}
+PAIRS = (
+    (natural_curvature, gravity_tilt),
+    (natural_curvature, point_mass),
+    (natural_curvature, grip_slip),
+    (natural_curvature, stiffness),
+    (natural_curvature, softening),
+    (natural_curvature, camera_offset),
+    (natural_helix, grip_slip),
+    (gravity_tilt, point_mass),
+    (gravity_tilt, stiffness),
+    (gravity_tilt, grip_slip),
+    (point_mass, grip_slip),
+    (point_mass, stiffness_gradient),
+    (softening, point_mass),
+    (stiffness, grip_rotation),
+    (stiffness, camera_scale),
+    (air_flow, grip_slip),
+    (density_profile, grip_rotation),
+    (anisotropic_bending, gravity_tilt),
+)
+UNCOVERED: dict[str, Callable] = {
+    f.__name__: f for f in (kink, half_draught, sticking_roll, soft_spot, magnet, shaking_camera)
+}
+
+
+def _combined(parts: list[Hidden]) -> Hidden:
+    """Worlds that change different things, put together."""
+    base, changed, truth = World(), {}, {}
+    for part in parts:
+        truth |= part.truth
+        for field in fields(World):
+            value = getattr(part.world, field.name)
+            if not np.array_equal(value, getattr(base, field.name)):
+                assert field.name not in changed, f"two effects set {field.name}"
+                changed[field.name] = value
+    return Hidden(replace(base, **changed), truth)
+
+
+def cases() -> dict[str, Callable[[np.random.Generator, RodMaterial], Hidden]]:
+    """Every case by name: nothing (three rods), each effect, pairs, and what no plug-in covers."""
+    pairs = {
+        f"{a.__name__} + {b.__name__}": lambda rng, rod, a=a, b=b: _combined(
+            [a(rng, rod), b(rng, rod)]
+        )
+        for a, b in PAIRS
+    }
+    nothing = {f"none {k}": none for k in (1, 2, 3)}
+    return {**nothing, **KNOWN, **pairs, **UNCOVERED}
+
+
+def hidden_set(name: str, seed: int) -> tuple[dict[str, np.ndarray], Hidden]:
+    """A case's measurements, as `wrod.load_measurements` reads them from a file, and its truth.
+
+    Raises:
+        DataError: several draws in a row have a trial without an equilibrium.
+    """
+    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+
+    def draw():
+        rod = _rod(rng)
+        hidden, poses = cases()[name](rng, rod), _poses(rng, rod)
+        return measured(poses, hidden.world, seed=int(rng.integers(2**31)), noise=NOISE), hidden
+
+    for _ in range(_REDRAWS):
+        with suppress(DataError):  # a rod that is led through a fold
+            return draw()
+    return draw()
+
+
+def _rod(rng) -> RodMaterial:
+    """Rods like those of the published sets: 6 to 17 gravito-bending lengths long."""
+    radius, density, gravito_bending_length = (
+        (0.0020, 900.0, 0.034),
+        (0.0018, 2100.0, 0.080),
+        (0.0016, 1180.0, 0.032),
+        (0.0022, 1300.0, 0.055),
+    )[rng.integers(4)]
+    length = round(float(rng.uniform(0.44, 0.58)), 2)
+    return RodMaterial(radius, gravito_bending_length, length, density=density)
+
+
+def _poses(rng, rod: RodMaterial) -> dict[str, np.ndarray]:
+    """Everything but what is measured: skew arcs between a post and a gripper."""
+    heading = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
+    reach = rng.uniform(0.53, 0.85, TRIALS) * rod.length
+    side, rise = np.radians(rng.uniform(-18, 18, TRIALS)), rng.uniform(-0.2, 0.2, TRIALS)
+    rise *= rod.length
+    level = np.sqrt(reach**2 - rise**2)
+    across = np.stack([level * np.cos(side), level * np.sin(side), rise], axis=1)
+
+    def frames(azimuth, elevation, roll):
+        """Columns m1, m2, tangent; without a roll m1 is level."""
+        level = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+        angles = np.stack([azimuth, -elevation, roll], axis=1)
+        return (heading * Rotation.from_euler("ZYX", angles, degrees=True)).as_matrix() @ level
+
+    def uniform(lower, upper):
+        return rng.uniform(lower, upper, TRIALS)
+
+    roll = np.full(TRIALS, float(rng.integers(60, 121)))
+    clamp = np.array([0.4, 0.0, 0.43]) + rng.uniform(-0.15, 0.15, 3) * [1.0, 1.6, 0.3]
+    return {
+        "arc_length": np.linspace(0.0, rod.length, MARKERS),
+        "clamp_position": np.tile(clamp, (TRIALS, 1)),
+        "clamp_rotation": frames(uniform(-28, 28), uniform(-35, 8), roll),
+        "grip_position": clamp + heading.apply(across),
+        "grip_rotation": frames(uniform(-30, 30), uniform(-8, 35), roll + uniform(-88, 88)),
+        "train_idx": np.arange(TRIALS - TEST_TRIALS),
+        "test_idx": np.arange(TRIALS - TEST_TRIALS, TRIALS),
+        "length": rod.length,
+        "radius": rod.radius,
+        "density": rod.density,
+        "L_gb": rod.gravito_bending_length,
+        "poisson": rod.poisson,
+        "gravity": rod.gravity,
+        "noise_std": NOISE,
+    }

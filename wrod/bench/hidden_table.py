@@ -1,0 +1,157 @@
+"""The confusion table of `wrod bench identify --hidden`: what was hidden, what was found."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+
+# A direction is right within the same 5 %, of a radian.
+WITHIN = 0.05
+OUTCOMES = (
+    "right",
+    "confounded",
+    "incomplete",
+    "unexplained",
+    "wrong",
+    "false alarm",
+)
+
+
+def examine(case: str, seed: int, device: str = "cpu") -> dict:
+    """Make one set, identify it, and compare what is said with what was hidden."""
+    from wrod.bench.hidden_effects import UNCOVERED, hidden_set
+    from wrod.bench.identify import row
+    from wrod.errors import DataError
+    from wrod.identification.measurements import measurements_from_arrays
+
+    try:
+        data, hidden = hidden_set(case, seed)
+    except DataError as error:
+        return {"set": case, "seed": seed, "outcome": "not made", "reason": str(error)}
+    entry = row(measurements_from_arrays(data, name=case), device)
+    found = {effect["name"]: effect["parameters"] for effect in entry["effects"]}
+    worst, deviations = error_of(found, hidden.truth)
+    return entry | {
+        "seed": seed,
+        "hidden": sorted(hidden.truth),
+        "truth": {
+            name: [[list(keys), list(values)] for keys, values in own.items()]
+            for name, own in hidden.truth.items()
+        },
+        "outcome": outcome(entry, set(hidden.truth), case in UNCOVERED),
+        "worst_error": worst,
+        "worst_deviations": deviations,
+    }
+
+
+def outcome(entry: dict, hidden: set[str], uncovered: bool) -> str:
+    """One of `OUTCOMES`.
+
+    right: exactly the hidden names; for what no plug-in covers, no verdict of `explained`.
+    confounded: a name is wrong, but the report says that the data do not tell it from the true one.
+    incomplete: only true names, not all. unexplained: no name, though there is one.
+    wrong: a name that is not hidden. false alarm: a name for a rod without an effect.
+    """
+    found = {effect["name"] for effect in entry["effects"]}
+    if uncovered:
+        return "wrong" if entry["verdict"] in ("explained", "adequate") else "right"
+    if found == hidden:
+        return "right" if entry["verdict"] in ("explained", "adequate") else "incomplete"
+    if not hidden:
+        return "false alarm"
+    if not found:
+        return "unexplained"
+    if found < hidden:
+        return "incomplete"
+    for pair in entry["confounded"]:
+        mine, other = (set(part.split(" + ")) for part in pair["effects"])
+        for swapped in ((found - mine) | other, (found - other) | mine):
+            if swapped == hidden:
+                return "confounded"
+    return "wrong"
+
+
+def error_of(found: dict, truth: dict) -> tuple[float | None, float | None]:
+    """(relative error, error in standard errors) of the worst parameter that was named rightly."""
+    errors, deviations = [], []
+    for name, own in truth.items():
+        for keys, values in own.items() if name in found else ():
+            parts = [found[name][key] for key in keys]
+            away = [p["value"] - v for p, v in zip(parts, values, strict=True)]
+            size = math.hypot(*values)
+            if parts[0]["unit"] == "deg":  # principal directions repeat after half a turn
+                away = [math.radians((away[0] + 90.0) % 180.0 - 90.0)]
+                parts, size = [{"stderr": math.radians(parts[0]["stderr"])}], 1.0
+            errors.append(math.hypot(*away) / size)
+            spread = math.sqrt(sum(p["stderr"] ** 2 for p in parts) / len(parts))
+            deviations.append(math.hypot(*away) / math.sqrt(len(away)) / max(spread, 1e-300))
+    return (max(errors), max(deviations)) if errors else (None, None)
+
+
+def examine_all(jobs: Sequence[tuple[str, int]], workers: int, device: str, done, progress) -> None:
+    """Examine every (case, seed) in processes side by side; `done` gets each row as it comes."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    # A fresh interpreter for each worker: Warp's threads do not survive a fork.
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        futures = [pool.submit(examine, case, seed, device) for case, seed in jobs]
+        for future in as_completed(futures):
+            done(future.result())
+            progress()
+
+
+def lines(rows: Sequence[dict]) -> list[str]:
+    """The table for people."""
+    text = [
+        f"{'hidden':38} {'seed':>4}  {'outcome':12} {'verdict':17} {'before':>7} {'/floor':>7} "
+        f"{'error':>7} {'/sigma':>7} {'cpu s':>6}  found"
+    ]
+    for r in rows:
+        if r["outcome"] == "not made":
+            text.append(f"{r['set']:38} {r['seed']:>4}  not made     {r['reason']}")
+            continue
+        error = "" if r["worst_error"] is None else f"{100 * r['worst_error']:.1f} %"
+        sigma = "" if r["worst_error"] is None else f"{r['worst_deviations']:.1f}"
+        ratio = r["after_mm"] / r["noise_floor_mm"]
+        found = " + ".join(effect["name"] for effect in r["effects"]) or "-"
+        rivals = "; ".join(" ~ ".join(pair["effects"]) for pair in r["confounded"])
+        text.append(
+            f"{r['set']:38} {r['seed']:>4}  {r['outcome']:12} {r['verdict']:17} "
+            f"{r['before_mm']:7.2f} {ratio:7.3f} {error:>7} {sigma:>7} {r['cpu_seconds']:6.1f}  "
+            f"{found}" + (f"  ({rivals})" if rivals else "")
+        )
+    return text
+
+
+def summary(rows: Sequence[dict]) -> list[str]:
+    """How often each outcome came, for each kind of case."""
+    from wrod.bench.hidden_effects import KNOWN, UNCOVERED
+
+    def kind(row):
+        name = row["set"]
+        if name in UNCOVERED:
+            return "no plug-in covers it"
+        if name in KNOWN:
+            return "one effect"
+        return "two effects" if " + " in name else "nothing hidden"
+
+    text = []
+    for title in ("nothing hidden", "one effect", "two effects", "no plug-in covers it"):
+        own = [r for r in rows if kind(r) == title and r["outcome"] != "not made"]
+        if not own:
+            continue
+        counts = {o: sum(r["outcome"] == o for r in own) for o in OUTCOMES}
+        said = ", ".join(f"{o} {n}" for o, n in counts.items() if n)
+        text.append(f"{title:21} {len(own):3} sets: {said}")
+        named = [r for r in own if r["outcome"] == "right" and r["worst_error"] is not None]
+        if named:
+            close = sum(r["worst_error"] <= WITHIN for r in named)
+            ratios = [r["after_mm"] / r["noise_floor_mm"] for r in named]
+            text.append(
+                f"{'':21}     where right: parameters within {100 * WITHIN:.0f} % in {close} of "
+                f"{len(named)}, after at most {max(ratios):.3f} times the noise floor"
+            )
+    return text

@@ -1,0 +1,122 @@
+"""What `wrod bench loop` lays: every pattern with the old and the new model behind a controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from wrod.material import RodMaterial
+
+# Who makes the plan: the trained network, the rod solver with the same closure, or what `wrod plan`
+# does when nothing else is said.
+CONTROLLERS = ("network", "numeric", "default")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A rod with an effect: as it is, as it was identified, the network for the latter (None where
+    the one that ships knows it), and the roll that plans hold it at (see `wrod.plan`)."""
+
+    true: RodMaterial
+    report: object
+    model: RodMaterial
+    network: object | None
+    roll: float | str
+
+
+def identified(true, believed, trials, noise, seed, candidates, device):
+    """Report of an identification that knows the measurements and the believed rod only."""
+    from wrod.bench.loop_measurements import clamped_experiment
+    from wrod.identification import identify
+    from wrod.identification.measurements import measurements_from_arrays
+
+    data = clamped_experiment(true, believed, trials=trials, noise=noise, seed=seed)
+    measurements = measurements_from_arrays(data, name="synthetic")
+    return identify(measurements, candidates=candidates or None, device=device)
+
+
+def network_for(
+    model: RodMaterial,
+    folder: Path,
+    *,
+    roll: float | str,
+    grasps: int,
+    steps: int | None,
+    seed: int,
+    device: str,
+    progress: Callable[[float], None],
+):
+    """A controller trained for a naturally curved rod, written to `folder`; None for a straight
+    rod, which the one that ships knows."""
+    if model.is_straight:
+        return None
+    from wrod.training.finish import controller_for
+
+    made = controller_for(
+        model, folder, roll=roll, grasps=grasps, steps=steps, seed=seed, device=device,
+        progress=progress,
+    )  # fmt: skip
+    made.save(folder / "controller.safetensors")
+    return made
+
+
+def trials_along(
+    name: str, curve, believed: RodMaterial, cases: dict[str, Case], controllers, law
+) -> dict:
+    """Deployments along one pattern by (effect, controller, pattern, plan): old, new, and of a rod
+    without any effect.
+
+    Old and new plan hold the rod at the same roll, so that only the model behind the grasps
+    differs. `law` is the table's `Friction`.
+    """
+    from wrod.deployment import Trial, with_remainder_of
+    from wrod.deployment_setup import tail
+    from wrod.planner import plan
+
+    def trial(rod, model, controller, network=None, roll="plane"):
+        method = {"network": "neural", "numeric": "numeric", "default": "auto"}[controller]
+        path = plan(
+            curve, model, method, roll=roll, device="cpu",
+            controller=network if controller == "network" else None,
+        )  # fmt: skip
+        led = with_remainder_of(curve, path)
+        return Trial(led, rod, path, law, tail=tail(led, model, path))
+
+    jobs = {}
+    for controller in controllers:
+        jobs["none", controller, name, "old"] = trial(believed, believed, controller)
+        for effect, case in cases.items():
+            new = trial(case.true, case.model, controller, case.network, case.roll)
+            roll = new.trajectory.metadata["roll"]
+            jobs[effect, controller, name, "old"] = trial(
+                case.true, believed, controller, roll=roll
+            )
+            jobs[effect, controller, name, "new"] = new
+    return jobs
+
+
+def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
+    """Figures [cm] of a deployment, and the laid curve at 60 points [m]."""
+    import numpy as np
+
+    curve = trial.pattern
+    s = np.linspace(0.0, curve.length, 60) + curve.remainder_length
+    laid = [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
+    names = ("error_mean", "error_std", "released_error_mean", "released_error_std")
+    metadata = trial.trajectory.metadata
+    return {
+        **dict(zip(("effect", "controller", "pattern", "plan"), key, strict=True)),
+        "method": metadata["method"],
+        "closure": metadata["closure"],
+        **{name: 100.0 * getattr(deployment, name) for name in names},
+        "contact_friction": metadata["contact_friction"],
+        "slip": 100.0 * float(deployment.slip.max()),
+        "diverged": deployment.diverged,
+        "curve": np.round(np.column_stack(laid), 5).tolist(),
+    }
+
+
+def with_length(material: RodMaterial, believed: RodMaterial) -> RodMaterial:
+    """The identified rod at the length of the one that is laid: the clamps held a piece of it."""
+    return replace(material, length=believed.length)

@@ -1,0 +1,87 @@
+"""Whether the markers of recordings can be those of one rod between two grips, in metres."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrod.errors import DataError
+
+# A rod of this length [m], or a thousandth of it, was not given in metres; nor moves one so [m/s].
+_FAR = 10.0
+_FAST = 15.0
+# How many times farther something is from its own place than from another's, to be taken for it.
+_FARTHER = 3.0
+
+
+def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
+    bad = np.argwhere(~np.isfinite(x).all(axis=3))
+    if len(bad):
+        r, f, m = bad[0]
+        raise DataError(
+            f"{where}: marker {m} of recording {names[r]} is not finite in frame {f} "
+            f"({len(bad)} such markers in all); interpolate them or leave the recording out"
+        )
+    edge = np.linalg.norm(np.diff(x, axis=2), axis=3)
+    mean = np.median(edge, axis=(0, 1))
+    length = mean.sum()
+    if length > _FAR or np.abs(x).max() > 10 * _FAR:
+        raise DataError(
+            f"{where}: the rod would be {length:.3g} m long; positions must be in metres"
+        )
+    if length < 1e-3 * _FAR:
+        raise DataError(
+            f"{where}: the rod would be {length:.3g} m long; positions must be in metres"
+        )
+    if not (mean > 0).all():
+        m = int(np.argmin(mean))
+        raise DataError(f"{where}: markers {m} and {m + 1} are in the same place")
+    ratio = np.median(edge, axis=1) / mean
+    if ratio.max() > 1.5 or ratio.min() < 0.5:
+        r, m = np.unravel_index(np.argmax(np.abs(np.log(ratio))), ratio.shape)
+        raise DataError(
+            f"{where}: markers {m} and {m + 1} of recording {names[r]} are "
+            f"{1e3 * np.median(edge[r, :, m]):.0f} mm apart, {1e3 * mean[m]:.0f} mm in the others; "
+            "are its markers in another order, or is it of another rod?"
+        )
+    step = np.linalg.norm(np.diff(x, axis=1), axis=3)
+    middle = np.median(step, axis=2)
+    typical = np.median(middle)
+    if typical * rate > _FAST:
+        raise DataError(
+            f"{where}: markers move at {typical * rate:.0f} m/s; check rate_hz and the unit"
+        )
+    jump = np.abs(np.diff(edge, axis=1)).max(axis=2)
+    if jump.max() > 0.5 * length:
+        r, f = np.unravel_index(np.argmax(jump), jump.shape)
+        raise DataError(
+            f"{where}: the markers of recording {names[r]} change places at frame {f + 1}; sort "
+            "them or leave the recording out"
+        )
+    _check_ends(x, names, where)
+
+
+def _check_ends(x: np.ndarray, names, where: str) -> None:
+    """Whether the two grips are told apart, in all recordings and in each."""
+    edge = np.median(np.linalg.norm(np.diff(x, axis=2), axis=3), axis=(0, 1))
+    for order in (
+        [-1, -2, *range(2, x.shape[2] - 2), 1, 0],
+        [-2, -1, *range(2, x.shape[2] - 2), 0, 1],
+    ):
+        other = np.median(np.linalg.norm(np.diff(x[:, :, order], axis=2), axis=3), axis=(0, 1))
+        if other[1:-1].max() < edge[1:-1].max() / _FARTHER:
+            raise DataError(
+                f"{where}: markers 1 and 2 are {1e3 * edge[1]:.0f} mm apart, the next ones "
+                f"{1e3 * edge[2]:.0f} mm; are the markers of the two grips exchanged?"
+            )
+    # Where each grip is on average, against the middling recording.
+    grip = np.stack([x[:, :, :2].mean(axis=(1, 2)), x[:, :, -2:].mean(axis=(1, 2))], axis=1)
+    usual = np.median(grip, axis=0)
+    here = np.linalg.norm(grip - usual, axis=2)
+    there = np.linalg.norm(grip - usual[::-1], axis=2)
+    wrong = (here > _FARTHER * there).all(axis=1)
+    if wrong.any():
+        r = int(np.argmax(wrong))
+        raise DataError(
+            f"{where}: in recording {names[r]} each grip is where the others have the other one; "
+            "reverse its markers or leave the recording out"
+        )

@@ -1,0 +1,55 @@
+"""What recordings of motion lost, found and put right: exchanged markers and lost frames."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# A grip's step over this many times its neighbours' mean is checked for lost frames, and is one
+# where multiplying the time explains it to this share of the step.
+_LOST_RATIO = 1.6
+_LOST_MISFIT = 0.35
+_LOST_LEAST = 2e-3
+_MOST_LOST = 24
+
+
+def sorted_grips(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions with each grip's inner marker inside, and the (R,) frames put right.
+
+    A rod that is clamped by both markers cannot fold back inside its grip, so the marker that is
+    nearer to the first free one is the inner one.
+    """
+    x = x.copy()
+    wrong = np.zeros(x.shape[:2], dtype=bool)
+    for outer, inner, free in ((0, 1, 2), (-1, -2, -3)):
+        a, b = (np.linalg.norm(x[:, :, free] - x[:, :, m], axis=2) for m in (outer, inner))
+        swap = a < b
+        x[:, :, [outer, inner]] = np.where(
+            swap[:, :, None, None], x[:, :, [inner, outer]], x[:, :, [outer, inner]]
+        )
+        wrong |= swap
+    return x, wrong.sum(axis=1)
+
+
+def frame_gaps(held: np.ndarray) -> np.ndarray:
+    """(T - 1,) frame durations between recorded frames, from (T, 4, 3) held markers.
+
+    Where frames are lost, both grips go several times as far in one frame as before and after it,
+    in the same direction.
+    """
+    v = np.diff(held, axis=0).reshape(len(held) - 1, -1)
+    gap = np.ones(len(v), dtype=int)
+    size = np.linalg.norm(v, axis=1)
+    for f in range(len(v)):
+        around = [g for g in (f - 2, f - 1, f + 1, f + 2) if 0 <= g < len(v) and gap[g] == 1]
+        if not around or size[f] < max(_LOST_LEAST, _LOST_RATIO * np.median(size[around])):
+            continue
+        mean = np.median(v[around], axis=0)
+        square = mean @ mean
+        if square == 0.0:
+            continue
+        times = int(np.rint(v[f] @ mean / square))
+        if not 2 <= times <= _MOST_LOST:
+            continue
+        if np.linalg.norm(v[f] - times * mean) < _LOST_MISFIT * size[f]:
+            gap[f] = times
+    return gap
