@@ -6,6 +6,8 @@ import pytest
 import wrod
 from wrod.errors import SceneError
 from wrod.fixtures import Fixtures
+from wrod.scene.closeup import knot_corners
+from wrod.scene.moments import draw_moments
 from wrod.scene.tying import export_scene
 
 PATTERN = wrod.pattern("line")
@@ -76,3 +78,21 @@ def test_bad_scenes_are_refused(tmp_path):
             radii=[0.001, 0.001],
             patterns=[PATTERN],
         )
+
+
+def test_knot_is_where_rods_touch_and_nowhere_else():
+    s = np.linspace(-0.2, 0.2, 101)
+    along = np.column_stack([s, 0 * s, 0 * s + 0.003])
+    across = np.column_stack([0 * s + 0.05, s, 0 * s + 0.009])
+    low, high = knot_corners([along, across], [0.003, 0.003])
+    assert (low + high) / 2 == pytest.approx([0.05, 0.0, 0.006], abs=2e-3)
+    assert (high - low < 0.08).all()
+    assert knot_corners([along], [0.003]) is None
+    assert knot_corners([along, across + [0.0, 0.0, 0.01]], [0.003, 0.003]) is None
+
+
+def test_stage_without_arms_names_no_moments(tmp_path):
+    written = export(tmp_path / "scene.usdc")
+    with pytest.raises(SceneError, match="names no moments"):
+        draw_moments(written.path, tmp_path / "moments.png")
+    assert not (tmp_path / "moments.png").exists()
