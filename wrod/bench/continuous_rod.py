@@ -270,6 +270,18 @@ def measured(
     }
 
 
+def labels(rod: RodMaterial) -> dict[str, float]:
+    """What a measured file says of its rod [m, kg/m^3, -, m/s^2]."""
+    return {
+        "length": rod.length,
+        "radius": rod.radius,
+        "density": rod.density,
+        "L_gb": rod.gravito_bending_length,
+        "poisson": rod.poisson,
+        "gravity": rod.gravity,
+    }
+
+
 def hanging(rod: RodMaterial, *, trials: int = 12, markers: int = 31, seed: int = 0) -> dict:
     """Fields of a measured file but for what is measured: a rod that hangs in skew arcs."""
     rng = np.random.default_rng(seed)
@@ -289,11 +301,6 @@ def hanging(rod: RodMaterial, *, trials: int = 12, markers: int = 31, seed: int 
         "grip_rotation": clamp @ turned([0.5, 0.5, 0.6]),
         "train_idx": np.arange(trials - test),
         "test_idx": np.arange(trials - test, trials),
-        "length": rod.length,
-        "radius": rod.radius,
-        "density": rod.density,
-        "L_gb": rod.gravito_bending_length,
-        "poisson": rod.poisson,
-        "gravity": rod.gravity,
+        **labels(rod),
         "noise_std": 5e-4,
     }

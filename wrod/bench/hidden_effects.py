@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.bench.continuous_rod import World, constant, measured
+from wrod.bench.continuous_rod import World, constant, labels, measured
 from wrod.errors import DataError
 from wrod.material import RodMaterial
 
@@ -444,11 +444,6 @@ def _poses(rng, rod: RodMaterial) -> dict[str, np.ndarray]:
         "grip_rotation": frames(uniform(-30, 30), uniform(-8, 35), roll + uniform(-88, 88)),
         "train_idx": np.arange(TRIALS - TEST_TRIALS),
         "test_idx": np.arange(TRIALS - TEST_TRIALS, TRIALS),
-        "length": rod.length,
-        "radius": rod.radius,
-        "density": rod.density,
-        "L_gb": rod.gravito_bending_length,
-        "poisson": rod.poisson,
-        "gravity": rod.gravity,
+        **labels(rod),
         "noise_std": NOISE,
     }

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrod.bench.continuous_rod import World, constant, measured
+from wrod.bench.continuous_rod import World, constant, labels, measured
 from wrod.errors import DataError
 from wrod.identification.setup import rotation_of
 from wrod.material import RodMaterial
@@ -69,21 +69,10 @@ def clamped_experiment(
         "train_idx": np.arange(trials - test_trials),
         "test_idx": np.arange(trials - test_trials, trials),
         "noise_std": noise,
-        **_numbers(replace(rod, length=free_length)),
+        **labels(replace(rod, length=free_length)),
     }
     # A rod that bends towards its first director turns about its second.
     first, second = rod.natural_curvature
     world = World(curvature=constant(-second, first))
     seen = measured(data, world, seed=1_000_000 + seed, noise=noise)
-    return {**seen, **_numbers(replace(believed, length=free_length))}
-
-
-def _numbers(rod: RodMaterial) -> dict[str, float]:
-    return {
-        "length": rod.length,
-        "radius": rod.radius,
-        "density": rod.density,
-        "L_gb": rod.gravito_bending_length,
-        "poisson": rod.poisson,
-        "gravity": rod.gravity,
-    }
+    return {**seen, **labels(replace(believed, length=free_length))}
