@@ -7,6 +7,9 @@ from pathlib import Path
 
 import click
 
+# Parameters of an effect that are printed.
+_SHOWN = 8
+
 
 @click.command(name="identify")
 @click.argument("data", type=click.Path(path_type=Path))
@@ -46,11 +49,14 @@ def command(
         f"noise floor {1e3 * report.noise_floor:.2f} mm"
     )
     for effect in report.effects:
-        found = ", ".join(
+        found = [
             f"{key} {e.value:.4g} ± {e.stderr:.2g} {e.unit}".rstrip()
             for key, e in effect.parameters.items()
-        )
-        click.echo(f"  {effect.name}: {found}")
+        ]
+        if len(found) > _SHOWN:
+            # The profile of a whole rod is for the report.
+            found[1:] = [f"and {len(found) - 1} more in report.json"]
+        click.echo(f"  {effect.name}: {', '.join(found)}")
     for pair in report.selection.confounded:
         click.echo(f"  {' and '.join(pair['effects'])} are confounded: {pair['evidence']}")
     click.echo("wrote " + ", ".join(str(p) for p in written))
