@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 import wrod
 from wrod.bench.applications_trials import cable_scene, knot_plan
-from wrod.deployment import with_remainder_of
-from wrod.deployment_setup import prepare_deployment, tail
-from wrod.hand_paths import hand_path, path_length, smooth
+from wrod.deployment.setup import prepare_deployment, tail
+from wrod.deployment.simulate import with_remainder_of
+from wrod.knots.hand_paths import hand_path, path_length, smooth
 
 STEP = 0.4  # [s] between frames
 UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])

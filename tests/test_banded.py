@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import warp as wp
-from wrod.kernels import banded, banded_lanes
+from wrod.kernels.linear import banded, banded_lanes
 
-from wrod.batch import full_hessian
+from wrod.rods.batch import full_hessian
 
 needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 SIZES = (7, 11, 31, 32, 33, 42, 43, 64, 95, 179)

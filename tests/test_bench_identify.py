@@ -8,9 +8,9 @@ from wrod.bench.continuous_rod import excess_of
 from wrod.bench.hidden_effects import TRIALS, cases, hidden_set
 from wrod.bench.hidden_table import error_of, lines, outcome, summary
 from wrod.commands import main
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.measurements import measurements_from_arrays
 from wrod.identification.effect import Model, effects
-from wrod.identification.laboratory import Laboratory
-from wrod.identification.measurements import measurements_from_arrays
 
 
 def entry(*names, verdict="explained", rivals=()):

@@ -7,11 +7,11 @@ from scipy.spatial.transform import Rotation
 import wrod
 from wrod.bench.bend_shapes import BENDS, bend
 from wrod.bench.bends import pull_bend
-from wrod.substrate import Friction
-from wrod.topology import recognise_pair
-from wrod.tying import STILL
-from wrod.tying_pull import HOLD, SETTLE, keep_up
-from wrod.workbench import Poses, Workbench
+from wrod.knots.pull import HOLD, SETTLE, keep_up
+from wrod.knots.topology import recognise_pair
+from wrod.knots.tying import STILL
+from wrod.knots.workbench import Poses, Workbench
+from wrod.solvers.contact import Friction
 
 PAIR = [wrod.rod("green-vps"), wrod.rod("pink-vps-thick")]
 

@@ -45,7 +45,7 @@ def test_rows_come_in_the_order_of_the_trials(tmp_path):
 
 def test_comparison_of_closures_is_resumed_to_the_same_files(tmp_path, monkeypatch):
     """Laid on coarse meshes; the second run is stopped after two of its eight deployments."""
-    import wrod.deployment
+    import wrod.deployment.simulate
 
     def call(folder):
         args = ["bench", "closures", "--out", str(tmp_path / folder), "--device", "cpu"]
@@ -57,7 +57,7 @@ def test_comparison_of_closures_is_resumed_to_the_same_files(tmp_path, monkeypat
 
     whole = call("whole")
     assert whole.exit_code == 0, whole.output
-    simulate, calls = wrod.deployment.simulate_deployments, []
+    simulate, calls = wrod.deployment.simulate.simulate_deployments, []
 
     def stopped(*args, **options):
         calls.append(len(args[0]))
@@ -65,12 +65,12 @@ def test_comparison_of_closures_is_resumed_to_the_same_files(tmp_path, monkeypat
             raise KeyboardInterrupt
         return simulate(*args, **options)
 
-    monkeypatch.setattr(wrod.deployment, "simulate_deployments", stopped)
+    monkeypatch.setattr(wrod.deployment.simulate, "simulate_deployments", stopped)
     assert call("stopped").exit_code != 0
     lines = (tmp_path / "stopped" / "trials.jsonl").read_text().splitlines()
     assert len(lines) == 1 + 2
     assert not (tmp_path / "stopped" / "closures.csv").exists()
-    monkeypatch.setattr(wrod.deployment, "simulate_deployments", simulate)
+    monkeypatch.setattr(wrod.deployment.simulate, "simulate_deployments", simulate)
     assert '"simulated_now": 6' in call("stopped").output
     for name in ("closures.csv", "closures.md"):
         one, two = (tmp_path / folder / name for folder in ("whole", "stopped"))

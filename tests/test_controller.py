@@ -8,7 +8,7 @@ import torch
 from wrod.training.score import held_out, score
 
 import wrod
-from wrod.controller import Controller
+from wrod.controller.controller import Controller
 from wrod.errors import DataError, GraspError, OutOfRangeWarning
 
 ROD = wrod.rod("green-vps")

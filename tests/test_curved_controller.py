@@ -17,10 +17,10 @@ from wrod.training.score import held_out, score
 
 import wrod
 from wrod.commands import main
-from wrod.controller import Controller
-from wrod.controller_curved import SLOW, decode, encode, twisted, untwisted
+from wrod.controller.controller import Controller
+from wrod.controller.curved import SLOW, decode, encode, twisted, untwisted
 from wrod.errors import DataError, GraspError
-from wrod.grasps import solve_grasps
+from wrod.grasps.optimal import solve_grasps
 
 CURVED = replace(ROD, natural_curvature=(0.0, 6.0), length=0.26)
 ONE = RodInputs.of(CURVED, "plane")

@@ -15,13 +15,13 @@ from wrod.training.sampling import RodInputs, sample
 
 import wrod
 from wrod.commands import main
-from wrod.deployment import Trial, simulate_deployments
-from wrod.deployment_setup import tail
+from wrod.deployment.setup import tail
+from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError, GraspError, RodError, WrodWarning
-from wrod.grasps import solve_grasps
-from wrod.planner import roll_angle
-from wrod.substrate import Contact
-from wrod.trajectory import Trajectory
+from wrod.grasps.optimal import solve_grasps
+from wrod.planning.plan import roll_angle
+from wrod.planning.trajectory import Trajectory
+from wrod.solvers.contact import Contact
 
 CURVED = replace(ROD, natural_curvature=(6.0, 0.0))
 LENGTHS = np.array([1.5, 4.0, 9.0, 20.0])
@@ -231,7 +231,7 @@ def test_deployment_bends_the_rod_the_way_that_it_is_held(plans):
 
 
 def test_roll_of_a_laid_rod_is_kept_unless_it_rolls():
-    from wrod.batch import RodBatch
+    from wrod.rods.batch import RodBatch
 
     batch = RodBatch(
         np.stack([np.column_stack([np.linspace(0, 0.1, 5), np.zeros(5), np.full(5, 1.5e-3)])] * 3),

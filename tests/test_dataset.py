@@ -70,7 +70,7 @@ def test_worst_samples_lie_where_the_error_is():
 
 
 def test_rows_are_the_solver_s_grasps(whole):
-    from wrod.grasps import solve_grasps
+    from wrod.grasps.optimal import solve_grasps
 
     columns = list(store.shards(whole))[2]
     inputs = sample(2 * SHARD, SHARD, seed=3)

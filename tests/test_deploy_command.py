@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 import wrod
 from wrod.commands import main
-from wrod.deployment_result import Deployment
+from wrod.deployment.result import Deployment
 
 
 @pytest.fixture(scope="module")

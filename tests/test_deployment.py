@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import wrod
-from wrod.deployment import Trial, simulate_deployments
-from wrod.deployment_result import Deployment, deployment_error
-from wrod.deployment_setup import mesh, tail
+from wrod.deployment.grip_path import smooth_noise, travel
+from wrod.deployment.result import Deployment, deployment_error
+from wrod.deployment.setup import mesh, tail
+from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError, PatternError, RodError
-from wrod.grip import smooth_noise, travel
 
 # A soft rod of 30 cm along an eased quarter turn: short tails and a coarse mesh keep it quick.
 ROD = wrod.RodMaterial(0.0016, 0.018, 0.30)
@@ -20,7 +20,7 @@ QUICK = dict(spacing=0.006, speed=0.03, step=0.02, threads=1)
 def quarter_turn():
     from scipy.interpolate import PPoly
 
-    from wrod.shapes import straight, strokes, turn
+    from wrod.patterns.shapes import straight, strokes, turn
 
     heading, origin = strokes(0.0, straight(0.06), turn(90.0, 0.05, 0.06), straight(0.03))
     assert isinstance(heading, PPoly)
@@ -252,8 +252,8 @@ def test_a_disturbance_moves_the_robot_as_a_whole(plans):
     """Trials of one plan share a setup; yaw and offset are one motion of rod and grip."""
     from scipy.spatial.transform import Rotation
 
-    from wrod.deployment import _prepare
-    from wrod.deployment_setup import Disturbance
+    from wrod.deployment.setup import Disturbance
+    from wrod.deployment.simulate import _prepare
 
     pattern, by_method = plans
     disturbance = Disturbance(offset=(0.002, -0.003), yaw=0.05)

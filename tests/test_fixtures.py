@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import wrod
-from wrod.deployment import Trial, simulate_deployments
+from wrod.deployment.fixtures import Fixture, Fixtures
+from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import SceneError
-from wrod.fixtures import Fixture, Fixtures
-from wrod.substrate import Box, Cylinder
+from wrod.solvers.contact import Box, Cylinder
 
 ROD = wrod.RodMaterial(0.0016, 0.03, 0.30)
 
@@ -128,7 +128,7 @@ def test_unreadable_files_are_refused(tmp_path):
 
 def test_fixtures_hold_what_friction_does_not():
     """A stiff rod on a slippery table straightens out of its bend, unless posts keep it."""
-    from wrod.shapes import straight, strokes, turn
+    from wrod.patterns.shapes import straight, strokes, turn
 
     pattern = wrod.Pattern(*strokes(0.0, straight(0.06), turn(60.0, 0.06, 0.05), straight(0.03)))
     trajectory = wrod.plan(pattern, ROD, "numeric", device="cpu")

@@ -3,7 +3,7 @@ import pytest
 
 import wrod
 from wrod.errors import PatternError
-from wrod.friction import friction_bound
+from wrod.planning.friction import friction_bound
 
 ROD = wrod.rod("green-vps")
 

@@ -8,19 +8,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import wrod
-from wrod.batch import RodBatch
 from wrod.bench import applications_cables as cables
 from wrod.bench.applications_report import success_interval
 from wrod.bench.applications_trials import CABLE_FRICTION, cable_scene
-from wrod.deployment import Trial, _batch
-from wrod.deployment_setup import DEVIATIONS, Disturbance, Setup, disturb
-from wrod.dynamics import Dynamics
+from wrod.deployment.fixtures import Fixture, Fixtures
+from wrod.deployment.gates import approach, design_gates, sideways_deviation
+from wrod.deployment.grip_path import KEY_INTERVAL, GripSchedule
+from wrod.deployment.setup import DEVIATIONS, Disturbance, Setup, disturb
+from wrod.deployment.simulate import Trial, _batch
 from wrod.errors import PatternError
-from wrod.fixtures import Fixture, Fixtures
-from wrod.gates import approach, design_gates, sideways_deviation
-from wrod.grip import KEY_INTERVAL, GripSchedule
-from wrod.shapes import straight, strokes, turn
-from wrod.substrate import Contact, Cylinder, Friction
+from wrod.patterns.shapes import straight, strokes, turn
+from wrod.rods.batch import RodBatch
+from wrod.solvers.contact import Contact, Cylinder, Friction
+from wrod.solvers.dynamics import Dynamics
 
 CABLE = wrod.rod("cable")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wrod.errors import GraspError
-from wrod.grasps import solve_grasps
+from wrod.grasps.optimal import solve_grasps
 
 
 def whole_range(count, seed):
@@ -85,8 +85,8 @@ def test_published_closures_of_the_straight_pattern(closure, position, size):
 @pytest.mark.parametrize("closure", ["min_force", "min_friction"])
 def test_minimising_closures_are_minima_of_the_family(closure):
     """Neighbouring grasps of the same family, by their thrust, are all worse."""
-    from wrod.grasp_solver import GraspSolver
-    from wrod.grasps import CLOSURES
+    from wrod.grasps.optimal import CLOSURES
+    from wrod.grasps.solver import GraspSolver
 
     inputs = [np.array(v) for v in ([17.68, 6.0], [2.0, 0.8], [2087.0, 500.0])]
 
@@ -134,8 +134,8 @@ def test_sensitivities_against_differences():
 
 def test_force_jacobian_against_differences():
     """Contact force of the held rod, grip moved, contact edge held: by statics alone."""
-    from wrod.grasp_solver import GraspSolver
-    from wrod.statics import solve_equilibrium
+    from wrod.grasps.solver import GraspSolver
+    from wrod.solvers.statics import solve_equilibrium
 
     solver = GraspSolver(
         np.array([8.0]), np.array([1.0]), np.array([900.0]), edge_count=64, closure=0, device="cpu"
@@ -159,9 +159,9 @@ def test_force_jacobian_against_differences():
 
 def test_gravito_bending_length_drops_out():
     """Rods in SI units with equal dimensionless numbers hang in the same dimensionless shape."""
-    from wrod.batch import RodBatch
-    from wrod.material import RodMaterial
-    from wrod.statics import prescribe, solve_equilibrium
+    from wrod.rods.batch import RodBatch
+    from wrod.rods.material import RodMaterial
+    from wrod.solvers.statics import prescribe, solve_equilibrium
 
     shapes = []
     for radius, lgb, density in ((0.0016, 0.032, 1180.0), (0.004, 0.08, 700.0)):

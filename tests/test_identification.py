@@ -12,13 +12,13 @@ from click.testing import CliRunner
 from wrod.commands import main
 from wrod.errors import DataError
 from wrod.identification import identify, load_measurements
-from wrod.identification.clamped import ClampedSolver
+from wrod.identification.clamped.equilibria import ClampedSolver
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.measurements import measurements_from_arrays
+from wrod.identification.clamped.setup import Setup, rotation_of
+from wrod.identification.clamped.trace import trace
 from wrod.identification.effect import Effect, Model, Parameter, effects
-from wrod.identification.laboratory import Laboratory
-from wrod.identification.measurements import measurements_from_arrays
-from wrod.identification.setup import Setup, rotation_of
-from wrod.identification.trace import trace
-from wrod.material import RodMaterial
+from wrod.rods.material import RodMaterial
 
 ROD = RodMaterial(0.0018, 0.06, 0.5, density=1500.0)
 NOISE = 5e-4

@@ -11,8 +11,8 @@ from test_deployment import QUICK, ROD, quarter_turn
 import wrod
 from wrod.commands import main
 from wrod.errors import DataError
-from wrod.identification.laid import load_laid
-from wrod.identification.laid_fit import fit_laid, with_parameters
+from wrod.identification.laid.fit import fit_laid, with_parameters
+from wrod.identification.laid.measurements import load_laid
 
 NOISE = 2e-4
 

@@ -9,11 +9,11 @@ from scipy.integrate import solve_bvp
 
 from wrod.commands import main
 from wrod.errors import GraspError
-from wrod.grasps import solve_grasps
-from wrod.manifold import equilibrium
-from wrod.manifold_boundary import DIPS, TOUCHES, boundary
-from wrod.manifold_map import force_map
-from wrod.nudge import nudge
+from wrod.grasps.manifold.boundary import DIPS, TOUCHES, boundary
+from wrod.grasps.manifold.grips import equilibrium
+from wrod.grasps.manifold.map import force_map
+from wrod.grasps.nudge import nudge
+from wrod.grasps.optimal import solve_grasps
 
 RATIO = 2087.0
 

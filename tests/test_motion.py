@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from wrod.batch import RodBatch
 from wrod.commands import main
-from wrod.dynamics import Dynamics
 from wrod.errors import DataError
 from wrod.identification.effect import Model, effects
-from wrod.identification.motion_fit import MotionLaboratory
-from wrod.identification.motion_loading import load_motion, motion_from_arrays
-from wrod.identification.motion_report import identify_motion
-from wrod.identification.motion_setup import START_L_GB
-from wrod.statics import EquilibriumSolver, prescribe
+from wrod.identification.motion.fit import MotionLaboratory
+from wrod.identification.motion.loading import load_motion, motion_from_arrays
+from wrod.identification.motion.report import identify_motion
+from wrod.identification.motion.setup import START_L_GB
+from wrod.rods.batch import RodBatch
+from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 GRAVITY, RATE, MARKERS = 9.81, 100.0, 11
 EDGE, HELD = 0.075, 0.03

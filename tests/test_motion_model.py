@@ -12,8 +12,8 @@ import wrod
 from wrod.commands import main
 from wrod.errors import WrodWarning
 from wrod.identification.effect import effects
-from wrod.identification.motion_report import identify_motion
-from wrod.identification.motion_setup import START_L_GB
+from wrod.identification.motion.report import identify_motion
+from wrod.identification.motion.setup import START_L_GB
 
 CURVATURE = np.array([1.5, -1.0])
 L_GB = START_L_GB * np.exp(STIFFNESS / 3)

@@ -5,15 +5,15 @@ import pytest
 from click.testing import CliRunner
 
 from wrod.bench.cables import command, lines, summary
-from wrod.identification import motion_solver
 from wrod.identification.effect import Effect, Model, Parameter, effects
-from wrod.identification.motion_fit import Linearised, MotionLaboratory
-from wrod.identification.motion_loading import motion_from_arrays
-from wrod.identification.motion_promises import losses_of
-from wrod.identification.motion_selection import select_motion
-from wrod.identification.motion_solver import MotionSolver
-from wrod.identification.motion_split import folds, split_evenly, with_test
-from wrod.identification.motion_tangents import COMPLEX_STEP
+from wrod.identification.motion import solver as motion_solver
+from wrod.identification.motion.fit import Linearised, MotionLaboratory
+from wrod.identification.motion.loading import motion_from_arrays
+from wrod.identification.motion.promises import losses_of
+from wrod.identification.motion.selection import select_motion
+from wrod.identification.motion.solver import MotionSolver
+from wrod.identification.motion.split import folds, split_evenly, with_test
+from wrod.identification.motion.tangents import COMPLEX_STEP
 
 RECORDINGS, FRAMES, MARKERS = 12, 16, 9
 

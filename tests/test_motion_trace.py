@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from wrod.identification.effect import Effect, Model, Parameter, effects
-from wrod.identification.motion_fit import MotionLaboratory
-from wrod.identification.motion_loading import motion_from_arrays
-from wrod.identification.motion_trace import trace_motion
+from wrod.identification.motion.fit import MotionLaboratory
+from wrod.identification.motion.loading import motion_from_arrays
+from wrod.identification.motion.trace import trace_motion
 
 RATE, GRAVITY, MARKERS, FRAMES, SETTLING = 100.0, 9.81, 11, 130, 50
 STIFFNESS, DRAG, VISCOUS = -1.2, 0.6, 0.03

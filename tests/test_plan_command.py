@@ -6,7 +6,7 @@ from click.testing import CliRunner
 
 import wrod
 from wrod.commands import main
-from wrod.trajectory import Trajectory
+from wrod.planning.trajectory import Trajectory
 
 
 def run(*arguments):

@@ -15,7 +15,7 @@ from wrod.errors import (
     StabilityWarning,
     WrodWarning,
 )
-from wrod.trajectory import Trajectory
+from wrod.planning.trajectory import Trajectory
 
 ROD = wrod.rod("green-vps")
 
@@ -45,9 +45,9 @@ def grasps(monkeypatch):
     """Put `solve` in the place of the rod solver."""
 
     def put(solve):
-        module = types.ModuleType("wrod.grasps")
+        module = types.ModuleType("wrod.grasps.optimal")
         module.solve_grasps = solve
-        monkeypatch.setitem(sys.modules, "wrod.grasps", module)
+        monkeypatch.setitem(sys.modules, "wrod.grasps.optimal", module)
 
     put(fake_grasps)
     return put
@@ -229,7 +229,7 @@ def test_trajectory_files_carry_units_and_read_back(tmp_path):
 
 
 def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
-    from wrod.planner import with_shapes
+    from wrod.planning.plan import with_shapes
 
     circle, rod = wrod.pattern("circle"), wrod.rod("green-vps")
     plain = wrod.plan(circle, rod, "neural", spacing=0.1)
@@ -251,7 +251,7 @@ def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
 
 
 def test_shapes_of_a_trajectory_from_a_file_follow_its_contacts(tmp_path):
-    from wrod.planner import with_shapes
+    from wrod.planning.plan import with_shapes
 
     letter = wrod.pattern("letter-U")
     plan = wrod.plan(letter, ROD, "neural", spacing=0.005)
@@ -264,7 +264,7 @@ def test_shapes_of_a_trajectory_from_a_file_follow_its_contacts(tmp_path):
 def test_shapes_of_other_grips_are_left_out():
     from dataclasses import replace
 
-    from wrod.planner import with_shapes
+    from wrod.planning.plan import with_shapes
 
     line = wrod.pattern("line")
     plan = wrod.plan(line, ROD, "neural", spacing=0.25)
@@ -274,7 +274,7 @@ def test_shapes_of_other_grips_are_left_out():
 
 
 def test_shapes_that_cannot_be_solved_are_left_out():
-    from wrod.planner import with_shapes
+    from wrod.planning.plan import with_shapes
 
     soft = wrod.RodMaterial(0.0016, 0.008, 1.2)  # 150 L_gb
     with pytest.warns(OutOfRangeWarning):
@@ -286,7 +286,7 @@ def test_shapes_that_cannot_be_solved_are_left_out():
 def test_default_plan_takes_the_closure_that_lays_best():
     """Least friction in bends of more than 0.4 / L_gb; elsewhere, and where a method is named, the
     paper's closure."""
-    from wrod.planner import favoured_closure
+    from wrod.planning.plan import favoured_closure
 
     bent, straight = wrod.pattern("letter-U"), wrod.pattern("line")
     assert favoured_closure(bent, ROD) == "min_friction"

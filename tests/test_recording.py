@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import warp as wp
 
-from wrod.batch import RodBatch
-from wrod.dynamics import Dynamics
-from wrod.rod_contact import RodContact
-from wrod.statics import prescribe
-from wrod.substrate import Contact, Friction
+from wrod.rods.batch import RodBatch
+from wrod.solvers.contact import Contact, Friction
+from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.rod_contact import RodContact
+from wrod.solvers.statics import prescribe
 
 RADIUS, WEIGHT, STIFFNESS = 1.6e-3, 0.09, 6e-6
 DEVICES = [

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import wrod
+from wrod.deployment.fixtures import Fixtures
 from wrod.errors import SceneError
-from wrod.fixtures import Fixtures
 from wrod.scene.closeup import knot_corners
 from wrod.scene.moments import draw_moments
 from wrod.scene.tying import export_scene

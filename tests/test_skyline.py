@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import warp as wp
-from wrod.kernels import skyline, skyline_lanes, skyline_order
 from wrod.kernels.lanes import TEAM, lanes
+from wrod.kernels.linear import skyline, skyline_lanes, skyline_order
 
 needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 WAYS = [

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RodError
-from wrod.topology import diagram, name_of, recognise_knot, recognise_pair
+from wrod.knots.topology import diagram, name_of, recognise_knot, recognise_pair
 
 T = np.linspace(0.0, 2 * np.pi, 120, endpoint=False)
 TREFOIL = {0: 1, 1: -1, 2: 1}

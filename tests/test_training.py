@@ -14,11 +14,11 @@ from wrod.training.optimizer import Soap
 from wrod.training.recipes import Recipe, recipe
 from wrod.training.sampling import sample
 
-from wrod import controller_model
 from wrod.commands import main
-from wrod.controller import Controller
+from wrod.controller import model as controller_model
+from wrod.controller.controller import Controller
 from wrod.errors import DataError
-from wrod.grasps import solve_grasps
+from wrod.grasps.optimal import solve_grasps
 
 SMALL = Recipe("small", "chain", 16, 2, "soap", 2e-2, 64, 64, 60, 0.2, 0.0, "squared")
 

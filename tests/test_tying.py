@@ -11,15 +11,15 @@ from scipy.spatial.transform import Rotation
 import wrod
 from wrod.bench.applications_report import markdown, table
 from wrod.errors import DataError, PatternError
-from wrod.fingers import GRIP_FORCE, PAD_FRICTION, holding_force
-from wrod.hand_paths import hand_path
-from wrod.knot_plan import KnotPlan, Move
-from wrod.substrate import Friction
-from wrod.topology import diagram, recognise_knot
-from wrod.tying import Handling, TyingResult
-from wrod.tying_course import Course
-from wrod.tying_laying import _over, _refined
-from wrod.workbench import Poses, Workbench
+from wrod.knots.course import Course
+from wrod.knots.fingers import GRIP_FORCE, PAD_FRICTION, holding_force
+from wrod.knots.hand_paths import hand_path
+from wrod.knots.laying import _over, _refined
+from wrod.knots.plan import KnotPlan, Move
+from wrod.knots.topology import diagram, recognise_knot
+from wrod.knots.tying import Handling, TyingResult
+from wrod.knots.workbench import Poses, Workbench
+from wrod.solvers.contact import Friction
 
 KNOTS = Path(wrod.__file__).parents[1] / "scenes" / "knots"
 ROD = wrod.RodMaterial(0.003, 0.03, 0.15)
@@ -271,7 +271,7 @@ def test_table_of_successes():
 
 
 def test_why_a_trial_failed():
-    from wrod.topology import Recognition
+    from wrod.knots.topology import Recognition
 
     def result(tied, pulled, tight="right trefoil", share=1.0, **more):
         found = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from wrod.grasps import solve_grasps
+from wrod.grasps.optimal import solve_grasps
 
 
 class _SolveGrasps(torch.autograd.Function):

@@ -14,10 +14,10 @@ from wrod.training import store
 from wrod.training.sampling import MAX_INDEX, RodInputs, sample
 
 from wrod import __version__
-from wrod.controller_curved import untwisted
+from wrod.controller.curved import untwisted
 from wrod.errors import DataError
-from wrod.grasps import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
-from wrod.material import RodMaterial
+from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
+from wrod.rods.material import RodMaterial
 
 SHARD_SIZE = 2048
 # Samples solved at once on a GPU, as far as whole shards go; a CPU takes one shard at a time.
@@ -54,7 +54,7 @@ class Rank:
 
     def device(self, wanted: str) -> str:
         """Device of this rank: with several to a machine, "auto" gives each a GPU of its own."""
-        from wrod.batch import resolve_device
+        from wrod.rods.batch import resolve_device
 
         device = resolve_device(None if wanted == "auto" else wanted)
         if wanted == "auto" and device != "cpu":

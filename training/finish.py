@@ -13,9 +13,9 @@ from wrod.training.recipes import recipe
 from wrod.training.score import held_out, score
 from wrod.training.store import read_manifest
 
-from wrod.bench import machine_line
-from wrod.controller import Controller
-from wrod.material import RodMaterial
+from wrod.controller.controller import Controller
+from wrod.machine import machine_line
+from wrod.rods.material import RodMaterial
 
 # Grasps that one naturally curved rod's controller learns, where nothing else is said.
 GRASPS = 3000

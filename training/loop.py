@@ -20,7 +20,7 @@ from wrod.training.recipes import Recipe
 from wrod.training.sampling import RANGE, RodInputs, sample_worst
 from wrod.training.score import figures
 
-from wrod.controller import Controller
+from wrod.controller.controller import Controller
 from wrod.errors import DataError
 from wrod.files import write_atomically
 

@@ -9,8 +9,9 @@ import torch
 from scipy.spatial.transform import Rotation
 from wrod.training.dataset import GraspTable
 
-from wrod import controller_curved, controller_model
-from wrod.controller import ARCHITECTURES
+from wrod.controller import curved as controller_curved
+from wrod.controller import model as controller_model
+from wrod.controller.controller import ARCHITECTURES
 
 _LEAST = 1e-9
 
@@ -19,7 +20,7 @@ class GraspNetwork(torch.nn.Module):
     """A controller in training; float64.
 
     Args:
-        architecture: a name of `wrod.controller.ARCHITECTURES`.
+        architecture: a name of `wrod.controller.controller.ARCHITECTURES`.
         width, depth: units of a hidden layer, and number of these.
         table: grasps whose mean and scale standardise inputs or outputs.
         generator: of the first weights.

@@ -13,7 +13,7 @@ class Recipe:
 
     Attributes:
         name: of the recipe.
-        architecture: of `wrod.controller.ARCHITECTURES`.
+        architecture: of `wrod.controller.controller.ARCHITECTURES`.
         width, depth: units of a hidden layer, and number of these.
         optimizer: "soap" with a falling rate, or "alternating": SGD and Adam in turn.
         learning_rate: the largest.

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from wrod.errors import DataError
-from wrod.material import RodMaterial
+from wrod.rods.material import RodMaterial
 
 INPUTS = ("suspended_length", "curvature", "stretch_ratio")
 # What the controller is made for (Sec. Training the Neural Controller covers the same rods).

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from wrod.training.sampling import RodInputs
 
 from wrod.bench.grasp import whole_range
-from wrod.controller import Controller
-from wrod.grasps import Grasps, solve_grasps
+from wrod.controller.controller import Controller
+from wrod.grasps.optimal import Grasps, solve_grasps
 
 
 def figures(error: np.ndarray) -> dict:

@@ -21,7 +21,7 @@ from wrod.files import write_atomically
 
 FORMAT = "wrod-grasps-1"
 MANIFEST = "manifest.json"
-# Columns by name: type and shape of a row, dimensionless as in `wrod.grasps.Grasps`.
+# Columns by name: type and shape of a row, dimensionless as in `wrod.grasps.optimal.Grasps`.
 COLUMNS = {
     "inputs": (np.float64, (3,)),
     "position": (np.float64, (3,)),

@@ -5,10 +5,10 @@ import pytest
 
 from wrod.bench.continuous_rod import World, hanging, measured
 from wrod.identification import Effect, Parameter, identify
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.measurements import measurements_from_arrays
 from wrod.identification.effect import Model
-from wrod.identification.laboratory import Laboratory
-from wrod.identification.measurements import measurements_from_arrays
-from wrod.material import RodMaterial
+from wrod.rods.material import RodMaterial
 
 ROD = RodMaterial(0.0018, 0.06, 0.5, density=1500.0)
 

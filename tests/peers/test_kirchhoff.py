@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import solve_bvp
 from scipy.spatial.transform import Rotation
 
-from wrod.grasp_mesh import WEIGHT, rest_lengths
-from wrod.grasps import solve_grasps
+from wrod.grasps.mesh import WEIGHT, rest_lengths
+from wrod.grasps.optimal import solve_grasps
 
 
 def kirchhoff_grasp(ls, kappa, ks, guess):

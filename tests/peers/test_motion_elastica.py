@@ -8,7 +8,7 @@ import numpy as np
 from moving_clamps import L_GB, recordings
 
 from wrod.identification import identify_motion
-from wrod.identification.motion_loading import motion_from_arrays
+from wrod.identification.motion.loading import motion_from_arrays
 
 BEND = 6.0
 CANDIDATES = ("natural_curvature_profile", "gravity_tilt", "mass_gradient")

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from wrod.batch import RodBatch
-from wrod.dynamics import Dynamics
 from wrod.errors import RodError
-from wrod.substrate import Box, Contact, Cylinder, Friction, Plane
+from wrod.rods.batch import RodBatch
+from wrod.solvers.contact import Box, Contact, Cylinder, Friction, Plane
+from wrod.solvers.dynamics import Dynamics
 
 G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
 WEIGHT = np.pi * RADIUS**2 * DENSITY * G

@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from wrod.batch import RodBatch
-from wrod.dynamics import Dynamics
 from wrod.errors import RodError
-from wrod.statics import prescribe
+from wrod.rods.batch import RodBatch
+from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.statics import prescribe
 
 ROOT = 1.875104068711961  # first root of cos(x) cosh(x) = -1
 

@@ -5,10 +5,10 @@ import pytest
 import warp as wp
 from test_contact import CONTACT, RADIUS, WEIGHT, G, _PullDown, rods, straight
 
-from wrod.batch import RodBatch
-from wrod.dynamics import Dynamics
-from wrod.statics import prescribe
-from wrod.substrate import Box, Contact, Cylinder, Friction, Plane
+from wrod.rods.batch import RodBatch
+from wrod.solvers.contact import Box, Contact, Cylinder, Friction, Plane
+from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.statics import prescribe
 
 TURN = (0.0, 0.0, float(np.sin(0.3)), float(np.cos(0.3)))
 SHAPES = {

@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import solve_bvp
 from scipy.interpolate import CubicSpline
 
-from wrod.loop import loop_height
-from wrod.material import LOOP_HEIGHT_RATIO
+from wrod.identification.folded_loop import loop_height
+from wrod.rods.material import LOOP_HEIGHT_RATIO
 
 
 def elastica_loop_height():

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import warp as wp
 
-from wrod.batch import RodBatch
-from wrod.dynamics import Dynamics
 from wrod.errors import RodError
-from wrod.rod_contact import RodContact
-from wrod.statics import prescribe
-from wrod.substrate import Friction
+from wrod.rods.batch import RodBatch
+from wrod.solvers.contact import Friction
+from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.rod_contact import RodContact
+from wrod.solvers.statics import prescribe
 
 G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
 WEIGHT = np.pi * RADIUS**2 * DENSITY * G

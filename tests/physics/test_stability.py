@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from wrod.banded import BandedSystem
-from wrod.batch import RodBatch, full_hessian
-from wrod.stability import smallest_eigenvalue
-from wrod.statics import prescribe, solve_equilibrium
+from wrod.rods.batch import RodBatch, full_hessian
+from wrod.solvers.banded import BandedSystem
+from wrod.solvers.stability import smallest_eigenvalue
+from wrod.solvers.statics import prescribe, solve_equilibrium
 
 
 def columns(end_load, weight, edges=100):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from wrod.batch import RodBatch
-from wrod.statics import prescribe, solve_equilibrium
+from wrod.rods.batch import RodBatch
+from wrod.solvers.statics import prescribe, solve_equilibrium
 
 
 def straight_rods(node_count, length, direction, rod_count=1, **properties):

@@ -56,14 +56,14 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
     from wrod.bench.applications_cables import disturbances_text
     from wrod.bench.applications_cables_picture import draw_cables
     from wrod.bench.applications_report import METHODS, draw, markdown, table
     from wrod.bench.applications_trials import run_trials
     from wrod.bench.ledger import Ledger
     from wrod.errors import RodError
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
 
     if first < 0:
         raise RodError(f"first is {first}; give 0 or more")

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrod.deployment_setup import DEVIATIONS, Disturbance
-from wrod.fixtures import Fixtures
-from wrod.material import RodMaterial, rod
-from wrod.patterns import Pattern
+from wrod.deployment.fixtures import Fixtures
+from wrod.deployment.setup import DEVIATIONS, Disturbance
+from wrod.patterns.pattern import Pattern
+from wrod.rods.material import RodMaterial, rod
 
 # Distance p between gates: 0.56 L_gb. Between two gates only friction holds a bend of curvature
 # kappa, which on a slippery table is little; were it to straighten, it would be kappa p^2 / 2 off.
@@ -32,7 +32,7 @@ def believed(cable: RodMaterial) -> RodMaterial:
 def plan_cable(pattern: Pattern, cable: RodMaterial, method: str):
     """OPT is `wrod.plan`'s default, which in bends asks for the least friction (min_friction), with
     the allowance for L_gb; INT goes by the pattern alone."""
-    from wrod.planner import plan
+    from wrod.planning.plan import plan
 
     if method == "intuitive":
         return plan(pattern, cable, "intuitive")
@@ -41,11 +41,11 @@ def plan_cable(pattern: Pattern, cable: RodMaterial, method: str):
 
 def gates(pattern: Pattern) -> Fixtures:
     """The scene along a pattern, as shipped in scenes/cable."""
-    from wrod.gates import design_gates
+    from wrod.deployment.gates import design_gates
 
     scene = design_gates(pattern, believed(rod("cable")), pitch=PITCH)
     note = (
-        "Pairs of posts by wrod.gates.design_gates for rod 'cable', OPT's plan: where the cable "
+        "Pairs of posts by wrod.deployment.gates for rod 'cable', OPT's plan: where the cable "
         f"comes down with the least sideways motion, {1e3 * PITCH:g} mm apart if possible, each "
         "post 3 standard deviations of the sideways error clear of the cable's middle, and on the "
         "side from which it comes as much farther as it still is to that side when it is as low "

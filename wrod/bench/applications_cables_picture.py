@@ -64,7 +64,7 @@ def _title(axes, title: str, note: str) -> None:
 
 def _above(axes, case: str, method: str, rows: list[dict], gate: int) -> None:
     from wrod.bench.applications_trials import cable_scene
-    from wrod.deployment_picture import draw_fixtures
+    from wrod.deployment.picture import draw_fixtures
 
     pattern, fixtures = cable_scene(case)
     target = pattern.sample(np.linspace(0.0, pattern.length, 300))[0]

@@ -116,7 +116,7 @@ def _score(cell: dict) -> str:
 
 def _cables(axes, case: str, method: str, rows: list[dict], cell: dict) -> None:
     from wrod.bench.applications_trials import cable_scene
-    from wrod.deployment_picture import draw_fixtures
+    from wrod.deployment.picture import draw_fixtures
 
     pattern, fixtures = cable_scene(case)
     draw_fixtures(axes, fixtures)
@@ -184,7 +184,7 @@ def tightest(rods: list[np.ndarray]) -> np.ndarray:
 
 def _shown(row: dict, stage: str, wanted: str) -> str:
     """The knot at a stage; a tight one is still there if some closures show it."""
-    from wrod.tying import STILL
+    from wrod.knots.tying import STILL
 
     name, _, share = row["knots"].get(stage, ["", 0.0, 0.0])
     return wanted if stage == "pulled" and share >= STILL else name

@@ -9,7 +9,7 @@ import numpy as np
 
 from wrod.bench.applications_report import SHORT
 from wrod.bench.table3_paper import FRICTION
-from wrod.patterns import Pattern
+from wrod.patterns.pattern import Pattern
 
 # The cable on steel, the rods of the knots on steel (Table 2 of the paper).
 CABLE_FRICTION, KNOT_FRICTION, ROD_FRICTION = FRICTION["low"], FRICTION["medium"], 0.4
@@ -36,7 +36,7 @@ def run_trials(
 
 def cable_scene(case: str):
     """Pattern and fixtures of "S cable" or "U cable"."""
-    from wrod.fixtures import Fixtures
+    from wrod.deployment.fixtures import Fixtures
 
     name = case.split()[0]
     place = folder() / "cable"
@@ -48,17 +48,17 @@ def cable_scene(case: str):
 
 def knot_plan(case: str):
     """Plan of "trefoil" or "reef"."""
-    from wrod.knot_plan import KnotPlan
+    from wrod.knots.plan import KnotPlan
 
     return KnotPlan.load_plan(folder() / "knots" / f"{case}.json")
 
 
 def _cable(case, method, trials, device, folder):
     from wrod.bench.applications_cables import disturbance, plan_cable
-    from wrod.deployment import Trial, simulate_deployments, with_remainder_of
-    from wrod.deployment_setup import tail
-    from wrod.material import rod
-    from wrod.substrate import Friction
+    from wrod.deployment.setup import tail
+    from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
+    from wrod.rods.material import rod
+    from wrod.solvers.contact import Friction
 
     pattern, fixtures = cable_scene(case)
     material = rod("cable")
@@ -159,7 +159,7 @@ def _stage(folder: Path, row: dict, scenes: list[Path], places, **film):
 
 
 def _knot(case, method, trials, device, folder):
-    from wrod.tying import Handling, tie
+    from wrod.knots.tying import Handling, tie
 
     knot = knot_plan(case)
     clock = time.process_time()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from wrod.material import RodMaterial
+from wrod.rods.material import RodMaterial
 
 # Whether the first rod passes over (+1) at its crossings, one after the other.
 BENDS = {

@@ -25,10 +25,10 @@ def command(
     A minute or two of CPU each."""
     from tqdm import tqdm
 
-    from wrod.bench import machine_line
     from wrod.bench.bend_shapes import BENDS
     from wrod.errors import RodError
-    from wrod.material import rod
+    from wrod.machine import machine_line
+    from wrod.rods.material import rod
 
     try:
         friction = [float(f) for f in frictions.split(",")]
@@ -76,11 +76,11 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
     from scipy.spatial.transform import Rotation
 
     from wrod.bench.bend_shapes import bend
-    from wrod.substrate import Friction
-    from wrod.topology import recognise_pair
-    from wrod.tying import STILL
-    from wrod.tying_pull import CREEP, keep_up
-    from wrod.workbench import Poses, Workbench
+    from wrod.knots.pull import CREEP, keep_up
+    from wrod.knots.topology import recognise_pair
+    from wrod.knots.tying import STILL
+    from wrod.knots.workbench import Poses, Workbench
+    from wrod.solvers.contact import Friction
 
     lines, arcs = bend(name, rods, **shape)
     position = np.concatenate(lines)[None]

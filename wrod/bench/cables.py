@@ -15,10 +15,10 @@ def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -
     import numpy as np
 
     from wrod.identification.effect import Model, effects
-    from wrod.identification.motion_fit import MotionLaboratory, errors_of
-    from wrod.identification.motion_loading import load_motion
-    from wrod.identification.motion_selection import BASE, select_motion
-    from wrod.identification.motion_split import folds, with_test
+    from wrod.identification.motion.fit import MotionLaboratory, errors_of
+    from wrod.identification.motion.loading import load_motion
+    from wrod.identification.motion.selection import BASE, select_motion
+    from wrod.identification.motion.split import folds, with_test
 
     clock, cpu = time.perf_counter(), time.process_time()
     m = load_motion(path)
@@ -142,11 +142,11 @@ def command(
 
     from tqdm import tqdm
 
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
     from wrod.errors import DataError
     from wrod.files import write_atomically
-    from wrod.identification.motion_loading import is_motion, load_motion
+    from wrod.identification.motion.loading import is_motion, load_motion
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
 
     paths = [p for p in sorted(folder.glob("*.npz")) if is_motion(p)]
     if not paths:

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from wrod.material import RodMaterial
+from wrod.rods.material import RodMaterial
 
 # First root of cos(x) cosh(x) = -1.
 _ROOT = 1.875104068711961

@@ -66,8 +66,6 @@ def command(
     Every method meets the same disturbances: jitter, error in L_gb, natural curvature. Finished
     trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
     """
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
     from wrod.bench.closures_picture import draw, draw_friction
     from wrod.bench.closures_report import (
         KEYS,
@@ -78,8 +76,10 @@ def command(
         summary,
         write_csv,
     )
-    from wrod.deployment import simulate_deployments
+    from wrod.deployment.simulate import simulate_deployments
     from wrod.errors import RodError
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
@@ -208,10 +208,10 @@ def _numbers(text: str, name: str, low: float, high: float) -> list[float]:
 
 def _arcs(curvatures: list[float], ratios: list[float]) -> list[Course]:
     """Arcs of constant curvature for rods that differ in thickness alone."""
-    from wrod.material import rod
-    from wrod.patterns import Pattern
-    from wrod.planner import prepare
-    from wrod.shapes import strokes
+    from wrod.patterns.pattern import Pattern
+    from wrod.patterns.shapes import strokes
+    from wrod.planning.plan import prepare
+    from wrod.rods.material import rod
 
     base = rod("green-vps")
     lgb = base.gravito_bending_length
@@ -228,8 +228,8 @@ def _arcs(curvatures: list[float], ratios: list[float]) -> list[Course]:
 
 def _drawn(rods: str, names: str, folder: Path | None) -> list[Course]:
     from wrod.bench.table3_paper import read_pattern
-    from wrod.material import rod
-    from wrod.planner import prepare
+    from wrod.planning.plan import prepare
+    from wrod.rods.material import rod
 
     courses = []
     for rod_name, name in product(rods.split(","), names.split(",")):
@@ -241,7 +241,7 @@ def _drawn(rods: str, names: str, folder: Path | None) -> list[Course]:
 
 def _nodes(courses: list[Course], spacing: float) -> int:
     """The same for all, so that no trial depends on which others are simulated."""
-    from wrod.deployment_setup import mesh
+    from wrod.deployment.setup import mesh
 
     return max(len(mesh(c.rod, c.led.length + c.led.remainder_length, spacing)) for c in courses)
 
@@ -250,9 +250,9 @@ def _plans(courses: list[Course], methods, device: str, quiet: bool) -> tuple[di
     """(rod, course, method) -> trajectory and tail; and sentences on what could not be planned."""
     from tqdm import tqdm
 
-    from wrod.deployment_setup import tail
+    from wrod.deployment.setup import tail
     from wrod.errors import GraspError
-    from wrod.planner import plan
+    from wrod.planning.plan import plan
 
     plans, lacking = {}, []
     jobs = list(product(courses, methods))
@@ -276,9 +276,9 @@ def _trial(key: tuple, courses: dict, plans: dict):
     """A rod's trials of a course meet the same disturbances by every method on every table."""
     import zlib
 
-    from wrod.deployment import Trial
-    from wrod.deployment_setup import Disturbance
-    from wrod.substrate import Friction
+    from wrod.deployment.setup import Disturbance
+    from wrod.deployment.simulate import Trial
+    from wrod.solvers.contact import Friction
 
     rod_name, name, mu, method, trial = key
     course = courses[rod_name, name]
@@ -290,7 +290,7 @@ def _trial(key: tuple, courses: dict, plans: dict):
 
 
 def _figures(deployment, pattern) -> dict:
-    from wrod.deployment_result import errors_along
+    from wrod.deployment.result import errors_along
 
     error = errors_along(pattern, deployment.arc_length, deployment.centerline)[1]
     return campaign.figures_of(deployment, pattern) | {"error_fifths": _fifths(error)}
@@ -304,8 +304,8 @@ def _fifths(error) -> list[float]:
 def _put_down_rows(part: list[tuple], courses: dict, nodes: int, step: float, device: str):
     from wrod.bench.closures_report import KEYS
     from wrod.bench.put_down import put_down
-    from wrod.deployment_result import errors_along
-    from wrod.substrate import Friction
+    from wrod.deployment.result import errors_along
+    from wrod.solvers.contact import Friction
 
     jobs = [(courses[k[:2]].led, courses[k[:2]].rod, Friction(k[2])) for k in part]
     rows = []

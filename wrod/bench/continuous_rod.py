@@ -18,10 +18,10 @@ from scipy.integrate import solve_bvp
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import DataError
-from wrod.identification.clamped import ClampedSolver
-from wrod.identification.measurements import measurements_from_arrays
-from wrod.identification.setup import Setup
-from wrod.material import RodMaterial
+from wrod.identification.clamped.equilibria import ClampedSolver
+from wrod.identification.clamped.measurements import measurements_from_arrays
+from wrod.identification.clamped.setup import Setup
+from wrod.rods.material import RodMaterial
 
 
 def constant(*values: float) -> Callable:

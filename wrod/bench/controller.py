@@ -31,9 +31,9 @@ def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_js
     range; no training has seen them. Times are those of a trajectory of 200 nodes: warm, and in a
     new process with all imports.
     """
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
-    from wrod.controller import Controller
+    from wrod.controller.controller import Controller
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
     from wrod.training.score import held_out, score
 
     device = resolve_device(device)

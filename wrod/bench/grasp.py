@@ -26,9 +26,9 @@ def whole_range(count: int, seed: int = 0):
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
 def command(count: int, device: str, threads: int, as_json: bool) -> None:
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
-    from wrod.grasps import CLOSURES, EDGE_COUNT, solve_grasps
+    from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, solve_grasps
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
 
     device = resolve_device(device)
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.bench.continuous_rod import World, constant, labels, measured
 from wrod.errors import DataError
-from wrod.material import RodMaterial
+from wrod.rods.material import RodMaterial
 
 _REDRAWS = 3
 TRIALS, TEST_TRIALS, MARKERS, NOISE = 24, 8, 31, 5e-4

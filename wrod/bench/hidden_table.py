@@ -25,7 +25,7 @@ def examine(case: str, seed: int, device: str = "cpu") -> dict:
     from wrod.bench.hidden_effects import UNCOVERED, hidden_set
     from wrod.bench.identify import row
     from wrod.errors import DataError
-    from wrod.identification.measurements import measurements_from_arrays
+    from wrod.identification.clamped.measurements import measurements_from_arrays
 
     try:
         data, hidden = hidden_set(case, seed)

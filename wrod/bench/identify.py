@@ -71,8 +71,8 @@ def command(
     solver that identifies, makes a set for each effect, for pairs, for none and for effects that
     no plug-in covers; with --out, OUT/rows.jsonl keeps what is finished and a stopped run goes on.
     """
-    from wrod.batch import resolve_device
     from wrod.errors import DataError
+    from wrod.rods.batch import resolve_device
 
     if (folder is None) == (not seeds):
         raise click.UsageError("give either --sets FOLDER or --hidden SEED")
@@ -88,11 +88,11 @@ def command(
 def _hidden(seeds, only, out, workers, device, as_json) -> None:
     from tqdm import tqdm
 
-    from wrod.bench import machine_line
     from wrod.bench.hidden_effects import cases
     from wrod.bench.hidden_table import examine_all, lines, summary
     from wrod.bench.ledger import Ledger
     from wrod.errors import DataError
+    from wrod.machine import machine_line
 
     names = [n for n in cases() if not only or any(text in n for text in only)]
     if not names:
@@ -131,8 +131,8 @@ def _hidden(seeds, only, out, workers, device, as_json) -> None:
 def _measured(folder: Path, device: str, as_json: bool) -> None:
     from tqdm import tqdm
 
-    from wrod.bench import machine_line
     from wrod.errors import DataError
+    from wrod.machine import machine_line
 
     paths = sorted(folder.glob("*.npz"))
     if not paths:

@@ -24,9 +24,9 @@ def command(
     import numpy as np
     from tqdm import tqdm
 
-    from wrod.bench import machine_line
     from wrod.bench.overhand import knot_force, pull, solve_braid
     from wrod.errors import RodError
+    from wrod.machine import machine_line
 
     try:
         friction = [float(f) for f in frictions.split(",")]

@@ -96,14 +96,14 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
     from wrod.bench.loop_report import draw, markdown, summary, write_csv
     from wrod.bench.loop_trials import Case, identified, network_for, row, trials_along, with_length
     from wrod.bench.table3_paper import PATTERNS, read_pattern
-    from wrod.deployment import simulate_deployments
-    from wrod.material import rod
-    from wrod.substrate import Friction
+    from wrod.deployment.simulate import simulate_deployments
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
+    from wrod.rods.material import rod
+    from wrod.solvers.contact import Friction
 
     device, believed = resolve_device(device), rod(rod_name)
     curves = {name: read_pattern(name, patterns) for name in names or PATTERNS}

@@ -8,8 +8,8 @@ import numpy as np
 
 from wrod.bench.continuous_rod import World, constant, labels, measured
 from wrod.errors import DataError
-from wrod.identification.setup import rotation_of
-from wrod.material import RodMaterial
+from wrod.identification.clamped.setup import rotation_of
+from wrod.rods.material import RodMaterial
 
 
 def clamped_experiment(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from wrod.material import RodMaterial
+from wrod.rods.material import RodMaterial
 
 # Who makes the plan: the trained network, the rod solver with the same closure, or what `wrod plan`
 # does when nothing else is said.
@@ -29,7 +29,7 @@ def identified(true, believed, trials, noise, seed, candidates, device):
     """Report of an identification that knows the measurements and the believed rod only."""
     from wrod.bench.loop_measurements import clamped_experiment
     from wrod.identification import identify
-    from wrod.identification.measurements import measurements_from_arrays
+    from wrod.identification.clamped.measurements import measurements_from_arrays
 
     data = clamped_experiment(true, believed, trials=trials, noise=noise, seed=seed)
     measurements = measurements_from_arrays(data, name="synthetic")
@@ -70,9 +70,9 @@ def trials_along(
     Old and new plan hold the rod at the same roll, so that only the model behind the grasps
     differs. `law` is the table's `Friction`.
     """
-    from wrod.deployment import Trial, with_remainder_of
-    from wrod.deployment_setup import tail
-    from wrod.planner import plan
+    from wrod.deployment.setup import tail
+    from wrod.deployment.simulate import Trial, with_remainder_of
+    from wrod.planning.plan import plan
 
     def trial(rod, model, controller, network=None, roll="plane"):
         method = {"network": "neural", "numeric": "numeric", "default": "auto"}[controller]

@@ -32,11 +32,11 @@ def command(count: int, lengths: int, device: str, threads: int, as_json: bool) 
     """Equilibria for given grips, the manifold's boundary, and what stability adds to a plan."""
     import numpy as np
 
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
-    from wrod.grasps import solve_grasps
-    from wrod.manifold import equilibrium
-    from wrod.manifold_boundary import DIPS, EMPTY, FOLDS, TOUCHES, boundary
+    from wrod.grasps.manifold.boundary import DIPS, EMPTY, FOLDS, TOUCHES, boundary
+    from wrod.grasps.manifold.grips import equilibrium
+    from wrod.grasps.optimal import solve_grasps
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
 
     device = resolve_device(device)
     options = {"device": device, "threads": threads or None}

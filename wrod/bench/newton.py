@@ -67,13 +67,13 @@ def command(
 
     from tqdm import tqdm
 
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
     from wrod.bench.cantilever import Cantilever, Start, come_to_rest, swing
     from wrod.bench.cantilever_solvers import Der, Elastica, Vbd
     from wrod.bench.newton_report import draw, markdown
     from wrod.errors import RodError
-    from wrod.material import RodMaterial, rod
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
+    from wrod.rods.material import RodMaterial, rod
 
     device = resolve_device(device)
     if not (scale > 0 and length > 0 and periods > 0):

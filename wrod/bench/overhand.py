@@ -21,10 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wrod.batch import RodBatch
-from wrod.dynamics import Dynamics
-from wrod.rod_contact import RodContact
-from wrod.substrate import Friction
+from wrod.rods.batch import RodBatch
+from wrod.solvers.contact import Friction
+from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.rod_contact import RodContact
 
 # Part of the loosest loop's radius that a knot is pulled by before it is looked at.
 RUN_IN = 0.3

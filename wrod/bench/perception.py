@@ -30,8 +30,8 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
     import numpy as np
     from tqdm import tqdm
 
-    from wrod.bench import machine_line
     from wrod.errors import DataError, WrodError
+    from wrod.machine import machine_line
     from wrod.perception.image import read_image
     from wrod.perception.score import score_paths
     from wrod.perception.trace import trace_centerlines

@@ -21,9 +21,9 @@ import click
 def command(patterns: Path | None, method: str, device: str, as_json: bool) -> None:
     """Plan every pattern for the paper's rods 1 to 3, at a node every 5 mm."""
     import wrod
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
     from wrod.errors import PatternError
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
 
     device = resolve_device(device)
     if patterns is None:

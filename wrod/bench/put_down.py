@@ -26,9 +26,9 @@ def put_down(
         For each rod its nodes' arc length (node,) and position (node, 3) [m], whether it diverged,
         and its time steps.
     """
-    from wrod.batch import RodBatch
-    from wrod.dynamics import Dynamics
-    from wrod.substrate import Contact
+    from wrod.rods.batch import RodBatch
+    from wrod.solvers.contact import Contact
+    from wrod.solvers.dynamics import Dynamics
 
     patterns, rods, friction = zip(*courses, strict=True)
     lengths = np.array([p.length + p.remainder_length for p in patterns])

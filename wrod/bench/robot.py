@@ -22,7 +22,7 @@ def command(method: str, patterns: str | None, finer: bool, as_json: bool) -> No
 
     from tqdm import tqdm
 
-    from wrod.bench import machine_line
+    from wrod.machine import machine_line
 
     cases = [(pattern, rod) for rod in RODS for pattern in PATTERNS]
     rows = []

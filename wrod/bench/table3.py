@@ -34,12 +34,12 @@ def command(
 
     Finished trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
     """
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
     from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, read_pattern
     from wrod.bench.table3_report import KEYS, cells, draw, markdown, summary, write_csv
-    from wrod.deployment import nodes_needed, simulate_deployments
+    from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.errors import RodError
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
@@ -128,9 +128,9 @@ def _plans(curves: dict, closure: str | None, device: str, quiet: bool) -> dict:
     from tqdm import tqdm
 
     from wrod.bench.table3_paper import METHODS, RODS
-    from wrod.deployment_setup import tail
-    from wrod.material import rod
-    from wrod.planner import favoured_closure, plan, prepare
+    from wrod.deployment.setup import tail
+    from wrod.planning.plan import favoured_closure, plan, prepare
+    from wrod.rods.material import rod
 
     plans = {}
     jobs = list(product(RODS, curves, METHODS))
@@ -151,9 +151,9 @@ def _plan_of(key: tuple, plans: dict) -> tuple:
 def _trial(key: tuple, plans: dict):
     """INT and OPT meet the same disturbances, every cell others."""
     from wrod.bench.table3_paper import PATTERNS, RODS, SUBSTRATES, friction
-    from wrod.deployment import Trial
-    from wrod.deployment_setup import Disturbance
-    from wrod.substrate import Friction
+    from wrod.deployment.setup import Disturbance
+    from wrod.deployment.simulate import Trial
+    from wrod.solvers.contact import Friction
 
     rod, substrate, name, _, trial = key
     cell = (RODS.index(rod) * 3 + SUBSTRATES.index(substrate)) * 7 + PATTERNS.index(name)

@@ -45,7 +45,7 @@ def cell(curve, rod, controller, device: str, nodes: int) -> dict:
     from scipy.spatial.transform import Rotation
 
     from wrod.errors import GraspError
-    from wrod.grasps import solve_grasps
+    from wrod.grasps.optimal import solve_grasps
 
     s = np.linspace(0.0, curve.length, nodes)
     lgb = rod.gravito_bending_length
@@ -95,12 +95,12 @@ def command(patterns: Path, weights: Path | None, device: str, as_json: bool) ->
     """Compare controller and numeric solver on rods 1 to 3 and the paper's seven patterns."""
     from tqdm import tqdm
 
-    from wrod.batch import resolve_device
-    from wrod.bench import machine_line
-    from wrod.controller import Controller
-    from wrod.grasps import solve_grasps
-    from wrod.material import rod
-    from wrod.patterns import Pattern
+    from wrod.controller.controller import Controller
+    from wrod.grasps.optimal import solve_grasps
+    from wrod.machine import machine_line
+    from wrod.patterns.pattern import Pattern
+    from wrod.rods.batch import resolve_device
+    from wrod.rods.material import rod
 
     device = resolve_device(device)
     controller = Controller.load(weights)

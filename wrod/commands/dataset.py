@@ -53,8 +53,8 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.bench import machine_line
     from wrod.errors import DataError
+    from wrod.machine import machine_line
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
 
     given = (rod_name, radius, lgb, length)

@@ -69,14 +69,14 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.deployment import Trial, simulate_deployments, with_remainder_of
-    from wrod.deployment_picture import draw_deployments
-    from wrod.deployment_setup import Disturbance, tail
+    from wrod.deployment.fixtures import Fixtures
+    from wrod.deployment.picture import draw_deployments
+    from wrod.deployment.setup import Disturbance, tail
+    from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
     from wrod.errors import DataError, RodError
-    from wrod.fixtures import Fixtures
-    from wrod.planner import plan
-    from wrod.substrate import Friction
-    from wrod.trajectory import Trajectory
+    from wrod.planning.plan import plan
+    from wrod.planning.trajectory import Trajectory
+    from wrod.solvers.contact import Friction
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")

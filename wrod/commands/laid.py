@@ -55,11 +55,11 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.deployment import with_remainder_of
+    from wrod.deployment.simulate import with_remainder_of
     from wrod.errors import DataError
-    from wrod.identification.laid import load_laid
-    from wrod.identification.laid_fit import fit_laid
-    from wrod.trajectory import Trajectory
+    from wrod.identification.laid.fit import fit_laid
+    from wrod.identification.laid.measurements import load_laid
+    from wrod.planning.trajectory import Trajectory
 
     if iterations == 0 and out is not None:
         raise DataError("--out is for the fitted rod, and --iterations 0 fits none; drop one")

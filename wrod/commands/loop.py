@@ -42,12 +42,12 @@ def command(
     diameter.
     """
     from wrod.errors import RodError
-    from wrod.material import LOOP_HEIGHT_RATIO, RodMaterial
+    from wrod.rods.material import LOOP_HEIGHT_RATIO, RodMaterial
 
     ratio = LOOP_HEIGHT_RATIO
     rod = RodMaterial.from_loop_height(height, radius, length, density=density, poisson=poisson)
     if derive:
-        from wrod.loop import loop_height
+        from wrod.identification.folded_loop import loop_height
 
         ratio = loop_height()
         rod = RodMaterial(radius, height / ratio, length, poisson, density)

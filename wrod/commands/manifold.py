@@ -41,8 +41,8 @@ def command(
     from tqdm import tqdm
 
     from wrod.errors import DataError, GraspError
-    from wrod.manifold_map import force_map, save_map
-    from wrod.manifold_picture import draw_map, draw_nudges
+    from wrod.grasps.manifold.map import force_map, save_map
+    from wrod.grasps.manifold.picture import draw_map, draw_nudges
 
     if rays < 5:
         raise GraspError(f"--rays is {rays}; use at least 5")

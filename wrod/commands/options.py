@@ -83,7 +83,7 @@ def read_rod(name: str | None, radius: float | None, lgb: float | None, length: 
         RodError: none, or more than one is named.
     """
     from wrod.errors import RodError
-    from wrod.material import RodMaterial, rod
+    from wrod.rods.material import RodMaterial, rod
 
     own = {"--radius": radius, "--lgb": lgb, "--length": length}
     given = [option for option, value in own.items() if value is not None]
@@ -142,7 +142,7 @@ def read_pattern(name: str, units: str | None, reading: dict | None = None):
         PatternError, PerceptionError: unknown, unreadable, or an option does not belong to it.
     """
     from wrod.errors import PatternError
-    from wrod.patterns import Pattern, pattern, pattern_names
+    from wrod.patterns.pattern import Pattern, pattern, pattern_names
 
     path = Path(name)
     given = {option: value for option, value in (reading or {}).items() if value is not None}

@@ -95,11 +95,11 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.controller import Controller
+    from wrod.controller.controller import Controller
     from wrod.errors import DataError
-    from wrod.friction import friction_bound
-    from wrod.picture import draw_plan
-    from wrod.planner import plan, prepare, with_shapes
+    from wrod.planning.friction import friction_bound
+    from wrod.planning.picture import draw_plan
+    from wrod.planning.plan import plan, prepare, with_shapes
 
     rod = read_rod(rod_name, radius, lgb, length)
     controller = None if controller_file is None else Controller.load(controller_file)

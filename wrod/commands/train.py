@@ -73,9 +73,9 @@ def command(
 
     from tqdm import tqdm
 
-    from wrod.batch import resolve_device
     from wrod.errors import DataError
     from wrod.files import write_atomically
+    from wrod.rods.batch import resolve_device
     from wrod.training.dataset import GraspTable, load
     from wrod.training.finish import finished
     from wrod.training.loop import Training

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from wrod.identification.clamped.measurements import ClampedMeasurements, load_measurements
+from wrod.identification.clamped.report import IdentificationReport, identify
 from wrod.identification.effect import Effect, Parameter
-from wrod.identification.measurements import ClampedMeasurements, load_measurements
-from wrod.identification.motion_data import MotionMeasurements
-from wrod.identification.motion_loading import is_motion, load_motion
-from wrod.identification.motion_report import MotionReport, identify_motion
-from wrod.identification.report import IdentificationReport, identify
+from wrod.identification.motion.data import MotionMeasurements
+from wrod.identification.motion.loading import is_motion, load_motion
+from wrod.identification.motion.report import MotionReport, identify_motion
 
 __all__ = [
     "ClampedMeasurements",

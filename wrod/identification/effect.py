@@ -11,8 +11,8 @@ from functools import cache
 
 import numpy as np
 
-from wrod.identification.measurements import ClampedMeasurements
-from wrod.identification.setup import Setup
+from wrod.identification.clamped.measurements import ClampedMeasurements
+from wrod.identification.clamped.setup import Setup
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from wrod.files import write_atomically
 from wrod.identification.effect import Model
-from wrod.material import RodMaterial
+from wrod.rods.material import RodMaterial
 
 _FORMAT = "wrod-rod-model-1"
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from wrod.identification.clamped.fit import Fit
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.setup import Setup
 from wrod.identification.effect import Effect, Model
-from wrod.identification.fit import Fit
-from wrod.identification.laboratory import Laboratory
-from wrod.identification.setup import Setup
 
 BIC_MARGIN = 10.0
 AT_NOISE = 1.1

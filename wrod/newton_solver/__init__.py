@@ -1,4 +1,4 @@
-"""Discrete elastic rods in Newton scenes: `SolverDER`, a thin adapter over `wrod.dynamics`."""
+"""Discrete elastic rods in Newton scenes: `SolverDER`, thin over `wrod.solvers.dynamics`."""
 
 from wrod.newton_solver.solver import SolverDER
 

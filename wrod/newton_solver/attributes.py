@@ -8,7 +8,7 @@ import warp as wp
 from newton import Model, ModelBuilder
 
 from wrod.errors import RodError
-from wrod.material import RodMaterial
+from wrod.rods.material import RodMaterial
 
 FREE, PINNED, CLAMPED = 0, 1, 2
 HOLDS = {"free": FREE, "pinned": PINNED, "clamped": CLAMPED}

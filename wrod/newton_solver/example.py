@@ -20,8 +20,8 @@ import newton.examples
 import numpy as np
 import warp as wp
 
-from wrod.material import rod
 from wrod.newton_solver import SolverDER
+from wrod.rods.material import rod
 
 _SPACING = 0.006
 _TABLE = 0.4  # height of its top [m]

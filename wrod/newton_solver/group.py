@@ -6,13 +6,13 @@ import numpy as np
 import warp as wp
 from newton import Model, State
 
-from wrod.batch import RodState
-from wrod.dynamics import Dynamics, Progress
-from wrod.kernels import carrying, exchange
+from wrod.kernels.stepping import carrying, exchange
 from wrod.newton_solver.layout import Layout
 from wrod.newton_solver.shapes import ModelShapes
-from wrod.rod_contact import RodContact
-from wrod.substrate import Contact, Friction
+from wrod.rods.batch import RodState
+from wrod.solvers.contact import Contact, Friction
+from wrod.solvers.dynamics import Dynamics, Progress
+from wrod.solvers.rod_contact import RodContact
 
 # Under its own weight a rod on a shape sinks in by this fraction of its radius.
 _SINKING = 1.0 / 600.0
@@ -20,7 +20,7 @@ _STANDARD_GRAVITY = 9.81
 
 
 class RodGroup:
-    """Rods that share a batch (a `wrod.dynamics.Motion`: it carries their held ends).
+    """Rods that share a batch (a `wrod.solvers.dynamics.Motion`: it carries their held ends).
 
     Args:
         model: the Newton model.

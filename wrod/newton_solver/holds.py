@@ -6,12 +6,12 @@ import newton
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.kernels.carrying import Hold
+from wrod.kernels.stepping.carrying import Hold
 from wrod.newton_solver.attributes import FREE
 
 
 def find_holds(model: newton.Model) -> np.ndarray:
-    """(rod, 2) records of `wrod.kernels.carrying.Hold`, start and end of every rod."""
+    """(rod, 2) records of `wrod.kernels.stepping.carrying.Hold`, start and end of every rod."""
     der = model.der
     first_node, first_edge, count = (
         getattr(der, f"rod_{name}").numpy() for name in ("first_node", "first_edge", "node_count")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from newton import Model
 
-from wrod.batch import RodBatch
-from wrod.kernels.exchange import Span
+from wrod.kernels.stepping.exchange import Span
 from wrod.newton_solver.attributes import CLAMPED, FREE
+from wrod.rods.batch import RodBatch
 
 
 class Layout:
@@ -43,7 +43,7 @@ class Layout:
         self._at_end = (at == self.count - 1) & (holds[:, 1:] == CLAMPED)
 
     def spans(self) -> np.ndarray:
-        """(rod,) records of `wrod.kernels.exchange.Span`."""
+        """(rod,) records of `wrod.kernels.stepping.exchange.Span`."""
         out = np.zeros(len(self.lead), dtype=Span.numpy_dtype())
         out["node"], out["edge"], out["lead"] = self.first_node, self.first_edge, self.lead
         out["count"] = self.count

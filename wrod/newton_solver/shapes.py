@@ -1,4 +1,4 @@
-"""The shapes of a Newton model that rods touch, as `wrod.substrate` knows them."""
+"""The shapes of a Newton model that rods touch, as `wrod.solvers.contact` knows them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from newton import GeoType, Model, ShapeFlags
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import WrodWarning
-from wrod.substrate import Box, Cylinder, Friction, Plane
+from wrod.solvers.contact import Box, Cylinder, Friction, Plane
 
 
 class ModelShapes:

@@ -17,12 +17,12 @@ except ImportError as error:
 
 from newton.solvers import SolverBase
 
-from wrod.dynamics import SCHEMES
-from wrod.material import RodMaterial
 from wrod.newton_solver import attributes
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.holds import find_holds
 from wrod.newton_solver.shapes import ModelShapes
+from wrod.rods.material import RodMaterial
+from wrod.solvers.dynamics import SCHEMES
 
 _STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
 _PASSED_ON = ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd")

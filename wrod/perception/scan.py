@@ -124,7 +124,7 @@ def scan(
     Raises:
         PerceptionError: no or several curves, no scale, markers missing or there twice.
     """
-    from wrod.patterns import Pattern
+    from wrod.patterns.pattern import Pattern
 
     if markers is None and sheet is None and scale is None:
         raise PerceptionError(

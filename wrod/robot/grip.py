@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from wrod.errors import RobotError
-from wrod.trajectory import Trajectory
+from wrod.planning.trajectory import Trajectory
 
 TURN_LENGTH = 0.05  # [m] a turn of one radian counts as this much travel of the grip
 _FINE = 20  # pieces between two nodes in which the travel is integrated

@@ -12,10 +12,10 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.files import write_atomically
+from wrod.planning.trajectory import Trajectory
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
-from wrod.trajectory import Trajectory
 
 _FORMAT = "wrod-joint-path-1"
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.errors import RobotError
+from wrod.planning.trajectory import Trajectory
 from wrod.robot.model import Robot
-from wrod.trajectory import Trajectory
 
 PEDESTAL_CLEARANCE = 0.26  # [m] the table begins this far from the arm's axis
 TABLE_MARGIN = 0.06  # [m] of table around the pattern

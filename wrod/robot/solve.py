@@ -10,6 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from wrod.errors import RobotError
+from wrod.planning.trajectory import Trajectory
 from wrod.robot.collision import CollisionModel
 from wrod.robot.grip import Grip, GripPath, grasp_targets
 from wrod.robot.joint_path import JointPath
@@ -20,7 +21,6 @@ from wrod.robot.redundancy import GAP_ROOM, Surroundings, gaps, improve
 from wrod.robot.report import PathReport, inspect
 from wrod.robot.search import Branch, find_branches
 from wrod.robot.timing import schedule
-from wrod.trajectory import Trajectory
 
 GRIP_ANGLES = tuple(math.radians(angle) for angle in (0, 30, 60, 90))
 _COARSE = 0.025  # [m] of travel between the samples that are searched and improved

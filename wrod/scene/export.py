@@ -267,8 +267,8 @@ def _add_gripper(stage, path: str, trajectory, times, materials) -> None:
 
 
 def _rod_name(trajectory, rod) -> str | None:
-    from wrod.material import rod as preset
-    from wrod.material import rod_names
+    from wrod.rods.material import rod as preset
+    from wrod.rods.material import rod_names
 
     named = trajectory.metadata.get("rod")
     if isinstance(named, str):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from wrod.planner import with_shapes
-from wrod.trajectory import Trajectory
+from wrod.planning.plan import with_shapes
+from wrod.planning.trajectory import Trajectory
 
 POINTS = 201  # of the centreline; 4 mm apart on the rods of Table 2
 

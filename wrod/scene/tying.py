@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod.deployment.fixtures import Fixtures
 from wrod.errors import RobotError, SceneError
 from wrod.files import write_atomically
-from wrod.fixtures import Fixtures
 from wrod.robot.holds import HandFilm, Hold, find_holds
 from wrod.robot.placement import Placement
 from wrod.robot.two_arms import ArmFilm, solve_two_arms
@@ -28,7 +28,7 @@ from wrod.scene.workplace import (
     add_table,
     table_under,
 )
-from wrod.substrate import Cylinder
+from wrod.solvers.contact import Cylinder
 
 SUFFIXES = (".usdc", ".usda", ".usd")
 _STEEL, _OTHER = (0.62, 0.64, 0.67), (0.10, 0.50, 0.22)

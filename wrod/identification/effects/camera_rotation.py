@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from wrod.identification.clamped.setup import rotation_of
 from wrod.identification.effect import Effect, Parameter
-from wrod.identification.setup import rotation_of
 
 
 class CameraRotation(Effect):

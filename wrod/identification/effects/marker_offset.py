@@ -3,7 +3,7 @@
 import numpy as np
 
 from wrod.identification.effect import Effect, Parameter
-from wrod.identification.motion_setup import MotionSetup
+from wrod.identification.motion.setup import MotionSetup
 
 
 class MarkerOffset(Effect):

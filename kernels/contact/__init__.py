@@ -1,0 +1,1 @@
+"""Contact with shapes and between rods, with friction."""

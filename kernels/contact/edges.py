@@ -1,0 +1,432 @@
+"""Contact of a rod's edges with boxes and cylinders: true thickness, and Coulomb friction.
+
+An edge is a capsule and a fixture f is a convex solid, whose signed distance d is convex along the
+edge. It touches at the point q + s e where
+
+    D = min over s in [0, 1] of d(q + s e) + (c / 2) (s - 1/2)^2,    c = 0.01 h,
+
+so that a post thinner than the edge presses wherever it stands between two nodes, and edges and
+corners of a box are rounded off by the rod's radius. The small term makes the minimum unique where
+an edge lies flat on a wall: s and with it the force move continuously while the edge turns past
+parallel (compare `wrod.kernels.contact.segments`); it makes D at most 0.00125 h too large. By the
+envelope theorem the gradient of D is that of d at fixed s, and the normal force of
+`wrod.kernels.contact.planes` derives from an energy whose Hessian is exact. Friction is that of
+`wrod.kernels.contact.planes` at the point of contact.
+"""
+
+import warp as wp
+from wrod.kernels.contact.planes import (
+    BOX,
+    CYLINDER,
+    NOTHING,
+    PLANE,
+    Shape,
+    normal_force,
+    shape_displacement,
+    shape_distance,
+)
+from wrod.kernels.elastic.assembly import (
+    add_block,
+    add_column,
+    add_diagonal_block,
+    add_row,
+    add_vector,
+)
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
+
+wp.set_module_options({"enable_backward": False})
+
+SMOOTHING = wp.constant(wp.float64(0.01))
+# Of the search for s; Newton's method within a bracket takes a few.
+SEARCHES = wp.constant(60)
+
+
+@wp.func
+def box_bend(p: wp.vec3d, half: wp.vec3d) -> wp.mat33d:
+    """Second derivative of a box's signed distance: only its edges and corners bend."""
+    out = wp.mat33d()
+    way = wp.vec3d(ZERO, ZERO, ZERO)
+    for c in range(3):
+        over = wp.abs(p[c]) - half[c]
+        if over > ZERO:
+            way[c] = wp.where(p[c] < ZERO, -over, over)
+            out[c, c] = ONE
+    size = wp.length(way)
+    if size == ZERO:
+        return wp.mat33d()
+    return (out - wp.outer(way, way) / (size * size)) / size
+
+
+@wp.func
+def cylinder_bend(p: wp.vec3d, radius: wp.float64, half: wp.float64) -> wp.mat33d:
+    """Second derivative of an upright cylinder's signed distance: its mantle bends, and its rim."""
+    across = wp.sqrt(p[0] * p[0] + p[1] * p[1])
+    if across == ZERO:
+        return wp.mat33d()
+    radial = wp.vec3d(p[0] / across, p[1] / across, ZERO)
+    around = wp.vec3d(-radial[1], radial[0], ZERO)
+    out = wp.max(across - radius, ZERO)
+    up = wp.max(wp.abs(p[2]) - half, ZERO)
+    size = wp.sqrt(out * out + up * up)
+    if size == ZERO:
+        # Inside: the nearer of mantle and lids.
+        if across - radius < wp.abs(p[2]) - half:
+            return wp.mat33d()
+        return wp.outer(around, around) / across
+    bend = (out / (size * across)) * wp.outer(around, around)
+    if out > ZERO and up > ZERO:
+        along = (up / size) * radial - wp.vec3d(ZERO, ZERO, (out / size) * wp.sign(p[2]))
+        bend = bend + wp.outer(along, along) / size
+    return bend
+
+
+@wp.func
+def shape_bend(shape: Shape, q: wp.vec3d) -> wp.mat33d:
+    """Second derivative of `shape_distance`."""
+    turn = wp.quat_to_matrix(shape.rotation)
+    p = wp.transpose(turn) * (q - shape.position)
+    local = wp.mat33d()
+    if shape.kind == BOX:
+        local = box_bend(p, shape.size)
+    elif shape.kind == CYLINDER:
+        local = cylinder_bend(p, shape.size[0], shape.size[1])
+    return turn * local * wp.transpose(turn)
+
+
+@wp.struct
+class Closest:
+    """Closest point of an edge: fraction s, whether it is free (1) or at an end (0), smoothed
+    distance and outward normal there, and the second derivative of the distance."""
+
+    s: wp.float64
+    free: wp.float64
+    distance: wp.float64
+    normal: wp.vec3d
+    bend: wp.mat33d
+
+
+@wp.func
+def slope_along(shape: Shape, q: wp.vec3d, e: wp.vec3d, c: wp.float64, s: wp.float64) -> wp.float64:
+    d = shape_distance(shape, q + s * e)
+    return wp.dot(wp.vec3d(d[1], d[2], d[3]), e) + c * (s - HALF)
+
+
+@wp.func
+def closest_on_edge(shape: Shape, q: wp.vec3d, e: wp.vec3d, c: wp.float64) -> Closest:
+    out = Closest()
+    out.free = ONE
+    s = wp.float64(0.5)
+    if slope_along(shape, q, e, c, ZERO) >= ZERO:
+        s = ZERO
+        out.free = ZERO
+    elif slope_along(shape, q, e, c, ONE) <= ZERO:
+        s = ONE
+        out.free = ZERO
+    else:
+        low = wp.float64(0.0)
+        high = wp.float64(1.0)
+        done = bool(False)
+        for k in range(SEARCHES):
+            if not done:
+                slope = slope_along(shape, q, e, c, s)
+                if slope > ZERO:
+                    high = s
+                else:
+                    low = s
+                rate = wp.dot(e, shape_bend(shape, q + s * e) * e) + c
+                next = s - slope / rate
+                if next <= low or next >= high or k >= SEARCHES // 3:
+                    next = HALF * (low + high)
+                done = wp.abs(next - s) < wp.float64(1.0e-14)
+                s = next
+    point = q + s * e
+    d = shape_distance(shape, point)
+    out.s = s
+    out.distance = d[0] + HALF * c * (s - HALF) * (s - HALF)
+    out.normal = wp.vec3d(d[1], d[2], d[3])
+    out.bend = shape_bend(shape, point)
+    return out
+
+
+@wp.func
+def is_fixture(shape: Shape) -> bool:
+    return shape.kind != PLANE and shape.kind != NOTHING
+
+
+@wp.func
+def within_reach(shape: Shape, q: wp.vec3d, e: wp.vec3d, reach: wp.float64) -> bool:
+    """False if no point of the edge can be that near to the fixture."""
+    if not is_fixture(shape):
+        return False
+    far = reach + wp.length(e)
+    if wp.length(q - shape.position) > far + wp.length(shape.size):
+        return False
+    d = shape_distance(shape, q)
+    return d[0] <= far
+
+
+@wp.struct
+class Grip:
+    """What a fixture does to an edge: closest point, normal force and its slope, stretch of the
+    bristle before return mapping, the edge itself, the direction in which its surface moves when it
+    spins (radius times n x t), and c."""
+
+    near: Closest
+    force: wp.float64
+    slope: wp.float64
+    bristle: wp.vec3d
+    edge: wp.vec3d
+    spin: wp.vec3d
+    smoothing: wp.float64
+
+
+@wp.func
+def edge_touch(
+    shape: Shape,
+    radius: wp.float64,
+    rest_length: wp.float64,
+    rolling: wp.float64,
+    stiffness: wp.float64,
+    skin: wp.float64,
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle_before: wp.vec3d,
+    r: int,
+    i: int,
+) -> Grip:
+    out = Grip()
+    q = node(dof, r, i)
+    e = node(dof, r, i + 1) - q
+    out.edge = e
+    out.smoothing = SMOOTHING * rest_length
+    if not within_reach(shape, q, e, radius):
+        return out
+    near = closest_on_edge(shape, q, e, out.smoothing)
+    out.near = near
+    law = normal_force(radius - near.distance, stiffness, skin)
+    out.force = law[0]
+    out.slope = law[1]
+    if out.force > ZERO:
+        n = near.normal
+        out.spin = (rolling * radius) * wp.cross(n, wp.normalize(e))
+        spun = dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
+        moved = (ONE - near.s) * (q - node(dof_before, r, i))
+        moved = moved + near.s * (q + e - node(dof_before, r, i + 1))
+        moved = moved - shape_displacement(shape, q + near.s * e)
+        b = bristle_before + moved + spun * out.spin
+        out.bristle = b - wp.dot(b, n) * n
+    return out
+
+
+@wp.kernel
+def edge_contact(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    stiffness: wp.array2d(dtype=wp.float64),
+    skin: wp.array2d(dtype=wp.float64),
+    static_friction: wp.array2d(dtype=wp.float64),
+    kinetic_friction: wp.array2d(dtype=wp.float64),
+    rolling: wp.array(dtype=wp.float64),
+    roll_stiffness: wp.array(dtype=wp.float64),
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle: wp.array3d(dtype=wp.vec3d),
+    sliding: wp.array3d(dtype=wp.int32),
+    # State in and out:
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+):
+    """Subtract contact forces from the residual and add their stiffness to the matrix.
+
+    Left out of the matrix, which would not be symmetric with it: how a sliding edge's friction
+    depends on its normal force, and how it moves along the edge with the point of contact.
+    """
+    r, i = wp.tid()
+    if active[r] == 0 or radius[r, i] == ZERO:
+        return
+    for k in range(shapes.shape[1]):
+        c = edge_touch(
+            shapes[r, k], radius[r, i], rest_length[r, i], rolling[r], stiffness[r, i], skin[r, i],
+            dof, dof_before, bristle[r, k, i], r, i,
+        )  # fmt: skip
+        if c.force > ZERO:
+            mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
+            n = c.near.normal
+            size = wp.length(c.bristle)
+            across = wp.identity(3, dtype=wp.float64) - wp.outer(n, n)
+            k_t = wp.float64(stiffness[r, i])
+            if k_t * size > mu * c.force:
+                k_t = mu * c.force / size
+                across = across - wp.outer(c.bristle, c.bristle) / (size * size)
+            pull = k_t * c.bristle
+            grip = k_t * across
+            add_edge(gradient, hessian, r, i, c, pull, grip)
+            if rolling[r] > ZERO:
+                add_edge_spin(gradient, hessian, r, i, c, pull, grip)
+            if roll_stiffness[r] > ZERO:
+                a = 4 * i + 3
+                turned = dof[r, a] - dof_before[r, a]
+                wp.atomic_add(gradient, r, a, roll_stiffness[r] * turned)
+                wp.atomic_add(hessian, r, a, 0, roll_stiffness[r])
+
+
+@wp.func
+def add_edge(
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+    r: int,
+    i: int,
+    c: Grip,
+    pull: wp.vec3d,
+    grip: wp.mat33d,
+):
+    a = 4 * i
+    n = c.near.normal
+    tail = c.near.s
+    head = ONE - tail
+    total = pull - c.force * n
+    add_vector(gradient, r, a, head * total)
+    add_vector(gradient, r, a + 4, tail * total)
+    # D'' = J^T d'' J - v v^T / D_ss with J = ((1 - s) 1, s 1) and v = J^T d'' e + (-n, n).
+    block = grip + c.slope * wp.outer(n, n) - c.force * c.near.bend
+    bent = c.near.bend * c.edge
+    v = head * bent - n
+    w = tail * bent + n
+    share = ZERO
+    if c.near.free > ZERO:
+        share = c.force / (wp.dot(c.edge, bent) + c.smoothing)
+    add_diagonal_block(hessian, r, a, head * head * block + share * wp.outer(v, v))
+    add_block(hessian, r, a + 4, a, tail * head * block + share * wp.outer(w, v))
+    add_diagonal_block(hessian, r, a + 4, tail * tail * block + share * wp.outer(w, w))
+
+
+@wp.func
+def add_edge_spin(
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+    r: int,
+    i: int,
+    c: Grip,
+    pull: wp.vec3d,
+    grip: wp.mat33d,
+):
+    """The torque of friction on the edge's angle."""
+    a = 4 * i
+    coupling = grip * c.spin
+    wp.atomic_add(gradient, r, a + 3, wp.dot(pull, c.spin))
+    wp.atomic_add(hessian, r, a + 3, 0, wp.dot(coupling, c.spin))
+    add_row(hessian, r, a + 3, a, (ONE - c.near.s) * coupling)
+    add_column(hessian, r, a + 4, a + 3, c.near.s * coupling)
+
+
+@wp.kernel
+def refuse_tunnelling(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    # State in:
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    converged: wp.array(dtype=wp.int32),
+):
+    """Nothing tunnels: a step stands only if no centreline can have met a fixture on the way.
+
+    An edge whose nodes move by m, from a distance D to a distance D', was nowhere nearer than
+    (D + D' - m) / 2. Fixtures that move themselves are left to who moves them.
+    """
+    r, i = wp.tid()
+    if converged[r] == 0 or radius[r, i] == ZERO:
+        return
+    q = node(dof, r, i)
+    p = node(dof, r, i + 1)
+    q_before = node(dof_before, r, i)
+    p_before = node(dof_before, r, i + 1)
+    way = wp.max(wp.length(q - q_before), wp.length(p - p_before))
+    c = SMOOTHING * rest_length[r, i]
+    for k in range(shapes.shape[1]):
+        shape = shapes[r, k]
+        if shape.moves == 0 and within_reach(shape, q_before, p_before - q_before, way):
+            before = closest_on_edge(shape, q_before, p_before - q_before, c)
+            after = closest_on_edge(shape, q, p - q, c)
+            # Smoothed distances are up to c / 8 too large.
+            met = before.distance + after.distance - wp.float64(0.25) * c <= way
+            # What began inside may come out.
+            if met and (before.distance > ZERO or after.distance < before.distance):
+                converged[r] = 0
+
+
+@wp.kernel
+def settle_edges(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    stiffness: wp.array2d(dtype=wp.float64),
+    skin: wp.array2d(dtype=wp.float64),
+    static_friction: wp.array2d(dtype=wp.float64),
+    kinetic_friction: wp.array2d(dtype=wp.float64),
+    rolling: wp.array(dtype=wp.float64),
+    # State in:
+    accepted: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    bristle: wp.array3d(dtype=wp.vec3d),
+    sliding: wp.array3d(dtype=wp.int32),
+    slip: wp.array2d(dtype=wp.float64),
+    force: wp.array2d(dtype=wp.vec3d),
+):
+    """After an accepted step: let overloaded bristles slide, and add forces and slip to those of
+    the nodes."""
+    r, i = wp.tid()
+    if accepted[r] == 0 or radius[r, i] == ZERO:
+        return
+    for k in range(shapes.shape[1]):
+        c = edge_touch(
+            shapes[r, k], radius[r, i], rest_length[r, i], rolling[r], stiffness[r, i], skin[r, i],
+            dof, dof_before, bristle[r, k, i], r, i,
+        )  # fmt: skip
+        mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
+        size = wp.length(c.bristle)
+        limit = mu * c.force / stiffness[r, i]
+        b = c.bristle
+        sliding[r, k, i] = 0
+        if c.force > ZERO:
+            if size > limit:
+                sliding[r, k, i] = 1
+                wp.atomic_add(slip, r, i, (ONE - c.near.s) * (size - limit))
+                wp.atomic_add(slip, r, i + 1, c.near.s * (size - limit))
+                b = (limit / size) * b
+            total = c.force * c.near.normal - stiffness[r, i] * b
+            wp.atomic_add(force, r, i, (ONE - c.near.s) * total)
+            wp.atomic_add(force, r, i + 1, c.near.s * total)
+        bristle[r, k, i] = b
+
+
+@wp.kernel
+def measure_depth(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    # State in:
+    dof: wp.array2d(dtype=wp.float64),
+    # State out:
+    depth_out: wp.array(dtype=wp.float64),
+):
+    """Deepest penetration of each rod into any fixture, in `depth_out` where it is deeper."""
+    r, i = wp.tid()
+    if radius[r, i] == ZERO:
+        return
+    q = node(dof, r, i)
+    e = node(dof, r, i + 1) - q
+    for k in range(shapes.shape[1]):
+        if within_reach(shapes[r, k], q, e, radius[r, i]):
+            # The tiny term only breaks ties.
+            c = closest_on_edge(shapes[r, k], q, e, wp.float64(1.0e-9) * wp.length(e))
+            wp.atomic_max(depth_out, r, radius[r, i] - c.distance)

@@ -1,0 +1,140 @@
+"""Which edges may touch in a step: lists of partners, by boxes around groups of edges.
+
+Edge i lists the partners j > i that are within reach of it at the start of the step; a step in
+which a node moves farther than that is refused. Bristles stay with the pairs that stay.
+"""
+
+import warp as wp
+from wrod.kernels.contact.rods import nearest_of_edges
+from wrod.kernels.elastic.frames import HALF, ZERO, node
+
+wp.set_module_options({"enable_backward": False})
+
+GROUP = wp.constant(8)
+
+
+@wp.kernel
+def bound_groups(
+    # State in:
+    starting: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    # State out:
+    lower_out: wp.array2d(dtype=wp.vec3d),
+    upper_out: wp.array2d(dtype=wp.vec3d),
+):
+    """Boxes around the centrelines of every `GROUP` edges."""
+    r, g = wp.tid()
+    if starting[r] == 0:
+        return
+    last = (dof.shape[1] + 1) // 4 - 1
+    lower = node(dof, r, g * GROUP)
+    upper = node(dof, r, g * GROUP)
+    for i in range(g * GROUP + 1, wp.min((g + 1) * GROUP, last) + 1):
+        lower = wp.min(lower, node(dof, r, i))
+        upper = wp.max(upper, node(dof, r, i))
+    lower_out[r, g] = lower
+    upper_out[r, g] = upper
+
+
+@wp.func
+def apart(a: wp.vec3d, b: wp.vec3d, lower: wp.vec3d, upper: wp.vec3d, reach: wp.float64) -> bool:
+    """Whether the box around a and b and the given one are farther apart than `reach`."""
+    out = bool(False)
+    for c in range(3):
+        if wp.min(a[c], b[c]) > upper[c] + reach or wp.max(a[c], b[c]) < lower[c] - reach:
+            out = bool(True)
+    return out
+
+
+@wp.func
+def centres_apart(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d) -> wp.float64:
+    """What two segments are at least apart: cheaper than what they are."""
+    return HALF * (wp.length(a + b - c - d) - wp.length(b - a) - wp.length(d - c))
+
+
+@wp.kernel
+def list_partners(
+    # Model:
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    arc: wp.array2d(dtype=wp.float64),
+    skip: wp.float64,
+    reach: wp.array(dtype=wp.float64),
+    largest_radius: wp.array(dtype=wp.float64),
+    # State in:
+    starting: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    lower: wp.array2d(dtype=wp.vec3d),
+    upper: wp.array2d(dtype=wp.vec3d),
+    # State in and out:
+    partner_count: wp.array2d(dtype=wp.int32),
+    partner: wp.array3d(dtype=wp.int32),
+    bristle: wp.array3d(dtype=wp.vec2d),
+    load: wp.array3d(dtype=wp.float64),
+    sliding: wp.array3d(dtype=wp.int32),
+    # Scratch:
+    new_partner: wp.array3d(dtype=wp.int32),
+    new_bristle: wp.array3d(dtype=wp.vec2d),
+    new_load: wp.array3d(dtype=wp.float64),
+    new_sliding: wp.array3d(dtype=wp.int32),
+    # State out:
+    overflow_out: wp.array(dtype=wp.int32),
+):
+    """Partners j > i of edge i, closer than the radii and the way both can move in a step.
+
+    Left out: edges of radius 0 (cuts), and pairs whose nearer ends are closer along the rod than
+    `skip` mean radii.
+    """
+    r, i = wp.tid()
+    if starting[r] == 0:
+        return
+    found = int(0)
+    a = node(dof, r, i)
+    b = node(dof, r, i + 1)
+    margin = reach[r] + reach[r]
+    far = radius[r, i] + largest_radius[r] + margin
+    if radius[r, i] > ZERO:
+        for g in range((i + 1) // GROUP, lower.shape[1]):
+            if not apart(a, b, lower[r, g], upper[r, g], far):
+                for j in range(wp.max(g * GROUP, i + 1), wp.min((g + 1) * GROUP, radius.shape[1])):
+                    sum = radius[r, i] + radius[r, j]
+                    near_along = arc[r, j] - arc[r, i + 1] < wp.float64(0.5) * skip * sum
+                    if radius[r, j] > ZERO and not near_along:
+                        least = centres_apart(a, b, node(dof, r, j), node(dof, r, j + 1))
+                        if least < sum + margin:
+                            c = nearest_of_edges(dof, rest_length, r, i, j)
+                            if wp.length(c.gap) < sum + margin:
+                                if found < partner.shape[2]:
+                                    new_partner[r, i, found] = j
+                                found += 1
+    if found > partner.shape[2]:
+        overflow_out[r] = 1
+        found = partner.shape[2]
+    for k in range(found):
+        new_bristle[r, i, k] = wp.vec2d(ZERO, ZERO)
+        new_load[r, i, k] = ZERO
+        new_sliding[r, i, k] = 0
+        for o in range(partner_count[r, i]):
+            if partner[r, i, o] == new_partner[r, i, k]:
+                new_bristle[r, i, k] = bristle[r, i, o]
+                new_load[r, i, k] = load[r, i, o]
+                new_sliding[r, i, k] = sliding[r, i, o]
+    for k in range(found):
+        partner[r, i, k] = new_partner[r, i, k]
+        bristle[r, i, k] = new_bristle[r, i, k]
+        load[r, i, k] = new_load[r, i, k]
+        sliding[r, i, k] = new_sliding[r, i, k]
+    partner_count[r, i] = found
+
+
+@wp.kernel
+def forget_partners(
+    # In:
+    chosen: wp.array(dtype=wp.int32),
+    # State out:
+    partner_count_out: wp.array2d(dtype=wp.int32),
+):
+    """Empty the lists of the chosen rows, and with them the friction that they carry over."""
+    r, i = wp.tid()
+    if chosen[r] != 0:
+        partner_count_out[r, i] = 0

@@ -1,0 +1,335 @@
+"""Contact of a rod's nodes with planes, and Coulomb friction that sticks.
+
+Normal force: zero apart, quadratic over a thin skin, then linear in the penetration p, so that its
+slope is continuous. Friction: an elastic bristle between rod and shape carries the load while it
+sticks; where the load exceeds mu N the bristle slides on (return mapping, as in elastoplasticity),
+so that a node that sticks does not creep however long it is loaded.
+
+A node that stuck at the end of the last step slides at the static coefficient, one that slid at the
+kinetic one: within a step the law is fixed, and Newton converges.
+"""
+
+import warp as wp
+from wrod.kernels.elastic.assembly import add_column, add_diagonal_block, add_row, add_vector
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
+
+wp.set_module_options({"enable_backward": False})
+
+NOTHING = wp.constant(-1)
+PLANE = wp.constant(0)
+BOX = wp.constant(1)
+CYLINDER = wp.constant(2)
+FAR = wp.constant(wp.float64(1.0e300))
+
+
+@wp.struct
+class Shape:
+    """An obstacle in its own frame: the half-space z < 0; a box of half sizes `size`; a cylinder
+    about z of radius size[0] and half height size[1]; or nothing, which fills a row. One that moves
+    has come from the pose before in this step."""
+
+    kind: int
+    position: wp.vec3d
+    rotation: wp.quatd
+    size: wp.vec3d
+    moves: int
+    position_before: wp.vec3d
+    rotation_before: wp.quatd
+
+
+@wp.func
+def step_sign(x: wp.float64) -> wp.float64:
+    return wp.where(x < ZERO, -ONE, ONE)
+
+
+@wp.func
+def box_distance(p: wp.vec3d, half: wp.vec3d) -> wp.vec4d:
+    """Signed distance and outward normal (last three components)."""
+    d = wp.vec3d(wp.abs(p[0]) - half[0], wp.abs(p[1]) - half[1], wp.abs(p[2]) - half[2])
+    side = wp.vec3d(step_sign(p[0]), step_sign(p[1]), step_sign(p[2]))
+    out = wp.vec3d(wp.max(d[0], ZERO), wp.max(d[1], ZERO), wp.max(d[2], ZERO))
+    distance = wp.length(out)
+    if distance > ZERO:
+        n = wp.cw_mul(out, side) / distance
+        return wp.vec4d(distance, n[0], n[1], n[2])
+    if d[0] >= d[1] and d[0] >= d[2]:
+        return wp.vec4d(d[0], side[0], ZERO, ZERO)
+    if d[1] >= d[2]:
+        return wp.vec4d(d[1], ZERO, side[1], ZERO)
+    return wp.vec4d(d[2], ZERO, ZERO, side[2])
+
+
+@wp.func
+def cylinder_distance(p: wp.vec3d, radius: wp.float64, half: wp.float64) -> wp.vec4d:
+    across = wp.sqrt(p[0] * p[0] + p[1] * p[1])
+    x = ONE
+    y = ZERO
+    if across > ZERO:
+        x = p[0] / across
+        y = p[1] / across
+    # In the half-plane through the axis it is a box.
+    flat = box_distance(wp.vec3d(across, ZERO, p[2]), wp.vec3d(radius, radius, half))
+    return wp.vec4d(flat[0], flat[1] * x, flat[1] * y, flat[3])
+
+
+@wp.func
+def shape_distance(shape: Shape, q: wp.vec3d) -> wp.vec4d:
+    """Signed distance from the shape's surface and its outward normal, in the world frame."""
+    if shape.kind == NOTHING:
+        return wp.vec4d(FAR, ZERO, ZERO, ONE)
+    p = wp.quat_rotate_inv(shape.rotation, q - shape.position)
+    local = wp.vec4d(p[2], ZERO, ZERO, ONE)
+    if shape.kind == BOX:
+        local = box_distance(p, shape.size)
+    elif shape.kind == CYLINDER:
+        local = cylinder_distance(p, shape.size[0], shape.size[1])
+    n = wp.quat_rotate(shape.rotation, wp.vec3d(local[1], local[2], local[3]))
+    return wp.vec4d(local[0], n[0], n[1], n[2])
+
+
+@wp.func
+def shape_displacement(shape: Shape, q: wp.vec3d) -> wp.vec3d:
+    """How far the shape has carried its point that is at q now."""
+    if shape.moves == 0:
+        return wp.vec3d(ZERO, ZERO, ZERO)
+    p = wp.quat_rotate_inv(shape.rotation, q - shape.position)
+    return q - shape.position_before - wp.quat_rotate(shape.rotation_before, p)
+
+
+@wp.func
+def normal_force(p: wp.float64, stiffness: wp.float64, skin: wp.float64) -> wp.vec2d:
+    """Force at the penetration p and its slope."""
+    if p <= ZERO:
+        return wp.vec2d(ZERO, ZERO)
+    if p < skin:
+        return wp.vec2d(HALF * stiffness * p * p / skin, stiffness * p / skin)
+    return wp.vec2d(stiffness * (p - HALF * skin), stiffness)
+
+
+@wp.struct
+class Touch:
+    """Normal force, its slope, outward normal, stretch of the bristle before return mapping, and
+    the direction in which the rod's surface moves when it spins (radius times n x t)."""
+
+    force: wp.float64
+    slope: wp.float64
+    normal: wp.vec3d
+    bristle: wp.vec3d
+    spin: wp.vec3d
+
+
+@wp.func
+def mean_angle(dof: wp.array2d(dtype=wp.float64), r: int, i: int) -> wp.float64:
+    last = (dof.shape[1] + 1) // 4 - 1
+    before = wp.max(i - 1, 0)
+    after = wp.min(i, last - 1)
+    return HALF * (dof[r, 4 * before + 3] + dof[r, 4 * after + 3])
+
+
+@wp.func
+def touch(
+    shape: Shape,
+    radius: wp.float64,
+    rolling: wp.float64,
+    stiffness: wp.float64,
+    skin: wp.float64,
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle_before: wp.vec3d,
+    r: int,
+    i: int,
+) -> Touch:
+    out = Touch()
+    if shape.kind != PLANE:
+        # Edges touch all else: `wrod.kernels.contact.edges`.
+        return out
+    q = node(dof, r, i)
+    distance = shape_distance(shape, q)
+    law = normal_force(radius - distance[0], stiffness, skin)
+    out.force = law[0]
+    out.slope = law[1]
+    n = wp.vec3d(distance[1], distance[2], distance[3])
+    out.normal = n
+    if out.force > ZERO:
+        last = (dof.shape[1] + 1) // 4 - 1
+        along = node(dof, r, wp.min(i + 1, last)) - node(dof, r, wp.max(i - 1, 0))
+        out.spin = (rolling * radius) * wp.cross(n, wp.normalize(along))
+        spun = mean_angle(dof, r, i) - mean_angle(dof_before, r, i)
+        moved = q - node(dof_before, r, i) - shape_displacement(shape, q)
+        b = bristle_before + moved + spun * out.spin
+        out.bristle = b - wp.dot(b, n) * n
+    return out
+
+
+@wp.kernel
+def contact(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    stiffness: wp.array2d(dtype=wp.float64),
+    skin: wp.array2d(dtype=wp.float64),
+    static_friction: wp.array2d(dtype=wp.float64),
+    kinetic_friction: wp.array2d(dtype=wp.float64),
+    rolling: wp.array(dtype=wp.float64),
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle: wp.array3d(dtype=wp.vec3d),
+    sliding: wp.array3d(dtype=wp.int32),
+    # State in and out:
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+):
+    """Subtract contact forces from the residual and add their stiffness to the matrix.
+
+    The dependence of a sliding node's friction on its normal force is left out of the matrix,
+    which would not be symmetric with it; the forces are exact.
+    """
+    r, i = wp.tid()
+    if active[r] == 0:
+        return
+    for k in range(shapes.shape[1]):
+        c = touch(
+            shapes[r, k], radius[r, i], rolling[r], stiffness[r, i], skin[r, i], dof,
+            dof_before, bristle[r, k, i], r, i,
+        )  # fmt: skip
+        if c.force > ZERO:
+            mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
+            size = wp.length(c.bristle)
+            across = wp.identity(3, dtype=wp.float64) - wp.outer(c.normal, c.normal)
+            k_t = wp.float64(stiffness[r, i])
+            if k_t * size > mu * c.force:
+                k_t = mu * c.force / size
+                across = across - wp.outer(c.bristle, c.bristle) / (size * size)
+            pull = k_t * c.bristle
+            block = k_t * across
+            add_vector(gradient, r, 4 * i, pull - c.force * c.normal)
+            add_diagonal_block(hessian, r, 4 * i, block + c.slope * wp.outer(c.normal, c.normal))
+            if rolling[r] > ZERO:
+                add_spin(gradient, hessian, r, i, c.spin, pull, block)
+
+
+@wp.func
+def add_spin(
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+    r: int,
+    i: int,
+    spin: wp.vec3d,
+    pull: wp.vec3d,
+    block: wp.mat33d,
+):
+    """The torque of friction on the angles of the edges around node i: half each, all at an end."""
+    a = 4 * i
+    last = gradient.shape[1] // 4
+    share = wp.where(i > 0 and i < last, HALF, ONE)
+    coupling = share * (block * spin)
+    torque = share * wp.dot(pull, spin)
+    stiffness = share * wp.dot(coupling, spin)
+    if i > 0:
+        wp.atomic_add(gradient, r, a - 1, torque)
+        wp.atomic_add(hessian, r, a - 1, 0, stiffness)
+        add_column(hessian, r, a, a - 1, coupling)
+    if i < last:
+        wp.atomic_add(gradient, r, a + 3, torque)
+        wp.atomic_add(hessian, r, a + 3, 0, stiffness)
+        add_row(hessian, r, a + 3, a, coupling)
+    if i > 0 and i < last:
+        wp.atomic_add(hessian, r, a + 3, 4, stiffness)
+
+
+@wp.kernel
+def settle_friction(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    stiffness: wp.array2d(dtype=wp.float64),
+    skin: wp.array2d(dtype=wp.float64),
+    static_friction: wp.array2d(dtype=wp.float64),
+    kinetic_friction: wp.array2d(dtype=wp.float64),
+    rolling: wp.array(dtype=wp.float64),
+    # State in:
+    accepted: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    bristle: wp.array3d(dtype=wp.vec3d),
+    sliding: wp.array3d(dtype=wp.int32),
+    slip: wp.array2d(dtype=wp.float64),
+    # State out:
+    force_out: wp.array2d(dtype=wp.vec3d),
+):
+    """After an accepted step: let overloaded bristles slide, and note forces and slip."""
+    r, i = wp.tid()
+    if accepted[r] == 0:
+        return
+    total = wp.vec3d(ZERO, ZERO, ZERO)
+    for k in range(shapes.shape[1]):
+        c = touch(
+            shapes[r, k], radius[r, i], rolling[r], stiffness[r, i], skin[r, i], dof,
+            dof_before, bristle[r, k, i], r, i,
+        )  # fmt: skip
+        mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
+        size = wp.length(c.bristle)
+        limit = mu * c.force / stiffness[r, i]
+        b = c.bristle
+        sliding[r, k, i] = 0
+        if c.force > ZERO and size > limit:
+            sliding[r, k, i] = 1
+            slip[r, i] = slip[r, i] + size - limit
+            b = (limit / size) * b
+        bristle[r, k, i] = b
+        total = total + c.force * c.normal - stiffness[r, i] * b
+    force_out[r, i] = total
+
+
+@wp.kernel
+def forget_friction(
+    # In:
+    chosen: wp.array(dtype=wp.int32),
+    # State out:
+    bristle_out: wp.array3d(dtype=wp.vec3d),
+    sliding_out: wp.array3d(dtype=wp.int32),
+):
+    """Unload the bristles of the chosen rods."""
+    r, k, i = wp.tid()
+    if chosen[r] != 0:
+        bristle_out[r, k, i] = wp.vec3d(ZERO, ZERO, ZERO)
+        sliding_out[r, k, i] = 0
+
+
+@wp.kernel
+def hold_roll(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    stiffness: wp.array2d(dtype=wp.float64),
+    skin: wp.array2d(dtype=wp.float64),
+    roll_stiffness: wp.array(dtype=wp.float64),
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle: wp.array3d(dtype=wp.vec3d),
+    # State in and out:
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+):
+    """Hold the angles of the edges around every node in contact where they were a step ago."""
+    r, i = wp.tid()
+    stiff = roll_stiffness[r]
+    if active[r] == 0 or stiff == ZERO:
+        return
+    last = gradient.shape[1] // 4
+    for k in range(shapes.shape[1]):
+        c = touch(
+            shapes[r, k], radius[r, i], ZERO, stiffness[r, i], skin[r, i], dof,
+            dof_before, bristle[r, k, i], r, i,
+        )  # fmt: skip
+        if c.force > ZERO:
+            for side in range(2):
+                a = 4 * i - 1 + 4 * side
+                if a > 0 and i + side <= last:
+                    wp.atomic_add(gradient, r, a, stiff * (dof[r, a] - dof_before[r, a]))
+                    wp.atomic_add(hessian, r, a, 0, stiff)

@@ -1,0 +1,319 @@
+"""Contact of the edges of rods with each other: true thickness, and Coulomb friction that sticks.
+
+Edges are capsules. A pair that is closer than the sum of its radii repels with the normal force of
+`wrod.kernels.contact.planes` along the shortest way between them (`wrod.kernels.contact.segments`),
+which derives from an energy with an exact Hessian. Friction acts between the surfaces: their
+relative motion at the point of contact, with the turning of both edges and their spin, stretches a
+bristle that slides on where the load exceeds mu N (return mapping). Two rods that move as one rigid
+body do not rub, and the forces conserve momentum and angular momentum. The bristle is kept in the
+frame of the first edge and the normal. N is that of the end of the last step, as in Li et al. 2020:
+the matrix of a step is symmetric and exact but for the turning of the pair, and Newton converges; a
+rod that rests or slides steadily feels mu times its true load.
+"""
+
+import warp as wp
+from wrod.kernels.contact.planes import normal_force
+from wrod.kernels.contact.segments import SMOOTHING, Nearest, nearest
+from wrod.kernels.elastic.frames import ONE, ZERO, node
+
+wp.set_module_options({"enable_backward": False})
+
+
+# Which bristles hold any load: none, those that held before, all.
+SLIPPING = wp.constant(0)
+HELD = wp.constant(1)
+EVERY = wp.constant(2)
+
+
+@wp.struct
+class Law:
+    """What all pairs of a rod share: stiffness, skin, and the coefficients of friction."""
+
+    stiffness: wp.float64
+    skin: wp.float64
+    static_friction: wp.float64
+    kinetic_friction: wp.float64
+
+
+@wp.struct
+class Pair:
+    """A touching pair: closest points, normal force, its slope, unit normal from the second edge to
+    the first, pull of the bristle on the first edge and its stiffness, and, for the next step, the
+    bristle in the pair's own frame, by how much it slid, and the mid angles between the edges."""
+
+    near: Nearest
+    force: wp.float64
+    slope: wp.float64
+    normal: wp.vec3d
+    pull: wp.vec3d
+    grip: wp.mat33d
+    bristle: wp.vec2d
+    slid: wp.float64
+
+
+@wp.func
+def nearest_of_edges(
+    dof: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    r: int,
+    i: int,
+    j: int,
+) -> Nearest:
+    a = rest_length[r, i]
+    b = rest_length[r, j]
+    return nearest(
+        node(dof, r, i), node(dof, r, i + 1), node(dof, r, j), node(dof, r, j + 1),
+        SMOOTHING * a * a, SMOOTHING * b * b,
+    )  # fmt: skip
+
+
+@wp.func
+def surface_motion(
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    r: int,
+    i: int,
+    fraction: wp.float64,
+    arm: wp.float64,
+    normal: wp.vec3d,
+) -> wp.vec3d:
+    """Motion in this step of the material point at `arm` normal from the centreline of edge i."""
+    q = node(dof, r, i)
+    p = node(dof, r, i + 1)
+    q_before = node(dof_before, r, i)
+    p_before = node(dof_before, r, i + 1)
+    t = wp.normalize(p - q)
+    turn = t - wp.normalize(p_before - q_before)
+    spin = dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
+    centre = (ONE - fraction) * (q - q_before) + fraction * (p - p_before)
+    swing = wp.dot(t, normal) * turn - wp.dot(normal, turn) * t + spin * wp.cross(t, normal)
+    return centre + arm * swing
+
+
+@wp.func
+def first_tangent(t: wp.vec3d, n: wp.vec3d) -> wp.vec3d:
+    """Direction of the first edge in the plane of contact; any, where it is along the normal."""
+    e = t - wp.dot(t, n) * n
+    if wp.length(e) < wp.float64(1.0e-6):
+        e = wp.vec3d(n[1], n[2], n[0])
+        e = e - wp.dot(e, n) * n
+    return wp.normalize(e)
+
+
+@wp.func
+def pair_contact(
+    law: Law,
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle: wp.vec2d,
+    load: wp.float64,
+    sliding: int,
+    sticks: int,
+    r: int,
+    i: int,
+    j: int,
+) -> Pair:
+    out = Pair()
+    near = nearest_of_edges(dof, rest_length, r, i, j)
+    out.near = near
+    p = radius[r, i] + radius[r, j] - near.distance
+    normal = normal_force(p, law.stiffness, law.skin)
+    out.force = normal[0]
+    out.slope = normal[1]
+    if out.force > ZERO:
+        # Centrelines that cross have no normal; the step is refused for its depth anyway.
+        n = near.gap / wp.max(wp.length(near.gap), wp.float64(1.0e-12))
+        out.normal = n
+        e1 = first_tangent(wp.normalize(near.first), n)
+        e2 = wp.cross(n, e1)
+        motion = surface_motion(dof, dof_before, r, i, near.s, -radius[r, i], n)
+        motion = motion - surface_motion(dof, dof_before, r, j, near.t, radius[r, j], n)
+        b1 = bristle[0] + wp.dot(motion, e1)
+        b2 = bristle[1] + wp.dot(motion, e2)
+        stretch = b1 * e1 + b2 * e2
+        size = wp.length(stretch)
+        mu = wp.where(sliding != 0, law.kinetic_friction, law.static_friction)
+        limit = mu * load / law.stiffness
+        out.grip = law.stiffness * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
+        out.bristle = wp.vec2d(b1, b2)
+        if size > limit or limit == ZERO:
+            # Also without friction, where the bristle never holds.
+            size = wp.max(size, wp.float64(1.0e-30))
+            out.slid = size - limit
+            holds = sticks == EVERY or (sticks == HELD and sliding == 0)
+            if limit == ZERO or not holds:
+                shrink = limit / size
+                out.bristle = shrink * out.bristle
+                along = stretch / size
+                out.grip = shrink * (out.grip - law.stiffness * wp.outer(along, along))
+                stretch = shrink * stretch
+        out.pull = law.stiffness * stretch
+    return out
+
+
+@wp.struct
+class EdgeMotion:
+    """How the surface point of one edge follows its two nodes (3x3 each) and its angle."""
+
+    head: wp.mat33d
+    tail: wp.mat33d
+    spin: wp.vec3d
+
+
+@wp.func
+def edge_motion(e: wp.vec3d, fraction: wp.float64, arm: wp.float64, n: wp.vec3d) -> EdgeMotion:
+    """Derivative of `surface_motion`, closest point and normal held."""
+    length = wp.length(e)
+    t = e / length
+    eye = wp.identity(3, dtype=wp.float64)
+    swing = wp.dot(t, n) * eye - wp.outer(t, n)
+    swing = (arm / length) * (swing * (eye - wp.outer(t, t)))
+    out = EdgeMotion()
+    out.head = (ONE - fraction) * eye - swing
+    out.tail = fraction * eye + swing
+    out.spin = arm * wp.cross(t, n)
+    return out
+
+
+@wp.func
+def add_force(gradient: wp.array2d(dtype=wp.float64), r: int, a: int, v: wp.vec3d):
+    for c in range(3):
+        wp.atomic_add(gradient, r, a + c, v[c])
+
+
+@wp.func
+def add_edge_force(
+    gradient: wp.array2d(dtype=wp.float64),
+    r: int,
+    i: int,
+    fraction: wp.float64,
+    push: wp.vec3d,
+    m: EdgeMotion,
+    pull: wp.vec3d,
+):
+    """Gradient of a force `push` at the closest point and `pull` at the surface of edge i."""
+    add_force(gradient, r, 4 * i, (ONE - fraction) * push + wp.transpose(m.head) * pull)
+    add_force(gradient, r, 4 * i + 4, fraction * push + wp.transpose(m.tail) * pull)
+    wp.atomic_add(gradient, r, 4 * i + 3, wp.dot(m.spin, pull))
+
+
+@wp.kernel
+def rod_contact(
+    # Model:
+    law: wp.array(dtype=Law),
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    partner_count: wp.array2d(dtype=wp.int32),
+    partner: wp.array3d(dtype=wp.int32),
+    bristle: wp.array3d(dtype=wp.vec2d),
+    load: wp.array3d(dtype=wp.float64),
+    sliding: wp.array3d(dtype=wp.int32),
+    sticking: wp.array(dtype=wp.int32),
+    # State in and out:
+    gradient: wp.array2d(dtype=wp.float64),
+    # State out:
+    depth_out: wp.array3d(dtype=wp.float64),
+    overloaded_out: wp.array(dtype=wp.int32),
+):
+    """Subtract the forces of every touching pair from the residual, and note how deep it is.
+
+    While a rod is `sticking`, bristles hold any load: those that held before, or all.
+    """
+    r, i = wp.tid()
+    if active[r] == 0:
+        return
+    for k in range(partner_count[r, i]):
+        j = partner[r, i, k]
+        c = pair_contact(
+            law[r], radius, rest_length, dof, dof_before, bristle[r, i, k], load[r, i, k],
+            sliding[r, i, k], sticking[r], r, i, j,
+        )  # fmt: skip
+        depth_out[r, i, k] = radius[r, i] + radius[r, j] - c.near.distance
+        if c.force > ZERO:
+            if c.slid > ZERO and load[r, i, k] > ZERO:
+                overloaded_out[r] = 1
+            push = (-c.force / c.near.distance) * c.near.gap
+            m = edge_motion(c.near.first, c.near.s, -radius[r, i], c.normal)
+            add_edge_force(gradient, r, i, c.near.s, push, m, c.pull)
+            m = edge_motion(c.near.second, c.near.t, radius[r, j], c.normal)
+            add_edge_force(gradient, r, j, c.near.t, -push, m, -c.pull)
+
+
+@wp.kernel
+def begin_sticking(
+    starting: wp.array(dtype=wp.int32),
+    rejected: wp.array(dtype=wp.int32),
+    sticking_out: wp.array(dtype=wp.int32),
+    overloaded_out: wp.array(dtype=wp.int32),
+):
+    """The first iteration of a step takes bristles that held to hold any load, as an elastic
+    predictor: Newton then meets the kink of Coulomb's law from the side of the solution. When a
+    step has failed, also those that slid."""
+    r = wp.tid()
+    if starting[r] != 0:
+        sticking_out[r] = wp.where(rejected[r] != 0, EVERY, HELD)
+        overloaded_out[r] = 0
+
+
+@wp.kernel
+def clear_forces(
+    accepted: wp.array(dtype=wp.int32),
+    force_out: wp.array2d(dtype=wp.vec3d),
+    penetration_out: wp.array(dtype=wp.float64),
+):
+    r, i = wp.tid()
+    if accepted[r] != 0:
+        force_out[r, i] = wp.vec3d(ZERO, ZERO, ZERO)
+        penetration_out[r] = ZERO
+
+
+@wp.kernel
+def settle_friction(
+    # Model:
+    law: wp.array(dtype=Law),
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    # State in:
+    accepted: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    partner_count: wp.array2d(dtype=wp.int32),
+    partner: wp.array3d(dtype=wp.int32),
+    # State in and out:
+    bristle: wp.array3d(dtype=wp.vec2d),
+    load: wp.array3d(dtype=wp.float64),
+    sliding: wp.array3d(dtype=wp.int32),
+    slip: wp.array2d(dtype=wp.float64),
+    force: wp.array2d(dtype=wp.vec3d),
+    penetration: wp.array(dtype=wp.float64),
+):
+    """After an accepted step: let overloaded bristles slide; note forces, slip and penetration."""
+    r, i = wp.tid()
+    if accepted[r] == 0:
+        return
+    for k in range(partner_count[r, i]):
+        j = partner[r, i, k]
+        c = pair_contact(
+            law[r], radius, rest_length, dof, dof_before, bristle[r, i, k], load[r, i, k],
+            sliding[r, i, k], SLIPPING, r, i, j,
+        )  # fmt: skip
+        bristle[r, i, k] = c.bristle
+        load[r, i, k] = c.force
+        sliding[r, i, k] = 0
+        if c.force > ZERO:
+            if c.slid > ZERO:
+                sliding[r, i, k] = 1
+                wp.atomic_add(slip, r, i, c.slid)
+                wp.atomic_add(slip, r, j, c.slid)
+            total = (c.force / c.near.distance) * c.near.gap - c.pull
+            wp.atomic_add(force, r, i, (ONE - c.near.s) * total)
+            wp.atomic_add(force, r, i + 1, c.near.s * total)
+            wp.atomic_add(force, r, j, -(ONE - c.near.t) * total)
+            wp.atomic_add(force, r, j + 1, -c.near.t * total)
+            wp.atomic_max(penetration, r, radius[r, i] + radius[r, j] - c.near.distance)

@@ -1,0 +1,1 @@
+"""Frames, strains, energies, and their derivatives."""

@@ -1,0 +1,245 @@
+"""Bending: E = 1/2 l sum_k B_k (kappa_k / l - kappa0_k)^2 at each inner node (Eq. bending).
+
+l is half the rest length of the two edges around the node, kappa_k are the components of
+`wrod.kernels.elastic.curvature`. Second derivatives are exact for frames that are
+parallel-transported in time from the state at which they are evaluated (Panetta et al. 2019):
+turning a tangent by a, perpendicular to it, changes t by a - |a|^2 t / 2 and m_k by -a_k t - a_k a
+/ 2 to second order, a_k = a . m_k.
+
+The kernels add up stretching and twisting as well: they live on the same stencil, and adding costs
+as much as computing.
+"""
+
+import warp as wp
+from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_gradient, add_edge_hessian
+from wrod.kernels.elastic.curvature import (
+    add_component_rate,
+    component,
+    excess_curvature,
+    perpendicular,
+    project,
+    stencil,
+    symmetric,
+)
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO
+from wrod.kernels.elastic.stretching import add_stretching, stretching
+from wrod.kernels.elastic.twisting import twisting, twisting_hessian
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Law:
+    """How a moment-curvature law departs from the linear one, at the excess curvature e.
+
+    The moments are `secant` B_k e_k, the energy is `energy` l sum_k B_k e_k^2 / 2, and the secant
+    changes by `coupling` sum_k B_k e_k de_k.
+    """
+
+    secant: wp.float64
+    energy: wp.float64
+    coupling: wp.float64
+
+
+def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
+    """The kernel of the linear law, or that of a `law` (excess, stiffness, its numbers) -> `Law`.
+
+    What only a law needs is left out of the linear kernel when it is built, which grasps notice.
+    """
+
+    @wp.kernel
+    def elasticity(
+        # Model:
+        rest_length: wp.array2d(dtype=wp.float64),
+        stretching_stiffness: wp.array2d(dtype=wp.float64),
+        bending_stiffness: wp.array2d(dtype=wp.vec2d),
+        natural_curvature: wp.array2d(dtype=wp.vec2d),
+        law_parameter: wp.array2d(dtype=wp.vec2d),
+        twisting_stiffness: wp.array2d(dtype=wp.float64),
+        natural_twist: wp.array2d(dtype=wp.float64),
+        # State in:
+        active: wp.array(dtype=wp.int32),
+        dof_in: wp.array2d(dtype=wp.float64),
+        director_in: wp.array2d(dtype=wp.vec3d),
+        reference_twist_in: wp.array2d(dtype=wp.float64),
+        order: int,
+        # Out:
+        energy_out: wp.array(dtype=wp.float64),
+        gradient_out: wp.array2d(dtype=wp.float64),
+        hessian_out: wp.array3d(dtype=wp.float64),
+    ):
+        """Add energy and gradient, and the exact Hessian if `order` is 2.
+
+        Every inner node adds the stretching of the edge before it, the last that after it as well.
+        """
+        r, j = wp.tid()
+        if active[r] == 0:
+            return
+        i = j + 1
+        last = i == stretching_stiffness.shape[1] - 1
+        if bending_stiffness[r, i][0] == ZERO:  # at a cut
+            for e in range(i - 1, wp.where(last, i + 1, i)):
+                add_stretching(
+                    rest_length, stretching_stiffness, dof_in, r, e, order,
+                    energy_out, gradient_out, hessian_out,
+                )  # fmt: skip
+            return
+        s = stencil(dof_in, director_in, r, i)
+        rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
+        cosine = wp.dot(s.t, s.u)
+        chi = ONE + cosine
+        grad_chi_e = perpendicular(s.u, s.t)
+        grad_chi_f = perpendicular(s.t, s.u)
+        eye = wp.identity(3, dtype=wp.float64)
+
+        energy = ZERO
+        g_e = wp.vec3d(ZERO, ZERO, ZERO)
+        g_f = wp.vec3d(ZERO, ZERO, ZERO)
+        g_te = ZERO
+        g_tf = ZERO
+        ee = wp.mat33d()
+        ef = wp.mat33d()
+        ff = wp.mat33d()
+        e_te = wp.vec3d(ZERO, ZERO, ZERO)
+        f_te = wp.vec3d(ZERO, ZERO, ZERO)
+        e_tf = wp.vec3d(ZERO, ZERO, ZERO)
+        f_tf = wp.vec3d(ZERO, ZERO, ZERO)
+        te_te = ZERO
+        te_tf = ZERO
+        tf_tf = ZERO
+        if wp.static(law is not None):
+            excesses = excess_curvature(s, rest, natural_curvature[r, i])
+            here = law(excesses, bending_stiffness[r, i], law_parameter[r, i])
+            # Gradient of sum_k B_k e_k^2 / 2, times l.
+            q_e = wp.vec3d(ZERO, ZERO, ZERO)
+            q_f = wp.vec3d(ZERO, ZERO, ZERO)
+            q_te = ZERO
+            q_tf = ZERO
+
+        for k in range(2):
+            c = component(s, k)
+            stiffness = bending_stiffness[r, i][k]
+            excess = c.kappa / rest - natural_curvature[r, i][k]
+            moment = stiffness * excess
+            work = HALF * moment * excess * rest
+            if wp.static(law is not None):
+                q_e += moment * c.e
+                q_f += moment * c.f
+                q_te += moment * c.te
+                q_tf += moment * c.tf
+                stiffness = stiffness * here.secant
+                moment = moment * here.secant
+                work = work * here.energy
+            energy += work
+            g_e += moment * c.e
+            g_f += moment * c.f
+            g_te += moment * c.te
+            g_tf += moment * c.tf
+
+            if order == 2:
+                b = stiffness / rest
+                m = moment / chi
+                e_u = wp.dot(c.m_e, s.u)
+                f_t = wp.dot(c.m_f, s.t)
+                h = (f_t + c.kappa * cosine) * eye - HALF * symmetric(c.m_e, s.u)
+                h = (project(h, s.t, s.t) - symmetric(c.e, grad_chi_e)) / chi
+                # The unit tangent's own second derivative by the edge vector.
+                h = h - symmetric(c.e, s.t)
+                ee += b * wp.outer(c.e, c.e) + moment * h
+                h = (c.kappa * cosine - e_u) * eye + HALF * symmetric(c.m_f, s.t)
+                h = (project(h, s.u, s.u) - symmetric(c.f, grad_chi_f)) / chi
+                h = h - symmetric(c.f, s.u)
+                ff += b * wp.outer(c.f, c.f) + moment * h
+                h = wp.outer(s.u, c.m_f) - wp.outer(c.m_e, s.t) - c.kappa * eye
+                h = project(h, s.t, s.u) - wp.outer(c.e, grad_chi_f) - wp.outer(grad_chi_e, c.f)
+                ef += b * wp.outer(c.e, c.f) + m * h
+
+                e_te += b * c.te * c.e + m * (-cosine * c.dm_e - c.te * grad_chi_e)
+                f_te += b * c.te * c.f + m * (perpendicular(c.dm_e, s.u) - c.te * grad_chi_f)
+                e_tf += b * c.tf * c.e - m * (perpendicular(c.dm_f, s.t) + c.tf * grad_chi_e)
+                f_tf += b * c.tf * c.f + m * (cosine * c.dm_f - c.tf * grad_chi_f)
+                te_te += b * c.te * c.te - m * e_u
+                te_tf += b * c.te * c.tf
+                tf_tf += b * c.tf * c.tf + m * f_t
+
+        if wp.static(law is not None):  # noqa: SIM102 (the outer test is made at build time)
+            if order == 2:
+                # A law of both curvatures couples them.
+                b = here.coupling / rest
+                ee += b * wp.outer(q_e, q_e)
+                ef += b * wp.outer(q_e, q_f)
+                ff += b * wp.outer(q_f, q_f)
+                e_te += b * q_te * q_e
+                f_te += b * q_te * q_f
+                e_tf += b * q_tf * q_e
+                f_tf += b * q_tf * q_f
+                te_te += b * q_te * q_te
+                te_tf += b * q_te * q_tf
+                tf_tf += b * q_tf * q_tf
+
+        inv_e = ONE / s.length_e
+        inv_f = ONE / s.length_f
+        twist = twisting(
+            twisting_stiffness[r, i], natural_twist[r, i], rest, s, dof_in, reference_twist_in, r, i
+        )
+        before = stretching(stretching_stiffness[r, i - 1], rest_length[r, i - 1], s.length_e, s.t)
+        energy += before.energy + twist.energy
+        g_e = inv_e * g_e + twist.moment * twist.e + before.gradient
+        g_f = inv_f * g_f + twist.moment * twist.f
+        ee = (inv_e * inv_e) * ee + before.hessian
+        ff = (inv_f * inv_f) * ff
+        if last:
+            after = stretching(stretching_stiffness[r, i], rest_length[r, i], s.length_f, s.u)
+            energy += after.energy
+            g_f += after.gradient
+            ff += after.hessian
+        wp.atomic_add(energy_out, r, energy)
+        add_edge_gradient(gradient_out, r, i, g_e, g_f)
+        wp.atomic_add(gradient_out, r, 4 * i - 1, g_te - twist.moment)
+        wp.atomic_add(gradient_out, r, 4 * i + 3, g_tf + twist.moment)
+        if order == 2:
+            b = twist.stiffness
+            twist_ee, twist_ef, twist_ff = twisting_hessian(s, twist)
+            ef = (inv_e * inv_f) * ef
+            add_edge_hessian(hessian_out, r, i, ee + twist_ee, ef + twist_ef, ff + twist_ff)
+            add_angle_hessian(
+                hessian_out,
+                r,
+                i,
+                inv_e * e_te - b * twist.e,
+                inv_f * f_te - b * twist.f,
+                inv_e * e_tf + b * twist.e,
+                inv_f * f_tf + b * twist.f,
+                te_te + b,
+                te_tf - b,
+                tf_tf + b,
+            )
+
+    return elasticity
+
+
+elasticity = make_elasticity()
+
+
+@wp.kernel
+def bending_rate(
+    # Model:
+    rest_length: wp.array2d(dtype=wp.float64),
+    bending_stiffness: wp.array2d(dtype=wp.vec2d),
+    rest_length_rate: wp.array2d(dtype=wp.float64),
+    # State in:
+    dof_in: wp.array2d(dtype=wp.float64),
+    director_in: wp.array2d(dtype=wp.vec3d),
+    # Out:
+    gradient_rate_out: wp.array2d(dtype=wp.float64),
+):
+    """Add the derivative of the gradient along a change of rest lengths."""
+    r, j = wp.tid()
+    i = j + 1
+    s = stencil(dof_in, director_in, r, i)
+    rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
+    rest_rate = HALF * (rest_length_rate[r, i - 1] + rest_length_rate[r, i])
+    for k in range(2):
+        c = component(s, k)
+        rate = -bending_stiffness[r, i][k] * c.kappa / (rest * rest) * rest_rate
+        add_component_rate(gradient_rate_out, r, i, s, c, rate)

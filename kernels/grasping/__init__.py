@@ -1,0 +1,1 @@
+"""Bordered systems of grasps."""

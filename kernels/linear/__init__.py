@@ -1,0 +1,1 @@
+"""Factorisation and solution of banded and skyline systems."""

@@ -1,0 +1,226 @@
+"""Assembly of a rod's matrix with the coupling of its contacts, by blocks of 4 x 4: a node and the
+angle of the edge after it. Where blocks are stored: see `wrod.kernels.linear.skyline`.
+"""
+
+import warp as wp
+from wrod.kernels.contact.rods import Law, Pair, edge_motion, pair_contact
+from wrod.kernels.elastic.frames import ONE, ZERO
+from wrod.kernels.linear.banded import banded_entry
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def free_of(free: wp.array2d(dtype=wp.int32), r: int, v: int, c: int) -> wp.float64:
+    """1 if degree of freedom c of node v is free; the last node has no edge after it."""
+    a = 4 * v + c
+    if a >= free.shape[1]:
+        return ZERO
+    return wp.float64(free[r, a])
+
+
+@wp.func
+def band_block(hessian: wp.array3d(dtype=wp.float64), r: int, v: int, u: int) -> wp.mat44d:
+    out = wp.mat44d()
+    for c in range(4):
+        for d in range(4):
+            a = 4 * v + c
+            b = 4 * u + d
+            if a < hessian.shape[1] and b < hessian.shape[1]:
+                out[c, d] = banded_entry(hessian, r, a, b)
+    return out
+
+
+@wp.func
+def masked(free: wp.array2d(dtype=wp.int32), block: wp.mat44d, r: int, v: int, u: int) -> wp.mat44d:
+    """Rows and columns of prescribed degrees of freedom as those of the identity."""
+    out = block
+    for c in range(4):
+        for d in range(4):
+            out[c, d] = block[c, d] * free_of(free, r, v, c) * free_of(free, r, u, d)
+    if v == u:
+        for c in range(4):
+            out[c, c] = out[c, c] + ONE - free_of(free, r, v, c)
+    return out
+
+
+@wp.kernel
+def fill_band(
+    # State in:
+    coupled: wp.array(dtype=wp.int32),
+    overflow: wp.array(dtype=wp.int32),
+    free: wp.array2d(dtype=wp.int32),
+    hessian: wp.array3d(dtype=wp.float64),
+    shift: wp.array(dtype=wp.float64),
+    rank: wp.array2d(dtype=wp.int32),
+    order: wp.array2d(dtype=wp.int32),
+    first: wp.array2d(dtype=wp.int32),
+    row: wp.array2d(dtype=wp.int32),
+    # State out:
+    block_out: wp.array2d(dtype=wp.mat44d),
+):
+    """Row of node v: blocks of the rod itself, and zero elsewhere. Launched over (rod, node, 5):
+    one for each node near v along the rod."""
+    r, v, k = wp.tid()
+    if coupled[r] == 0 or overflow[r] != 0:
+        return
+    p = rank[r, v]
+    at = row[r, p]
+    for b in range(first[r, p] + k, p, 5):
+        if wp.abs(order[r, b] - v) > 2:
+            block_out[r, at + b] = wp.mat44d()
+    u = v + k - 2
+    if u < 0 or u >= rank.shape[1]:
+        return
+    b = rank[r, u]
+    if b <= p:
+        m = band_block(hessian, r, v, u)
+        if b == p:
+            m = m + shift[r] * wp.identity(4, dtype=wp.float64)
+        block_out[r, at + b] = masked(free, m, r, v, u)
+
+
+@wp.struct
+class Share:
+    """One node's part in a pair: derivative of the distance, of the two closest points (halved),
+    and of the surfaces' relative motion (rows x, y, z)."""
+
+    distance: wp.vec4d
+    first: wp.vec4d
+    second: wp.vec4d
+    x: wp.vec4d
+    y: wp.vec4d
+    z: wp.vec4d
+    weight: wp.float64
+
+
+@wp.func
+def with_zero(v: wp.vec3d) -> wp.vec4d:
+    return wp.vec4d(v[0], v[1], v[2], ZERO)
+
+
+@wp.func
+def share(c: Pair, radius_first: wp.float64, radius_second: wp.float64, k: int) -> Share:
+    """Nodes k = 0, 1 of the first edge, 2, 3 of the second."""
+    out = Share()
+    near = c.near
+    if k == 0:
+        out.weight = ONE - near.s
+    elif k == 1:
+        out.weight = near.s
+    elif k == 2:
+        out.weight = near.t - ONE
+    else:
+        out.weight = -near.t
+    out.distance = (out.weight / near.distance) * with_zero(near.gap)
+    first = out.weight * near.first
+    second = -out.weight * near.second
+    if k == 0:
+        first = first - near.gap
+    elif k == 1:
+        first = first + near.gap
+    elif k == 2:
+        second = second + near.gap
+    else:
+        second = second - near.gap
+    out.first = near.free_s * with_zero(first)
+    out.second = near.free_t * with_zero(second)
+    m = edge_motion(near.first, near.s, -radius_first, c.normal)
+    sign = ONE
+    if k >= 2:
+        m = edge_motion(near.second, near.t, radius_second, c.normal)
+        sign = -ONE
+    part = m.head
+    spin = m.spin
+    if k % 2 == 1:
+        part = m.tail
+        spin = wp.vec3d(ZERO, ZERO, ZERO)
+    out.x = sign * wp.vec4d(part[0, 0], part[0, 1], part[0, 2], spin[0])
+    out.y = sign * wp.vec4d(part[1, 0], part[1, 1], part[1, 2], spin[1])
+    out.z = sign * wp.vec4d(part[2, 0], part[2, 1], part[2, 2], spin[2])
+    return out
+
+
+@wp.func
+def pair_block(
+    c: Pair, force: wp.float64, a: Share, b: Share, inverse_ss: wp.float64,
+    inverse_st: wp.float64, inverse_tt: wp.float64,
+) -> wp.mat44d:  # fmt: skip
+    """Block (a, b) of the pair's matrix: Hessian of its energy, with `force` in the part that comes
+    from the turning of the normal, and stiffness of the bristle."""
+    d = c.near.distance
+    w = a.weight * b.weight
+    curving = wp.diag(wp.vec4d(w, w, w, ZERO))
+    curving = curving - wp.outer(a.first, inverse_ss * b.first + inverse_st * b.second)
+    curving = curving - wp.outer(a.second, inverse_st * b.first + inverse_tt * b.second)
+    out = (c.slope + force / d) * wp.outer(a.distance, b.distance) - (force / d) * curving
+    g = c.grip
+    out = out + wp.outer(a.x, g[0, 0] * b.x + g[0, 1] * b.y + g[0, 2] * b.z)
+    out = out + wp.outer(a.y, g[1, 0] * b.x + g[1, 1] * b.y + g[1, 2] * b.z)
+    out = out + wp.outer(a.z, g[2, 0] * b.x + g[2, 1] * b.y + g[2, 2] * b.z)
+    return out
+
+
+@wp.kernel
+def add_pairs(
+    # Model:
+    law: wp.array(dtype=Law),
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    smoothing: wp.float64,
+    # State in:
+    coupled: wp.array(dtype=wp.int32),
+    overflow: wp.array(dtype=wp.int32),
+    free: wp.array2d(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle: wp.array3d(dtype=wp.vec2d),
+    load: wp.array3d(dtype=wp.float64),
+    sliding: wp.array3d(dtype=wp.int32),
+    sticking: wp.array(dtype=wp.int32),
+    count: wp.array(dtype=wp.int32),
+    touching: wp.array2d(dtype=wp.vec3i),
+    rank: wp.array2d(dtype=wp.int32),
+    row: wp.array2d(dtype=wp.int32),
+    # State in and out:
+    block: wp.array2d(dtype=wp.mat44d),
+):
+    """Add the matrices of all touching pairs of a rod. Launched over (rod, lane).
+
+    They turn with at most the force of the last step: that of a predictor which is deep inside
+    would make the matrix indefinite and lead Newton astray.
+    """
+    r, lane = wp.tid()
+    if coupled[r] == 0 or overflow[r] != 0:
+        return
+    # Sixteen lanes share a pair, where there are as many: one for each of its blocks.
+    parts = wp.min(wp.block_dim(), 16)
+    for n in range(lane // parts, count[r], wp.block_dim() // parts):
+        pair = touching[r, n]
+        i = pair[0]
+        j = pair[1]
+        slot = pair[2]
+        c = pair_contact(
+            law[r], radius, rest_length, dof, dof_before, bristle[r, i, slot], load[r, i, slot],
+            sliding[r, i, slot], sticking[r], r, i, j,
+        )  # fmt: skip
+        held = wp.min(c.force, load[r, i, slot])
+        e = c.near.first
+        f = c.near.second
+        ss = wp.dot(e, e) + smoothing * rest_length[r, i] * rest_length[r, i]
+        tt = wp.dot(f, f) + smoothing * rest_length[r, j] * rest_length[r, j]
+        st = c.near.free_s * c.near.free_t * wp.dot(e, f)
+        det = ss * tt - st * st
+        for k in range(lane % parts, 16, parts):
+            v = pair[k // 8] + k // 4 % 2
+            u = pair[k % 4 // 2] + k % 2
+            p = rank[r, v]
+            q = rank[r, u]
+            if q <= p:
+                a = share(c, radius[r, i], radius[r, j], k // 4)
+                b = share(c, radius[r, i], radius[r, j], k % 4)
+                new = pair_block(c, held, a, b, tt / det, st / det, ss / det)
+                for x in range(4):
+                    for y in range(4):
+                        new[x, y] = new[x, y] * free_of(free, r, v, x) * free_of(free, r, u, y)
+                wp.atomic_add(block, r, row[r, p] + q, new)

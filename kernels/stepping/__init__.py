@@ -1,0 +1,1 @@
+"""Iterations, continuation and time steps."""

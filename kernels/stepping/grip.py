@@ -1,0 +1,86 @@
+"""A grip that carries the end of a rod along a path, and a free end that is held for a while."""
+
+import warp as wp
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, parallel_transport, signed_angle
+
+wp.set_module_options({"enable_backward": False})
+
+THREE = wp.constant(wp.float64(3.0))
+
+
+@wp.func
+def key_position(keys: wp.array2d(dtype=wp.vec3d), r: int, k: int, x: wp.float64) -> wp.vec3d:
+    """Catmull-Rom spline between keys k and k + 1: continuous velocity."""
+    last = keys.shape[1] - 1
+    p0 = keys[r, wp.max(k - 1, 0)]
+    p1 = keys[r, k]
+    p2 = keys[r, wp.min(k + 1, last)]
+    p3 = keys[r, wp.min(k + 2, last)]
+    m1 = HALF * (p2 - p0)
+    m2 = HALF * (p3 - p1)
+    x2 = x * x
+    x3 = x2 * x
+    return (
+        (TWO * x3 - THREE * x2 + ONE) * p1
+        + (x3 - TWO * x2 + x) * m1
+        + (THREE * x2 - TWO * x3) * p2
+        + (x3 - x2) * m2
+    )
+
+
+@wp.kernel
+def prescribe(
+    # Model:
+    interval: wp.float64,
+    position: wp.array2d(dtype=wp.vec3d),
+    rotation: wp.array2d(dtype=wp.quatd),
+    rest_length: wp.array2d(dtype=wp.float64),
+    held_nodes: wp.array(dtype=wp.int32),
+    release_time: wp.array(dtype=wp.float64),
+    let_go_time: wp.array(dtype=wp.float64),
+    # State in:
+    running: wp.array(dtype=wp.int32),
+    time: wp.array(dtype=wp.float64),
+    step: wp.array(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    tangent_before: wp.array2d(dtype=wp.vec3d),
+    director_before: wp.array2d(dtype=wp.vec3d),
+    # State out:
+    free_out: wp.array2d(dtype=wp.int32),
+    dof_out: wp.array2d(dtype=wp.float64),
+):
+    """Hold the first nodes until `release_time` and carry the last edge until `let_go_time`.
+
+    The last edge lies along the grip's x axis, its first material director along the y axis.
+    """
+    r = wp.tid()
+    if running[r] == 0:
+        return
+    now = time[r] + step[r]
+    held = wp.where(now <= release_time[r], 1, 0)
+    for i in range(held_nodes[r]):
+        for c in range(4):
+            free_out[r, 4 * i + c] = 1 - held
+    n = rest_length.shape[1]
+    carried = wp.where(now <= let_go_time[r], 1, 0)
+    for a in range(4 * n - 4, 4 * n + 3):
+        free_out[r, a] = 1 - carried
+    if carried == 0:
+        return
+    at = wp.clamp(now / interval, wp.float64(0.0), wp.float64(position.shape[1] - 1))
+    k = wp.min(int(wp.floor(at)), position.shape[1] - 2)
+    x = at - wp.float64(k)
+    turn = wp.quat_slerp(rotation[r, k], rotation[r, k + 1], x)
+    tangent = wp.quat_rotate(turn, wp.vec3d(ONE, wp.float64(0.0), wp.float64(0.0)))
+    side = wp.quat_rotate(turn, wp.vec3d(wp.float64(0.0), ONE, wp.float64(0.0)))
+    tip = key_position(position, r, k, x)
+    foot = tip - rest_length[r, n - 1] * tangent
+    e = n - 1
+    director = parallel_transport(director_before[r, e], tangent_before[r, e], tangent)
+    angle = dof_before[r, 4 * e + 3]
+    # Continuous beyond a turn.
+    before = wp.cos(angle) * director + wp.sin(angle) * wp.cross(tangent, director)
+    dof_out[r, 4 * e + 3] = angle + signed_angle(before, side, tangent)
+    for c in range(3):
+        dof_out[r, 4 * e + c] = foot[c]
+        dof_out[r, 4 * n + c] = tip[c]

@@ -1,0 +1,339 @@
+"""Tangents of a rod's motion by model parameters.
+
+A parameter's tangent (rod, column, dof) solves the linearised step with the step's own matrix. Its
+angles are those of the material frame against frames parallel-transported from the nominal motion.
+A thread works on `per_thread` columns one after the other: what they share is computed once.
+Arrays of the model with a leading axis of one are shared by all rods.
+"""
+
+import warp as wp
+from wrod.kernels.elastic.assembly import HALF_BANDWIDTH, add_edge_gradient
+from wrod.kernels.elastic.curvature import component, stencil
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node
+from wrod.kernels.linear.banded import banded_entry
+from wrod.kernels.stepping.motion import drag_force, drag_matrix, rate, strain
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def column_node(x: wp.array3d(dtype=wp.float64), r: int, j: int, i: int) -> wp.vec3d:
+    return wp.vec3d(x[r, j, 4 * i], x[r, j, 4 * i + 1], x[r, j, 4 * i + 2])
+
+
+@wp.kernel
+def measure_strain_tangents(
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
+    tangent: wp.array3d(dtype=wp.float64),
+    per_thread: int,
+    strain_out: wp.array3d(dtype=wp.vec3d),
+):
+    """Rates of the strains along every column of `tangent`."""
+    r, i_, group = wp.tid()
+    i = i_ + 1
+    s = stencil(dof, director, r, i)
+    first = component(s, 0)
+    second = component(s, 1)
+    binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
+    last = wp.min(tangent.shape[1], (group + 1) * per_thread)
+    for j in range(group * per_thread, last):
+        middle = column_node(tangent, r, j, i)
+        de = (middle - column_node(tangent, r, j, i - 1)) / s.length_e
+        df = (column_node(tangent, r, j, i + 1) - middle) / s.length_f
+        te = tangent[r, j, 4 * i - 1]
+        tf = tangent[r, j, 4 * i + 3]
+        kappa_1 = wp.dot(first.e, de) + wp.dot(first.f, df) + first.te * te + first.tf * tf
+        kappa_2 = wp.dot(second.e, de) + wp.dot(second.f, df) + second.te * te + second.tf * tf
+        strain_out[r, j, i] = wp.vec3d(kappa_1, kappa_2, tf - te + wp.dot(binormal, de + df))
+
+
+@wp.func
+def law_denominator(b: wp.vec3d, excess: wp.vec3d, c: wp.float64) -> wp.float64:
+    """1 + c sum_k B_k e_k^2 / B over the two bendings, B their mean stiffness."""
+    squares = b[0] * excess[0] * excess[0] + b[1] * excess[1] * excess[1]
+    return ONE + TWO * c * squares / (b[0] + b[1])
+
+
+@wp.func
+def law_denominator_rate(
+    b: wp.vec3d,
+    b_rate: wp.vec3d,
+    excess: wp.vec3d,
+    excess_rate: wp.vec3d,
+    c: wp.float64,
+    c_rate: wp.float64,
+) -> wp.float64:
+    total = b[0] + b[1]
+    squares = b[0] * excess[0] * excess[0] + b[1] * excess[1] * excess[1]
+    change = b_rate[0] * excess[0] * excess[0] + b_rate[1] * excess[1] * excess[1]
+    change += TWO * (b[0] * excess[0] * excess_rate[0] + b[1] * excess[1] * excess_rate[1])
+    change -= squares * (b_rate[0] + b_rate[1]) / total
+    return TWO * (c_rate * squares + c * change) / total
+
+
+@wp.kernel
+def inertial_tangents(
+    # Model:
+    mass: wp.array2d(dtype=wp.float64),
+    linear_drag: wp.array2d(dtype=wp.float64),
+    quadratic_drag: wp.array2d(dtype=wp.float64),
+    gravity: wp.array2d(dtype=wp.vec3d),
+    mass_rate: wp.array2d(dtype=wp.float64),
+    linear_drag_rate: wp.array2d(dtype=wp.float64),
+    quadratic_drag_rate: wp.array2d(dtype=wp.float64),
+    gravity_rate: wp.array2d(dtype=wp.vec3d),
+    spin_inertia: wp.float64,
+    # State in:
+    coefficient: wp.vec3d,
+    dt: wp.float64,
+    dof: wp.array2d(dtype=wp.float64),
+    before: wp.array2d(dtype=wp.float64),
+    older: wp.array2d(dtype=wp.float64),
+    velocity_before: wp.array2d(dtype=wp.float64),
+    velocity_older: wp.array2d(dtype=wp.float64),
+    tangent_before: wp.array3d(dtype=wp.float64),
+    tangent_older: wp.array3d(dtype=wp.float64),
+    velocity_tangent_before: wp.array3d(dtype=wp.float64),
+    velocity_tangent_older: wp.array3d(dtype=wp.float64),
+    # Out:
+    right_hand_side_out: wp.array3d(dtype=wp.float64),
+):
+    """Minus the rate of inertia, weight and drag at a fixed configuration at the step's end."""
+    r, i, j = wp.tid()
+    m = wp.min(r, mass.shape[0] - 1)
+    zero = wp.vec3d(ZERO, ZERO, ZERO)
+    v = rate(coefficient, dt, node(dof, r, i), node(before, r, i), node(older, r, i))
+    a = rate(coefficient, dt, v, node(velocity_before, r, i), node(velocity_older, r, i))
+    g = gravity[m, i]
+    dv = rate(
+        coefficient,
+        dt,
+        zero,
+        column_node(tangent_before, r, j, i),
+        column_node(tangent_older, r, j, i),
+    )
+    da = rate(
+        coefficient,
+        dt,
+        dv,
+        column_node(velocity_tangent_before, r, j, i),
+        column_node(velocity_tangent_older, r, j, i),
+    )
+    force = mass[m, i] * (da - gravity_rate[j, i]) + mass_rate[j, i] * (a - g)
+    force += drag_matrix(v, linear_drag[m, i], quadratic_drag[m, i]) * dv
+    force += drag_force(v, linear_drag_rate[j, i], quadratic_drag_rate[j, i])
+    for c in range(3):
+        right_hand_side_out[r, j, 4 * i + c] = -force[c]
+    if i < mass.shape[1] - 1:
+        k = 4 * i + 3
+        spin = (
+            coefficient[1] * tangent_before[r, j, k] + coefficient[2] * tangent_older[r, j, k]
+        ) / dt
+        turn = coefficient[0] * spin + coefficient[1] * velocity_tangent_before[r, j, k]
+        turn += coefficient[2] * velocity_tangent_older[r, j, k]
+        right_hand_side_out[r, j, k] = -spin_inertia * turn / dt
+
+
+@wp.kernel
+def elastic_tangents(
+    # Model:
+    rest_length: wp.array2d(dtype=wp.float64),
+    stretching: wp.array2d(dtype=wp.float64),
+    stiffness: wp.array2d(dtype=wp.vec3d),
+    rest_strain: wp.array2d(dtype=wp.vec3d),
+    viscous_time: wp.array2d(dtype=wp.vec3d),
+    softening: wp.array2d(dtype=wp.vec2d),
+    rest_length_rate: wp.array2d(dtype=wp.float64),
+    stretching_rate: wp.array2d(dtype=wp.float64),
+    stiffness_rate: wp.array2d(dtype=wp.vec3d),
+    rest_strain_rate: wp.array2d(dtype=wp.vec3d),
+    viscous_time_rate: wp.array2d(dtype=wp.vec3d),
+    softening_rate: wp.array2d(dtype=wp.vec2d),
+    # State in:
+    coefficient: wp.vec3d,
+    dt: wp.float64,
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
+    reference_twist: wp.array2d(dtype=wp.float64),
+    strain_before: wp.array2d(dtype=wp.vec3d),
+    strain_older: wp.array2d(dtype=wp.vec3d),
+    strain_tangent_before: wp.array3d(dtype=wp.vec3d),
+    strain_tangent_older: wp.array3d(dtype=wp.vec3d),
+    per_thread: int,
+    # In and out: (rod x column, dof)
+    right_hand_side: wp.array2d(dtype=wp.float64),
+):
+    """Minus the rate of the elastic and viscous forces at a fixed configuration."""
+    r, i, group = wp.tid()
+    columns = stiffness_rate.shape[0]
+    first_column = group * per_thread
+    last_column = wp.min(columns, first_column + per_thread)
+    # The edge after node i stretches.
+    e = edge(dof, r, i)
+    length_e = wp.length(e)
+    rest_e = rest_length[r, i]
+    stretch = length_e / rest_e - ONE
+    m = wp.min(r, stiffness.shape[0] - 1)
+    for j in range(first_column, last_column):
+        row = r * columns + j
+        pull = stretching_rate[j, i] * stretch
+        pull -= stretching[m, i] * length_e / (rest_e * rest_e) * rest_length_rate[j, i]
+        for c in range(3):
+            wp.atomic_add(right_hand_side, row, 4 * i + c, pull * e[c] / length_e)
+            wp.atomic_add(right_hand_side, row, 4 * i + 4 + c, -pull * e[c] / length_e)
+    if i == 0:
+        return
+    length = HALF * (rest_length[r, i - 1] + rest_length[r, i])
+    now = strain(dof, director, reference_twist, r, i)
+    flow = rate(coefficient, dt, now, strain_before[r, i], strain_older[r, i])
+    s = stencil(dof, director, r, i)
+    first = component(s, 0)
+    second = component(s, 1)
+    binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
+    b = stiffness[m, i]
+    eta = viscous_time[m, i]
+    total = (now + wp.cw_mul(eta, flow)) / length
+    excess = total - rest_strain[m, i]
+    law = softening[m, i]
+    one = law_denominator(b, excess, law[0])
+    secant = law[1] + (ONE - law[1]) / one
+    for j in range(first_column, last_column):
+        length_rate = HALF * (rest_length_rate[j, i - 1] + rest_length_rate[j, i])
+        flow_rate = rate(
+            coefficient,
+            dt,
+            wp.vec3d(ZERO, ZERO, ZERO),
+            strain_tangent_before[r, j, i],
+            strain_tangent_older[r, j, i],
+        )
+        b_rate = stiffness_rate[j, i]
+        change = wp.cw_mul(viscous_time_rate[j, i], flow) + wp.cw_mul(eta, flow_rate)
+        change = change / length - total * (length_rate / length) - rest_strain_rate[j, i]
+        moment = wp.cw_mul(b_rate, excess) + wp.cw_mul(b, change)
+        if law[0] != ZERO:
+            law_rate = softening_rate[j, i]
+            one_rate = law_denominator_rate(b, b_rate, excess, change, law[0], law_rate[0])
+            secant_rate = law_rate[1] * (ONE - ONE / one) - (ONE - law[1]) * one_rate / (one * one)
+            for k in range(2):
+                moment[k] = secant * moment[k] + secant_rate * b[k] * excess[k]
+        row = r * columns + j
+        g_e = (moment[0] * first.e + moment[1] * second.e + moment[2] * binormal) / s.length_e
+        g_f = (moment[0] * first.f + moment[1] * second.f + moment[2] * binormal) / s.length_f
+        add_edge_gradient(right_hand_side, row, i, -g_e, -g_f)
+        g_te = moment[0] * first.te + moment[1] * second.te - moment[2]
+        g_tf = moment[0] * first.tf + moment[1] * second.tf + moment[2]
+        wp.atomic_add(right_hand_side, row, 4 * i - 1, -g_te)
+        wp.atomic_add(right_hand_side, row, 4 * i + 3, -g_tf)
+
+
+@wp.kernel
+def held_tangents(
+    # In: rates of the held nodes (rod, frame, column, 4) and of the rolls (column, 2)
+    held_rate: wp.array4d(dtype=wp.vec3d),
+    roll_rate: wp.array2d(dtype=wp.float64),
+    tangent: wp.array2d(dtype=wp.vec3d),
+    grip_tangent: wp.array3d(dtype=wp.vec3d),
+    dof: wp.array2d(dtype=wp.float64),
+    free: wp.array2d(dtype=wp.int32),
+    time: int,
+    # Out:
+    step_out: wp.array3d(dtype=wp.float64),
+):
+    r, j, k = wp.tid()
+    n = (dof.shape[1] + 1) / 4
+    first = wp.where(k == 0, 0, n - 2)
+    near = held_rate[r, time, j, 2 * k]
+    far = held_rate[r, time, j, 2 * k + 1]
+    for c in range(3):
+        step_out[r, j, 4 * first + c] = near[c]
+        step_out[r, j, 4 * first + 4 + c] = far[c]
+    if free[r, 4 * first + 3] == 0:
+        t = tangent[r, first]
+        g = grip_tangent[r, time, k]
+        turned = (far - near) / wp.length(edge(dof, r, first))
+        # Carrying the director from the grip to a tangent that turns leaves it half this spin.
+        spin = wp.dot(wp.cross(g, t), turned) / (ONE + wp.dot(g, t))
+        step_out[r, j, 4 * first + 3] = roll_rate[j, k] - spin
+
+
+@wp.kernel
+def subtract_held(
+    hessian: wp.array3d(dtype=wp.float64),
+    held: wp.array3d(dtype=wp.float64),
+    rows: int,
+    # In and out:
+    x: wp.array3d(dtype=wp.float64),
+):
+    """Take the matrix times what is held, nodes and angle of the edge at each end, from x."""
+    r, j, k = wp.tid()
+    n = held.shape[2]
+    first = int(0)
+    a = int(k)
+    if k >= rows:
+        first = n - 7
+        a = n - 1 - (k - rows)
+    value = ZERO
+    for b in range(wp.max(first, a - HALF_BANDWIDTH), wp.min(first + 7, a + HALF_BANDWIDTH + 1)):
+        value += banded_entry(hessian, r, a, b) * held[r, j, b]
+    wp.atomic_sub(x, r, j, a, value)
+
+
+@wp.kernel
+def finish_tangents(
+    free: wp.array2d(dtype=wp.int32),
+    coefficient: wp.vec3d,
+    dt: wp.float64,
+    solution: wp.array3d(dtype=wp.float64),
+    held: wp.array3d(dtype=wp.float64),
+    # In and out:
+    tangent: wp.array3d(dtype=wp.float64),
+    older: wp.array3d(dtype=wp.float64),
+    velocity: wp.array3d(dtype=wp.float64),
+    velocity_older: wp.array3d(dtype=wp.float64),
+):
+    """Shift the tangents' history by a step."""
+    r, j, a = wp.tid()
+    now = solution[r, j, a] + held[r, j, a]
+    v = coefficient[0] * now + coefficient[1] * tangent[r, j, a] + coefficient[2] * older[r, j, a]
+    velocity_older[r, j, a] = velocity[r, j, a]
+    velocity[r, j, a] = v / dt
+    older[r, j, a] = tangent[r, j, a]
+    tangent[r, j, a] = now
+
+
+@wp.func
+def turned_shift(
+    o: wp.vec3d, t: wp.vec3d, m1: wp.vec3d, m2: wp.vec3d, dt: wp.vec3d, spin: wp.float64
+) -> wp.vec3d:
+    """Rate of o_1 m1 + o_2 m2 + o_3 t as t turns by dt and the frame spins."""
+    d1 = spin * m2 - wp.dot(dt, m1) * t
+    d2 = -spin * m1 - wp.dot(dt, m2) * t
+    return o[0] * d1 + o[1] * d2 + o[2] * dt
+
+
+@wp.kernel
+def observe_tangents(
+    place: wp.array(dtype=wp.int32),
+    offset: wp.array2d(dtype=wp.vec3d),
+    offset_rate: wp.array2d(dtype=wp.vec3d),
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
+    tangent: wp.array3d(dtype=wp.float64),
+    frame: int,
+    # Out: (rod, frame, marker, column)
+    rate_out: wp.array4d(dtype=wp.vec3d),
+):
+    r, k, j = wp.tid()
+    i = place[k]
+    s = stencil(dof, director, r, i)
+    o = offset[wp.min(r, offset.shape[0] - 1), k]
+    d = offset_rate[j, k]
+    e = column_node(tangent, r, j, i) - column_node(tangent, r, j, i - 1)
+    f = column_node(tangent, r, j, i + 1) - column_node(tangent, r, j, i)
+    e = (e - wp.dot(e, s.t) * s.t) / s.length_e
+    f = (f - wp.dot(f, s.u) * s.u) / s.length_f
+    shift = d[0] * (s.m1e + s.m1f) + d[1] * (s.m2e + s.m2f) + d[2] * (s.t + s.u)
+    shift += turned_shift(o, s.t, s.m1e, s.m2e, e, tangent[r, j, 4 * i - 1])
+    shift += turned_shift(o, s.u, s.m1f, s.m2f, f, tangent[r, j, 4 * i + 3])
+    rate_out[r, frame, k, j] = column_node(tangent, r, j, i) + HALF * shift

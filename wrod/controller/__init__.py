@@ -1,0 +1,1 @@
+"""Controllers: trained networks that answer with optimal grasps."""

@@ -1,0 +1,227 @@
+"""The neural controller: optimal grasps from a trained network (Sec. Training the Neural
+Controller), in NumPy, or in torch where torch tensors come in."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import warnings
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from wrod.controller.curved import curved, twisted
+from wrod.controller.model import chain, paper
+from wrod.errors import DataError, GraspError, OutOfRangeWarning
+from wrod.files import write_atomically
+
+_FORMAT = "wrod-controller-1"
+# Networks by name, each of (xp, parameters, (n, 3) inputs): position, rotation vector and force or
+# None, each (n, 3), and twist (n,), without which the rotation is given, or None. Parameters are
+# "weight.i" and "bias.i" of the layers, and mean and scale of what is standardised.
+ARCHITECTURES = {"chain": chain, "paper": paper, "curved": curved}
+_INPUTS = ("suspended_length", "curvature", "stretch_ratio")
+# Inputs are computed from SI values; their rounding is not out of range.
+_SLACK = 1e-9
+# Differences of a rod that are below what a controller errs by: in natural curvature [1/L_gb] and
+# in Poisson's ratio.
+_SAME_CURVATURE, _SAME_POISSON = 5e-4, 1e-3
+
+
+class Controller:
+    """A trained map from (l_s, kappa, k_s) to the optimal grasp, of all straight rods or of one
+    naturally curved rod.
+
+    Attributes:
+        metadata: architecture, range, command, seed, versions and figures of the training.
+        closure: that of the grasps it learnt.
+        natural_curvature: (left, up) of the rods it was made for, as they are laid [1/L_gb].
+        poisson: of the rod that it was made for; None for straight ones, which are not twisted.
+        range: smallest and largest of each input that it was trained for; of the curvature, the
+            absolute value counts.
+    """
+
+    def __init__(self, parameters: dict[str, np.ndarray], metadata: dict):
+        self.metadata = metadata
+        self.closure = str(metadata["closure"])
+        self.range = {name: tuple(metadata["range"][name]) for name in _INPUTS}
+        rod = metadata.get("rod") or {}
+        left, up = rod.get("natural_curvature", (0.0, 0.0))
+        self.natural_curvature = (float(left), float(up))
+        twists = self.natural_curvature != (0.0, 0.0)
+        self.poisson = float(rod["poisson"]) if twists else None
+        self._parameters = parameters
+        self._network = ARCHITECTURES[metadata["architecture"]]
+        self._on_device: dict = {}
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str] | None = None) -> Controller:
+        """Read a controller that `wrod train` wrote; None is the one that ships with the package.
+
+        Raises:
+            DataError: the file is missing, truncated or not a controller.
+        """
+        if path is None:
+            path = resources.files("wrod.scenes") / "controller" / "default.safetensors"
+        from safetensors import SafetensorError, safe_open
+
+        try:
+            with safe_open(str(path), framework="numpy") as file:
+                label = (file.metadata() or {}).get("wrod", "null")
+                parameters = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            metadata = json.loads(label)
+        except (OSError, TypeError, ValueError, SafetensorError) as error:
+            raise DataError(
+                f"{path}: not a readable controller ({error}); make one with `wrod train`"
+            ) from None
+        if not isinstance(metadata, dict) or metadata.get("format") != _FORMAT:
+            raise DataError(f"{path}: is not a {_FORMAT} file; make one with `wrod train`")
+        try:
+            controller = cls(parameters, metadata)
+            probe = np.array([[low for low, _ in controller.range.values()]])
+            position, rotation, *_ = controller._network(np, parameters, probe)
+            whole = position.shape == rotation.shape == (1, 3)
+            whole &= bool(np.isfinite(position).all() and np.isfinite(rotation).all())
+        except (AttributeError, KeyError, TypeError, ValueError, IndexError):
+            whole = False
+        if not whole:
+            raise DataError(f"{path}: its weights or metadata do not fit together; train it again")
+        return controller
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write weights and metadata as safetensors."""
+        from safetensors.numpy import save
+
+        label = json.dumps({**self.metadata, "format": _FORMAT})
+        content = save(self._parameters, metadata={"wrod": label})
+        return write_atomically(path, lambda file: file.write(content), "wb")
+
+    def predict(self, suspended_length, curvature, stretch_ratio):
+        """Optimal grasps.
+
+        Args:
+            suspended_length, curvature, stretch_ratio: (n,) arrays that broadcast: l_s [L_gb],
+                signed kappa [1/L_gb], k_s [-].
+
+        Returns:
+            position (n, 3) [L_gb] and rotation vector (n, 3) [rad] in the contact frame, as
+            `wrod.solve_grasps` gives them: float64 NumPy, or tensors of the input's kind, device
+            and graph if one input is a torch tensor.
+
+        Raises:
+            GraspError: an input is not finite, not positive, or the shapes do not broadcast.
+
+        Warns:
+            OutOfRangeWarning: some inputs are outside `range`.
+        """
+        position, rotation, _ = self.predict_with_force(suspended_length, curvature, stretch_ratio)
+        return position, rotation
+
+    def predict_with_force(self, suspended_length, curvature, stretch_ratio):
+        """As `predict`, and the force (n, 3) [k_b/L_gb^2] on the suspended rod at the contact, or
+        None where the network does not know it."""
+        return self.predict_with_twist(suspended_length, curvature, stretch_ratio)[:3]
+
+    def predict_with_twist(self, suspended_length, curvature, stretch_ratio):
+        """As `predict_with_force`, and the twist (n,) between contact and grip [rad], which may be
+        more than a turn; None for straight rods."""
+        xp, inputs = self._inputs(suspended_length, curvature, stretch_ratio)
+        plain = inputs if xp is np else inputs.detach().cpu().numpy()
+        outside = self.out_of_range(*plain.T)
+        if outside.any():
+            first = plain[np.argmax(outside)]
+            bounds = ", ".join(f"{n} {lo:g} to {hi:g}" for n, (lo, hi) in self.range.items())
+            warnings.warn(
+                f"{outside.sum()} of {len(plain)} grasps are outside the trained range ({bounds}; "
+                f"first: {first[0]:.4g}, {first[1]:.4g}, {first[2]:.4g}) and may be wrong; use "
+                "the numeric solver there (method 'auto')",
+                OutOfRangeWarning,
+                stacklevel=4,
+            )
+        position, rotation, force, twist = self._network(xp, self._tensors(xp, inputs), inputs)
+        if twist is not None:
+            rotation = twisted(xp, rotation, twist)
+        return position, rotation, force, twist
+
+    def side_of(self, natural_curvature: tuple[float, float], poisson: float) -> float:
+        """1 for a rod that is held with the natural curvature (left, up) [1/L_gb] that the
+        controller was made for, -1 for its mirror image, whose grasps are mirror images too.
+
+        Raises:
+            GraspError: it was made for another rod.
+        """
+        left, up = natural_curvature
+        own_left, own_up = self.natural_curvature
+        for side in (1.0, -1.0):
+            apart = max(abs(side * left - own_left), abs(up - own_up))
+            twists = self.poisson is not None
+            if apart <= _SAME_CURVATURE:
+                if twists and abs(poisson - self.poisson) > _SAME_POISSON:
+                    raise GraspError(
+                        f"the controller was made for a rod with Poisson's ratio {self.poisson:g} "
+                        f"and this one has {poisson:g}; train one for it with `wrod dataset --rod` "
+                        "and `wrod train`, or use method 'numeric'"
+                    )
+                return side
+        made, left, up = "naturally straight rods", round(left, 6) + 0.0, round(up, 6) + 0.0
+        if self.poisson is not None:
+            made = f"a natural curvature of ({own_left:.4g}, {own_up:.4g}) / L_gb (left, up)"
+        raise GraspError(
+            f"the controller was made for {made} and this rod is held with ({left:.4g}, {up:.4g}) "
+            "/ L_gb; train one for it with `wrod dataset --rod` and `wrod train`, or use method "
+            "'numeric'"
+        )
+
+    def within(self, name: str, low: float, high: float) -> Controller:
+        """The same controller for a smaller range of one input."""
+        limits = {**self.metadata["range"], name: [low, high]}
+        return Controller(self._parameters, {**self.metadata, "range": limits})
+
+    def out_of_range(self, suspended_length, curvature, stretch_ratio) -> np.ndarray:
+        """(n,) whether the controller was not trained for an input."""
+        values = np.broadcast_arrays(suspended_length, np.abs(curvature), stretch_ratio)
+        outside = np.zeros(values[0].shape, dtype=bool)
+        for (low, high), value in zip(self.range.values(), values, strict=True):
+            outside |= (value < low * (1.0 - _SLACK)) | (value > high * (1.0 + _SLACK))
+        return outside
+
+    def _inputs(self, *inputs):
+        torch = sys.modules.get("torch")
+        if torch is not None and any(isinstance(value, torch.Tensor) for value in inputs):
+            like = next(value for value in inputs if isinstance(value, torch.Tensor))
+            kind = like.dtype if like.dtype.is_floating_point else torch.float64
+            tensors = [torch.as_tensor(v, dtype=kind, device=like.device) for v in inputs]
+            xp, stack = torch, lambda arrays: torch.stack(arrays, -1)
+            broadcast, finite = torch.broadcast_tensors, torch.isfinite
+            tensors = [torch.atleast_1d(tensor) for tensor in tensors]
+        else:
+            xp, stack = np, lambda arrays: np.stack(arrays, -1)
+            broadcast, finite = np.broadcast_arrays, np.isfinite
+            tensors = [np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in inputs]
+        try:
+            tensors = broadcast(*tensors)
+        except (ValueError, RuntimeError):
+            shapes = ", ".join(str(tuple(tensor.shape)) for tensor in tensors)
+            raise GraspError(f"grasp inputs have shapes {shapes}, which do not broadcast") from None
+        if tensors[0].ndim != 1:
+            shape = tuple(tensors[0].shape)
+            raise GraspError(f"grasp inputs have shape {shape}; give one-dimensional arrays")
+        for name, value in zip(_INPUTS, tensors, strict=True):
+            good = finite(value) if name == "curvature" else finite(value) & (value > 0.0)
+            if not bool(good.all()):
+                bad = int(good.tolist().index(False))
+                raise GraspError(f"{name}[{bad}] is {float(value[bad]):g}; give a usable number")
+        return xp, stack(list(tensors))
+
+    def _tensors(self, xp, inputs):
+        if xp is np:
+            return self._parameters
+        key = (inputs.dtype, inputs.device)
+        if key not in self._on_device:
+            self._on_device[key] = {
+                name: xp.as_tensor(value, dtype=inputs.dtype, device=inputs.device)
+                for name, value in self._parameters.items()
+            }
+        return self._on_device[key]

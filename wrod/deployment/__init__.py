@@ -1,0 +1,1 @@
+"""Deployment in simulation: a grip lays a rod on a table, between fixtures or without."""

@@ -1,0 +1,307 @@
+"""Fixtures on the table: posts and clips, between which a cable is to be laid.
+
+A scene file is JSON, in metres, in the pattern's frame; z = 0 is the table:
+
+    {"format": "wrod-fixtures-1", "name": "U",
+     "fixtures": [
+       {"name": "left", "cylinder": {"center": [0, 0.02, 0], "radius": 0.005, "height": 0.006}},
+       {"name": "right", "box": {"center": [0, -0.02, 0], "size": [0.02, 0.01, 0.006], "yaw": 0}}],
+     "gates": [["left", "right"]], "note": "why they stand there"}
+
+Fixtures stand on their `center` and rise by their height (a box's third size); yaw is in degrees.
+A gate is the gap between two fixtures, named as they stand to the left and to the right of the
+cable, and gates are listed in the order in which the cable passes them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wrod.errors import SceneError
+from wrod.files import write_atomically
+from wrod.patterns.pattern import Pattern
+from wrod.solvers.contact import Box, Cylinder, Plane
+
+_FORMAT = "wrod-fixtures-1"
+# A rod is at rest if no part of it is faster [m/s].
+_STILL = 1e-3
+
+
+@dataclass(frozen=True)
+class Fixture:
+    """A post or the wall of a clip.
+
+    Attributes:
+        name: what gates call it.
+        shape: a `Cylinder` (upright) or `Box` [m].
+    """
+
+    name: str
+    shape: Box | Cylinder
+
+    @property
+    def top(self) -> float:
+        """Height of its upper end above the table [m]."""
+        half = (
+            self.shape.half_height if isinstance(self.shape, Cylinder) else self.shape.half_size[2]
+        )
+        return self.shape.center[2] + half
+
+    @property
+    def yaw(self) -> float:
+        """Rotation of a box about the vertical [rad]."""
+        if isinstance(self.shape, Cylinder):
+            return 0.0
+        _, _, z, w = self.shape.rotation
+        return 2.0 * math.atan2(z, w)
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Whether a cable lies between the fixtures.
+
+    Attributes:
+        gates: (gate,) whether it passes each gate, once, from the right side and below the tops.
+        order: whether it passes the gates in their order.
+        still: whether it is at rest.
+        placed: all of it.
+    """
+
+    gates: np.ndarray
+    order: bool
+    still: bool = True
+
+    @property
+    def placed(self) -> bool:
+        return bool(self.gates.all() and self.order and self.still)
+
+    def __str__(self) -> str:
+        if self.placed:
+            return f"between the fixtures of all {len(self.gates)} gates"
+        missed = ", ".join(str(k + 1) for k in np.flatnonzero(~self.gates))
+        if missed:
+            return f"not in gate {missed}"
+        return "gates passed out of order" if not self.order else "still moving"
+
+
+@dataclass(frozen=True)
+class Fixtures:
+    """All fixtures of a scene, and its gates.
+
+    Attributes:
+        items: the fixtures.
+        gates: pairs of names (left, right), in the order in which the cable passes them.
+        name: of the scene.
+        note: where it comes from.
+    """
+
+    items: tuple[Fixture, ...]
+    gates: tuple[tuple[str, str], ...] = ()
+    name: str = "fixtures"
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        names = [item.name for item in self.items]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise SceneError(f"{self.name}: fixture {min(twice)!r} is named twice")
+        for gate in self.gates:
+            for name in gate:
+                if name not in names:
+                    raise SceneError(
+                        f"{self.name}: gate {list(gate)} names {name!r}, which is no fixture"
+                    )
+
+    @property
+    def shapes(self) -> tuple:
+        """What rods touch: the table and the fixtures."""
+        return (Plane(), *(item.shape for item in self.items))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Fixtures:
+        """Read a scene file.
+
+        Raises:
+            SceneError: the file is missing or not such a scene; names the fixture.
+        """
+        path = Path(path)
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise SceneError(f"{path}: not a readable scene file ({error})") from None
+        if not isinstance(data, dict) or data.get("format") != _FORMAT:
+            raise SceneError(f"{path}: give a JSON object whose format is {_FORMAT!r}")
+        unknown = set(data) - {"format", "name", "fixtures", "gates", "note"}
+        if unknown:
+            raise SceneError(f"{path}: unknown entry {min(unknown)!r}")
+        entries, gates = data.get("fixtures"), data.get("gates", [])
+        if not isinstance(entries, list) or not entries:
+            raise SceneError(f"{path}: 'fixtures' must be a list of one or more")
+        if not isinstance(gates, list) or not all(
+            isinstance(g, list) and len(g) == 2 and all(isinstance(n, str) for n in g)
+            for g in gates
+        ):
+            raise SceneError(f"{path}: 'gates' must be a list of pairs of names")
+        items = tuple(_fixture(entry, f"{path}: fixture {k}") for k, entry in enumerate(entries))
+        name, note = str(data.get("name", path.stem)), str(data.get("note", ""))
+        return cls(items, tuple((left, right) for left, right in gates), name, note)
+
+    @classmethod
+    def along(
+        cls,
+        pattern: Pattern,
+        stations: np.ndarray,
+        *,
+        gap: float | np.ndarray,
+        radius: float = 0.005,
+        height: float = 0.008,
+        name: str | None = None,
+    ) -> Fixtures:
+        """A pair of posts on both sides of a pattern at each station.
+
+        Args:
+            pattern: the cable's way.
+            stations: (n,) arc lengths [m].
+            gap: (n,) clear width between the posts of each pair [m].
+            radius, height: of the posts [m].
+        """
+        position, tangent, _ = pattern.sample(np.asarray(stations, dtype=float))
+        gap = np.broadcast_to(np.asarray(gap, dtype=float), (len(position),))
+        items, gates = [], []
+        for k, (point, along) in enumerate(zip(position, tangent, strict=True)):
+            side = np.array([-along[1], along[0]]) * (gap[k] / 2 + radius)
+            names = (f"{k + 1}-left", f"{k + 1}-right")
+            for label, sign in zip(names, (1.0, -1.0), strict=True):
+                x, y = np.round(point[:2] + sign * side, 5)
+                post = Cylinder((float(x), float(y), height / 2), radius, height / 2)
+                items.append(Fixture(label, post))
+            gates.append(names)
+        return cls(tuple(items), tuple(gates), name or pattern.name)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write a scene file that `load` reads."""
+        entries = []
+        for item in self.items:
+            shape = item.shape
+            x, y, z = (float(v) for v in shape.center)
+            if isinstance(shape, Cylinder):
+                what = {
+                    "cylinder": {
+                        "center": [x, y, round(z - shape.half_height, 9)],
+                        "radius": shape.radius,
+                        "height": 2 * shape.half_height,
+                    }
+                }
+            else:
+                what = {
+                    "box": {
+                        "center": [x, y, round(z - shape.half_size[2], 9)],
+                        "size": [2 * v for v in shape.half_size],
+                        "yaw": math.degrees(item.yaw),
+                    }
+                }
+            entries.append({"name": item.name, **what})
+
+        def write(file):
+            note = {"note": self.note} if self.note else {}
+            head = json.dumps({"format": _FORMAT, "name": self.name, **note})[:-1]
+            rows = ",\n  ".join(json.dumps(entry) for entry in entries)
+            gates = ", ".join(json.dumps(gate) for gate in self.gates)
+            file.write(f'{head},\n "fixtures": [\n  {rows}],\n "gates": [{gates}]}}\n')
+
+        return write_atomically(path, write)
+
+    def judge(self, centerline: np.ndarray, radius: float, speed: float = 0.0) -> Placement:
+        """Whether a rod lies between the fixtures, and stays there.
+
+        It passes a gate if its centreline, seen from above, crosses the line between the two
+        fixtures exactly once, with the left fixture to its left, and if the rod's middle is there
+        below both tops. It stays if no part of it moves faster than 1 mm/s.
+
+        Args:
+            centerline: (node, 3), z from the height at which a rod rests on the table [m].
+            radius: of the rod [m].
+            speed: of its fastest part [m/s].
+        """
+        by_name = {item.name: item for item in self.items}
+        passed, places = [], []
+        for names in self.gates:
+            left, right = (by_name[name] for name in names)
+            at = _passes(
+                centerline, np.array(left.shape.center[:2]), np.array(right.shape.center[:2])
+            )
+            low = min(left.top, right.top)
+            good = len(at) == 1 and at[0][1] > 0 and at[0][2] + radius < low
+            passed.append(good)
+            places.append(at[0][0] if at else -1.0)
+        gates = np.array(passed, dtype=bool)
+        through = np.array(places)[gates] if len(gates) else np.zeros(0)
+        return Placement(gates, bool((np.diff(through) > 0).all()), speed < _STILL)
+
+
+def _passes(line: np.ndarray, left: np.ndarray, right: np.ndarray) -> list[tuple]:
+    """(place along the line in nodes, +1 if `left` is to its left, height) of each crossing of the
+    segment between two points, seen from above."""
+    start, step = line[:-1, :2], np.diff(line[:, :2], axis=0)
+    across = right - left
+    area = step[:, 0] * across[1] - step[:, 1] * across[0]
+    gap = left - start
+    safe = np.where(area == 0.0, 1.0, area)
+    a = (gap[:, 0] * across[1] - gap[:, 1] * across[0]) / safe
+    b = (gap[:, 0] * step[:, 1] - gap[:, 1] * step[:, 0]) / safe
+    hit = (area != 0.0) & (a >= 0.0) & (a < 1.0) & (b > 0.0) & (b < 1.0)
+    height = line[:-1, 2] + a * np.diff(line[:, 2])
+    return [(k + a[k], -int(np.sign(area[k])), height[k]) for k in np.flatnonzero(hit)]
+
+
+def _fixture(entry, where: str) -> Fixture:
+    if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
+        raise SceneError(f"{where}: give an object with a name")
+    where = f"{where} ({entry['name']})"
+    kinds = set(entry) - {"name"}
+    if kinds == {"cylinder"}:
+        values = _numbers(entry["cylinder"], {"center": 3, "radius": 1, "height": 1}, {}, where)
+        half = values["height"][0] / 2
+        x, y, z = values["center"]
+        if half <= 0 or values["radius"][0] <= 0:
+            raise SceneError(f"{where}: radius and height must be positive")
+        return Fixture(entry["name"], Cylinder((x, y, z + half), values["radius"][0], half))
+    if kinds == {"box"}:
+        values = _numbers(entry["box"], {"center": 3, "size": 3}, {"yaw": 0.0}, where)
+        half = [v / 2 for v in values["size"]]
+        if min(half) <= 0:
+            raise SceneError(f"{where}: sizes must be positive")
+        turn = math.radians(values["yaw"][0]) / 2
+        x, y, z = values["center"]
+        rotation = (0.0, 0.0, math.sin(turn), math.cos(turn))
+        return Fixture(entry["name"], Box((x, y, z + half[2]), tuple(half), rotation))
+    raise SceneError(f"{where}: give either 'cylinder' or 'box', and nothing else but the name")
+
+
+def _numbers(entry, wanted: dict, optional: dict, where: str) -> dict[str, list[float]]:
+    if not isinstance(entry, dict):
+        raise SceneError(f"{where}: give {', '.join(wanted)}")
+    unknown = set(entry) - set(wanted) - set(optional)
+    if unknown:
+        raise SceneError(f"{where}: unknown entry {min(unknown)!r}")
+    out = {name: [value] for name, value in optional.items()}
+    for name, count in [*wanted.items(), *((n, 1) for n in optional if n in entry)]:
+        value = entry.get(name)
+        values = value if count > 1 else [value]
+        number = (int, float)
+        if (
+            not isinstance(values, list)
+            or len(values) != count
+            or not all(isinstance(v, number) and not isinstance(v, bool) for v in values)
+            or not all(math.isfinite(v) for v in values)
+        ):
+            what = "a finite number" if count == 1 else f"{count} finite numbers"
+            raise SceneError(f"{where}: {name} is {value!r}; give {what} [m]")
+        out[name] = [float(v) for v in values]
+    return out

@@ -1,0 +1,166 @@
+"""The grip's motion in time: from a trajectory over the laid length to poses over seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from wrod.kernels.stepping import grip as kernels
+from wrod.rods.batch import RodBatch, RodState
+
+# Spacing of the keys between which the grip moves smoothly [s].
+KEY_INTERVAL = 0.02
+# The grip's pace is looked at every millimetre, and changes over a centimetre of laid rod [m].
+_PACE_SPACING, _PACE_WIDTH = 0.001, 0.01
+
+
+class GripPath:
+    """Grip pose over the laid length (numbers that never decrease).
+
+    Args:
+        laid: (T,) laid length [m].
+        position: (T, 3) grip position [m].
+        rotation: (T, 3, 3) grip frame.
+    """
+
+    def __init__(self, laid: np.ndarray, position: np.ndarray, rotation: np.ndarray):
+        self._position = CubicSpline(laid, position)
+        self._rotation = RotationSpline(laid, Rotation.from_matrix(rotation))
+        self.first, self.last = float(laid[0]), float(laid[-1])
+
+    def timed(self, speed: float) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
+        """Time law along the path: its duration [s], and the laid length [m] at t (n,).
+
+        The contact moves at `speed` [m/s], and slower where the grip would have to move faster
+        than on a straight line, where it goes down as fast as forward.
+        """
+        count = max(int((self.last - self.first) / _PACE_SPACING), 8) + 1
+        laid = np.linspace(self.first, self.last, count)
+        pace = np.linalg.norm(self._position(laid, 1), axis=1) / np.sqrt(2.0)
+        pace = gaussian_filter1d(np.maximum(pace, 1.0), _PACE_WIDTH / _PACE_SPACING)
+        cell = laid[1] - laid[0]
+        way = np.concatenate([[0.0], np.cumsum(0.5 * cell * (pace[1:] + pace[:-1]))])
+        duration, covered = travel(float(way[-1]), speed)
+        laid_at = PchipInterpolator(way, laid)
+        return duration, lambda t: laid_at(np.clip(covered(t), 0.0, way[-1]))
+
+    def __call__(self, laid: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        laid = np.clip(laid, self.first, self.last)
+        return self._position(laid), self._rotation(laid)
+
+
+def travel(
+    distance: float, speed: float, ease: float = 0.4
+) -> tuple[float, Callable[[np.ndarray], np.ndarray]]:
+    """Smooth time law over `distance`: its duration [s], and the distance covered at t (n,).
+
+    Speed rises and falls over `ease` seconds each with the quintic smoothstep.
+    """
+    if distance <= 0.0:
+        return 0.0, lambda t: np.zeros_like(t)
+    if distance < speed * ease:
+        speed = distance / ease
+    duration = distance / speed + ease
+
+    def ramp(x):  # integral of the smoothstep from 0 to x, in 0...1
+        x = np.clip(x, 0.0, 1.0)
+        return x**6 - 3.0 * x**5 + 2.5 * x**4
+
+    def covered(t):
+        t = np.clip(t, 0.0, duration)
+        rising = ease * ramp(t / ease) + np.maximum(t - ease, 0.0)
+        falling = np.maximum(t - (duration - ease), 0.0)
+        # What full speed would have covered since braking began, less what was covered.
+        lost = falling - ease * (0.5 - ramp(1.0 - falling / ease))
+        return speed * (rising - np.where(falling > 0.0, lost, 0.0))
+
+    return duration, covered
+
+
+def smooth_noise(rng: np.random.Generator, count: int, size: float, width: float) -> np.ndarray:
+    """(count, 3) noise of standard deviation `size`, smooth over `width` samples."""
+    reach = int(np.ceil(4 * width))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
+    kernel /= np.linalg.norm(kernel)
+    white = rng.standard_normal((3, count + 2 * reach))
+    return size * np.stack([np.convolve(w, kernel, mode="valid") for w in white], axis=1)
+
+
+@dataclass(frozen=True)
+class GripSchedule:
+    """One rod's grip over time, sampled every `KEY_INTERVAL` seconds.
+
+    Attributes:
+        position: (key, 3) [m].
+        rotation: (key, 4) quaternions xyzw, neighbours in one hemisphere.
+        held_nodes: how many first nodes stand still until `release_time` [s].
+        let_go_time: when the grip opens [s].
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    held_nodes: int
+    release_time: float
+    let_go_time: float
+
+    def poses(self, time: np.ndarray) -> np.ndarray:
+        """(n, 4, 4) poses at times (n,) [s], at rest after the last key [m]."""
+        keys = np.minimum(np.rint(time / KEY_INTERVAL).astype(int), len(self.position) - 1)
+        out = np.tile(np.eye(4), (len(keys), 1, 1))
+        out[:, :3, 3] = self.position[keys]
+        out[:, :3, :3] = Rotation.from_quat(self.rotation[keys]).as_matrix()
+        return out
+
+
+class GripMotion:
+    """Carries the last edge of every rod of a batch (a `wrod.solvers.dynamics.Motion`)."""
+
+    def __init__(self, batch: RodBatch, schedules: list[GripSchedule]):
+        self.batch, device = batch, batch.device
+        keys = max(len(s.position) for s in schedules)
+
+        def padded(name):
+            tables = [getattr(s, name) for s in schedules]
+            return np.stack(
+                [np.concatenate([t, np.repeat(t[-1:], keys - len(t), axis=0)]) for t in tables]
+            )
+
+        def floats(name):
+            values = [getattr(s, name) for s in schedules]
+            return wp.array(values, dtype=wp.float64, device=device)
+
+        self.position = wp.array(padded("position"), dtype=wp.vec3d, device=device)
+        self.rotation = wp.array(padded("rotation"), dtype=wp.quatd, device=device)
+        held = [s.held_nodes for s in schedules]
+        self.held_nodes = wp.array(held, dtype=wp.int32, device=device)
+        self.release_time, self.let_go_time = floats("release_time"), floats("let_go_time")
+
+    def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
+        batch = self.batch
+        wp.launch(
+            kernels.prescribe,
+            dim=batch.rod_count,
+            inputs=[
+                wp.float64(KEY_INTERVAL),
+                self.position,
+                self.rotation,
+                batch.rest_length,
+                self.held_nodes,
+                self.release_time,
+                self.let_go_time,
+                running,
+                time,
+                step,
+                start.dof,
+                start.tangent,
+                start.director,
+            ],
+            outputs=[batch.free, batch.state.dof],
+            device=batch.device,
+        )

@@ -1,0 +1,120 @@
+"""What a simulated deployment left on the table, and how far that is from the pattern."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from wrod.errors import DataError
+from wrod.files import write_atomically
+from wrod.patterns.pattern import Pattern
+
+# Points of the accuracy metric (Eq. metric, N = 50).
+METRIC_POINTS = 50
+_FORMAT = "wrod-deployment-1"
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """A simulated deployment. SI units; heights are those of the pattern's plane, in which the
+    centreline of a rod lies that rests on the table.
+
+    Attributes:
+        arc_length: (node,) rest arc length from the free end, including a remainder [m].
+        centerline: (node, 3) the rod at the end of the pattern, the grip still holding [m].
+        error_mean, error_std: e_mean and sigma (Eq. metric) of that rod: horizontal distances
+            between points of the same arc length on pattern and rod [m].
+        released_centerline, released_error_mean, released_error_std: the same after the grip laid
+            the tail down and let go.
+        contact_force: (node, 3) force of table and fixtures on each node, the grip still holding
+            [N].
+        slip: (node,) how far each node slid on the table until then [m].
+        diverged: no step converged any more; everything above is from the last good step.
+        duration: simulated time [s].
+        steps: time steps taken.
+        frames: (frame, node, 3) the rod at the multiples of the frame interval [m], or None.
+        hand: (frame, 4, 4) pose of the grip, x along the rod, at the same times [m], or None.
+        let_go: when it let go [s], or None.
+        released_speed: speed of the fastest node when the released rod is measured [m/s].
+        penetration: how deep the rod is then in any fixture [m].
+    """
+
+    arc_length: np.ndarray
+    centerline: np.ndarray
+    error_mean: float
+    error_std: float
+    released_centerline: np.ndarray
+    released_error_mean: float
+    released_error_std: float
+    contact_force: np.ndarray
+    slip: np.ndarray
+    diverged: bool
+    duration: float
+    steps: int
+    frames: np.ndarray | None = None
+    hand: np.ndarray | None = None
+    let_go: float | None = None
+    released_speed: float = 0.0
+    penetration: float = 0.0
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write everything as an NPZ file (the suffix of `path` is replaced)."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        present = {name: value for name, value in values.items() if value is not None}
+
+        def write(file):
+            np.savez_compressed(file, format=_FORMAT, units="SI: m, N, s", **present)
+
+        return write_atomically(Path(path).with_suffix(".npz"), write, "wb")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Deployment:
+        """Read what `save` wrote.
+
+        Raises:
+            DataError: the file is missing, truncated or not a deployment.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                if str(data["format"]) != _FORMAT:
+                    raise DataError(f"{path}: holds {data['format']}, not a {_FORMAT}")
+                names = [f.name for f in fields(cls) if f.name in data.files]
+                return cls(**{name: data[name][()] for name in names})
+        except DataError:
+            raise
+        except Exception as error:
+            raise DataError(
+                f"{path}: not a readable deployment ({error}); give the .npz that `wrod deploy` "
+                "wrote"
+            ) from error
+
+
+def errors_along(
+    pattern: Pattern, arc_length: np.ndarray, centerline: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Arc length on the pattern (50,) and horizontal distance there (50,) between the pattern and
+    the rod's point of the same arc length [m].
+
+    Args:
+        pattern: with its remainder, on which no points are taken.
+        arc_length: (node,) arc length from the free end [m].
+        centerline: (node, 3) [m].
+    """
+    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
+    target = pattern.sample(s)[0]
+    on_rod = [
+        np.interp(s + pattern.remainder_length, arc_length, centerline[:, c]) for c in range(2)
+    ]
+    return s, np.hypot(*(np.array(on_rod) - target[:, :2].T))
+
+
+def deployment_error(
+    pattern: Pattern, arc_length: np.ndarray, centerline: np.ndarray
+) -> tuple[float, float]:
+    """e_mean and sigma [m] (Eq. metric, N = 50) of a rod, as a camera above sees it; arguments as
+    those of `errors_along`."""
+    error = errors_along(pattern, arc_length, centerline)[1]
+    return float(error.mean()), float(error.std())

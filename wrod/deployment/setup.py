@@ -1,0 +1,358 @@
+"""What a simulated deployment starts from: mesh, first shape, tail, and the grip's schedule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from wrod.deployment.grip_path import KEY_INTERVAL, GripPath, GripSchedule, smooth_noise
+from wrod.errors import PatternError
+from wrod.grasps.mesh import rest_lengths
+from wrod.grasps.optimal import solve_grasps
+from wrod.patterns.pattern import Pattern
+from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+
+# The mesh stays fine for this long beyond what is laid, in L_gb: the boundary layer at the contact.
+_FINE_BEYOND = 4.0
+_COARSE_RATIO = 3.0
+# Seconds: from the first equilibrium to the trajectory's first pose, rest before each measurement.
+_APPROACH, _REST, _FALL = 1.0, 0.8, 1.2
+# More of them for every whole turn that the grip twists the rod by before it deploys.
+_TURN = 2.0
+_TAIL_SPACING = 0.01
+# Length over which a tail straightens after a pattern that ends in a bend, in L_gb.
+_STRAIGHTEN = 3.0
+
+
+# Standard deviations of a careful laboratory [m, -, m, rad, 1/m].
+DEVIATIONS = {
+    "jitter": 0.3e-3,
+    "lgb_error": 0.03,
+    "placement": 0.5e-3,
+    "yaw": float(np.radians(0.2)),
+    "natural_curvature": 0.2,
+}
+# How long a slip of the grip takes [s].
+_SLIPPING = 0.3
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What distinguishes one trial from the next; the default is none.
+
+    Attributes:
+        jitter: standard deviation of each coordinate of the grip's smooth shaking [m].
+        lgb_error: relative error of the L_gb that the plan believed in: the true one is
+            (1 + lgb_error) times as large.
+        offset: (2,) displacement of the robot, and of all it does, against the pattern [m].
+        yaw: its rotation about the pattern's first point [rad].
+        natural_curvature: curvature of the rod at rest, in the horizontal plane where it is laid
+            flat [1/m].
+        slip: how far the rod slips through the grip while it is deployed, so that more of it hangs
+            (or less, if negative) [m].
+        seed: of the shaking, and of when the rod slips.
+    """
+
+    jitter: float = 0.0
+    lgb_error: float = 0.0
+    offset: tuple[float, float] = (0.0, 0.0)
+    yaw: float = 0.0
+    natural_curvature: float = 0.0
+    seed: int = 0
+    slip: float = 0.0
+
+    @classmethod
+    def random(cls, seed: int, *, slip: float = 0.0) -> Disturbance:
+        """A trial like those of a careful laboratory: `DEVIATIONS`, and the standard deviation
+        `slip` [m]."""
+        rng = np.random.default_rng(seed)
+        one = DEVIATIONS
+        offset = one["placement"] * rng.standard_normal(2)
+        return cls(
+            jitter=one["jitter"],
+            lgb_error=one["lgb_error"] * float(rng.standard_normal()),
+            offset=(float(offset[0]), float(offset[1])),
+            yaw=float(one["yaw"] * rng.standard_normal()),
+            natural_curvature=one["natural_curvature"] * float(rng.standard_normal()),
+            seed=seed,
+            slip=slip * float(rng.standard_normal()),
+        )
+
+
+def mesh(rod: RodMaterial, laid: float, spacing: float, node_count: int | None = None):
+    """(node,) rest arc lengths: fine where the rod is laid or about to be, coarse beyond.
+
+    With `node_count` the spacing is what gives that many nodes.
+    """
+    fine = min(rod.length, laid + _FINE_BEYOND * rod.gravito_bending_length)
+    measure = fine + (rod.length - fine) / _COARSE_RATIO
+    edges = int(np.ceil(measure / spacing)) if node_count is None else node_count - 1
+    at = np.linspace(0.0, measure, edges + 1)
+    return np.where(at <= fine, at, fine + _COARSE_RATIO * (at - fine))
+
+
+@dataclass(frozen=True)
+class Tail:
+    """How the grip goes on after the pattern: straight ahead, until 1 L_gb is left.
+
+    laid (T,) laid length [m], position (T, 3), rotation (T, 3, 3); the first entry is the
+    trajectory's last pose.
+    """
+
+    laid: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+
+
+def tail(pattern: Pattern, rod: RodMaterial, trajectory: Trajectory) -> Tail:
+    """The tail is laid by the same method along the pattern's end tangent, after a bend that
+    straightens out."""
+    lgb = rod.gravito_bending_length
+    start = float(trajectory.arc_length[-1])
+    length = rod.length - MIN_SUSPENDED_LENGTH * lgb - start
+    count = max(int(np.ceil(length / _TAIL_SPACING)), 1) + 1
+    s = np.linspace(0.0, max(length, 0.0), count)
+    (corner,), (tangent,), (bend,) = pattern.sample(pattern.length)
+    x = np.clip(s / (_STRAIGHTEN * lgb), 0.0, 1.0)
+    curvature = bend * (1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
+    heading = np.arctan2(tangent[1], tangent[0]) + _integrate(curvature, s)
+    frame = Rotation.from_euler("z", heading[:, None]).as_matrix()
+    contact = corner + np.column_stack(
+        [_integrate(np.cos(heading), s), _integrate(np.sin(heading), s), np.zeros(count)]
+    )
+    method = trajectory.metadata.get("method", "numeric")
+    if method == "neural":
+        method = "auto"  # a tail is shorter in the end than what the controller was trained for
+    poses = SOURCES[method](
+        GraspInputs.of(
+            rod,
+            rod.length - start - s,
+            curvature,
+            roll=float(trajectory.metadata.get("roll", 0.0)),
+            closure=trajectory.metadata.get("closure") or "zero_tension",
+            device="cpu",
+        )
+    )
+    position = contact + lgb * np.einsum("tij,tj->ti", frame, poses.position)
+    rotation = frame @ Rotation.from_rotvec(poses.rotation).as_matrix()
+    good = np.isfinite(position).all(axis=1)
+    if poses.converged is not None:
+        good &= poses.converged
+    good[0] = False
+    return Tail(
+        np.concatenate([[start], start + s[good]]),
+        np.concatenate([trajectory.position[-1:], position[good]]),
+        np.concatenate([trajectory.rotation[-1:], rotation[good]]),
+    )
+
+
+def _integrate(values: np.ndarray, s: np.ndarray) -> np.ndarray:
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(s)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One rod ready to be deployed; SI units, the table's contact plane at z = 0.
+
+    Attributes:
+        arc_length: (node,) rest arc length of the nodes, from the free end [m].
+        position: (node, 3) first shape [m].
+        director: (3,) first material director of the first edge.
+        origin: (3,) below the pattern's first point, about which a disturbance turns the robot.
+        schedule: the grip's motion.
+        approach: how long the grip takes to the trajectory's first pose [s].
+        measure_time: when the first measurement is due, the grip still holding [s].
+        end_time: when the second is due [s].
+    """
+
+    arc_length: np.ndarray
+    position: np.ndarray
+    director: np.ndarray
+    origin: np.ndarray
+    schedule: GripSchedule
+    approach: float
+    measure_time: float
+    end_time: float
+
+
+def prepare_deployment(
+    pattern: Pattern,
+    rod: RodMaterial,
+    trajectory: Trajectory,
+    arc_length: np.ndarray,
+    tail: Tail,
+    *,
+    hold: float,
+    release: float,
+    speed: float,
+) -> Setup:
+    """Lay the first `hold` metres along the pattern and hang the rest from the grip; undisturbed.
+
+    The hanging part starts as the equilibrium for a moment-free grip and is carried to the
+    trajectory's own pose there, which for an optimal trajectory is the same.
+
+    Raises:
+        PatternError: the trajectory is shorter than two nodes beyond `hold`.
+    """
+    laid, lgb = trajectory.arc_length, rod.gravito_bending_length
+    first = int(np.argmin(np.abs(laid - hold)))
+    if first > len(laid) - 3:
+        raise PatternError(
+            f"{pattern.source}: the trajectory lays {laid[-1]:.3f} m and the first {hold:g} m are "
+            "held; give a longer pattern or a smaller hold"
+        )
+    start = float(laid[first])
+    offset = -pattern.remainder_length
+    height = pattern.sample(0.0)[0][0, 2]
+    (contact,), (tangent,), (curvature,) = pattern.sample(start + offset)
+    side = np.cross([0.0, 0.0, 1.0], tangent)
+    frame = np.column_stack([tangent, side, [0.0, 0.0, 1.0]])
+    suspended = (rod.length - start) / lgb
+    grasp = solve_grasps([suspended], [curvature * lgb], [rod.stretch_ratio], device="cpu")
+    shape = contact + lgb * grasp.shape[0] @ frame.T
+    s = np.concatenate([[0.0], np.cumsum(rest_lengths([suspended], len(shape) - 1)[0])])
+    position = np.empty((len(arc_length), 3))
+    on_table = arc_length <= start * (1.0 + 1e-9)
+    position[on_table] = pattern.sample(arc_length[on_table] + offset)[0]
+    hanging = CubicSpline(start + lgb * s, shape)
+    position[~on_table] = hanging(np.minimum(arc_length[~on_table], start + lgb * s[-1]))
+
+    path = GripPath(laid[first:], trajectory.position[first:], trajectory.rotation[first:])
+    tip = position[-1] - position[-2]
+    begin = position[-1], _frame_without_twist(frame, position, on_table, tip)
+    twist = 0.0 if trajectory.twist is None else float(trajectory.twist[first])
+    turns = _whole_turns(begin[1], trajectory.rotation[first], twist)
+    schedule, approach, measure_time, end_time = _schedule(
+        path, tail, begin, turns, release, int(on_table.sum()), speed
+    )
+    # The rod's centreline is a radius above the table.
+    lift = np.array([0.0, 0.0, rod.radius - height])
+    (origin,), (ahead,), _ = pattern.sample(offset)
+    origin[2] = 0.0
+    return Setup(
+        arc_length,
+        position + lift,
+        np.cross([0.0, 0.0, 1.0], ahead),
+        origin,
+        replace(schedule, position=schedule.position + lift),
+        approach,
+        measure_time,
+        end_time,
+    )
+
+
+def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
+    """The same deployment by a robot that shakes and stands elsewhere; the shaking begins once the
+    grip has come to the trajectory."""
+    turn = Rotation.from_euler("z", disturbance.yaw)
+    shift = setup.origin + np.array([*disturbance.offset, 0.0])
+    schedule = setup.schedule
+    position = schedule.position
+    if disturbance.jitter > 0.0:
+        count = len(position)
+        rng = np.random.default_rng(disturbance.seed)
+        shaking = smooth_noise(rng, count, disturbance.jitter, 0.05 / KEY_INTERVAL)
+        fade = 1.0 - _blend(KEY_INTERVAL * np.arange(count), setup.approach)
+        position = position + fade[:, None] * shaking
+    if disturbance.slip != 0.0:
+        position = position + _slipped(setup, disturbance)
+    return replace(
+        setup,
+        position=turn.apply(setup.position - setup.origin) + shift,
+        director=turn.apply(setup.director),
+        schedule=replace(
+            schedule,
+            position=turn.apply(position - setup.origin) + shift,
+            rotation=_one_hemisphere((turn * Rotation.from_quat(schedule.rotation)).as_quat()),
+        ),
+    )
+
+
+def _slipped(setup: Setup, disturbance: Disturbance) -> np.ndarray:
+    """(key, 3) displacement of the held edge along the rod: nothing, then all of the slip, from
+    some moment on while the rod is deployed."""
+    rng = np.random.default_rng([disturbance.seed, 1])
+    start = rng.uniform(setup.approach, max(setup.measure_time - _SLIPPING, setup.approach))
+    t = KEY_INTERVAL * np.arange(len(setup.schedule.position))
+    share = 1.0 - _blend(t - start, _SLIPPING / 0.7)
+    along = Rotation.from_quat(setup.schedule.rotation).apply([1.0, 0.0, 0.0])
+    return disturbance.slip * share[:, None] * along
+
+
+def _blend(t: np.ndarray, approach: float) -> np.ndarray:
+    """From where the rod hangs at first (1) to where the trajectory begins (0)."""
+    x = np.clip(t / (0.7 * approach), 0.0, 1.0)
+    return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+
+
+def _frame_without_twist(frame, position, on_table, tip) -> np.ndarray:
+    """The contact frame carried along the hanging part to the grip, x axis along the rod."""
+    edges = np.diff(position[int(on_table.sum()) - 1 :], axis=0)
+    tangents = edges / np.linalg.norm(edges, axis=1)[:, None]
+    before, side = frame[:, 0], frame[:, 1]
+    for tangent in tangents:  # the smallest rotation from each tangent to the next
+        axis = np.cross(before, tangent)
+        along = (axis @ side) / (1.0 + before @ tangent)
+        side = (before @ tangent) * side + np.cross(axis, side) + along * axis
+        before = tangent
+    x = tip / np.linalg.norm(tip)
+    side = side - (side @ x) * x
+    side /= np.linalg.norm(side)
+    return np.column_stack([x, side, np.cross(x, side)])
+
+
+def _whole_turns(untwisted: np.ndarray, rotation: np.ndarray, twist: float) -> int:
+    """How often the grip turns the rod about itself on the way from one frame to the other, so
+    that it is twisted by `twist` in the end."""
+    x = rotation[:, 0]
+    shortest, _ = Rotation.align_vectors(x[None], untwisted[None, :, 0])
+    carried, side = shortest.apply(untwisted[:, 1]), rotation[:, 1]
+    angle = np.arctan2(np.cross(carried, side) @ x, carried @ side)
+    return int(np.rint((twist - angle) / (2.0 * np.pi)))
+
+
+def _schedule(path, tail, begin, turns, release, held_nodes, speed):
+    """Approach, deploy, rest, lay the tail, let go, rest."""
+    deploy, laid = path.timed(speed)
+    approach = _APPROACH + _TURN * abs(turns)
+    tail_path = None
+    lay, tail_laid = 0.0, None
+    if len(tail.laid) > 3:
+        tail_path = GripPath(tail.laid, tail.position, tail.rotation)
+        lay, tail_laid = tail_path.timed(2.0 * speed)
+    measure_time = approach + deploy + _REST
+    let_go_time = measure_time + lay + 0.5 * _REST
+    end_time = let_go_time + _FALL
+    t = np.arange(0.0, let_go_time + 2 * KEY_INTERVAL, KEY_INTERVAL)
+    position, rotation = path(laid(t - approach))
+    if tail_path is not None:
+        late = t > measure_time
+        after = tail_path(tail_laid(t[late] - measure_time))
+        position[late] = after[0]
+        rotation = Rotation.concatenate([rotation[~late], after[1]])
+    blend = _blend(t, approach)
+    position += blend[:, None] * (begin[0] - position[0])
+    turn = (Rotation.from_matrix(begin[1]) * rotation[0].inv()).as_rotvec()
+    rotation = Rotation.from_rotvec(blend[:, None] * turn) * rotation
+    spin = 2.0 * np.pi * turns * (1.0 - blend)
+    rotation = rotation * Rotation.from_rotvec(spin[:, None] * [1.0, 0.0, 0.0])
+    # Not before the rod has come to rest at the trajectory's first pose.
+    at = np.searchsorted(laid(t - approach), release)
+    let_free = max(float(t[min(int(at), len(t) - 1)]), approach)
+    schedule = GripSchedule(
+        position, _one_hemisphere(rotation.as_quat()), held_nodes, let_free, let_go_time
+    )
+    return schedule, approach, measure_time, end_time
+
+
+def _one_hemisphere(quaternions: np.ndarray) -> np.ndarray:
+    """Flip signs so that neighbours are close, as interpolation needs."""
+    dots = np.sum(quaternions[1:] * quaternions[:-1], axis=1)
+    signs = np.cumprod(np.concatenate([[1.0], np.where(dots < 0.0, -1.0, 1.0)]))
+    return quaternions * signs[:, None]

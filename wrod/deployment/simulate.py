@@ -1,0 +1,363 @@
+"""Deployments in simulation: a grip lays a rod along a pattern on a table with friction."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import warp as wp
+
+from wrod.deployment.fixtures import Fixtures
+from wrod.deployment.grip_path import GripMotion
+from wrod.deployment.result import Deployment, deployment_error
+from wrod.deployment.setup import (
+    Disturbance,
+    Setup,
+    Tail,
+    disturb,
+    mesh,
+    prepare_deployment,
+    tail,
+)
+from wrod.errors import RodError
+from wrod.patterns.pattern import Pattern
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.batch import RodBatch, node_positions, resolve_device
+from wrod.rods.material import RodMaterial
+from wrod.solvers.contact import Contact, Friction, Plane
+from wrod.solvers.dynamics import Dynamics
+
+# The table gives way by this fraction of the radius under the rod's weight; where the rod touches
+# down, which loads it with about 2 w L_gb at a point, that makes some 1 % of the radius.
+_SINKING = 1.0 / 600.0
+_SINKING_AT_POSTS = _SINKING / 10.0
+# Rods stepped at once on a CPU.
+_CPU_CHUNK = 16
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One deployment to simulate; see `simulate_deployment`."""
+
+    pattern: Pattern
+    rod: RodMaterial
+    trajectory: Trajectory
+    friction: Friction
+    disturbance: Disturbance = field(default_factory=Disturbance)
+    tail: Tail | None = None
+    fixtures: Fixtures | None = None
+
+
+def simulate_deployment(
+    pattern: Pattern,
+    rod: RodMaterial,
+    trajectory: Trajectory,
+    friction: Friction | float = 0.6,
+    *,
+    disturbance: Disturbance | None = None,
+    fixtures: Fixtures | None = None,
+    **options,
+) -> Deployment:
+    """Lay `rod` along `pattern` by moving the grip along `trajectory`.
+
+    The free end's first 5 cm are held along the pattern until more than that is laid. The
+    rest hangs from the grip, which holds the last edge as a clamp. At the end of the pattern the
+    grip rests and the rod is measured; then the grip lays the tail straight ahead by the same
+    method, opens when 1 L_gb is left, and the rod is measured again.
+
+    Args:
+        pattern: the pattern of the plan; its remainder is added if the trajectory has one.
+        rod: what is laid; it may differ from the rod of the plan.
+        trajectory: of the grip, as `wrod.plan` returns it; the rod is held at its roll.
+        friction: a `Friction`, or the coefficient of both kinds.
+        disturbance: what makes this trial differ from the ideal.
+        fixtures: posts and clips on the table; the robot's displacement does not move them.
+        options: those of `simulate_deployments`.
+
+    Raises:
+        PatternError, RodError: the trajectory is too short, or an option is not usable.
+    """
+    trial = Trial(
+        pattern,
+        rod,
+        trajectory,
+        friction if isinstance(friction, Friction) else Friction(friction),
+        disturbance or Disturbance(),
+        fixtures=fixtures,
+    )
+    return simulate_deployments([trial], **options)[0]
+
+
+def simulate_deployments(
+    trials: list[Trial],
+    *,
+    hold: float = 0.05,
+    release: float | None = None,
+    speed: float = 0.02,
+    spacing: float = 0.005,
+    node_count: int | None = None,
+    step: float = 0.01,
+    scheme: str = "euler",
+    air_damping: float = 1.0,
+    internal_damping: float = 0.0,
+    tolerance: float = 1e-5,
+    frame_interval: float | None = None,
+    device: str | None = "cpu",
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[Deployment]:
+    """Simulate many deployments at once; those that diverge are flagged and the others go on.
+
+    Args:
+        trials: what to simulate.
+        hold: length of the free end that is laid and held along the pattern at first [m].
+        release: laid length at which the free end is let go [m]; default: `hold`.
+        speed: at which the contact moves [m/s], slower where the grip has far to go; the tail is
+            laid twice as fast.
+        spacing: length of the edges where the rod is laid [m].
+        node_count: nodes of every rod instead, so that results do not depend on which trials are
+            simulated together; default: what the longest needs.
+        step: largest time step [s].
+        scheme: "euler" or "bdf2".
+        air_damping: drag per mass and velocity [1/s].
+        internal_damping: Kelvin-Voigt time of the material [s].
+        tolerance: of a step's residual forces, over the weight of one L_gb of rod.
+        frame_interval: keep the rod's states at its multiples [s].
+        device: "cpu", "cuda:0", "auto".
+        threads: CPU threads; default: one per core.
+        progress: called with the fraction done since the last call, of all trials.
+    """
+    for name, value in (("hold", hold), ("speed", speed), ("spacing", spacing)):
+        if not (np.isfinite(value) and value > 0):
+            raise RodError(f"{name} is {value!r}; give a positive finite number")
+    if not trials:
+        return []
+    device = resolve_device(device)
+    release = hold if release is None else release
+    if not release >= hold:
+        raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
+    setups = _prepare(trials, hold, release, speed, spacing, node_count)
+    options = dict(
+        step=step,
+        scheme=scheme,
+        air_damping=air_damping,
+        internal_damping=internal_damping,
+        tolerance=tolerance,
+        frame_interval=frame_interval,
+        device=device,
+    )
+    workers = (threads or os.cpu_count() or 1) if device == "cpu" else 1
+    size = len(trials)
+    if device == "cpu":
+        size = max(1, min(_CPU_CHUNK, -(-size // workers)))
+    every = list(range(len(trials)))
+    chunks = [every[first : first + size] for first in range(0, len(trials), size)]
+    parallel = workers > 1 and len(chunks) > 1
+    # Recording is the process's: threads would record each other's launches.
+    options["keeps_recording"] = device == "cpu" and not parallel
+
+    def report(fraction: float, count: int) -> None:
+        if progress is not None:
+            progress(fraction * count / len(trials))
+
+    def run(chunk: list[int]) -> list[Deployment]:
+        part = [trials[i] for i in chunk]
+        return _simulate(
+            part,
+            [setups[i] for i in chunk],
+            report=lambda fraction: report(fraction, len(part)),
+            **options,
+        )
+
+    if parallel:
+        with ThreadPoolExecutor(workers) as pool:
+            parts = list(pool.map(run, chunks))
+    else:
+        parts = [run(chunk) for chunk in chunks]
+    return [deployment for part in parts for deployment in part]
+
+
+def nodes_needed(trials: list[Trial], spacing: float) -> int:
+    """Nodes for edges of that length [m] where each rod is laid."""
+    return max(len(mesh(t.rod, t.trajectory.arc_length[-1], spacing)) for t in trials)
+
+
+def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
+    """The pattern with the remainder that the trajectory lays before it."""
+    length = float(trajectory.metadata.get("remainder_length", 0.0))
+    if length > 0.0 and pattern.remainder_length == 0.0:
+        return pattern.with_remainder(length)
+    return pattern
+
+
+def _prepare(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
+    """All rods of a batch share one number of nodes: the largest that the spacing asks for.
+
+    Trials that differ in their disturbances alone share one undisturbed setup.
+    """
+    count = node_count or nodes_needed(trials, spacing)
+    undisturbed: dict[tuple, Setup] = {}
+    setups = []
+    for trial in trials:
+        plan = trial.pattern, trial.rod, trial.trajectory, trial.tail
+        key = tuple(map(id, plan))
+        if key not in undisturbed:
+            pattern = with_remainder_of(trial.pattern, trial.trajectory)
+            undisturbed[key] = prepare_deployment(
+                pattern,
+                trial.rod,
+                trial.trajectory,
+                mesh(trial.rod, trial.trajectory.arc_length[-1], spacing, count),
+                trial.tail or tail(pattern, trial.rod, trial.trajectory),
+                hold=hold,
+                release=release,
+                speed=speed,
+            )
+        setups.append(disturb(undisturbed[key], trial.disturbance))
+    return setups
+
+
+def _simulate(
+    trials: list[Trial],
+    setups: list[Setup],
+    *,
+    step,
+    scheme,
+    air_damping,
+    internal_damping,
+    tolerance,
+    frame_interval,
+    device,
+    keeps_recording,
+    report,
+) -> list[Deployment]:
+    batch, rods = _batch(trials, setups, device)
+    radius = np.array([rod.radius for rod in rods])
+    load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
+    contact = Contact(
+        batch,
+        radius,
+        _stiffness(rods, [t.fixtures for t in trials]),
+        [t.friction for t in trials],
+        [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
+        keeps_roll=np.array([not t.rod.is_straight for t in trials]),
+    )
+    dynamics = Dynamics(
+        batch,
+        scheme=scheme,
+        radius=radius,
+        air_damping=air_damping,
+        internal_damping=internal_damping,
+        contact=contact,
+        motion=GripMotion(batch, [setup.schedule for setup in setups]),
+        force_scale=load,
+        tolerance=tolerance,
+        keeps_recording=keeps_recording,
+    )
+    ends = np.array([setup.end_time for setup in setups])
+    frames = None
+    if frame_interval is not None:
+        count = int(np.floor(ends.max() / frame_interval + 1e-9)) + 1
+        frames = wp.zeros((len(trials), count, batch.dof_count), dtype=wp.float64, device=device)
+        first = np.zeros((len(trials), count, batch.dof_count))
+        first[:, 0] = batch.state.dof.numpy()
+        frames.assign(first)
+    done = 0.0
+
+    def note(times: np.ndarray) -> None:
+        nonlocal done
+        now = float(np.mean(np.minimum(times / ends, 1.0)))
+        report(now - done)
+        done = now
+
+    advance = dict(frames=frames, frame_interval=frame_interval or 1.0, progress=note)
+    dynamics.advance(np.array([s.measure_time for s in setups]), step, **advance)
+    held, force, slip = batch.positions().copy(), contact.force.numpy(), contact.slip.numpy()
+    force, slip = force.copy(), slip.copy()
+    end = dynamics.advance(ends, step, **advance)
+    note(ends)
+    released = batch.positions()
+    speed = np.linalg.norm(dynamics.velocities(), axis=2).max(axis=1)
+    penetration = contact.penetration()
+    film = None if frames is None else frames.numpy()
+    deployments = []
+    for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
+        pattern = with_remainder_of(trial.pattern, trial.trajectory)
+        sink = np.array([0.0, 0.0, trial.rod.radius - pattern.sample(0.0)[0][0, 2]])
+        now, later = held[k] - sink, released[k] - sink
+        pictures = hand = None
+        if film is not None:
+            count = int(np.floor(end.time[k] / frame_interval + 1e-9)) + 1
+            pictures = node_positions(film[k, :count]) - sink
+            hand = setup.schedule.poses(frame_interval * np.arange(count))
+            hand[:, :3, 3] -= sink
+        deployments.append(
+            Deployment(
+                setup.arc_length,
+                now,
+                *deployment_error(pattern, setup.arc_length, now),
+                later,
+                *deployment_error(pattern, setup.arc_length, later),
+                force[k],
+                slip[k],
+                bool(end.diverged[k]),
+                float(end.time[k]),
+                int(end.steps[k]),
+                pictures,
+                hand,
+                setup.schedule.let_go_time,
+                released_speed=float(speed[k]),
+                penetration=float(penetration[k]),
+            )
+        )
+    return deployments
+
+
+def _stiffness(rods: list[RodMaterial], fixtures: list[Fixtures | None]) -> np.ndarray:
+    """(rod,) contact stiffness per length [Pa].
+
+    Fixtures carry the rod's bending, not its weight: a post presses with about k_b / L_gb^2, some
+    2 w L_gb, on an edge or two.
+    """
+    sinking = [_SINKING if f is None else _SINKING_AT_POSTS for f in fixtures]
+    return np.array(
+        [rod.weight / (part * rod.radius) for rod, part in zip(rods, sinking, strict=True)]
+    )
+
+
+def _batch(trials, setups, device) -> tuple[RodBatch, list[RodMaterial]]:
+    """The rods as they are: with the L_gb that they have, not the one that the plan believed."""
+    rods = [
+        replace(
+            t.rod,
+            gravito_bending_length=t.rod.gravito_bending_length * (1.0 + t.disturbance.lgb_error),
+        )
+        for t in trials
+    ]
+    rest = np.stack([np.diff(setup.arc_length) for setup in setups])
+    mass = np.zeros((len(trials), rest.shape[1] + 1))
+    line_density = np.array([[rod.weight / rod.gravity] for rod in rods])
+    mass[:, :-1] += 0.5 * line_density * rest
+    mass[:, 1:] += 0.5 * line_density * rest
+    gravity = np.zeros((len(rods), 3))
+    gravity[:, 2] = [-rod.gravity for rod in rods]
+    natural = np.zeros((len(rods), 1, 2))
+    # The first director of the batch is to the left of the laid rod, the second above it.
+    natural[:, 0] = [t.rod.curvature_held(t.trajectory.metadata.get("roll", 0.0)) for t in trials]
+    natural[:, 0, 0] += [t.disturbance.natural_curvature for t in trials]
+    batch = RodBatch(
+        np.stack([setup.position for setup in setups]),
+        rest_length=rest,
+        stretching_stiffness=np.array([[rod.stretching_stiffness] for rod in rods]),
+        bending_stiffness=np.array([[rod.bending_stiffness] for rod in rods]),
+        twisting_stiffness=np.array([[rod.twisting_stiffness] for rod in rods]),
+        natural_curvature=natural,
+        node_mass=mass,
+        gravity=gravity,
+        director=np.stack([setup.director for setup in setups]),
+        device=device,
+    )
+    return batch, rods

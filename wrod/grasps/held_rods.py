@@ -1,0 +1,290 @@
+"""Rods clamped along the table at the contact and held at the grip. Dimensionless."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from wrod.grasps.mesh import WEIGHT, node_weights, rest_lengths
+from wrod.kernels.contact.table import table
+from wrod.kernels.grasping import holding
+from wrod.kernels.grasping import straight as grasping
+from wrod.rods.batch import Derivatives, RodBatch
+from wrod.solvers.banded import BorderedSystem
+from wrod.solvers.stability import smallest_eigenvalue
+from wrod.solvers.statics import EquilibriumSolver
+
+# Largest change of an edge in one step, as a fraction of its length.
+_STEP_LIMIT = 0.4
+# Newton steps on one step of the walk before it counts as failed.
+_PATIENCE = 8
+_MAX_ITERATIONS = 1500
+_FIRST_INCREMENT = 0.2
+# Of the table under rods that settle; they sink in by 1e-3.
+_TABLE = 500.0
+# Sideways waves that push rods off saddles, in turn [L_gb]; after the last one there is no more.
+_PUSHES = (1e-3, 1e-2, 1e-1, 0.0)
+
+
+class RodsOverTable(RodBatch):
+    """Rods that rest on a frictionless table at z = 0 while `table_stiffness` is positive."""
+
+    table_stiffness = 0.0
+
+    def evaluate(self, *, order=2, state=None, out=None, active=None) -> Derivatives:
+        out = super().evaluate(order=order, state=state, out=out, active=active)
+        if self.table_stiffness > 0.0:
+            state = self.state if state is None else state
+            wp.launch(
+                table,
+                dim=(self.rod_count, self.node_count - 2),
+                inputs=[
+                    self.rest_length,
+                    wp.float64(self.table_stiffness),
+                    self.every_rod if active is None else active,
+                    state.dof,
+                    order,
+                ],
+                outputs=[out.energy, out.gradient, out.hessian],
+                device=self.device,
+            )
+        return out
+
+
+class HeldRods:
+    """n suspended rods whose grips can be walked about; allocates once, then launches.
+
+    The contact is at the origin and the tangent there is x; a ghost edge before the contact and
+    twice the stiffness at the contact, of whose length only half bends, clamp it to second order.
+    The grip holds a position and leaves the orientation free. Curvature at the contact is a result.
+
+    Args:
+        suspended_length, stretch_ratio: (n,) inputs.
+        shape: (n, edge_count + 1, 3) nodes near an equilibrium, from contact to grip.
+        device: Warp device.
+    """
+
+    def __init__(
+        self,
+        suspended_length: np.ndarray,
+        stretch_ratio: np.ndarray,
+        shape: np.ndarray,
+        *,
+        device: str = "cpu",
+    ):
+        n, nodes, _ = shape.shape
+        self.length = np.asarray(suspended_length, dtype=np.float64)
+        self.device = device
+        edges = rest_lengths(self.length, nodes - 1)
+        self.arc_length = np.concatenate([np.zeros((n, 1)), np.cumsum(edges, axis=1)], axis=1)
+        self.weights = node_weights(edges)
+        ghost = np.zeros((n, 1, 3))
+        ghost[:, 0, 0] = -edges[:, 0]
+        stiffness = np.ones(nodes + 1)
+        stiffness[1] = 2.0
+        self.batch = batch = RodsOverTable(
+            np.concatenate([ghost, shape], axis=1),
+            rest_length=np.concatenate([edges[:, :1], edges], axis=1),
+            stretching_stiffness=np.asarray(stretch_ratio, dtype=np.float64)[:, None],
+            bending_stiffness=stiffness,
+            # Any positive value: a held rod carries no twist. It counts for stability.
+            twisting_stiffness=stiffness * (2.0 / 3.0),
+            node_mass=np.pad(self.weights, ((0, 0), (1, 0))),
+            gravity=(0.0, 0.0, -1.0),
+            director=(0.0, 0.0, 1.0),
+            device=device,
+        )
+        free = np.ones(batch.dof_count, dtype=bool)
+        free[:7] = False
+        free[-3:] = False
+        batch.set_free(free)
+        self.system = BorderedSystem(batch, (-3, -2, -1))  # the grip
+
+        def floats(value=0.0):
+            return wp.array(np.broadcast_to(value, (n,)), dtype=wp.float64, device=device)
+
+        def ints(value=0):
+            return wp.full(n, value, dtype=wp.int32, device=device)
+
+        shortest = edges.min(axis=1)
+        # What rounding positions leaves: in the stiffest edge, and in the sharpest bend.
+        rounding = stretch_ratio / shortest * self.length
+        rounding = rounding + 4.0 / shortest**3 * np.minimum(self.length, 5.0)
+        self.tolerance = floats(np.maximum(1e-8, 8 * np.finfo(float).eps * rounding))
+        self.start = wp.zeros(n, dtype=wp.vec3d, device=device)
+        self.target = wp.zeros(n, dtype=wp.vec3d, device=device)
+        self.reaction = wp.zeros(n, dtype=wp.vec3d, device=device)
+        self.stiffness = wp.zeros(n, dtype=wp.mat33d, device=device)
+        self.dof_saved = wp.clone(batch.state.dof)
+        self.progress, self.progress_saved = floats(), floats(-1.0)
+        self.increment, self.residual = floats(), floats(np.inf)
+        self.waited, self.iterations, self.active, self.status = (ints() for _ in range(4))
+
+    def __len__(self) -> int:
+        return self.batch.rod_count
+
+    def reset(self, shape: np.ndarray) -> None:
+        """Start again from (n, edge_count + 1, 3) shapes near an equilibrium."""
+        ghost = self.batch.positions()[:, :1]
+        position = np.concatenate([ghost, shape], axis=1)
+        self.batch.set_configuration(position, director=(0.0, 0.0, 1.0))
+        self.status.zero_()
+
+    def walk(self, position: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+        """Walk the chosen rods' grips to `position` and return who arrived.
+
+        Args:
+            position: (n, 3) where the grips should be; not the origin.
+            chosen: (n,) bool; default: all.
+
+        Returns:
+            (n,) bool: in equilibrium at `position`. A rod that did not arrive is in equilibrium
+            at the last place on the way that it could be followed to, or where it started.
+        """
+        batch, out, system, device = self.batch, self.batch.derivatives, self.system, self.device
+        chosen = np.ones(len(self), dtype=bool) if chosen is None else chosen
+        self.start.assign(self.grip_position())
+        self.target.assign(np.ascontiguousarray(position, dtype=np.float64))
+        self.active.assign(chosen.astype(np.int32))
+        self.progress.zero_()
+        # Where the first equilibrium is known the way back leads there.
+        self.progress_saved.assign(np.where(self.status.numpy() == 0, -1.0, 0.0))
+        self.dof_saved.assign(batch.state.dof)
+        self.increment.fill_(_FIRST_INCREMENT)
+        self.waited.zero_()
+        status = self.status.numpy().copy()
+        status[chosen] = 0
+        self.status.assign(status)
+        for iteration in range(_MAX_ITERATIONS):
+            batch.evaluate(order=2, active=self.active)
+            self._condense(out)
+            wp.launch(
+                holding.walk_grip,
+                dim=batch.rod_count,
+                inputs=[
+                    self.start,
+                    self.target,
+                    self.tolerance,
+                    wp.float64(_STEP_LIMIT),
+                    _PATIENCE,
+                    batch.free,
+                    out.gradient,
+                    system.x,
+                    batch.state.dof,
+                    self.progress,
+                    self.dof_saved,
+                    self.progress_saved,
+                    self.increment,
+                    self.waited,
+                    self.iterations,
+                    self.active,
+                    self.status,
+                    self.residual,
+                ],
+                device=device,
+            )
+            batch.transport_frames(batch.state, batch.state, self.active)
+            # Asking the device costs a synchronisation; a few spare iterations cost less.
+            if iteration % 3 == 2 and not self.active.numpy().any():
+                break
+        arrived = (self.status.numpy() == grasping.CONVERGED) & chosen
+        self._stand_still(chosen & ~arrived)
+        return arrived
+
+    def settle(self, position: np.ndarray) -> np.ndarray:
+        """Move the grips to (n, 3) `position` at once and let every rod fall to a minimum of its
+        energy, if need be onto the table, as a real rod does; (n,) bool: who found one."""
+        batch = self.batch
+        dof = batch.state.dof.numpy().copy()
+        dof[:, -3:] = position
+        batch.table_stiffness = _TABLE
+        solver = EquilibriumSolver(batch)
+        for push in _PUSHES:
+            batch.state.dof.assign(dof)
+            batch.transport_frames(batch.state, batch.state, batch.every_rod)
+            converged = solver.solve(max_iterations=200).converged
+            self.active.fill_(1)
+            batch.evaluate(order=2)
+            self._condense(batch.derivatives)
+            stuck = self.negative_pivots() > 0
+            if not stuck.any():
+                break
+            # Newton's method can stop on a saddle; what rolls off it needs a push.
+            dof = batch.state.dof.numpy().copy()
+            wave = push * np.sin(np.pi * self.arc_length / self.length[:, None])
+            dof[:, 5::4] += np.where(stuck[:, None], wave, 0.0)
+        batch.table_stiffness = 0.0
+        return converged & ~stuck
+
+    def _stand_still(self, lost: np.ndarray) -> None:
+        """Put the rods that were lost back to their last equilibrium and look at them there."""
+        if not lost.any():
+            return
+        batch = self.batch
+        dof = batch.state.dof.numpy().copy()
+        dof[lost] = self.dof_saved.numpy()[lost]
+        batch.state.dof.assign(dof)
+        self.active.assign(lost.astype(np.int32))
+        batch.transport_frames(batch.state, batch.state, self.active)
+        batch.evaluate(order=2, active=self.active)
+        self._condense(batch.derivatives)
+        status = self.status.numpy().copy()
+        status[lost] = grasping.FAILED
+        self.status.assign(status)
+
+    def _condense(self, out) -> None:
+        batch, system = self.batch, self.system
+        system.eliminate(out.gradient, out.hessian, self.active)
+        wp.launch(
+            holding.condense_grip,
+            dim=batch.rod_count,
+            inputs=[self.active, batch.free, out.gradient, out.hessian, system.x],
+            outputs=[self.reaction, self.stiffness],
+            device=self.device,
+        )
+
+    def negative_pivots(self) -> np.ndarray:
+        """(n,) negative eigenvalues of the free Hessian where the rod stands."""
+        return self.system.negative_pivots.numpy().copy()
+
+    def eigenvalue(self) -> np.ndarray:
+        """(n,) smallest eigenvalue of the free Hessian where the rod stands, per length."""
+        return smallest_eigenvalue(
+            self.batch,
+            factor=self.system.factor,
+            negative_pivots=self.negative_pivots(),
+        )
+
+    def grip_position(self) -> np.ndarray:
+        return self.batch.state.dof.numpy()[:, -3:].copy()
+
+    def shape(self) -> np.ndarray:
+        """(n, edge + 1, 3) nodes from contact to grip."""
+        return self.batch.positions()[:, 1:].copy()
+
+    def force(self) -> np.ndarray:
+        """(n, 3) force of the table on the rod at the contact."""
+        force = -self.reaction.numpy()
+        force[:, 2] += WEIGHT * self.length
+        return force
+
+    def moment(self) -> np.ndarray:
+        """(n, 3) moment of the table on the rod at the contact."""
+        shape = self.shape()
+        weight = np.zeros_like(shape)
+        weight[:, :, 2] = -self.weights
+        loads = np.cross(shape, weight).sum(axis=1)
+        return -loads - np.cross(shape[:, -1], self.reaction.numpy())
+
+    def lift(self) -> np.ndarray:
+        """(n,) least 2 z(s) / s^2: positive where the rod is above the table everywhere, and near
+        the contact its curvature."""
+        return self._lifts().min(axis=1)
+
+    def lowest(self) -> np.ndarray:
+        """(n,) arc length at which `lift` is found."""
+        index = self._lifts().argmin(axis=1)
+        return self.arc_length[np.arange(len(self)), 1 + index]
+
+    def _lifts(self) -> np.ndarray:
+        return 2.0 * self.shape()[:, 1:, 2] / self.arc_length[:, 1:] ** 2

@@ -1,0 +1,132 @@
+"""The manifold of grasps of a straight pattern: forces, stability, optima. Dimensionless."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wrod.errors import GraspError
+from wrod.files import write_atomically
+from wrod.grasps.manifold.boundary import Boundary, boundary
+from wrod.grasps.manifold.grips import EDGE_COUNT, grasp_shapes
+from wrod.grasps.manifold.optima import Optimum, find_optima
+from wrod.grasps.manifold.sampler import Patch, Sampler
+from wrod.grasps.nudge import Nudges
+from wrod.grasps.optimal import CLOSURES, check_inputs
+from wrod.rods.batch import resolve_device
+
+# The sideways offset of the paper's Fig. 2Dschematic (d) [L_gb].
+OFFSET = 0.12
+
+
+@dataclass(frozen=True)
+class ForceMap:
+    """The manifold of one (l_s, k_s).
+
+    The force alone is least, and zero, on the tight edge, where the clamp holds the rod by a couple
+    that no table can give. Optimal grasps (Eq. optimize) have no curvature at the contact and none
+    at the grip: they stand on the low edge, and the closure chooses among them.
+
+    Attributes:
+        suspended_length, stretch_ratio, closure, offset: inputs.
+        boundary: rays through the manifold.
+        patches: the manifold itself: the part that the rays see and, where the rod leans over
+            backwards, the overhang below it that they do not.
+        optima: optimal grasps, smallest force first.
+        nudges: what happens to the optima when they are nudged sideways.
+    """
+
+    suspended_length: float
+    stretch_ratio: float
+    closure: str
+    offset: float
+    boundary: Boundary
+    patches: list[Patch]
+    optima: list[Optimum]
+    nudges: Nudges
+
+    def tests(self) -> dict[str, float]:
+        """How many grips of the map were tested, are stable, and where the two tests disagree: the
+        sign of the eigenvalue, and whether a small nudge makes the rod leave its branch."""
+        value = np.concatenate([patch.eigenvalue.ravel() for patch in self.patches])
+        snaps = np.concatenate([patch.snaps.ravel() for patch in self.patches])
+        differ = (value < 0.0) != snaps
+        return {
+            "tested": int(value.size),
+            "stable": int(np.sum(value >= 0.0)),
+            "disagreeing": int(differ.sum()),
+            "eigenvalue": float(np.abs(value[differ]).max(initial=0.0)),
+        }
+
+
+def force_map(
+    suspended_length: float,
+    stretch_ratio: float,
+    *,
+    closure: str = "zero_tension",
+    rays: int = 69,
+    offset: float = OFFSET,
+    device: str | None = None,
+    threads: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> ForceMap:
+    """Boundary, forces, stability, sideways deflection and optima of one straight pattern.
+
+    Args:
+        suspended_length, stretch_ratio: l_s [L_gb], k_s [-].
+        closure: which of the grasps without curvature at both ends are optimal.
+        rays: rays from 5 to 175 degrees.
+        offset: sideways offset for the deflection [L_gb].
+        device, threads: as in `solve_grasps`.
+        progress: called with the name of every stage.
+
+    Raises:
+        GraspError: inputs out of range or an unknown closure.
+    """
+    if closure not in CLOSURES:
+        raise GraspError(f"unknown closure {closure!r}; use one of {', '.join(CLOSURES)}")
+    ls, _, ks = check_inputs(suspended_length, 0.0, stretch_ratio)
+    if len(ls) != 1:
+        raise GraspError("a force map has one suspended length and one stretch ratio")
+    device = resolve_device(device)
+    say = progress or (lambda stage: None)
+    say("boundary")
+    angle = np.radians(np.linspace(5.0, 175.0, rays))
+    edge = boundary(ls, ks, angle, device=device, threads=threads)
+    say("forces")
+    start = grasp_shapes(ls, 0.0 * ls, ks, EDGE_COUNT, device, threads)[0]
+    maps = Sampler(float(ls[0]), float(ks[0]), start, offset, device, threads)
+    patches = [maps.seen(edge)]
+    overhang = maps.overhang(edge)
+    if overhang is not None:
+        patches.append(overhang)
+    say("optima")
+    optima, nudges = find_optima(patches, float(ls[0]), float(ks[0]), closure, device)
+    return ForceMap(float(ls[0]), float(ks[0]), closure, offset, edge, patches, optima, nudges)
+
+
+def save_map(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
+    """Write a force map as NPZ: plain arrays, dimensionless. Returns the path."""
+    arrays: dict[str, np.ndarray] = {
+        "suspended_length": np.array(manifold.suspended_length),
+        "stretch_ratio": np.array(manifold.stretch_ratio),
+        "closure": np.array(manifold.closure),
+        "offset": np.array(manifold.offset),
+        "boundary_angle": manifold.boundary.angle,
+        "boundary_tight": manifold.boundary.tight[0],
+        "boundary_low": manifold.boundary.low[0],
+        "boundary_kind": manifold.boundary.kind[0],
+        "nudge_offset": manifold.nudges.offset,
+        "nudge_force": manifold.nudges.force,
+        "nudge_deflection": manifold.nudges.deflection,
+    }
+    for name in ("position", "force", "shape", "eigenvalue", "stable", "snaps_at"):
+        arrays[f"optimum_{name}"] = np.array([getattr(o, name) for o in manifold.optima])
+    for number, patch in enumerate(manifold.patches):
+        for name in ("position", "force", "eigenvalue", "snaps", "deflection", "shape"):
+            arrays[f"patch_{number}_{name}"] = getattr(patch, name)
+    return write_atomically(path, lambda file: np.savez_compressed(file, **arrays), "wb")

@@ -1,0 +1,1 @@
+"""Identification from rods held at rest between two clamps."""

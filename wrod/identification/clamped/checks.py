@@ -1,0 +1,180 @@
+"""Can these numbers be a rod between two clamps? What cannot be right is named in one sentence."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from wrod.errors import DataError
+from wrod.rods.material import RodMaterial
+
+if TYPE_CHECKING:
+    from wrod.identification.clamped.measurements import ClampedMeasurements
+
+_ROTATION_TOLERANCE = 1e-3
+# A measured shape further from its clamps than this many free lengths is not that rod in metres.
+_FAR = 0.5
+# No rod of a laboratory is longer, or gravito-bends over more, than this [m]: steel of 10 mm does
+# over 3 m.
+_LONGEST = 30.0
+
+
+def check_rod(rod: RodMaterial, noise: float, where: str) -> None:
+    """Radius, lengths and noise against each other: units.
+
+    Raises:
+        DataError: one of them is not in metres.
+    """
+    for name, value in (("length", rod.length), ("L_gb", rod.gravito_bending_length)):
+        if value > _LONGEST:
+            raise DataError(f"{where}: {name} is {value:g} m; metres (millimetres?)")
+    if rod.radius > 0.1 * rod.length:
+        raise DataError(
+            f"{where}: radius {rod.radius:g} m is over a tenth of the free length "
+            f"{rod.length:g} m; metres (millimetres?)"
+        )
+    if noise > 0.1 * rod.length:
+        raise DataError(
+            f"{where}: noise_std {noise:g} is over a tenth of the rod; metres (millimetres?)"
+        )
+
+
+def check_geometry(m: ClampedMeasurements, where: str) -> None:
+    """Poses and markers of every trial.
+
+    Raises:
+        DataError: the sentence names the field, the trial and the markers.
+    """
+    length, s = m.material.length, m.arc_length
+    steps = np.diff(s)
+    if len(s) < 3 or not (steps > 0).all():
+        raise DataError(f"{where}: arc_length must grow from marker to marker, 3 or more markers")
+    if s[-1] - s[0] < 0.1 * length:
+        raise DataError(
+            f"{where}: arc_length spans {s[-1] - s[0]:g} of a free length of {length:g}; give "
+            "markers along the rod, metres everywhere"
+        )
+    if s[0] < -1e-6 * length or s[-1] > (1 + 1e-6) * length:
+        raise DataError(
+            f"{where}: arc_length runs from {s[0]:g} to {s[-1]:g}, outside the free length "
+            f"{length:g}; metres everywhere?"
+        )
+    for key in ("clamp_rotation", "grip_rotation"):
+        rotation = getattr(m, key)
+        error = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(axis=(1, 2))
+        bad = (error > _ROTATION_TOLERANCE) | (np.linalg.det(rotation) < 0)
+        if bad.any():
+            raise DataError(f"{where}: {key} of trial {np.argmax(bad)} is not a rotation")
+    _check_scale(m, where)
+    _check_ends(m, where)
+    _check_order(m, where)
+    _check_directions(m, where)
+
+
+def _check_scale(m: ClampedMeasurements, where: str) -> None:
+    """Length of the polygon through the markers against their arc length: units."""
+    span = m.arc_length[-1] - m.arc_length[0]
+    polygon = np.linalg.norm(np.diff(m.centerline, axis=1), axis=2).sum(axis=1)
+    ratio = np.median(polygon) / span
+    if ratio > 100 or ratio < 0.01:
+        raise DataError(
+            f"{where}: centerline measures {np.median(polygon):.4g} along markers that span "
+            f"{span:.4g} of arc length; both must be in metres (millimetres?)"
+        )
+    chord = np.linalg.norm(m.grip_position - m.clamp_position, axis=1)
+    worst = int(np.argmax(chord))
+    if chord[worst] > 1.2 * m.material.length:
+        raise DataError(
+            f"{where}: in trial {worst} the clamps are {chord[worst]:.4g} apart, more than the "
+            f"free length {m.material.length:g}; metres everywhere?"
+        )
+
+
+def _check_ends(m: ClampedMeasurements, where: str) -> None:
+    """Do the first and last markers lie near their own clamps?"""
+    ends = (m.centerline[:, 0], m.centerline[:, -1])
+    slack = (m.arc_length[0], m.material.length - m.arc_length[-1])
+    poses = (m.clamp_position, m.grip_position)
+    own = np.stack([np.linalg.norm(e - p, axis=1) for e, p in zip(ends, poses, strict=True)])
+    other = np.stack(
+        [np.linalg.norm(e - p, axis=1) for e, p in zip(ends, poses[::-1], strict=True)]
+    )
+    limit = 0.1 * m.material.length + np.array(slack)[:, None] + 6 * m.noise
+    exchanged = (own > limit).all(axis=0) & (other < limit).all(axis=0)
+    if exchanged.any():
+        raise DataError(
+            f"{where}: in trial {np.argmax(exchanged)} the first marker is at the gripper and the "
+            "last at clamp A; the clamps, or the order of the markers, are exchanged"
+        )
+    far = own > _FAR * m.material.length + np.array(slack)[:, None]
+    if far.any():
+        end, trial = np.argwhere(far)[0]
+        raise DataError(
+            f"{where}: in trial {trial} the {('first', 'last')[end]} marker is "
+            f"{own[end, trial]:.3g} m from its clamp; are poses and markers in one frame?"
+        )
+
+
+def _check_directions(m: ClampedMeasurements, where: str) -> None:
+    """Does the rod leave its clamps along their tangents?"""
+    length = m.material.length
+    slack = max(m.arc_length[0], length - m.arc_length[-1])
+    step = int(np.argmax(m.arc_length - m.arc_length[0] >= 0.03 * length))
+    if slack > 0.05 * length:
+        return
+    ends = (
+        m.centerline[:, step] - m.centerline[:, 0],
+        m.centerline[:, -1] - m.centerline[:, -1 - step],
+    )
+    tangents = (m.clamp_rotation[:, :, 2], m.grip_rotation[:, :, 2])
+
+    def cosines(pairs):
+        return np.stack([np.sum(e * t, axis=1) / np.linalg.norm(e, axis=1) for e, t in pairs])
+
+    own = cosines(zip(ends, tangents, strict=True))
+    other = cosines(zip(ends, tangents[::-1], strict=True))
+    exchanged = (own < 0.7).all(axis=0) & (other > 0.9).all(axis=0)
+    if exchanged.any():
+        raise DataError(
+            f"{where}: in trial {np.argmax(exchanged)} the rod leaves each clamp along the tangent "
+            "of the other; the rotations of the clamps are exchanged"
+        )
+    against = own < -0.5
+    if against.any():
+        end, trial = np.argwhere(against)[0]
+        raise DataError(
+            f"{where}: in trial {trial} the rod runs against the tangent of "
+            f"{('clamp_rotation', 'grip_rotation')[end]}; tangents point along growing arc length"
+        )
+
+
+def _check_order(m: ClampedMeasurements, where: str) -> None:
+    """No two markers can be further apart than the rod between them is long."""
+    excess = _excess(m, m.centerline)
+    if (excess <= 0).all():
+        return
+    trial = int(np.argmax(excess.max(axis=(1, 2))))
+    first, second = np.triu_indices(len(m.arc_length), 1)
+    swapped = np.repeat(m.centerline[trial][None], len(first), axis=0)
+    pair = np.arange(len(first))
+    swapped[pair, first] = m.centerline[trial, second]
+    swapped[pair, second] = m.centerline[trial, first]
+    best = int(np.argmin(np.linalg.norm(np.diff(swapped, axis=1), axis=2).sum(axis=1)))
+    if (_excess(m, swapped[best : best + 1]) <= 0).all():
+        raise DataError(
+            f"{where}: in trial {trial} markers {first[best]} and {second[best]} are swapped"
+        )
+    worst = int(np.argmax(np.maximum(excess[trial], 0.0).sum(axis=1)))
+    raise DataError(
+        f"{where}: in trial {trial} markers are further apart than the rod between them, most of "
+        f"all marker {worst}; it is mistaken or several are swapped"
+    )
+
+
+def _excess(m: ClampedMeasurements, centerline: np.ndarray) -> np.ndarray:
+    """(..., M, M) how much too far apart markers are [m]."""
+    rod = np.abs(m.arc_length[:, None] - m.arc_length[None])
+    distance = np.linalg.norm(centerline[:, :, None] - centerline[:, None], axis=-1)
+    # 15 % of room for stretch and for a scale error of the cameras, which is for the fit to find.
+    return distance - 1.15 * rod - 8.0 * m.noise

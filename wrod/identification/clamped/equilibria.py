@@ -1,0 +1,245 @@
+"""Equilibria of clamped rods for many candidate models at once.
+
+The batch holds candidate x trial rods, laid out by `wrod.identification.clamped.layout`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from wrod.errors import DataError
+from wrod.identification.clamped.layout import (
+    batch_arrays,
+    dead_force,
+    end_poses,
+    full_shape,
+    wind_load,
+)
+from wrod.identification.clamped.sensing import Prediction, View
+from wrod.identification.clamped.sensitivity import WIND_PASSES, WIND_TOLERANCE, Sensitivity
+from wrod.identification.clamped.setup import Setup
+from wrod.rods.batch import RodBatch, RodState
+from wrod.solvers.statics import EquilibriumSolver
+
+_WAYPOINTS = 8
+_PATIENCE, _WALK_PATIENCE = 12, 60
+
+
+class ClampedSolver:
+    """Equilibria of `candidate_count` models in T trials; the state is kept between calls.
+
+    Args:
+        setups: one model for each candidate, of the same node count and trials.
+        device: Warp device.
+
+    Raises:
+        DataError: a trial of the first solution does not reach its reported poses.
+    """
+
+    def __init__(self, setups: Sequence[Setup], *, device: str = "cpu", start=None):
+        first = setups[0]
+        self.candidate_count, self.trial_count = len(setups), len(first.clamp_position)
+        self.edge_count = len(first.fraction) - 1
+        self.device = device
+        arrays = batch_arrays(setups)
+        poses = end_poses(setups)
+        straight = self._straight(setups, arrays.rest_length)
+        self.batch = RodBatch(
+            straight,
+            director=np.repeat(poses[0][1][:, None, :, 0], self.edge_count + 2, axis=1),
+            device=device,
+            **vars(arrays),
+        )
+        free = np.ones(self.batch.dof_count, dtype=bool)
+        free[:7] = False
+        free[-7:] = False
+        self.batch.set_free(free)
+        self.sensitivity = Sensitivity(self.batch, self.trial_count, self.edge_count)
+        self.principal = np.zeros(self.batch.rod_count)
+        if start is None:
+            self._walk_to(setups, poses)
+        else:
+            self.restore(start)
+
+    # ---- states -------------------------------------------------------------------------------
+
+    def saved(self) -> tuple[np.ndarray, ...]:
+        """Copies of the state's arrays, (candidate x trial, ...)."""
+        s = self.batch.state
+        arrays = (s.dof, s.tangent, s.director, s.reference_twist)
+        return (*(a.numpy().copy() for a in arrays), self.principal.copy())
+
+    def restore(self, saved: tuple[np.ndarray, ...], rods: np.ndarray | None = None) -> None:
+        """Put a saved state back, for the given rods only if a mask (candidate x trial) is given.
+
+        A state of fewer candidates is repeated for all of them.
+        """
+        s = self.batch.state
+        *arrays, principal = saved
+
+        def merged(value, present):
+            repeats = self.batch.rod_count // len(value)
+            value = np.tile(value, (repeats,) + (1,) * (value.ndim - 1))
+            if rods is None:
+                return value
+            return np.where(rods.reshape((-1,) + (1,) * (value.ndim - 1)), value, present)
+
+        for array, value in zip(
+            (s.dof, s.tangent, s.director, s.reference_twist), arrays, strict=True
+        ):
+            array.assign(merged(value, array.numpy()))
+        self.principal = merged(principal, self.principal)
+
+    def total_twist(self) -> np.ndarray:
+        """(candidate x trial,) twist of every rod from clamp to clamp [rad]."""
+        state = self.batch.state
+        angle = state.dof.numpy()[:, 3::4]
+        return angle[:, -1] - angle[:, 0] + state.reference_twist.numpy()[:, 1:-1].sum(axis=1)
+
+    # ---- equilibria ---------------------------------------------------------------------------
+
+    def solve(self, setups: Sequence[Setup], *, walk: bool = True) -> np.ndarray:
+        """Bring every rod to equilibrium with its model; (C, T) whether it got there.
+
+        Without `walk` the clamps go to their new poses at once and a rod that does not follow is
+        given up: for a fit it is cheaper to try a shorter step.
+        """
+        self._assign(setups)
+        self._turn_principal(setups)
+        twist = self.total_twist()
+        targets = self._prescribed(*end_poses(setups), setups)
+        if not walk:
+            batch, before = (
+                self.batch,
+                RodState.zeros(self.batch.rod_count, self.batch.node_count, self.device),
+            )
+            before.assign(batch.state)
+            dof = batch.state.dof.numpy().copy()
+            held = batch.free.numpy() == 0
+            dof[held] = targets[held]
+            batch.state.dof.assign(dof)
+            batch.transport_frames(before, batch.state, batch.every_rod)
+            targets = None
+        reached = self._equilibrium(setups, targets, 1e-9)
+        # A rod that gained a turn has jumped to another equilibrium.
+        reached &= np.abs(self.total_twist() - twist) < np.pi
+        return reached.reshape(-1, self.trial_count)
+
+    def _equilibrium(self, setups, targets, tolerance) -> np.ndarray:
+        batch = self.batch
+        wind = np.repeat(np.real([s.wind for s in setups]), self.trial_count, axis=0)
+        windy = bool(np.any(wind))
+        for _ in range(WIND_PASSES if windy else 1):
+            before = batch.point_load.numpy().copy()
+            load = wind_load(batch.positions(), wind) + np.real(dead_force(setups))
+            batch.point_load.assign(load)
+            solver = EquilibriumSolver(batch)
+            result = solver.solve(
+                prescribed=targets,
+                tolerance=tolerance,
+                max_iterations=_PATIENCE if targets is None else _WALK_PATIENCE,
+            )
+            scale = solver.force_scale.numpy()[:, None, None]
+            if np.abs(load - before).max(axis=None, initial=0, where=np.isfinite(load)) <= (
+                WIND_TOLERANCE * scale.max()
+            ):
+                break
+        return result.converged
+
+    def _walk_to(self, setups: Sequence[Setup], poses) -> None:
+        """From straight and untwisted to the reported poses, the gripper turning the short way."""
+        (a, ra), (b, rb) = poses
+        start = (
+            a
+            + np.repeat([np.real(s.length) for s in setups], self.trial_count)[:, None]
+            * (ra[:, :, 2])
+        )
+        turn = Rotation.from_matrix(np.swapaxes(ra, 1, 2) @ rb).as_rotvec()
+        for step in range(1, _WAYPOINTS + 1):
+            f = step / _WAYPOINTS
+            frame = ra @ Rotation.from_rotvec(f * turn).as_matrix()
+            targets = self._prescribed((a, ra), (start + f * (b - start), frame), setups)
+            converged = self._equilibrium(setups, targets, 1e-6 if step < _WAYPOINTS else 1e-9)
+        # Large steps may let a slack rod pass through itself and keep a turn too many. The roll of
+        # the clamps is less than half a turn from the untwisted state, so whole turns come out.
+        for _ in range(_WAYPOINTS):
+            turns = np.rint(self.total_twist() / (2 * np.pi))
+            if not turns.any():
+                break
+            targets = self.batch.state.dof.numpy().copy()
+            targets[:, -4] -= 2 * np.pi * turns
+            converged = self._equilibrium(setups, targets, 1e-9)
+        if not converged.all():
+            trial = int(np.argmin(converged)) % self.trial_count
+            raise DataError(
+                f"the rod of trial {trial} finds no equilibrium at its reported poses; check "
+                "length, L_gb and the poses"
+            )
+
+    def _turn_principal(self, setups: Sequence[Setup]) -> None:
+        """Turn the directors that the solver carries to the principal directions of the models.
+
+        Were only the clamps' to turn, the rod would be twisted on the way and might stay so.
+        """
+        principal = np.repeat(np.real([s.principal_angle for s in setups]), self.trial_count)
+        dof = self.batch.state.dof.numpy().copy()
+        dof[:, 3::4] += (principal - self.principal)[:, None]
+        self.batch.state.dof.assign(dof)
+        self.principal = principal
+
+    def _straight(self, setups, rest_length) -> np.ndarray:
+        a = np.concatenate([np.real(s.clamp_position) for s in setups])
+        t = np.concatenate([np.real(s.clamp_rotation) for s in setups])[:, :, 2]
+        s = np.cumsum(np.pad(rest_length[:, 1:], ((0, 0), (1, 0))), axis=1)
+        s = np.concatenate([-rest_length[:, :1], s], axis=1)
+        return a[:, None] + s[:, :, None] * t[:, None]
+
+    def _prescribed(self, clamp, grip, setups) -> np.ndarray:
+        """(rod, dof): where the clamps' nodes, ghosts and angles have to be."""
+        (a, ra), (b, rb) = clamp, grip
+        batch = self.batch
+        h = batch.rest_length.numpy()[:, :1]
+        principal = np.repeat(np.real([s.principal_angle for s in setups]), self.trial_count)
+        dof = batch.state.dof.numpy().copy()
+        tangent, director = batch.state.tangent.numpy(), batch.state.director.numpy()
+        dof[:, 0:3], dof[:, 4:7] = a - h * ra[:, :, 2], a
+        dof[:, -7:-4], dof[:, -3:] = b, b + h * rb[:, :, 2]
+        for edge, column, frame in ((0, 3, ra), (-1, -4, rb)):
+            carried = _transport(director[:, edge], tangent[:, edge], frame[:, :, 2])
+            angle = np.arctan2(
+                np.sum(np.cross(frame[:, :, 2], carried) * frame[:, :, 0], axis=1),
+                np.sum(carried * frame[:, :, 0], axis=1),
+            )
+            angle += principal
+            # The same angle on the turn that the rod is on.
+            dof[:, column] = angle + 2 * np.pi * np.rint((dof[:, column] - angle) / (2 * np.pi))
+        return dof
+
+    def _assign(self, setups: Sequence[Setup]) -> None:
+        arrays = vars(batch_arrays(setups))
+        self.batch.set_softening(arrays.pop("softening"))
+        for name, value in arrays.items():
+            array = getattr(self.batch, name)
+            array.assign(np.ascontiguousarray(np.broadcast_to(value, full_shape(array))))
+
+    # ---- what the sensors see ------------------------------------------------------------------
+
+    def predict(self, setups: Sequence[Setup]) -> Prediction:
+        """Markers and wrench in the present state."""
+        zero = np.zeros((self.batch.rod_count, self.batch.dof_count))
+        self.batch.evaluate(order=1)
+        return View(self.batch).observe(setups, zero, zero)
+
+    def predict_rates(self, rates, wanted=None) -> list[Prediction]:
+        """The present prediction with its derivatives; see `Sensitivity.predict_rates`."""
+        return self.sensitivity.predict_rates(rates, wanted)
+
+
+def _transport(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
+    axis = np.cross(t, u)
+    cosine = np.sum(t * u, axis=1, keepdims=True)
+    along = np.sum(axis * v, axis=1, keepdims=True) / np.maximum(1.0 + cosine, 1e-12)
+    return cosine * v + np.cross(axis, v) + along * axis

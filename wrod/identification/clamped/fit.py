@@ -1,0 +1,275 @@
+"""Fits of many models at once: Levenberg-Marquardt with exact derivatives through the solver."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.identification.clamped.equilibria import ClampedSolver
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.setup import Setup
+from wrod.identification.effect import Model
+
+_MAX_ITERATIONS = 30
+_CONVERGED = 0.02
+# A candidate that gains less than this share of its distance to the best one has lost.
+_HOPELESS = 0.05
+_DAMPING = (1e-2, 1e6)
+# A step may move the markers of a trial by this share of the free length (RMS, to first order):
+# beyond, rods do not follow and the linearisation says little.
+_REACH = 0.04
+# Candidates in one batch: more share launches, but the slowest keeps the others waiting.
+_BATCH = 20
+
+
+@dataclass
+class Fit:
+    """One model at its best parameters.
+
+    Attributes:
+        model: the effects.
+        values: (P,) parameters; covariance: (P, P), of the Gaussian posterior.
+        chi_squared: weighted squares of the residuals over the trials fitted, without the prior.
+        residual_count: how many residuals those were.
+        converged: whether the iteration ended by its own criterion.
+    """
+
+    model: Model
+    values: np.ndarray
+    covariance: np.ndarray
+    chi_squared: float
+    residual_count: int
+    converged: bool
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion, up to a constant of the data."""
+        return self.chi_squared + len(self.values) * np.log(self.residual_count)
+
+    def correlation(self) -> np.ndarray:
+        """(P, P) correlations of the parameters."""
+        error = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(error, error)
+
+
+def fit_models(
+    laboratory: Laboratory,
+    models: Sequence[Model],
+    starts: Sequence[np.ndarray],
+    *,
+    trials: np.ndarray | None = None,
+    weights: np.ndarray | None = None,
+    origin: Fit | None = None,
+    least_gain: float = 0.0,
+    race: bool = True,
+    rival: float = np.inf,
+    progress=None,
+) -> list[Fit]:
+    """Fit every model from its start, all in one batch.
+
+    Args:
+        models, starts: candidates and their first parameter vectors.
+        trials: trial indices to fit on; default: the measurements' train trials.
+        weights: (candidate, trial) of 0 and 1: which of `trials` a candidate may see.
+        origin: a fit whose shapes to start from; by default those of the base model.
+        least_gain: a candidate stops at once where the linearised problem promises less.
+        race: let a candidate stop early that is far behind the best one of its batch.
+        rival: chi squared of a model that is already there, for the race.
+        progress: called with 1 whenever a candidate is finished.
+    """
+    trials = laboratory.measurements.train if trials is None else trials
+    if weights is None:
+        weights = np.ones((len(models), len(trials)))
+    # Launches release the interpreter, so slices of the candidates run side by side; their number
+    # does not depend on the machine, nor does the race. A wind is iterated over the whole batch:
+    # its candidates stay among themselves.
+    windy = [c for c, m in enumerate(models) if any(e.follows_shape for e in m.effects)]
+    still = [c for c in range(len(models)) if c not in windy]
+    slices = max(-(-len(still) // _BATCH), 1)
+    groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]
+    state = laboratory.base_state
+    if origin is not None:
+        state = laboratory.solver_at(origin.model, origin.values)[0].saved()
+    state = tuple(a[trials] for a in state)
+
+    def run(group):
+        own = ([models[c] for c in group], [starts[c] for c in group])
+        best = _Best(race, rival)
+        iteration = _Iteration(laboratory, *own, trials, weights[group], best, state, least_gain)
+        return iteration.run(progress)
+
+    fits: list[Fit | None] = [None] * len(models)
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        for group, results in zip(groups, pool.map(run, groups), strict=True):
+            for c, fit in zip(group, results, strict=True):
+                fits[c] = fit
+    return fits
+
+
+class _Best:
+    """The lowest cost of a batch so far, for the race."""
+
+    def __init__(self, race: bool, rival: float):
+        self.race, self.cost = race, rival
+
+    def behind(self, cost: float) -> float:
+        self.cost = min(self.cost, cost)
+        return cost - self.cost if self.race else 0.0
+
+
+class _Iteration:
+    """Levenberg-Marquardt of one batch of candidates; each has its own damping."""
+
+    def __init__(self, laboratory: Laboratory, models, starts, trials, weights, best, state, least):
+        self.laboratory, self.models, self.trials = laboratory, list(models), trials
+        self.weights, self.best = weights, best
+        self.base = Setup.base(laboratory.measurements, trials, laboratory.edge_count)
+        self.values = [np.array(v, dtype=float) for v in starts]
+        self.means = [m.prior_mean(v) for m, v in zip(self.models, self.values, strict=True)]
+        self.scales = [np.array([p.scale for p in m.parameters]) for m in models]
+        self.target = laboratory.target[trials]
+        self.coordinates = laboratory.measurements.centerline[0].size
+        self.deviation = laboratory.deviation[trials]
+        self.correction = laboratory.mesh_correction[trials]
+        self.start, self.least_gain = state, least
+
+    def run(self, progress) -> list[Fit]:
+        count = len(self.models)
+        damping = np.full(count, _DAMPING[0])
+        costs = np.full(count, np.inf)
+        converged = np.zeros(count, dtype=bool)
+        active = list(range(count))
+        results: list[Fit | None] = [None] * count
+        trial_values = [v.copy() for v in self.values]
+        normal: list[tuple[np.ndarray, np.ndarray] | None] = [None] * count
+        moves: list[np.ndarray | None] = [None] * count
+        promised = np.full(count, np.inf)
+        states = [self.start] * count
+        solver = None
+        for _ in range(_MAX_ITERATIONS):
+            if not active:
+                break
+            if solver is None or solver.candidate_count != len(active):
+                solver = self._solver(active, states)
+            setups = [self.models[c].setup(self.base, trial_values[c]) for c in active]
+            reached = solver.solve(setups, walk=False)
+            readings = solver.predict(setups)
+            rods = solver.saved()
+            accepted = []
+            for k, c in enumerate(active):
+                cost = np.inf
+                if (reached[k] | (self.weights[c] == 0)).all():
+                    cost = self._cost(c, k, trial_values[c], setups[k], readings)
+                if cost <= costs[c] and np.isfinite(cost):
+                    gain = costs[c] - cost if np.isfinite(costs[c]) else np.inf
+                    self.values[c], costs[c] = trial_values[c].copy(), cost
+                    damping[c] = max(damping[c] / 10.0, 1e-9)
+                    accepted.append(k)
+                    mine = slice(k * len(self.trials), (k + 1) * len(self.trials))
+                    states[c] = tuple(a[mine] for a in rods)
+                    enough = _CONVERGED + _HOPELESS * self.best.behind(cost)
+                    converged[c] = gain < enough and promised[c] < enough
+                else:
+                    damping[c] *= 20.0
+                    converged[c] = promised[c] < _CONVERGED
+            if accepted:
+                rates = self.laboratory.rates(
+                    solver,
+                    [self.models[c] for c in active],
+                    [trial_values[c] for c in active],
+                    self.base,
+                )
+                for k in accepted:
+                    c = active[k]
+                    first = normal[c] is None
+                    normal[c] = self._normal(c, k, setups[k], readings, rates[k])
+                    moves[c] = rates[k][:, : self.coordinates] * self.scales[c]
+                    matrix, rhs = normal[c]
+                    if first and rhs @ np.linalg.solve(matrix, rhs) < self.least_gain:
+                        converged[c] = True
+            self._put_back(solver, active, states)
+            done = []
+            for c in active:
+                if normal[c] is None or converged[c] or damping[c] > _DAMPING[1]:
+                    done.append(c)
+                    continue
+                trial_values[c], promised[c] = self._step(c, normal[c], moves[c], damping[c])
+            for c in done:
+                active.remove(c)
+                results[c] = self._result(c, normal[c], costs[c], bool(converged[c]))
+                if progress:
+                    progress(1)
+        for c in active:
+            results[c] = self._result(c, normal[c], costs[c], False)
+            if progress:
+                progress(1)
+        return results
+
+    def _solver(self, active, states) -> ClampedSolver:
+        stacked = tuple(
+            np.concatenate([states[c][i] for c in active]) for i in range(len(self.start))
+        )
+        return ClampedSolver(
+            [self.base] * len(active), device=self.laboratory.device, start=stacked
+        )
+
+    def _put_back(self, solver, active, states) -> None:
+        solver.restore(
+            tuple(np.concatenate([states[c][i] for c in active]) for i in range(len(self.start)))
+        )
+
+    def _residual(self, c, k, values, setup, readings) -> np.ndarray:
+        seen = self.laboratory.observed(self.models[c], values, setup, readings, k).real
+        return (self.target - seen - self.correction) / self.deviation * self.weights[c][:, None]
+
+    def _cost(self, c, k, values, setup, readings) -> float:
+        residual = self._residual(c, k, values, setup, readings)
+        cost = float((residual**2).sum() + self._prior(c, values))
+        return cost if np.isfinite(cost) else np.inf
+
+    def _prior(self, c, values) -> float:
+        return float((((values - self.means[c]) / self.scales[c]) ** 2).sum())
+
+    def _normal(self, c, k, setup, readings, rates) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, prior included, in units of the priors."""
+        residual = self._residual(c, k, self.values[c], setup, readings)
+        scale = self.scales[c]
+        jacobian = rates / self.deviation[..., None] * self.weights[c][:, None, None] * scale
+        matrix = np.einsum("trp,trq->pq", jacobian, jacobian) + np.eye(len(scale))
+        away = (self.values[c] - self.means[c]) / scale
+        return matrix, np.einsum("trp,tr->p", jacobian, residual) - away
+
+    def _step(self, c, normal, moves, damping) -> tuple[np.ndarray, float]:
+        """The values to try next, and what the linearised problem promises without damping."""
+        matrix, rhs = normal
+        parameters, scale = self.models[c].parameters, self.scales[c]
+        lower, upper = np.array([(p.lower, p.upper) for p in parameters]).T
+        # A parameter at its bound that wants beyond stays there.
+        stuck = (self.values[c] <= lower) & (rhs < 0.0) | (self.values[c] >= upper) & (rhs > 0.0)
+        free = np.flatnonzero(~stuck)
+        matrix, rhs = matrix[np.ix_(free, free)], rhs[free]
+        promise = float(rhs @ np.linalg.solve(matrix, rhs))
+        step = np.zeros(len(scale))
+        step[free] = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), rhs)
+        moved = np.sqrt(3.0 * ((moves @ step) ** 2).mean(axis=1).max())
+        step *= min(1.0, _REACH * self.base.length / max(moved, 1e-300))
+        return np.clip(self.values[c] + step * scale, lower, upper), promise
+
+    def _result(self, c, normal, cost, converged) -> Fit:
+        scale = self.scales[c]
+        values = self.values[c]
+        covariance = np.diag(scale**2)
+        if normal is not None:
+            covariance = np.linalg.inv(normal[0]) * np.outer(scale, scale)
+        return Fit(
+            self.models[c],
+            values,
+            covariance,
+            float(cost - self._prior(c, values)),
+            int(self.target.shape[1] * self.weights[c].sum()),
+            converged,
+        )

@@ -1,0 +1,205 @@
+"""The trials of one set of measurements, and what models predict for their sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from wrod.errors import DataError
+from wrod.identification.clamped.equilibria import ClampedSolver
+from wrod.identification.clamped.layout import COMPLEX_STEP
+from wrod.identification.clamped.measurements import ClampedMeasurements
+from wrod.identification.clamped.sensing import Prediction
+from wrod.identification.clamped.setup import Setup
+from wrod.identification.effect import Model
+
+_SMALLEST_STEP = 1.0 / 64
+# Of the free length, RMS over the markers; 90 edges move rods by less than a tenth of it.
+_LARGEST_CORRECTION = 0.005
+
+
+class Laboratory:
+    """The trials of one set of measurements, and the rods that models predict for them.
+
+    Args:
+        measurements: what was measured.
+        edge_count: edges between the clamps. Predictions are extrapolated to the continuum with a
+            mesh of half as many.
+        device: Warp device.
+    """
+
+    def __init__(
+        self, measurements: ClampedMeasurements, *, edge_count: int = 90, device: str = "cpu"
+    ):
+        self.measurements = measurements
+        self.edge_count, self.device = edge_count, device
+        self.trials = np.arange(measurements.trial_count)
+        self.base = Setup.base(measurements, self.trials, edge_count)
+        solver = ClampedSolver([self.base], device=device)
+        self.base_state = solver.saved()
+        self.target, self.deviation = self._observations()
+        self.mesh_correction = np.zeros_like(self.target)
+        self.refine(Model(), np.zeros(0))
+
+    def _observations(self) -> tuple[np.ndarray, np.ndarray]:
+        """(T, R) measured values and their standard deviations: markers, force, torque."""
+        m = self.measurements
+        target = [m.centerline.reshape(m.trial_count, -1)]
+        deviation = [np.full(target[0].shape, m.noise)]
+        for value, (relative, absolute) in (
+            (m.grip_force, m.force_noise),
+            (m.grip_torque, m.torque_noise),
+        ):
+            if value is not None:
+                target.append(value)
+                deviation.append(np.hypot(relative * value, absolute))
+        return np.concatenate(target, axis=1), np.concatenate(deviation, axis=1)
+
+    def refine(self, model: Model, values: np.ndarray) -> None:
+        """Set the mesh correction to that of a model: a third of what halving the mesh changes.
+
+        A trial whose rod reaches another equilibrium on the coarser mesh keeps none.
+        """
+        fine = self.observe(model, values, corrected=False)
+        half = Setup.base(self.measurements, self.trials, self.edge_count // 2)
+        solver = ClampedSolver([half], device=self.device)
+        setup = self._lead(solver, half, model, values)
+        coarse = self.observed(model, values, setup, solver.predict([setup]), 0).real
+        correction = (fine - coarse) / 3.0
+        move = np.sqrt((self._markers(correction) ** 2).sum(axis=2).mean(axis=1))
+        same = move < _LARGEST_CORRECTION * self.measurements.material.length
+        self.mesh_correction = correction * same[:, None]
+
+    def adopt(self, other: Laboratory) -> None:
+        """Take the mesh of another laboratory of the same measurements."""
+        self.__dict__.update(other.__dict__)
+
+    def solver_at(
+        self, model: Model, values: np.ndarray, trials: np.ndarray | None = None
+    ) -> tuple[ClampedSolver, Setup]:
+        """Trials (default: all) at equilibrium with a model."""
+        trials = self.trials if trials is None else trials
+        base = Setup.base(self.measurements, trials, self.edge_count)
+        state = tuple(a[trials] for a in self.base_state)
+        solver = ClampedSolver([base], device=self.device, start=state)
+        return solver, self._lead(solver, base, model, values)
+
+    def _lead(self, solver: ClampedSolver, base: Setup, model: Model, values) -> Setup:
+        """Lead the rods from the base model to another, in steps that keep them on their branch."""
+        setup, done, step = base, 0.0, 0.5
+        while done < 1.0 and len(values):
+            before = solver.saved()
+            setup = model.setup(base, model.grown(values, min(done + step, 1.0)))
+            if solver.solve([setup]).all():
+                done, step = done + step, 2.0 * step
+            elif step > _SMALLEST_STEP:
+                solver.restore(before)
+                step *= 0.5
+            else:
+                raise DataError(
+                    f"{self.measurements.name}: no equilibrium with {', '.join(model.names)} at "
+                    "the values asked for"
+                )
+        return setup
+
+    def observe(
+        self,
+        model: Model,
+        values: np.ndarray,
+        *,
+        trials: np.ndarray | None = None,
+        corrected: bool = True,
+    ) -> np.ndarray:
+        """(t, R) what the sensors would read in `trials`, by default all.
+
+        Raises:
+            DataError: a trial has no equilibrium with these values.
+        """
+        trials = self.trials if trials is None else trials
+        solver, setup = self.solver_at(model, values, trials)
+        seen = self.observed(model, values, setup, solver.predict([setup]), 0).real
+        return seen + self.mesh_correction[trials] if corrected else seen
+
+    def predict(self, model: Model, values: np.ndarray) -> np.ndarray:
+        """(T, M, 3) marker positions as the cameras would report them [m]."""
+        return self._markers(self.observe(model, values))
+
+    def _markers(self, readings: np.ndarray) -> np.ndarray:
+        shape = self.measurements.centerline.shape[1:]
+        return readings[:, : shape[0] * shape[1]].reshape(-1, *shape)
+
+    def scores(self, models: Sequence[Model], values: Sequence[np.ndarray]) -> list[float | None]:
+        """RMS marker distance on the test trials of many models [m], in one batch.
+
+        None where a trial has no equilibrium with the values.
+        """
+        m, trials = self.measurements, self.measurements.test
+        base = Setup.base(m, trials, self.edge_count)
+        state = tuple(a[trials] for a in self.base_state)
+        solver = ClampedSolver([base] * len(models), device=self.device, start=state)
+        reached = np.ones(len(models), dtype=bool)
+        for share in (0.5, 1.0):
+            setups = [m.setup(base, m.grown(v, share)) for m, v in zip(models, values, strict=True)]
+            reached &= solver.solve(setups).all(axis=1)
+        prediction = solver.predict(setups)
+        scores: list[float | None] = []
+        for c, (model, own) in enumerate(zip(models, values, strict=True)):
+            try:
+                if reached[c]:
+                    seen = self.observed(model, own, setups[c], prediction, c).real
+                    seen = seen + self.mesh_correction[trials]
+                else:
+                    seen = self.observe(model, own, trials=trials)
+            except DataError:
+                scores.append(None)
+                continue
+            error = self._markers(seen) - m.centerline[trials]
+            scores.append(float(np.sqrt((error**2).sum(axis=-1).mean())))
+        return scores
+
+    def jacobian(self, model: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(T, R) readings of all trials and their (T, R, P) derivatives, exact."""
+        solver, setup = self.solver_at(model, values)
+        seen = self.observed(model, values, setup, solver.predict([setup]), 0).real
+        rates = self.rates(solver, [model], [values], self.base)
+        return seen + self.mesh_correction, rates[0]
+
+    def observed(
+        self, model: Model, values, setup: Setup, prediction: Prediction, candidate: int
+    ) -> np.ndarray:
+        """(t, R) readings of one candidate, complex if the prediction is."""
+        position = model.measure(
+            prediction.position[candidate], prediction.frame[candidate], values, setup
+        )
+        readings = [position.reshape(len(position), -1)]
+        if self.measurements.grip_force is not None:
+            readings += [prediction.force[candidate], prediction.torque[candidate]]
+        return np.concatenate(readings, axis=1)
+
+    def rates(self, solver, models, values, base) -> list[np.ndarray]:
+        """(t, R, P) derivatives of every candidate's readings."""
+        count = max(len(v) for v in values)
+        steps = []
+        for j in range(count):
+            moved = [v.astype(complex) for v in values]
+            for v in moved:
+                if j < len(v):
+                    v[j] += 1j * COMPLEX_STEP
+            setups = [m.setup(base, v) for m, v in zip(models, moved, strict=True)]
+            steps.append((moved, setups))
+        predictions = solver.predict_rates(
+            [setups for _, setups in steps], [[j < len(v) for v in values] for j in range(count)]
+        )
+        return [
+            np.stack(
+                [
+                    np.imag(self.observed(model, moved[c], setups[c], prediction, c)) / COMPLEX_STEP
+                    for (moved, setups), prediction in list(zip(steps, predictions, strict=True))[
+                        : len(values[c])
+                    ]
+                ],
+                axis=2,
+            )
+            for c, model in enumerate(models)
+        ]

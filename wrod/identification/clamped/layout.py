@@ -1,0 +1,106 @@
+"""Setups of clamped rods laid out for a batch: one row for each candidate and trial.
+
+Beyond each clamp stands a ghost edge that carries the clamp's frame; at the clamp's node only half
+of the Voronoi length bends and twists, so stiffnesses count twice and natural curvatures half there
+(second order in the edge length).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from wrod.identification.clamped.setup import Setup
+
+COMPLEX_STEP = 1e-30
+
+
+@dataclass
+class BatchArrays:
+    """A list of setups laid out for the batch: candidate x trial in one leading axis."""
+
+    rest_length: np.ndarray
+    stretching_stiffness: np.ndarray
+    bending_stiffness: np.ndarray
+    twisting_stiffness: np.ndarray
+    natural_curvature: np.ndarray
+    natural_twist: np.ndarray
+    softening: np.ndarray
+    node_mass: np.ndarray
+    gravity: np.ndarray
+
+
+def batch_arrays(setups: Sequence[Setup]) -> BatchArrays:
+    """Lay setups out for the batch, ghosts included; complex if they are."""
+    rows: dict[str, list] = {name: [] for name in BatchArrays.__dataclass_fields__}
+    for s in setups:
+        n = len(s.fraction) - 1
+        h = s.length / n
+        share = np.ones(n + 1)
+        share[[0, -1]] = 0.5
+        c, d = np.cos(s.principal_angle), np.sin(s.principal_angle)
+        k = s.natural_curvature
+        principal = np.stack([c * k[:, 0] + d * k[:, 1], -d * k[:, 0] + c * k[:, 1]], axis=1)
+        rows["rest_length"].append(np.full(n + 2, h))
+        rows["stretching_stiffness"].append(np.pad(s.stretching, 1, mode="edge"))
+        rows["bending_stiffness"].append(_with_ghosts(s.bending / share[:, None]))
+        rows["twisting_stiffness"].append(_with_ghosts(s.twisting / share))
+        rows["natural_curvature"].append(_with_ghosts(principal * share[:, None]))
+        rows["natural_twist"].append(_with_ghosts(s.natural_twist * share))
+        rows["softening"].append(
+            _with_ghosts(s.softening / np.stack([share**2, np.ones(n + 1)], axis=1))
+        )
+        rows["node_mass"].append(np.pad(s.line_mass * h * share + s.node_mass, 1))
+        rows["gravity"].append(s.gravity)
+    trials = len(setups[0].clamp_position)
+    return BatchArrays(**{name: np.repeat(np.stack(v), trials, axis=0) for name, v in rows.items()})
+
+
+def _with_ghosts(values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values[:1], values, values[-1:]])
+
+
+def end_poses(setups: Sequence[Setup], keep=np.real):
+    """((a, R_A), (b, R_B)) of every rod."""
+    return tuple(
+        tuple(keep(np.concatenate([getattr(s, f"{end}_{part}") for s in setups])) for part in parts)
+        for end, parts in (("clamp", ("position", "rotation")), ("grip", ("position", "rotation")))
+    )
+
+
+def dead_force(setups: Sequence[Setup]) -> np.ndarray:
+    """(rod, node, 3) forces of the setups, none on the ghosts."""
+    first = setups[0]
+    shape = (len(first.clamp_position), len(first.fraction), 3)
+    force = np.concatenate([np.broadcast_to(s.force, shape) for s in setups])
+    return np.pad(force, ((0, 0), (1, 1), (0, 0)))
+
+
+def full_shape(array: wp.array) -> tuple[int, ...]:
+    """Shape of a Warp array with the components of its vectors."""
+    extra = array.dtype._shape_ if hasattr(array.dtype, "_shape_") else ()
+    return tuple(array.shape) + tuple(extra)
+
+
+def node_part(dof: np.ndarray) -> np.ndarray:
+    """(rod, node, 3) what belongs to positions in (rod, 4 node - 1) values."""
+    return np.pad(dof, ((0, 0), (0, 1))).reshape(len(dof), -1, 4)[:, :, :3]
+
+
+def wind_load(position: np.ndarray, wind: np.ndarray) -> np.ndarray:
+    """(rod, node, 3) forces of a cross-flow on the edges between the clamps."""
+    edge = position[:, 2:-1] - position[:, 1:-2]
+    length = np.sqrt(np.sum(edge * edge, axis=2, keepdims=True))
+    t = edge / length
+    w = wind[:, None] * np.ones_like(t)
+    across = w - np.sum(w * t, axis=2, keepdims=True) * t
+    # The tiny floor keeps the square root analytic in still air.
+    speed = np.sqrt(np.sum(across * across, axis=2, keepdims=True) + 1e-60)
+    half = 0.5 * length * speed * across
+    load = np.zeros_like(position)
+    load[:, 1:-2] += half
+    load[:, 2:-1] += half
+    return load

@@ -1,0 +1,89 @@
+"""Pairs of effects that may act together, found by linear superposition about the base model.
+
+One effect at a time, a selection can be led astray: the best single effect may stand for a pair of
+others. Every effect is linearised once, at each of its starts; all pairs are then small least
+squares problems, and the likeliest ones deserve a fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.identification.clamped.equilibria import ClampedSolver
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.setup import Setup
+from wrod.identification.effect import Effect, Model
+
+
+@dataclass
+class _Linear:
+    """One effect about one of its starts, in units of the noise and of the priors."""
+
+    effect: Effect
+    start: np.ndarray
+    columns: slice
+    shift: np.ndarray
+
+
+def likely_pairs(
+    laboratory: Laboratory, candidates: list[Effect], count: int
+) -> list[tuple[Model, np.ndarray]]:
+    """The `count` pairs of lowest linearised BIC, each with values to start from."""
+    m = laboratory.measurements
+    deviation = laboratory.deviation[m.train]
+    base = laboratory.observe(Model(), np.zeros(0), trials=m.train)
+    residual = ((laboratory.target[m.train] - base) / deviation).ravel()
+    parts, blocks, first = [], [], 0
+    # A wind is iterated over its whole batch.
+    for group in ([e for e in candidates if e.follows_shape == windy] for windy in (False, True)):
+        for effect, start, seen, rates in _linearised(laboratory, group):
+            scale = np.array([p.scale for p in effect.parameters])
+            blocks.append((rates / deviation[..., None] * scale).reshape(residual.size, -1))
+            columns = slice(first, first + len(start))
+            first += len(start)
+            parts.append(_Linear(effect, start, columns, ((seen - base) / deviation).ravel()))
+    jacobian = np.concatenate(blocks, axis=1)
+    gram = jacobian.T @ jacobian
+    found: dict[tuple[str, str], tuple[float, Model, np.ndarray]] = {}
+    for i, a in enumerate(parts):
+        for b in parts[i + 1 :]:
+            if a.effect is b.effect:
+                continue
+            left = residual - a.shift - b.shift
+            columns = np.r_[a.columns, b.columns]
+            model = Model((a.effect, b.effect))
+            start = np.concatenate([a.start, b.start])
+            prior = (start - model.prior_mean(start)) / np.array(
+                [p.scale for p in model.parameters]
+            )
+            matrix = gram[np.ix_(columns, columns)] + np.eye(len(columns))
+            rhs = jacobian[:, columns].T @ left - prior
+            cost = left @ left + prior @ prior - rhs @ np.linalg.solve(matrix, rhs)
+            cost += len(start) * np.log(residual.size)
+            key = (a.effect.name, b.effect.name)
+            if key not in found or cost < found[key][0]:
+                found[key] = (float(cost), model, start)
+    ranked = sorted(found.values(), key=lambda entry: entry[0])
+    return [(model, start) for _, model, start in ranked[:count]]
+
+
+def _linearised(laboratory: Laboratory, group: list[Effect]):
+    """(effect, start, readings there, their derivatives) of every start with an equilibrium."""
+    m = laboratory.measurements
+    chosen = [(e, start) for e in group for start in e.starts(m)]
+    if not chosen:
+        return
+    models, starts = [Model((e,)) for e, _ in chosen], [start for _, start in chosen]
+    base = Setup.base(m, m.train, laboratory.edge_count)
+    state = tuple(a[m.train] for a in laboratory.base_state)
+    solver = ClampedSolver([base] * len(chosen), device=laboratory.device, start=state)
+    setups = [model.setup(base, start) for model, start in zip(models, starts, strict=True)]
+    reached = solver.solve(setups).all(axis=1)
+    prediction = solver.predict(setups)
+    rates = laboratory.rates(solver, models, starts, base)
+    for c, (effect, start) in enumerate(chosen):
+        if reached[c]:
+            seen = laboratory.observed(models[c], start, setups[c], prediction, c).real
+            yield effect, start, seen + laboratory.mesh_correction[m.train], rates[c]

@@ -1,0 +1,247 @@
+"""`identify`: from measurements to a verdict, a better model and a report."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wrod.errors import DataError
+from wrod.files import write_atomically
+from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.measurements import ClampedMeasurements, load_measurements
+from wrod.identification.clamped.selection import select
+from wrod.identification.clamped.trace import Print, trace
+from wrod.identification.effect import Effect, Estimate, Model, effects
+from wrod.identification.model_file import with_effects, write_model
+from wrod.identification.verdict import Selection
+from wrod.rods.batch import resolve_device
+from wrod.rods.material import RodMaterial
+
+METRIC = "RMS over test trials and markers of the 3-D distance [mm]"
+_FORMAT = "wrod-identification-1"
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect of the chosen model.
+
+    Attributes:
+        name, title, reference: of the effect.
+        parameters: what was found, with standard errors.
+        after: test error with the effects up to this one [m].
+        alone: test error with this effect alone [m].
+        Both are None where a test trial has no equilibrium with what was fitted.
+    """
+
+    name: str
+    title: str
+    reference: str
+    parameters: dict[str, Estimate]
+    after: float | None
+    alone: float | None
+
+
+@dataclass(frozen=True)
+class IdentificationReport:
+    """What the measurements say.
+
+    Attributes:
+        verdict: adequate, explained, partly-explained or unexplained.
+        reason: the evidence in a sentence.
+        before, after: test error of the base model and of the better one [m].
+        noise_floor: test error of a perfect model [m].
+        effects: what was added, the one first that does most by itself.
+        candidates: every effect tried alone: its name, BIC gain and test error.
+        selection, prints: the whole evidence.
+        predicted_before, predicted_after: (T, M, 3) marker positions [m].
+        material: the rod with what a `RodMaterial` can carry of the effects.
+    """
+
+    measurements: ClampedMeasurements
+    verdict: str
+    reason: str
+    before: float
+    after: float
+    noise_floor: float
+    effects: tuple[FoundEffect, ...]
+    candidates: tuple[dict, ...]
+    selection: Selection
+    prints: tuple[Print, ...]
+    predicted_before: np.ndarray
+    predicted_after: np.ndarray
+    material: RodMaterial
+
+    def to_dict(self) -> dict:
+        """The content of `report.json`; lengths of errors in mm, everything else SI."""
+        s = self.selection
+        return {
+            "format": _FORMAT,
+            "data": self.measurements.name,
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "metric": METRIC,
+            "noise_floor_mm": 1e3 * self.noise_floor,
+            "before_mm": 1e3 * self.before,
+            "after_mm": 1e3 * self.after,
+            "effects": [
+                {
+                    "name": e.name,
+                    "title": e.title,
+                    "reference": e.reference,
+                    "parameters": {key: asdict(value) for key, value in e.parameters.items()},
+                    "after_mm_with_this_effect": _millimetres(e.after),
+                    "after_mm_with_this_effect_alone": _millimetres(e.alone),
+                }
+                for e in self.effects
+            ],
+            "candidates": list(self.candidates),
+            "confounded": s.confounded,
+            "selection": [
+                {"model": list(r.current), "accepted": r.accepted, "reason": r.reason}
+                for r in s.rounds
+            ],
+            "cross_validation_mm": [1e3 * v for v in s.cross_validation],
+            "chi_squared": {
+                "base": s.base_chi_squared,
+                "final": s.fit.chi_squared,
+                "residuals": s.fit.residual_count,
+            },
+            "prints": [p.to_dict() for p in self.prints],
+        }
+
+    def save(self, out: str | os.PathLike[str]) -> list[Path]:
+        """Write report.json, report.html, model.json and rod.json into a folder."""
+        from wrod.identification.clamped.page import write_page
+
+        out = Path(out)
+        content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
+        fit = self.selection.fit
+        return [
+            write_atomically(out / "report.json", lambda file: file.write(content)),
+            write_page(out / "report.html", self),
+            write_model(out / "model.json", self.material, fit.model, fit.values),
+            self.material.save(out / "rod.json"),
+        ]
+
+
+def identify(
+    measurements: ClampedMeasurements | str | os.PathLike[str],
+    *,
+    test: ClampedMeasurements | str | os.PathLike[str] | None = None,
+    candidates: Sequence[Effect | str] | None = None,
+    device: str | None = "cpu",
+    progress=None,
+) -> IdentificationReport:
+    """Find what the base model lacks, and prove it on trials that were not fitted.
+
+    Args:
+        measurements: a rod between two clamps, or its file; fitted on its train trials.
+        test: measurements of the same rod to score on; default: the test trials of `measurements`.
+        candidates: effects, or names of effects; default: every known one.
+        device: "cpu", "cuda:0", "auto".
+        progress: called with (text,) as the work goes on.
+
+    Raises:
+        DataError: the data cannot be right, or an effect is unknown.
+    """
+    say = progress or (lambda text: None)
+    m = measurements
+    if not isinstance(m, ClampedMeasurements):
+        m = load_measurements(m)
+    if test is not None:
+        other = test if isinstance(test, ClampedMeasurements) else load_measurements(test)
+        m = m.scored_on(other)
+    chosen = [_effect(c) for c in (effects().values() if candidates is None else candidates)]
+    say("base model")
+    laboratory = Laboratory(m, device=resolve_device(device))
+    say("force print")
+    prints = trace(laboratory)
+    say("effects")
+    selection = select(laboratory, chosen)
+    say("scores")
+    fit = selection.fit
+    before = laboratory.predict(Model(), np.zeros(0))
+    after = laboratory.predict(fit.model, fit.values)
+    return IdentificationReport(
+        measurements=m,
+        verdict=selection.verdict,
+        reason=selection.reason,
+        before=m.rms(before, m.test),
+        after=m.rms(after, m.test),
+        noise_floor=m.noise_floor,
+        effects=_found(laboratory, fit, selection),
+        candidates=tuple(_scores(laboratory, selection)),
+        selection=selection,
+        prints=tuple(prints),
+        predicted_before=before,
+        predicted_after=after,
+        material=with_effects(m.material, fit.model, fit.values, m),
+    )
+
+
+def _effect(candidate: Effect | str) -> Effect:
+    if isinstance(candidate, Effect):
+        return candidate
+    if candidate not in effects():
+        raise DataError(f"unknown effect {candidate!r}; known effects: {', '.join(effects())}")
+    return effects()[candidate]
+
+
+def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[FoundEffect, ...]:
+    m = laboratory.measurements
+    alone = {f.model.names[0]: f for f in selection.ranking}
+    effects, parts = fit.model.effects, fit.model.split(fit.values)
+    if not effects:
+        return ()
+    ends = np.cumsum([len(p) for p in parts])
+    steps = [
+        fit_models(
+            laboratory, [Model(effects[:k])], [fit.values[: ends[k - 1]]], origin=fit, race=False
+        )[0]
+        for k in range(1, len(effects))
+    ]
+    scored = [*steps, fit, *(alone.get(e.name, fit) for e in effects)]
+    after = laboratory.scores([f.model for f in scored], [f.values for f in scored])
+    found = []
+    for k, (effect, values) in enumerate(zip(effects, parts, strict=True)):
+        own = slice(ends[k] - len(values), ends[k])
+        parameters = effect.describe(values, fit.covariance[own, own], m)
+        found.append(
+            FoundEffect(
+                effect.name,
+                effect.title,
+                effect.reference,
+                parameters,
+                after[k],
+                after[len(effects) + k],
+            )
+        )
+    return tuple(found)
+
+
+def _scores(laboratory: Laboratory, selection: Selection) -> list[dict]:
+    """Every effect alone on the base model."""
+    fits = selection.ranking
+    if not fits:
+        return []
+    errors = laboratory.scores([f.model for f in fits], [f.values for f in fits])
+    return [
+        {
+            "name": fit.model.names[0],
+            "bic_gain": gain,
+            "chi_squared": fit.chi_squared,
+            "parameter_count": len(fit.values),
+            "test_mm": _millimetres(error),
+        }
+        for fit, gain, error in zip(fits, selection.rounds[0].gains, errors, strict=True)
+    ]
+
+
+def _millimetres(value: float | None) -> float | None:
+    return None if value is None else 1e3 * value

@@ -1,0 +1,261 @@
+"""Which effects the data ask for: forward selection, pairs, exchange, cross-validation.
+
+Stopping rule. An effect joins the model if it lowers the Bayesian information criterion of the
+train trials by `BIC_MARGIN` or more, takes away at least `LEAST_SHARE` of the base model's excess
+of squares or, where the error is still above the noise, half of what is left of it (an effect's law
+is never exactly the rod's: smaller gains would only mend its form), and lowers the squared error of
+trials held out in cross-validation. No model has more than `MOST_EFFECTS`, and where two effects
+leave more than half of the excess a third is not tried: what so many small effects mend is not
+theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from wrod.errors import DataError
+from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.pairs import likely_pairs
+from wrod.identification.effect import Effect, Model
+from wrod.identification.verdict import AT_NOISE, BIC_MARGIN, Round, Selection, judge
+
+LEAST_SHARE = 0.005
+MOST_EFFECTS = 3
+_FOLDS = 4
+_FINE = 4 / 3
+# Pairs to fit, and how many standard deviations of chi squared deserve them.
+_PAIRS, _FLUCTUATION = 12, 5.0
+
+
+def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -> Selection:
+    """Find the effects that explain the laboratory's train trials."""
+    empty = _base_fit(laboratory)
+    current, rounds = empty, []
+    excess = max(empty.chi_squared - empty.residual_count, 0.0)
+    held_out = _held_out(laboratory, empty)
+    base_held_out = held_out
+    while len(current.model.effects) < MOST_EFFECTS:
+        fits = _extensions(laboratory, current, candidates, progress)
+        if len(current.model.effects) == 1:
+            fits += _pairs(laboratory, current, candidates, progress)
+        if not fits:
+            break
+        best = min(fits, key=lambda f: f.bic)
+        if len(best.model.effects) > 1 and current.bic - best.bic >= BIC_MARGIN:
+            best, others = _exchanged(laboratory, best, candidates, progress)
+            fits += others
+        fits = _best_of_each(fits)
+        gain = current.bic - best.bic
+        taken = current.chi_squared - best.chi_squared
+        left = current.chi_squared - current.residual_count
+        share = taken / max(excess, 1e-300)
+        # Where much is left to explain, an effect beside a far larger one may be small.
+        more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
+        reason, ahead = "", held_out
+        if gain < BIC_MARGIN:
+            reason = f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
+        elif share < LEAST_SHARE and not more:
+            reason = f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
+        else:
+            try:
+                ahead = _held_out(laboratory, best)
+            except DataError:
+                reason = "a trial held out has no equilibrium with it"
+            if ahead[1] >= held_out[1]:
+                reason = reason or "trials held out get worse"
+        accepted = None if reason else best.model.names
+        rounds.append(
+            Round(
+                current.model.names,
+                best,
+                fits,
+                [current.bic - f.bic for f in fits],
+                accepted,
+                reason or f"BIC falls by {gain:.0f}, held-out error to {1e3 * ahead[0]:.3f} mm",
+            )
+        )
+        if reason:
+            break
+        current, held_out = best, ahead
+        left = current.chi_squared - current.residual_count
+        if len(current.model.effects) > 1 and left > 0.5 * excess:
+            break
+    current = _pruned(laboratory, current)
+    if len(current.model.effects) > 1:
+        # The one that does most by itself comes first.
+        alone = [f.model.names[0] for f in rounds[0].fits]
+        order = [alone.index(name) if name in alone else len(alone) for name in current.model.names]
+        current = _reordered(current, np.argsort(order, kind="stable"))
+    final = _polished(laboratory, current)
+    return judge(laboratory, final, _base_fit(laboratory), rounds, (base_held_out[0], held_out[0]))
+
+
+def _base_fit(laboratory: Laboratory) -> Fit:
+    trials = laboratory.measurements.train
+    residual = (laboratory.target - laboratory.observe(Model(), np.zeros(0)))[trials]
+    residual /= laboratory.deviation[trials]
+    return Fit(
+        Model(),
+        np.zeros(0),
+        np.zeros((0, 0)),
+        float((residual**2).sum()),
+        residual.size,
+        True,
+    )
+
+
+def _starts(laboratory: Laboratory, effect: Effect) -> list[np.ndarray]:
+    return effect.starts(laboratory.measurements)
+
+
+def _best_of_each(fits: list[Fit]) -> list[Fit]:
+    best: dict[tuple[str, ...], Fit] = {}
+    for fit in fits:
+        key = tuple(sorted(fit.model.names))
+        if key not in best or fit.chi_squared < best[key].chi_squared:
+            best[key] = fit
+    return sorted(best.values(), key=lambda f: f.bic)
+
+
+def _extensions(laboratory, current: Fit, candidates, progress) -> list[Fit]:
+    """Every candidate added to the current model, best first."""
+    models, starts = [], []
+    for effect in candidates:
+        if effect.name not in current.model.names:
+            for start in _starts(laboratory, effect):
+                models.append(current.model.extended(effect))
+                starts.append(np.concatenate([current.values, start]))
+    return _best_of_each(_fit(laboratory, models, starts, current, progress))
+
+
+def _pairs(laboratory, current: Fit, candidates, progress) -> list[Fit]:
+    """Pairs that are likely by superposition: the best single effect may stand for two others."""
+    if current.chi_squared - current.residual_count < _FLUCTUATION * np.sqrt(
+        2.0 * current.residual_count
+    ):
+        return []
+    chosen = likely_pairs(laboratory, candidates, _PAIRS)
+    chosen = [
+        (model, start) for model, start in chosen if current.model.names[0] not in model.names
+    ]
+    models, starts = [model for model, _ in chosen], [start for _, start in chosen]
+    return _fit(laboratory, models, starts, None, progress, rival=current.chi_squared)
+
+
+def _exchanged(laboratory, best: Fit, candidates, progress) -> tuple[Fit, list[Fit]]:
+    """Try every other effect in the place of each earlier one: the first choice saw the others'
+    work as its own. Once one has changed, the others have to prove themselves beside it. Returns
+    every fit on the way as well."""
+    # The last one was chosen from all, with the others as they are.
+    places = len(best.model.effects) - 1
+    tried, seen = 0, []
+    while tried < places:
+        # The effect in the first place makes room; one that stays moves to the end.
+        parts = best.model.split(best.values)
+        rest, values = Model(best.model.effects[1:]), np.concatenate(parts[1:])
+        models, starts = [], []
+        for effect in candidates:
+            if effect.name not in best.model.names:
+                for start in _starts(laboratory, effect):
+                    models.append(rest.extended(effect))
+                    starts.append(np.concatenate([values, start]))
+        origin = replace(best, model=rest, values=values)
+        others = _best_of_each(
+            _fit(laboratory, models, starts, origin, progress, rival=best.chi_squared)
+        )
+        seen += others
+        if others and others[0].bic < best.bic - 1e-6:
+            best, tried = others[0], 0
+        else:
+            best, tried = _reordered(best, [*range(1, places + 1), 0]), tried + 1
+    return best, seen
+
+
+def _reordered(fit: Fit, places: Sequence[int]) -> Fit:
+    """The same fit with its effects in another order."""
+    own = fit.model.split(np.arange(len(fit.values)))
+    order = np.concatenate([own[p] for p in places])
+    return replace(
+        fit,
+        model=Model(tuple(fit.model.effects[p] for p in places)),
+        values=fit.values[order],
+        covariance=fit.covariance[np.ix_(order, order)],
+    )
+
+
+def _pruned(laboratory, current: Fit) -> Fit:
+    """Drop what a later effect has made superfluous."""
+    while len(current.model.effects) > 1:
+        models, starts = [], []
+        parts = current.model.split(current.values)
+        for place in range(len(parts)):
+            rest = [e for i, e in enumerate(current.model.effects) if i != place]
+            models.append(Model(tuple(rest)))
+            starts.append(np.concatenate([p for i, p in enumerate(parts) if i != place]))
+        fits = fit_models(laboratory, models, starts, origin=current, race=False)
+        best = min(fits, key=lambda f: f.bic)
+        if best.bic > current.bic + BIC_MARGIN:
+            break
+        current = best
+    return current
+
+
+def _fit(laboratory, models, starts, origin, progress, rival: float = np.inf) -> list[Fit]:
+    if not models:
+        return []
+    fits = fit_models(
+        laboratory,
+        models,
+        starts,
+        origin=origin,
+        least_gain=0.5 * BIC_MARGIN,
+        rival=rival,
+        progress=progress,
+    )
+    return [f for f in fits if np.isfinite(f.chi_squared)]
+
+
+def _held_out(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
+    """(RMS of markers [m], chi squared of everything) of train trials not fitted, in folds."""
+    m, trials = laboratory.measurements, laboratory.measurements.train
+    count = min(_FOLDS, len(trials))
+    fold = np.arange(len(trials)) % count
+    fits = [fit] * count
+    if len(fit.values):
+        weights = (fold != np.arange(count)[:, None]).astype(float)
+        fits = fit_models(
+            laboratory,
+            [fit.model] * count,
+            [fit.values] * count,
+            weights=weights,
+            origin=fit,
+            race=False,
+        )
+    squares = chi_squared = 0.0
+    markers = m.centerline[0].size
+    for k, own in enumerate(fits):
+        left = trials[fold == k]
+        error = laboratory.target[left] - laboratory.observe(own.model, own.values, trials=left)
+        squares += float((error[:, :markers] ** 2).sum())
+        chi_squared += float(((error / laboratory.deviation[left]) ** 2).sum())
+    return float(np.sqrt(3.0 * squares / (len(trials) * markers))), chi_squared
+
+
+def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
+    """Fit again on a finer mesh, extrapolated at the model that was found."""
+    fine = Laboratory(
+        laboratory.measurements,
+        edge_count=int(_FINE * laboratory.edge_count),
+        device=laboratory.device,
+    )
+    if not fit.model.effects:
+        laboratory.adopt(fine)
+        return _base_fit(laboratory)
+    fine.refine(fit.model, fit.values)
+    polished = fit_models(fine, [fit.model], [fit.values], origin=fit, race=False)[0]
+    laboratory.adopt(fine)
+    return polished

@@ -1,0 +1,138 @@
+"""What markers and the wrist sensor see of a batch of clamped rods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.identification.clamped.layout import COMPLEX_STEP, node_part
+from wrod.identification.clamped.setup import Setup
+from wrod.rods.batch import RodBatch
+
+
+@dataclass
+class Prediction:
+    """What a model predicts; every array may carry a parameter's rate as imaginary part.
+
+    Attributes:
+        position: (C, T, M, 3) markers [m].
+        frame: (C, T, M, 3, 3) columns m1, m2, tangent there.
+        force, torque: (C, T, 3) of the gripper on the rod, about its end [N], [N m].
+    """
+
+    position: np.ndarray
+    frame: np.ndarray
+    force: np.ndarray
+    torque: np.ndarray
+
+
+class View:
+    """The state that a batch is in, its gradient being evaluated, for one or more observations."""
+
+    def __init__(self, batch: RodBatch):
+        self.position = batch.positions()
+        edge = np.diff(self.position, axis=1)
+        self.length = np.linalg.norm(edge, axis=2, keepdims=True)
+        self.tangent = edge / self.length
+        self.director = batch.material_directors()
+        self.gradient = batch.derivatives.gradient.numpy().copy()
+
+    def observe(
+        self,
+        setups: Sequence[Setup],
+        step: np.ndarray,
+        reaction_rate: np.ndarray,
+        wanted: Sequence[bool] | None = None,
+    ) -> Prediction:
+        """Markers, frames and wrench.
+
+        Args:
+            setups: one for each candidate.
+            step: (rod, dof) rates of the degrees of freedom, which become imaginary parts.
+            reaction_rate: (rod, dof) rates of the unbalanced forces.
+            wanted: candidates to observe; zeros stand for the others. Default: all.
+        """
+        count, trials = len(setups), len(setups[0].clamp_position)
+        markers = len(setups[0].marker_arc_length)
+        result = Prediction(
+            np.zeros((count, trials, markers, 3), dtype=complex),
+            np.zeros((count, trials, markers, 3, 3), dtype=complex),
+            np.zeros((count, trials, 3), dtype=complex),
+            np.zeros((count, trials, 3), dtype=complex),
+        )
+        i = 1j * COMPLEX_STEP
+        for c in range(count) if wanted is None else np.flatnonzero(wanted):
+            rods, setup = slice(c * trials, (c + 1) * trials), setups[c]
+            q = self.position[rods] + i * node_part(step[rods])
+            tangent, m1 = self._edge_frames(rods, step[rods], setup.principal_angle)
+            gradient = self.gradient[rods] + i * reaction_rate[rods]
+            result.force[c] = gradient[:, -7:-4] + gradient[:, -3:]
+            arm = q[:, -1] - q[:, -2]
+            torque = np.cross(arm, gradient[:, -3:]) + gradient[:, -4:-3] * tangent[:, -1]
+            # The banded Hessian is symmetric. The rate of the gradient in the frames that moved
+            # along also holds the holonomy of turning the end's tangent, half the twisting moment
+            # across it.
+            torque -= 0.5j * np.real(gradient[:, -4:-3]) * np.imag(tangent[:, -1])
+            result.torque[c] = torque
+            nodes, shares = _marker_shares(setup)
+            result.position[c] = _at(q, nodes, shares)
+            result.frame[c] = _frames_at(tangent, m1, nodes, shares)
+        return result
+
+    def _edge_frames(self, rods: slice, step: np.ndarray, principal: complex):
+        """(T, edge, 3) tangents and m1 of every edge, rates as imaginary parts."""
+        i, t, p = 1j * COMPLEX_STEP, self.tangent[rods], self.director[rods]
+        rate = np.diff(node_part(step), axis=1)
+        t_rate = (rate - np.sum(rate * t, axis=2, keepdims=True) * t) / self.length[rods]
+        angle, spin = -np.real(principal), step[:, 3::4] - np.imag(principal) / COMPLEX_STEP
+        m1 = np.cos(angle) * p[:, :, 0] + np.sin(angle) * p[:, :, 1]
+        m2 = np.cos(angle) * p[:, :, 1] - np.sin(angle) * p[:, :, 0]
+        m1_rate = spin[..., None] * m2 - np.sum(t_rate * m1, axis=2, keepdims=True) * t
+        return t + i * t_rate, m1 + i * m1_rate
+
+
+def _marker_shares(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
+    """(M, 4) nodes, ghosts included, around each marker and their weights in its position.
+
+    Cubic Lagrange between the clamps; beyond one, inside a gripper, along its ghost edge.
+    """
+    n = len(setup.fraction) - 1
+    u = setup.marker_arc_length / setup.length * n
+    where = np.real(u)
+    nodes = np.clip(np.floor(where) - 1, 0, n - 3).astype(int)[:, None] + np.arange(1, 5)
+    shares = _lagrange(u[:, None] + 1, nodes)
+    outside = (where < -1e-9) | (where > n + 1e-9)
+    if outside.any():
+        nodes[outside, :2] = np.where(where[outside] < 0, 0, n + 1)[:, None] + np.arange(2)
+        shares[outside] = 0.0
+        shares[outside, :2] = _lagrange(u[outside, None] + 1, nodes[outside, :2])
+    return nodes, shares
+
+
+def _at(values: np.ndarray, nodes: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """(T, M, 3) values at the markers out of (T, node, 3)."""
+    return np.sum(values[:, nodes] * shares[:, :, None], axis=2)
+
+
+def _lagrange(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(M, k) weights of the polynomial through (M, k) nodes at (M, 1) places."""
+    gaps = nodes[:, :, None] - nodes[:, None, :] + np.eye(nodes.shape[1])
+    factors = (x[:, :, None] - nodes[:, None, :]) / gaps
+    same = np.eye(nodes.shape[1], dtype=bool)
+    return np.prod(np.where(same, 1.0, factors), axis=2)
+
+
+def _frames_at(tangent, m1, nodes, shares) -> np.ndarray:
+    """(T, M, 3, 3) frames: those of the edges averaged at nodes, interpolated, orthonormalised."""
+
+    def at_markers(edges):
+        padded = np.concatenate([edges[:, :1], edges, edges[:, -1:]], axis=1)
+        return _at(0.5 * (padded[:, 1:] + padded[:, :-1]), nodes, shares)
+
+    t, d = at_markers(tangent), at_markers(m1)
+    t = t / np.sqrt(np.sum(t * t, axis=2, keepdims=True))
+    d = d - np.sum(d * t, axis=2, keepdims=True) * t
+    d = d / np.sqrt(np.sum(d * d, axis=2, keepdims=True))
+    return np.stack([d, np.cross(t, d), t], axis=3)

@@ -1,0 +1,120 @@
+"""The model of one rod between two clamps as plain arrays, which effects change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.identification.clamped.measurements import ClampedMeasurements
+
+
+@dataclass
+class Setup:
+    """Everything that an effect may change; n edges between the clamps, T trials; SI units.
+
+    The arrays may be complex: a parameter's exact derivative comes from a small imaginary part
+    that effects carry through (complex step), so only analytic functions may touch them.
+
+    Attributes:
+        fraction: (n + 1,) position of each node as a fraction of the free length (real).
+        length: free length between the clamps [m].
+        bending: (n + 1, 2) bending stiffness about the principal directions [N m^2].
+        principal_angle: angle from m1 to the first principal direction of bending [rad].
+        twisting: (n + 1,) [N m^2].
+        stretching: (n,) EA of each edge [N].
+        natural_curvature: (n + 1, 2) components of dt/ds at rest along (m1, m2) [1/m].
+        natural_twist: (n + 1,) [rad/m].
+        softening: (n + 1, 2) c [m^2] and r of the moment B k (r + (1 - r) / (1 + c k^2)).
+        line_mass: (n + 1,) mass per unstretched length [kg/m].
+        node_mass: (n + 1,) masses on top of it [kg].
+        gravity: (3,) [m/s^2].
+        wind: (3,) w of the force |w_perp| w_perp per length, w_perp across the rod [(N/m)^1/2].
+        force: (T, n + 1, 3), broadcast: dead force on each node [N].
+        clamp_position, grip_position: (T, 3) [m].
+        clamp_rotation, grip_rotation: (T, 3, 3), columns m1, m2, tangent.
+        marker_arc_length: (M,) unstretched arc length of each marker from the clamp [m].
+    """
+
+    fraction: np.ndarray
+    length: complex
+    bending: np.ndarray
+    principal_angle: complex
+    twisting: np.ndarray
+    stretching: np.ndarray
+    natural_curvature: np.ndarray
+    natural_twist: np.ndarray
+    softening: np.ndarray
+    line_mass: np.ndarray
+    node_mass: np.ndarray
+    gravity: np.ndarray
+    wind: np.ndarray
+    force: np.ndarray
+    clamp_position: np.ndarray
+    clamp_rotation: np.ndarray
+    grip_position: np.ndarray
+    grip_rotation: np.ndarray
+    marker_arc_length: np.ndarray
+
+    @classmethod
+    def base(cls, measurements: ClampedMeasurements, trials: np.ndarray, edge_count: int) -> Setup:
+        """The straight, uniform, isotropic, linear rod clamped as reported."""
+        m, rod = measurements, measurements.material
+        nodes = edge_count + 1
+        return cls(
+            fraction=np.linspace(0.0, 1.0, nodes),
+            length=rod.length,
+            bending=np.full((nodes, 2), rod.bending_stiffness),
+            principal_angle=0.0,
+            twisting=np.full(nodes, rod.twisting_stiffness),
+            stretching=np.full(edge_count, rod.stretching_stiffness),
+            natural_curvature=np.zeros((nodes, 2)),
+            natural_twist=np.zeros(nodes),
+            softening=np.zeros((nodes, 2)),
+            line_mass=np.full(nodes, rod.weight / rod.gravity),
+            node_mass=np.zeros(nodes),
+            gravity=np.array([0.0, 0.0, -rod.gravity]),
+            wind=np.zeros(3),
+            force=np.zeros((1, 1, 3)),
+            clamp_position=m.clamp_position[trials],
+            clamp_rotation=m.clamp_rotation[trials],
+            grip_position=m.grip_position[trials],
+            grip_rotation=m.grip_rotation[trials],
+            marker_arc_length=m.arc_length.copy(),
+        )
+
+    @property
+    def arc_length(self) -> np.ndarray:
+        """(n + 1,) unstretched arc length of each node [m]."""
+        return self.fraction * self.length
+
+    @property
+    def edge_fraction(self) -> np.ndarray:
+        """(n,) position of each edge's middle as a fraction of the free length."""
+        return 0.5 * (self.fraction[1:] + self.fraction[:-1])
+
+    def weights_at(self, arc_length) -> np.ndarray:
+        """(n + 1,) smooth shares of the nodes around a point: their sum is 1, their mean the point.
+
+        Quadratic B-splines, so that a mass may slide along the rod without a kink.
+        """
+        count = len(self.fraction) - 1
+        u = arc_length / self.length * count
+        i = int(np.clip(np.rint(np.real(u)), 1, count - 1))
+        v = u - i
+        shares = np.zeros(count + 1, dtype=np.result_type(u, float))
+        shares[i - 1 : i + 2] = 0.5 * (0.5 - v) ** 2, 0.75 - v**2, 0.5 * (0.5 + v) ** 2
+        return shares
+
+
+def rotation_of(vector: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation of a rotation vector; analytic, for complex steps (Rodrigues)."""
+    x, y, z = vector
+    cross = np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]])
+    square = np.dot(vector, vector)
+    if abs(square) < 1e-8:
+        a, b = 1 - square / 6 + square**2 / 120, 0.5 - square / 24 + square**2 / 720
+    else:
+        angle = np.sqrt(square)
+        a, b = np.sin(angle) / angle, (1 - np.cos(angle)) / square
+    return np.eye(3) + a * cross + b * (cross @ cross)

@@ -1,0 +1,248 @@
+"""What the residual looks like as mechanics, before any effect is fitted.
+
+Each print is an inverse problem, linear about the base model: a profile along the rod (or a few
+numbers at an end), the same in every trial, that would put the base model into the measured
+shapes. Its Gaussian prior is smooth and of the size that makes the data likeliest (empirical
+Bayes), so that noise leaves no print. Prints are ranked by the logarithm of the evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.effect import Effect, Model, Parameter, effects
+
+KNOTS = 7
+_AMPLITUDES = np.logspace(-4, 3, 43)
+
+
+@dataclass
+class Print:
+    """One way to read the residual.
+
+    Attributes:
+        name, title, unit: what it is.
+        points_to: effects that leave such a print.
+        evidence: log evidence over that of the base model alone [nats]; 0 where nothing is seen,
+            None where it is not known.
+        share: fraction of the excess of squares that it takes away, to first order.
+        arc_length: (K,) places of the profile [m]; None for numbers at an end.
+        components: names of the columns of `value`.
+        value, stderr: (K, components) or (components,).
+    """
+
+    name: str
+    title: str
+    unit: str
+    points_to: tuple[str, ...]
+    evidence: float | None
+    share: float
+    arc_length: np.ndarray | None
+    components: tuple[str, ...]
+    value: np.ndarray
+    stderr: np.ndarray
+
+    def to_dict(self) -> dict:
+        """As `report.json` has it."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "unit": self.unit,
+            "log_evidence": self.evidence,
+            "share_of_excess": self.share,
+            "points_to": list(self.points_to),
+            "components": list(self.components),
+            "arc_length": None if self.arc_length is None else self.arc_length.tolist(),
+            "value": self.value.tolist(),
+            "stderr": self.stderr.tolist(),
+        }
+
+
+class Profile(Effect):
+    """A profile of `width` components, linear between knots."""
+
+    width = 3
+    reference = ""
+
+    def __init__(self, scale: float):
+        self.parameters = tuple(
+            Parameter(f"{c}_{k}", "", scale) for k in range(KNOTS) for c in range(self.width)
+        )
+
+    def profile(self, setup, values) -> np.ndarray:
+        places = np.linspace(0.0, 1.0, KNOTS)
+        hats = np.maximum(1.0 - np.abs(setup.fraction[:, None] - places) * (KNOTS - 1), 0.0)
+        return hats @ np.reshape(values, (KNOTS, self.width))
+
+
+class _Force(Profile):
+    """Force per length, along the columns of a frame in each trial and node."""
+
+    def __init__(self, scale, frame):
+        super().__init__(scale)
+        self.frame = frame
+
+    def apply(self, setup, values):
+        cell = np.gradient(setup.fraction) * setup.length
+        cell[[0, -1]] *= 0.5
+        force = self.profile(setup, values) * cell[:, None]
+        setup.force = setup.force + np.einsum("tnij,nj->tni", self.frame, force)
+
+
+class _Curvature(Profile):
+    """A moment fixed in the material: a curvature vector at rest."""
+
+    width = 2
+
+    def apply(self, setup, values):
+        k = self.profile(setup, values)
+        bent = np.stack([k[:, 1], -k[:, 0]], axis=1)
+        setup.natural_curvature = setup.natural_curvature + bent
+
+
+class _Stiffness(Profile):
+    """A moment that follows the curvature."""
+
+    width = 1
+
+    def apply(self, setup, values):
+        setup.bending = setup.bending * (1.0 + self.profile(setup, values))
+
+
+def trace(laboratory: Laboratory) -> list[Print]:
+    """Every print of the train trials' residual, the most telling first."""
+    m = laboratory.measurements
+    trials = m.train
+    residual = (laboratory.target - laboratory.observe(Model(), np.zeros(0)))[trials]
+    residual = (residual / laboratory.deviation[trials]).ravel()
+    weight = m.material.weight
+    solver, _ = laboratory.solver_at(Model(), np.zeros(0))
+    frames = _node_frames(solver)
+    lab = np.broadcast_to(np.eye(3), frames.shape)
+    known = effects()
+    axes, own = ("x", "y", "z"), ("m1", "m2", "tangent")
+    force_unit = "N/m"
+    plans = [
+        (
+            "force_in_laboratory",
+            "force per length, fixed in the laboratory",
+            force_unit,
+            ("gravity_tilt", "air_flow", "point_mass", "density", "density_profile"),
+            Model((_Force(0.1 * weight, lab),)),
+            axes,
+        ),
+        (
+            "force_in_material",
+            "force per length that turns with the material",
+            force_unit,
+            (),
+            Model((_Force(0.1 * weight, frames),)),
+            own,
+        ),
+        (
+            "moment_in_material",
+            "moment that turns with the material, as a curvature vector at rest",
+            "1/m",
+            ("natural_curvature", "natural_helix"),
+            Model((_Curvature(1.0),)),
+            own[:2],
+        ),
+        (
+            "moment_with_curvature",
+            "moment that follows the curvature, as a relative change of bending stiffness",
+            "",
+            ("stiffness", "stiffness_gradient", "anisotropic_bending", "softening"),
+            Model((_Stiffness(0.1),)),
+            ("stiffness",),
+        ),
+        *(
+            (
+                f"{end}_end",
+                f"{who} is not where it was said to be",
+                "m, rad",
+                (f"{end}_offset", f"{end}_rotation", f"{end}_slip"),
+                Model(tuple(known[f"{end}_{kind}"] for kind in ("offset", "rotation", "slip"))),
+                (*own, "turn 1", "turn 2", "roll", "slip"),
+            )
+            for end, who in (("clamp", "clamp A"), ("grip", "the gripper"))
+        ),
+        (
+            "camera",
+            "cameras that shift, turn and scale",
+            "m, rad",
+            ("camera_offset", "camera_rotation", "camera_scale"),
+            Model((known["camera_rotation"], known["camera_scale"])),
+            ("turn x", "turn y", "turn z", "x", "y", "z", "scale", "x", "y", "z"),
+        ),
+        (
+            "markers",
+            "markers beside the centreline",
+            "m",
+            ("marker_offset",),
+            Model((known["marker_offset"],)),
+            own,
+        ),
+    ]
+    prints = []
+    for name, title, unit, points_to, model, components in plans:
+        scale = np.array([p.scale for p in model.parameters])
+        _, rates = laboratory.jacobian(model, np.zeros(len(scale)))
+        jacobian = rates[trials] * scale / laboratory.deviation[trials][..., None]
+        jacobian = jacobian.reshape(-1, len(scale))
+        profile = isinstance(model.effects[0], Profile)
+        prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
+        evidence, _, share, value, stderr = infer(jacobian, residual, prior)
+        value, stderr = value * scale, stderr * scale
+        arc_length = None
+        if profile:
+            arc_length = np.linspace(0.0, m.material.length, KNOTS)
+            value, stderr = (a.reshape(KNOTS, -1) for a in (value, stderr))
+        prints.append(
+            Print(
+                name, title, unit, points_to, evidence, share, arc_length, components, value, stderr
+            )
+        )
+    return sorted(prints, key=lambda p: -p.evidence)
+
+
+def _node_frames(solver) -> np.ndarray:
+    """(T, n + 1, 3, 3) columns m1, m2, tangent at the nodes between the clamps."""
+    m1 = solver.batch.material_directors()[:, :, 0]
+    t = solver.batch.state.tangent.numpy()
+    t, m1 = (a[:, 1:] + a[:, :-1] for a in (t, m1))
+    t /= np.linalg.norm(t, axis=2, keepdims=True)
+    m1 -= np.sum(m1 * t, axis=2, keepdims=True) * t
+    m1 /= np.linalg.norm(m1, axis=2, keepdims=True)
+    return np.stack([m1, np.cross(t, m1), t], axis=3)
+
+
+def smooth_prior(width: int) -> np.ndarray:
+    """Prior covariance of a profile: neighbouring knots, a sixth of the rod apart, are alike."""
+    place = np.arange(KNOTS)
+    like = np.exp(-0.5 * ((place[:, None] - place) / 1.5) ** 2) + 1e-6 * np.eye(KNOTS)
+    return np.kron(like, np.eye(width))
+
+
+def infer(jacobian, residual, prior):
+    """Evidence, likeliest variance of the prior, share and posterior of a linear model."""
+    root = np.linalg.cholesky(prior)
+    whitened = jacobian @ root
+    size, vectors = np.linalg.eigh(whitened.T @ whitened)
+    size = np.maximum(size, 0.0)
+    projected = vectors.T @ (whitened.T @ residual)
+    best = (0.0, 0.0)
+    for amplitude in _AMPLITUDES**2:
+        shrunk = amplitude / (1.0 + amplitude * size)
+        gain = 0.5 * (projected**2 * shrunk).sum() - 0.5 * np.log1p(amplitude * size).sum()
+        best = max(best, (float(gain), float(amplitude)))
+    evidence, amplitude = best
+    shrunk = amplitude / (1.0 + amplitude * size)
+    mean = root @ (vectors @ (shrunk * projected))
+    spread = root @ (vectors * np.sqrt(shrunk))
+    left = residual - jacobian @ mean
+    excess = max(residual @ residual - len(residual), 1e-300)
+    share = float((residual @ residual - left @ left) / excess) if amplitude else 0.0
+    return evidence, amplitude, min(share, 1.0), mean, np.sqrt((spread**2).sum(axis=1))

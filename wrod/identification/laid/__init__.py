@@ -1,0 +1,1 @@
+"""Identification from rods that lie on a table."""

@@ -1,0 +1,207 @@
+"""What the shapes of laid rods say of the rod: natural curvature and L_gb, by simulation.
+
+The deployment is simulated as it was planned, with the believed rod and with each parameter a
+little off; the residual is explained by these prints, the weighted least squares of one Gauss-
+Newton step, as often as asked. Friction keeps what it is given: it is not fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wrod.deployment.result import METRIC_POINTS
+from wrod.deployment.setup import tail
+from wrod.deployment.simulate import Trial, simulate_deployments
+from wrod.errors import DataError
+from wrod.identification.effect import Estimate
+from wrod.identification.laid.measurements import LaidMeasurements
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.solvers.contact import Friction
+
+PARAMETERS = ("natural_curvature", "log_L_gb")
+_UNITS = {"natural_curvature": "1/m", "log_L_gb": ""}
+# Differences are taken over these: large against the simulation's rounding, small in effect.
+_STEPS = {"natural_curvature": 1.0, "log_L_gb": 0.03}
+# Standard deviations of Gaussian priors around the believed rod.
+_PRIORS = {"natural_curvature": 20.0, "log_L_gb": 0.5}
+# Two prints with a correlation beyond this cannot be told apart.
+_CONFOUNDED = 0.95
+# One parameter is enough where it leaves no more than this, over what both leave.
+_ENOUGH = 1.3
+
+
+@dataclass(frozen=True)
+class LaidFit:
+    """What a set of laid rods says.
+
+    Attributes:
+        estimates: by parameter that is needed: curvature of the rod at rest to the left of the
+            pattern [1/m], and the logarithm of the true over the believed L_gb. Their standard
+            errors are those of the noise; what the simulation itself misses is not in them.
+        rod: the believed rod with them.
+        before, after: RMS distance of the rods from the simulation with the believed and with the
+            fitted rod [m].
+        noise_floor: that of a perfect prediction [m].
+        alone: RMS distance [m] that each parameter alone would leave, to first order.
+        correlation: of the two estimates, 0 for one.
+        verdict: "adequate", "explained", "partly-explained" or "unexplained".
+        reason: the evidence in a sentence.
+    """
+
+    estimates: dict[str, Estimate]
+    rod: RodMaterial
+    before: float
+    after: float
+    noise_floor: float
+    alone: dict[str, float]
+    correlation: float
+    verdict: str
+    reason: str
+
+
+def fit_laid(
+    measurements: LaidMeasurements,
+    rod: RodMaterial,
+    trajectory: Trajectory,
+    friction: Friction | float = 0.6,
+    *,
+    released: bool = True,
+    iterations: int = 2,
+    progress: Callable[[float], None] | None = None,
+    **options,
+) -> LaidFit:
+    """Explain where rods lie by their natural curvature and their L_gb.
+
+    Args:
+        measurements: the laid rods.
+        rod: the believed rod.
+        trajectory: that laid them.
+        friction: of the table.
+        released: whether they were measured after the grip let go, or with it still holding.
+        iterations: Gauss-Newton steps, each a batch of three simulated deployments.
+        progress: called with the share of all simulations done since the last call.
+        options: those of `wrod.simulate_deployments`.
+
+    Raises:
+        DataError: no iteration is asked for, or the simulation of the believed rod diverged.
+    """
+    if iterations < 1:
+        raise DataError(f"iterations is {iterations}; give at least 1")
+    law = friction if isinstance(friction, Friction) else Friction(friction)
+    roll = float(trajectory.metadata.get("roll", 0.0))
+    after_plan = tail(measurements.pattern, _planned(rod, trajectory), trajectory)
+
+    def predict(many: list[np.ndarray]) -> np.ndarray:
+        """(k, 50, 2) where rods with these parameters come to lie."""
+        trials = [
+            Trial(measurements.pattern, with_parameters(rod, v, roll), trajectory, law,
+                  tail=after_plan)
+            for v in many
+        ]  # fmt: skip
+
+        def watch(share: float) -> None:
+            if progress is not None:
+                progress(share * len(many) / (3 * iterations + 1))
+
+        laid = simulate_deployments(trials, progress=watch, **options)
+        if any(d.diverged for d in laid):
+            raise DataError("a simulated deployment diverged; take a smaller step or other rods")
+        lines = [d.released_centerline if released else d.centerline for d in laid]
+        # As a camera sees them: by the length that lies there, not by the length at rest.
+        return np.stack([measurements.at_points(line[:, :2]) for line in lines])
+
+    steps = np.array([_STEPS[name] for name in PARAMETERS])
+    priors = np.array([_PRIORS[name] for name in PARAMETERS])
+    mean, count = measurements.positions.mean(axis=0), len(measurements.curves)
+    weight = count / measurements.noise**2
+    values, active = np.zeros(2), [0, 1]
+    before, alone = np.inf, {}
+    for iteration in range(iterations):
+        here, *there = predict([values, *(values + np.diag(steps)[active])])
+        off = (mean - here).ravel()
+        rates = np.stack(
+            [(t - here).ravel() / h for t, h in zip(there, steps[active], strict=True)]
+        )
+        if iteration == 0:
+            before, alone = measurements.rms(here), _alone(measurements, here, rates, off)
+            active = _chosen(measurements, here, rates, off, alone)
+            rates = rates[active]
+        matrix = weight * rates @ rates.T + np.diag(priors[active] ** -2)
+        pull = weight * rates @ off - values[active] / priors[active] ** 2
+        values[active] += np.linalg.solve(matrix, pull)
+    after = measurements.rms(predict([values])[0])
+    covariance = np.linalg.inv(matrix)
+    errors = np.sqrt(np.diag(covariance))
+    estimates = {
+        PARAMETERS[k]: Estimate(float(values[k]), float(e), _UNITS[PARAMETERS[k]])
+        for k, e in zip(active, errors, strict=True)
+    }
+    correlation = float(covariance[0, -1] / (errors[0] * errors[-1])) if len(active) > 1 else 0.0
+    floor = measurements.noise_floor
+    verdict, reason = _verdict(before, after, floor, count, estimates, correlation)
+    if verdict == "adequate":
+        estimates, values, after = {}, np.zeros(2), before
+    return LaidFit(
+        estimates,
+        with_parameters(rod, values, roll),
+        before,
+        after,
+        floor,
+        alone,
+        correlation,
+        verdict,
+        reason,
+    )
+
+
+def with_parameters(rod: RodMaterial, values: np.ndarray, roll: float = 0.0) -> RodMaterial:
+    """`rod` with more natural curvature to the left as held at `roll`, and another L_gb."""
+    more = float(values[0])
+    first, second = rod.natural_curvature
+    return replace(
+        rod,
+        natural_curvature=(first + more * np.cos(roll), second - more * np.sin(roll)),
+        gravito_bending_length=rod.gravito_bending_length * float(np.exp(values[1])),
+    )
+
+
+def _planned(rod: RodMaterial, trajectory: Trajectory) -> RodMaterial:
+    """The rod of the plan, whose tail the grip laid."""
+    planned = trajectory.metadata.get("rod")
+    return RodMaterial(**planned) if isinstance(planned, dict) else rod
+
+
+def _chosen(measurements, here, rates, off, alone) -> list[int]:
+    """The better parameter, or both where it leaves clearly more than both together do."""
+    together = np.linalg.lstsq(rates.T, off, rcond=None)[0] @ rates
+    left = measurements.rms(here + together.reshape(METRIC_POINTS, 2))
+    best = min(range(len(PARAMETERS)), key=lambda k: alone[PARAMETERS[k]])
+    return [best] if alone[PARAMETERS[best]] <= _ENOUGH * left else [0, 1]
+
+
+def _alone(measurements, here, rates, off) -> dict[str, float]:
+    left = {}
+    for name, rate in zip(PARAMETERS, rates, strict=True):
+        moved = here + (rate * (rate @ off) / max(rate @ rate, 1e-300)).reshape(METRIC_POINTS, 2)
+        left[name] = measurements.rms(moved)
+    return left
+
+
+def _verdict(before, after, floor, count, estimates, correlation) -> tuple[str, str]:
+    """Neighbouring points of a laid rod err together, so a margin stands for their number."""
+    shares = f"{1e3 * before:.2f} mm before, {1e3 * after:.2f} mm after, noise {1e3 * floor:.2f} mm"
+    margin = 1.15 if count > 1 else 1.3
+    if before <= margin * floor:
+        return "adequate", f"the believed rod is within the noise ({shares})"
+    clear = [name for name, e in estimates.items() if abs(e.value) > 3.0 * e.stderr]
+    if not clear or after > 0.8 * before:
+        return "unexplained", f"neither natural curvature nor L_gb explains the residual ({shares})"
+    word = "explained" if after <= margin * floor else "partly-explained"
+    said = " and ".join(clear)
+    if abs(correlation) > _CONFOUNDED:
+        said += ", which these rods hardly tell apart"
+    return word, f"{said} ({shares})"

@@ -1,0 +1,287 @@
+"""Fits of models of motion: Levenberg-Marquardt with exact derivatives through the steps."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wrod.identification.effect import Model
+from wrod.identification.motion.data import MotionMeasurements
+from wrod.identification.motion.setup import MotionSetup
+from wrod.identification.motion.solver import MotionSolver
+from wrod.identification.motion.tangents import COMPLEX_STEP
+from wrod.identification.motion.windows import Windows, windows_of
+
+# Errors of a motion grow far beyond the markers' noise, so large ones count linearly.
+_ROBUST = 10e-3
+_DAMPING, _HARDER, _TRIALS = 1e-2, 5.0, 7
+_CONVERGED = 2e-3
+# A parameter as large as its prior's scale costs this share of the misfit that a fit starts from.
+_PRIOR = 2e-3
+# Slices of windows that are run side by side: launches take turns, so more would only wait.
+_SLICES = 2
+# Time steps a frame at most, where longer ones do not converge.
+_FINEST = 4
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """A model's robust misfit to some windows around a parameter vector.
+
+    Attributes:
+        cost: mean over coordinates of the robust misfit, the prior included [m].
+        hessian, gradient: (P, P), (P,) of the cost, Gauss-Newton.
+        error: mean |difference| over coordinates and all markers [m].
+        failed: windows whose steps did not converge.
+        scatter: (P, P) sum over recordings of the outer products of their shares of the gradient.
+    """
+
+    cost: float
+    hessian: np.ndarray
+    gradient: np.ndarray
+    error: float
+    failed: int
+    scatter: np.ndarray
+
+    def part(self, index: np.ndarray) -> Linearised:
+        """The same for some of the parameters, the others held."""
+        block = np.ix_(index, index)
+        return replace(
+            self,
+            hessian=self.hessian[block],
+            gradient=self.gradient[index],
+            scatter=self.scatter[block],
+        )
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(P, P) of the estimates, from the scatter between recordings: errors within one
+        recording hang together, and the model is never exactly the rod's."""
+        inverse = np.linalg.inv(self.hessian)
+        return inverse @ self.scatter @ inverse
+
+
+class MotionLaboratory:
+    """Recordings of one rod, and the motions that models predict for them.
+
+    Args:
+        measurements: what was recorded.
+        subdivisions: edges between neighbouring free markers.
+        substeps: time steps a frame.
+        device: Warp device.
+    """
+
+    def __init__(
+        self,
+        measurements: MotionMeasurements,
+        *,
+        subdivisions: int = 2,
+        substeps: int = 1,
+        device: str = "cpu",
+        free_roll: bool = False,
+    ):
+        self.measurements = measurements
+        self.base = MotionSetup.base(
+            measurements.edge_length(subdivisions), subdivisions, measurements.gravity
+        )
+        self.substeps, self.device, self.free_roll = substeps, device, free_roll
+        self.misfit: float | None = None
+
+    def windows(self, recordings, starts=(0,), frames=None) -> Windows:
+        return windows_of(self.measurements, recordings, starts, frames)
+
+    def run(self, windows: Windows, setup: MotionSetup, rates: Sequence[MotionSetup] = ()):
+        """`MotionSolver.run` over slices of the windows, side by side; with failures (W,).
+
+        Windows whose steps do not converge are run again with shorter ones.
+        """
+        x, rate, failed = self._run(windows, setup, rates)
+        if failed.any() and self.substeps < _FINEST:
+            worst = np.flatnonzero(failed)
+            part = Windows(**{k: v[worst] for k, v in vars(windows).items()})
+            again = self.finer().run(part, setup, rates)
+            x[worst], failed[worst] = again[0], again[2]
+            if rates:
+                rate[worst] = again[1]
+        return x, rate, failed
+
+    def _run(self, windows: Windows, setup: MotionSetup, rates: Sequence[MotionSetup]):
+        count = min(os.cpu_count() or 1, _SLICES, len(windows.recording))
+        count = count if self.device == "cpu" else 1
+        slices = np.array_split(np.arange(len(windows.recording)), count)
+
+        def one(rods):
+            part = Windows(**{k: v[rods] for k, v in vars(windows).items()})
+            solver = MotionSolver(
+                part,
+                self.measurements.rate,
+                substeps=self.substeps,
+                device=self.device,
+                free_roll=self.free_roll,
+            )
+            return (*solver.run(setup, rates), solver.failed)
+
+        with ThreadPoolExecutor(count) as pool:
+            parts = list(pool.map(one, slices))
+        x = np.concatenate([p[0] for p in parts])
+        rate = np.concatenate([p[1] for p in parts]) if rates else None
+        return x, rate, np.concatenate([p[2] for p in parts])
+
+    def predict(self, windows: Windows, model: Model, values: np.ndarray) -> np.ndarray:
+        """(W, F, M, 3) markers [m]."""
+        return self.run(windows, model.setup(self.base, values))[0]
+
+    def error(self, windows: Windows, predicted: np.ndarray) -> float:
+        """Mean |difference| over coordinates and all markers from the third frame on [m]."""
+        return float(errors_of(windows, predicted)[:, 2:][windows.seen[:, 2:]].mean())
+
+    def error_between(self, windows: Windows, a: np.ndarray, b: np.ndarray) -> float:
+        """Mean |difference| of two predictions, as `error` [m]."""
+        size = np.abs(a - b).mean(axis=(2, 3))
+        return float(size[:, 2:][windows.seen[:, 2:]].mean())
+
+    def finer(self) -> MotionLaboratory:
+        """The same with half the time step."""
+        other = copy.copy(self)
+        other.substeps = 2 * self.substeps
+        return other
+
+    def rates(self, model: Model, values: np.ndarray) -> list[MotionSetup]:
+        """Setups whose imaginary parts are the parameters' rates."""
+        out = []
+        for j in range(len(values)):
+            moved = np.asarray(values).astype(complex)
+            moved[j] += 1j * COMPLEX_STEP
+            out.append(model.setup(self.base, moved))
+        return out
+
+    def linearise(self, windows: Windows, model: Model, values: np.ndarray) -> Linearised:
+        """The misfit and its derivatives."""
+        setup = model.setup(self.base, values)
+        x, rate, failed = self.run(windows, setup, self.rates(model, values))
+        seen, difference, root, cost, prior = self._misfit(windows, model, values, x)
+        count = difference.size
+        # Where a run ended early its derivatives mean nothing.
+        rate[failed] = 0.0
+        weighted = difference / root
+        j = rate[seen]
+        share = 3 * np.einsum("fmpc,fmc->fp", j, weighted) / (count * _ROBUST)
+        gradient = share.sum(axis=0)
+        owner = np.broadcast_to(windows.recording[:, None], seen.shape)[seen]
+        shares = np.stack([share[owner == r].sum(axis=0) for r in np.unique(owner)])
+        shares = shares - shares.mean(axis=0)
+        flat = np.moveaxis(j / np.sqrt(root)[:, :, None], 2, -1).reshape(-1, len(values))
+        hessian = 3 * flat.T @ flat / (count * _ROBUST)
+        return Linearised(
+            cost,
+            hessian + np.diag(prior),
+            gradient + prior * values,
+            float(np.abs(difference).mean()),
+            int(failed.sum()),
+            shares.T @ shares * len(shares) / max(len(shares) - 1, 1),
+        )
+
+    def cost(self, windows: Windows, model: Model, values: np.ndarray) -> float:
+        """The misfit alone."""
+        x, _, _ = self.run(windows, model.setup(self.base, values))
+        return self._misfit(windows, model, values, x)[3]
+
+    def _misfit(self, windows, model, values, x):
+        """Frames that count, their differences, robust weights, cost and the prior's curvature."""
+        seen = windows.seen.copy()
+        seen[:, :2] = False
+        difference = (x - windows.markers)[seen]
+        square = np.sum(difference**2, axis=-1, keepdims=True)
+        root = np.sqrt(1.0 + square / _ROBUST**2)
+        scale = np.array([p.scale for p in model.parameters])
+        cost = _ROBUST * np.sum(root - 1.0) * 3 / max(difference.size, 1)
+        if self.misfit is None:
+            self.misfit = cost
+        prior = _PRIOR * self.misfit / scale**2
+        cost += 0.5 * np.sum(prior * values**2)
+        return seen, difference, root, float(cost), prior
+
+    def fit(
+        self,
+        windows: Windows,
+        model: Model,
+        values: np.ndarray,
+        *,
+        iterations: int = 12,
+        converged: float = _CONVERGED,
+        say=None,
+    ) -> tuple[np.ndarray, Linearised]:
+        """Levenberg-Marquardt from `values`."""
+        values = np.asarray(values, dtype=float)
+        self.misfit = None
+        now = self.linearise(windows, model, values)
+        damping = _DAMPING
+        for _ in range(iterations):
+            if say:
+                say(values, now)
+            before = now.cost
+            trial, cost, damping = self._step(windows, model, values, now, damping)
+            if trial is None:
+                break
+            values = trial
+            now = self.linearise(windows, model, values)
+            if before - cost < converged * before:
+                break
+        return values, now
+
+    def refine(self, windows: Windows, model: Model, values: np.ndarray, steps: int) -> np.ndarray:
+        """`fit` in a few steps, without the linearisation that would follow the last."""
+        self.misfit, damping = None, _DAMPING
+        for _ in range(steps):
+            now = self.linearise(windows, model, values)
+            trial, _, damping = self._step(windows, model, values, now, damping)
+            if trial is None:
+                break
+            values = trial
+        return values
+
+    def step(
+        self, windows: Windows, model: Model, values: np.ndarray, now: Linearised
+    ) -> np.ndarray:
+        """One step of Levenberg-Marquardt; `values` where none lowers the misfit."""
+        now = replace(now, cost=self.cost(windows, model, values))
+        trial, _, _ = self._step(windows, model, values, now, _DAMPING)
+        return values if trial is None else trial
+
+    def _step(self, windows, model, values, now, damping):
+        """Parameters, cost and next damping of a step that lowers the cost; None without one."""
+        lower, upper = (np.array([getattr(p, b) for p in model.parameters]) for b in
+                        ("lower", "upper"))  # fmt: skip
+        # A parameter at its bound stays there while the cost falls beyond it.
+        inside = ~(
+            ((values <= lower) & (now.gradient > 0)) | ((values >= upper) & (now.gradient < 0))
+        )
+        for _ in range(_TRIALS):
+            trial = np.clip(values + _newton(now, damping, inside), lower, upper)
+            cost = self.cost(windows, model, trial)
+            if cost < now.cost:
+                step = trial - values
+                promised = -(now.gradient @ step + 0.5 * step @ now.hessian @ step)
+                if now.cost - cost > 0.5 * promised:
+                    damping = max(damping / _HARDER, 1e-6)
+                return trial, cost, damping
+            damping *= _HARDER
+        return None, now.cost, damping
+
+
+def _newton(at: Linearised, damping: float, inside: np.ndarray) -> np.ndarray:
+    """(P,) damped Gauss-Newton step of the parameters that are not held at a bound."""
+    step = np.zeros(len(inside))
+    h = at.hessian[np.ix_(inside, inside)]
+    step[inside] = -np.linalg.solve(h + damping * np.diag(np.diag(h)), at.gradient[inside])
+    return step
+
+
+def errors_of(windows: Windows, predicted: np.ndarray) -> np.ndarray:
+    """(W, F) mean |difference| over coordinates and all markers [m]."""
+    return np.abs(predicted - windows.markers).mean(axis=(2, 3))

@@ -1,0 +1,405 @@
+"""Inverse dynamics: the forces at the markers that a model lacks to follow recorded motion.
+
+Every sampled frame is a statics problem by d'Alembert's principle: the rod with its markers where
+they were seen, under its weight, drag and minus its mass times the acceleration seen. Nodes between
+markers find their equilibrium; the reactions at the markers are what the model lacks there. Nothing
+is integrated in time, so an error does not travel along the recording, and no derivative of fourth
+order along the rod is taken of noisy points.
+
+The lengths between markers are not known nearly as well as a rod resists stretching, so the tension
+of every span is left free: what is looked at are the combinations of reactions that do not feel it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import warp as wp
+
+from wrod.identification.effect import Model
+from wrod.identification.motion.curves import through_markers
+from wrod.identification.motion.data import MotionMeasurements
+from wrod.identification.motion.setup import MotionSetup
+from wrod.identification.motion.start import held_ends
+from wrod.identification.motion.tangents import COMPLEX_STEP, kind_of, node_columns
+from wrod.identification.motion.windows import Windows, windows_of
+from wrod.kernels.stepping import motion as kernels
+from wrod.kernels.stepping import motion_tangents
+from wrod.rods.batch import RodBatch
+from wrod.solvers.statics import EquilibriumSolver, prescribe
+
+# Standard deviation of the Gaussian that paths are smoothed with, in time and at least [s, frames].
+_SMOOTH, _LEAST = 0.015, 1.2
+# Rounds in which the tensions and the shapes between markers settle, and what is expected of the
+# missing force meanwhile, over the weight.
+_ROUNDS, _EXPECTED = 3, 0.1
+_TOLERANCE = 1e-8
+
+
+@dataclass
+class InverseMotion:
+    """S sampled frames; n nodes, F free markers, D degrees of freedom, Q numbers looked at.
+
+    Forces are per mean line mass, so in m^2/s^2, as everything of a `MotionSetup`.
+
+    Attributes:
+        recording, frame: (S,) where each is.
+        velocity, acceleration: (S, n, 3) of the nodes.
+        frames: (S, n, 3, 3) columns m1, m2, tangent at the nodes.
+        left: (S, Q, D) what the numbers that are left see of a generalised force.
+        missing: (S, Q) these numbers of the reactions.
+        noise: (S, Q, Q) their covariance from the markers' noise.
+        stiffness: (S, Q, D) rates of `missing` by the degrees of freedom; zero for those that
+            find their equilibrium.
+    """
+
+    recording: np.ndarray
+    frame: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    frames: np.ndarray
+    left: np.ndarray
+    missing: np.ndarray
+    noise: np.ndarray
+    stiffness: np.ndarray
+    setup: MotionSetup
+    windows: Windows
+    batch: RodBatch
+    strain_rate: wp.array
+
+    def force(self, nodal: np.ndarray) -> np.ndarray:
+        """(S, Q, ...) what a force (S, n, 3, ...) on the nodes adds to `missing`'s explanation."""
+        columns = node_columns(nodal.shape[1])
+        flat = nodal.reshape(len(nodal), -1, *nodal.shape[3:])
+        return np.einsum("sqd,sd...->sq...", self.left[:, :, columns], flat)
+
+    def shift(self, moved: np.ndarray) -> np.ndarray:
+        """(S, Q, ...) rates of `missing` as the markers move along (S, n, 3, ...)."""
+        columns = node_columns(moved.shape[1])
+        flat = moved.reshape(len(moved), -1, *moved.shape[3:])
+        return np.einsum("sqd,sd...->sq...", self.stiffness[:, :, columns], flat)
+
+    def rates(self, rates: list[MotionSetup]) -> np.ndarray:
+        """(S, Q, P) what elastic, viscous and held-end parameters add.
+
+        Args:
+            rates: setups whose imaginary parts are `COMPLEX_STEP` times a parameter's rate.
+        """
+        b, count = self.batch, len(rates)
+        names = ("rest_length", "stretching", "stiffness", "rest_strain", "viscous_time")
+        names = (*names, "softening")
+        base = {k: np.real(v) for k, v in self.setup.arrays().items()}
+        changes = [r.arrays() for r in rates]
+
+        def upload(key, value):
+            value = np.ascontiguousarray(value, dtype=float)
+            return wp.array(value, dtype=kind_of(key), device=b.device)
+
+        model = [b.rest_length] + [upload(k, base[k][None]) for k in names[1:]]
+        moved = [
+            upload(
+                k,
+                np.stack(
+                    [np.broadcast_to(np.imag(c[k]) / COMPLEX_STEP, base[k].shape) for c in changes]
+                ),
+            )
+            for k in names
+        ]
+        strains = wp.zeros(b.rod_count * count * b.node_count, dtype=wp.vec3d, device=b.device)
+        strains = strains.reshape((b.rod_count, count, b.node_count))
+        out = wp.zeros((b.rod_count * count, b.dof_count), dtype=wp.float64, device=b.device)
+        s = b.state
+        # The kernel's strain rate is a difference of strains over a step: here it is given.
+        wp.launch(
+            motion_tangents.elastic_tangents,
+            (b.rod_count, b.node_count - 1, 1),
+            inputs=[*model, *moved, wp.vec3d(0.0, 1.0, 0.0), wp.float64(1.0)]
+            + [s.dof, s.director, s.reference_twist, self.strain_rate, self.strain_rate]
+            + [strains, strains, count],
+            outputs=[out],
+            device=b.device,
+        )
+        out = out.numpy().reshape(b.rod_count, count, b.dof_count)
+        explained = np.einsum("sqd,spd->sqp", self.left, out)
+        ends = np.zeros((len(out), count, b.dof_count))
+        for p, r in enumerate(rates):
+            held = np.imag(held_ends(self.windows, r, 1)[0][:, 1]) / COMPLEX_STEP
+            for k, node in enumerate((0, 1, b.node_count - 2, b.node_count - 1)):
+                ends[:, p, 4 * node : 4 * node + 3] = held[:, k]
+            ends[:, p, [3, -4]] = np.broadcast_to(np.imag(r.roll) / COMPLEX_STEP, 2)
+        return explained - np.einsum("sqd,spd->sqp", self.stiffness, ends)
+
+
+def rates_about(setup: MotionSetup, model: Model) -> list[MotionSetup]:
+    """Setups whose imaginary parts are the rates of a model's parameters at zero."""
+    step = 1j * COMPLEX_STEP * np.eye(len(model.parameters))
+    return [model.setup(setup, values) for values in step]
+
+
+def inverse_motion(
+    measurements: MotionMeasurements,
+    setup: MotionSetup,
+    recordings,
+    spacing: int,
+    *,
+    device: str = "cpu",
+) -> InverseMotion | None:
+    """What `setup` lacks in every `spacing`-th frame of recordings.
+
+    Frames too near to the ends of a recording, or to lost frames, to know the acceleration are left
+    out, and so are those in which no equilibrium between the markers is found; None where no frame
+    is left.
+    """
+    m = measurements
+    weights = _smoothing(m.rate)
+    reach = weights.shape[1] // 2
+    sampled = _sampled(m, np.asarray(recordings), spacing, reach)
+    if len(sampled) == 0:
+        return None
+    found, settled = _settled(m, setup, sampled, weights, device)
+    if not settled.any():
+        return None
+    if not settled.all():
+        sampled = sampled[settled]
+        found, _ = _settled(m, setup, sampled, weights, device)
+    seen = found.result(sampled)
+    if np.any(setup.viscous_time):
+        # The moments of the viscous rod are linear in its viscous times.
+        flowing = replace(setup, viscous_time=1j * COMPLEX_STEP * setup.viscous_time)
+        seen.missing = seen.missing - seen.rates([flowing])[:, :, 0]
+    return seen
+
+
+def _settled(m, setup, sampled, weights, device):
+    """The sampled rods at rest between their markers, and (S,) whether they came to rest."""
+    path = _smoothed(m, setup, sampled, weights)
+    found = _Condensation(m, setup, path, _batch(m, setup, path, device))
+    for _ in range(_ROUNDS):
+        found.solve()
+        found.relax()
+    return found, found.solve()
+
+
+def _sampled(m, recordings, spacing, reach):
+    """[(recording, frame)] with recorded frames in sequence all around."""
+    frames = np.arange(reach, m.frame_count - reach, spacing)
+    out = [
+        (r, f) for r in recordings for f in frames if (m.gap[r, f - reach : f + reach] == 1).all()
+    ]
+    return np.array(out, dtype=int).reshape(-1, 2)
+
+
+def _smoothing(rate: float) -> np.ndarray:
+    """(3, 2 k + 1) weights for the path, its velocity and its acceleration, from neighbours.
+
+    A Gaussian and its derivatives: what is fast is weakened alike in all three, so that smoothed
+    paths still obey the equations of motion, to first order.
+    """
+    width = max(_LEAST, _SMOOTH * rate)
+    k = np.arange(-int(np.ceil(4 * width)), int(np.ceil(4 * width)) + 1)
+    bell = np.exp(-0.5 * (k / width) ** 2)
+    first = k * bell
+    second = ((k / width) ** 2 - 1.0) * bell
+    second -= bell * second.sum() / bell.sum()
+    return np.stack(
+        [bell / bell.sum(), first * rate / (first @ k), 2.0 * second * rate**2 / (second @ k**2)]
+    )
+
+
+def _smoothed(m, setup, sampled, weights) -> SimpleNamespace:
+    """Nodes with velocity and acceleration in the sampled frames, and their windows."""
+    recording, frame = sampled.T
+    reach = weights.shape[1] // 2
+    around = frame[:, None] + np.arange(-reach, reach + 1)
+    x = m.positions[recording[:, None], around]
+    pieces = int(setup.marker_node[2] - setup.marker_node[1])
+    position = m.positions.copy()
+    position[recording, frame] = np.einsum("k,skmc->smc", weights[0], x)
+    smooth = replace(m, positions=position)
+    parts = [
+        windows_of(smooth, [r], frame[recording == r] - 1, 2) for r in dict.fromkeys(recording)
+    ]
+    windows = Windows(**{k: np.concatenate([getattr(p, k) for p in parts]) for k in vars(parts[0])})
+    nodes = through_markers(x, pieces, m.marker_arc_length)
+    return SimpleNamespace(
+        windows=windows,
+        weights=weights,
+        position=through_markers(position[recording, frame], pieces, m.marker_arc_length),
+        velocity=np.einsum("k,sknc->snc", weights[1], nodes),
+        acceleration=np.einsum("k,sknc->snc", weights[2], nodes),
+    )
+
+
+def _batch(m, setup, path, device) -> RodBatch:
+    """The rods under weight, drag and minus mass times acceleration."""
+    a = {k: np.real(v) for k, v in setup.arrays().items()}
+    speed = np.linalg.norm(path.velocity, axis=2, keepdims=True)
+    drag = a["linear_drag"][:, None] + a["quadratic_drag"][:, None] * speed
+    loads = a["mass"][:, None] * (a["gravity"] - path.acceleration) - drag * path.velocity
+    _, tangent, _, director = held_ends(path.windows, setup, 1)
+    path.grip_tangent, path.grip_director = np.real(tangent[:, 1]), np.real(director[:, 1])
+    batch = RodBatch(
+        path.position,
+        stretching_stiffness=a["stretching"],
+        bending_stiffness=a["stiffness"][None, :, :2],
+        twisting_stiffness=a["stiffness"][:, 2],
+        natural_curvature=a["rest_strain"][:, :2],
+        natural_twist=a["rest_strain"][:, 2],
+        point_load=loads,
+        director=path.grip_director[:, 0],
+        device=device,
+    )
+    places = tuple(int(i) for i in setup.marker_node)
+    prescribe(batch, clamped_nodes=places, clamped_angles=(0, -1))
+    held = [wp.array(np.ascontiguousarray(v[:, None]), dtype=wp.vec3d, device=device)
+            for v in (path.grip_tangent, path.grip_director)]  # fmt: skip
+    state = batch.state
+    wp.launch(
+        kernels.roll_held,
+        (batch.rod_count, 2),
+        inputs=[state.director, state.tangent, *held, batch.free, 0],
+        outputs=[state.dof],
+        device=device,
+    )
+    # The angles between begin with an even share of the twist.
+    dof = state.dof.numpy().copy()
+    edges = batch.node_count - 1
+    dof[:, 3::4] = dof[:, 3:4] + (dof[:, -4:-3] - dof[:, 3:4]) * (np.arange(edges) / (edges - 1))
+    state.dof.assign(dof)
+    return batch
+
+
+class _Condensation:
+    """The sampled rods between their markers, and what the markers feel of them."""
+
+    def __init__(self, m, setup, path, batch):
+        self.m, self.setup, self.path, self.batch = m, setup, path, batch
+        n = batch.node_count
+        place = setup.marker_node
+        self.markers = (4 * place[:, None] + np.arange(3)).ravel()
+        self.free = (4 * place[2:-2, None] + np.arange(3)).ravel()
+        self.inner = np.flatnonzero(batch.free.numpy()[0])
+        self.mass = np.real(setup.arrays()["mass"])
+        self.lengths = batch.rest_length.numpy().copy()
+        self.spans = np.repeat(np.arange(len(place) - 3), np.diff(place[1:-1]))
+        self.tension = np.zeros((batch.rod_count, len(place) - 3))
+        # Hats between the markers, of which the fields along the rod are made.
+        self.hats = np.stack([np.interp(np.arange(n), place, e) for e in np.eye(len(place))], 1)
+
+    def solve(self) -> np.ndarray:
+        """Find shapes and twist between the markers, the spans' tensions as they are; (S,) whether
+        they were found."""
+        stretching = self.batch.stretching_stiffness.numpy()
+        rest = self.lengths.copy()
+        rest[:, 1:-1] /= 1.0 + self.tension[:, self.spans] / stretching[:, 1:-1]
+        self.batch.rest_length.assign(rest)
+        found = EquilibriumSolver(self.batch).solve(tolerance=_TOLERANCE)
+        out = self.batch.evaluate(order=2)
+        gradient = out.gradient.numpy()
+        hessian = _dense(out.hessian.numpy())
+        i, f = self.inner, self.free
+        carried = np.linalg.solve(hessian[:, i][:, :, i], hessian[:, i][:, :, f])
+        self.see = np.zeros((len(gradient), len(f), hessian.shape[1]))
+        self.see[:, np.arange(len(f)), f] = 1.0
+        self.see[:, :, i] = -carried.transpose(0, 2, 1)
+        self.felt = self.see @ hessian
+        self.felt[:, :, i] = 0.0
+        self.reaction = np.einsum("sfd,sd->sf", self.see, gradient)
+        t = np.diff(self.batch.positions(), axis=1)
+        t /= np.linalg.norm(t, axis=2, keepdims=True)
+        pull = np.zeros((*gradient.shape, self.tension.shape[1]))
+        for e, span in enumerate(self.spans, start=1):
+            pull[:, 4 * e : 4 * e + 3, span] -= t[:, e]
+            pull[:, 4 * e + 4 : 4 * e + 7, span] += t[:, e]
+        self.by_tension = self.see @ pull
+        noise = self.m.noise
+        scatter = noise * np.linalg.norm(self.path.weights[0]) * self.felt[:, :, self.markers]
+        columns = node_columns(self.batch.node_count)
+        inertia = np.zeros((gradient.shape[1], len(self.markers)))
+        inertia[columns] = np.kron(self.mass[:, None] * self.hats, np.eye(3))
+        jerk = noise * np.linalg.norm(self.path.weights[2]) * (self.see @ inertia)
+        self.noise = scatter @ scatter.transpose(0, 2, 1) + jerk @ jerk.transpose(0, 2, 1)
+        return found.converged
+
+    def relax(self) -> None:
+        """The likeliest tensions, where a missing force of some of the weight is expected."""
+        size = _EXPECTED * np.linalg.norm(self.setup.gravity) * self.mass[self.setup.marker_node]
+        expected = np.repeat(size[2:-2] * np.diff(self.setup.marker_node)[2:-1], 3) ** 2
+        v = self.noise + np.eye(len(expected)) * expected
+        white = np.linalg.solve(v, self.by_tension)
+        b = self.by_tension.transpose(0, 2, 1)
+        pull = np.einsum("sfk,sf->sk", white, self.reaction)
+        change = -np.linalg.solve(b @ white, pull[..., None])[..., 0]
+        self.tension = self.tension + change
+        self.reaction = self.reaction + np.einsum("sfk,sk->sf", self.by_tension, change)
+        self.change = change
+
+    def result(self, sampled) -> InverseMotion:
+        """What is left when the tensions are free."""
+        b, path = self.batch, self.path
+        full = np.linalg.qr(self.by_tension, mode="complete")[0]
+        left = full[:, :, self.tension.shape[1] :].transpose(0, 2, 1)
+        directors = b.material_directors()
+        t = np.diff(b.positions(), axis=1)
+        return InverseMotion(
+            recording=sampled[:, 0],
+            frame=sampled[:, 1],
+            velocity=path.velocity,
+            acceleration=path.acceleration,
+            frames=_node_frames(directors[:, :, 0], t),
+            left=left @ self.see,
+            missing=np.einsum("sqf,sf->sq", left, self.reaction),
+            noise=left @ self.noise @ left.transpose(0, 2, 1),
+            stiffness=left @ self.felt,
+            setup=self.setup,
+            windows=path.windows,
+            batch=b,
+            strain_rate=self._strain_rate(),
+        )
+
+    def _strain_rate(self) -> wp.array:
+        """(S, n) rates of the strains: markers by their velocities, what is between follows."""
+        b = self.batch
+        hessian = _dense(b.derivatives.hessian.numpy())
+        rate = np.zeros((b.rod_count, b.dof_count))
+        rate[:, node_columns(b.node_count)] = self.path.velocity.reshape(b.rod_count, -1)
+        i = self.inner
+        rate[:, i] = 0.0
+        push = np.einsum("sid,sd->si", hessian[:, i], rate)
+        rate[:, i] = -np.linalg.solve(hessian[:, i][:, :, i], push[..., None])[..., 0]
+        out = wp.zeros((b.rod_count, 1, b.node_count), dtype=wp.vec3d, device=b.device)
+        s = b.state
+        wp.launch(
+            motion_tangents.measure_strain_tangents,
+            (b.rod_count, b.node_count - 2, 1),
+            inputs=[s.dof, s.director]
+            + [wp.array(rate[:, None], dtype=wp.float64, device=b.device), 1],
+            outputs=[out],
+            device=b.device,
+        )
+        return out.reshape((b.rod_count, b.node_count))
+
+
+def _dense(band: np.ndarray) -> np.ndarray:
+    """(S, D, D) symmetric matrices out of (S, D, k) lower bands."""
+    rods, size, width = band.shape
+    out = np.zeros((rods, size, size))
+    for k in range(width):
+        row = np.arange(k, size)
+        out[:, row, row - k] = band[:, row, k]
+        out[:, row - k, row] = band[:, row, k]
+    return out
+
+
+def _node_frames(m1: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """(S, n, 3, 3) columns m1, m2, tangent: those of the edges around each node, averaged."""
+    t, m1 = (
+        np.concatenate([a[:, :1], a[:, 1:] + a[:, :-1], a[:, -1:]], axis=1)
+        for a in (t / np.linalg.norm(t, axis=2, keepdims=True), m1)
+    )
+    t = t / np.linalg.norm(t, axis=2, keepdims=True)
+    m1 = m1 - np.sum(m1 * t, axis=2, keepdims=True) * t
+    m1 /= np.linalg.norm(m1, axis=2, keepdims=True)
+    return np.stack([m1, np.cross(t, m1), t], axis=3)

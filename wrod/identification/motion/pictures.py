@@ -1,0 +1,177 @@
+"""Pictures of a motion's identification, as PNG bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrod.identification.motion.fit import errors_of
+from wrod.identification.style import (
+    AFTER,
+    BEFORE,
+    INK,
+    MEASURED,
+    MUTED,
+    SERIES,
+    as_png,
+    dress,
+    new_figure,
+)
+
+
+def shapes(report, count: int = 6) -> bytes:
+    """Measured markers and predictions in six frames of the test recording in the middle."""
+    w = report.windows
+    error = errors_of(w, report.predicted_after).mean(axis=1)
+    r = int(np.argsort(error)[len(error) // 2])
+    last = int(w.seen[r].sum()) - 1
+    frames = np.linspace(last // count, last, count).astype(int)
+    figure = new_figure(11.0, 3.0)
+    line = w.markers[r, :, -2] - w.markers[r, :, 1]
+    along = np.array([*line.mean(axis=0)[:2], 0.0])
+    along /= max(np.linalg.norm(along), 1e-12)
+    for k, f in enumerate(frames):
+        axes = figure.add_subplot(1, count, k + 1)
+        origin = w.markers[r, f, 1]
+
+        def plane(points, origin=origin):
+            return 1e2 * (points - origin) @ along, 1e2 * (points - origin)[:, 2]
+
+        axes.plot(*plane(report.predicted_before[r, f]), color=BEFORE, lw=1.4, label="before")
+        axes.plot(*plane(report.predicted_after[r, f]), color=AFTER, lw=1.4, label="after")
+        axes.plot(*plane(w.markers[r, f]), "o", ms=2.6, color=MEASURED, label="measured", zorder=3)
+        axes.set_aspect("equal", adjustable="datalim")
+        dress(axes)
+        title = f"{f / report.measurements.rate:.1f} s"
+        axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
+        axes.set_xlabel("along [cm]", fontsize=8.5)
+        if k == 0:
+            axes.set_ylabel("up [cm]", fontsize=8.5)
+            axes.legend(fontsize=7.5, frameon=False, loc="lower left")
+    return as_png(figure)
+
+
+def errors(report) -> bytes:
+    """Error over time and of every test recording."""
+    w, rate = report.windows, report.measurements.rate
+    figure = new_figure(11.0, 3.0)
+    left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.5, 1.0]})
+    series = (
+        ("before", report.predicted_before, BEFORE),
+        ("after", report.predicted_after, AFTER),
+    )
+    for k, (label, predicted, color) in enumerate(series):
+        error = np.where(w.seen, 1e3 * errors_of(w, predicted), np.nan)
+        time = np.arange(error.shape[1]) / rate
+        left.plot(time, np.nanmean(error, axis=0), color=color, lw=1.4, label=label)
+        place = np.arange(len(error)) + 0.4 * k - 0.2
+        right.bar(place, np.nanmean(error, axis=1), width=0.38, color=color)
+    left.set_xlabel("time [s]", fontsize=8.5)
+    left.set_ylabel("mean |difference| [mm]", fontsize=8.5)
+    left.legend(fontsize=8, frameon=False)
+    right.set_xticks(
+        range(len(w.recording)), [report.measurements.names[r] for r in w.recording], fontsize=8
+    )
+    right.set_xlabel("test recording", fontsize=8.5)
+    for axes in (left, right):
+        dress(axes)
+        axes.set_ylim(bottom=0.0)
+    return as_png(figure)
+
+
+def residual(report) -> bytes:
+    """Residual maps before and after, and the mean residual in two frames."""
+    r = report.residual
+    figure = new_figure(11.0, 3.2)
+    axes = figure.subplots(1, 4, gridspec_kw={"width_ratios": [1.2, 1.2, 1.0, 1.0]})
+    top = 1e3 * r.by_marker_before.max()
+    free = slice(2, -2)
+    markers = len(r.by_marker_before)
+    seconds = report.predicted_before.shape[1] / report.measurements.rate
+    for k, (title, value) in enumerate(
+        (("before", r.by_marker_before), ("after", r.by_marker_after))
+    ):
+        shown = axes[k].imshow(
+            1e3 * value[free], aspect="auto", origin="lower", cmap="viridis", vmin=0.0, vmax=top,
+            extent=(0.0, seconds, 1.5, markers - 2.5),
+        )  # fmt: skip
+        axes[k].set_title(title, loc="left", fontsize=9.5, color=MUTED)
+        axes[k].set_xlabel("time [s]", fontsize=8.5)
+        axes[k].set_ylabel("free marker" if k == 0 else "", fontsize=8.5)
+        axes[k].yaxis.get_major_locator().set_params(integer=True)
+        axes[k].tick_params(labelsize=8, colors=MUTED, length=0)
+        for spine in axes[k].spines.values():
+            spine.set_visible(False)
+    bar = figure.colorbar(shown, ax=axes[:2], pad=0.01)
+    bar.set_label("mean |difference| [mm]", fontsize=8.5)
+    bar.ax.tick_params(labelsize=8, colors=MUTED)
+    bar.outline.set_visible(False)
+    parts = (
+        ("fixed in the laboratory", r.laboratory, ("x", "y", "z")),
+        ("fixed to the rod", r.local, ("tangent", "inside of bend", "across")),
+    )
+    for panel, (title, value, labels) in zip(axes[2:], parts, strict=True):
+        for c, color in enumerate(SERIES):
+            panel.plot(1e3 * value[:, c], color=color, lw=1.4, label=labels[c])
+        panel.axhline(0.0, color=MUTED, lw=0.6)
+        share = 100 * r.explained[title]
+        panel.set_title(f"{title}: {share:.0f} %", loc="left", fontsize=9.5, color=MUTED)
+        panel.xaxis.get_major_locator().set_params(integer=True)
+        panel.set_xlabel("marker", fontsize=8.5)
+        panel.legend(fontsize=7, frameon=False)
+        dress(panel)
+    axes[2].set_ylabel("mean residual before [mm]", fontsize=8.5)
+    return as_png(figure)
+
+
+def ladder(report) -> bytes | None:
+    """Errors on validation and test recordings after each effect."""
+    added = [e for e in report.effects if e.name not in report.base]
+    if not added:
+        return None
+    names = ["base model", *(e.name.replace("_", " ") for e in added), "last fit"]
+    # The last fit has seen the validation recordings.
+    validation = [report.selection.validation_before, *(e.validation for e in added), np.nan]
+    test = [report.before, *(e.after for e in added), report.after]
+    figure = new_figure(11.0, 0.9 + 0.32 * len(names))
+    axes = figure.add_subplot()
+    place = np.arange(len(names))
+    axes.barh(place - 0.19, 1e3 * np.array(validation), 0.36, color="#c9ced6", label="validation")
+    axes.barh(place + 0.19, 1e3 * np.array(test), 0.36, color=AFTER, label="test")
+    for y, value in zip(place, test, strict=True):
+        axes.text(1e3 * value, y + 0.19, f" {1e3 * value:.2f}", fontsize=8, va="center", color=INK)
+    axes.set_yticks(place, names, fontsize=9)
+    axes.invert_yaxis()
+    axes.set_xlabel("mean |difference| [mm]", fontsize=8.5)
+    axes.legend(fontsize=8, frameon=False)
+    dress(axes)
+    axes.tick_params(axis="y", labelsize=9)
+    return as_png(figure)
+
+
+def correlation(report) -> bytes:
+    """Largest correlations between combinations of two effects' parameters."""
+    s = report.selection
+    chosen = len(s.model.effects)
+    value = s.correlation[:chosen]
+    figure = new_figure(11.0, 1.8 + 0.27 * chosen)
+    axes = figure.add_subplot()
+    shown = axes.imshow(value, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    axes.set_xticks(
+        range(len(s.correlated)),
+        [n.replace("_", " ") for n in s.correlated],
+        rotation=35,
+        ha="right",
+        fontsize=8,
+    )
+    axes.set_yticks(range(chosen), [n.replace("_", " ") for n in s.correlated[:chosen]], fontsize=8)
+    for i in range(chosen):
+        for j in range(len(s.correlated)):
+            if i != j and value[i, j] > 0:
+                axes.text(
+                    j, i, f"{value[i, j]:.2f}", ha="center", va="center", fontsize=7,
+                    color="white" if value[i, j] > 0.6 else INK,
+                )  # fmt: skip
+    axes.axvline(chosen - 0.5, color=INK, lw=0.8)
+    axes.tick_params(colors=MUTED, length=0)
+    figure.colorbar(shown, ax=axes, shrink=0.9).ax.tick_params(labelsize=7, colors=MUTED)
+    return as_png(figure)

@@ -1,0 +1,271 @@
+"""Which effects a rod's motion asks for: selection on recordings that were not fitted.
+
+The base model is a straight, uniform rod with drag in air and inside. In each round the candidates
+are ranked by the misfit that they promise to take away in the problem linearised around the present
+model, all in one run. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them
+with the least error on whole validation recordings are fitted. The best joins if it lowers that
+error by `LEAST_GAIN` or more; the rounds end when none does, or after `MOST_EFFECTS`. Then every
+effect without which the refitted model's validation error rises by less than `LEAST_GAIN` is taken
+out again; only those are tried that the linearised problem hardly needs. What is left is fitted to
+whole recordings, those of the validation included.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.identification.effect import Effect, Model, effects
+from wrod.identification.motion.confounding import confounded_pairs, correlations_of
+from wrod.identification.motion.fit import Linearised, MotionLaboratory
+from wrod.identification.motion.promises import losses_of, promises_of
+
+# What cannot be known beforehand, with the value that fits start from: a rod without damping would
+# ring on, and one damped by air alone is a local optimum that fits do not leave.
+_BASE = {"stiffness": 0.0, "air_damping": 0.5, "internal_damping": 0.05}
+BASE = tuple(_BASE)
+TRIED, KEPT_ON = 6, 2
+LEAST_GAIN = 0.01
+MOST_EFFECTS = 6
+PARTLY = 0.8
+AT_NOISE = 1.15
+# (frames, recordings) of the windows: to begin with, of the selection and of the last fit.
+_SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
+# Effects without which the linearised misfit rises by more than this share are not idle.
+_BUSY = 0.02
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect in one round.
+
+    Attributes:
+        promise: share of the misfit that it would take away if the motion were linear in it.
+        validation: error on the validation recordings with it [m]; nan if it was not fitted.
+    """
+
+    name: str
+    promise: float
+    validation: float
+
+
+@dataclass(frozen=True)
+class Round:
+    """One step of the selection, its candidates the most promising first.
+
+    Attributes:
+        current: the model that it starts from; accepted, removed: the effect that it changes.
+        validation, test: errors of the model that it leads to [m].
+    """
+
+    current: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+    accepted: str | None
+    reason: str
+    validation: float
+    test: float
+    removed: str | None = None
+
+
+@dataclass(frozen=True)
+class MotionSelection:
+    """What was chosen and why.
+
+    Attributes:
+        base_values: (3,) of the base model, fitted as the last model is.
+        model, values: the chosen model, `BASE` first.
+        fit: its linearised misfit; covariance: (P, P) of the values.
+        rounds: the steps that led there; the first is internal damping, as part of the base model.
+        undamped: test error of the base model without internal damping, as the rounds fit it [m].
+        before, after: test errors [m]; validation_before, validation_after, of the models before
+            they were fitted to the validation recordings too.
+        confounded: pairs of effects whose estimates hang together, with their correlation.
+        correlation: (E, E) largest correlations between combinations of two effects' parameters,
+            for `correlated`, the chosen effects and then those that were left out.
+    """
+
+    base_values: np.ndarray
+    model: Model
+    values: np.ndarray
+    fit: Linearised
+    covariance: np.ndarray
+    rounds: tuple[Round, ...]
+    undamped: float
+    before: float
+    after: float
+    validation_before: float
+    validation_after: float
+    confounded: tuple[dict, ...]
+    correlated: tuple[str, ...]
+    correlation: np.ndarray
+
+
+def select_motion(
+    laboratory: MotionLaboratory, candidates: list[Effect], *, progress=None
+) -> MotionSelection:
+    """Find the effects that explain the laboratory's recordings; `progress` is called with text."""
+    return _Selection(laboratory, candidates, progress or (lambda text: None)).run()
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A model fitted to the medium windows, and its error on the validation recordings [m]."""
+
+    model: Model
+    values: np.ndarray
+    validation: float
+
+
+class _Selection:
+    def __init__(self, laboratory: MotionLaboratory, candidates: list[Effect], say):
+        m = laboratory.measurements
+        self.rod, self.say, self.rounds = laboratory, say, []
+        self.left = [c for c in candidates if c.name not in BASE]
+        self.short, self.medium = (self._windows(m.fit, *size) for size in (_SHORT, _MEDIUM))
+        self.validation, self.test = laboratory.windows(m.validation), laboratory.windows(m.test)
+        # Where nothing is kept for a test the validation recordings are one, and stay unfitted.
+        apart = len(np.intersect1d(m.test, m.validation)) == 0
+        every = np.union1d(m.fit, m.validation) if apart else m.fit
+        self.whole = self._windows(every, *_WHOLE)
+
+    def _windows(self, recordings, frames: int | None, count: int):
+        """Windows of evenly chosen recordings, from their start, their end and between."""
+        every = self.rod.measurements.frame_count
+        length = min(frames or every, every)
+        starts = np.linspace(0, every - length, min(3, -(-every // length))).round().astype(int)
+        return self.rod.windows(_some(recordings, count), sorted(set(starts.tolist())), length)
+
+    def _error(self, windows, model, values) -> float:
+        return self.rod.error(windows, self.rod.predict(windows, model, values))
+
+    def _fit(self, model: Model, values: np.ndarray, steps: int) -> _Fitted:
+        values = self.rod.refine(self.medium, model, values, steps)
+        return _Fitted(model, values, self._error(self.validation, model, values))
+
+    def run(self) -> MotionSelection:
+        known = effects("motion")
+        self.say("base model")
+        base = self._base(BASE, known)
+        undamped = self._base(BASE[:2], known)
+        gain = 1.0 - base.validation / undamped.validation
+        damped = gain >= LEAST_GAIN and base.values[2] > 0.0
+        self._note(
+            undamped.model, base, (), f"part of the base model; {_lowers(gain)}",
+            accepted=BASE[2] if damped else None,
+        )  # fmt: skip
+        now = base
+        while self.left and len(now.model.effects) < len(BASE) + MOST_EFFECTS:
+            self.say(" + ".join(now.model.names[len(BASE) :]) or "effects")
+            better = self._round(now)
+            if better is None:
+                break
+            now = better
+        now = self._without_idle(now)
+        self.say("whole recordings")
+        rod, whole = self.rod, self.whole
+        base_values, _ = rod.fit(whole, base.model, base.values, iterations=4, converged=0.005)
+        values, fit = rod.fit(whole, now.model, now.values, iterations=5, converged=0.005)
+        self.say("confounding")
+        names, correlation = correlations_of(rod, self.medium, now.model, values, self.left)
+        return MotionSelection(
+            base_values=base_values,
+            model=now.model,
+            values=values,
+            fit=fit,
+            covariance=fit.covariance,
+            rounds=tuple(self.rounds),
+            undamped=self._error(self.test, undamped.model, undamped.values),
+            before=self._error(self.test, base.model, base_values),
+            after=self._error(self.test, now.model, values),
+            validation_before=base.validation,
+            validation_after=now.validation,
+            confounded=confounded_pairs(names, correlation, len(now.model.effects)),
+            correlated=names,
+            correlation=correlation,
+        )
+
+    def _base(self, names: tuple[str, ...], known: dict[str, Effect]) -> _Fitted:
+        model = Model(tuple(known[name] for name in names))
+        start = np.array([_BASE[name] for name in names])
+        values, _ = self.rod.fit(self.short, model, start)
+        return self._fit(model, values, steps=6)
+
+    def _note(self, model, after: _Fitted, rows, reason, *, accepted=None, removed=None) -> None:
+        test = self._error(self.test, after.model, after.values)
+        self.rounds.append(
+            Round(model.names, tuple(rows), accepted, reason, after.validation, test, removed)
+        )
+
+    def _round(self, now: _Fitted) -> _Fitted | None:
+        """The model with one effect more, if one is worth it."""
+        ranked, at = promises_of(self.rod, self.medium, now.model, now.values, self.left)
+        tried, stepped = {}, {}
+        for _, effect, start, index in ranked[:TRIED]:
+            model = now.model.extended(effect)
+            values = self.rod.step(self.medium, model, np.r_[now.values, start], at.part(index))
+            error = self._error(self.validation, model, values)
+            stepped[effect.name] = _Fitted(model, values, error)
+        for name in sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]:
+            fitted = self._fit(stepped[name].model, stepped[name].values, steps=3)
+            tried[name] = min(stepped[name], fitted, key=lambda t: t.validation)
+        found = stepped | tried
+        rows = [
+            Candidate(e.name, p, found[e.name].validation if e.name in found else float("nan"))
+            for p, e, *_ in ranked
+        ]
+        best = min(found.values(), key=lambda t: t.validation)
+        gain = 1.0 - best.validation / now.validation
+        if not gain >= LEAST_GAIN:
+            reason = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
+            self._note(now.model, now, rows, reason)
+            return None
+        name = best.model.names[-1]
+        self._note(now.model, best, rows, _lowers(gain), accepted=name)
+        self.left = [c for c in self.left if c.name != name]
+        return best
+
+    def _without_idle(self, now: _Fitted) -> _Fitted:
+        """The model without effects that later ones have made idle, the oldest looked at first."""
+        loss = losses_of(self.rod, self.medium, now.model, now.values)
+        for effect in now.model.effects[len(BASE) : -1]:
+            if loss[effect.name] > _BUSY:
+                continue
+            self.say(f"without {effect.name}")
+            keep = [e.name != effect.name for e in now.model.effects]
+            model = Model(tuple(e for e, k in zip(now.model.effects, keep, strict=True) if k))
+            parts = now.model.split(now.values)
+            values = np.concatenate([v for v, k in zip(parts, keep, strict=True) if k])
+            less = self._fit(model, values, steps=3)
+            gain = 1.0 - now.validation / less.validation
+            if gain < LEAST_GAIN:
+                reason = f"with the later effects it {_lowers(gain)}"
+                self._note(now.model, less, (), reason, removed=effect.name)
+                self.left.append(effect)
+                now = less
+        return now
+
+
+def _lowers(gain: float) -> str:
+    return f"lowers the validation error by {100 * gain:.1f} %"
+
+
+def verdict_of(selection: MotionSelection, floor: float) -> tuple[str, str]:
+    """(verdict, reason): what the errors on recordings not fitted say."""
+    before, after = selection.before, selection.after
+    numbers = f"test error {1e3 * before:.2f} mm before, {1e3 * after:.2f} mm after"
+    if before <= AT_NOISE * floor:
+        return "adequate", f"{numbers}: the base model reaches the floor of {1e3 * floor:.2f} mm"
+    if len(selection.model.effects) == len(BASE):
+        return "unexplained", f"{numbers}: no effect lowers the error of recordings not fitted"
+    if after <= AT_NOISE * floor:
+        return "explained", f"{numbers}: the floor is {1e3 * floor:.2f} mm"
+    if after <= PARTLY * before:
+        return "partly-explained", f"{numbers}: {1e2 * (1 - after / before):.0f} % less"
+    return "unexplained", f"{numbers}: no effect takes a fifth of it away"
+
+
+def _some(recordings: np.ndarray, count: int) -> np.ndarray:
+    """At most `count` of the recordings, evenly."""
+    index = np.unique(np.linspace(0, len(recordings) - 1, min(count, len(recordings))).round())
+    return np.asarray(recordings)[index.astype(int)]

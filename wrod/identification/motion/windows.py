@@ -1,0 +1,108 @@
+"""Stretches of recordings in true time, with what a prediction may know of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.identification.motion.data import MotionMeasurements
+from wrod.identification.motion.start import transport
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Stretches of recordings in true time: frames that were lost are places without markers.
+
+    Attributes:
+        recording, start: (W,) where each begins.
+        time: (W, F) frame durations since the window's opening, for each recorded frame.
+        seen: (W, F) whether there is such a frame.
+        markers: (W, F, M, 3) what was recorded [m]; repeats the last frame where there is none.
+        opening: (W, 2, M, 3) the first two frames, brought one frame duration apart where frames
+            were lost between them [m].
+        held: (W, K, 4, 3) held markers at every frame duration, interpolated where frames are lost.
+        grip_director: (W, K, 2, 3) first director of each grip: across the line through its
+            markers, carried along without roll from the recording's start, where it is the axis
+            about which the rod bends on average, as seen along the grip: so a rod that hangs in
+            one plane starts without twist.
+        arc_length: (W, M) of the markers, the same for all windows [m].
+        length_change: (W, M - 1) what to add to the rod's length between markers [m].
+    """
+
+    recording: np.ndarray
+    start: np.ndarray
+    time: np.ndarray
+    seen: np.ndarray
+    markers: np.ndarray
+    opening: np.ndarray
+    held: np.ndarray
+    grip_director: np.ndarray
+    length_change: np.ndarray
+    arc_length: np.ndarray
+
+
+def windows_of(
+    measurements: MotionMeasurements,
+    recordings: Sequence[int],
+    starts: Sequence[int] = (0,),
+    frames: int | None = None,
+) -> Windows:
+    """Windows of `frames` frames (default: all) that begin at each of `starts`."""
+    m = measurements
+    frames = m.frame_count if frames is None else min(frames, m.frame_count)
+    pairs = [(r, s) for r in recordings for s in starts if s + 3 <= m.frame_count]
+    recording, start = (np.array(a) for a in zip(*pairs, strict=True))
+    index = start[:, None] + np.arange(frames)
+    seen = index < m.frame_count
+    index = np.minimum(index, m.frame_count - 1)
+    clock = np.pad(np.cumsum(m.gap, axis=1), ((0, 0), (1, 0)))
+    time = clock[recording[:, None], index] - clock[recording, start + 1][:, None] + 1
+    time[:, 0] = 0
+    last = int(time.max())
+    held, director = [], []
+    whole = {}
+    for r, s in pairs:
+        if r not in whole:
+            whole[r] = _true_time(m, r, clock[r])
+        a = np.minimum(clock[r, s + 1] - 1 + np.arange(last + 1), clock[r, -1])
+        held.append(whole[r][0][a])
+        director.append(whole[r][1][a])
+    markers = m.positions[recording[:, None], index]
+    gap = m.gap[recording, start].astype(float)[:, None, None]
+    opening = np.stack(
+        [markers[:, 1] + (markers[:, 0] - markers[:, 1]) / gap, markers[:, 1]], axis=1
+    )
+    return Windows(
+        recording,
+        start,
+        time,
+        seen,
+        markers,
+        opening,
+        np.stack(held),
+        np.stack(director),
+        m.length_change(recording, start),
+        np.repeat(m.marker_arc_length[None], len(recording), axis=0),
+    )
+
+
+def _true_time(m: MotionMeasurements, r: int, clock: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Held markers (K, 4, 3) and directors (K, 2, 3) at every frame duration of a recording."""
+    from scipy.interpolate import PchipInterpolator
+
+    x = m.positions[r][:, [0, 1, -2, -1]]
+    times = np.arange(clock[-1] + 1)
+    held = x if clock[-1] == len(x) - 1 else PchipInterpolator(clock, x, axis=0)(times)
+    tangent = held[:, [1, 3]] - held[:, [0, 2]]
+    tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
+    director = np.empty_like(tangent)
+    across = m.bending_axis
+    d = across - np.sum(across * tangent[0], axis=1, keepdims=True) * tangent[0]
+    director[0] = d / np.linalg.norm(d, axis=1, keepdims=True)
+    for k in range(1, len(times)):
+        d = transport(director[k - 1], tangent[k - 1], tangent[k])
+        d -= np.sum(d * tangent[k], axis=1, keepdims=True) * tangent[k]
+        director[k] = d / np.linalg.norm(d, axis=1, keepdims=True)
+    return held, director

@@ -1,0 +1,1 @@
+"""Knots: plans, topology, and tying by laying and moves of hands."""

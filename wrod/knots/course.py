@@ -1,0 +1,207 @@
+"""The state of tying that laying, moves and pulling share, and what watches it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from wrod.deployment.grip_path import smooth_noise
+from wrod.deployment.setup import Disturbance
+from wrod.deployment.simulate import with_remainder_of
+from wrod.knots.fingers import REACH, holding_force
+from wrod.knots.plan import KnotPlan, Move
+from wrod.knots.topology import recognise_knot, recognise_pair
+from wrod.knots.tying import Handling, TyingResult
+from wrod.knots.workbench import TICK, Poses, Workbench
+from wrod.patterns.pattern import Pattern
+from wrod.planning.plan import plan
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.solvers.contact import Friction
+
+# A hand that reaches down: its x axis, the rod's tangent where it hangs from the hand, points up.
+_UPRIGHT = Rotation.from_matrix([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+
+
+class Course:
+    """All trials of one call of `wrod.knots.tying.tie`, side by side."""
+
+    def __init__(
+        self, knot, trials, method, friction, rod_friction, speed, hand_speed, step, film, device
+    ):  # fmt: skip
+        self.knot, self.trials = knot, trials
+        self.friction = (Friction(friction), Friction(rod_friction))
+        self.speed, self.hand_speed, self.step = speed, hand_speed, step
+        self.film_interval, self.device = film, device
+        self.plans: list[tuple[Pattern, RodMaterial, Trajectory]] = []
+        for pattern, rod in knot.rods:
+            trajectory = plan(pattern, rod, method)
+            self.plans.append((with_remainder_of(pattern, trajectory), rod, trajectory))
+        self.true_rods = [
+            [
+                replace(
+                    rod,
+                    gravito_bending_length=rod.gravito_bending_length
+                    * (1.0 + laying_of(trial, k).lgb_error),
+                )
+                for k, (_, rod, _) in enumerate(self.plans)
+            ]
+            for trial in trials
+        ]
+        self.results = [TyingResult(wanted=knot.knot) for _ in trials]
+        self.arc: list[np.ndarray] = []
+        self.bench: Workbench | None = None
+        self.elapsed = 0.0
+        self.begun = 0.0  # when the clock of `bench` was started
+        # (scene, hand) whether a hand is at work, whatever it has found.
+        self.closed = np.zeros((len(trials), 2), dtype=bool)
+        self.home = [Poses(_repeat(place, trials), _upright(trials)) for place in _home(knot)]
+        self.now = list(self.home)
+        self.grasps = 0
+        self.strength = np.full((len(trials), 2), np.inf)  # of the grasps [N]
+        self.film: list[tuple[float, list[np.ndarray], np.ndarray, np.ndarray]] = []
+        rng = [np.random.default_rng([trial.seed, 11]) for trial in trials]
+        # (scene, hand, tick, 3): a minute of shaking, over and over.
+        self.shaking = np.stack(
+            [
+                [smooth_noise(g, 1500, trial.jitter, 1.5) for _ in range(2)]
+                for g, trial in zip(rng, trials, strict=True)
+            ]
+        )
+
+    def planned(self, move: Move) -> np.ndarray:
+        """(3,) where the plan says that a grasped point lies."""
+        pattern, rod, _ = self.plans[move.rod]
+        if move.where is not None:
+            return np.array([*move.where, rod.radius])
+        s = move.at - pattern.remainder_length
+        clipped = float(np.clip(s, -pattern.remainder_length, pattern.length))
+        (point,), (along,), _ = pattern.sample(clipped)
+        point = point + (s - clipped) * along
+        return np.array([point[0], point[1], rod.radius])
+
+    def hand_pose(
+        self, hand: int, position: np.ndarray, yaw: np.ndarray | float = 0.0, floor: float = 0.0
+    ) -> Poses:
+        """A hand's true pose for a commanded one, (3,) or (scene, 3); at the height `floor` its
+        fingertips touch the table."""
+        count = len(self.trials)
+        tick = round((self.elapsed + self.bench.time) / TICK) % self.shaking.shape[2]
+        out = np.broadcast_to(position, (count, 3)) + self.shaking[:, hand, tick]
+        out += [trial.offset[hand] for trial in self.trials]
+        out[:, 2] = np.maximum(out[:, 2], floor)
+        yaw = np.broadcast_to(yaw, (count,))
+        return Poses(out, Rotation.from_euler("z", yaw[:, None]) * _UPRIGHT)
+
+    def watch(self, poses: Callable[[float], list[Poses]], name: str | None = None):
+        """What happens after every tick: film, and rods slip out of overloaded hands."""
+
+        def after() -> None:
+            bench = self.bench
+            if name is not None:
+                self._slip(name)
+            if self.film_interval is None:
+                return
+            now = self.begun + bench.time
+            if self.film and now < self.film[-1][0] + self.film_interval - 1e-9:
+                return
+            hands = np.tile(np.eye(4), (len(self.trials), 2, 1, 1))
+            for h, pose in enumerate(poses(bench.time)):
+                hands[:, h, :3, 3] = pose.position
+                hands[:, h, :3, :3] = pose.rotation.as_matrix()
+            self.film.append((now, bench.positions(), hands, self.closed.copy()))
+
+        return after
+
+    def grasp(
+        self, hand: int, rod: int, name: str, poses: Poses, scenes: Iterable[int] | None = None
+    ) -> None:
+        """Close a hand, of some scenes, all by default, on what it finds, its fingertips a radius
+        of the rod below it."""
+        middle, _ = self.bench.held.edges()
+        radius = self.knot.rods[rod][1].radius
+        for scene in range(len(self.trials)) if scenes is None else scenes:
+            trial, place = self.trials[scene], poses.position[scene]
+            gap = np.linalg.norm(middle[scene] - place, axis=1)
+            for s in self.bench.slices[:-1]:
+                gap[s.stop - 1] = np.inf  # between two rods
+            edge = int(np.argmin(gap))
+            found = next(k for k, s in enumerate(self.bench.slices) if edge < s.stop)
+            thick, height = self.true_rods[scene][found].radius, middle[scene, edge, 2]
+            tip = place[2] - radius
+            if gap[edge] > REACH or tip > height + thick:
+                self.results[scene].missed.append(name)
+                continue
+            self.bench.held.grasp(scene, hand, edge, poses)
+            self.strength[scene, hand] = np.inf
+            if trial.pad_friction:
+                pads = trial.pad_friction[(self.grasps + hand) % len(trial.pad_friction)]
+                self.strength[scene, hand] = holding_force(thick, height, tip, pads)
+
+    def _slip(self, name: str) -> None:
+        overloaded = self.bench.load() > self.strength
+        for scene, hand in np.argwhere(overloaded & (self.bench.held.edge >= 0)):
+            self.bench.held.open(scene, hand)
+            self.results[scene].slipped.append(name)
+
+    def keep(self, stage: str, scenes: Iterable[int] | None = None) -> list[int]:
+        """Keep the rods of some scenes, all by default."""
+        rods = self.bench.positions()
+        chosen = list(range(len(self.trials)) if scenes is None else scenes)
+        for scene in chosen:
+            self.results[scene].stages[stage] = [rod[scene] for rod in rods]
+        return chosen
+
+    def note(self, stage: str, scenes: Iterable[int] | None = None) -> None:
+        """Keep them, and recognise their knots."""
+        for scene in self.keep(stage, scenes):
+            lines = self.results[scene].stages[stage]
+            found = recognise_knot(lines[0]) if len(lines) == 1 else recognise_pair(*lines)
+            setattr(self.results[scene], stage, found)
+
+    def count_steps(self) -> None:
+        for scene, result in enumerate(self.results):
+            result.steps += int(self.bench.steps[scene])
+            result.diverged |= bool(self.bench.diverged[scene])
+
+    def finished(self) -> list[TyingResult]:
+        self.count_steps()
+        for scene, result in enumerate(self.results):
+            result.duration = self.begun + self.bench.time
+            if not self.film:
+                continue
+            result.time = np.array([frame[0] for frame in self.film])
+            for k, arc in enumerate(self.arc):
+                frames = [
+                    rods[k][scene] if k < len(rods) else np.full((len(arc), 3), np.nan)
+                    for _, rods, _, _ in self.film
+                ]
+                result.frames.append(np.stack(frames))
+            result.hands = np.stack([frame[2][scene] for frame in self.film])
+            result.closed = np.stack([frame[3][scene] for frame in self.film])
+        return self.results
+
+
+def laying_of(trial: Handling, k: int) -> Disturbance:
+    return trial.laying[k] if k < len(trial.laying) else Disturbance()
+
+
+def _repeat(point, trials) -> np.ndarray:
+    return np.tile(np.asarray(point, dtype=float), (len(trials), 1))
+
+
+def _upright(trials) -> Rotation:
+    return Rotation.from_quat(_repeat(_UPRIGHT.as_quat(), trials))
+
+
+def _home(knot: KnotPlan) -> tuple[np.ndarray, np.ndarray]:
+    """Where the hands wait: high over the table, to both sides of the patterns."""
+    points = np.concatenate(
+        [pattern.sample(np.linspace(0.0, pattern.length, 50))[0] for pattern, _ in knot.rods]
+    )
+    middle, half = (points.min(0) + points.max(0)) / 2, np.ptp(points, axis=0) / 2
+    aside = np.array([0.0, half[1] + 0.1, 0.0])
+    return middle - aside + [0.0, 0.0, 0.3], middle + aside + [0.0, 0.0, 0.3]

@@ -1,0 +1,190 @@
+"""Knot plans: what is laid where, which moves tie it, and how it is pulled.
+
+A plan is JSON, in metres, beside the files of its patterns:
+
+    {"format": "wrod-knot-1", "name": "trefoil", "knot": "right trefoil",
+     "rods": [{"rod": "pink-vps-thick", "pattern": "trefoil.csv"}],
+     "steps": [[{"hand": 0, "rod": 0, "at": 0.3, "to": [0.03, -0.06], "lift": 0.05, "turn": 0}]],
+     "pull": [{"rod": 0, "at": 0.01, "where": [x, y], "direction": [-1, 0], "distance": 0.1},
+              {"rod": 0, "at": 0.8, "where": [x, y], "direction": [1, 1], "distance": 0.1}],
+     "load": 0.3}
+
+`at` is the arc length of what is grasped, from the end that is laid first; `to` where it is put;
+`where` the place of the grasp if an earlier move has put the rod there.
+The moves of one step are made at the same time, each by another hand. Pulls grasp the rod at
+`where`; they end at `distance` or when both hands pull with `load` [N].
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from wrod.errors import DataError
+from wrod.patterns.pattern import Pattern
+from wrod.rods.material import RodMaterial, rod
+
+_FORMAT = "wrod-knot-1"
+
+
+@dataclass(frozen=True)
+class Move:
+    """Pick a rod up at an arc length, carry it over what lies between, put it down.
+
+    Attributes:
+        rod: which one.
+        at: arc length that is grasped [m].
+        to: (2,) where it is put on the table [m].
+        hand: 0 or 1.
+        lift: height of the way [m].
+        turn: of the hand about the vertical, on its way [degrees].
+        lay_height: height at which it is let go, in radii of the rod.
+        where: (2,) place of the grasp [m], where an earlier move put the rod; default: the
+            pattern's point at `at`.
+    """
+
+    rod: int
+    at: float
+    to: tuple[float, float]
+    hand: int = 0
+    lift: float = 0.05
+    turn: float = 0.0
+    lay_height: float = 1.0
+    where: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Grasp a rod where its end was put, and pull.
+
+    Attributes:
+        rod: which one.
+        at: arc length there, for the record [m].
+        where: (2,) place of the grasp [m].
+        direction: (2,) of the pull.
+        distance: of the pull at most [m].
+    """
+
+    rod: int
+    at: float
+    where: tuple[float, float]
+    direction: tuple[float, float]
+    distance: float
+
+
+@dataclass(frozen=True)
+class KnotPlan:
+    """A knot to tie.
+
+    Attributes:
+        name: of the plan.
+        knot: what it shall be, as `wrod.knots.topology` names it.
+        rods: (pattern, rod) in the order in which they are laid.
+        steps: moves that are made at the same time, step by step.
+        pull: one for each hand, or none.
+        load: pull of both hands at which pulling ends [N].
+        rod_names: what the rods are called.
+    """
+
+    name: str
+    knot: str
+    rods: tuple[tuple[Pattern, RodMaterial], ...]
+    steps: tuple[tuple[Move, ...], ...]
+    pull: tuple[Pull, ...] = ()
+    load: float = 0.3
+    rod_names: tuple[str, ...] = ()
+
+    @classmethod
+    def load_plan(cls, path: str | os.PathLike[str]) -> KnotPlan:
+        """Read a plan and its patterns.
+
+        Raises:
+            DataError: the file is missing or not such a plan; names the entry.
+            PatternError: a pattern cannot be read.
+        """
+        path = Path(path)
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise DataError(f"{path}: not a readable knot plan ({error})") from None
+        if not isinstance(data, dict) or data.get("format") != _FORMAT:
+            raise DataError(f"{path}: give a JSON object whose format is {_FORMAT!r}")
+        try:
+            rods = tuple(
+                (
+                    Pattern.load(path.parent / str(entry["pattern"]), smoothing=0.0),
+                    rod(str(entry["rod"])),
+                )
+                for entry in data["rods"]
+            )
+            steps = tuple(tuple(_move(move) for move in step) for step in data["steps"])
+            pull = tuple(_pull(entry) for entry in data.get("pull", []))
+            names = tuple(str(entry["rod"]) for entry in data["rods"])
+            plan = cls(
+                str(data["name"]),
+                str(data["knot"]),
+                rods,
+                steps,
+                pull,
+                _number(data["load"]),
+                names,
+            )
+        except (KeyError, TypeError, AttributeError) as error:
+            raise DataError(f"{path}: an entry is missing or of the wrong kind ({error})") from None
+        plan._check(path)
+        return plan
+
+    def _check(self, path: Path) -> None:
+        if len(self.rods) not in (1, 2):
+            raise DataError(f"{path}: ties {len(self.rods)} rods; give one or two")
+        if len(self.pull) not in (0, 2):
+            raise DataError(f"{path}: pulls with {len(self.pull)} hands; give two, or none")
+        for number, step in enumerate(self.steps):
+            hands = [move.hand for move in step]
+            if len(set(hands)) < len(hands) or not set(hands) <= {0, 1} or not hands:
+                raise DataError(f"{path}: step {number} needs one move for each of hands 0 and 1")
+        for move in [*(m for step in self.steps for m in step), *self.pull]:
+            if not 0 <= move.rod < len(self.rods):
+                raise DataError(f"{path}: a move names rod {move.rod}; there are {len(self.rods)}")
+            if not 0.0 <= move.at <= self.rods[move.rod][1].length:
+                raise DataError(f"{path}: a move grasps at {move.at:g} m, beyond the rod's ends")
+
+
+def _number(value) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise TypeError(f"{value!r} is not a finite number")
+    return float(value)
+
+
+def _point(value) -> tuple[float, float]:
+    x, y = value if isinstance(value, list) and len(value) == 2 else (None, None)
+    return _number(x), _number(y)
+
+
+def _whole(value) -> int:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise TypeError(f"{value!r} is not a whole number")
+    return value
+
+
+def _move(entry: dict) -> Move:
+    extra = {name: _number(entry[name]) for name in ("lift", "turn", "lay_height") if name in entry}
+    if "where" in entry:
+        extra["where"] = _point(entry["where"])
+    return Move(
+        _whole(entry["rod"]), _number(entry["at"]), _point(entry["to"]), _whole(entry["hand"]),
+        **extra,
+    )  # fmt: skip
+
+
+def _pull(entry: dict) -> Pull:
+    return Pull(
+        _whole(entry["rod"]),
+        _number(entry["at"]),
+        _point(entry["where"]),
+        _point(entry["direction"]),
+        _number(entry["distance"]),
+    )

@@ -1,0 +1,1 @@
+"""Patterns: planar curves along which a rod is laid, their files and shapes."""

@@ -1,0 +1,266 @@
+"""Patterns: the planar curves along which a rod is laid (paper, Sec. Motion Planning)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from wrod.errors import PatternError
+from wrod.files import write_atomically
+from wrod.patterns.curve import heading_of_curve, integrate_heading, lead_in
+from wrod.patterns.expressions import compile_expression
+from wrod.patterns.files import RawPoints, checked_points, read_points, refuse_spikes, unit_scale
+from wrod.patterns.shapes import SHAPES
+from wrod.patterns.smoothing import fit_heading
+
+
+class Pattern:
+    """A smooth curve in a horizontal plane, parametrised by its arc length s [m].
+
+    s = 0 is the first point of what was drawn. A remainder (`with_remainder`) is laid before it
+    and has negative s, so the pattern runs over [-remainder_length, length].
+
+    Attributes:
+        name: what to call it in pictures.
+        source: what to call it in messages: the file that it was read from, or its name.
+        points: (n, 3) points that it was made from [m], or None for a closed form.
+        noise: estimated standard deviation of these points across the curve [m].
+    """
+
+    def __init__(
+        self,
+        heading: PPoly,
+        origin: np.ndarray,
+        *,
+        name: str = "pattern",
+        source: str | None = None,
+        height: float = 0.0,
+        points: np.ndarray | None = None,
+        noise: float = 0.0,
+    ):
+        self.name, self.points, self.noise = name, points, noise
+        self.source = name if source is None else source
+        self._heading, self._origin, self._height = heading, np.asarray(origin, float), height
+        self._position = integrate_heading(heading, self._origin)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        units: str | None = None,
+        smoothing: float | None = None,
+        name: str | None = None,
+    ) -> Pattern:
+        """Pattern from a file of points: text or CSV (one point a line), NPY or NPZ ('points').
+
+        A header line may name the columns (x, y, z) and the units (`units: mm`, `x [mm]`); lines
+        that begin with # or % are comments. Coordinates are metres unless a unit is named.
+
+        Args:
+            path: the file.
+            units: m, cm, mm, um or in; must agree with the header's.
+            smoothing: as in `from_points`.
+            name: defaults to the file's stem.
+
+        Raises:
+            PatternError: names the file, and the line or point where there is one.
+        """
+        raw = read_points(path)
+        return cls._from_raw(raw, units, smoothing, name or Path(path).stem)
+
+    @classmethod
+    def from_points(
+        cls,
+        points: np.ndarray,
+        *,
+        units: str = "m",
+        smoothing: float | None = None,
+        name: str = "pattern",
+    ) -> Pattern:
+        """Pattern along points in deployment order.
+
+        Args:
+            points: (n, 2) or (n, 3), n >= 3, all at one height.
+            units: m, cm, mm, um or in.
+            smoothing: standard deviation of the points' noise [m]; None estimates it from the
+                points by generalised cross-validation, 0 interpolates them.
+            name: what to call the pattern.
+
+        Raises:
+            PatternError: not finite, fewer than 3 distinct points, repeated, not planar, unknown
+                units, or a spike of curvature; names the point.
+        """
+        try:
+            values = np.asarray(points, dtype=float)
+        except (TypeError, ValueError):
+            raise PatternError(
+                "points are not an array of numbers of shape (n, 2) or (n, 3)"
+            ) from None
+        return cls._from_raw(RawPoints(values, name), units, smoothing, name)
+
+    @classmethod
+    def _from_raw(
+        cls, raw: RawPoints, units: str | None, smoothing: float | None, name: str
+    ) -> Pattern:
+        if smoothing is not None and not (np.isfinite(smoothing) and smoothing >= 0.0):
+            raise PatternError(f"smoothing is {smoothing!r}; give a noise level in metres, or None")
+        points = checked_points(raw, units)
+        refuse_spikes(points, raw)
+        heading, origin, noise = fit_heading(points[:, :2], smoothing)
+        return cls(
+            heading,
+            origin,
+            name=name,
+            source=raw.source,
+            height=float(points[0, 2]),
+            points=points,
+            noise=noise,
+        )
+
+    @classmethod
+    def from_expression(
+        cls,
+        *expressions: str | Callable[[np.ndarray], np.ndarray],
+        start: float,
+        stop: float,
+        units: str = "m",
+        name: str = "expression",
+    ) -> Pattern:
+        """Pattern of a closed form: y(x), or x(t) and y(t).
+
+        Args:
+            expressions: one expression in x, such as "0.04*sin(20*x)", or two in t; or Python
+                functions of an array. Text is read as arithmetic only, never run as code.
+            start, stop: range of x or t, in deployment order.
+            units: unit of the values.
+            name: what to call the pattern.
+
+        Raises:
+            PatternError: the expression is not understood or not finite on the range.
+        """
+        scale = unit_scale(units, name)
+        if len(expressions) not in (1, 2):
+            raise PatternError("give one expression y(x), or two: x(t) and y(t)")
+        if not (np.isfinite(start) and np.isfinite(stop) and start != stop):
+            raise PatternError(f"range {start!r} to {stop!r} is empty; give two finite numbers")
+        variable = "x" if len(expressions) == 1 else "t"
+        parts = [
+            part if callable(part) else compile_expression(part, variable) for part in expressions
+        ]
+
+        def curve(t):
+            t = np.asarray(start + (stop - start) * t, dtype=float)
+            values = [np.broadcast_to(np.asarray(part(t), dtype=float), t.shape) for part in parts]
+            if not np.all(np.isfinite(values)):
+                raise PatternError(f"{name}: has no finite value everywhere in {start} to {stop}")
+            x, y = values if len(values) == 2 else (t, values[0])
+            return scale * x, scale * y
+
+        x, y = curve(np.linspace(0.0, 1.0, 4001))
+        if np.any(np.hypot(np.diff(x), np.diff(y)) <= 0.0):
+            raise PatternError(f"{name}: stands still on part of {start} to {stop}")
+        return cls(*heading_of_curve(curve, 0.0, 1.0), name=name)
+
+    @property
+    def length(self) -> float:
+        """Length of the pattern itself, without a remainder [m]."""
+        return float(self._heading.x[-1])
+
+    @property
+    def remainder_length(self) -> float:
+        """Length of the remainder laid before s = 0 [m]; 0 if there is none."""
+        return max(0.0, -float(self._heading.x[0]))
+
+    def sample(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position (n, 3) [m], unit tangent (n, 3) and signed curvature (n,) [1/m] at s (n,) [m].
+
+        Curvature is positive where the pattern turns left, seen from above.
+
+        Raises:
+            PatternError: s is outside [-remainder_length, length].
+        """
+        s = self._checked(s)
+        flat, angle = self._position(s), self._heading(s)
+        position = np.column_stack([flat, np.full(len(s), self._height)])
+        tangent = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(s))])
+        return position, tangent, self._heading(s, nu=1)
+
+    def curvature_derivative(self, s: np.ndarray, order: int) -> np.ndarray:
+        """d^order kappa / ds^order (n,) [1/m^(1 + order)] at s (n,) [m], order 0, 1 or 2."""
+        return self._heading(self._checked(s), nu=1 + order)
+
+    def _checked(self, s: np.ndarray) -> np.ndarray:
+        s = np.atleast_1d(np.asarray(s, dtype=float))
+        first, last = self._heading.x[0], self._heading.x[-1]
+        slack = 1e-9 * (last - first)
+        outside = ~((s >= first - slack) & (s <= last + slack))
+        if s.ndim != 1 or np.any(outside):
+            what = f"arc length {s[outside][0]:g} m" if s.ndim == 1 else f"an array of {s.shape}"
+            raise PatternError(
+                f"{self.source}: {what} is outside the pattern, which runs from {first:g} to "
+                f"{last:g} m"
+            )
+        return np.clip(s, first, last)
+
+    def with_remainder(self, length: float) -> Pattern:
+        """The pattern with a lead-in whose curvature grows smoothly from zero to its own.
+
+        Joined with continuous position, tangent, curvature, and two derivatives of the curvature
+        (paper, Sec. Accuracy), so that the free end needs little friction.
+
+        Args:
+            length: length of the remainder [m]; `wrod.plan` chooses one that suits the rod.
+
+        Raises:
+            PatternError: the length is not positive, or there is a remainder already.
+        """
+        if self.remainder_length > 0.0:
+            raise PatternError(
+                f"{self.source}: has a remainder of {self.remainder_length:g} m already"
+            )
+        if not (np.isfinite(length) and length > 0.0):
+            raise PatternError(f"remainder length is {length!r}; give a positive number of metres")
+        return Pattern(
+            lead_in(self._heading, float(length)),
+            self._origin,
+            name=self.name,
+            source=self.source,
+            height=self._height,
+            points=self.points,
+            noise=self.noise,
+        )
+
+    def save(self, path: str | os.PathLike[str], spacing: float = 0.001) -> Path:
+        """Write points along the pattern (without a remainder) as CSV that `load` reads."""
+        count = max(int(np.ceil(self.length / spacing)), 8) + 1
+        position, _, _ = self.sample(np.linspace(0.0, self.length, count))
+
+        def write(file):
+            file.write("x [m],y [m],z [m]\n")
+            file.writelines(f"{x:.9f},{y:.9f},{z:.9f}\n" for x, y, z in position)
+
+        return write_atomically(path, write)
+
+
+def pattern(name: str) -> Pattern:
+    """Built-in pattern by name, such as "letter-A".
+
+    Raises:
+        PatternError: no pattern has that name.
+    """
+    if name not in SHAPES:
+        raise PatternError(
+            f"unknown pattern {name!r}; built in are {', '.join(pattern_names())} "
+            "(or give a file of points)"
+        )
+    return Pattern(*SHAPES[name](), name=name)
+
+
+def pattern_names() -> list[str]:
+    """Names of the built-in patterns."""
+    return list(SHAPES)

@@ -1,0 +1,1 @@
+"""Planning: from a pattern and a rod to the trajectory of the grip."""

@@ -1,0 +1,409 @@
+"""Plans: from a pattern and a rod to the trajectory of the grip (paper, Alg. OPT)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
+from wrod.grasps.mesh import WEIGHT
+from wrod.patterns.pattern import Pattern
+from wrod.planning.friction import friction_bound
+from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs, GraspPoses
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+
+if TYPE_CHECKING:
+    from wrod.controller.controller import Controller
+
+# A dimensionless start curvature above this gets a remainder unless the caller decides. The paper's
+# circle and sine start above it; its letters, laid without a remainder, start below 0.11.
+CONSIDERABLE_CURVATURE = 0.15
+# A default remainder is long enough to ask for this static friction at most...
+_REMAINDER_FRICTION = 0.25
+# ... but turns by no more than this [rad], which binds for stiff rods.
+_REMAINDER_TURN = 0.8
+_MAX_NODES = 20_000
+# Dimensionless curvatures between which "min_friction" lays a pattern better, and points at which
+# curvature is looked at; beyond the range not all grasps of that closure exist.
+_GENTLE, _TIGHT = 0.4, 3.0
+# The same for a naturally curved rod, and the natural curvature [1/L_gb] up to which they do.
+_TIGHT_CURVED, _MILD = 1.4, 0.3
+_COURSE_POINTS = 2000
+# Stiffness of a rod's softest motion over weight per length by suspended length. A chain that hangs
+# without bending stiffness has (j_0 / 2)^2; optimal grasps have more, and one with a third of it
+# would swing out three times as far as a chain.
+CHAIN_MARGIN = 1.446
+SMALL_STABILITY_MARGIN = CHAIN_MARGIN / 3.0
+# Grips closer than this [L_gb] are of one grasp, with a curvature that is off by a spline's noise.
+_SAME_GRASP = 0.06
+
+
+def plan(
+    pattern: Pattern,
+    rod: RodMaterial,
+    method: str = "auto",
+    *,
+    closure: str | None = None,
+    spacing: float = 0.0025,
+    remainder: bool | float | None = None,
+    roll: float | str = "plane",
+    controller: Controller | None = None,
+    device: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Trajectory of the grip that lays `rod` along `pattern`.
+
+    Args:
+        pattern: where the rod is to lie.
+        rod: its material and length.
+        method: "neural" (optimal grasps from the trained controller; of a naturally curved rod
+            without a controller of its own, from the rod solver), "numeric" (from the rod solver),
+            "auto" (neural where the controller was trained, numeric elsewhere) or "intuitive"
+            (straight above the contact).
+        closure: "zero_tension", "min_force" or "min_friction"; "neural" knows its controller's
+            only, which for the one that ships is the first. None: the given controller's; without
+            one, what lays the pattern most accurately for "auto" (see `favoured_closure`), and
+            "zero_tension", which is the paper's, for the others.
+        spacing: largest distance between the contact nodes [m].
+        remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
+            curvature is considerable (over 0.15 / L_gb), True, False, or its length [m].
+        roll: how the rod is put into the grip: the laid rod's first material director is turned
+            by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
+            into the table's plane to the side to which the pattern turns in all, or upwards. In
+            the plane the twist changes least; up, less is pushed aside (docs/loop.md).
+        controller: what "neural" and "auto" ask, for example one that was trained for this
+            naturally curved rod; None is the one that ships, for all straight rods.
+        device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
+        progress: called with the nodes done since the last call and the number of all nodes.
+
+    Returns:
+        One pose per contact node; `metadata` names method, closure, rod, pattern, remainder, the
+        friction that the laid pattern asks for ("required_friction") and that the rod asks for
+        where it touches down ("contact_friction"), and the warnings given.
+
+    Raises:
+        PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
+            bend it tighter than its own radius, or spacing is not positive.
+        GraspError: unknown method, a grasp that did not converge (names node and inputs), or a
+            controller that was made for another rod.
+
+    Warns:
+        StabilityWarning: some grasps are elastically unstable, or close to it.
+        OutOfRangeWarning: some nodes are outside what the controller was trained for.
+    """
+    if method not in SOURCES:
+        raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
+    pattern = prepare(pattern, rod, remainder)
+    if closure is None and controller is not None and method in ("auto", "neural"):
+        closure = controller.closure
+    elif closure is None:
+        closure = favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
+    first = -pattern.remainder_length
+    total = pattern.length - first
+    if not (np.isfinite(spacing) and spacing >= total / _MAX_NODES):
+        raise PatternError(
+            f"spacing is {spacing!r} m; give at least {total / _MAX_NODES:.2g} m, which "
+            f"makes {_MAX_NODES} contact nodes"
+        )
+    s = np.linspace(first, pattern.length, int(np.ceil(total / spacing - 1e-9)) + 1)
+    contact, tangent, curvature = pattern.sample(s)
+    _refuse_tight_bends(pattern, rod, s, curvature)
+    lgb = rod.gravito_bending_length
+    laid = s - first
+    roll = roll_angle(roll, pattern, rod)
+    inputs = GraspInputs.of(
+        rod, rod.length - laid, curvature,
+        roll=roll, closure=closure, device=device, progress=progress, controller=controller,
+    )  # fmt: skip
+    with warnings.catch_warnings(record=True) as reservations:
+        warnings.simplefilter("always")
+        if method == "neural" and controller is None and not rod.is_straight:
+            method = "numeric"
+            warnings.warn(
+                "the controller that ships knows naturally straight rods only and this one is "
+                "curved at rest, so its grasps come from the rod solver",
+                WrodWarning,
+                stacklevel=2,
+            )
+        poses = SOURCES[method](inputs)
+        _refuse_unconverged(poses, inputs, s)
+        _warn_unstable(poses, inputs, s)
+    for reservation in reservations:
+        warnings.warn(reservation.message, reservation.category, stacklevel=2)
+
+    frame = _contact_frame(tangent)
+    force_unit = rod.bending_stiffness / lgb**2
+    shape = None if poses.shape is None else _placed(poses.shape, contact, frame, lgb)
+    return Trajectory(
+        arc_length=laid,
+        contact=contact,
+        position=_placed(poses.position[:, None], contact, frame, lgb)[:, 0],
+        rotation=frame @ Rotation.from_rotvec(poses.rotation).as_matrix(),
+        force=force_unit * np.einsum("tij,tj->ti", frame, poses.force),
+        metadata={
+            "method": method,
+            "closure": closure if method != "intuitive" else None,
+            "pattern": pattern.name,
+            "pattern_length": pattern.length,
+            "remainder_length": pattern.remainder_length,
+            "rod": {**asdict(rod), "natural_curvature": list(rod.natural_curvature)},
+            "roll": roll,
+            "required_friction": float(np.max(friction_bound(pattern, rod).required)),
+            "contact_friction": _contact_friction(poses.force),
+            "largest_curvature": float(np.max(np.abs(curvature))),
+            "warnings": [
+                f"{warning.category.__name__}: {warning.message}"
+                for warning in reservations
+                if issubclass(warning.category, WrodWarning)
+            ],
+        },
+        shape=shape,
+        twist=poses.twist,
+    )
+
+
+def favoured_closure(pattern: Pattern, rod: RodMaterial) -> str:
+    """The closure that lays such a pattern most accurately, whatever the table.
+
+    "min_friction" where the pattern's largest curvature is over 0.4 / L_gb, "zero_tension"
+    elsewhere. In bends the first asks the table for less: at 1 / L_gb for a tangential force of
+    0.55 instead of 0.93 of the normal one, so that less slides on slippery tables. On a straight
+    pattern both are the same grasps; in gentle bends both lay as well, and the trained controller
+    knows the second. Evidence: `wrod bench closures`, docs/deployment.md, and for naturally curved
+    rods docs/loop.md. Of a rod curved by more than 0.3 / L_gb not all grasps exist that ask for the
+    least, and it gets "zero_tension".
+    """
+    s = np.linspace(-pattern.remainder_length, pattern.length, _COURSE_POINTS)
+    lgb = rod.gravito_bending_length
+    sharpest = np.max(np.abs(pattern.sample(s)[2])) * lgb
+    natural = np.hypot(*rod.natural_curvature) * lgb
+    tight = _TIGHT if rod.is_straight else _TIGHT_CURVED
+    return "min_friction" if _GENTLE < sharpest <= tight and natural <= _MILD else "zero_tension"
+
+
+def with_shapes(
+    trajectory: Trajectory,
+    pattern: Pattern | None = None,
+    *,
+    device: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """The trajectory with the shapes of the suspended rod, where its method gave none.
+
+    They are those of the optimal grasps of the same inputs, from the rod solver, ended at the
+    trajectory's grips. It thereby checks the controller: `metadata["shapes"]` says how far its
+    grips are from the solver's at most [m]. A trajectory that is not of optimal grasps, or has
+    shapes, comes back as it is.
+
+    Args:
+        trajectory: what `plan` returned, or read from its file.
+        pattern: of the trajectory; without it, or where the contacts are not on it, the curvature
+            is that of a spline through the contacts.
+        device, progress: see `plan`.
+
+    Warns:
+        WrodWarning: the solver gives no shapes, or has its grips elsewhere; the trajectory comes
+            back without.
+    """
+    closure, rod = trajectory.metadata.get("closure"), trajectory.metadata.get("rod")
+    if trajectory.shape is not None or closure is None or rod is None:
+        return trajectory
+    rod, s = RodMaterial(**rod), trajectory.pattern_arc_length
+    tangent, curvature = _course(trajectory, pattern)
+    lgb = rod.gravito_bending_length
+    inputs = GraspInputs.of(
+        rod, rod.length - trajectory.arc_length, curvature,
+        roll=float(trajectory.metadata.get("roll", 0.0)),
+        closure=closure, device=device, progress=progress,
+    )  # fmt: skip
+    try:
+        poses = SOURCES["numeric"](inputs)
+        _refuse_unconverged(poses, inputs, s)
+        frame = _contact_frame(tangent)
+        grip = _placed(poses.position[:, None], trajectory.contact, frame, lgb)[:, 0]
+        apart = float(np.linalg.norm(grip - trajectory.position, axis=1).max())
+        if apart > _SAME_GRASP * lgb:
+            raise GraspError(f"the solver's grips are up to {apart:.2g} m from the planned ones")
+    except GraspError as error:
+        warnings.warn(f"the rod's shapes are left out: {error}", WrodWarning, stacklevel=2)
+        return trajectory
+    shape = _placed(poses.shape, trajectory.contact, frame, lgb)
+    # What is left, of the controller and of the mesh, fades out towards the contact.
+    share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
+    shape += share[None, :, None] * (trajectory.position - shape[:, -1])[:, None]
+    said = {"method": "numeric", "largest_grip_difference": apart}
+    return replace(trajectory, shape=shape, metadata={**trajectory.metadata, "shapes": said})
+
+
+def _contact_friction(force: np.ndarray) -> float | None:
+    """Largest ratio of tangential to normal force on the table where the rod touches down; None
+    where the method says no forces (T, 3)."""
+    if not np.isfinite(force).all():
+        return None
+    return float(np.max(np.hypot(force[:, 0], force[:, 1]) / np.maximum(force[:, 2], 1e-9)))
+
+
+def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray, np.ndarray]:
+    """Unit tangent (T, 3) and signed curvature (T,) [1/m] at the contacts."""
+    curve = CubicSpline(trajectory.arc_length, trajectory.contact)
+    forward, bend = (curve(trajectory.arc_length, order) for order in (1, 2))
+    speed = np.linalg.norm(forward, axis=1)
+    curvature = (forward[:, 0] * bend[:, 1] - forward[:, 1] * bend[:, 0]) / speed**3
+    own = forward / speed[:, None], curvature
+    if pattern is None:
+        return own
+    s = trajectory.pattern_arc_length
+    if pattern.remainder_length == 0.0 and s[0] < 0.0:
+        pattern = pattern.with_remainder(-float(s[0]))
+    contact, *course = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
+    laid = np.abs(contact - trajectory.contact).max() < 1e-6
+    return tuple(course) if laid else own
+
+
+def roll_angle(roll: float | str, pattern: Pattern, rod: RodMaterial) -> float:
+    """The roll [rad] that `plan`'s words "up" and "plane" mean; 0 for a straight rod.
+
+    Raises:
+        GraspError: the roll is neither these nor a finite number.
+    """
+    if roll not in ("up", "plane"):
+        if isinstance(roll, str) or not np.isfinite(roll):
+            raise GraspError(f"roll is {roll!r}; give a finite angle in radians, 'plane' or 'up'")
+        return float(roll)
+    if rod.is_straight:
+        return 0.0
+    left = -float(np.arctan2(*rod.natural_curvature[::-1]))
+    if roll == "up":
+        return left + 0.5 * np.pi
+    s = np.linspace(-pattern.remainder_length, pattern.length, 1000)
+    turning = float(np.mean(pattern.sample(s)[2])) * (s[-1] - s[0])
+    # A pattern that turns by nothing but rounding has no side.
+    return left + np.pi if turning < -1e-3 else left
+
+
+def _contact_frame(tangent: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) R_t of Alg. OPT."""
+    up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
+    return np.stack([tangent, np.cross(up, tangent), up], axis=-1)
+
+
+def _placed(points: np.ndarray, contact: np.ndarray, frame: np.ndarray, lgb: float) -> np.ndarray:
+    """(T, n, 3) points on the table [m] from those in contact frames [L_gb]."""
+    return contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, points)
+
+
+def prepare(pattern: Pattern, rod: RodMaterial, remainder: bool | float | None) -> Pattern:
+    """The pattern with the remainder that `plan` lays before it, checked against the rod's length.
+
+    Raises:
+        PatternError: pattern and remainder leave less than 1 L_gb of the rod suspended.
+    """
+    spare = rod.length - MIN_SUSPENDED_LENGTH * rod.gravito_bending_length
+    _refuse_long(pattern, rod, spare)
+    if remainder is False or pattern.remainder_length > 0.0:
+        return pattern
+    start = abs(float(pattern.sample(0.0)[2][0]))
+    if remainder is None:
+        if start * rod.gravito_bending_length < CONSIDERABLE_CURVATURE:
+            return pattern
+        # A shorter remainder asks for more friction, which the metadata says; one much shorter
+        # asks for more than it saves.
+        wanted, room = _remainder_length(start, rod), spare - pattern.length
+        return pattern.with_remainder(min(wanted, room)) if room > 0.5 * wanted else pattern
+    if remainder is True:
+        if start == 0.0:
+            return pattern
+        remainder = _remainder_length(start, rod)
+    led = pattern.with_remainder(float(remainder))
+    _refuse_long(led, rod, spare)
+    return led
+
+
+def _remainder_length(curvature: float, rod: RodMaterial) -> float:
+    """Length [m] over which the curvature grows from zero with little friction.
+
+    The quintic smoothstep has |kappa''| <= 10 / sqrt(3) kappa / length^2, and mu_s = 2 L_gb^3
+    |kappa''|.
+    """
+    steepest = 10.0 / np.sqrt(3.0) * curvature
+    gentle = np.sqrt(2.0 * rod.gravito_bending_length**3 * steepest / _REMAINDER_FRICTION)
+    return float(min(gentle, 2.0 * _REMAINDER_TURN / curvature))
+
+
+def _refuse_long(pattern: Pattern, rod: RodMaterial, spare: float) -> None:
+    total = pattern.length + pattern.remainder_length
+    # The tolerance lets a remainder fill the spare length exactly.
+    if total <= spare * (1.0 + 1e-9):
+        return
+    led = (
+        f" with its remainder of {pattern.remainder_length:.3f} m"
+        if pattern.remainder_length
+        else ""
+    )
+    hint = ""
+    if pattern.length > 20.0 * rod.length:
+        hint = " (are the coordinates in another unit? say so with units)"
+    raise PatternError(
+        f"{pattern.source}: is {total:.4g} m long{led}, and a rod of {rod.length:.4g} m that keeps "
+        f"{MIN_SUSPENDED_LENGTH:g} L_gb suspended can lay {max(spare, 0.0):.4g} m; shorten the "
+        f"pattern by {total - spare:.3g} m or take a longer rod{hint}"
+    )
+
+
+def _refuse_tight_bends(
+    pattern: Pattern, rod: RodMaterial, s: np.ndarray, curvature: np.ndarray
+) -> None:
+    worst = int(np.argmax(np.abs(curvature)))
+    if abs(curvature[worst]) * rod.radius >= 1.0:
+        raise PatternError(
+            f"{pattern.source}: has a curvature of {curvature[worst]:.0f} 1/m at s = "
+            f"{s[worst]:.3f} m, tighter than the rod's own radius of {rod.radius:g} m; "
+            "smooth the pattern or make it larger"
+        )
+
+
+def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -> None:
+    finite = np.all(np.isfinite(poses.position) & np.isfinite(poses.rotation), axis=1)
+    good = finite if poses.converged is None else finite & poses.converged
+    if np.all(good):
+        return
+    node = int(np.argmin(good))
+    raise GraspError(
+        f"no optimal grasp found at node {node} of {len(s)} (s = {s[node]:.4f} m, suspended "
+        f"length {inputs.suspended_length[node]:.3f} L_gb, curvature "
+        f"{inputs.curvature[node]:.3f} / L_gb, stretch ratio {inputs.stretch_ratio:.0f}; "
+        f"{np.sum(~good)} nodes in all); make the pattern gentler there or the rod longer"
+    )
+
+
+def _warn_unstable(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -> None:
+    if poses.stable is not None and not np.all(poses.stable):
+        where = s[~np.asarray(poses.stable, dtype=bool)]
+        warnings.warn(
+            f"{len(where)} of {len(s)} grasps are elastically unstable (s from {where.min():.3f} "
+            f"to {where.max():.3f} m); the rod may snap there",
+            StabilityWarning,
+            stacklevel=3,
+        )
+        return
+    if poses.eigenvalue is None:
+        return
+    margin = poses.eigenvalue * inputs.suspended_length / WEIGHT
+    close = margin < SMALL_STABILITY_MARGIN
+    if np.any(close):
+        where, worst = s[close], int(np.argmin(margin))
+        warnings.warn(
+            f"{len(where)} of {len(s)} grasps come close to elastic instability (s from "
+            f"{where.min():.3f} to {where.max():.3f} m; at {s[worst]:.3f} m the softest motion has "
+            f"{margin[worst] / CHAIN_MARGIN:.0%} of a hanging chain's stiffness); "
+            "hold the grip steady there or make the pattern gentler",
+            StabilityWarning,
+            stacklevel=3,
+        )

@@ -1,0 +1,213 @@
+"""Where a plan's grasps come from: one function per method, from inputs to poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from wrod.errors import GraspError
+from wrod.grasps.mesh import MIRROR, MIRROR_ROTATION
+from wrod.rods.material import RodMaterial
+
+if TYPE_CHECKING:
+    from wrod.controller.controller import Controller
+
+# The suspended part must stay this long, in L_gb, at the last contact: grasps of a shorter rod
+# put the gripper's fingers on the table, and the studied range begins here.
+MIN_SUSPENDED_LENGTH = 1.0
+
+
+@dataclass(frozen=True)
+class GraspInputs:
+    """What a grasp source is given: (T,) dimensionless lengths and curvatures of all nodes, the
+    natural curvature (left, up) of the rod as it is held [1/L_gb], and the controller to ask; None
+    is the one that ships, which knows straight rods."""
+
+    suspended_length: np.ndarray
+    curvature: np.ndarray
+    stretch_ratio: float
+    closure: str
+    device: str | None = None
+    progress: Callable[[int, int], None] | None = None
+    natural_curvature: tuple[float, float] = (0.0, 0.0)
+    poisson: float = 0.5
+    controller: Controller | None = None
+
+    @classmethod
+    def of(
+        cls,
+        rod: RodMaterial,
+        suspended: np.ndarray,
+        curvature: np.ndarray,
+        *,
+        roll: float = 0.0,
+        closure: str = "zero_tension",
+        device: str | None = None,
+        progress: Callable[[int, int], None] | None = None,
+        controller: Controller | None = None,
+    ) -> GraspInputs:
+        """Inputs of a rod: suspended length (T,) [m] and curvature (T,) [1/m] at the contacts, and
+        the roll that it is held at [rad] (see `RodMaterial.curvature_held`)."""
+        lgb = rod.gravito_bending_length
+        left, up = rod.curvature_held(roll)
+        return cls(
+            # The maximum removes the rounding of a pattern that fills the rod.
+            np.maximum(suspended / lgb, MIN_SUSPENDED_LENGTH),
+            curvature * lgb,
+            rod.stretch_ratio,
+            closure,
+            device,
+            progress,
+            (left * lgb, up * lgb),
+            rod.poisson,
+            controller,
+        )
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether the rod is straight at rest."""
+        return self.natural_curvature == (0.0, 0.0)
+
+    def at(self, nodes: np.ndarray) -> GraspInputs:
+        """The inputs of some nodes."""
+        length, curvature = self.suspended_length[nodes], self.curvature[nodes]
+        return replace(self, suspended_length=length, curvature=curvature)
+
+
+@dataclass(frozen=True)
+class GraspPoses:
+    """What a grasp source returns, in the contact frame and dimensionless.
+
+    position, rotation (vector) and force are (T, 3); converged, stable and eigenvalue (of the
+    softest motion, see `Grasps`) are (T,) or None where the source does not say; shape is
+    (T, nodes, 3) or None; twist (T,) from contact to grip [rad], or None where there is none.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    force: np.ndarray
+    converged: np.ndarray | None = None
+    stable: np.ndarray | None = None
+    shape: np.ndarray | None = None
+    eigenvalue: np.ndarray | None = None
+    twist: np.ndarray | None = None
+
+
+def _intuitive(inputs: GraspInputs) -> GraspPoses:
+    """Grip straight above the contact, the rod hanging from it (Takizawa et al. 2015)."""
+    length = inputs.suspended_length
+    count = len(length)
+    position = np.column_stack([np.zeros((count, 2)), length])
+    rotation = np.tile([0.0, -np.pi / 2.0, 0.0], (count, 1))
+    return GraspPoses(position, rotation, np.full((count, 3), np.nan))
+
+
+def _numeric(inputs: GraspInputs) -> GraspPoses:
+    """Optimal grasps from the rod solver."""
+    from wrod.grasps.optimal import solve_grasps
+
+    count = len(inputs.suspended_length)
+    watch = inputs.progress
+    own = {}
+    if not inputs.is_straight:
+        own = {"natural_curvature": inputs.natural_curvature, "poisson": inputs.poisson}
+    grasps = solve_grasps(
+        inputs.suspended_length,
+        inputs.curvature,
+        inputs.stretch_ratio,
+        closure=inputs.closure,
+        device=inputs.device,
+        eigenvalues=True,
+        progress=None if watch is None else lambda done: watch(done, count),
+        **own,
+    )
+    return GraspPoses(
+        grasps.position,
+        grasps.rotation,
+        grasps.force,
+        grasps.converged,
+        grasps.stable,
+        grasps.shape,
+        grasps.eigenvalue,
+        None if inputs.is_straight else grasps.twist,
+    )
+
+
+def _neural(inputs: GraspInputs) -> GraspPoses:
+    """Optimal grasps from the trained controller; out of its range it warns."""
+    from wrod.controller.controller import Controller
+
+    if inputs.controller is None and not inputs.is_straight:
+        raise GraspError(
+            "the controller that ships knows naturally straight rods only, and this one is curved "
+            "at rest; train one for it with `wrod dataset --rod` and `wrod train`, or use method "
+            "'numeric' or 'auto'"
+        )
+    controller = inputs.controller or Controller.load()
+    if inputs.closure != controller.closure:
+        raise GraspError(
+            f"the controller knows closure {controller.closure!r} only, not {inputs.closure!r}; "
+            "use method 'numeric' or 'auto'"
+        )
+    return _predicted(controller, inputs)
+
+
+def _auto(inputs: GraspInputs) -> GraspPoses:
+    """The controller where it was trained for closure and inputs, elsewhere the rod solver."""
+    from wrod.controller.controller import Controller
+
+    controller = inputs.controller or Controller.load()
+    known = ~controller.out_of_range(
+        inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
+    )
+    known &= inputs.closure == controller.closure
+    if inputs.controller is None:
+        known &= inputs.is_straight
+    else:
+        # One that was named for this plan and does not fit is a mistake.
+        controller.side_of(inputs.natural_curvature, inputs.poisson)
+    if known.all():
+        return _predicted(controller, inputs)
+    solved = _numeric(inputs.at(~known))
+    if not known.any():
+        return solved
+    predicted = _predicted(controller, inputs.at(known))
+    whole = {}
+    for name in ("position", "rotation", "force", "converged", "stable", "twist"):
+        value = getattr(solved, name)
+        if value is None:
+            continue
+        whole[name] = np.empty((len(known), *value.shape[1:]), dtype=value.dtype)
+        whole[name][~known] = value
+        # The controller learnt from grasps that converged and are stable.
+        given = getattr(predicted, name)
+        whole[name][known] = True if given is None else given
+    # Nobody has looked how close the predicted ones are to instability.
+    whole["eigenvalue"] = np.full(len(known), np.inf)
+    whole["eigenvalue"][~known] = solved.eigenvalue
+    return GraspPoses(**whole)
+
+
+def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
+    side = controller.side_of(inputs.natural_curvature, inputs.poisson)
+    position, rotation, force, twist = controller.predict_with_twist(
+        inputs.suspended_length, side * inputs.curvature, inputs.stretch_ratio
+    )
+    if force is None:
+        force = np.full_like(position, np.nan)
+    if side < 0.0:
+        position, rotation, force = MIRROR * position, MIRROR_ROTATION * rotation, MIRROR * force
+        twist = None if twist is None else -twist
+    return GraspPoses(position, rotation, force, twist=twist)
+
+
+# A source takes the dimensionless inputs of every node and returns poses in the contact frame.
+SOURCES: dict[str, Callable[[GraspInputs], GraspPoses]] = {
+    "neural": _neural,
+    "auto": _auto,
+    "numeric": _numeric,
+    "intuitive": _intuitive,
+}

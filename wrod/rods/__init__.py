@@ -1,0 +1,1 @@
+"""Rods: what a rod is, and batches of discrete elastic rods on a device."""

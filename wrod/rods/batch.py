@@ -1,0 +1,431 @@
+"""A batch of discrete elastic rods: its arrays, and their energies, gradients and Hessians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from wrod.errors import RodError
+from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
+from wrod.kernels.elastic.bending import elasticity
+from wrod.kernels.elastic.frames import (
+    ANY_DIRECTOR,
+    EVERY_DIRECTOR,
+    FIRST_DIRECTOR,
+    reference_twist,
+    set_configuration,
+    set_reference_frames,
+    transport_reference_frames,
+)
+from wrod.kernels.elastic.loads import dead_loads
+from wrod.kernels.elastic.softened_bending import softened_elasticity
+from wrod.kernels.lanes import lanes
+
+
+def resolve_device(device: str | None) -> str:
+    """`None` and "auto" mean the first CUDA device if there is one, else the CPU.
+
+    Raises:
+        RodError: the device does not exist on this machine.
+    """
+    if device in (None, "auto"):
+        return "cuda:0" if wp.is_cuda_available() else "cpu"
+    try:
+        return str(wp.get_device(device))
+    except Exception as error:
+        raise RodError(
+            f"device {device!r} is not on this machine; use cpu, auto or one of "
+            f"{', '.join(str(d) for d in wp.get_devices())}"
+        ) from error
+
+
+@dataclass
+class RodState:
+    """Configuration of every rod of a batch (Warp arrays).
+
+    Attributes:
+        dof: (rod, 4 node - 1) degrees of freedom [q_0, theta^0, q_1, ...].
+        tangent: (rod, node - 1) unit tangents that the reference frames belong to.
+        director: (rod, node - 1) first reference directors.
+        reference_twist: (rod, node) angle of the reference frames across each inner node [rad].
+    """
+
+    dof: wp.array
+    tangent: wp.array
+    director: wp.array
+    reference_twist: wp.array
+
+    @classmethod
+    def zeros(cls, rod_count: int, node_count: int, device: str) -> RodState:
+        edges = (rod_count, node_count - 1)
+        return cls(
+            wp.zeros((rod_count, 4 * node_count - 1), dtype=wp.float64, device=device),
+            wp.zeros(edges, dtype=wp.vec3d, device=device),
+            wp.zeros(edges, dtype=wp.vec3d, device=device),
+            wp.zeros((rod_count, node_count), dtype=wp.float64, device=device),
+        )
+
+    def assign(self, other: RodState) -> None:
+        wp.copy(self.dof, other.dof)
+        wp.copy(self.tangent, other.tangent)
+        wp.copy(self.director, other.director)
+        wp.copy(self.reference_twist, other.reference_twist)
+
+
+@dataclass
+class Derivatives:
+    """Energy (rod,), gradient (rod, dof) and lower band of the Hessian (rod, dof, 11)."""
+
+    energy: wp.array
+    gradient: wp.array
+    hessian: wp.array
+
+    @classmethod
+    def zeros(cls, rod_count: int, dof_count: int, device: str) -> Derivatives:
+        return cls(
+            wp.zeros(rod_count, dtype=wp.float64, device=device),
+            wp.zeros((rod_count, dof_count), dtype=wp.float64, device=device),
+            wp.zeros((rod_count, dof_count, HALF_BANDWIDTH + 1), dtype=wp.float64, device=device),
+        )
+
+
+class RodBatch:
+    """Many rods of one node count; everything else may differ from rod to rod.
+
+    The quantities carry any consistent units: SI, or the dimensionless ones of a plan. Every array
+    argument is broadcast to the shape given here.
+
+    Args:
+        position: (rod, node, 3) initial node positions, or a Warp array (rod, node) of vec3d.
+        rest_length: (rod, node - 1) rest length of every edge; default: that of `position`.
+            Like `position` it may be a Warp array on the device, which is taken as it is.
+        stretching_stiffness: (rod, node - 1) EA of every edge [force].
+        bending_stiffness: (rod, node) or (rod, node, 2): EI about the two material directors
+            [force length^2]; the values at the end nodes are not used.
+        twisting_stiffness: (rod, node) GJ [force length^2].
+        natural_curvature: (rod, node, 2) curvature at rest in the material frame [1/length].
+        natural_twist: (rod, node) twist at rest [rad/length].
+        softening: (rod, node, 2) c >= 0 [length^2] and r of the moment
+            B e (r + (1 - r) / (1 + c e^2)) that belongs to a curvature e; c = 0 is linear.
+        node_mass: (rod, node) lumped masses.
+        gravity: (rod, 3) acceleration.
+        point_load: (rod, node, 3) dead force at each node [force].
+        director: (rod, 3) or (rod, node - 1, 3) first material director of the first edge (carried
+            along the rod without twist) or of every edge; default: any direction across the rod.
+        device: "cpu", "cuda:0", "auto".
+
+    Raises:
+        RodError: a shape does not broadcast, a rest length or stiffness is not positive, or a
+            value is not finite.
+    """
+
+    def __init__(
+        self,
+        position: np.ndarray,
+        *,
+        rest_length=None,
+        stretching_stiffness,
+        bending_stiffness,
+        twisting_stiffness,
+        natural_curvature=0.0,
+        natural_twist=0.0,
+        softening=0.0,
+        node_mass=0.0,
+        gravity=0.0,
+        point_load=0.0,
+        director=None,
+        device: str | None = "cpu",
+    ):
+        shape = np.shape(position) if not isinstance(position, wp.array) else (*position.shape, 3)
+        if len(shape) != 3 or shape[2] != 3 or shape[1] < 3:
+            raise RodError(
+                f"rod positions have shape {shape}; give (rod, node, 3) with 3 nodes or more"
+            )
+        self.device = resolve_device(device)
+        self.rod_count, self.node_count = rods, nodes = shape[:2]
+        self.dof_count = 4 * self.node_count - 1
+        if rest_length is None:
+            rest_length = np.linalg.norm(np.diff(position, axis=1), axis=2)
+        bending_stiffness = np.asarray(bending_stiffness, dtype=np.float64)
+        if bending_stiffness.ndim < 3:
+            bending_stiffness = bending_stiffness[..., None]
+
+        self.rest_length = self._array(
+            "rest_length",
+            rest_length,
+            (rods, nodes - 1),
+            positive=True,
+        )
+        self.stretching_stiffness = self._array(
+            "stretching_stiffness", stretching_stiffness, (rods, nodes - 1), positive=True
+        )
+        self.bending_stiffness = self._array(
+            "bending_stiffness", bending_stiffness, (rods, nodes, 2), wp.vec2d, positive=True
+        )
+        self.twisting_stiffness = self._array(
+            "twisting_stiffness", twisting_stiffness, (rods, nodes), positive=True
+        )
+        self.natural_curvature = self._array(
+            "natural_curvature", natural_curvature, (rods, nodes, 2), wp.vec2d
+        )
+        self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
+        self.set_softening(softening)
+        self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
+        self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)
+        self.point_load = self._array("point_load", point_load, (rods, nodes, 3), wp.vec3d)
+        self.load_factor = wp.ones(rods, dtype=wp.float64, device=self.device)
+        self.free = wp.ones((rods, self.dof_count), dtype=wp.int32, device=self.device)
+        self.every_rod = wp.ones(rods, dtype=wp.int32, device=self.device)
+        self.state = RodState.zeros(rods, nodes, self.device)
+        self.derivatives = Derivatives.zeros(rods, self.dof_count, self.device)
+        self.cut_edges = ()
+        self.set_configuration(position, director=director)
+
+    def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
+        if isinstance(value, wp.array):
+            return value
+        value = np.asarray(value, dtype=np.float64)
+        if not np.isfinite(value).all():
+            raise RodError(f"{name} holds a value that is not finite")
+        if positive and not (value > 0).all():
+            raise RodError(f"{name} holds {value.min():g}; every value must be positive")
+        if value.size == 1 and value.ndim <= len(shape):
+            # One value for all does not have to travel to the device.
+            size = shape if dtype == wp.float64 else shape[:-1]
+            fill = dtype(*[value.item()] * (1 if dtype == wp.float64 else shape[-1]))
+            return wp.full(size, fill, dtype=dtype, device=self.device)
+        try:
+            value = np.broadcast_to(value, shape)
+        except ValueError:
+            raise RodError(
+                f"{name} has shape {value.shape}, which does not broadcast to {shape}"
+            ) from None
+        return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
+
+    def set_softening(self, softening) -> None:
+        """Give every rod its law: (rod, node, 2) as in the constructor, broadcast.
+
+        Raises:
+            RodError: the shape does not broadcast, or a c is negative or not finite.
+        """
+        shape = (self.rod_count, self.node_count, 2)
+        array = self._array("softening", softening, shape, wp.vec2d)
+        value = np.atleast_1d(softening)
+        if value[..., 0].min() < 0.0:
+            raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
+        self.softening = array
+        self.softens = bool(value[..., 0].any())
+
+    def set_configuration(self, position, *, angle=0.0, director=None) -> None:
+        """Put the rods into a configuration.
+
+        Args:
+            position: (rod, node, 3), or a Warp array (rod, node) of vec3d on the batch's device.
+            angle: (rod, node - 1) angles theta from reference to material directors [rad].
+            director: as in the constructor; those of every edge set the reference frames.
+
+        Raises:
+            RodError: two neighbouring nodes coincide, or a director is along its edge.
+        """
+        rods, nodes, device = self.rod_count, self.node_count, self.device
+        state = self.state
+        if not isinstance(position, wp.array):
+            position = self._array("position", position, (rods, nodes, 3), wp.vec3d)
+        angle = self._array("angle", angle, (rods, nodes - 1))
+        source, shape = ANY_DIRECTOR, (0, 0)
+        if director is not None:
+            every = np.ndim(director) == 3
+            source, shape = (EVERY_DIRECTOR, nodes - 1) if every else (FIRST_DIRECTOR, 1)
+            director = np.asarray(director, dtype=np.float64)
+            if not every:
+                director = np.broadcast_to(director, (rods, 3))[:, None]
+            director = self._array("director", director, (rods, shape, 3), wp.vec3d)
+        else:
+            director = wp.empty(shape, dtype=wp.vec3d, device=device)
+        wp.launch(
+            set_configuration,
+            dim=(rods, nodes),
+            inputs=[position, angle],
+            outputs=[state.dof],
+            device=device,
+        )
+        problem = wp.zeros(rods, dtype=wp.int32, device=device)
+        wp.launch(
+            set_reference_frames,
+            dim=rods,
+            inputs=[state.dof, director, source],
+            outputs=[state.tangent, state.director, problem],
+            device=device,
+        )
+        problem = problem.numpy()
+        if problem.any():
+            r = int(np.flatnonzero(problem)[0])
+            raise RodError(
+                f"two neighbouring nodes of rod {r} coincide, or are not numbers"
+                if problem[r] == 1
+                else f"a director of rod {r} is along its edge; give one across it"
+            )
+        state.reference_twist.zero_()
+        self._launch_twist(state, state, self.every_rod)
+
+    def cut(self, edges) -> None:
+        """Take edges out of every row, so that several rods share it, end to end.
+
+        Args:
+            edges: their indices; edge i runs from the last node of one rod, i, to the first of the
+                next. Their rest length becomes negligible; every node keeps its mass.
+
+        Raises:
+            RodError: an index is not that of an edge, or a rod would be left with one node.
+        """
+        count = self.node_count - 1
+        edges = sorted({int(e) % count if -count <= e < count else count for e in edges})
+        if np.any(np.diff([-1, *edges, count]) < 2) or (edges and edges[-1] >= count):
+            raise RodError(
+                f"cannot cut edges {edges}: give indices below {count} that leave every rod "
+                "two nodes or more"
+            )
+        around = sorted({i for e in edges for i in (e, e + 1)})
+        rest = self.rest_length.numpy().copy()
+        rest[:, edges] = 1e-6 * rest.mean()
+        self.rest_length.assign(rest)
+        for array, columns in (
+            (self.stretching_stiffness, edges),
+            (self.bending_stiffness, around),
+            (self.twisting_stiffness, around),
+        ):
+            values = array.numpy().copy()
+            values[:, columns] = 0.0
+            array.assign(values)
+        self.cut_edges = tuple(edges)
+
+    def set_free(self, free: np.ndarray) -> None:
+        """Say which degrees of freedom may move: (rod, dof) of bool, broadcast."""
+        free = np.broadcast_to(np.asarray(free, dtype=bool), (self.rod_count, self.dof_count))
+        self.free.assign(free.astype(np.int32))
+
+    def transport_frames(self, source: RodState, target: RodState, active: wp.array) -> None:
+        """Bring `target`'s frames to its own positions by time-parallel transport from `source`."""
+        wp.launch(
+            transport_reference_frames,
+            dim=(self.rod_count, self.node_count - 1),
+            inputs=[active, target.dof, source.tangent, source.director],
+            outputs=[target.tangent, target.director],
+            device=self.device,
+        )
+        self._launch_twist(source, target, active)
+
+    def find_reference_twist(self, active: wp.array) -> None:
+        """Reference twist of the active rods out of their frames, nearest to what it was."""
+        self._launch_twist(self.state, self.state, active)
+
+    def _launch_twist(self, source: RodState, target: RodState, active: wp.array) -> None:
+        wp.launch(
+            reference_twist,
+            dim=(self.rod_count, self.node_count - 2),
+            inputs=[active, target.tangent, target.director, source.reference_twist],
+            outputs=[target.reference_twist],
+            device=self.device,
+        )
+
+    def evaluate(
+        self,
+        *,
+        order: int = 2,
+        state: RodState | None = None,
+        out: Derivatives | None = None,
+        active: wp.array | None = None,
+    ) -> Derivatives:
+        """Energy and gradient (`order` 1) and Hessian (`order` 2) of every active rod.
+
+        The frames of `state` must belong to its positions.
+        """
+        state = self.state if state is None else state
+        out = self.derivatives if out is None else out
+        active = self.every_rod if active is None else active
+        out.energy.zero_()
+        out.gradient.zero_()
+        if order == 2:
+            out.hessian.zero_()
+        results = [out.energy, out.gradient, out.hessian]
+
+        def launch(kernel, count, inputs, outputs=results):
+            wp.launch(
+                kernel,
+                dim=(self.rod_count, count),
+                inputs=inputs,
+                outputs=outputs,
+                device=self.device,
+            )
+
+        nodes, rest = self.node_count, self.rest_length
+        # The linear law has a kernel of its own: the general one costs grasps half as much again.
+        launch(
+            softened_elasticity if self.softens else elasticity,
+            nodes - 2,
+            [
+                rest,
+                self.stretching_stiffness,
+                self.bending_stiffness,
+                self.natural_curvature,
+                self.softening,
+                self.twisting_stiffness,
+                self.natural_twist,
+                active,
+                state.dof,
+                state.director,
+                state.reference_twist,
+                order,
+            ],
+        )
+        launch(
+            dead_loads,
+            nodes,
+            [self.node_mass, self.gravity, self.point_load, self.load_factor, active, state.dof],
+            results[:2],
+        )
+        return out
+
+    def walk(
+        self, kernel: wp.Kernel, inputs: list, outputs: list = (), *, rods: int | None = None
+    ) -> None:
+        """Launch a kernel that walks along the rods, over (rod, lane); see `kernels.lanes`."""
+        count = lanes(self.device)
+        wp.launch(
+            kernel,
+            dim=(self.rod_count if rods is None else rods, count),
+            inputs=inputs,
+            outputs=outputs,
+            device=self.device,
+            block_dim=count,
+        )
+
+    def positions(self) -> np.ndarray:
+        """(rod, node, 3) node positions."""
+        return node_positions(self.state.dof.numpy())
+
+    def material_directors(self) -> np.ndarray:
+        """(rod, node - 1, 2, 3) material directors m_1, m_2 of every edge."""
+        angle = self.state.dof.numpy()[:, 3::4, None]
+        d1, t = self.state.director.numpy(), self.state.tangent.numpy()
+        d2 = np.cross(t, d1)
+        m1 = np.cos(angle) * d1 + np.sin(angle) * d2
+        return np.stack([m1, np.cross(t, m1)], axis=2)
+
+
+def node_positions(dof: np.ndarray) -> np.ndarray:
+    """(rod, node, 3) positions out of (rod, 4 node - 1) degrees of freedom."""
+    padded = np.pad(dof, ((0, 0), (0, 1)))
+    return padded.reshape(dof.shape[0], -1, 4)[:, :, :3]
+
+
+def full_hessian(band: np.ndarray) -> np.ndarray:
+    """Dense symmetric (dof, dof) matrix out of one rod's lower band (dof, 11)."""
+    n = band.shape[0]
+    dense = np.zeros((n, n))
+    for k in range(min(band.shape[1], n)):
+        rows = np.arange(k, n)
+        dense[rows, rows - k] = dense[rows - k, rows] = band[k:, k]
+    return dense

@@ -1,0 +1,1 @@
+"""Solvers of batches of rods: linear systems, equilibria, stability, motion, contact."""

@@ -1,0 +1,103 @@
+"""Systems of equations with the banded Hessians of a batch of rods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import warp as wp
+
+from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
+from wrod.kernels.lanes import lanes
+from wrod.kernels.linear import banded, banded_lanes, border
+from wrod.rods.batch import RodBatch
+
+
+class BandedSystem:
+    """Factorisation of the free block of a batch's Hessian, and solutions with it.
+
+    A CPU takes the rods one by one; a GPU gives each rod a warp.
+
+    Args:
+        batch: the rods.
+        right_hand_sides: how many `solve` takes.
+
+    Attributes:
+        factor: (rod, dof, 11) L and D of the last factorisation; see `kernels.banded`.
+        shift: (rod,) multiple of the identity that `factorise` adds to the Hessian.
+        negative_pivots: (rod,) negative eigenvalues of what was factorised.
+        x: (rod, right-hand side, dof) right-hand sides, then solutions.
+    """
+
+    def __init__(self, batch: RodBatch, right_hand_sides: int = 1):
+        rods, dofs, device = batch.rod_count, batch.dof_count, batch.device
+        self.batch = batch
+        self.factor = wp.zeros((rods, dofs, HALF_BANDWIDTH + 1), dtype=wp.float64, device=device)
+        self.shift = wp.zeros(rods, dtype=wp.float64, device=device)
+        self.negative_pivots = wp.zeros(rods, dtype=wp.int32, device=device)
+        self.x = wp.zeros((rods, right_hand_sides, dofs), dtype=wp.float64, device=device)
+
+    def factorise(self, hessian: wp.array, active: wp.array) -> None:
+        """Factorise the free blocks of `hessian` (rod, dof, 11), which is contiguous."""
+        self._launch(
+            (banded.factorise, banded_lanes.factorise),
+            (self.batch.rod_count,),
+            [active, self.batch.free, hessian, self.shift],
+            [self.factor, self.negative_pivots],
+        )
+
+    def solve(self, active: wp.array, columns: int | None = None) -> None:
+        """Overwrite the first (default: all) right-hand sides in `x` with their solutions."""
+        self._launch(
+            (banded.solve, banded_lanes.solve),
+            (self.batch.rod_count, columns or self.x.shape[1]),
+            [active, self.batch.free, self.factor],
+            [self.x],
+        )
+
+    def _launch(self, kernels, dim: tuple, inputs: list, outputs: list) -> None:
+        """Of the two kernels the first takes a rod a thread, the second a rod a warp."""
+        device = self.batch.device
+        count = lanes(device)
+        on_gpu = count > 1
+        wp.launch(
+            kernels[on_gpu],
+            dim=(*dim, count) if on_gpu else dim,
+            inputs=inputs,
+            outputs=outputs,
+            device=device,
+            block_dim=count,
+        )
+
+
+class BorderedSystem(BandedSystem):
+    """A `BandedSystem` with a border: degrees of freedom that are not free in it, for which a small
+    system is to be condensed.
+
+    Args:
+        batch: the rods.
+        coordinates: indices of the border's degrees of freedom, negative from the end.
+    """
+
+    def __init__(self, batch: RodBatch, coordinates: Sequence[int]):
+        super().__init__(batch, right_hand_sides=1 + len(coordinates))
+        indices = [a % batch.dof_count for a in coordinates]
+        self.border = wp.array(indices, dtype=wp.int32, device=batch.device)
+
+    def load(
+        self, gradient: wp.array, hessian: wp.array, active: wp.array, columns: int | None = None
+    ) -> None:
+        """Fill the first (default: all) right-hand sides: `gradient` (rod, dof), then the columns
+        of `hessian` (rod, dof, 11) that belong to the border."""
+        wp.launch(
+            border.load_border,
+            dim=(self.x.shape[0], columns or self.x.shape[1], self.x.shape[2]),
+            inputs=[self.border, active, gradient, hessian],
+            outputs=[self.x],
+            device=self.batch.device,
+        )
+
+    def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
+        """Factorise `hessian`, and solve for `gradient` and for all columns of the border."""
+        self.factorise(hessian, active)
+        self.load(gradient, hessian, active)
+        self.solve(active)

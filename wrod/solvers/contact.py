@@ -1,0 +1,326 @@
+"""Shapes that rods touch: the table and fixtures on it, with Coulomb friction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+
+from wrod.errors import RodError
+from wrod.kernels.contact import planes as kernels
+from wrod.rods.batch import RodBatch
+from wrod.solvers.edge_contact import EdgeContact
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A half-space: everything below `point`, against `normal`."""
+
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def _describe(self):
+        return int(kernels.PLANE), self.point, _turn_up_to(self.normal), (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box of half sizes `half_size` (3) [length] around `center`, turned by a quaternion xyzw."""
+
+    center: tuple[float, float, float]
+    half_size: tuple[float, float, float]
+    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+    def _describe(self):
+        return int(kernels.BOX), self.center, self.rotation, self.half_size
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder around `center` with its axis along `axis`."""
+
+    center: tuple[float, float, float]
+    radius: float
+    half_height: float
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def _describe(self):
+        size = (self.radius, self.half_height, 0.0)
+        return int(kernels.CYLINDER), self.center, _turn_up_to(self.axis), size
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Coulomb friction.
+
+    Attributes:
+        static: coefficient mu_s up to which a node sticks [-].
+        kinetic: coefficient while it slides [-]; default: the static one.
+        rolling: where friction takes hold. False: of the centreline, as if the rod could not roll
+            (soft, rough or not quite round rods); True: of the rod's surface, which rolls freely.
+    """
+
+    static: float
+    kinetic: float | None = None
+    rolling: bool = False
+
+    def __post_init__(self) -> None:
+        values = [self.static, self.static if self.kinetic is None else self.kinetic]
+        if not all(np.isfinite(v) and v >= 0 for v in values) or values[1] > values[0]:
+            raise RodError(
+                f"friction is static {self.static!r}, kinetic {self.kinetic!r}; give finite "
+                "numbers with 0 <= kinetic <= static"
+            )
+
+
+# How stiffly a step holds the roll of what touches, over the twisting stiffness of an edge.
+_ROLL_STIFFNESS = 1e3
+# Normal forces rise over this part of the radius: thin against the penetration that is allowed.
+_SKIN = 0.01
+
+
+@dataclass
+class Contact:
+    """Contact of every rod of a batch with shapes; arrays live on the batch's device.
+
+    A rod's nodes touch planes, its edges boxes and cylinders, wherever between their nodes these
+    stand (`wrod.kernels.contact.edges`). A step of `Dynamics` in which a centreline could have
+    met a fixture on the way is refused and halved, so that nothing tunnels however thin it is.
+
+    Args:
+        batch: the rods.
+        radius: (rod,) radius of the section, or (rod, node) in a batch whose rows hold several
+            rods [length].
+        stiffness: (rod,) or (rod, node) normal and tangential stiffness of the contact per length
+            of rod [force/length^2]: under its weight w per length a rod sinks in by about
+            w / stiffness.
+        friction: one for all rods, one per rod, or for every rod a list of one per shape.
+        shapes: planes, boxes and cylinders that every rod touches, or for every rod a list of its
+            own; default: the table z = 0.
+        keeps_roll: (rod,) whether what touches a shape keeps its roll, unless its friction says
+            that it rolls. That counts for naturally curved rods, whose roll says where they bend.
+
+    Attributes:
+        force: (rod, node) force on each node at the end of the last step.
+        slip: (rod, node) distance that each node has slid in all [length].
+
+    Raises:
+        RodError: radius or stiffness is not positive and finite, a shape has no size, or friction
+            and shapes do not match.
+    """
+
+    batch: RodBatch
+    radius: np.ndarray
+    stiffness: np.ndarray
+    friction: Friction | list[Friction] | list[list[Friction]]
+    shapes: tuple | list[list] = (Plane(),)
+    keeps_roll: np.ndarray | bool = False
+    force: wp.array = field(init=False)
+    slip: wp.array = field(init=False)
+
+    def __post_init__(self) -> None:
+        batch, device = self.batch, self.batch.device
+        rods, nodes = batch.rod_count, batch.node_count
+        radius = _per_node("radius", self.radius, (rods, nodes))
+        stiffness = _per_node("stiffness", self.stiffness, (rods, nodes))
+
+        def floats(values):
+            return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
+
+        shapes, static, kinetic, rolling = self._table()
+        self._model = [
+            shapes,
+            floats(radius),
+            floats(stiffness * _node_lengths(batch)),
+            floats(_SKIN * radius),
+            floats(static),
+            floats(kinetic),
+            floats(rolling),
+        ]
+        self._roll = None
+        held = np.broadcast_to(self.keeps_roll, (rods,)) & (rolling == 0)
+        if held.any():
+            edge = batch.twisting_stiffness.numpy().max(axis=1) / batch.rest_length.numpy().min(
+                axis=1
+            )
+            self._roll = floats(np.where(held, _ROLL_STIFFNESS * edge, 0.0))
+        self._edges = EdgeContact(
+            batch, radius, stiffness, _SKIN, shapes, self._model[4:], self._roll
+        )
+        self._note_fixtures()
+        per_shape = (rods, self._model[0].shape[1], nodes)
+        self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
+        self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
+        self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
+        self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
+
+    def _note_fixtures(self) -> None:
+        rows = self.shapes if isinstance(self.shapes, list) else [self.shapes]
+        rows = rows if all(isinstance(row, (list, tuple)) for row in rows) else [rows]
+        self._has_fixtures = any(not isinstance(s, Plane) for row in rows for s in row)
+
+    def _table(self):
+        """Shapes (rod, shape), static and kinetic coefficients (rod, shape), rolling (rod,)."""
+        rods = self.batch.rod_count
+        shapes, friction = self.shapes, self.friction
+        if not (isinstance(shapes, list) and all(isinstance(s, (list, tuple)) for s in shapes)):
+            shapes = [list(shapes)] * rods
+        friction = [friction] * rods if isinstance(friction, Friction) else friction
+        if len(shapes) != rods or len(friction) != rods:
+            raise RodError(
+                f"contact of {rods} rods has shapes for {len(shapes)} and friction for "
+                f"{len(friction)}; give one for all or one for every rod"
+            )
+        width = max(len(row) for row in shapes)
+        nothing = kernels.Shape()
+        nothing.kind = int(kernels.NOTHING)
+        table = []
+        static, kinetic = np.zeros((2, rods, width))
+        rolling = np.zeros(rods)
+        described = {}
+        for r, (row, laws) in enumerate(zip(shapes, friction, strict=True)):
+            laws = [laws] * len(row) if isinstance(laws, Friction) else laws
+            if len(laws) != len(row) or len({law.rolling for law in laws}) > 1:
+                raise RodError(
+                    f"contact of rod {r} has {len(row)} shapes and {len(laws)} frictions; give "
+                    "one for every shape, all rolling or none"
+                )
+            for shape in row:
+                if id(shape) not in described:
+                    described[id(shape)] = _shape(shape)
+            table += [described[id(s)] for s in row] + [nothing] * (width - len(row))
+            static[r, : len(row)] = [law.static for law in laws]
+            kinetic[r, : len(row)] = [
+                law.static if law.kinetic is None else law.kinetic for law in laws
+            ]
+            rolling[r] = any(law.rolling for law in laws)
+        shaped = wp.empty((rods, width), dtype=kernels.Shape, device=self.batch.device)
+        if table:
+            wp.copy(shaped.flatten(), wp.array(table, dtype=kernels.Shape, device="cpu"))
+        return shaped, static, kinetic, rolling
+
+    @property
+    def table(self) -> wp.array:
+        """(rod, shape) `wrod.kernels.contact.planes.Shape`, for kernels that move them."""
+        return self._model[0]
+
+    def set_shapes(self, shapes, friction) -> None:
+        """Move shapes, or change their friction; as many for every rod as before.
+
+        Raises:
+            RodError: the most shapes that a rod touches is not what it was, or as above.
+        """
+        before = self.shapes, self.friction
+        self.shapes, self.friction = shapes, friction
+        table, static, kinetic, rolling = self._table()
+        if table.shape != self._model[0].shape:
+            self.shapes, self.friction = before
+            raise RodError("the number of shapes changed; make a new Contact")
+        wp.copy(self._model[0], table)
+        for array, values in zip(self._model[4:], (static, kinetic, rolling), strict=True):
+            array.assign(values)
+        self._note_fixtures()
+
+    def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        """Add forces and stiffness at `dof` to the batch's gradient and Hessian."""
+        out = self.batch.derivatives
+        wp.launch(
+            kernels.contact,
+            dim=(self.batch.rod_count, self.batch.node_count),
+            inputs=[*self._model, active, dof, dof_before, self._bristle, self._sliding],
+            outputs=[out.gradient, out.hessian],
+            device=self.batch.device,
+        )
+        if self._has_fixtures:
+            self._edges.add(active, dof, dof_before)
+        if self._roll is not None:
+            wp.launch(
+                kernels.hold_roll,
+                dim=(self.batch.rod_count, self.batch.node_count),
+                inputs=[*self._model[:4], self._roll, active, dof, dof_before, self._bristle],
+                outputs=[out.gradient, out.hessian],
+                device=self.batch.device,
+            )
+
+    def restart(self, chosen: wp.array) -> None:
+        """Let the rods that are not 0 in `chosen` (rod,) touch everything for the first time."""
+        for bristle, sliding in (
+            (self._bristle, self._sliding),
+            (self._edges.bristle, self._edges.sliding),
+        ):
+            wp.launch(
+                kernels.forget_friction,
+                dim=bristle.shape,
+                inputs=[chosen],
+                outputs=[bristle, sliding],
+                device=self.batch.device,
+            )
+
+    def refuse(
+        self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
+    ) -> None:
+        """Take back the convergence of steps that are too large for nothing to tunnel."""
+        if self._has_fixtures:
+            self._edges.refuse(converged, dof, dof_before)
+
+    def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        """Carry the friction of accepted steps over to the next."""
+        wp.launch(
+            kernels.settle_friction,
+            dim=(self.batch.rod_count, self.batch.node_count),
+            inputs=[*self._model, accepted, dof, dof_before],
+            outputs=[self._bristle, self._sliding, self.slip, self.force],
+            device=self.batch.device,
+        )
+        if self._has_fixtures:
+            self._edges.settle(accepted, dof, dof_before, self.slip, self.force)
+
+    def penetration(self) -> np.ndarray:
+        """(rod,) how deep each rod is in any box or cylinder now [length]."""
+        return self._edges.penetration(self.batch.state.dof)
+
+
+def _per_node(name: str, values, shape: tuple[int, int]) -> np.ndarray:
+    """(rod, node) of what is given for all, per rod or per node."""
+    values = np.asarray(values, dtype=float)
+    if values.ndim < 2:
+        values = np.broadcast_to(values, shape[:1])[:, None]
+    if not (np.isfinite(values) & (values > 0)).all():
+        raise RodError(f"contact {name} must be positive and finite")
+    return np.broadcast_to(values, shape)
+
+
+def _node_lengths(batch: RodBatch) -> np.ndarray:
+    """(rod, node) rest length that belongs to each node."""
+    rest = batch.rest_length.numpy()
+    lengths = np.zeros((batch.rod_count, batch.node_count))
+    lengths[:, :-1] += rest / 2
+    lengths[:, 1:] += rest / 2
+    return lengths
+
+
+def _shape(shape: Plane | Box | Cylinder) -> kernels.Shape:
+    kind, position, rotation, size = shape._describe()
+    values = np.concatenate([position, rotation, size]).astype(float)
+    if not np.isfinite(values).all() or (kind != int(kernels.PLANE) and np.min(size[:2]) <= 0):
+        raise RodError(f"{shape}: sizes must be positive and finite")
+    out = kernels.Shape()
+    out.kind = kind
+    out.position = wp.vec3d(*map(float, position))
+    out.rotation = wp.normalize(wp.quatd(*map(float, rotation)))
+    out.size = wp.vec3d(*map(float, size))
+    return out
+
+
+def _turn_up_to(direction) -> tuple[float, float, float, float]:
+    """Quaternion xyzw that turns z to `direction`."""
+    d = np.asarray(direction, dtype=float)
+    size = np.linalg.norm(d)
+    if not (np.isfinite(size) and size > 0):
+        raise RodError(f"direction {direction!r} has no length; give a normal or an axis")
+    d = d / size
+    q = np.array([-d[1], d[0], 0.0, 1.0 + d[2]])
+    if np.linalg.norm(q) < 1e-9:
+        return (1.0, 0.0, 0.0, 0.0)
+    return tuple(q / np.linalg.norm(q))

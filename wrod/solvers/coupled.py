@@ -1,0 +1,162 @@
+"""Linear systems of rods whose contacts couple nodes far apart along them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from wrod.kernels.contact import touching
+from wrod.kernels.contact.segments import SMOOTHING
+from wrod.kernels.lanes import TEAM, lanes
+from wrod.kernels.linear import coupling, skyline, skyline_lanes, skyline_order
+from wrod.solvers.banded import BandedSystem
+
+if TYPE_CHECKING:
+    from wrod.solvers.rod_contact import RodContact
+
+# Up to this many nodes a rod's factor may fill; beyond, rows of so many blocks on average.
+_DENSE_NODES, _BLOCKS_PER_ROW = 200, 100
+
+
+class CoupledSystem(BandedSystem):
+    """A `BandedSystem` with the stiffness of a `RodContact` in it; rods that touch nothing are
+    factorised as banded ones are.
+
+    `negative_pivots` counts the negative eigenvalues of the whole matrix, contacts included.
+
+    Args:
+        contact: the contact between rods, evaluated (`RodContact.add`) before each `factorise`.
+    """
+
+    def __init__(self, contact: RodContact):
+        batch = contact.batch
+        super().__init__(batch)
+        self.contact = contact
+        rods, nodes, device = batch.rod_count, batch.node_count, batch.device
+
+        def ints(*shape):
+            return wp.zeros((rods, *shape), dtype=wp.int32, device=device)
+
+        if nodes <= _DENSE_NODES:
+            self._capacity = nodes * (nodes + 1) // 2
+        else:
+            self._capacity = nodes * _BLOCKS_PER_ROW
+        pairs = 6 * nodes
+        self.banded, self.coupled, self.pair_count, self._changed = (ints() for _ in range(4))
+        self.touching = wp.zeros((rods, pairs), dtype=wp.vec3i, device=device)
+        self._distance, self._tally, self._rank, self._order, self._first, self._last, self._row = (
+            ints(nodes) for _ in range(7)
+        )
+        self._block = wp.zeros((rods, self._capacity), dtype=wp.mat44d, device=device)
+        if lanes(device) == 1:
+            self._y = wp.zeros((rods, nodes), dtype=wp.vec4d, device=device)
+        else:
+            self._lines = wp.array(
+                ptr=self._block.ptr,
+                shape=(rods, 4 * self._capacity),
+                dtype=wp.vec4d,
+                device=device,
+            )
+            self._product, self._column, self._size, self._y = (
+                wp.zeros((rods, width * nodes), dtype=wp.float64, device=device)
+                for width in (skyline_lanes.STRIDE, skyline_lanes.STRIDE, 4, 4)
+            )
+
+    def _together(self, kernel, inputs, outputs) -> None:
+        """Launch a kernel whose lanes work on a rod together."""
+        batch = self.batch
+        count = lanes(batch.device, TEAM)
+        wp.launch(
+            kernel,
+            (batch.rod_count, count),
+            inputs=inputs,
+            outputs=outputs,
+            device=batch.device,
+            block_dim=count,
+        )
+
+    def factorise(self, hessian: wp.array, active: wp.array) -> None:
+        batch, contact = self.batch, self.contact
+        overflow = contact.overflow
+        batch.walk(
+            touching.collect,
+            [active, contact.partner_count, contact.partner, contact.depth],
+            [
+                self.pair_count,
+                self.touching,
+                overflow,
+                self.banded,
+                self.coupled,
+                self._changed,
+            ],
+        )
+        super().factorise(hessian, self.banded)
+        self._together(
+            skyline_order.renumber,
+            [
+                self.coupled,
+                self._changed,
+                self.pair_count,
+                self.touching,
+                self._capacity,
+                self._distance,
+                self._tally,
+            ],
+            [self._rank, self._order, self._first, self._last, self._row, overflow],
+        )
+        chosen = [self.coupled, overflow, batch.free]
+        profile = [self._rank, self._order, self._first, self._row]
+        wp.launch(
+            coupling.fill_band,
+            dim=(batch.rod_count, batch.node_count, 5),
+            inputs=[*chosen, hessian, self.shift, *profile],
+            outputs=[self._block],
+            device=batch.device,
+            block_dim=lanes(batch.device, TEAM),
+        )
+        self._together(
+            coupling.add_pairs,
+            [
+                contact.law,
+                contact.edge_radius,
+                batch.rest_length,
+                SMOOTHING,
+                *chosen,
+                *contact.configuration,
+                contact.bristle,
+                contact.load,
+                contact.sliding,
+                contact.sticking,
+                self.pair_count,
+                self.touching,
+                self._rank,
+                self._row,
+            ],
+            [self._block],
+        )
+        chosen = [self.coupled, overflow]
+        if lanes(batch.device) == 1:
+            inputs = [*chosen, self._first, self._row]
+            self._together(skyline.factorise, inputs, [self._block, self.negative_pivots])
+        else:
+            scratch = [self._size, self._product, self._column]
+            inputs = [*chosen, self._first, self._last, self._row, *scratch]
+            self._together(skyline_lanes.factorise, inputs, [self._lines, self.negative_pivots])
+
+    def solve(self, active: wp.array, columns: int | None = None) -> None:
+        """Overwrite `x` with its solution, shortened to what contacts allow in one iteration."""
+        super().solve(self.banded, columns)
+        batch, contact = self.batch, self.contact
+        chosen = [self.coupled, contact.overflow, batch.free, self._order]
+        if lanes(batch.device) == 1:
+            inputs = [*chosen, self._first, self._row, self._block, self._y]
+            self._together(skyline.solve, inputs, [self.x])
+        else:
+            inputs = [*chosen, self._first, self._last, self._row, self._lines, self._y]
+            self._together(skyline_lanes.solve, inputs, [self.x])
+        batch.walk(
+            touching.limit_motion,
+            [contact.reach, contact.overflow, active],
+            [self.x, contact.sticking],
+        )

@@ -1,0 +1,469 @@
+"""Motion of batches of rods: implicit time steps, each rod at its own pace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import warp as wp
+
+from wrod.errors import RodError
+from wrod.kernels.lanes import WARP
+from wrod.kernels.stepping import continuation
+from wrod.kernels.stepping import dynamics as kernels
+from wrod.kernels.stepping import newton_iteration as newton
+from wrod.rods.batch import RodBatch, RodState, node_positions
+from wrod.solvers.banded import BandedSystem
+from wrod.solvers.contact import Contact
+from wrod.solvers.rod_contact import RodContact
+
+SCHEMES = ("euler", "bdf2")
+# Largest change of an edge in one Newton iteration, as a fraction of its length.
+_STEP_LIMIT = 0.3
+# A rod is cut out when it wants steps shorter than this fraction of the largest.
+_SMALLEST_STEP = 1.0 / 4096.0
+_GROWTH = 1.3
+# Rounds that are taken without looking whether to go on: on end where a device decides by itself,
+# and one after the other where it cannot.
+_ROUNDS, _ROUNDS_BLIND = 128, 16
+
+
+class Motion(Protocol):
+    """What moves prescribed degrees of freedom: called at the start of every step, it writes where
+    they are at the end of the step into `state.dof` and may change `batch.free`.
+
+    It does so by kernels alone: on a GPU the launches of a long `Dynamics.advance` are recorded and
+    replayed."""
+
+    def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a call of `Dynamics.advance` got, rod by rod (NumPy).
+
+    Attributes:
+        time: (rod,) time reached.
+        diverged: (rod,) whether the rod was cut out because no step converged; its state is the
+            last good one.
+        steps: (rod,) accepted steps since the start of the simulation.
+        iterations: (rod,) Newton iterations since then.
+    """
+
+    time: np.ndarray
+    diverged: np.ndarray
+    steps: np.ndarray
+    iterations: np.ndarray
+
+
+class Dynamics:
+    """Time stepping of a batch; allocates everything once.
+
+    Degrees of freedom that are not free stand still unless `motion` moves them.
+
+    Args:
+        batch: the rods, with node masses; their state is the initial configuration, at rest.
+        scheme: "euler" (first order, dissipates) or "bdf2" (second order, hardly dissipates).
+        radius: (rod,) radius of the section, for the rotational inertia of the edges.
+        air_damping: (rod,) drag per mass and velocity [1/time].
+        internal_damping: (rod,) Kelvin-Voigt time of the material [time].
+        contact: what the rods touch, one or several, or None; at most one `RodContact`.
+        motion: what moves prescribed degrees of freedom, or None.
+        force_scale: (rod,) what residuals are measured against; default: the rod's weight, or
+            k_b / L^2 if that is larger.
+        tolerance: largest residual of a step over the force scale.
+        max_iterations: of Newton; a step that needs more is halved.
+        keeps_recording: record the launches of a round on any device, and replay them in later
+            calls of `advance` too, for callers that advance step by step. `motion` and contacts
+            must then keep their arrays and numbers, or `forget_recording` be called. On a CPU no
+            other thread may launch anything meanwhile: it would be recorded too.
+
+    Raises:
+        RodError: unknown scheme, a node without mass, or two `RodContact`.
+    """
+
+    def __init__(
+        self,
+        batch: RodBatch,
+        *,
+        scheme: str = "bdf2",
+        radius: np.ndarray | float,
+        air_damping: np.ndarray | float = 0.0,
+        internal_damping: np.ndarray | float = 0.0,
+        contact: Contact | RodContact | Sequence[Contact | RodContact] | None = None,
+        motion: Motion | None = None,
+        force_scale: np.ndarray | float | None = None,
+        tolerance: float = 1e-6,
+        max_iterations: int = 12,
+        keeps_recording: bool = False,
+    ):
+        if scheme not in SCHEMES:
+            raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
+        self.batch, self.contact, self.motion = batch, contact, motion
+        self.two_step, self.max_iterations = int(scheme == "bdf2"), max_iterations
+        rods, device = batch.rod_count, batch.device
+        if contact is None:
+            contact = ()
+        self.contacts = tuple(contact) if isinstance(contact, Sequence) else (contact,)
+        coupling = [c for c in self.contacts if isinstance(c, RodContact)]
+        if len(coupling) > 1:
+            raise RodError("two RodContact for one batch; one covers all pairs of its edges")
+        self.rod_contact = coupling[0] if coupling else None
+        self.system = coupling[0].system if coupling else BandedSystem(batch)
+        self.start = RodState.zeros(rods, batch.node_count, device)
+        self.start.assign(batch.state)
+
+        def floats(value=0.0):
+            value = np.broadcast_to(np.asarray(value, dtype=float), (rods,))
+            return wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=device)
+
+        def ints(value=0):
+            return wp.full(rods, value, dtype=wp.int32, device=device)
+
+        self.mass = wp.array(_masses(batch, radius), dtype=wp.float64, device=device)
+        self.air_damping, self.internal_damping = floats(air_damping), floats(internal_damping)
+        self._has_internal_damping = bool(np.any(np.asarray(internal_damping) > 0))
+        self.force_scale = floats(_force_scale(batch) if force_scale is None else force_scale)
+        self.length_scale = floats(batch.rest_length.numpy().sum(axis=1))
+        self.tolerance, self.step_tolerance, self.residual = tolerance, floats(), floats()
+        self.rounding = wp.array(self._rounding(), dtype=wp.vec2d, device=device)
+        self.time, self.until, self.step, self.step_before = (floats() for _ in range(4))
+        self.wanted_step = floats()
+        self.coefficient = wp.zeros(rods, dtype=wp.vec3d, device=device)
+        self.running, self.starting, self.active, self.converged = (ints() for _ in range(4))
+        self.iteration, self.iteration_count = ints(), ints()
+        self.accepted, self.rejected, self.diverged, self.step_count = (ints() for _ in range(4))
+        # Rounds since last asked; whether to take another, and whether any rod still runs.
+        self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
+        self._going = wp.zeros(2, dtype=wp.int32, device=device)
+        shape = (rods, batch.dof_count)
+        self.velocity, self.velocity_older, self.gradient_before = (
+            wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(3)
+        )
+        self.dof_older = wp.clone(batch.state.dof)
+        # (rod, dof): forces that held prescribed degrees of freedom at the end of the last step.
+        self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
+        self.keeps_recording, self._recording = keeps_recording, None
+
+    def forget_recording(self) -> None:
+        """Record afresh: what `motion` or contacts launch has changed."""
+        self._recording = None
+
+    def set_velocity(self, velocity: np.ndarray) -> None:
+        """(rod, node, 3) velocities of the nodes now; the edges do not spin."""
+        batch = self.batch
+        dof = np.zeros((batch.rod_count, batch.node_count, 4))
+        dof[:, :, :3] = velocity
+        self.velocity.assign(dof.reshape(batch.rod_count, -1)[:, :-1])
+        self.step_before.zero_()
+
+    def restart(self, chosen: wp.array) -> None:
+        """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
+        must have its frames, and from `velocity`; one that was cut out takes part again."""
+        self._per_rod(
+            kernels.forget_history, [chosen], [self.step_before, self.wanted_step, self.diverged]
+        )
+        self._copy(chosen, self.batch.state, self.start)
+        for contact in self.contacts:
+            contact.restart(chosen)
+
+    def velocities(self) -> np.ndarray:
+        """(rod, node, 3) velocities of the nodes."""
+        return node_positions(self.velocity.numpy())
+
+    def energy(self) -> np.ndarray:
+        """(rod,) kinetic plus potential energy, without that of contacts."""
+        kinetic = 0.5 * np.sum(self.mass.numpy() * self.velocity.numpy() ** 2, axis=1)
+        return kinetic + self.batch.evaluate(order=1).energy.numpy()
+
+    def advance(
+        self,
+        until: np.ndarray | float,
+        step: float,
+        *,
+        smallest_step: float | None = None,
+        frames: wp.array | None = None,
+        frame_interval: float = 1.0,
+        progress: Callable[[np.ndarray], None] | None = None,
+    ) -> Progress:
+        """Let every rod that has not diverged move on to its time `until`.
+
+        Args:
+            until: (rod,) time to reach.
+            step: largest time step; a rod whose step fails takes half of it, and recovers.
+            smallest_step: a rod that wants less is cut out; default: step / 4096.
+            frames: (rod, frame, dof) array that receives the configurations at the multiples of
+                `frame_interval`.
+            progress: called now and then with the (rod,) times.
+
+        Raises:
+            RodError: the step is not positive.
+        """
+        if not (np.isfinite(step) and step > 0):
+            raise RodError(f"time step is {step!r}; give a positive finite number")
+        batch = self.batch
+        smallest = step * _SMALLEST_STEP if smallest_step is None else smallest_step
+        self.until.assign(np.broadcast_to(np.asarray(until, dtype=float), (batch.rod_count,)))
+        self._per_rod(
+            kernels.begin_advance,
+            [wp.float64(step), self.until, self.time, self.diverged],
+            [self.wanted_step, self.running, self.starting],
+        )
+
+        def take_round() -> None:
+            self._begin()
+            self._iterate(step, smallest)
+            self._finish(frames, frame_interval)
+            self._ask()
+
+        on_cpu = wp.get_device(batch.device).is_cpu
+        array = None if frames is None else frames.ptr
+        key = (step, smallest, self.tolerance, array, frame_interval)
+        graph = None
+        if self._recording is not None and self._recording[0] == key:
+            graph = self._recording[1]
+        taken = 0
+        if graph is None:
+            self._ask()
+        going = graph is not None or self._going.numpy()[1] != 0
+        while going:
+            # Launches are replayed faster than they can be made, but recording costs as much as
+            # taking them; the first round has compiled the kernels.
+            if graph is None and taken > 0 and (self.keeps_recording or not on_cpu):
+                graph = self._record(take_round)
+                self._recording = (key, graph) if self.keeps_recording else None
+            self._rounds.zero_()
+            if graph is None:
+                take_round()
+            else:
+                wp.capture_launch(graph)
+            taken += 1
+            going = self._going.numpy()[1] != 0
+            if progress is not None and (graph is not None or taken % _ROUNDS == 0):
+                progress(self.time.numpy().copy())
+        if self.rod_contact is not None:
+            self.rod_contact.check_capacity()
+        return Progress(
+            self.time.numpy().copy(),
+            self.diverged.numpy() != 0,
+            self.step_count.numpy().copy(),
+            self.iteration_count.numpy().copy(),
+        )
+
+    def _rounding(self) -> np.ndarray:
+        """(rod, 2) relative residuals that rounding leaves: of stretching, and of inertia for a
+        step of unit rate."""
+        batch = self.batch
+        edge = (batch.stretching_stiffness.numpy() / batch.rest_length.numpy()).max(axis=1)
+        extent = np.abs(batch.positions()).max(axis=(1, 2)) + self.length_scale.numpy()
+        unit = 4 * np.finfo(float).eps * extent / self.force_scale.numpy()
+        return np.stack([unit * edge, unit * batch.node_mass.numpy().max(axis=1)], axis=1)
+
+    def _ask(self) -> None:
+        """Find out on the device whether to take another round."""
+        outputs = [self._rounds, self._going]
+        self.batch.walk(kernels.ask_on, [self.running, _ROUNDS], outputs, rods=1)
+
+    def _record(self, take_round: Callable[[], None]) -> wp.Graph:
+        """What takes rounds until all rods are there, or for a while; asking a GPU from outside
+        would make it wait."""
+        device = self.batch.device
+        decides = wp.get_device(device).is_cpu or wp.is_conditional_graph_supported()
+        with wp.ScopedCapture(device) as capture:
+            if decides:
+                self._ask()
+                wp.capture_while(self._going, take_round)
+            else:
+                for _ in range(_ROUNDS_BLIND):
+                    take_round()
+        return capture.graph
+
+    def _per_rod(self, kernel, inputs, outputs=()) -> None:
+        batch = self.batch
+        wp.launch(
+            kernel,
+            batch.rod_count,
+            inputs=inputs,
+            outputs=outputs,
+            device=batch.device,
+            block_dim=WARP,
+        )
+
+    def _per_dof(self, kernel, inputs, outputs=()) -> None:
+        batch = self.batch
+        dim = (batch.rod_count, batch.dof_count)
+        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
+
+    def _begin(self) -> None:
+        """Begin a step of the rods that have finished their last."""
+        batch = self.batch
+        self._per_rod(
+            kernels.begin_step,
+            [
+                self.two_step,
+                wp.float64(self.tolerance),
+                self.rounding,
+                self.until,
+                self.starting,
+                self.time,
+                self.step_before,
+                self.wanted_step,
+            ],
+            [
+                self.step,
+                self.coefficient,
+                self.step_tolerance,
+                self.iteration,
+                self.active,
+                self.converged,
+                self.system.negative_pivots,
+            ],
+        )
+        if self._has_internal_damping:
+            batch.evaluate(order=1, active=self.starting)
+        if self.rod_contact is not None:
+            self.rod_contact.prepare(self.starting, self.rejected, self.start.dof)
+        if self.motion is not None:
+            self.motion.prescribe(self.starting, self.time, self.step, self.start)
+        self._per_dof(
+            kernels.predict,
+            [self.starting, batch.free, self.step, self.velocity, batch.derivatives.gradient],
+            [batch.state.dof, self.gradient_before],
+        )
+
+    def _iterate(self, largest: float, smallest: float) -> None:
+        """One Newton iteration of every rod, or the verdict on its step."""
+        batch, start, out = self.batch, self.start, self.batch.derivatives
+        dof = batch.state.dof
+        batch.transport_frames(start, batch.state, self.active)
+        batch.evaluate(order=2, active=self.active)
+        self._per_dof(
+            kernels.add_inertia,
+            [
+                self.mass,
+                self.air_damping,
+                self.internal_damping,
+                self.active,
+                self.step,
+                self.coefficient,
+                dof,
+                start.dof,
+                self.dof_older,
+                self.velocity,
+                self.velocity_older,
+                self.gradient_before,
+            ],
+            [out.gradient, out.hessian],
+        )
+        for contact in self.contacts:
+            contact.add(self.active, dof, start.dof)
+        batch.walk(
+            newton.measure_residual,
+            [
+                batch.free,
+                self.force_scale,
+                self.length_scale,
+                self.step_tolerance,
+                out.gradient,
+                self.active,
+            ],
+            [self.residual, self.converged],
+        )
+        for contact in self.contacts:
+            contact.refuse(self.converged, self.active, dof, start.dof)
+        self._per_rod(
+            kernels.judge_step,
+            [
+                self.until,
+                self.max_iterations,
+                wp.float64(largest),
+                wp.float64(smallest),
+                wp.float64(_GROWTH),
+                self.converged,
+                self.system.negative_pivots,
+                self.step,
+            ],
+            [
+                self.iteration,
+                self.active,
+                self.time,
+                self.step_before,
+                self.wanted_step,
+                self.running,
+                self.step_count,
+                self.iteration_count,
+                self.starting,
+                self.accepted,
+                self.rejected,
+                self.diverged,
+            ],
+        )
+        self.system.factorise(out.hessian, self.active)
+        wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
+        self.system.solve(self.active)
+        batch.walk(
+            kernels.take_newton_step,
+            [wp.float64(_STEP_LIMIT), self.active, self.system.x],
+            [dof],
+        )
+
+    def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
+        """Carry accepted steps over to the next, and take failed ones back."""
+        batch, start, dof = self.batch, self.start, self.batch.state.dof
+        for contact in self.contacts:
+            contact.settle(self.accepted, dof, start.dof)
+        if frames is not None:
+            self._per_dof(
+                kernels.record_frames,
+                [wp.float64(frame_interval), self.accepted, self.time, self.step, dof, start.dof],
+                [frames],
+            )
+        self._per_dof(
+            kernels.shift_history,
+            [
+                self.accepted,
+                batch.derivatives.gradient,
+                self.step,
+                self.coefficient,
+                dof,
+                start.dof,
+            ],
+            [self.dof_older, self.velocity, self.velocity_older, self.reaction],
+        )
+        self._copy(self.accepted, batch.state, start)
+        self._copy(self.rejected, start, batch.state)
+
+    def _copy(self, chosen: wp.array, source: RodState, target: RodState) -> None:
+        batch = self.batch
+        wp.launch(
+            continuation.copy_configuration,
+            dim=(batch.rod_count, batch.node_count),
+            inputs=[chosen, source.dof, source.tangent, source.director, source.reference_twist],
+            outputs=[target.dof, target.tangent, target.director, target.reference_twist],
+            device=batch.device,
+        )
+
+
+def _masses(batch: RodBatch, radius) -> np.ndarray:
+    """(rod, dof) lumped masses of the nodes, and of the edges m h^2 / 2 about their axis."""
+    mass = batch.node_mass.numpy()
+    if not (mass > 0).all():
+        raise RodError("node_mass holds a node without mass, which cannot be moved in time")
+    rest = batch.rest_length.numpy()
+    radius = np.broadcast_to(np.asarray(radius, dtype=float), (batch.rod_count,))
+    if not (np.isfinite(radius) & (radius > 0)).all():
+        raise RodError("radius must be positive and finite")
+    line_density = mass.sum(axis=1) / rest.sum(axis=1)
+    out = np.empty((batch.rod_count, batch.node_count, 4))
+    out[:, :, :3] = mass[:, :, None]
+    out[:, :-1, 3] = 0.5 * (radius**2 * line_density)[:, None] * rest
+    return np.ascontiguousarray(out.reshape(batch.rod_count, -1)[:, :-1])
+
+
+def _force_scale(batch: RodBatch) -> np.ndarray:
+    length = batch.rest_length.numpy().sum(axis=1)
+    bend = batch.bending_stiffness.numpy()[:, 1:-1].max(axis=(1, 2)) / length**2
+    gravity = np.linalg.norm(batch.gravity.numpy(), axis=1)
+    return np.maximum(bend, batch.node_mass.numpy().sum(axis=1) * gravity)

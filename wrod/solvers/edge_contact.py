@@ -1,0 +1,72 @@
+"""The part of `Contact` that deals with boxes and cylinders: contact of edges."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from wrod.kernels.contact import edges as kernels
+from wrod.rods.batch import RodBatch
+
+
+class EdgeContact:
+    """Contact of a batch's edges with the boxes and cylinders of a table of shapes.
+
+    Args:
+        batch: the rods; their cut edges touch nothing.
+        radius: (rod, node) of the section [length].
+        stiffness: (rod, node) per length of rod [force/length^2].
+        skin: thickness over which the force rises, over the radius.
+        table: (rod, shape) `wrod.kernels.contact.planes.Shape`.
+        laws: static and kinetic friction (rod, shape), rolling (rod,).
+        roll_stiffness: (rod,) with which what touches keeps its roll [force length], or None.
+    """
+
+    def __init__(self, batch: RodBatch, radius, stiffness, skin, table, laws, roll_stiffness):
+        self.batch = batch
+        device, edges = batch.device, batch.node_count - 1
+
+        def floats(values):
+            return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=device)
+
+        radius = (radius[:, 1:] + radius[:, :-1]) / 2
+        radius[:, list(batch.cut_edges)] = 0.0
+        stiffness = (stiffness[:, 1:] + stiffness[:, :-1]) / 2 * batch.rest_length.numpy()
+        self.radius = floats(radius)
+        self._table = table
+        self._law = [floats(stiffness), floats(skin * radius), *laws]
+        if roll_stiffness is None:
+            roll_stiffness = floats(np.zeros(batch.rod_count))
+        self._roll = roll_stiffness
+        shape = (batch.rod_count, table.shape[1], edges)
+        self.bristle = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        self.sliding = wp.zeros(shape, dtype=wp.int32, device=device)
+
+    @property
+    def _model(self) -> list:
+        return [self._table, self.radius, self.batch.rest_length, *self._law]
+
+    def _launch(self, kernel, inputs, outputs) -> None:
+        batch = self.batch
+        wp.launch(
+            kernel, dim=self.radius.shape, inputs=inputs, outputs=outputs, device=batch.device
+        )
+
+    def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        out, roll = self.batch.derivatives, [self._roll]
+        inputs = [*self._model, *roll, active, dof, dof_before, self.bristle, self.sliding]
+        self._launch(kernels.edge_contact, inputs, [out.gradient, out.hessian])
+
+    def refuse(self, converged: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        inputs = [*self._model[:3], dof, dof_before]
+        self._launch(kernels.refuse_tunnelling, inputs, [converged])
+
+    def settle(self, accepted, dof, dof_before, slip: wp.array, force: wp.array) -> None:
+        inputs = [*self._model, accepted, dof, dof_before]
+        self._launch(kernels.settle_edges, inputs, [self.bristle, self.sliding, slip, force])
+
+    def penetration(self, dof: wp.array) -> np.ndarray:
+        """(rod,) deepest penetration into any fixture [length]."""
+        depth = wp.zeros(self.batch.rod_count, dtype=wp.float64, device=self.batch.device)
+        self._launch(kernels.measure_depth, [self._table, self.radius, dof], [depth])
+        return depth.numpy().copy()

@@ -1,0 +1,290 @@
+"""Contact of rods with themselves and with each other, with Coulomb friction.
+
+Newton's collision pipeline is not used: it works in float32 on rigid shapes, and its contacts
+carry neither exact Hessians nor the history of friction that an implicit step of a rod needs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from wrod.errors import RodError
+from wrod.kernels.contact import pairs as contact_pairs
+from wrod.kernels.contact import rods as kernels
+from wrod.kernels.contact import touching
+from wrod.rods.batch import RodBatch
+from wrod.solvers.contact import Friction
+from wrod.solvers.coupled import CoupledSystem
+
+# Pairs nearer along the rod than this many radii do not touch: half a turn of the tightest bend.
+_SKIP = float(np.pi)
+# Default stiffness, in EA / radius: the force EI / R^2 of a tight knot sinks 2.5 % of the radius.
+_STIFFNESS = 10.0
+# The normal force rises quadratically over this part of the radius.
+_SKIN = 0.05
+
+
+class RodContact:
+    """Contact between all edges of the rods that share a row of a batch (a scene).
+
+    Edges are capsules around the centreline. Pairs whose nearer ends are closer than pi radii
+    along the rod are left out: a rod cannot touch itself within half a turn of its tightest bend.
+    Friction acts between the surfaces, which roll on each other where the rods are free to spin.
+    A step of `Dynamics` in which a node moves by more than half a radius is refused and halved, so
+    that nothing tunnels. Posts and boxes are touched through `wrod.solvers.contact.Contact`.
+
+    Args:
+        batch: the rods, already cut (`RodBatch.cut`) where several share a row.
+        radius: (rod,) or (rod, node - 1) radius of the section, or of every edge [length].
+        friction: one for all rows, or one per row; `rolling` is without effect here.
+        stiffness: (rod,) normal and tangential stiffness of a pair [force/length]; default:
+            10 EA / radius.
+        partners: most edges that one edge can be near to and that come after it.
+
+    Attributes:
+        force: (rod, node) contact force on each node at the end of the last step.
+        slip: (rod, edge) distance that each edge has slid on others in all [length].
+        penetration: (rod,) deepest penetration at the end of the last step [length].
+
+    Raises:
+        RodError: radius or stiffness is not positive and finite, or does not broadcast; or the
+            batch stands where its rods are inside each other.
+    """
+
+    def __init__(
+        self,
+        batch: RodBatch,
+        radius: np.ndarray | float,
+        friction: Friction | list[Friction],
+        *,
+        stiffness: np.ndarray | float | None = None,
+        partners: int = 32,
+    ):
+        self.batch, device = batch, batch.device
+        rods, nodes = batch.rod_count, batch.node_count
+        edges = nodes - 1
+        cut = np.zeros((rods, edges), dtype=bool)
+        cut[:, list(batch.cut_edges)] = True
+        radius = _per_edge(radius, rods, edges)
+        mean_radius = np.where(cut, 0.0, radius).sum(axis=1) / (~cut).sum(axis=1)
+        if stiffness is None:
+            stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
+            stiffness = _STIFFNESS * stretching / mean_radius
+        stiffness = np.broadcast_to(np.asarray(stiffness, dtype=float), (rods,))
+        if not (np.isfinite(stiffness) & (stiffness > 0)).all():
+            raise RodError("contact stiffness must be positive and finite")
+        friction = [friction] * rods if isinstance(friction, Friction) else friction
+        rest = batch.rest_length.numpy()
+        arc = np.zeros((rods, nodes))
+        # Rods are strangers to each other: as far apart as can be along the row.
+        arc[:, 1:] = np.cumsum(np.where(cut, 1e3 * (rest.sum() + radius.sum()), rest), axis=1)
+
+        def floats(values):
+            return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=device)
+
+        def zeros(dtype, *shape):
+            return wp.zeros((rods, *shape), dtype=dtype, device=device)
+
+        laws = []
+        for r in range(rods):
+            law = kernels.Law()
+            law.stiffness, law.skin = stiffness[r], _SKIN * mean_radius[r]
+            f = friction[r]
+            law.static_friction = f.static
+            law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
+            laws.append(law)
+        self.law = wp.array(laws, dtype=kernels.Law, device=device)
+        self.edge_radius = floats(np.where(cut, 0.0, radius))
+        self.cut = wp.array(cut.astype(np.int32), dtype=wp.int32, device=device)
+        self.reach = floats(0.5 * np.where(cut, np.inf, radius).min(axis=1))
+        self._largest_radius = floats(np.where(cut, 0.0, radius).max(axis=1))
+        self._arc = floats(arc)
+        groups = -(-edges // int(contact_pairs.GROUP))
+        self._lower, self._upper = zeros(wp.vec3d, groups), zeros(wp.vec3d, groups)
+        self.partner_count = zeros(wp.int32, edges)
+        self.partner, self._new_partner, self.sliding, self._new_sliding = (
+            zeros(wp.int32, edges, partners) for _ in range(4)
+        )
+        self.bristle, self._new_bristle = (zeros(wp.vec2d, edges, partners) for _ in range(2))
+        self.depth, self.load, self._new_load = (
+            zeros(wp.float64, edges, partners) for _ in range(3)
+        )
+        self.overflow, self.sticking, self._overloaded = (zeros(wp.int32) for _ in range(3))
+        self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
+        self.force = zeros(wp.vec3d, nodes)
+        self.configuration = ()
+        self.system = CoupledSystem(self)
+        self._check_start()
+
+    @property
+    def _model(self):
+        return [self.law, self.edge_radius, self.batch.rest_length]
+
+    def prepare(self, starting: wp.array, rejected: wp.array, dof: wp.array) -> None:
+        """List the pairs that may touch in a step that starts at `dof`, for the first time or
+        because the last trial was rejected."""
+        batch = self.batch
+        wp.launch(
+            kernels.begin_sticking,
+            dim=batch.rod_count,
+            inputs=[starting, rejected],
+            outputs=[self.sticking, self._overloaded],
+            device=batch.device,
+        )
+        wp.launch(
+            contact_pairs.bound_groups,
+            dim=self._lower.shape,
+            inputs=[starting, dof],
+            outputs=[self._lower, self._upper],
+            device=batch.device,
+        )
+        wp.launch(
+            contact_pairs.list_partners,
+            dim=self.partner_count.shape,
+            inputs=[
+                self.edge_radius,
+                batch.rest_length,
+                self._arc,
+                wp.float64(_SKIP),
+                self.reach,
+                self._largest_radius,
+                starting,
+                dof,
+                self._lower,
+                self._upper,
+                self.partner_count,
+                self.partner,
+                self.bristle,
+                self.load,
+                self.sliding,
+                self._new_partner,
+                self._new_bristle,
+                self._new_load,
+                self._new_sliding,
+            ],
+            outputs=[self.overflow],
+            device=batch.device,
+        )
+
+    def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        """Add forces at `dof` to the batch's gradient; their stiffness goes into `system`."""
+        self.configuration = (dof, dof_before)
+        wp.launch(
+            kernels.rod_contact,
+            dim=self.partner_count.shape,
+            inputs=[
+                *self._model,
+                active,
+                dof,
+                dof_before,
+                self.partner_count,
+                self.partner,
+                self.bristle,
+                self.load,
+                self.sliding,
+                self.sticking,
+            ],
+            outputs=[self.batch.derivatives.gradient, self.depth, self._overloaded],
+            device=self.batch.device,
+        )
+
+    def restart(self, chosen: wp.array) -> None:
+        """Let the rows that are not 0 in `chosen` (rod,) touch everything for the first time."""
+        wp.launch(
+            contact_pairs.forget_partners,
+            dim=self.partner_count.shape,
+            inputs=[chosen],
+            outputs=[self.partner_count],
+            device=self.batch.device,
+        )
+
+    def refuse(
+        self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
+    ) -> None:
+        """Take back the convergence of steps that are too large for nothing to tunnel."""
+        self.batch.walk(
+            touching.refuse_large_steps,
+            [
+                self.edge_radius,
+                self.reach,
+                dof,
+                dof_before,
+                self.partner_count,
+                self.partner,
+                self.depth,
+                self.overflow,
+                self.sticking,
+                self._overloaded,
+            ],
+            [converged, active],
+        )
+
+    def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        """Carry the friction of accepted steps over to the next."""
+        device = self.batch.device
+        wp.launch(
+            kernels.clear_forces,
+            dim=self.force.shape,
+            inputs=[accepted],
+            outputs=[self.force, self.penetration],
+            device=device,
+        )
+        wp.launch(
+            kernels.settle_friction,
+            dim=self.partner_count.shape,
+            inputs=[*self._model, accepted, dof, dof_before, self.partner_count, self.partner],
+            outputs=[
+                self.bristle,
+                self.load,
+                self.sliding,
+                self.slip,
+                self.force,
+                self.penetration,
+            ],
+            device=device,
+        )
+
+    def _check_start(self) -> None:
+        batch = self.batch
+        none = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
+        self.prepare(batch.every_rod, none, batch.state.dof)
+        self.add(batch.every_rod, batch.state.dof, batch.state.dof)
+        self.check_capacity()
+        r, i, k = np.unravel_index(self.depth.numpy().argmax(), self.depth.shape)
+        j, radius = self.partner.numpy()[r, i, k], self.edge_radius.numpy()[r]
+        depth = self.depth.numpy()[r, i, k]
+        if depth > 0.25 * (radius[i] + radius[j]):
+            raise RodError(
+                f"edges {i} and {j} of row {r} start {depth:.3g} inside each other; set their "
+                "centrelines apart by the sum of their radii"
+            )
+
+    def forces(self) -> np.ndarray:
+        """(rod, node, 3) contact force on each node at the end of the last step."""
+        return self.force.numpy().copy()
+
+    def check_capacity(self) -> None:
+        """Raise RodError if some edge was near to more edges than there is room for."""
+        full = np.flatnonzero(self.overflow.numpy())
+        if full.size:
+            raise RodError(
+                f"the rods of row {full[0]} touch in more places than there is room for; "
+                f"give RodContact more than {self.partner.shape[2]} partners or use longer edges"
+            )
+
+
+def _per_edge(radius, rods: int, edges: int) -> np.ndarray:
+    """(rod, edge) radii."""
+    radius = np.asarray(radius, dtype=float)
+    if radius.ndim == 1:
+        radius = radius[:, None]
+    try:
+        radius = np.broadcast_to(radius, (rods, edges))
+    except ValueError:
+        raise RodError(
+            f"contact radius has shape {radius.shape}; give one per row or per edge, ({edges},)"
+        ) from None
+    if not (np.isfinite(radius) & (radius > 0)).all():
+        raise RodError("contact radius must be positive and finite")
+    return radius

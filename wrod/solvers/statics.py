@@ -1,0 +1,312 @@
+"""Equilibria of batches of rods: damped Newton on the elastic and gravitational energy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from wrod.errors import RodError
+from wrod.kernels.stepping import continuation
+from wrod.kernels.stepping import newton_iteration as newton
+from wrod.rods.batch import Derivatives, RodBatch, RodState
+from wrod.solvers.banded import BandedSystem
+
+# Largest change of an edge in one Newton step, as a fraction of its length.
+_STEP_LIMIT = 0.5
+_SMALLEST_FRACTION = 1e-4
+_SMALLEST_PROGRESS = 1e-3
+
+
+@dataclass(frozen=True)
+class Equilibria:
+    """What `solve_equilibrium` found, rod by rod (NumPy).
+
+    Attributes:
+        converged: (rod,) whether the rod is in equilibrium to the tolerance.
+        iterations: (rod,) Newton iterations spent.
+        residual: (rod,) largest unbalanced force over the rod's force scale.
+        negative_pivots: (rod,) negative eigenvalues of the free Hessian; 0 for a stable rod.
+        progress: (rod,) fraction of the continuation that was reached; 1 where it converged.
+    """
+
+    converged: np.ndarray
+    iterations: np.ndarray
+    residual: np.ndarray
+    negative_pivots: np.ndarray
+    progress: np.ndarray
+
+
+class EquilibriumSolver:
+    """Allocates once what `solve` needs for a batch; `solve` is a chain of launches.
+
+    Args:
+        batch: the rods; their state is the starting guess and, afterwards, the result.
+        force_scale: (rod,) what residuals are measured against [force]; default: the largest of
+            k_b / L^2, weight and point loads.
+    """
+
+    def __init__(self, batch: RodBatch, force_scale: np.ndarray | None = None):
+        self.batch = batch
+        rods, device = batch.rod_count, batch.device
+        length = batch.rest_length.numpy().sum(axis=1)
+        if force_scale is None:
+            bend = batch.bending_stiffness.numpy()[:, 1:-1].max(axis=(1, 2)) / length**2
+            gravity = np.linalg.norm(batch.gravity.numpy(), axis=1)
+            weight = batch.node_mass.numpy().sum(axis=1) * gravity
+            load = np.linalg.norm(batch.point_load.numpy(), axis=2).sum(axis=1)
+            force_scale = np.maximum.reduce([bend, weight, load])
+        self.force_scale = wp.array(
+            np.broadcast_to(force_scale, (rods,)), dtype=wp.float64, device=device
+        )
+        self.length_scale = wp.array(length, dtype=wp.float64, device=device)
+        self.system = BandedSystem(batch)
+        self.trial = RodState.zeros(rods, batch.node_count, device)
+        self.trial_derivatives = Derivatives.zeros(rods, 1, device)
+        self.trial_derivatives.gradient = wp.zeros_like(batch.derivatives.gradient)
+
+        def ints():
+            return wp.zeros(rods, dtype=wp.int32, device=device)
+
+        def floats():
+            return wp.zeros(rods, dtype=wp.float64, device=device)
+
+        self.active, self.searching, self.retry, self.converged = (ints() for _ in range(4))
+        self.slope, self.fraction, self.shift_unit = (floats() for _ in range(3))
+        self.residual, self.tolerance = floats(), floats()
+
+    def solve(
+        self,
+        *,
+        prescribed: np.ndarray | None = None,
+        ramp_loads: bool = False,
+        tolerance: float = 1e-9,
+        max_iterations: int = 100,
+    ) -> Equilibria:
+        """Bring every rod to equilibrium.
+
+        A rod that does not converge in one go from its starting guess returns to it and walks
+        there in smaller increments of the prescribed degrees of freedom and, if `ramp_loads`, of
+        the loads (from none); increments halve on failure and double on success.
+
+        Args:
+            prescribed: (rod, dof) values that the degrees of freedom which are not free move to;
+                default: where they are.
+            ramp_loads: let the continuation raise the loads from zero as well.
+            tolerance: largest residual, relative to the force scale (or what rounding leaves).
+            max_iterations: of Newton, for each increment: first with steps limited in length only,
+                then, from the same start, with a line search on the energy.
+        """
+        batch = self.batch
+        rods = batch.rod_count
+        start = RodState.zeros(rods, batch.node_count, batch.device)
+        start.assign(batch.state)
+        begin = wp.clone(batch.state.dof)
+        target = begin
+        if prescribed is not None:
+            prescribed = np.broadcast_to(prescribed, (rods, batch.dof_count))
+            if not np.isfinite(prescribed).all():
+                raise RodError("a prescribed degree of freedom is not finite")
+            target = wp.array(prescribed, dtype=wp.float64, device=batch.device)
+
+        can_walk = ramp_loads or prescribed is not None
+        done = np.zeros(rods)
+        increment = np.ones(rods)
+        pending = np.ones(rods, dtype=bool)
+        converged = np.zeros(rods, dtype=bool)
+        iterations = np.zeros(rods, dtype=np.int64)
+        residual = np.full(rods, np.inf)
+        self.tolerance.assign(np.maximum(tolerance, self._rounding()))
+        while pending.any():
+            progress = np.minimum(done + increment, 1.0)
+            missed = pending.copy()
+            for search in (False, True):
+                self.active.assign(missed.astype(np.int32))
+                self._place(start, begin, target, progress, ramp_loads)
+                iterations += self._iterate(max_iterations, search)
+                residual[missed] = self.residual.numpy()[missed]
+                missed &= self.converged.numpy() == 0
+                if not missed.any():
+                    break
+            reached = pending & ~missed
+            self._copy(reached, batch.state, start)
+            done[reached] = progress[reached]
+            increment[reached] = 2.0 * increment[reached]
+            increment[missed] = 0.5 * np.minimum(increment, 1.0 - done)[missed]
+            converged |= reached & (done >= 1.0)
+            pending &= ~converged
+            if not can_walk:
+                break
+            pending &= ~missed | (increment >= _SMALLEST_PROGRESS)
+        batch.load_factor.fill_(1.0)
+        return Equilibria(
+            converged, iterations, residual, self.system.negative_pivots.numpy().copy(), done
+        )
+
+    def _place(self, start, begin, target, progress, ramp_loads) -> None:
+        """Set prescribed values and loads for this increment, frames carried along."""
+        batch = self.batch
+        progress = wp.array(progress, dtype=wp.float64, device=batch.device)
+        self._copy(self.active, start, batch.state)
+        wp.launch(
+            continuation.interpolate_prescribed,
+            dim=(batch.rod_count, batch.dof_count),
+            inputs=[self.active, batch.free, begin, target, progress],
+            outputs=[batch.state.dof],
+            device=batch.device,
+        )
+        batch.transport_frames(start, batch.state, self.active)
+        if ramp_loads:
+            wp.copy(batch.load_factor, progress)
+
+    def _copy(self, chosen, source: RodState, target: RodState) -> None:
+        batch = self.batch
+        if isinstance(chosen, np.ndarray):
+            chosen = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=batch.device)
+        wp.launch(
+            continuation.copy_configuration,
+            dim=(batch.rod_count, batch.node_count),
+            inputs=[chosen, source.dof, source.tangent, source.director, source.reference_twist],
+            outputs=[target.dof, target.tangent, target.director, target.reference_twist],
+            device=batch.device,
+        )
+
+    def _rounding(self) -> np.ndarray:
+        """(rod,) residual that is left by rounding positions in the stiffest edge."""
+        batch = self.batch
+        edge = (batch.stretching_stiffness.numpy() / batch.rest_length.numpy()).max(axis=1)
+        extent = np.abs(batch.positions()).max(axis=(1, 2)) + self.length_scale.numpy()
+        return 4 * np.finfo(float).eps * edge * extent / self.force_scale.numpy()
+
+    def _iterate(self, max_iterations: int, search: bool) -> np.ndarray:
+        """Newton on the active rods until each has converged or stopped; iterations per rod."""
+        batch = self.batch
+        rods, dofs = batch.rod_count, batch.dof_count
+        out, system = batch.derivatives, self.system
+        count = np.zeros(rods, dtype=np.int64)
+        self.converged.zero_()
+        system.shift.zero_()
+        for iteration in range(max_iterations + 1):
+            batch.evaluate(order=2, active=self.active)
+            # The factorisation comes first: at equilibrium its pivots tell the stability.
+            system.factorise(out.hessian, self.active)
+            batch.walk(
+                newton.measure_residual,
+                [
+                    batch.free,
+                    self.force_scale,
+                    self.length_scale,
+                    self.tolerance,
+                    out.gradient,
+                    self.active,
+                ],
+                [self.residual, self.converged],
+            )
+            active = self.active.numpy() != 0
+            if not active.any() or iteration == max_iterations:
+                break
+            count += active
+            self._make_definite(out.hessian)
+            wp.copy(system.x, out.gradient.reshape((rods, 1, dofs)))
+            system.solve(self.active)
+            self._step(search)
+        return count
+
+    def _make_definite(self, hessian: wp.array) -> None:
+        """Raise the shift of every rod with negative pivots until its matrix is definite."""
+        batch, system = self.batch, self.system
+        retry = self.active
+        for _ in range(30):
+            wp.launch(
+                newton.choose_shift,
+                dim=batch.rod_count,
+                inputs=[retry, batch.free, hessian, system.negative_pivots],
+                outputs=[system.shift, self.shift_unit, self.retry],
+                device=batch.device,
+            )
+            if not self.retry.numpy().any():
+                return
+            retry = self.retry
+            system.factorise(hessian, retry)
+
+    def _step(self, search: bool) -> None:
+        batch, device, rods = self.batch, self.batch.device, self.batch.rod_count
+        out, system, trial = batch.derivatives, self.system, self.trial
+        batch.walk(
+            newton.start_line_search,
+            [
+                wp.float64(_STEP_LIMIT),
+                self.active,
+                batch.free,
+                batch.state.dof,
+                out.gradient,
+                system.x,
+            ],
+            [self.slope, self.fraction, self.searching],
+        )
+        while True:
+            wp.launch(
+                newton.take_trial_step,
+                dim=(rods, batch.dof_count),
+                inputs=[self.searching, batch.state.dof, system.x, self.fraction],
+                outputs=[trial.dof],
+                device=device,
+            )
+            batch.transport_frames(batch.state, trial, self.searching)
+            batch.evaluate(order=1, state=trial, out=self.trial_derivatives, active=self.searching)
+            wp.launch(
+                newton.judge_trial_step,
+                dim=rods,
+                inputs=[
+                    int(search),
+                    wp.float64(_SMALLEST_FRACTION),
+                    self.force_scale,
+                    self.length_scale,
+                    self.shift_unit,
+                    out.energy,
+                    self.trial_derivatives.energy,
+                    self.slope,
+                    self.fraction,
+                    self.searching,
+                    system.shift,
+                ],
+                device=device,
+            )
+            if not self.searching.numpy().any():
+                break
+        # A rod that found no descent has a fraction of zero and takes its own state back.
+        wp.launch(
+            newton.take_trial_step,
+            dim=(rods, batch.dof_count),
+            inputs=[self.active, batch.state.dof, system.x, self.fraction],
+            outputs=[trial.dof],
+            device=device,
+        )
+        batch.transport_frames(batch.state, trial, self.active)
+        self._copy(self.active, trial, batch.state)
+
+
+def solve_equilibrium(batch: RodBatch, **options) -> Equilibria:
+    """Bring every rod of `batch` to equilibrium; see `EquilibriumSolver.solve` for the options."""
+    return EquilibriumSolver(batch).solve(**options)
+
+
+def prescribe(
+    batch: RodBatch, *, clamped_nodes=(), pinned_nodes=(), clamped_angles=()
+) -> np.ndarray:
+    """Mask (rod, dof) of free degrees of freedom, and set it on `batch`.
+
+    Args:
+        clamped_nodes, pinned_nodes: node indices (negative from the end) whose position is
+            prescribed. Two clamped neighbours prescribe the direction of the edge between them.
+        clamped_angles: edge indices whose material angle is prescribed.
+    """
+    free = np.ones((batch.rod_count, batch.dof_count), dtype=bool)
+    for i in (*clamped_nodes, *pinned_nodes):
+        a = 4 * (i % batch.node_count)
+        free[:, a : a + 3] = False
+    for i in clamped_angles:
+        free[:, 4 * (i % (batch.node_count - 1)) + 3] = False
+    batch.set_free(free)
+    return free
