@@ -185,7 +185,7 @@ def command(
 
 
 @dataclass(frozen=True)
-class Course:
+class Curve:
     """What is laid by which rod; `led` is the pattern with the remainder of its plan."""
 
     rod_name: str
@@ -206,7 +206,7 @@ def _numbers(text: str, name: str, low: float, high: float) -> list[float]:
     return sorted(set(values))
 
 
-def _arcs(curvatures: list[float], ratios: list[float]) -> list[Course]:
+def _arcs(curvatures: list[float], ratios: list[float]) -> list[Curve]:
     """Arcs of constant curvature for rods that differ in thickness alone."""
     from wrod.patterns.pattern import Pattern
     from wrod.patterns.shapes import strokes
@@ -222,11 +222,11 @@ def _arcs(curvatures: list[float], ratios: list[float]) -> list[Course]:
         ease, length = _ARC_EASE * lgb, _ARC_LENGTH * lgb
         pieces = [(ease, 0.0, bend), (length, bend, bend), (ease, bend, 0.0)]
         arc = Pattern(*strokes(0.0, pieces), name=f"arc {kappa:g}")
-        courses.append(Course(f"k_s {ratio:g}", arc.name, prepare(arc, material, None), material))
+        courses.append(Curve(f"k_s {ratio:g}", arc.name, prepare(arc, material, None), material))
     return courses
 
 
-def _drawn(rods: str, names: str, folder: Path | None) -> list[Course]:
+def _drawn(rods: str, names: str, folder: Path | None) -> list[Curve]:
     from wrod.bench.table3_paper import read_pattern
     from wrod.planning.plan import prepare
     from wrod.rods.material import rod
@@ -235,18 +235,18 @@ def _drawn(rods: str, names: str, folder: Path | None) -> list[Course]:
     for rod_name, name in product(rods.split(","), names.split(",")):
         material = rod(rod_name)
         drawn = read_pattern(name, folder)
-        courses.append(Course(rod_name, name, prepare(drawn, material, None), material))
+        courses.append(Curve(rod_name, name, prepare(drawn, material, None), material))
     return courses
 
 
-def _nodes(courses: list[Course], spacing: float) -> int:
+def _nodes(courses: list[Curve], spacing: float) -> int:
     """The same for all, so that no trial depends on which others are simulated."""
     from wrod.deployment.setup import mesh
 
     return max(len(mesh(c.rod, c.led.length + c.led.remainder_length, spacing)) for c in courses)
 
 
-def _plans(courses: list[Course], methods, device: str, quiet: bool) -> tuple[dict, list[str]]:
+def _plans(courses: list[Curve], methods, device: str, quiet: bool) -> tuple[dict, list[str]]:
     """(rod, course, method) -> trajectory and tail; and sentences on what could not be planned."""
     from tqdm import tqdm
 
