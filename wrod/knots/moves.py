@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -16,7 +18,7 @@ _PEAK = 1.9
 _EMPTY_SPEED = 0.25  # of hands that carry nothing [m/s]
 
 
-def make(run: TyingRun, moves: list[Move], name: str) -> None:
+def make(run: TyingRun, moves: Sequence[Move], name: str) -> None:
     """Moves of one step, the hands at the same time."""
     bench = run.bench
     approach(run, {move.hand: run.planned(move) for move in moves})

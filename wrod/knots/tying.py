@@ -29,7 +29,7 @@ def tie(
     step: float = 0.01,
     film_interval: float | None = None,
     device: str = "cpu",
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str], object] | None = None,
 ) -> list[TyingResult]:
     """Lay the rods of a knot one after the other, make its moves, and pull what is tied.
 
