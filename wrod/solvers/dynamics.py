@@ -200,7 +200,7 @@ class Dynamics:
         smallest_step: float | None = None,
         frames: wp.array | None = None,
         frame_interval: float = 1.0,
-        progress: Callable[[np.ndarray], None] | None = None,
+        progress: Callable[[np.ndarray], object] | None = None,
     ) -> Progress:
         """Let every rod that has not diverged move on to its time `until`.
 
