@@ -108,7 +108,7 @@ def simulate_deployments(
     frame_interval: float | None = None,
     device: str | None = "cpu",
     threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> list[Deployment]:
     """Simulate many deployments at once; those that diverge are flagged and the others go on.
 

@@ -22,6 +22,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from wrod.errors import DataError
 from wrod.patterns.pattern import Pattern
@@ -146,7 +147,8 @@ class KnotPlan:
             hands = [move.hand for move in step]
             if len(set(hands)) < len(hands) or not set(hands) <= {0, 1} or not hands:
                 raise DataError(f"{path}: step {number} needs one move for each of hands 0 and 1")
-        for move in [*(m for step in self.steps for m in step), *self.pull]:
+        moves: list[Move | Pull] = [m for step in self.steps for m in step]
+        for move in [*moves, *self.pull]:
             if not 0 <= move.rod < len(self.rods):
                 raise DataError(f"{path}: a move names rod {move.rod}; there are {len(self.rods)}")
             if not 0.0 <= move.at <= self.rods[move.rod][1].length:
@@ -171,7 +173,9 @@ def _whole(value) -> int:
 
 
 def _move(entry: dict) -> Move:
-    extra = {name: _number(entry[name]) for name in ("lift", "turn", "lay_height") if name in entry}
+    extra: dict[str, Any] = {
+        name: _number(entry[name]) for name in ("lift", "turn", "lay_height") if name in entry
+    }
     if "where" in entry:
         extra["where"] = _point(entry["where"])
     return Move(

@@ -375,6 +375,20 @@ class RodBatch:
             device=self.device,
         )
 
+    @property
+    def elastic_model(self) -> list[wp.array]:
+        """What the elastic energy depends on besides the state: rest lengths, stretching and
+        bending stiffness, natural curvature, softening, twisting stiffness, natural twist."""
+        return [
+            self.rest_length,
+            self.stretching_stiffness,
+            self.bending_stiffness,
+            self.natural_curvature,
+            self.softening,
+            self.twisting_stiffness,
+            self.natural_twist,
+        ]
+
     def evaluate(
         self,
         *,
@@ -382,10 +396,11 @@ class RodBatch:
         state: RodState | None = None,
         out: Derivatives | None = None,
         active: wp.array | None = None,
+        model: list[wp.array] | None = None,
     ) -> Derivatives:
         """Energy and gradient (`order` 1) and Hessian (`order` 2) of every active rod.
 
-        The frames of `state` must belong to its positions.
+        The frames of `state` must belong to its positions; `model` stands in for `elastic_model`.
         """
         state = self.state if state is None else state
         out = self.derivatives if out is None else out
@@ -405,19 +420,13 @@ class RodBatch:
                 device=self.device,
             )
 
-        nodes, rest = self.node_count, self.rest_length
+        nodes = self.node_count
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
         launch(
             softened_elasticity if self.softens else elasticity,
             nodes - 2,
             [
-                rest,
-                self.stretching_stiffness,
-                self.bending_stiffness,
-                self.natural_curvature,
-                self.softening,
-                self.twisting_stiffness,
-                self.natural_twist,
+                *(self.elastic_model if model is None else model),
                 active,
                 state.dof,
                 state.director,
