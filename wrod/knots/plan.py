@@ -124,7 +124,8 @@ class KnotPlan:
             hands = [move.hand for move in step]
             if len(set(hands)) < len(hands) or not set(hands) <= {0, 1} or not hands:
                 raise DataError(f"{path}: step {number} needs one move for each of hands 0 and 1")
-        for move in [*(m for step in self.steps for m in step), *self.pull]:
+        moves: list[Move | Pull] = [m for step in self.steps for m in step]
+        for move in [*moves, *self.pull]:
             if not 0 <= move.rod < len(self.rods):
                 raise DataError(f"{path}: a move names rod {move.rod}; there are {len(self.rods)}")
             if not 0.0 <= move.at <= self.rods[move.rod][1].length:
