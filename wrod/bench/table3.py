@@ -39,6 +39,7 @@ def command(
     from wrod.bench.table3_report import KEYS, cells, draw, markdown, summary, write_csv
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.errors import RodError
+    from wrod.files import schemas, write_atomically
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
@@ -54,7 +55,7 @@ def command(
         "patterns": "built-in" if patterns is None else patterns.name,
     }
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3")
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", schemas.Table3Row)
     curves = {name: read_pattern(name, patterns) for name in PATTERNS}
     start = time.perf_counter()
     plans = _plans(curves, closure, device, as_json)
@@ -94,7 +95,7 @@ def command(
         f"{settings['patterns']}."
     )
     text = markdown(table, head)
-    (out / "table3.md").write_text(text, encoding="utf-8")
+    write_atomically(out / "table3.md", lambda file: file.write(text))
     written = [
         write_csv(out / "table3.csv", table),
         out / "table3.md",

@@ -152,7 +152,7 @@ def decode_json(
     """As `read_json`, of JSON that stands within another file; `where` names it in messages."""
     content = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
     try:
-        _refuse_depth(content)
+        refuse_depth(content)
         value = msgspec.json.decode(content, type=schema)
     except RecursionError:
         raise error(f"{where}: is nested too deeply to be {what}") from None
@@ -202,7 +202,7 @@ def shown(value: object, most: int = 80) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def _refuse_depth(content: bytes) -> None:
+def refuse_depth(content: bytes) -> None:
     """Refuse JSON whose brackets outside of text are nested more deeply than any of ours."""
     depth = 0
     for mark in _MARKS.finditer(content):
