@@ -1,0 +1,5 @@
+"""`python -m wrod` is the command `wrod`."""
+
+from wrod.commands import main
+
+main()
