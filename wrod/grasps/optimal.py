@@ -96,7 +96,7 @@ def solve_grasps(
     edge_count: int = EDGE_COUNT,
     extrapolate: bool = True,
     threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Grasps:
     """Optimal grasps for arrays of (l_s, kappa, k_s), each from a cold start.
 

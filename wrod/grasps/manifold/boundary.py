@@ -54,7 +54,7 @@ def boundary(
     device: str | None = None,
     edge_count: int = EDGE_COUNT,
     threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Boundary:
     """Boundary of the manifold for every pair (l_s, k_s), all rays in one batch.
 

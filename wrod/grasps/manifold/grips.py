@@ -77,7 +77,7 @@ def equilibrium(
     device: str | None = None,
     edge_count: int = EDGE_COUNT,
     threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> HeldGrips:
     """The suspended rod for given grip positions, on the gentle branch.
 

@@ -73,7 +73,7 @@ def force_map(
     offset: float = OFFSET,
     device: str | None = None,
     threads: int | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str], object] | None = None,
 ) -> ForceMap:
     """Boundary, forces, stability, sideways deflection and optima of one straight pattern.
 
