@@ -107,7 +107,7 @@ def test_main_command_ends_in_joint_path_scene_and_picture(tmp_path):
     [
         (("--placement", "2,0,-0.3,0"), "out of reach at node"),
         (("--placement", "table"), "placement 'table' is not 'auto'"),
-        (("--robot", "gone.urdf"), "gone.urdf: no such URDF file"),
+        (("--robot", "gone.urdf"), "gone.urdf: no such file"),
     ],
 )
 def test_arm_that_cannot_is_one_sentence_and_writes_nothing(tmp_path, arguments, says):

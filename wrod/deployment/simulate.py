@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.grip_path import GripMotion
 from wrod.deployment.result import Deployment, deployment_error
@@ -52,6 +53,17 @@ class Trial:
     fixtures: Fixtures | None = None
 
 
+@arguments.checked(
+    RodError,
+    pattern=arguments.like("a wrod.Pattern", "sample", "length", "remainder_length"),
+    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
+    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
+    friction=arguments.either(
+        arguments.like("a wrod.Friction", "static", "kinetic"), arguments.number(0.0, 1e3)
+    ),
+    disturbance=arguments.optional(arguments.like("a wrod.Disturbance", "jitter")),
+    fixtures=arguments.optional(arguments.like("a wrod.Fixtures", "items", "gates")),
+)
 def simulate_deployment(
     pattern: Pattern,
     rod: RodMaterial,
@@ -92,6 +104,26 @@ def simulate_deployment(
     return simulate_deployments([trial], **options)[0]
 
 
+@arguments.checked(
+    RodError,
+    trials=arguments.several(
+        arguments.like("a wrod.Trial", "pattern", "rod", "trajectory", "friction")
+    ),
+    hold=arguments.number(0.0, 100.0),
+    release=arguments.optional(arguments.number(0.0, 100.0)),
+    speed=arguments.number(1e-5, 100.0),
+    spacing=arguments.number(1e-5, 1.0),
+    node_count=arguments.optional(arguments.whole(4, 100_000)),
+    step=arguments.number(1e-6, 1.0),
+    scheme=arguments.text,
+    air_damping=arguments.number(0.0, 1e6),
+    internal_damping=arguments.number(0.0, 1e6),
+    tolerance=arguments.number(1e-15, 1.0),
+    frame_interval=arguments.optional(arguments.number(1e-5, 1e6)),
+    device=arguments.optional(arguments.text),
+    threads=arguments.optional(arguments.whole(0, 4096)),
+    progress=arguments.optional(arguments.callback),
+)
 def simulate_deployments(
     trials: list[Trial],
     *,

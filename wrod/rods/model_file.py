@@ -7,9 +7,10 @@ import os
 import warnings
 from dataclasses import asdict, fields, replace
 from pathlib import Path
+from typing import Any
 
 from wrod.errors import RodError, WrodWarning
-from wrod.files import write_atomically
+from wrod.files import read_json, write_atomically
 from wrod.rods.law import law_as_json, law_of
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -158,18 +159,8 @@ def _warn(path, said: list[str]) -> None:
 
 
 def _read(path) -> dict:
-    try:
-        size = Path(path).stat().st_size
-        if size > _MOST_BYTES:
-            raise RodError(f"{path}: is {size} bytes long, which no rod file is")
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except RodError:
-        raise
-    except (OSError, ValueError, RecursionError) as error:
-        raise RodError(f"{path}: not a readable rod file ({error})") from None
-    if not isinstance(content, dict):
-        raise RodError(f"{path}: is not a {MATERIAL_FORMAT} file; write one with `wrod loop --out`")
-    return content
+    what = "a rod file; write one with `wrod loop --out`"
+    return read_json(path, dict[str, Any], what, error=RodError, limit=_MOST_BYTES)
 
 
 def _write(path, content: dict) -> Path:
