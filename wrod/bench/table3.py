@@ -40,6 +40,7 @@ def command(
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.errors import RodError
     from wrod.files import schemas, write_atomically
+    from wrod.grasps.optimal import CLOSURES
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
@@ -54,9 +55,11 @@ def command(
         "closure": closure or "favoured",
         "patterns": "built-in" if patterns is None else patterns.name,
     }
+    curves = {name: read_pattern(name, patterns) for name in PATTERNS}
+    if closure is not None and closure not in CLOSURES:
+        raise RodError(f"unknown closure {closure!r:.60}; use one of {', '.join(CLOSURES)}")
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", schemas.Table3Row)
-    curves = {name: read_pattern(name, patterns) for name in PATTERNS}
     start = time.perf_counter()
     plans = _plans(curves, closure, device, as_json)
     # One trial of every cell before the second of any, so that a stopped run covers the table.

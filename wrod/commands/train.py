@@ -98,7 +98,7 @@ def command(
         "width": width,
         "sensitivity_weight": sensitivity_weight,
     }
-    recipe = find(name or ("curved" if curved else "default"))
+    recipe = find(("curved" if curved else "default") if name is None else name)
     recipe = replace(recipe, **{k: v for k, v in changes.items() if v is not None})
     recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
     device = resolve_device(device)

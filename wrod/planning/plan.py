@@ -47,12 +47,15 @@ _SAME_GRASP = 0.06
 
 
 @arguments.checked(
-    GraspError,
+    PatternError,
     pattern=arguments.like("a wrod.Pattern", "sample", "length", "remainder_length"),
+    spacing=arguments.number(2e-4, 10.0),
+)
+@arguments.checked(
+    GraspError,
     rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
     method=arguments.text,
     closure=arguments.optional(arguments.text),
-    spacing=arguments.number(2e-4, 10.0),
     remainder=arguments.either(arguments.flag, arguments.number(0.0, 100.0)),
     roll=arguments.either(arguments.text, arguments.number(-1e6, 1e6)),
     controller=arguments.like("a wrod.Controller", "predict", "out_of_range"),
