@@ -40,6 +40,15 @@ class Motion(Protocol):
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
 
 
+class Follower(Protocol):
+    """What is carried along with the steps: called whenever steps of some rods were accepted, while
+    `batch` still holds residual, matrix and configuration of their ends, and `start` their starts.
+
+    It does its work by kernels alone, for the rods that are not 0 in `accepted`."""
+
+    def follow(self, dynamics: Dynamics) -> None: ...
+
+
 @dataclass(frozen=True)
 class Progress:
     """Where a call of `Dynamics.advance` got, rod by rod (NumPy).
@@ -71,6 +80,7 @@ class Dynamics:
         internal_damping: (rod,) Kelvin-Voigt time of the material [time].
         contact: what the rods touch, one or several, or None; at most one `RodContact`.
         motion: what moves prescribed degrees of freedom, or None.
+        follower: what is carried along with the steps, or None.
         force_scale: (rod,) what residuals are measured against; default: the rod's weight, or
             k_b / L^2 if that is larger.
         tolerance: largest residual of a step over the force scale.
@@ -94,6 +104,7 @@ class Dynamics:
         internal_damping: np.ndarray | float = 0.0,
         contact: Contact | RodContact | Sequence[Contact | RodContact] | None = None,
         motion: Motion | None = None,
+        follower: Follower | None = None,
         force_scale: np.ndarray | float | None = None,
         tolerance: float = 1e-6,
         max_iterations: int = 12,
@@ -102,6 +113,7 @@ class Dynamics:
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
         self.batch, self.contact, self.motion = batch, contact, motion
+        self.follower = follower
         self.two_step, self.max_iterations = int(scheme == "bdf2"), max_iterations
         rods, device = batch.rod_count, batch.device
         if contact is None:
@@ -412,6 +424,8 @@ class Dynamics:
     def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
         """Carry accepted steps over to the next, and take failed ones back."""
         batch, start, dof = self.batch, self.start, self.batch.state.dof
+        if self.follower is not None:
+            self.follower.follow(self)
         for contact in self.contacts:
             contact.settle(self.accepted, dof, start.dof)
         if frames is not None:
