@@ -57,7 +57,7 @@ def plan(
     controller: Controller | None = None,
     friction: float | tuple[float, float] | None = None,
     device: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Trajectory:
     """Trajectory of the grip that lays `rod` along `pattern`.
 
@@ -213,7 +213,7 @@ def with_shapes(
     pattern: Pattern | None = None,
     *,
     device: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Trajectory:
     """The trajectory with the shapes of the suspended rod, where its method gave none.
 

@@ -6,6 +6,7 @@ import copy
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -51,8 +52,8 @@ class Robot:
     velocity: np.ndarray
     acceleration: np.ndarray
     jerk: np.ndarray
-    chain: object
-    tree: object
+    chain: Any
+    tree: Any
     gripper_length: float
 
     @property

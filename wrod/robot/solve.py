@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
@@ -33,7 +34,7 @@ _TRIED = 4  # branches that are improved and compared
 @dataclass(frozen=True)
 class _Solution:
     branch: Branch
-    spline: object
+    spline: Any
     report: PathReport
 
 
