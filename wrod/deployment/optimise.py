@@ -143,8 +143,9 @@ def optimise(
         progress: called with the fraction done since the last call.
 
     Returns:
-        The corrected trajectory. `metadata["optimised"]` holds the spread, the mean error of the
-        sample before and after, the largest correction [m], and what is expected (see `expect`).
+        The corrected trajectory. `metadata["optimised"]` holds the range of friction, the mean
+        error of the sample at each iteration [m] and the largest correction [m];
+        `metadata["expected"]` is what `expect` says.
 
     Raises:
         PatternError: friction is not usable, or the trajectory is too short to be laid.
@@ -201,9 +202,9 @@ def optimise(
         "iterations": iterations,
         "errors": history,
         "largest_correction": float(lgb * np.abs(corrections.basis @ best[1].reshape(-1, 3)).max()),
-        "expected": expected,
     }
-    return replace(corrected, metadata={**corrected.metadata, "optimised": said})
+    metadata = {**corrected.metadata, "optimised": said, "expected": expected}
+    return replace(corrected, metadata=metadata)
 
 
 def expect(

@@ -92,7 +92,7 @@ def plan(
         One pose per contact node; `metadata` names method, closure, rod, pattern, remainder, the
         friction that the laid pattern asks for ("required_friction") and that the rod asks for
         where it touches down ("contact_friction"), and the warnings given; with `friction`,
-        "optimised": what the simulated deployments say of the plan (`wrod.deployment.optimise`).
+        "optimised" and "expected": what simulated deployments say (`wrod.deployment.optimise`).
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
@@ -233,7 +233,8 @@ def with_shapes(
             back without.
     """
     closure, rod = trajectory.metadata.get("closure"), trajectory.metadata.get("rod")
-    if trajectory.shape is not None or closure is None or rod is None:
+    corrected = "optimised" in trajectory.metadata  # its grips are not those of grasps
+    if trajectory.shape is not None or closure is None or rod is None or corrected:
         return trajectory
     rod, s = RodMaterial(**rod), trajectory.pattern_arc_length
     tangent, curvature = _course(trajectory, pattern)
