@@ -135,7 +135,7 @@ def test_sensitivities_against_differences():
 def test_force_jacobian_against_differences():
     """Contact force of the held rod, grip moved, contact edge held: by statics alone."""
     from wrod.grasps.solver import GraspSolver
-    from wrod.solvers.statics import solve_equilibrium
+    from wrod.solvers.statics import solve_equilibria
 
     solver = GraspSolver(
         np.array([8.0]), np.array([1.0]), np.array([900.0]), edge_count=64, closure=0, device="cpu"
@@ -150,10 +150,10 @@ def test_force_jacobian_against_differences():
         for sign in (-1, 1):
             target = dof.copy()
             target[:, dof.shape[1] - 3 + c] += sign * h
-            assert solve_equilibrium(batch, prescribed=target).converged.all()
+            assert solve_equilibria(batch, prescribed=target).converged.all()
             forces.append(-batch.evaluate(order=1).gradient.numpy()[0, -3:])
         numeric[:, c] = (forces[1] - forces[0]) / (2 * h)
-        solve_equilibrium(batch, prescribed=dof)
+        solve_equilibria(batch, prescribed=dof)
     assert np.abs(numeric - jacobian).max() < 1e-5 * np.abs(jacobian).max()
 
 
@@ -161,7 +161,7 @@ def test_gravito_bending_length_drops_out():
     """Rods in SI units with equal dimensionless numbers hang in the same dimensionless shape."""
     from wrod.rods.batch import RodBatch
     from wrod.rods.material import RodMaterial
-    from wrod.solvers.statics import prescribe, solve_equilibrium
+    from wrod.solvers.statics import prescribe, solve_equilibria
 
     shapes = []
     for radius, lgb, density in ((0.0016, 0.032, 1180.0), (0.004, 0.08, 700.0)):
@@ -179,7 +179,7 @@ def test_gravito_bending_length_drops_out():
             gravity=(0, 0, -rod.gravity),
         )
         prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
-        assert solve_equilibrium(batch).converged.all()
+        assert solve_equilibria(batch).converged.all()
         shapes.append(batch.positions()[0] / lgb)
     assert np.abs(shapes[0] - shapes[1]).max() < 1e-6
 
