@@ -8,7 +8,7 @@ Arrays of the model with a leading axis of one are shared by all rods.
 
 import warp as wp
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH, add_edge_gradient
-from wrod.kernels.elastic.curvature import component, stencil
+from wrod.kernels.elastic.curvature import component, invariant_gradient, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node
 from wrod.kernels.linear.banded import banded_entry
 from wrod.kernels.stepping.dynamics import drag_force, drag_matrix, rate
@@ -214,6 +214,8 @@ def elastic_tangents(
     second = component(s, 1)
     binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
     b = stiffness[m, i]
+    mean = HALF * (b[0] + b[1]) / length
+    k_e, k_f, k_te, k_tf = invariant_gradient(s, first, second)
     eta = viscous_time[m, i]
     total = (now + wp.cw_mul(eta, flow)) / length
     excess = total - rest_strain[m, i]
@@ -240,11 +242,12 @@ def elastic_tangents(
             for k in range(2):
                 moment[k] = secant * moment[k] + secant_rate * b[k] * excess[k]
         row = r * columns + j
-        g_e = (moment[0] * first.e + moment[1] * second.e + moment[2] * binormal) / s.length_e
-        g_f = (moment[0] * first.f + moment[1] * second.f + moment[2] * binormal) / s.length_f
-        add_edge_gradient(right_hand_side, row, i, -g_e, -g_f)
-        g_te = moment[0] * first.te + moment[1] * second.te - moment[2]
-        g_tf = moment[0] * first.tf + moment[1] * second.tf + moment[2]
+        invariant = (HALF * (b_rate[0] + b_rate[1]) - mean * length_rate) / length
+        g_e = moment[0] * first.e + moment[1] * second.e + moment[2] * binormal + invariant * k_e
+        g_f = moment[0] * first.f + moment[1] * second.f + moment[2] * binormal + invariant * k_f
+        add_edge_gradient(right_hand_side, row, i, -g_e / s.length_e, -g_f / s.length_f)
+        g_te = moment[0] * first.te + moment[1] * second.te - moment[2] + invariant * k_te
+        g_tf = moment[0] * first.tf + moment[1] * second.tf + moment[2] + invariant * k_tf
         wp.atomic_add(right_hand_side, row, 4 * i - 1, -g_te)
         wp.atomic_add(right_hand_side, row, 4 * i + 3, -g_tf)
 

@@ -50,7 +50,7 @@ class Viscosity:
         self.model = None
         if not self.exists:
             return
-        self.model = [wp.clone(a) if isinstance(a, wp.array) else a for a in batch.elastic_model]
+        self.model = [wp.clone(a) for a in batch.elastic_model]
         self.strain, self.strain_older = (
             wp.zeros(shape[:2], dtype=wp.vec4d, device=device) for _ in range(2)
         )
@@ -65,7 +65,7 @@ class Viscosity:
         if not self.exists:
             return
         batch, state = self.batch, self.batch.state
-        rest, stretching, bending, curvature, softening, twisting, twist = batch.elastic_model
+        rest, stretching, bending, _, curvature, softening, twisting, twist = batch.elastic_model
         self._launch(
             kernels.measure_strains,
             batch.node_count,
