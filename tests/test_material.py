@@ -54,11 +54,11 @@ def test_rod_file_round_trip(tmp_path):
         ('{"format": "wrod-rod-1", "colour": 1}', "colour"),
         (
             '{"format": "wrod-rod-1", "radius": -1, "gravito_bending_length": 1, "length": 1}',
-            "radius is -1",
+            "radius must be a number > 0",
         ),
         (
             '{"format": "wrod-rod-1", "radius": "a", "gravito_bending_length": 1, "length": 1}',
-            "radius is 'a'",
+            "radius must be a number, but is text",
         ),
     ],
 )

@@ -180,6 +180,8 @@ def entry_message(reason: str) -> str:
     """msgspec's account of a wrong entry in our words: the entry first."""
     reason, _, place = reason.partition(" - at ")
     place = place.strip("`").removeprefix("$").removeprefix(".").replace("[...]", "")
+    reason = re.sub(r"([`'][^`']{60})[^`']+([`'])", r"\1…\2", reason)
+    place = place if len(place) <= 120 else f"{place[:119]}…"
     reason = reason.replace("`", "'").replace("Object missing required field", "lacks the entry")
     reason = reason.replace("Object contains unknown field", "has an unknown entry")
     reason = re.sub("^Invalid enum value", "has the unknown value", reason)
