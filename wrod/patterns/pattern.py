@@ -11,6 +11,7 @@ from scipy.interpolate import PPoly
 
 from wrod.errors import PatternError
 from wrod.files import write_atomically
+from wrod.patterns.corners import distance_from_lines, find_corners, heading_with_corners
 from wrod.patterns.curve import heading_of_curve, integrate_heading, lead_in
 from wrod.patterns.expressions import compile_expression
 from wrod.patterns.files import RawPoints, checked_points, read_points, refuse_spikes, unit_scale
@@ -110,8 +111,12 @@ class Pattern:
         if smoothing is not None and not (np.isfinite(smoothing) and smoothing >= 0.0):
             raise PatternError(f"smoothing is {smoothing!r}; give a noise level in metres, or None")
         points = checked_points(raw, units)
-        refuse_spikes(points, raw)
-        heading, origin, noise = fit_heading(points[:, :2], smoothing)
+        corners = find_corners(points[:, :2])
+        refuse_spikes(points, raw, corners)
+        if len(corners):
+            heading, origin, noise = heading_with_corners(points[:, :2], corners, smoothing)
+        else:
+            heading, origin, noise = fit_heading(points[:, :2], smoothing)
         return cls(
             heading,
             origin,
@@ -233,6 +238,42 @@ class Pattern:
             height=self._height,
             points=self.points,
             noise=self.noise,
+        )
+
+    def departure(self) -> tuple[float, float]:
+        """How far the curve leaves the straight lines between the points that it was made from
+        [m], and at which arc length [m]; zeros for a closed form."""
+        if self.points is None:
+            return 0.0, 0.0
+        s = np.linspace(0.0, self.length, 1500)
+        far, place = distance_from_lines(self.points[:, :2], self.sample(s)[0][:, :2])
+        return far, float(s[place])
+
+    def scaled(self, factor: float) -> Pattern:
+        """The pattern drawn `factor` times as large, about its first point.
+
+        Raises:
+            PatternError: the factor is not a positive number.
+        """
+        if not (np.isfinite(factor) and factor > 0.0):
+            raise PatternError(f"size factor is {factor!r}; give a positive number")
+        first = self._heading.x[0]
+        powers = factor ** -np.arange(len(self._heading.c) - 1, -1, -1, dtype=float)
+        points = None
+        if self.points is not None:
+            anchor = np.append(self._origin, self._height)
+            points = anchor + factor * (self.points - anchor)
+        return Pattern(
+            PPoly(
+                self._heading.c * powers[:, None],
+                first * factor + factor * (self._heading.x - first),
+            ),
+            self._origin,
+            name=self.name,
+            source=self.source,
+            height=self._height,
+            points=points,
+            noise=self.noise * factor,
         )
 
     def save(self, path: str | os.PathLike[str], spacing: float = 0.001) -> Path:
