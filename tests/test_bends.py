@@ -9,7 +9,7 @@ from wrod.bench.bend_shapes import BENDS, bend
 from wrod.bench.bends import pull_bend
 from wrod.knots.pull import HOLD, SETTLE, keep_up
 from wrod.knots.topology import recognise_pair
-from wrod.knots.tying import STILL
+from wrod.knots.trials import STILL
 from wrod.knots.workbench import Poses, Workbench
 from wrod.solvers.contact import Friction
 

@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 import wrod
 from wrod.bench.applications_report import markdown, table
 from wrod.errors import DataError, PatternError
-from wrod.knots.course import Course
 from wrod.knots.fingers import GRIP_FORCE, PAD_FRICTION, holding_force
 from wrod.knots.hand_paths import hand_path
 from wrod.knots.laying import _over, _refined
 from wrod.knots.plan import KnotPlan, Move
 from wrod.knots.topology import diagram, recognise_knot
-from wrod.knots.tying import Handling, TyingResult
+from wrod.knots.trials import Handling, TyingResult
+from wrod.knots.tying_run import TyingRun
 from wrod.knots.workbench import Poses, Workbench
 from wrod.solvers.contact import Friction
 
@@ -162,7 +162,7 @@ def test_fingers_hold_by_friction_until_they_end_over_the_rod():
 )
 def test_rod_slips_out_of_fingers_that_end_too_high(over, ends):
     """`over`: height of the fingertips over the rod's axis, in radii."""
-    course = SimpleNamespace(
+    run = SimpleNamespace(
         bench=bench((0.0, 0.0, 0.0)),
         knot=SimpleNamespace(rods=((None, ROD),)),
         trials=[Handling(pad_friction=(0.5,))],
@@ -171,15 +171,15 @@ def test_rod_slips_out_of_fingers_that_end_too_high(over, ends):
         strength=np.full((1, 2), np.inf),
         grasps=0,
     )
-    table, height = course.bench, (2.0 + over) * ROD.radius
+    table, height = run.bench, (2.0 + over) * ROD.radius
     away = pose([0.0, 0.0, 0.2])
 
     def poses(t):
         return [pose([0.147, 0.0, height + 0.02 * t]), away]
 
-    Course.grasp(course, 0, 0, "move 1", poses(0.0)[0])
-    table.run(0.2, poses, lambda: Course._slip(course, "move 1"))
-    result = course.results[0]
+    TyingRun.grasp(run, 0, 0, "move 1", poses(0.0)[0])
+    table.run(0.2, poses, lambda: TyingRun._slip(run, "move 1"))
+    result = run.results[0]
     assert result.missed == (["move 1"] if ends == "missed" else [])
     assert result.slipped == (["move 1"] if ends == "slipped" else [])
     assert (table.held.edge[0, 0] >= 0) == (ends == "held")
@@ -188,10 +188,10 @@ def test_rod_slips_out_of_fingers_that_end_too_high(over, ends):
 def test_rod_that_begins_where_another_lies_begins_over_it():
     radius = ROD.radius
     lying = bench((0.05, -0.07, np.pi / 2))
-    course = SimpleNamespace(bench=lying, plans=[(None, ROD, None)])
+    run = SimpleNamespace(bench=lying, plans=[(None, ROD, None)])
     start = np.column_stack([ARC, 0 * ARC, 0 * ARC + radius])
     below = lying.batch.positions()[0]
-    raised = _over(course, below, start, ARC, radius)
+    raised = _over(run, below, start, ARC, radius)
     fine, other = _refined(raised), _refined(below)
     gap = np.linalg.norm(fine[:, None] - other[None], axis=2).min()
     assert gap > 0.95 * 2 * radius
@@ -200,7 +200,7 @@ def test_rod_that_begins_where_another_lies_begins_over_it():
     assert np.linalg.norm(np.diff(raised, axis=0), axis=1) == pytest.approx(np.diff(ARC), rel=0.03)
     assert raised[-1] == pytest.approx(start[-1])
     beside = start + [0.0, 0.2, 0.0]
-    assert _over(course, below, beside, ARC, radius) is beside
+    assert _over(run, below, beside, ARC, radius) is beside
 
 
 @pytest.mark.parametrize("name", ["trefoil", "reef"])
@@ -219,14 +219,14 @@ def test_shipped_plans(name):
     ("change", "message"),
     [
         (lambda d: d.update(format="x"), "format"),
-        (lambda d: d.pop("rods"), "missing"),
-        (lambda d: d["steps"][0][0].update(at="0.1"), "finite number"),
+        (lambda d: d.pop("rods"), "lacks the entry 'rods'"),
+        (lambda d: d["steps"][0][0].update(at="0.1"), "must be a number"),
         (lambda d: d["steps"][0][0].update(at=9.0), "beyond"),
-        (lambda d: d["steps"][0][0].update(rod=4), "names rod 4"),
-        (lambda d: d["steps"][0][0].update(hand=2), "hands 0 and 1"),
-        (lambda d: d["steps"][0].append(d["steps"][0][0]), "hands 0 and 1"),
+        (lambda d: d["steps"][0][0].update(rod=4), "must be a whole number <= 1"),
+        (lambda d: d["steps"][0][0].update(hand=2), "must be a whole number <= 1"),
+        (lambda d: d["steps"][0].append(d["steps"][0][0]), "list of length <= 2"),
         (lambda d: d.update(pull=d["pull"][:1]), "give two"),
-        (lambda d: d["pull"][0].update(where=[1]), "finite number"),
+        (lambda d: d["pull"][0].update(where=[1]), "list of length 2"),
     ],
 )
 def test_bad_plans_are_refused(tmp_path, change, message):

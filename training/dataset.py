@@ -95,7 +95,7 @@ def generate(
     roll: float | str = "plane",
     device: str = "auto",
     rank: Rank | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Outcome:
     """Solve the first `size` grasps of a sampling sequence into `folder`.
 

@@ -70,7 +70,7 @@ def controller_for(
     test: int = 300,
     seed: int = 0,
     device: str = "cpu",
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> Controller:
     """What `wrod dataset --rod` and `wrod train` make for a naturally curved rod, in one call.
 

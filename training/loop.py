@@ -139,7 +139,7 @@ class Training:
         minutes: float | None = None,
         checkpoint_every: float = 30.0,
         watch_every: int = 500,
-        progress: Callable[[int, int, float], None] | None = None,
+        progress: Callable[[int, int, float], object] | None = None,
     ) -> None:
         """Train to the recipe's last step, or until `minutes` have been spent in all runs.
 

@@ -12,7 +12,6 @@ they are smaller than the inertia of the nodes by the square of radius over leng
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 from wrod.kernels.lanes import count_of_lanes
 from wrod.kernels.stepping.newton_iteration import largest_safe_fraction_of_lanes
@@ -26,6 +25,7 @@ def begin_step(
     two_step: int,
     tolerance: wp.float64,
     rounding: wp.array(dtype=wp.vec2d),
+    stretching_time: wp.array(dtype=wp.float64),
     until: wp.array(dtype=wp.float64),
     # State in:
     starting: wp.array(dtype=wp.int32),
@@ -63,7 +63,8 @@ def begin_step(
         coefficient_out[r] = wp.vec3d(ONE, -ONE, ZERO)
     # Rounding of positions leaves this much in the stiffest edge, and in the inertia of the step.
     rate = coefficient_out[r][0] / dt
-    tolerance_out[r] = wp.max(tolerance, rounding[r][0] + rounding[r][1] * rate * rate)
+    left_over = rounding[r][0] * (ONE + stretching_time[r] * rate) + rounding[r][1] * rate * rate
+    tolerance_out[r] = wp.max(tolerance, left_over)
 
 
 @wp.kernel
@@ -73,17 +74,13 @@ def predict(
     free: wp.array2d(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
     velocity: wp.array2d(dtype=wp.float64),
-    gradient: wp.array2d(dtype=wp.float64),
     # State in and out:
     dof: wp.array2d(dtype=wp.float64),
-    # State out:
-    gradient_before_out: wp.array2d(dtype=wp.float64),
 ):
     """Newton starts where the free degrees of freedom would be without acceleration."""
     r, a = wp.tid()
     if starting[r] == 0:
         return
-    gradient_before_out[r, a] = gradient[r, a]
     if free[r, a] != 0:
         dof[r, a] = dof[r, a] + step[r] * velocity[r, a]
 
@@ -100,7 +97,6 @@ def add_inertia(
     # Model:
     mass: wp.array2d(dtype=wp.float64),
     air_damping: wp.array(dtype=wp.float64),
-    internal_damping: wp.array(dtype=wp.float64),
     # State in:
     active: wp.array(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
@@ -110,15 +106,12 @@ def add_inertia(
     dof_older: wp.array2d(dtype=wp.float64),
     velocity_before: wp.array2d(dtype=wp.float64),
     velocity_older: wp.array2d(dtype=wp.float64),
-    gradient_before: wp.array2d(dtype=wp.float64),
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
 ):
-    """Turn gradient and Hessian of the potential energy into residual and matrix of a step.
-
-    Damping: by the air, c m v, and inside, b d(gradient)/dt, which is Kelvin-Voigt's.
-    """
+    """Turn gradient and Hessian of the potential energy into residual and matrix of a step: add
+    inertia and the air's drag c m v."""
     r, a = wp.tid()
     if active[r] == 0:
         return
@@ -127,14 +120,7 @@ def add_inertia(
     m = mass[r, a]
     v = difference(c, dt, dof[r, a], dof_before[r, a], dof_older[r, a])
     acceleration = difference(c, dt, v, velocity_before[r, a], velocity_older[r, a])
-    viscous = internal_damping[r] / dt
-    g = gradient[r, a]
-    gradient[r, a] = (
-        g + viscous * (g - gradient_before[r, a]) + m * (acceleration + air_damping[r] * v)
-    )
-    if viscous > ZERO:
-        for k in range(HALF_BANDWIDTH + 1):
-            hessian[r, a, k] = (ONE + viscous) * hessian[r, a, k]
+    gradient[r, a] = gradient[r, a] + m * (acceleration + air_damping[r] * v)
     rate = c[0] / dt
     hessian[r, a, 0] = hessian[r, a, 0] + m * rate * (rate + air_damping[r])
 

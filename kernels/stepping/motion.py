@@ -12,25 +12,11 @@ Arrays of the model with a leading axis of one are shared by all rods.
 """
 
 import warp as wp
-from wrod.kernels.elastic.curvature import component, stencil
+from wrod.kernels.elastic.curvature import stencil
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node, parallel_transport, signed_angle
+from wrod.kernels.stepping.viscosity import strain
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def strain(
-    dof: wp.array2d(dtype=wp.float64),
-    director: wp.array2d(dtype=wp.vec3d),
-    reference_twist: wp.array2d(dtype=wp.float64),
-    r: int,
-    i: int,
-) -> wp.vec3d:
-    s = stencil(dof, director, r, i)
-    first = component(s, 0)
-    second = component(s, 1)
-    twist = dof[r, 4 * i + 3] - dof[r, 4 * i - 1] + reference_twist[r, i]
-    return wp.vec3d(first.kappa, second.kappa, twist)
 
 
 @wp.kernel

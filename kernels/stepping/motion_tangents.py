@@ -11,7 +11,8 @@ from wrod.kernels.elastic.assembly import HALF_BANDWIDTH, add_edge_gradient
 from wrod.kernels.elastic.curvature import component, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node
 from wrod.kernels.linear.banded import banded_entry
-from wrod.kernels.stepping.motion import drag_force, drag_matrix, rate, strain
+from wrod.kernels.stepping.motion import drag_force, drag_matrix, rate
+from wrod.kernels.stepping.viscosity import strain
 
 wp.set_module_options({"enable_backward": False})
 

@@ -7,7 +7,7 @@ from scipy.linalg import eigh
 from wrod.rods.batch import RodBatch, full_hessian
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.stability import smallest_eigenvalue
-from wrod.solvers.statics import prescribe, solve_equilibrium
+from wrod.solvers.statics import prescribe, solve_equilibria
 
 
 def columns(end_load, weight, edges=100):
@@ -109,7 +109,7 @@ def test_a_column_past_its_load_does_not_stay_on_the_saddle():
     load = batch.point_load.numpy()
     load[:, -1, 0] = 1e-3, -1e-3
     batch.point_load.assign(load)
-    result = solve_equilibrium(batch, max_iterations=200)
+    result = solve_equilibria(batch, max_iterations=200)
     assert result.converged.all()
     assert (smallest_eigenvalue(batch) > 0.0).all()
     tip = batch.positions()[:, -1, 0]

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from wrod.rods.batch import RodBatch
-from wrod.solvers.statics import prescribe, solve_equilibrium
+from wrod.solvers.statics import prescribe, solve_equilibria
 
 
 def straight_rods(node_count, length, direction, rod_count=1, **properties):
@@ -32,7 +32,7 @@ def test_heavy_cantilever_small_deflection():
     weight = 1e-3
     batch = straight_rods(81, 1.0, (1, 0, 0), gravity=(0, 0, -weight))
     prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
-    result = solve_equilibrium(batch)
+    result = solve_equilibria(batch)
     assert result.converged.all()
     # The clamp holds the first edge, so the free length starts half an edge later: O(h).
     free = 1.0 - 0.5 / 80
@@ -68,7 +68,7 @@ def test_heavy_cantilever_large_deflection():
             gravity=(0, 0, -weight),
         )
         prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
-        assert solve_equilibrium(batch).converged.all()
+        assert solve_equilibria(batch).converged.all()
         tips.append(np.hypot(batch.positions()[0, -1, 0] - x, batch.positions()[0, -1, 2] - z))
     assert tips[-1] < 2e-4
     assert np.log2(tips[0] / tips[1]) > 1.8
@@ -90,7 +90,7 @@ def euler_negative_pivots(load, node_count=201):
         point_load=force,
     )
     prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
-    system_batch = solve_equilibrium(batch, max_iterations=3)
+    system_batch = solve_equilibria(batch, max_iterations=3)
     return int(system_batch.negative_pivots[0])
 
 
@@ -106,7 +106,7 @@ def test_helix_from_natural_curvature_and_twist():
     k, t, n = 3.0, 1.2, 161
     batch = straight_rods(n, 3.0, (0, 0, 1), natural_curvature=(k, 0.0), natural_twist=t)
     prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
-    assert solve_equilibrium(batch).converged.all()
+    assert solve_equilibria(batch).converged.all()
     q = batch.positions()[0]
     d1 = np.gradient(q, 3.0 / (n - 1), axis=0)
     d2 = np.gradient(d1, 3.0 / (n - 1), axis=0)
@@ -127,12 +127,12 @@ def test_rods_of_a_batch_do_not_see_each_other():
     gravity[:, 2] = -weights
     batch = straight_rods(41, 1.0, (1, 0, 0), rod_count=3, gravity=gravity)
     prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
-    assert solve_equilibrium(batch).converged.all()
+    assert solve_equilibria(batch).converged.all()
     together = batch.positions()
     for r in range(3):
         alone = straight_rods(41, 1.0, (1, 0, 0), gravity=gravity[r])
         prescribe(alone, clamped_nodes=(0, 1), clamped_angles=(0,))
-        solve_equilibrium(alone)
+        solve_equilibria(alone)
         assert np.abs(alone.positions()[0] - together[r]).max() < 1e-9
 
 
@@ -140,7 +140,7 @@ def test_hopeless_rod_is_flagged_and_others_go_on():
     gravity = [[0.0, 0.0, -50.0], [0.0, 0.0, 0.0]]
     batch = straight_rods(21, 1.0, (1, 0, 0), rod_count=2, gravity=gravity)
     prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
-    result = solve_equilibrium(batch, max_iterations=1)
+    result = solve_equilibria(batch, max_iterations=1)
     assert result.converged.tolist() == [False, True]
     assert result.residual[0] > 1e-9
     assert np.isfinite(batch.positions()).all()
@@ -152,7 +152,7 @@ def test_continuation_reaches_what_a_cold_start_does_not():
     prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,), pinned_nodes=(-1,))
     target = batch.state.dof.numpy()
     target[0, -3:] = (0.15, 0.3, 0.2)
-    result = solve_equilibrium(batch, prescribed=target)
+    result = solve_equilibria(batch, prescribed=target)
     assert result.converged.all()
     assert result.progress[0] == 1.0
     assert result.negative_pivots[0] == 0

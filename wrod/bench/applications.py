@@ -6,6 +6,7 @@ import json
 import time
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -100,7 +101,7 @@ def command(
     written += [out / "applications.md", draw(out / "applications.png", rows), ledger.path]
     cables = draw_cables(out / "cables.png", rows)
     written += [] if cables is None else [cables]
-    figures = {
+    figures: dict[str, Any] = {
         "machine": machine_line(device),
         "device": device,
         "trials": len(rows),

@@ -184,7 +184,7 @@ def tightest(rods: list[np.ndarray]) -> np.ndarray:
 
 def _shown(row: dict, stage: str, wanted: str) -> str:
     """The knot at a stage; a tight one is still there if some closures show it."""
-    from wrod.knots.tying import STILL
+    from wrod.knots.trials import STILL
 
     name, _, share = row["knots"].get(stage, ["", 0.0, 0.0])
     return wanted if stage == "pulled" and share >= STILL else name

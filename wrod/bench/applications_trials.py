@@ -159,7 +159,8 @@ def _stage(folder: Path, row: dict, scenes: list[Path], places, **film):
 
 
 def _knot(case, method, trials, device, folder):
-    from wrod.knots.tying import Handling, tie
+    from wrod.knots.trials import Handling
+    from wrod.knots.tying import tie
 
     knot = knot_plan(case)
     clock = time.process_time()

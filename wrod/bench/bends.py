@@ -78,7 +78,7 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
     from wrod.bench.bend_shapes import bend
     from wrod.knots.pull import CREEP, keep_up
     from wrod.knots.topology import recognise_pair
-    from wrod.knots.tying import STILL
+    from wrod.knots.trials import STILL
     from wrod.knots.workbench import Poses, Workbench
     from wrod.solvers.contact import Friction
 

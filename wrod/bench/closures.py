@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -92,9 +93,9 @@ def command(
             stretch_ratios or given["stretch_ratios"], "stretch-ratios", 50.0, 1e5
         ),
     }
-    courses = _drawn(rods or given["rods"], names or given["names"], patterns)
-    courses += _arcs(axes["curvatures"], axes["stretch_ratios"])
-    nodes = _nodes(courses, spacing)
+    curves = _drawn(rods or given["rods"], names or given["names"], patterns)
+    curves += _arcs(axes["curvatures"], axes["stretch_ratios"])
+    nodes = _nodes(curves, spacing)
     settings = {
         "speed": speed,
         "step": step,
@@ -106,18 +107,18 @@ def command(
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures")
     start = time.perf_counter()
-    plans, lacking = _plans(courses, METHODS, device, as_json)
+    plans, lacking = _plans(curves, METHODS, device, as_json)
     planned = time.perf_counter() - start
     keys = [
-        (course.rod_name, course.name, mu, method, trial)
-        for trial, course, mu, method in product(range(trials), courses, axes["frictions"], METHODS)
-        if (course.rod_name, course.name, method) in plans
+        (curve.rod_name, curve.name, mu, method, trial)
+        for trial, curve, mu, method in product(range(trials), curves, axes["frictions"], METHODS)
+        if (curve.rod_name, curve.name, method) in plans
     ]
     lying = [
-        (course.rod_name, course.name, mu, PUT_DOWN, 0)
-        for course, mu in product(courses, axes["frictions"])
+        (curve.rod_name, curve.name, mu, PUT_DOWN, 0)
+        for curve, mu in product(curves, axes["frictions"])
     ]
-    by_name = {(course.rod_name, course.name): course for course in courses}
+    by_name = {(curve.rod_name, curve.name): curve for curve in curves}
 
     def lay(part, progress):
         deployments = simulate_deployments(
@@ -161,7 +162,7 @@ def command(
         draw_friction(out / "friction.png", table),
         ledger.path,
     ]
-    figures = {
+    figures: dict[str, Any] = {
         "machine": machine_line(device),
         "device": device,
         "trials": len(keys),
@@ -185,13 +186,13 @@ def command(
 
 
 @dataclass(frozen=True)
-class Course:
+class Curve:
     """What is laid by which rod; `led` is the pattern with the remainder of its plan."""
 
     rod_name: str
     name: str
-    led: object
-    rod: object
+    led: Any
+    rod: Any
 
 
 def _numbers(text: str, name: str, low: float, high: float) -> list[float]:
@@ -206,7 +207,7 @@ def _numbers(text: str, name: str, low: float, high: float) -> list[float]:
     return sorted(set(values))
 
 
-def _arcs(curvatures: list[float], ratios: list[float]) -> list[Course]:
+def _arcs(curvatures: list[float], ratios: list[float]) -> list[Curve]:
     """Arcs of constant curvature for rods that differ in thickness alone."""
     from wrod.patterns.pattern import Pattern
     from wrod.patterns.shapes import strokes
@@ -215,39 +216,39 @@ def _arcs(curvatures: list[float], ratios: list[float]) -> list[Course]:
 
     base = rod("green-vps")
     lgb = base.gravito_bending_length
-    courses = []
+    curves = []
     for ratio, kappa in product(ratios, curvatures):
         material = replace(base, radius=2.0 * lgb / ratio**0.5)
         bend = kappa / lgb
         ease, length = _ARC_EASE * lgb, _ARC_LENGTH * lgb
         pieces = [(ease, 0.0, bend), (length, bend, bend), (ease, bend, 0.0)]
         arc = Pattern(*strokes(0.0, pieces), name=f"arc {kappa:g}")
-        courses.append(Course(f"k_s {ratio:g}", arc.name, prepare(arc, material, None), material))
-    return courses
+        curves.append(Curve(f"k_s {ratio:g}", arc.name, prepare(arc, material, None), material))
+    return curves
 
 
-def _drawn(rods: str, names: str, folder: Path | None) -> list[Course]:
+def _drawn(rods: str, names: str, folder: Path | None) -> list[Curve]:
     from wrod.bench.table3_paper import read_pattern
     from wrod.planning.plan import prepare
     from wrod.rods.material import rod
 
-    courses = []
+    curves = []
     for rod_name, name in product(rods.split(","), names.split(",")):
         material = rod(rod_name)
         drawn = read_pattern(name, folder)
-        courses.append(Course(rod_name, name, prepare(drawn, material, None), material))
-    return courses
+        curves.append(Curve(rod_name, name, prepare(drawn, material, None), material))
+    return curves
 
 
-def _nodes(courses: list[Course], spacing: float) -> int:
+def _nodes(curves: list[Curve], spacing: float) -> int:
     """The same for all, so that no trial depends on which others are simulated."""
     from wrod.deployment.setup import mesh
 
-    return max(len(mesh(c.rod, c.led.length + c.led.remainder_length, spacing)) for c in courses)
+    return max(len(mesh(c.rod, c.led.length + c.led.remainder_length, spacing)) for c in curves)
 
 
-def _plans(courses: list[Course], methods, device: str, quiet: bool) -> tuple[dict, list[str]]:
-    """(rod, course, method) -> trajectory and tail; and sentences on what could not be planned."""
+def _plans(curves: list[Curve], methods, device: str, quiet: bool) -> tuple[dict, list[str]]:
+    """(rod, curve, method) -> trajectory and tail; and sentences on what could not be planned."""
     from tqdm import tqdm
 
     from wrod.deployment.setup import tail
@@ -255,25 +256,25 @@ def _plans(courses: list[Course], methods, device: str, quiet: bool) -> tuple[di
     from wrod.planning.plan import plan
 
     plans, lacking = {}, []
-    jobs = list(product(courses, methods))
-    for course, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
-        how = {"method": "intuitive"}
+    jobs = list(product(curves, methods))
+    for curve, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
+        how: dict[str, Any] = {"method": "intuitive"}
         if method != "intuitive":
             how = {"method": "numeric", "closure": method}
         try:
             path = plan(
-                course.led, course.rod, **how,
+                curve.led, curve.rod, **how,
                 spacing=_PLAN_SPACING, remainder=False, device=device,
             )  # fmt: skip
         except GraspError as error:
-            lacking.append(f"{course.rod_name}, {course.name}, {method}: no plan ({error}).")
+            lacking.append(f"{curve.rod_name}, {curve.name}, {method}: no plan ({error}).")
             continue
-        plans[course.rod_name, course.name, method] = (path, tail(course.led, course.rod, path))
+        plans[curve.rod_name, curve.name, method] = (path, tail(curve.led, curve.rod, path))
     return plans, lacking
 
 
-def _trial(key: tuple, courses: dict, plans: dict):
-    """A rod's trials of a course meet the same disturbances by every method on every table."""
+def _trial(key: tuple, curves: dict, plans: dict):
+    """A rod's trials of a curve meet the same disturbances by every method on every table."""
     import zlib
 
     from wrod.deployment.setup import Disturbance
@@ -281,12 +282,12 @@ def _trial(key: tuple, courses: dict, plans: dict):
     from wrod.solvers.contact import Friction
 
     rod_name, name, mu, method, trial = key
-    course = courses[rod_name, name]
+    curve = curves[rod_name, name]
     path, rest = plans[rod_name, name, method]
     seed = zlib.crc32(f"{rod_name} {name} {trial}".encode())
     # Misplacement moves whatever is laid, and says nothing about how it was laid.
     disturbance = replace(Disturbance.random(seed), offset=(0.0, 0.0), yaw=0.0)
-    return Trial(course.led, course.rod, path, Friction(mu), disturbance, rest)
+    return Trial(curve.led, curve.rod, path, Friction(mu), disturbance, rest)
 
 
 def _figures(deployment, pattern) -> dict:
@@ -301,13 +302,13 @@ def _fifths(error) -> list[float]:
     return [round(100.0 * float(part.mean()), 5) for part in error.reshape(5, -1)]
 
 
-def _put_down_rows(part: list[tuple], courses: dict, nodes: int, step: float, device: str):
+def _put_down_rows(part: list[tuple], curves: dict, nodes: int, step: float, device: str):
     from wrod.bench.closures_report import KEYS
     from wrod.bench.put_down import put_down
     from wrod.deployment.result import errors_along
     from wrod.solvers.contact import Friction
 
-    jobs = [(courses[k[:2]].led, courses[k[:2]].rod, Friction(k[2])) for k in part]
+    jobs = [(curves[k[:2]].led, curves[k[:2]].rod, Friction(k[2])) for k in part]
     rows = []
     for key, (pattern, *_), (s, place, diverged, steps) in zip(
         part, jobs, put_down(jobs, node_count=nodes, step=step, device=device), strict=True

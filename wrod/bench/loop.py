@@ -7,6 +7,7 @@ import time
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -167,7 +168,7 @@ def command(
         out / "loop.md",
         draw(out / "loop.png", rows, curves),
     ]
-    figures = {
+    figures: dict[str, Any] = {
         "machine": machine_line(device),
         "device": device,
         "found": found,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -60,7 +61,7 @@ def clamped_experiment(
     reach = free_length * (rng.uniform(-0.1, 0.1, (trials, 3)) + [0.7, 0.0, 0.0])
     arc_length = np.linspace(0.0, free_length, markers)
     foot = np.tile([0.3, -0.2, 0.5], (trials, 1))
-    data = {
+    data: dict[str, Any] = {
         "clamp_position": foot,
         "clamp_rotation": clamp,
         "grip_position": foot + reach,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from wrod.rods.material import RodMaterial
 
@@ -19,9 +20,9 @@ class Case:
     the one that ships knows it), and the roll that plans hold it at (see `wrod.plan`)."""
 
     true: RodMaterial
-    report: object
+    report: Any
     model: RodMaterial
-    network: object | None
+    network: Any
     roll: float | str
 
 
@@ -45,7 +46,7 @@ def network_for(
     steps: int | None,
     seed: int,
     device: str,
-    progress: Callable[[float], None],
+    progress: Callable[[float], object],
 ):
     """A controller trained for a naturally curved rod, written to `folder`; None for a straight
     rod, which the one that ships knows."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from typing import Any
 
 import click
 
@@ -39,7 +40,7 @@ def command(count: int, lengths: int, device: str, threads: int, as_json: bool) 
     from wrod.rods.batch import resolve_device
 
     device = resolve_device(device)
-    options = {"device": device, "threads": threads or None}
+    options: dict[str, Any] = {"device": device, "threads": threads or None}
 
     def clocked(work):
         work_clock, cpu = time.perf_counter(), time.process_time()
@@ -52,7 +53,7 @@ def command(count: int, lengths: int, device: str, threads: int, as_json: bool) 
 
     position, length, ratio = held_inputs(count)
     held, wall, cpu = clocked(lambda: equilibrium(position, length, ratio, **options))
-    figures = {
+    figures: dict[str, Any] = {
         "machine": machine_line(device),
         "device": device,
         "equilibria": count,

@@ -22,6 +22,7 @@ import numpy as np
 import warp as wp
 
 from wrod.rods.batch import RodBatch
+from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
@@ -188,17 +189,18 @@ def pull(
     speed, period = 1 / (slowness * loosest**2), loosest**2
     shortening = 2 * np.pi * start
     position = open_trefoil(shortening, 2 * start, spacing)
-    count = len(position)
     edge = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    mass = np.zeros(count)
-    mass[:-1] += edge / 2
-    mass[1:] += edge / 2
-    batch = RodBatch(
-        np.repeat(position[None], len(friction), axis=0),
-        stretching_stiffness=40.0,  # inextensible against the tension of a knot
+    arc_length = np.concatenate([[0.0], np.cumsum(edge)])
+    rod = RodModel(
+        length=arc_length[-1],
         bending_stiffness=1.0,
         twisting_stiffness=1 / 1.5,
-        node_mass=mass,
+        stretching_stiffness=40.0,  # inextensible against the tension of a knot
+        line_mass=1.0,
+        radius=1.0,
+    )
+    batch = RodBatch.of(
+        rod, arc_length, np.repeat(position[None], len(friction), axis=0), gravity=0.0
     )
     smooth, rough = (
         RodContact(batch, 1.0, [Friction(f) for f in coefficients], stiffness=stiffness)

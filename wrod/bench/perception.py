@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -40,7 +41,7 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
     if not sets:
         raise DataError(f"{images}: no SET/gt folder with labels; give --images FOLDER")
     cv2.setNumThreads(1)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for folder in sets:
         counts = folder / "crossings.json"
         crossings = json.loads(counts.read_text()) if counts.exists() else {}

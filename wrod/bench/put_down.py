@@ -33,7 +33,6 @@ def put_down(
     patterns, rods, friction = zip(*courses, strict=True)
     lengths = np.array([p.length + p.remainder_length for p in patterns])
     arc_length = np.linspace(0.0, lengths, node_count, axis=1)
-    rest = np.diff(arc_length, axis=1)
     places, directors = [], []
     for pattern, rod, s in zip(patterns, rods, arc_length, strict=True):
         place, tangent, _ = pattern.sample(s - pattern.remainder_length)
@@ -41,24 +40,12 @@ def put_down(
         places.append(place)
         directors.append(np.cross([0.0, 0.0, 1.0], tangent[0]))
     weight = np.array([rod.weight for rod in rods])
-    gravity = np.zeros((len(rods), 3))
-    gravity[:, 2] = [-rod.gravity for rod in rods]
-    shares = 0.5 * (weight / -gravity[:, 2])[:, None] * rest
-    mass = np.pad(shares, ((0, 0), (0, 1))) + np.pad(shares, ((0, 0), (1, 0)))
 
     def per_rod(name):
         return np.array([[getattr(rod, name)] for rod in rods])
 
-    batch = RodBatch(
-        np.stack(places),
-        rest_length=rest,
-        stretching_stiffness=per_rod("stretching_stiffness"),
-        bending_stiffness=per_rod("bending_stiffness"),
-        twisting_stiffness=per_rod("twisting_stiffness"),
-        node_mass=mass,
-        gravity=gravity,
-        director=np.stack(directors),
-        device=device,
+    batch = RodBatch.of(
+        rods, arc_length, np.stack(places), director=np.stack(directors), device=device
     )
     radius = per_rod("radius")[:, 0]
     # As in a deployment: the table gives way by a small part of the radius.

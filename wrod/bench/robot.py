@@ -101,7 +101,7 @@ def run_case(
             trajectory = wrod.plan(curve, wrod.rod(rod_name), method=method)
         started = time.process_time()
         path = wrod.solve_joint_path(trajectory)
-        row["cpu"] = time.process_time() - started
+        row |= {"cpu": time.process_time() - started}
         if finer:
             row |= against_finer(path, curve, wrod.rod(rod_name), method, trajectory)
     except WrodError as error:

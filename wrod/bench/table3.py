@@ -6,6 +6,7 @@ import json
 import time
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -100,7 +101,7 @@ def command(
         draw(out / "table3.png", rows, curves),
         ledger.path,
     ]
-    figures = {
+    figures: dict[str, Any] = {
         "machine": machine_line(device),
         "device": device,
         "trials": len(rows),

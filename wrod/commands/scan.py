@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -69,7 +70,7 @@ def command(
         raise PerceptionError(
             f"several pictures are called {', '.join(twice)}; scan them into different folders"
         )
-    reading = {
+    reading: dict[str, Any] = {
         "markers": None if markers is None else MarkerLayout.load(markers),
         "sheet": None if sheet is None else parse_numbers(sheet, 2, "--sheet", "x"),
         "scale": scale,

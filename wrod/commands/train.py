@@ -92,8 +92,12 @@ def command(
             f"{dataset}: holds grasps of one straight rod, and the controller that ships knows "
             "those of all; plan with it"
         )
-    changes = {"steps": steps, "batch": batch, "width": width}
-    changes["sensitivity_weight"] = sensitivity_weight
+    changes = {
+        "steps": steps,
+        "batch": batch,
+        "width": width,
+        "sensitivity_weight": sensitivity_weight,
+    }
     recipe = find(name or ("curved" if curved else "default"))
     recipe = replace(recipe, **{k: v for k, v in changes.items() if v is not None})
     recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))

@@ -27,6 +27,7 @@ from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.batch import RodBatch, node_positions, resolve_device
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 from wrod.solvers.contact import Contact, Friction, Plane
 from wrod.solvers.dynamics import Dynamics
 
@@ -107,13 +108,15 @@ def simulate_deployments(
     frame_interval: float | None = None,
     device: str | None = "cpu",
     threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> list[Deployment]:
     """Simulate many deployments at once; those that diverge are flagged and the others go on.
 
     Args:
         trials: what to simulate.
-        hold: length of the free end that is laid and held along the pattern at first [m].
+        hold: length of the free end that is laid and held along the pattern at first [m]; 0: the
+            rod hangs from the grip's first pose with its free end on the pattern's first point,
+            and that point alone is held until the grip is there.
         release: laid length at which the free end is let go [m]; default: `hold`.
         speed: at which the contact moves [m/s], slower where the grip has far to go; the tail is
             laid twice as fast.
@@ -130,9 +133,11 @@ def simulate_deployments(
         threads: CPU threads; default: one per core.
         progress: called with the fraction done since the last call, of all trials.
     """
-    for name, value in (("hold", hold), ("speed", speed), ("spacing", spacing)):
+    for name, value in (("speed", speed), ("spacing", spacing)):
         if not (np.isfinite(value) and value > 0):
             raise RodError(f"{name} is {value!r}; give a positive finite number")
+    if not (np.isfinite(hold) and hold >= 0):
+        raise RodError(f"hold is {hold!r}; give a length in metres, or 0 for a free end")
     if not trials:
         return []
     device = resolve_device(device)
@@ -329,7 +334,8 @@ def _stiffness(rods: list[RodMaterial], fixtures: list[Fixtures | None]) -> np.n
 
 
 def _batch(trials, setups, device) -> tuple[RodBatch, list[RodMaterial]]:
-    """The rods as they are: with the L_gb that they have, not the one that the plan believed."""
+    """The rods as they are: with the L_gb that they have, not the one that the plan believed, and
+    in the directors of the batch, the first to the left of the laid rod, the second above it."""
     rods = [
         replace(
             t.rod,
@@ -337,26 +343,16 @@ def _batch(trials, setups, device) -> tuple[RodBatch, list[RodMaterial]]:
         )
         for t in trials
     ]
-    rest = np.stack([np.diff(setup.arc_length) for setup in setups])
-    mass = np.zeros((len(trials), rest.shape[1] + 1))
-    line_density = np.array([[rod.weight / rod.gravity] for rod in rods])
-    mass[:, :-1] += 0.5 * line_density * rest
-    mass[:, 1:] += 0.5 * line_density * rest
-    gravity = np.zeros((len(rods), 3))
-    gravity[:, 2] = [-rod.gravity for rod in rods]
-    natural = np.zeros((len(rods), 1, 2))
-    # The first director of the batch is to the left of the laid rod, the second above it.
-    natural[:, 0] = [t.rod.curvature_held(t.trajectory.metadata.get("roll", 0.0)) for t in trials]
-    natural[:, 0, 0] += [t.disturbance.natural_curvature for t in trials]
-    batch = RodBatch(
+    held = []
+    for trial, rod in zip(trials, rods, strict=True):
+        model = RodModel.of(rod).turned(trial.trajectory.metadata.get("roll", 0.0))
+        left, up = model.natural_curvature
+        bent = trial.disturbance.natural_curvature
+        held.append(replace(model, natural_curvature=(left + bent, up)))
+    batch = RodBatch.of(
+        held,
+        np.stack([setup.arc_length for setup in setups]),
         np.stack([setup.position for setup in setups]),
-        rest_length=rest,
-        stretching_stiffness=np.array([[rod.stretching_stiffness] for rod in rods]),
-        bending_stiffness=np.array([[rod.bending_stiffness] for rod in rods]),
-        twisting_stiffness=np.array([[rod.twisting_stiffness] for rod in rods]),
-        natural_curvature=natural,
-        node_mass=mass,
-        gravity=gravity,
         director=np.stack([setup.director for setup in setups]),
         device=device,
     )

@@ -12,6 +12,7 @@ from scipy.optimize import brentq, root
 from wrod.errors import WrodError
 from wrod.grasps.mesh import WEIGHT
 from wrod.rods.batch import RodBatch
+from wrod.rods.model import RodModel
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 # Dimensionless stretching stiffness of a rod that is stretched by less than 1e-5.
@@ -58,18 +59,16 @@ class _Loop:
         edge = length / self.edge_count
         inner = length * self.nodes
         inner = np.concatenate([[[-edge, 0, 0]], inner, inner[-1:] - [[edge, 0, 0]]])
-        mass = np.full(len(inner), WEIGHT * edge)
-        mass[[0, -1]] = 0.0
-        mass[[1, -2]] /= 2
-        batch = RodBatch(
-            inner[None],
-            rest_length=edge,
-            stretching_stiffness=_STRETCH_RATIO,
+        rod = RodModel(
+            length=length,
             bending_stiffness=1.0,
             twisting_stiffness=2.0 / 3.0,
-            node_mass=mass,
-            gravity=(0.0, 0.0, -1.0),
+            stretching_stiffness=_STRETCH_RATIO,
+            line_mass=WEIGHT,
+            radius=1.0,
+            gravity=1.0,
         )
+        batch = RodBatch.of(rod, edge * np.arange(len(inner)), inner[None])
         prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0,))
         target = batch.state.dof.numpy().copy()
         target[0, -7:-4] = end, 0.0, 0.0

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.setup import disturb, prepare_deployment, tail
-from wrod.knots.course import Course, laying_of
+from wrod.knots.tying_run import TyingRun, laying_of
 from wrod.knots.workbench import Poses, Workbench
 
 # Length of the edges over the rod's radius: rods in contact want edges no longer than thick.
@@ -20,46 +20,46 @@ _EDGE = 2.0
 _HOLD, _RELEASE = 0.05, 0.10
 
 
-def lay(course: Course, k: int) -> None:
+def lay(run: TyingRun, k: int) -> None:
     """Put the scene's rods on a new table, the next one hanging from the first hand, lay it, and
     let it go."""
-    pattern, rod, trajectory = course.plans[k]
+    pattern, rod, trajectory = run.plans[k]
     edges = int(np.ceil(rod.length / (_EDGE * rod.radius)))
     arc = np.linspace(0.0, rod.length, edges + 1)
     rest = tail(pattern, rod, trajectory)
     undisturbed = prepare_deployment(
-        pattern, rod, trajectory, arc, rest, hold=_HOLD, release=_RELEASE, speed=course.speed
+        pattern, rod, trajectory, arc, rest, hold=_HOLD, release=_RELEASE, speed=run.speed
     )
-    setups = [disturb(undisturbed, laying_of(trial, k)) for trial in course.trials]
+    setups = [disturb(undisturbed, laying_of(trial, k)) for trial in run.trials]
     position = np.stack([setup.position for setup in setups])
     director = np.stack([setup.director for setup in setups])
     director = np.stack([_carried(p, d) for p, d in zip(position, director, strict=True)])
-    if course.bench is not None:
-        before = course.bench.batch
+    if run.bench is not None:
+        before = run.bench.batch
         lying = before.positions()
-        for scene in range(len(course.trials)):
-            position[scene] = _over(course, lying[scene], position[scene], arc, rod.radius)
+        for scene in range(len(run.trials)):
+            position[scene] = _over(run, lying[scene], position[scene], arc, rod.radius)
         director = np.stack([_carried(p, d[0]) for p, d in zip(position, director, strict=True)])
         position = np.concatenate([lying, position], axis=1)
         link = position[:, before.node_count] - position[:, before.node_count - 1]
         across = np.cross(link, [0.31, 0.59, 0.74])[:, None]
         director = np.concatenate([before.material_directors()[:, :, 0], across, director], axis=1)
-        course.count_steps()
-    course.arc.append(arc)
-    course.begun = course.elapsed
-    counts = [len(nodes) for nodes in course.arc]
+        run.count_steps()
+    run.arc.append(arc)
+    run.begun = run.elapsed
+    counts = [len(nodes) for nodes in run.arc]
     natural = [
         np.repeat([laying_of(trial, j).natural_curvature for j in range(k + 1)], counts)
-        for trial in course.trials
+        for trial in run.trials
     ]
-    course.bench = bench = Workbench(
-        [scene[: k + 1] for scene in course.true_rods],
-        course.arc,
+    run.bench = bench = Workbench(
+        [scene[: k + 1] for scene in run.true_rods],
+        run.arc,
         position,
         director,
-        course.friction,
-        step=course.step,
-        device=course.device,
+        run.friction,
+        step=run.step,
+        device=run.device,
         natural_curvature=np.array(natural),
     )
     schedule = [setup.schedule for setup in setups]
@@ -70,24 +70,24 @@ def lay(course: Course, k: int) -> None:
 
     def follow(t: float) -> list[Poses]:
         key = min(round(t / KEY_INTERVAL), keys - 1)
-        return [Poses(table[:, key], Rotation.from_quat(turns[:, key])), course.home[1]]
+        return [Poses(table[:, key], Rotation.from_quat(turns[:, key])), run.home[1]]
 
     nodes = bench.slices[-1]
     bench.held.hold_still(slice(nodes.start, nodes.start + schedule[0].held_nodes))
     start = follow(0.0)
-    for scene in range(len(course.trials)):
+    for scene in range(len(run.trials)):
         bench.held.grasp(scene, 0, last, start[0])
-    course.closed[:, 0] = True
-    bench.run(min(s.release_time for s in schedule), follow, course.watch(follow))
+    run.closed[:, 0] = True
+    bench.run(min(s.release_time for s in schedule), follow, run.watch(follow))
     bench.held.hold_still(None)
-    bench.run(min(s.let_go_time for s in schedule), follow, course.watch(follow))
-    for scene in range(len(course.trials)):
+    bench.run(min(s.let_go_time for s in schedule), follow, run.watch(follow))
+    for scene in range(len(run.trials)):
         bench.held.open(scene, 0)
-    course.closed[:, 0] = False
-    bench.run(bench.time + 1.0, follow, course.watch(follow))
-    course.elapsed += bench.time
-    course.now = follow(bench.time)
-    for scene, result in enumerate(course.results):
+    run.closed[:, 0] = False
+    bench.run(bench.time + 1.0, follow, run.watch(follow))
+    run.elapsed += bench.time
+    run.now = follow(bench.time)
+    for scene, result in enumerate(run.results):
         laid = bench.positions()[-1][scene]
         target = pattern.sample(
             np.clip(arc - pattern.remainder_length, -pattern.remainder_length, pattern.length)
@@ -98,14 +98,14 @@ def lay(course: Course, k: int) -> None:
 
 
 def _over(
-    course: Course, lying: np.ndarray, start: np.ndarray, arc: np.ndarray, radius: float
+    run: TyingRun, lying: np.ndarray, start: np.ndarray, arc: np.ndarray, radius: float
 ) -> np.ndarray:
     """(node, 3) the first shape of a rod, held over what already lies where it begins.
 
     Rods that were laid astray may lie there; the hand that holds the free end lays it over them.
     """
     raised = start.copy()
-    for nodes, (_, rod, _) in zip(course.bench.slices, course.plans, strict=False):
+    for nodes, (_, rod, _) in zip(run.bench.slices, run.plans, strict=False):
         thick = rod.radius + radius
         below = _refined(lying[nodes])
         if cKDTree(below).query(_refined(start))[0].min() > 0.95 * thick:

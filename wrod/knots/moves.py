@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.knots.course import Course
 from wrod.knots.hand_paths import hand_path, path_length, smooth
 from wrod.knots.plan import Move
+from wrod.knots.tying_run import TyingRun
 from wrod.knots.workbench import Poses
 
 _REST = 0.6  # [s]
@@ -16,64 +18,63 @@ _PEAK = 1.9
 _EMPTY_SPEED = 0.25  # of hands that carry nothing [m/s]
 
 
-def make(course: Course, moves: list[Move], name: str) -> None:
+def make(run: TyingRun, moves: Sequence[Move], name: str) -> None:
     """Moves of one step, the hands at the same time."""
-    bench = course.bench
-    approach(course, {move.hand: course.planned(move) for move in moves})
+    bench = run.bench
+    approach(run, {move.hand: run.planned(move) for move in moves})
     starts, ends = {}, {}
     for move in moves:
-        at = course.planned(move)
+        at = run.planned(move)
         path = hand_path(at, np.array([*move.to, at[2] * move.lay_height]), move.lift)
         starts[move.hand], ends[move.hand] = at, (path, np.radians(move.turn), move)
     begin = bench.time
     lengths = [path_length(path) for path, _, _ in ends.values()]
-    duration = _PEAK * max(lengths) / course.hand_speed
+    duration = _PEAK * max(lengths) / run.hand_speed
 
     def poses(t: float) -> list[Poses]:
         u = smooth((t - begin) / duration)
         out = []
         for hand in range(2):
             if hand not in ends:
-                out.append(course.now[hand])
+                out.append(run.now[hand])
                 continue
             path, turn, _ = ends[hand]
-            out.append(course.hand_pose(hand, path(u), turn * u, starts[hand][2]))
+            out.append(run.hand_pose(hand, path(u), turn * u, starts[hand][2]))
         return out
 
     for move in moves:
-        course.grasp(move.hand, move.rod, name, poses(begin)[move.hand])
-        course.closed[:, move.hand] = True
-    after = course.watch(poses, name)
+        run.grasp(move.hand, move.rod, name, poses(begin)[move.hand])
+        run.closed[:, move.hand] = True
+    after = run.watch(poses, name)
     bench.run(begin + duration, poses, after)
     bench.run(bench.time + 0.2, poses, after)
     for move in moves:
-        for scene in range(len(course.trials)):
+        for scene in range(len(run.trials)):
             bench.held.open(scene, move.hand)
-        course.closed[:, move.hand] = False
-    bench.run(bench.time + _REST, poses, course.watch(poses))
-    course.now = poses(bench.time)
-    course.grasps += len(moves)
+        run.closed[:, move.hand] = False
+    bench.run(bench.time + _REST, poses, run.watch(poses))
+    run.now = poses(bench.time)
+    run.grasps += len(moves)
 
 
-def approach(course: Course, places: dict[int, np.ndarray]) -> None:
+def approach(run: TyingRun, places: dict[int, np.ndarray]) -> None:
     """Bring empty hands to where they grasp next, high above the table."""
-    bench, begin = course.bench, course.bench.time
+    bench, begin = run.bench, run.bench.time
     paths = {
-        h: (course.now[h], hand_path(course.now[h].position[0], at, 0.10))
-        for h, at in places.items()
+        h: (run.now[h], hand_path(run.now[h].position[0], at, 0.10)) for h, at in places.items()
     }
     duration = _PEAK * max(path_length(path) for _, path in paths.values()) / _EMPTY_SPEED
 
     def poses(t: float) -> list[Poses]:
         x = (t - begin) / duration
-        out = list(course.now)
+        out = list(run.now)
         for hand, (start, path) in paths.items():
-            here = course.hand_pose(hand, path(smooth(x)), floor=places[hand][2])
+            here = run.hand_pose(hand, path(smooth(x)), floor=places[hand][2])
             # Out of the pose in which the rod was laid into the upright one.
             turn = (here.rotation * start.rotation.inv()).as_rotvec()
             left = Rotation.from_rotvec((smooth(3.0 * x) - 1.0) * turn)
             out[hand] = Poses(here.position, left * here.rotation)
         return out
 
-    bench.run(begin + duration, poses, course.watch(poses))
-    course.now = poses(bench.time)
+    bench.run(begin + duration, poses, run.watch(poses))
+    run.now = poses(bench.time)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.knots.course import Course
 from wrod.knots.moves import approach
+from wrod.knots.tying_run import TyingRun
 from wrod.knots.workbench import TICK, Poses, Workbench
 
 # Once the pull is reached the knot comes to rest [s]; then the pull is kept up for so long [s], and
@@ -114,20 +114,20 @@ def keep_up(
     return Outcome(force, strongest, crept, held, poses(bench.time))
 
 
-def pull(course: Course) -> None:
+def pull(run: TyingRun) -> None:
     """Where the knot is tied, both hands grasp where the rods' ends were put down, pull with the
     plan's load, and keep it up."""
-    bench, knot = course.bench, course.knot
-    tied = [scene for scene, result in enumerate(course.results) if result.is_tied]
+    bench, knot = run.bench, run.knot
+    tied = [scene for scene, result in enumerate(run.results) if result.is_tied]
     if not tied:
         return
-    heights = [course.plans[one.rod][1].radius for one in knot.pull]
+    heights = [run.plans[one.rod][1].radius for one in knot.pull]
     starts = np.array([[*one.where, z] for one, z in zip(knot.pull, heights, strict=True)])
-    approach(course, dict(enumerate(starts)))
+    approach(run, dict(enumerate(starts)))
     for hand, one in enumerate(knot.pull):
-        place = course.hand_pose(hand, starts[hand], floor=heights[hand])
-        course.grasp(hand, one.rod, "pull", place, tied)
-        course.closed[tied, hand] = True
+        place = run.hand_pose(hand, starts[hand], floor=heights[hand])
+        run.grasp(hand, one.rod, "pull", place, tied)
+        run.closed[tied, hand] = True
     ways = np.array([[*one.direction, 0.0] for one in knot.pull])
     ways *= ([one.distance for one in knot.pull] / np.linalg.norm(ways, axis=1))[:, None]
     outcome = keep_up(
@@ -136,14 +136,14 @@ def pull(course: Course) -> None:
         ways,
         knot.load,
         2.0 * CREEP * min(rod.radius for _, rod in knot.rods),
-        speed=0.5 * course.hand_speed,
-        hand_pose=lambda hand, place: course.hand_pose(hand, place, floor=heights[hand]),
-        after_tick=lambda poses: course.watch(poses, "pull"),
-        when_tight=lambda scenes: course.note("tight", scenes),
+        speed=0.5 * run.hand_speed,
+        hand_pose=lambda hand, place: run.hand_pose(hand, place, floor=heights[hand]),
+        after_tick=lambda poses: run.watch(poses, "pull"),
+        when_tight=lambda scenes: run.note("tight", scenes),
     )
-    for scene, result in enumerate(course.results):
+    for scene, result in enumerate(run.results):
         result.load = outcome.load[scene]
         result.strongest = float(outcome.strongest[scene])
         result.crept = float(outcome.crept[scene])
         result.held = bool(outcome.held[scene])
-    course.now = outcome.poses
+    run.now = outcome.poses

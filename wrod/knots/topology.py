@@ -220,7 +220,7 @@ def _crossings(polygons: list[np.ndarray]) -> Diagram | None:
         if any(one[0] == other[0] for one, other in pairwise(curve)):
             return None
         ordered.append(tuple((k, over) for _, k, over in curve))
-    return Diagram(tuple(ordered), sign, pairs.reshape(-1, 2))
+    return Diagram(tuple(ordered), sign, np.reshape(pairs, (-1, 2)))
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.kernels.stepping import hands as kernels
 from wrod.rods.batch import RodBatch, RodState
+from wrod.rods.discretisation import end_to_end, mesh_arrays
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
@@ -172,33 +173,13 @@ class Workbench:
         ends = np.cumsum(counts)
         self.slices = [slice(e - n, e) for n, e in zip(counts, ends, strict=True)]
         cuts = [int(e) - 1 for e in ends[:-1]]
-        rest = np.concatenate([np.append(np.diff(arc), 1.0) for arc in self.arc_length])[:-1]
-        mass = (
-            np.concatenate(
-                [
-                    np.convolve(np.concatenate([[0.0], np.diff(arc), [0.0]]), [0.5, 0.5], "valid")
-                    for arc in self.arc_length
-                ]
-            )
-            * self._along("weight")
-            / self._along("gravity")
-        )
-        gravity = np.zeros((len(self.rods), 3))
-        gravity[:, 2] = [-scene[0].gravity for scene in self.rods]
-        natural = np.zeros((len(self.rods), sum(counts), 2))
-        natural[:, :, 0] = self.natural_curvature
-        batch = RodBatch(
-            self.position,
-            rest_length=np.broadcast_to(rest, (len(self.rods), len(rest))),
-            stretching_stiffness=self._along("stretching_stiffness")[:, :-1],
-            bending_stiffness=self._along("bending_stiffness"),
-            twisting_stiffness=self._along("twisting_stiffness"),
-            natural_curvature=natural,
-            node_mass=mass,
-            gravity=gravity,
-            director=self.director,
-            device=self.device,
-        )
+        lines = [
+            mesh_arrays([scene[k] for scene in self.rods], arc)
+            for k, arc in enumerate(self.arc_length)
+        ]
+        arrays = end_to_end(lines)
+        arrays["natural_curvature"][:, :, 0] += self.natural_curvature
+        batch = RodBatch(self.position, director=self.director, device=self.device, **arrays)
         if cuts:
             batch.cut(cuts)
         self.batch = batch

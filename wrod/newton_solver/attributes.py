@@ -8,7 +8,9 @@ import warp as wp
 from newton import Model, ModelBuilder
 
 from wrod.errors import RodError
+from wrod.rods.discretisation import mesh_arrays, principal_directors
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 FREE, PINNED, CLAMPED = 0, 1, 2
 HOLDS = {"free": FREE, "pinned": PINNED, "clamped": CLAMPED}
@@ -93,6 +95,7 @@ def register(builder: ModelBuilder) -> None:
     add(NODE, "node_twisting_stiffness", wp.float64)
     add(NODE, "node_natural_curvature", wp.vec2d)
     add(NODE, "node_natural_twist", wp.float64)
+    add(NODE, "node_softening", wp.vec2d)
     add(NODE, "node_q", wp.vec3d, assignment=state, move=_MOVE_POINTS)
     add(NODE, "node_qd", wp.vec3d, assignment=state, move=_TURN_NODES)
     add(NODE, "node_contact_f", wp.vec3d, assignment=state)
@@ -103,7 +106,7 @@ def register(builder: ModelBuilder) -> None:
 def add_rod(
     builder: ModelBuilder,
     points: np.ndarray,
-    material: RodMaterial,
+    rod: RodModel | RodMaterial,
     *,
     start: str,
     start_body: int,
@@ -113,8 +116,8 @@ def add_rod(
     velocity,
     natural_curvature,
     natural_twist,
-    air_damping: float,
-    internal_damping: float,
+    air_damping: float | None,
+    internal_damping: float | None,
     visible: bool,
     color,
     label: str | None,
@@ -125,8 +128,9 @@ def add_rod(
             "the builder does not know rods; call SolverDER.register_custom_attributes(builder) "
             "before SolverDER.add_rod"
         )
-    if not isinstance(material, RodMaterial):
-        raise RodError(f"material is {type(material).__name__}; give a wrod.RodMaterial")
+    model = RodModel.of(rod)
+    air_damping = model.air_damping if air_damping is None else air_damping
+    internal_damping = model.internal_damping if internal_damping is None else internal_damping
     points = _points(points)
     count = len(points)
     rest = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -142,6 +146,7 @@ def add_rod(
         if not (np.isfinite(value) and value >= 0):
             raise RodError(f"{name} is {value!r}; give a finite number of at least 0")
     directors = _directors(points, rest, director)
+    directors = principal_directors(model, directors, np.diff(points, axis=0) / rest[:, None])
 
     def per_node(name, value, size=()):
         try:
@@ -155,26 +160,24 @@ def add_rod(
         return value
 
     velocity = per_node("velocity", velocity, (3,))
-    if natural_curvature is None:
-        natural_curvature = material.natural_curvature
-    natural_curvature = per_node("natural_curvature", natural_curvature, (2,))
-    natural_twist = per_node("natural_twist", natural_twist)
-    mass = np.zeros(count)
-    mass[:-1] += rest / 2
-    mass[1:] += rest / 2
-    mass *= material.weight / material.gravity
+    if natural_curvature is not None:
+        natural_curvature = per_node("natural_curvature", natural_curvature, (2,))
+    if natural_twist is not None:
+        natural_twist = per_node("natural_twist", natural_twist)
+    nodes = _per_node(model, rest, natural_curvature, natural_twist)
 
     first_node = builder._custom_frequency_counts.get(NODE, 0)
     first_edge = builder._custom_frequency_counts.get(EDGE, 0)
     label = label or f"rod_{builder._custom_frequency_counts.get(ROD, 0)}"
-    body = _add_bodies(builder, points, directors, rest, material.radius, visible, color, label)
+    body = _add_bodies(builder, points, directors, rest, model.radius, visible, color, label)
     builder.add_custom_values_batch(
         {
-            "der:node_mass": float(mass[i]),
-            "der:node_bending_stiffness": wp.vec2d(*[material.bending_stiffness] * 2),
-            "der:node_twisting_stiffness": material.twisting_stiffness,
-            "der:node_natural_curvature": wp.vec2d(*natural_curvature[i]),
-            "der:node_natural_twist": float(natural_twist[i]),
+            "der:node_mass": float(nodes["node_mass"][i]),
+            "der:node_bending_stiffness": wp.vec2d(*nodes["bending_stiffness"][i]),
+            "der:node_twisting_stiffness": float(nodes["twisting_stiffness"][i]),
+            "der:node_natural_curvature": wp.vec2d(*nodes["natural_curvature"][i]),
+            "der:node_natural_twist": float(nodes["natural_twist"][i]),
+            "der:node_softening": wp.vec2d(*nodes["softening"][i]),
             "der:node_q": points[i],
             "der:node_qd": velocity[i],
         }
@@ -183,7 +186,7 @@ def add_rod(
     builder.add_custom_values_batch(
         {
             "der:edge_rest_length": float(rest[i]),
-            "der:edge_stretching_stiffness": material.stretching_stiffness,
+            "der:edge_stretching_stiffness": float(nodes["stretching_stiffness"][i]),
             "der:edge_director": directors[i],
         }
         for i in range(count - 1)
@@ -199,12 +202,24 @@ def add_rod(
             "der:rod_start_body": start_body,
             "der:rod_end_hold": HOLDS[end],
             "der:rod_end_body": end_body,
-            "der:rod_radius": material.radius,
+            "der:rod_radius": model.radius,
             "der:rod_air_damping": float(air_damping),
             "der:rod_internal_damping": float(internal_damping),
         }
     )
     return added["der:rod_node_count"]
+
+
+def _per_node(model: RodModel, rest, natural_curvature, natural_twist) -> dict[str, np.ndarray]:
+    """The rod on its mesh, with what is given instead of its own curvature and twist at rest."""
+    arrays = mesh_arrays(model, np.concatenate([[0.0], np.cumsum(rest)]))
+    nodes = {name: value[0] for name, value in arrays.items()}
+    if natural_curvature is not None:
+        c, s = np.cos(model.principal_angle), np.sin(model.principal_angle)
+        nodes["natural_curvature"] = natural_curvature @ np.array([[c, -s], [s, c]])
+    if natural_twist is not None:
+        nodes["natural_twist"] = natural_twist
+    return nodes
 
 
 def _points(points) -> np.ndarray:

@@ -67,6 +67,7 @@ class Layout:
             twisting_stiffness=der.node_twisting_stiffness.numpy()[n] * stiffer,
             natural_curvature=der.node_natural_curvature.numpy()[n] / stiffer[:, :, None],
             natural_twist=der.node_natural_twist.numpy()[n] / stiffer,
+            softening=der.node_softening.numpy()[n] * stiffer[:, :, None] ** [-2.0, 0.0],
             node_mass=der.node_mass.numpy()[n],
             gravity=gravity,
             director=der.edge_director.numpy()[e],

@@ -22,6 +22,7 @@ from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.holds import find_holds
 from wrod.newton_solver.shapes import ModelShapes
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 from wrod.solvers.dynamics import SCHEMES
 
 _STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
@@ -234,7 +235,7 @@ class SolverDER(SolverBase):
     def add_rod(
         builder: newton.ModelBuilder,
         points: np.ndarray,
-        material: RodMaterial,
+        material: RodModel | RodMaterial,
         *,
         start: str = "free",
         start_body: int = -1,
@@ -243,9 +244,9 @@ class SolverDER(SolverBase):
         director: np.ndarray | None = None,
         velocity: np.ndarray | float = 0.0,
         natural_curvature: np.ndarray | None = None,
-        natural_twist: np.ndarray | float = 0.0,
-        air_damping: float = 0.0,
-        internal_damping: float = 0.0,
+        natural_twist: np.ndarray | float | None = None,
+        air_damping: float | None = None,
+        internal_damping: float | None = None,
         visible: bool = True,
         color: tuple[float, float, float] | None = None,
         label: str | None = None,
@@ -257,8 +258,8 @@ class SolverDER(SolverBase):
         Args:
             builder: The model builder.
             points: (node, 3) first shape, 3 nodes or more [m].
-            material: Radius, density, stiffnesses, natural curvature; its `length` and `gravity`
-                are not used.
+            material: What the rod is, from the first node on; its `length` and `gravity` are
+                not used.
             start: How the first node is held: "free", "pinned" (place) or "clamped" (place,
                 direction and twist).
             start_body: What holds it: a body, or -1 for the world.
@@ -268,11 +269,11 @@ class SolverDER(SolverBase):
                 twist. Defaults to any direction across it.
             velocity: (node, 3) first velocities [m/s].
             natural_curvature: (2,) or (node, 2) curvature at rest (c_1, c_2) with
-                dt/ds = c_1 m_1 + c_2 m_2 in the material frame [1/m]. Defaults to the material's;
+                dt/ds = c_1 m_1 + c_2 m_2 in the material frame [1/m]. Defaults to the rod's;
                 the first shape does not count.
-            natural_twist: (node,) twist at rest [rad/m].
-            air_damping: Drag per mass and velocity [1/s].
-            internal_damping: Kelvin-Voigt time of the material [s].
+            natural_twist: (node,) twist at rest [rad/m]. Defaults to the rod's.
+            air_damping: Drag per mass and velocity [1/s]. Defaults to the rod's.
+            internal_damping: Kelvin-Voigt time of the material [s]. Defaults to the rod's.
             visible: Show the rod by a kinematic capsule on every edge, which the solver moves.
             color: Of the capsules.
             label: Of the rod's bodies and shapes.

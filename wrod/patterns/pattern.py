@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import PPoly
 
 from wrod.errors import PatternError
@@ -181,7 +182,7 @@ class Pattern:
         """Length of the remainder laid before s = 0 [m]; 0 if there is none."""
         return max(0.0, -float(self._heading.x[0]))
 
-    def sample(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def sample(self, s: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position (n, 3) [m], unit tangent (n, 3) and signed curvature (n,) [1/m] at s (n,) [m].
 
         Curvature is positive where the pattern turns left, seen from above.

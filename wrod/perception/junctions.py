@@ -31,7 +31,7 @@ def share_stretches(network: Network) -> None:
         if len(odd) < 2:
             return
         trials = [_merged(network, route) for route in _routes_between(network, odd)]
-        trials = [(gain, *rest) for gain, *rest in trials if gain > 0]
+        trials = [trial for trial in trials if trial[0] > 0]
         if not trials:
             return
         _, joined, parts, shared = max(trials, key=lambda trial: trial[0])
@@ -153,7 +153,7 @@ def _misfits(network: Network, junction: Junction, close: list, mask: np.ndarray
         drawn[pair] = np.zeros(patch.shape, np.uint8)
         _draw(drawn[pair], points - low, thickness)
     misfits = []
-    extent = max(np.count_nonzero(zone), 1)
+    extent = max(int(np.count_nonzero(zone)), 1)
     for _, pairs in close:
         covered = arms > 0
         beside = 0

@@ -63,9 +63,8 @@ def segment_rods(
             raise PerceptionError("a rod colour was given, but the picture is grey; leave it out")
         other = _largest(cv2.absdiff(image, (*map(float, color), 0.0)))
         # Nearer to the rod's colour than to the table's.
-        difference = np.uint8(
-            255.0 * difference.astype(np.float32) / (difference.astype(np.float32) + other + 1.0)
-        )
+        difference = difference.astype(np.float32)
+        difference = (255.0 * difference / (difference + other + 1.0)).astype(np.uint8)
         return _cut(difference, 127.5, region)
     inside = difference if region is None else difference[region > 0]
     level, _ = cv2.threshold(inside, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)

@@ -42,9 +42,9 @@ class FrictionBound:
 def friction_bound(
     pattern: Pattern, rod: RodMaterial, friction: float | None = None, spacing: float = 0.001
 ) -> FrictionBound:
-    """Static friction that holds the pattern: mu_s >= k_b |kappa''| / (rho A g).
+    """Static friction that holds the pattern: mu_s >= k_b ``|kappa''|`` / (rho A g).
 
-    In the paper's L_gb this is 2 L_gb^3 |kappa''|, whatever the density.
+    In the paper's L_gb this is 2 L_gb^3 ``|kappa''|``, whatever the density.
 
     Args:
         pattern: with its remainder, if it has one.

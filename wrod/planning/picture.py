@@ -93,7 +93,7 @@ def _colored_path(axes, points: np.ndarray, values: np.ndarray, **style):
 
     kind = Line3DCollection if points.shape[1] == 3 else LineCollection
     segments = np.stack([points[:-1], points[1:]], axis=1)
-    lines = kind(segments, cmap=_PATH_COLORS, capstyle="round", **style)
+    lines = kind(list(segments), cmap=_PATH_COLORS, capstyle="round", **style)
     lines.set_array(values[:-1])
     axes.add_collection(lines)
 

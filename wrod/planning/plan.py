@@ -56,7 +56,7 @@ def plan(
     roll: float | str = "plane",
     controller: Controller | None = None,
     device: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Trajectory:
     """Trajectory of the grip that lays `rod` along `pattern`.
 
@@ -193,7 +193,7 @@ def with_shapes(
     pattern: Pattern | None = None,
     *,
     device: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Trajectory:
     """The trajectory with the shapes of the suspended rod, where its method gave none.
 

@@ -31,7 +31,7 @@ class GraspInputs:
     stretch_ratio: float
     closure: str
     device: str | None = None
-    progress: Callable[[int, int], None] | None = None
+    progress: Callable[[int, int], object] | None = None
     natural_curvature: tuple[float, float] = (0.0, 0.0)
     poisson: float = 0.5
     controller: Controller | None = None
@@ -46,7 +46,7 @@ class GraspInputs:
         roll: float = 0.0,
         closure: str = "zero_tension",
         device: str | None = None,
-        progress: Callable[[int, int], None] | None = None,
+        progress: Callable[[int, int], object] | None = None,
         controller: Controller | None = None,
     ) -> GraspInputs:
         """Inputs of a rod: suspended length (T,) [m] and curvature (T,) [1/m] at the contacts, and

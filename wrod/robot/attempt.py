@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ _NEAR = np.array([0.08, 0.08, 0.5, 0.5, 0.3, 0.06])
 @dataclass(frozen=True)
 class Solution:
     branch: Branch
-    spline: object
+    spline: Any
     report: PathReport
 
 

@@ -7,6 +7,7 @@ import os
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -54,8 +55,8 @@ class Robot:
     velocity: np.ndarray
     acceleration: np.ndarray
     jerk: np.ndarray
-    chain: object
-    tree: object
+    chain: Any
+    tree: Any
     gripper_length: float
 
     @property

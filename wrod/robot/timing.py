@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ class Timing:
     duration: float
     speed: float
     load: tuple[float, float, float]
-    _profile: object
+    _profile: Any
 
     def travel(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Travel (K,) [m] and its rate (K,) [m/s] at times (K,) [s]; at rest after the end."""

@@ -183,6 +183,51 @@ class RodBatch:
         self.cut_edges = ()
         self.set_configuration(position, director=director)
 
+    @classmethod
+    def of(
+        cls,
+        rods,
+        arc_length: np.ndarray,
+        position: np.ndarray,
+        *,
+        clamped: tuple[bool, bool] = (False, False),
+        director=None,
+        gravity=None,
+        point_load=0.0,
+        device: str | None = "cpu",
+    ) -> RodBatch:
+        """Put rods on meshes; see `wrod.rods.discretisation`.
+
+        Args:
+            rods: a `RodModel` or `RodMaterial` for all rows, or one for each.
+            arc_length: (rod, node) or (node,) unstretched arc length of the nodes [m].
+            position: (rod, node, 3) of the nodes [m].
+            clamped: whether the (first, last) edge is the ghost of a clamp: the rod begins at the
+                second node, and the edge before has the clamp's direction.
+            director: (3,), (rod, 3) or (rod, node - 1, 3) first material director m_1 of the first
+                edge or of every edge. The batch's directors are the principal directions of the
+                sections, turned from m_1 by the rods' principal angle.
+            gravity: (3,) or (rod, 3) acceleration; default: the rods', along -z.
+            point_load, device: as in the constructor.
+
+        Raises:
+            RodError: a shape does not fit, or the constructor refuses a value.
+        """
+        from wrod.rods.discretisation import mesh_arrays, principal_directors
+
+        position = np.asarray(position, dtype=np.float64)
+        if position.ndim != 3 or position.shape[2] != 3:
+            raise RodError(f"rod positions have shape {position.shape}; give (rod, node, 3)")
+        arrays = mesh_arrays(rods, arc_length, clamped=clamped)
+        if gravity is not None:
+            arrays["gravity"] = gravity
+        if director is not None:
+            edge = np.diff(position, axis=1)
+            tangent = edge / np.linalg.norm(edge, axis=2, keepdims=True)
+            every = np.ndim(director) == 3
+            director = principal_directors(rods, director, tangent if every else tangent[:, 0])
+        return cls(position, director=director, point_load=point_load, device=device, **arrays)
+
     def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
         if isinstance(value, wp.array):
             return value
@@ -330,6 +375,20 @@ class RodBatch:
             device=self.device,
         )
 
+    @property
+    def elastic_model(self) -> list[wp.array]:
+        """What the elastic energy depends on besides the state: rest lengths, stretching and
+        bending stiffness, natural curvature, softening, twisting stiffness, natural twist."""
+        return [
+            self.rest_length,
+            self.stretching_stiffness,
+            self.bending_stiffness,
+            self.natural_curvature,
+            self.softening,
+            self.twisting_stiffness,
+            self.natural_twist,
+        ]
+
     def evaluate(
         self,
         *,
@@ -337,10 +396,11 @@ class RodBatch:
         state: RodState | None = None,
         out: Derivatives | None = None,
         active: wp.array | None = None,
+        model: list[wp.array] | None = None,
     ) -> Derivatives:
         """Energy and gradient (`order` 1) and Hessian (`order` 2) of every active rod.
 
-        The frames of `state` must belong to its positions.
+        The frames of `state` must belong to its positions; `model` stands in for `elastic_model`.
         """
         state = self.state if state is None else state
         out = self.derivatives if out is None else out
@@ -360,19 +420,13 @@ class RodBatch:
                 device=self.device,
             )
 
-        nodes, rest = self.node_count, self.rest_length
+        nodes = self.node_count
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
         launch(
             softened_elasticity if self.softens else elasticity,
             nodes - 2,
             [
-                rest,
-                self.stretching_stiffness,
-                self.bending_stiffness,
-                self.natural_curvature,
-                self.softening,
-                self.twisting_stiffness,
-                self.natural_twist,
+                *(self.elastic_model if model is None else model),
                 active,
                 state.dof,
                 state.director,

@@ -3,24 +3,21 @@ Parameters and Table 2)."""
 
 from __future__ import annotations
 
-import json
 import math
 import os
-import warnings
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from wrod.errors import RodError, WrodWarning
-from wrod.files import write_atomically
+from wrod.errors import RodError
+
+if TYPE_CHECKING:
+    from wrod.rods.model import RodModel
 
 # Height of the loop of a heavy rod over its gravito-bending length, as
 # `wrod.identification.folded_loop` derives it from the heavy elastica. The paper's 0.9066 belongs
 # to (k_b/(pi h^2 rho g))^(1/3), 2^(1/3) larger.
 LOOP_HEIGHT_RATIO = 1.14224
-_FORMAT = "wrod-rod-1"
-# What `wrod identify` writes: a rod, and the effects found, some of which the rod's numbers carry.
-_MODEL_FORMAT = "wrod-rod-model-1"
-_CARRIED = ("stiffness", "density", "natural_curvature")
 
 
 @dataclass(frozen=True)
@@ -116,8 +113,9 @@ class RodMaterial:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the rod as JSON, SI units."""
-        content = {"format": _FORMAT, **asdict(self)}
-        return write_atomically(path, lambda file: file.write(json.dumps(content, indent=2) + "\n"))
+        from wrod.rods.model_file import save_material
+
+        return save_material(self, path)
 
     @classmethod
     def load(
@@ -139,23 +137,24 @@ class RodMaterial:
             WrodWarning: the model has effects that a uniform, isotropic, linear rod cannot carry,
                 or numbers that were not measured.
         """
-        instead = {"radius": radius, "length": length}
-        instead = {key: value for key, value in instead.items() if value is not None}
-        try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise RodError(f"{path}: not a readable rod file ({error})") from None
-        if isinstance(content, dict) and content.get("format") == _MODEL_FORMAT:
-            content = {"format": _FORMAT, **_rod_of_model(path, content, instead)}
-        if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
-            raise RodError(f"{path}: is not a {_FORMAT} file; write one with `wrod loop --out`")
-        try:
-            return cls(**{**content, **instead})
-        except TypeError as error:
-            reason = str(error).replace("RodMaterial.__init__() ", "")
-            raise RodError(f"{path}: {reason}") from None
-        except RodError as error:
-            raise RodError(f"{path}: {error}") from None
+        from wrod.rods.model_file import load_material
+
+        return load_material(path, radius=radius, length=length)
+
+    def model(self) -> RodModel:
+        """This rod as the description that may differ along the rod, `wrod.RodModel`."""
+        from wrod.rods.model import RodModel
+
+        return RodModel(
+            length=self.length,
+            bending_stiffness=self.bending_stiffness,
+            twisting_stiffness=self.twisting_stiffness,
+            stretching_stiffness=self.stretching_stiffness,
+            line_mass=self.weight / self.gravity,
+            radius=self.radius,
+            natural_curvature=self.natural_curvature,
+            gravity=self.gravity,
+        )
 
     @property
     def is_straight(self) -> bool:
@@ -198,32 +197,6 @@ class RodMaterial:
     def youngs_modulus(self) -> float:
         """E [Pa]."""
         return 4.0 * self.bending_stiffness / (math.pi * self.radius**4)
-
-
-def _rod_of_model(path, content: dict, instead: dict) -> dict:
-    """The rod's numbers of an identified model; says what they do not carry, and which of them
-    were assumed and are not in `instead`."""
-    rod, effects = content.get("rod"), content.get("effects")
-    named = isinstance(effects, list) and all(
-        isinstance(e, dict) and isinstance(e.get("name"), str) for e in effects
-    )
-    if not isinstance(rod, dict) or not named:
-        raise RodError(f"{path}: holds no rod and effects; write it again with `wrod identify`")
-    aside = [e["name"] for e in effects if e["name"] not in _CARRIED]
-    assumed = content.get("assumed", [])
-    assumed = [key for key in rod if key in assumed and key not in instead]
-    said = []
-    if aside:
-        said.append(
-            f"{', '.join(aside)} set aside; plans and deployments know a rod's stiffness, density "
-            "and natural curvature"
-        )
-    if assumed:
-        values = ", ".join(f"{key} {rod.get(key)}" for key in assumed)
-        said.append(f"{values} assumed, for motion tells ratios to the weight only")
-    if said:
-        warnings.warn(f"{path}: {'; '.join(said)}", WrodWarning, stacklevel=3)
-    return rod
 
 
 # Table 2 of the paper; VPS density 1180 kg/m^3 throughout (it drops out of every plan).

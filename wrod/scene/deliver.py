@@ -21,7 +21,7 @@ def deliver(
     joint_path: JointPath | None,
     pattern,
     rod,
-    progress: Callable[[str], None] = lambda what: None,
+    progress: Callable[[str], object] = lambda what: None,
 ) -> list[Path]:
     """Write joint_path.csv/.npz, scene.usdc and scene.png into a folder.
 

@@ -23,7 +23,7 @@ def draw_moments(
     *,
     size: tuple[int, int] = (400, 300),
     cameras: tuple[str, ...] = CAMERAS,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Path:
     """Write one PNG with a column for every moment that a stage names, a row for every camera.
 

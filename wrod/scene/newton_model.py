@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,7 +19,7 @@ _MOVES = 1e-9  # [m] a prim that moves less stands still
 class _Part:
     """A gprim of the stage and the rows of the model's shapes that show it."""
 
-    prim: object
+    prim: Any
     kind: str
     size: np.ndarray
     color: tuple[float, float, float]

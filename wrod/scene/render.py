@@ -105,7 +105,7 @@ def render(
     frames: int = 1,
     size: tuple[int, int] = (960, 720),
     hidden: tuple[str, ...] = (),
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> list[Path]:
     """Write PNG pictures of a stage.
 

@@ -52,7 +52,7 @@ def write_page(
     *,
     camera: str = _DEFAULT,
     hidden: tuple[str, ...] = (),
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], object] | None = None,
 ) -> Path:
     """Write a stage as one HTML page that plays the deployment, without outside links.
 

@@ -18,6 +18,7 @@ from wrod.rods.batch import RodBatch, RodState, node_positions
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.contact import Contact
 from wrod.solvers.rod_contact import RodContact
+from wrod.solvers.viscosity import Viscosity
 
 SCHEMES = ("euler", "bdf2")
 # Largest change of an edge in one Newton iteration, as a fraction of its length.
@@ -38,6 +39,15 @@ class Motion(Protocol):
     replayed."""
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
+
+
+class Follower(Protocol):
+    """What is carried along with the steps: called whenever steps of some rods were accepted, while
+    `batch` still holds residual, matrix and configuration of their ends, and `start` their starts.
+
+    It does its work by kernels alone, for the rods that are not 0 in `accepted`."""
+
+    def follow(self, dynamics: Dynamics) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -68,9 +78,11 @@ class Dynamics:
         scheme: "euler" (first order, dissipates) or "bdf2" (second order, hardly dissipates).
         radius: (rod,) radius of the section, for the rotational inertia of the edges.
         air_damping: (rod,) drag per mass and velocity [1/time].
-        internal_damping: (rod,) Kelvin-Voigt time of the material [time].
+        internal_damping: Kelvin-Voigt time of the material [time], which does not oppose rigid
+            motion: (rod,), or for every strain as in `wrod.solvers.viscosity.Viscosity`.
         contact: what the rods touch, one or several, or None; at most one `RodContact`.
         motion: what moves prescribed degrees of freedom, or None.
+        follower: what is carried along with the steps, or None.
         force_scale: (rod,) what residuals are measured against; default: the rod's weight, or
             k_b / L^2 if that is larger.
         tolerance: largest residual of a step over the force scale.
@@ -94,6 +106,7 @@ class Dynamics:
         internal_damping: np.ndarray | float = 0.0,
         contact: Contact | RodContact | Sequence[Contact | RodContact] | None = None,
         motion: Motion | None = None,
+        follower: Follower | None = None,
         force_scale: np.ndarray | float | None = None,
         tolerance: float = 1e-6,
         max_iterations: int = 12,
@@ -102,6 +115,7 @@ class Dynamics:
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
         self.batch, self.contact, self.motion = batch, contact, motion
+        self.follower = follower
         self.two_step, self.max_iterations = int(scheme == "bdf2"), max_iterations
         rods, device = batch.rod_count, batch.device
         if contact is None:
@@ -123,8 +137,8 @@ class Dynamics:
             return wp.full(rods, value, dtype=wp.int32, device=device)
 
         self.mass = wp.array(_masses(batch, radius), dtype=wp.float64, device=device)
-        self.air_damping, self.internal_damping = floats(air_damping), floats(internal_damping)
-        self._has_internal_damping = bool(np.any(np.asarray(internal_damping) > 0))
+        self.air_damping = floats(air_damping)
+        self.viscosity = Viscosity(batch, internal_damping)
         self.force_scale = floats(_force_scale(batch) if force_scale is None else force_scale)
         self.length_scale = floats(batch.rest_length.numpy().sum(axis=1))
         self.tolerance, self.step_tolerance, self.residual = tolerance, floats(), floats()
@@ -139,8 +153,8 @@ class Dynamics:
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)
         shape = (rods, batch.dof_count)
-        self.velocity, self.velocity_older, self.gradient_before = (
-            wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(3)
+        self.velocity, self.velocity_older = (
+            wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
         )
         self.dof_older = wp.clone(batch.state.dof)
         # (rod, dof): forces that held prescribed degrees of freedom at the end of the last step.
@@ -186,7 +200,7 @@ class Dynamics:
         smallest_step: float | None = None,
         frames: wp.array | None = None,
         frame_interval: float = 1.0,
-        progress: Callable[[np.ndarray], None] | None = None,
+        progress: Callable[[np.ndarray], object] | None = None,
     ) -> Progress:
         """Let every rod that has not diverged move on to its time `until`.
 
@@ -305,6 +319,7 @@ class Dynamics:
                 self.two_step,
                 wp.float64(self.tolerance),
                 self.rounding,
+                self.viscosity.stretching_time,
                 self.until,
                 self.starting,
                 self.time,
@@ -321,16 +336,15 @@ class Dynamics:
                 self.system.negative_pivots,
             ],
         )
-        if self._has_internal_damping:
-            batch.evaluate(order=1, active=self.starting)
+        self.viscosity.begin(self.starting, self.coefficient, self.step)
         if self.rod_contact is not None:
             self.rod_contact.prepare(self.starting, self.rejected, self.start.dof)
         if self.motion is not None:
             self.motion.prescribe(self.starting, self.time, self.step, self.start)
         self._per_dof(
             kernels.predict,
-            [self.starting, batch.free, self.step, self.velocity, batch.derivatives.gradient],
-            [batch.state.dof, self.gradient_before],
+            [self.starting, batch.free, self.step, self.velocity],
+            [batch.state.dof],
         )
 
     def _iterate(self, largest: float, smallest: float) -> None:
@@ -338,13 +352,12 @@ class Dynamics:
         batch, start, out = self.batch, self.start, self.batch.derivatives
         dof = batch.state.dof
         batch.transport_frames(start, batch.state, self.active)
-        batch.evaluate(order=2, active=self.active)
+        batch.evaluate(order=2, active=self.active, model=self.viscosity.model)
         self._per_dof(
             kernels.add_inertia,
             [
                 self.mass,
                 self.air_damping,
-                self.internal_damping,
                 self.active,
                 self.step,
                 self.coefficient,
@@ -353,7 +366,6 @@ class Dynamics:
                 self.dof_older,
                 self.velocity,
                 self.velocity_older,
-                self.gradient_before,
             ],
             [out.gradient, out.hessian],
         )
@@ -412,6 +424,9 @@ class Dynamics:
     def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
         """Carry accepted steps over to the next, and take failed ones back."""
         batch, start, dof = self.batch, self.start, self.batch.state.dof
+        if self.follower is not None:
+            self.follower.follow(self)
+        self.viscosity.finish(self.accepted)
         for contact in self.contacts:
             contact.settle(self.accepted, dof, start.dof)
         if frames is not None:

@@ -21,7 +21,7 @@ _SMALLEST_PROGRESS = 1e-3
 
 @dataclass(frozen=True)
 class Equilibria:
-    """What `solve_equilibrium` found, rod by rod (NumPy).
+    """What `solve_equilibria` found, rod by rod (NumPy).
 
     Attributes:
         converged: (rod,) whether the rod is in equilibrium to the tolerance.
@@ -287,7 +287,7 @@ class EquilibriumSolver:
         self._copy(self.active, trial, batch.state)
 
 
-def solve_equilibrium(batch: RodBatch, **options) -> Equilibria:
+def solve_equilibria(batch: RodBatch, **options) -> Equilibria:
     """Bring every rod of `batch` to equilibrium; see `EquilibriumSolver.solve` for the options."""
     return EquilibriumSolver(batch).solve(**options)
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from wrod.errors import GraspError
 from wrod.grasps.held_rods import HeldRods
+from wrod.grasps.inputs import check_inputs
 from wrod.grasps.manifold.grips import EDGE_COUNT, grasp_shapes, in_chunks, taut_position
-from wrod.grasps.optimal import check_inputs
 from wrod.rods.batch import resolve_device
 
 # How a ray ends at its low end.
@@ -54,7 +54,7 @@ def boundary(
     device: str | None = None,
     edge_count: int = EDGE_COUNT,
     threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Boundary:
     """Boundary of the manifold for every pair (l_s, k_s), all rays in one batch.
 

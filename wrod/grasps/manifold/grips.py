@@ -16,7 +16,8 @@ import numpy as np
 
 from wrod.errors import GraspError
 from wrod.grasps.held_rods import HeldRods
-from wrod.grasps.optimal import check_inputs, solve_grasps
+from wrod.grasps.inputs import check_inputs
+from wrod.grasps.optimal import solve_grasps
 from wrod.rods.batch import resolve_device
 
 EDGE_COUNT = 64
@@ -76,7 +77,7 @@ def equilibrium(
     device: str | None = None,
     edge_count: int = EDGE_COUNT,
     threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> HeldGrips:
     """The suspended rod for given grip positions, on the gentle branch.
 

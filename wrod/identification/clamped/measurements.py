@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -77,7 +78,7 @@ class ClampedMeasurements:
         ):
             raise DataError(f"{other.name} has its markers elsewhere than {self.name}")
         wrench = self.grip_force is not None and other.grip_force is not None
-        joined = {
+        joined: dict[str, Any] = {
             key: np.concatenate([getattr(self, key), getattr(other, key)])
             for key in (
                 "centerline",

@@ -36,7 +36,7 @@ def write_page(path: Path, report) -> Path:
 
 
 def _page(report) -> str:
-    from wrod.identification.clamped.equilibria import pictures
+    from wrod.identification.clamped import pictures
 
     sections = [
         ("Measured and predicted", "Test trials, not fitted; seen in the vertical plane through "

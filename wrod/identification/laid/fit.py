@@ -71,7 +71,7 @@ def fit_laid(
     *,
     released: bool = True,
     iterations: int = 2,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], object] | None = None,
     **options,
 ) -> LaidFit:
     """Explain where rods lie by their natural curvature and their L_gb.

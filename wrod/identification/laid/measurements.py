@@ -107,9 +107,10 @@ def load_laid(
         raise DataError("no laid rod given; give at least one centreline")
     curves, names = [], []
     for k, source in enumerate(sources):
-        array = isinstance(source, np.ndarray)
-        name = f"centreline {k}" if array else str(source)
-        curve = np.asarray(source, dtype=float) if array else _read(Path(source), units)
+        if isinstance(source, np.ndarray):
+            name, curve = f"centreline {k}", np.asarray(source, dtype=float)
+        else:
+            name, curve = str(source), _read(Path(source), units)
         curves.append(_smooth(_checked(curve, pattern, name)))
         names.append(name)
     measured = LaidMeasurements(pattern, tuple(curves), tuple(names), 1.0)

@@ -14,7 +14,7 @@ from wrod.deployment.simulate import with_remainder_of
 from wrod.knots.fingers import REACH, holding_force
 from wrod.knots.plan import KnotPlan, Move
 from wrod.knots.topology import recognise_knot, recognise_pair
-from wrod.knots.tying import Handling, TyingResult
+from wrod.knots.trials import Handling, TyingResult
 from wrod.knots.workbench import TICK, Poses, Workbench
 from wrod.patterns.pattern import Pattern
 from wrod.planning.plan import plan
@@ -26,7 +26,7 @@ from wrod.solvers.contact import Friction
 _UPRIGHT = Rotation.from_matrix([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 
 
-class Course:
+class TyingRun:
     """All trials of one call of `wrod.knots.tying.tie`, side by side."""
 
     def __init__(

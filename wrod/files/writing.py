@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Writing files that are either whole or not there."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import IO
 
 
 def write_atomically(
-    path: str | os.PathLike[str], write: Callable[[IO], None], mode: str = "w"
+    path: str | os.PathLike[str], write: Callable[[IO], object], mode: str = "w"
 ) -> Path:
     """Call `write(file)` on a temporary file beside `path`, then move it there.
 

@@ -1,0 +1,157 @@
+"""Internal damping: Kelvin-Voigt in strains of the material, as a shape at rest that flows.
+
+The strains of a node are s = (kappa_1, kappa_2, tau), integrated over its Voronoi length l. A
+Kelvin-Voigt material has the moments B ((s + eta ds/dt) / l - s0); with ds/dt = (c_0 s + c_1 s_n +
+c_2 s_(n-1)) / dt that is an elastic rod of stiffness B (1 + eta c_0 / dt) with another shape at
+rest, so its forces are those of a potential for the length of a step, and as strains do not change
+in rigid motion they do not oppose it (Bergou et al. 2010). The stretch of an edge flows alike: a
+spring k ((x - x0) + eta dx/dt) of x = |e| / l - 1 is one of another stiffness and rest length. A
+rod that softens has the moment-curvature law of `wrod.kernels.elastic.softened_bending` in (s + eta
+ds/dt) / l - s0: with one eta for both bendings the elastic rod has the same law, its c times
+(1 + eta c_0 / dt)^2.
+"""
+
+import warp as wp
+from wrod.kernels.elastic.curvature import component, stencil
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO, edge
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def strain(
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
+    reference_twist: wp.array2d(dtype=wp.float64),
+    r: int,
+    i: int,
+) -> wp.vec3d:
+    s = stencil(dof, director, r, i)
+    first = component(s, 0)
+    second = component(s, 1)
+    twist = dof[r, 4 * i + 3] - dof[r, 4 * i - 1] + reference_twist[r, i]
+    return wp.vec3d(first.kappa, second.kappa, twist)
+
+
+@wp.kernel
+def measure_strains(
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    director: wp.array2d(dtype=wp.vec3d),
+    reference_twist: wp.array2d(dtype=wp.float64),
+    # State out: (rod, node), its last component |e| of the edge after the node
+    strain_out: wp.array2d(dtype=wp.vec4d),
+):
+    r, i = wp.tid()
+    if active[r] == 0:
+        return
+    s = wp.vec3d(ZERO, ZERO, ZERO)
+    last = strain_out.shape[1] - 1
+    if i > 0 and i < last:
+        s = strain(dof, director, reference_twist, r, i)
+    length = ZERO
+    if i < last:
+        length = wp.length(edge(dof, r, i))
+    strain_out[r, i] = wp.vec4d(s[0], s[1], s[2], length)
+
+
+@wp.kernel
+def shift_strains(
+    # State in:
+    accepted: wp.array(dtype=wp.int32),
+    strain: wp.array2d(dtype=wp.vec4d),
+    # State out:
+    strain_older_out: wp.array2d(dtype=wp.vec4d),
+):
+    r, i = wp.tid()
+    if accepted[r] != 0:
+        strain_older_out[r, i] = strain[r, i]
+
+
+@wp.kernel
+def flow_stretching(
+    # Model:
+    rest_length: wp.array2d(dtype=wp.float64),
+    stretching: wp.array2d(dtype=wp.float64),
+    viscous_time: wp.array2d(dtype=wp.vec4d),
+    # State in:
+    starting: wp.array(dtype=wp.int32),
+    coefficient: wp.array(dtype=wp.vec3d),
+    step: wp.array(dtype=wp.float64),
+    strain: wp.array2d(dtype=wp.vec4d),
+    strain_older: wp.array2d(dtype=wp.vec4d),
+    # Out:
+    rest_length_out: wp.array2d(dtype=wp.float64),
+    stretching_out: wp.array2d(dtype=wp.float64),
+):
+    """Stiffness and rest length of the elastic edges that stand for the viscous ones this step."""
+    r, i = wp.tid()
+    if starting[r] == 0:
+        return
+    k = stretching[r, i]
+    rest = rest_length[r, i]
+    rest_length_out[r, i] = rest
+    stretching_out[r, i] = k
+    eta = viscous_time[r, i][3]
+    if eta == ZERO or k == ZERO:
+        return
+    c = coefficient[r]
+    factor = ONE + eta * c[0] / step[r]
+    # c_0 + c_1 + c_2 = 0: the history of |e| / l - 1 is that of |e| / l, and c_0.
+    history = (c[0] + (c[1] * strain[r, i][3] + c[2] * strain_older[r, i][3]) / rest) / step[r]
+    stretch = ONE - eta * history / factor
+    rest_length_out[r, i] = stretch * rest
+    stretching_out[r, i] = factor * stretch * k
+
+
+@wp.kernel
+def flow_bending(
+    # Model:
+    rest_length: wp.array2d(dtype=wp.float64),
+    bending: wp.array2d(dtype=wp.vec2d),
+    natural_curvature: wp.array2d(dtype=wp.vec2d),
+    softening: wp.array2d(dtype=wp.vec2d),
+    twisting: wp.array2d(dtype=wp.float64),
+    natural_twist: wp.array2d(dtype=wp.float64),
+    viscous_time: wp.array2d(dtype=wp.vec4d),
+    # State in:
+    starting: wp.array(dtype=wp.int32),
+    coefficient: wp.array(dtype=wp.vec3d),
+    step: wp.array(dtype=wp.float64),
+    strain: wp.array2d(dtype=wp.vec4d),
+    strain_older: wp.array2d(dtype=wp.vec4d),
+    flown_length: wp.array2d(dtype=wp.float64),
+    # Out:
+    bending_out: wp.array2d(dtype=wp.vec2d),
+    natural_curvature_out: wp.array2d(dtype=wp.vec2d),
+    softening_out: wp.array2d(dtype=wp.vec2d),
+    twisting_out: wp.array2d(dtype=wp.float64),
+    natural_twist_out: wp.array2d(dtype=wp.float64),
+):
+    """The same of bending and twisting, for edges whose rest lengths have flown."""
+    r, j = wp.tid()
+    if starting[r] == 0:
+        return
+    i = j + 1
+    length = HALF * (rest_length[r, i - 1] + rest_length[r, i])
+    # Moments per integrated strain must not know of lengths that only stretching has changed.
+    grown = HALF * (flown_length[r, i - 1] + flown_length[r, i]) / length
+    eta = viscous_time[r, i]
+    c = coefficient[r]
+    dt = step[r]
+    history = (c[1] * strain[r, i] + c[2] * strain_older[r, i]) / (dt * length)
+    f1 = ONE + eta[0] * c[0] / dt
+    f2 = ONE + eta[1] * c[0] / dt
+    f3 = ONE + eta[2] * c[0] / dt
+    b = bending[r, i]
+    rest = natural_curvature[r, i]
+    bending_out[r, i] = wp.vec2d(grown * f1 * b[0], grown * f2 * b[1])
+    natural_curvature_out[r, i] = wp.vec2d(
+        (rest[0] - eta[0] * history[0]) / (grown * f1),
+        (rest[1] - eta[1] * history[1]) / (grown * f2),
+    )
+    law = softening[r, i]
+    softening_out[r, i] = wp.vec2d(law[0] * (f1 * f1 * grown * grown), law[1])
+    twisting_out[r, i] = grown * f3 * twisting[r, i]
+    natural_twist_out[r, i] = (natural_twist[r, i] - eta[2] * history[2]) / (grown * f3)

@@ -1,0 +1,177 @@
+"""Rods as JSON: `RodModel` (`model.json`), `RodMaterial`, and what earlier versions wrote."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+
+from wrod.errors import RodError, WrodWarning
+from wrod.files import write_atomically
+from wrod.rods.law import law_as_json, law_of
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+from wrod.rods.profile import Profile
+
+MODEL_FORMAT = "wrod-rod-model-2"
+MATERIAL_FORMAT = "wrod-rod-1"
+# A uniform rod, and a list of effects of which its numbers carry the first three.
+_OLD_FORMAT = "wrod-rod-model-1"
+_CARRIED = ("stiffness", "density", "natural_curvature")
+_MOST_BYTES = 16_000_000
+
+
+def save_material(material: RodMaterial, path: str | os.PathLike[str]) -> Path:
+    """Write a uniform rod, SI units."""
+    return _write(path, {"format": MATERIAL_FORMAT, **asdict(material)})
+
+
+def save_model(model: RodModel, path: str | os.PathLike[str], *, assumed=(), found=None) -> Path:
+    """Write a rod model, SI units.
+
+    Args:
+        assumed: names of numbers that nobody measured.
+        found: a record of how the model was found, which readers keep out of the rod.
+    """
+    content = {"format": MODEL_FORMAT, **model_as_json(model), "assumed": list(assumed)}
+    return _write(path, content if found is None else {**content, "found": found})
+
+
+def model_as_json(model: RodModel) -> dict:
+    """A rod model as lists, numbers and strings; `model_of` reads it."""
+
+    def plain(value):
+        if isinstance(value, Profile):
+            return value.as_json()
+        return [plain(v) for v in value] if isinstance(value, tuple) else value
+
+    content = {f.name: plain(getattr(model, f.name)) for f in fields(model)}
+    return {**content, "law": law_as_json(model.law)}
+
+
+def model_of(content: dict) -> RodModel:
+    """The rod model that `model_as_json` wrote.
+
+    Raises:
+        RodError: a field is missing, unknown, or holds what a rod cannot have.
+    """
+    known = {f.name for f in fields(RodModel)}
+    unknown = sorted(set(content) - known)
+    if unknown:
+        raise RodError(f"holds {', '.join(map(str, unknown))!s:.80}, which no rod has")
+    if "law" in content:
+        content = {**content, "law": law_of(content["law"])}
+    try:
+        return RodModel(**content)
+    except TypeError as error:
+        raise RodError(str(error).replace("RodModel.__init__() ", "")) from None
+
+
+def load_model(path, *, radius: float | None = None, length: float | None = None) -> RodModel:
+    """See `RodModel.load`."""
+    instead = {"radius": radius, "length": length}
+    instead = {key: value for key, value in instead.items() if value is not None}
+    content = _read(path)
+    try:
+        if content.get("format") == MODEL_FORMAT:
+            return _new(path, content, instead)
+        return _material(path, content, instead).model()
+    except RodError as error:
+        said = str(error)
+        raise RodError(said if said.startswith(str(path)) else f"{path}: {said}") from None
+
+
+def load_material(path, *, radius: float | None = None, length: float | None = None):
+    """See `RodMaterial.load`."""
+    content = _read(path)
+    if content.get("format") == MODEL_FORMAT:
+        return load_model(path, radius=radius, length=length).material()
+    instead = {"radius": radius, "length": length}
+    instead = {key: value for key, value in instead.items() if value is not None}
+    try:
+        return _material(path, content, instead)
+    except RodError as error:
+        said = str(error)
+        raise RodError(said if said.startswith(str(path)) else f"{path}: {said}") from None
+
+
+def _new(path, content: dict, instead: dict) -> RodModel:
+    content = {k: v for k, v in content.items() if k not in ("format", "found")}
+    _warn(path, _assumed(content, content.pop("assumed", []), instead))
+    model = model_of(content)
+    if "length" in instead:
+        model = with_length(model, instead.pop("length"))
+    return replace(model, **instead)
+
+
+def with_length(model: RodModel, length: float) -> RodModel:
+    """The rod cut, or gone on with as it ends, to another length [m].
+
+    Raises:
+        RodError: the length is not positive and finite.
+    """
+    masses = tuple((s, m) for s, m in model.point_masses if s <= length)
+    return replace(model, length=length, point_masses=masses)
+
+
+def _material(path, content: dict, instead: dict) -> RodMaterial:
+    if content.get("format") == _OLD_FORMAT:
+        content = {"format": MATERIAL_FORMAT, **_rod_of_old(path, content, instead)}
+    if content.pop("format", None) != MATERIAL_FORMAT:
+        raise RodError(f"is not a {MATERIAL_FORMAT} file; write one with `wrod loop --out`")
+    try:
+        return RodMaterial(**{**content, **instead})
+    except TypeError as error:
+        raise RodError(str(error).replace("RodMaterial.__init__() ", "")) from None
+
+
+def _rod_of_old(path, content: dict, instead: dict) -> dict:
+    rod, effects = content.get("rod"), content.get("effects")
+    named = isinstance(effects, list) and all(
+        isinstance(e, dict) and isinstance(e.get("name"), str) for e in effects
+    )
+    if not isinstance(rod, dict) or not named:
+        raise RodError("holds no rod and effects; write it again with `wrod identify`")
+    aside = [e["name"] for e in effects if e["name"] not in _CARRIED]
+    said = []
+    if aside:
+        said.append(
+            f"{', '.join(aside)} set aside, for an earlier version wrote the file; `wrod identify` "
+            "writes what belongs to the rod into it now"
+        )
+    _warn(path, said + _assumed(rod, content.get("assumed"), instead))
+    return rod
+
+
+def _assumed(rod: dict, assumed, instead: dict) -> list[str]:
+    assumed = assumed if isinstance(assumed, list) else []
+    assumed = [key for key in rod if key in assumed and key not in instead]
+    values = ", ".join(f"{key} {rod.get(key)!r:.40}" for key in assumed)
+    return [f"{values} assumed, for motion tells ratios to the weight only"] if assumed else []
+
+
+def _warn(path, said: list[str]) -> None:
+    if said:
+        warnings.warn(f"{path}: {'; '.join(said)}", WrodWarning, stacklevel=6)
+
+
+def _read(path) -> dict:
+    try:
+        size = Path(path).stat().st_size
+        if size > _MOST_BYTES:
+            raise RodError(f"{path}: is {size} bytes long, which no rod file is")
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except RodError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
+        raise RodError(f"{path}: not a readable rod file ({error})") from None
+    if not isinstance(content, dict):
+        raise RodError(f"{path}: is not a {MATERIAL_FORMAT} file; write one with `wrod loop --out`")
+    return content
+
+
+def _write(path, content: dict) -> Path:
+    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    return write_atomically(path, lambda file: file.write(text))

@@ -1,0 +1,96 @@
+"""Internal damping of a batch in time steps: see `wrod.kernels.stepping.viscosity`."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from wrod.errors import RodError
+from wrod.kernels.stepping import viscosity as kernels
+from wrod.rods.batch import RodBatch
+
+
+class Viscosity:
+    """A Kelvin-Voigt material's elastic stand-in, step by step.
+
+    Args:
+        batch: the rods.
+        time: Kelvin-Voigt time, (rod,) of all strains, or (rod, node, 4), broadcast: of the first
+            and second bending and the twisting at each node, and of the stretching of the edge
+            after it [time].
+
+    Attributes:
+        model: what `RodBatch.evaluate` takes as `model`.
+        strain, strain_older: (rod, node) strains at the start of the step, and of the one before.
+
+    Raises:
+        RodError: a time is negative or not finite, or does not broadcast.
+    """
+
+    def __init__(self, batch: RodBatch, time: np.ndarray | float):
+        self.batch, device = batch, batch.device
+        shape = (batch.rod_count, batch.node_count, 4)
+        time = np.asarray(time, dtype=float)
+        if time.ndim == 1:
+            time = time[:, None, None]
+        try:
+            time = np.broadcast_to(time, shape)
+        except ValueError:
+            raise RodError(
+                f"internal damping has shape {time.shape}; give (rod,) or {shape}"
+            ) from None
+        if not (np.isfinite(time) & (time >= 0)).all():
+            raise RodError("internal damping must be finite and not negative")
+        self.time = wp.array(np.ascontiguousarray(time), dtype=wp.vec4d, device=device)
+        # (rod,) of the stretching: rounding in stiff edges grows with it.
+        self.stretching_time = wp.array(time[:, :, 3].max(axis=1), dtype=wp.float64, device=device)
+        self.exists = bool(time.any())
+        self.model = None
+        if not self.exists:
+            return
+        self.model = [wp.clone(a) if isinstance(a, wp.array) else a for a in batch.elastic_model]
+        self.strain, self.strain_older = (
+            wp.zeros(shape[:2], dtype=wp.vec4d, device=device) for _ in range(2)
+        )
+
+    def _launch(self, kernel, columns: int, inputs: list, outputs: list) -> None:
+        batch = self.batch
+        dim = (batch.rod_count, columns)
+        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
+
+    def begin(self, starting: wp.array, coefficient: wp.array, step: wp.array) -> None:
+        """Let the rest shape of the rods that start a step flow as their history says."""
+        if not self.exists:
+            return
+        batch, state = self.batch, self.batch.state
+        rest, stretching, bending, curvature, softening, twisting, twist = batch.elastic_model
+        self._launch(
+            kernels.measure_strains,
+            batch.node_count,
+            [starting, state.dof, state.director, state.reference_twist],
+            [self.strain],
+        )
+        history = [starting, coefficient, step, self.strain, self.strain_older]
+        self._launch(
+            kernels.flow_stretching,
+            batch.node_count - 1,
+            [rest, stretching, self.time, *history],
+            self.model[:2],
+        )
+        self._launch(
+            kernels.flow_bending,
+            batch.node_count - 2,
+            [rest, bending, curvature, softening, twisting, twist, self.time, *history]
+            + self.model[:1],
+            self.model[2:],
+        )
+
+    def finish(self, accepted: wp.array) -> None:
+        """Carry the strains of accepted steps over to the next."""
+        if self.exists:
+            self._launch(
+                kernels.shift_strains,
+                self.batch.node_count,
+                [accepted, self.strain],
+                [self.strain_older],
+            )
