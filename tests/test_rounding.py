@@ -26,10 +26,10 @@ def test_corner_keeps_bound_ends_and_lines(angle):
     for place in (0.0, 1.0):
         ends = [p.sample(place * p.length)[0] for p in (pattern, rounded)]
         np.testing.assert_allclose(*ends, atol=3e-4)
-    # An arc between the lines stands (sec(angle / 2) - 1) / bound off the corner; the nearest
-    # curve swings out on both sides and does better, but no curve does much better than half.
+    # An arc between the lines stands (sec(angle / 2) - 1) / bound off the corner. The nearest
+    # curve swings out on both sides and does better; one that bends evenly begins earlier.
     arc = (1 / np.cos(angle / 2) - 1) / bound
-    assert 0.2 * arc < said.largest < arc
+    assert 0.2 * arc < said.largest < 2.5 * arc
     assert len(said.places) >= 1 and abs(said.places[0][0] - 0.2) < 0.02
 
 

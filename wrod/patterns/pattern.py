@@ -14,6 +14,8 @@ from wrod.errors import PatternError
 from wrod.files import write_atomically
 from wrod.patterns.corners import distance_from_lines, find_corners, heading_with_corners
 from wrod.patterns.curve import heading_of_curve, integrate_heading, lead_in
+from wrod.patterns.drawings import EXACT, read_drawing
+from wrod.patterns.drawings import SUFFIXES as DRAWINGS
 from wrod.patterns.expressions import compile_expression
 from wrod.patterns.files import RawPoints, checked_points, read_points, refuse_spikes, unit_scale
 from wrod.patterns.shapes import SHAPES
@@ -57,8 +59,11 @@ class Pattern:
         units: str | None = None,
         smoothing: float | None = None,
         name: str | None = None,
+        layer: str | None = None,
+        stroke: int | None = None,
     ) -> Pattern:
-        """Pattern from a file of points: text or CSV (one point a line), NPY or NPZ ('points').
+        """Pattern from a file of points: text or CSV (one point a line), NPY or NPZ ('points'), or
+        from a vector drawing: SVG or DXF.
 
         A header line may name the columns (x, y, z) and the units (`units: mm`, `x [mm]`); lines
         that begin with # or % are comments. Coordinates are metres unless a unit is named.
@@ -68,10 +73,17 @@ class Pattern:
             units: m, cm, mm, um or in; must agree with the header's.
             smoothing: as in `from_points`.
             name: defaults to the file's stem.
+            layer, stroke: of a drawing that holds several (see `drawings.read_drawing`).
 
         Raises:
             PatternError: names the file, and the line or point where there is one.
         """
+        if Path(path).suffix.lower() in DRAWINGS:
+            raw = read_drawing(Path(path), units, layer, stroke)
+            level = EXACT if smoothing is None else smoothing
+            return cls._from_raw(raw, "m", level, name or Path(path).stem)
+        if layer is not None or stroke is not None:
+            raise PatternError(f"{path}: layers and strokes belong to SVG and DXF drawings")
         raw = read_points(path)
         return cls._from_raw(raw, units, smoothing, name or Path(path).stem)
 

@@ -110,7 +110,8 @@ def attempt(task: Task, places: list[Placement], angles, fixed: bool) -> Solutio
 
 def _failure(best: Solution, fixed: Placement | None) -> str:
     where = f"placed at {best.branch.placement}" if fixed else "at the best placement found"
-    return f"no joint path {where}: {best.report.problem}"
+    what_to_do = "move the pattern or use placement 'auto'" if fixed else "use a smaller pattern"
+    return f"no joint path {where}: {best.report.problem}; {what_to_do}"
 
 
 def _is_auto(placement) -> bool:
