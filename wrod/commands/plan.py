@@ -22,7 +22,7 @@ from wrod.commands.options import (
 )
 from wrod.commands.plan_pattern import SHAPE, fit, too_long
 from wrod.commands.plan_steps import NO_JOINT_PATH, arm_steps, save_plan, solve_grasps_of
-from wrod.commands.plan_summary import summary
+from wrod.commands.plan_summary import read_friction, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
 from wrod.errors import PatternError
 
@@ -41,7 +41,12 @@ from wrod.errors import PatternError
 )
 @click.option("--spacing", default=0.0025, show_default=True, help="Distance between nodes [m].")
 @options(UNITS, DRAWING, PICTURE)
-@click.option("--friction", type=float, help="Static friction coefficient to check against.")
+@click.option(
+    "--friction",
+    "friction_text",
+    help="Of the table: a coefficient (0.3) or a range (0.2:0.6). The path is corrected until what "
+    "stays lies on the pattern, and what is expected there is said; takes a minute or two.",
+)
 @click.option(
     "--shapes/--no-shapes",
     default=True,
@@ -74,7 +79,7 @@ def command(
     scale: float | None,
     camera: Path | None,
     start: str | None,
-    friction: float | None,
+    friction_text: str | None,
     shapes: bool,
     remainder: bool | None,
     roll_text: str | None,
@@ -95,7 +100,6 @@ def command(
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
     from wrod.controller.controller import Controller
-    from wrod.planning.friction import friction_bound
     from wrod.planning.plan import prepare
 
     request = RobotRequest(**arm)
@@ -108,7 +112,9 @@ def command(
     drawn = read_pattern(pattern, units, reading, layer, stroke)
     chosen = None if device == "auto" else device
 
-    def planned(resize: float | None, hold: float | None):
+    friction = None if friction_text is None else read_friction(friction_text)
+
+    def planned(resize: float | None, hold: float | None, friction=None):
         """Pattern, rod and trajectory at a size and a hold."""
         fitted = fit(drawn, rod, resize, tolerance, hold)
         try:
@@ -119,12 +125,11 @@ def command(
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json, method=method, closure=closure, spacing=spacing,
             remainder=remainder, roll=read_roll(roll_text, fitted.rod), controller=controller,
-            device=chosen, shapes=shapes,
+            device=chosen, shapes=shapes, friction=friction,
         )  # fmt: skip
         return fitted, curve, trajectory
 
-    fitted, curve, trajectory = planned(resize, hold)
-    bound = friction_bound(curve, fitted.rod, friction)
+    fitted, curve, trajectory = planned(resize, hold, friction)
     written = save_plan(out, curve, trajectory)
     joint_path, reason = None, None
     if not request.no_robot:
@@ -139,7 +144,6 @@ def command(
         "laid_length": float(trajectory.arc_length[-1]),
         "highest_grip": float(trajectory.position[:, 2].max()),
         "twist": None if trajectory.twist is None else trajectory.twist[[0, -1]].tolist(),
-        "insufficient_friction": bound.insufficient,
         "joint_path": None if joint_path is None else joint_path.metadata,
         "no_joint_path": reason,
         "notes": list(fitted.notes),
@@ -148,7 +152,7 @@ def command(
     if as_json:
         click.echo(json.dumps(figures, indent=2))
     else:
-        click.echo(summary(figures, friction))
+        click.echo(summary(figures))
         for path in written:
             click.echo(f"wrote {path}")
     if reason is not None:

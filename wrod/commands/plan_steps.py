@@ -7,7 +7,9 @@ from pathlib import Path
 NO_JOINT_PATH = 3  # exit code: the plan stands, the arm cannot follow it
 
 
-def solve_grasps_of(curve, rod, quiet: bool, *, device, shapes: bool, **options):
+def solve_grasps_of(
+    curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, **options
+):
     """The trajectory, with the rod's shapes where they are wanted."""
     from tqdm import tqdm
 
@@ -19,7 +21,15 @@ def solve_grasps_of(curve, rod, quiet: bool, *, device, shapes: bool, **options)
             bar.total = total
             bar.update(count)
 
-        trajectory = plan(curve, rod, device=device, progress=progress, **options)
+        trajectory = plan(
+            curve, rod, method, device=device, progress=progress,
+            friction=None if method == "intuitive" else friction, **options,
+        )  # fmt: skip
+        if friction is not None and method == "intuitive":
+            from wrod.deployment.optimise import expect
+
+            expected = expect(curve, rod, trajectory, friction, device=device or "auto")
+            trajectory.metadata["expected"] = expected
         if shapes:
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
