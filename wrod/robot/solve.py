@@ -33,6 +33,7 @@ class UnreachedError(RobotError):
         self.task, self.best, self.places = task, best, places
 
 
+_LOST = 0.3  # [m] miss of the nearest branch from which on other grip angles are not tried
 _REFINED = 4  # branches that are varied where none was good enough as it was
 
 
@@ -99,6 +100,8 @@ def attempt(task: Task, places: list[Placement], angles, fixed: bool) -> Solutio
         if best.report.problem is None:
             return best
         promising += branches[:_REFINED]
+        if min(branch.miss.max() for branch in branches) > _LOST:
+            return best  # no turn of the gripper makes up for that
     for branch in sorted(promising, key=task.cost)[:_REFINED]:
         found = task.finish(task.nearby(branch, fixed))
         if found.report.shortfall < best.report.shortfall:
