@@ -10,7 +10,7 @@ import click
 
 from wrod import __version__
 from wrod.commands.bounds import bounded
-from wrod.commands.running import INTERRUPTED, holding_output, stop
+from wrod.commands.running import INTERRUPTED, REFUSED, holding_output, stop
 from wrod.errors import WrodWarning
 from wrod.files.writing import begin
 
@@ -52,6 +52,10 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context):
         try:
             return super().invoke(ctx)
+        except click.UsageError as error:
+            path = ctx.command_path if error.ctx is None else error.ctx.command_path
+            click.echo(f"wrod: {error.format_message()} (see {path} --help)", err=True)
+            ctx.exit(REFUSED)
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except (Exception, KeyboardInterrupt) as error:
