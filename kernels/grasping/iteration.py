@@ -36,9 +36,12 @@ border = make_border(3)
 vector5 = border.vector
 
 # Balance that is enough on the way.
-ON_THE_WAY = wp.constant(wp.float64(1.0e-2))
+ON_THE_WAY = wp.constant(wp.float64(5.0e-2))
+AT_TARGET = wp.constant(wp.float64(5.0e-3))
+# How much better balanced two grasps are than they are apart, for their slopes to be compared.
+SHARP = wp.constant(wp.float64(2.0e-2))
 # Change of the force that no longer matters.
-FORCE_DONE = wp.constant(wp.float64(1.0e-7))
+FORCE_DONE = wp.constant(wp.float64(1.0e-9))
 
 
 @wp.struct
@@ -114,6 +117,7 @@ def solve_straight(
     shape: wp.array3d(dtype=wp.float64),
     curvature: wp.array(dtype=wp.float64),
     thrust: wp.array(dtype=wp.float64),
+    family: wp.array2d(dtype=wp.float64),
     # Out:
     status_out: wp.array(dtype=wp.int32),
     iterations_out: wp.array(dtype=wp.int32),
@@ -141,11 +145,17 @@ def solve_straight(
     pull = thrust[r]
     kappa_saved = wp.float64(kappa)
     pull_saved = wp.float64(pull)
-    # The family's tangent, at first along the thrust; where it led last, and the slope there.
-    along = vector5(ZERO, ZERO, ZERO, ZERO, ONE)
+    # The family's tangent, and how the closure's slope changes along it; where it led last, and the
+    # slope there.
+    along = vector5()
+    for i in range(5):
+        along[i] = family[r, i]
+    steepness = wp.float64(family[r, 5])
+    along_saved = vector5(along)
     heading = wp.vec3d(ONE, ZERO, ZERO)
     moved = wp.float64(0.0)
     slope_before = wp.float64(0.0)
+    worst_before = wp.float64(0.0)
     increment = wp.float64(first_increment)
     reach = wp.float64(first_increment)
     waited = int(0)
@@ -167,7 +177,7 @@ def solve_straight(
         half = half_turn(kappa, h0)
         d = first_direction(half)
         at_target = kappa == goal
-        balanced = worst <= ON_THE_WAY
+        balanced = worst <= wp.where(at_target, AT_TARGET, ON_THE_WAY)
 
         # Where the Newton step leads, and along the tangent from there.
         turn = wp.vec3d(ZERO, ZERO, ZERO)
@@ -202,13 +212,16 @@ def solve_straight(
             tangent = along / length
             heading = way / length
             slope = wp.dot(force, heading)
-            steepness = wp.float64(1.0)
-            if at_target and wp.abs(moved) > wp.float64(1.0e-6):
+            if not at_target:
+                steepness = ONE
+            elif worst + worst_before < SHARP * wp.abs(moved):
+                # What is out of balance is in the slope too.
                 secant = (slope - slope_before) / moved
                 if secant > wp.float64(0.1) and secant < wp.float64(10.0):
                     steepness = secant
             change = -slope / steepness
             slope_before = slope
+            worst_before = worst
 
         if balanced and worst <= tolerance[r] and at_target and wp.abs(change) <= FORCE_DONE:
             status = CONVERGED
@@ -225,7 +238,7 @@ def solve_straight(
                 pull = pull_saved
                 # The way back is no evidence for larger steps.
                 waited = 4
-                along = vector5(ZERO, ZERO, ZERO, ZERO, ONE)
+                along = vector5(along_saved)
                 moved = ZERO
         else:
             if balanced:
@@ -234,6 +247,7 @@ def solve_straight(
                         scratch.saved[slot, i, c] = shape[r, i, c]
                 kappa_saved = kappa
                 pull_saved = pull
+                along_saved = vector5(along)
                 saved = 1
                 if not at_target or wp.abs(change) > FORCE_DONE:
                     if waited <= 3:
@@ -265,6 +279,9 @@ def solve_straight(
                 place_contact(shape, r, kappa, h0)
     curvature[r] = kappa
     thrust[r] = pull
+    for i in range(5):
+        family[r, i] = along[i]
+    family[r, 5] = steepness
     status_out[r] = status
     iterations_out[r] = iterations_out[r] + iterations
     negative_out[r] = negative

@@ -224,14 +224,14 @@ def judge(
     edges: int,
     rest: wp.array2d(dtype=wp.float64),
     curvature: wp.array(dtype=wp.float64),
-    first: int,
+    order: wp.array(dtype=wp.int32),
     # Out:
     out: Results,
 ):
-    """Combine both meshes (Richardson) into rows `first` on of the results, mirror right turns, and
+    """Combine both meshes (Richardson) into the results' rows, mirror right turns, and
     say which are results: admissible, stable and on the gentle branch."""
     r = wp.tid()
-    row = first + r
+    row = order[r]
     c = wp.float64(0.0)
     f = wp.float64(1.0)
     if extrapolate != 0:

@@ -20,7 +20,7 @@ _FIRST_INCREMENT = 0.5
 # A ladder starts on this many edges or more.
 _COARSEST = 32
 # Threads a block on a GPU: few, so that finished blocks make room.
-_BLOCK = 32
+_BLOCK = int(__import__("os").environ.get("WROD_BLOCK", 32))
 
 
 def per_rod(device: str, rods: int, *shape: int) -> wp.array:
@@ -88,6 +88,7 @@ class MeshLevel:
 
         self.rest, self.rest_rate = floats(edges), floats(edges)
         self.tolerance, self.curvature, self.thrust = floats(), floats(), floats()
+        self.family = floats(6)
         self.read = level = reading.Level()
         level.shape = floats(edges + 1, 3)
         level.rotation, level.force, level.jacobian = floats(3), floats(3), floats(9)
@@ -101,14 +102,14 @@ class MeshLevel:
 
     @property
     def state(self) -> list[wp.array]:
-        return [self.shape, self.curvature, self.thrust]
+        return [self.shape, self.curvature, self.thrust, self.family]
 
-    def lay(self, length: wp.array, stretch_ratio: wp.array, first: int, rods: int) -> None:
-        """Lay the meshes of rods `first` on and forget what was solved on them."""
+    def lay(self, length: wp.array, stretch_ratio: wp.array, rods: int) -> None:
+        """Lay the meshes of the first rods and forget what was solved on them."""
         wp.launch(
             mesh.lay_mesh,
             dim=rods,
-            inputs=[length, stretch_ratio, first, self.edges],
+            inputs=[length, stretch_ratio, self.edges],
             outputs=[self.rest, self.rest_rate, self.tolerance],
             device=self.device,
         )
@@ -129,6 +130,7 @@ class MeshLevel:
                 half.curvature,
                 half.shape,
                 half.thrust,
+                half.family,
                 int(quarter is not None),
                 other.shape,
                 other.thrust,
@@ -140,7 +142,14 @@ class MeshLevel:
         """Start from the solution on twice the edges."""
         work.launch(
             mesh.coarsen,
-            [double.edges, self.rest, double.curvature, double.shape, double.thrust],
+            [
+                double.edges,
+                self.rest,
+                double.curvature,
+                double.shape,
+                double.thrust,
+                double.family,
+            ],
             self.state,
         )
 
@@ -234,7 +243,10 @@ class Ladder:
         slots = 1 if wp.get_device(device).is_cpu else rods
         self.scratch = make_scratch(slots, edges, device)
         self.work, self.lost = WorkList(rods, device), WorkList(rods, device)
-        self.model = [per_rod(device, rods) for _ in range(3)]
+        self.length, *self.model = (per_rod(device, rods) for _ in range(4))
+        # Sorting takes room for as many again.
+        self.key = wp.empty(2 * rods, dtype=wp.float32, device=device)
+        self.order = wp.empty(2 * rods, dtype=wp.int32, device=device)
 
     def solve(
         self,
@@ -255,15 +267,24 @@ class Ladder:
             self.lost,
         )
         wp.launch(
+            mesh.expect_work,
+            dim=rods,
+            inputs=[inputs[1], first],
+            outputs=[self.key, self.order],
+            device=self.device,
+        )
+        if wp.get_device(self.device).is_cuda:
+            wp.utils.radix_sort_pairs(self.key, self.order, rods)
+        wp.launch(
             mesh.take_inputs,
             dim=rods,
-            inputs=[*inputs, first, rods],
-            outputs=[*model, work.index, work.count],
+            inputs=[*inputs, self.order, rods],
+            outputs=[self.length, *model, work.index, work.count],
             device=self.device,
         )
         self.iterations.zero_()
         for level in levels:
-            level.lay(inputs[0], inputs[2], first, rods)
+            level.lay(self.length, model[0], rods)
         levels[0].hang(work)
         levels[0].solve(work, model, closure, scratch)
         for i in range(1, len(levels)):
@@ -297,7 +318,7 @@ class Ladder:
                 fine.edges,
                 fine.rest,
                 inputs[1],
-                first,
+                self.order,
             ],
             outputs=[out],
             device=self.device,

@@ -32,7 +32,7 @@ CLOSURES = {
 EDGE_COUNT = 128
 
 # Grasps solved at once: few on a CPU, whose cache they should not leave; many on a GPU.
-_CPU_CHUNK, _CUDA_CHUNK = 128, 65536
+_CPU_CHUNK, _CUDA_CHUNK = 128, int(os.environ.get("WROD_CHUNK", 65536))
 
 
 @dataclass(frozen=True)
