@@ -15,6 +15,7 @@ from wrod.files import write_atomically
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.measurements import ClampedMeasurements, load_measurements
+from wrod.identification.clamped.noise import NoiseModel
 from wrod.identification.clamped.selection import select
 from wrod.identification.clamped.trace import Print, trace
 from wrod.identification.effect import Effect, Estimate, Model, effects
@@ -61,6 +62,8 @@ class IdentificationReport:
         selection, prints: the whole evidence.
         predicted_before, predicted_after: (T, M, 3) marker positions [m].
         material: the rod with what a `RodMaterial` can carry of the effects.
+        noise: as the selection found it; missing: markers without a position; outliers: (T, M)
+            markers that were set aside.
     """
 
     measurements: ClampedMeasurements
@@ -76,6 +79,9 @@ class IdentificationReport:
     predicted_before: np.ndarray
     predicted_after: np.ndarray
     material: RodMaterial
+    noise: NoiseModel
+    missing: int
+    outliers: np.ndarray
 
     def to_dict(self) -> dict:
         """The content of `report.json`; lengths of errors in mm, everything else SI."""
@@ -112,6 +118,15 @@ class IdentificationReport:
                 "final": s.fit.chi_squared,
                 "residuals": s.fit.residual_count,
             },
+            "noise": self.noise.to_dict() | {"said": self.noise.described()},
+            "readings_set_aside": {
+                "missing_markers": self.missing,
+                "outliers": [
+                    {"trial": int(t), "marker": int(k)} for t, k in np.argwhere(self.outliers)
+                ],
+            },
+            "unseen_trials": {"chi_squared_taken": s.unseen[0], "stderr": s.unseen[1]},
+            "parameters_at_a_bound": list(s.at_bound),
             "prints": [p.to_dict() for p in self.prints],
         }
 
@@ -172,8 +187,8 @@ def identify(
         measurements=m,
         verdict=selection.verdict,
         reason=selection.reason,
-        before=m.rms(before, m.test),
-        after=m.rms(after, m.test),
+        before=laboratory.rms(before, m.test),
+        after=laboratory.rms(after, m.test),
         noise_floor=m.noise_floor,
         effects=_found(laboratory, fit, selection),
         candidates=tuple(_scores(laboratory, selection)),
@@ -182,6 +197,9 @@ def identify(
         predicted_before=before,
         predicted_after=after,
         material=with_effects(m.material, fit.model, fit.values, m),
+        noise=laboratory.noise,
+        missing=laboratory.missing,
+        outliers=laboratory.outliers,
     )
 
 
