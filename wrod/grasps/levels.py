@@ -20,7 +20,7 @@ _FIRST_INCREMENT = 0.5
 # A ladder starts on this many edges or more.
 _COARSEST = 32
 # Threads a block on a GPU: few, so that finished blocks make room.
-_BLOCK = int(__import__("os").environ.get("WROD_BLOCK", 32))
+_BLOCK = 32
 
 
 def per_rod(device: str, rods: int, *shape: int) -> wp.array:
@@ -32,15 +32,16 @@ def per_rod(device: str, rods: int, *shape: int) -> wp.array:
     return array.transpose((len(shape), *range(len(shape))))
 
 
-def make_scratch(slots: int, edges: int, device: str) -> iteration.Scratch:
-    """Room to iterate `slots` rods at a time on meshes of up to `edges` edges."""
+def make_scratch(slots: int, edges: int, device: str, size: int = 3) -> iteration.Scratch:
+    """Room to iterate `slots` rods at a time on meshes of up to `edges` edges; `size` is 3 for
+    straight isotropic rods, 4 for general ones."""
     scratch = iteration.Scratch()
-    scratch.stiffness = per_rod(device, slots, edges, stencil_entries(3))
-    scratch.load = per_rod(device, slots, edges + 1, 3)
-    scratch.factor = per_rod(device, slots, 3 * edges, row_width(3))
-    scratch.condensed = per_rod(device, slots, 42)
-    scratch.motion = per_rod(device, slots, edges + 1, 3)
-    scratch.saved = per_rod(device, slots, edges + 1, 3)
+    scratch.stiffness = per_rod(device, slots, edges, stencil_entries(size))
+    scratch.load = per_rod(device, slots, edges + 1, size)
+    scratch.factor = per_rod(device, slots, size * edges, row_width(size))
+    scratch.condensed = per_rod(device, slots, 2 * size * (2 * size + 1))
+    scratch.motion = per_rod(device, slots, edges + 1, size)
+    scratch.saved = per_rod(device, slots, edges + 1, 3 if size == 3 else 7)
     return scratch
 
 
@@ -88,7 +89,8 @@ class MeshLevel:
 
         self.rest, self.rest_rate = floats(edges), floats(edges)
         self.tolerance, self.curvature, self.thrust = floats(), floats(), floats()
-        self.family = floats(6)
+        self.family, self.increment = floats(6), floats()
+        self.increment.fill_(_FIRST_INCREMENT)
         self.read = level = reading.Level()
         level.shape = floats(edges + 1, 3)
         level.rotation, level.force, level.jacobian = floats(3), floats(3), floats(9)
@@ -161,16 +163,18 @@ class MeshLevel:
         `model` are (stretch ratio, target curvature, weight), (rod,) each.
         """
         level = self.read
+        rod = iteration.StraightRod()
+        rod.rest, rod.stretch_ratio = self.rest, model[0]
         work.launch(
             iteration.solve_straight,
             [
                 self.edges,
-                self.rest,
-                *model,
+                rod,
+                *model[1:],
                 self.tolerance,
                 closure,
                 wp.float64(_STEP_LIMIT),
-                wp.float64(_FIRST_INCREMENT),
+                self.increment,
                 _PATIENCE,
                 _MAX_ITERATIONS,
                 scratch,
@@ -248,24 +252,8 @@ class Ladder:
         self.key = wp.empty(2 * rods, dtype=wp.float32, device=device)
         self.order = wp.empty(2 * rods, dtype=wp.int32, device=device)
 
-    def solve(
-        self,
-        inputs: list[wp.array],
-        first: int,
-        rods: int,
-        *,
-        closure: int,
-        extrapolate: bool,
-        out: reading.Results,
-    ) -> None:
-        """Solve inputs (l_s, kappa, k_s) from row `first` on into the same rows of `out`."""
-        levels, model, scratch, work, lost = (
-            self.levels,
-            self.model,
-            self.scratch,
-            self.work,
-            self.lost,
-        )
+    def expect(self, inputs: list[wp.array], first: int, rods: int, *, sort: bool) -> None:
+        """Take rods of `inputs` from row `first` on, sorted by the work that they will be."""
         wp.launch(
             mesh.expect_work,
             dim=rods,
@@ -273,15 +261,20 @@ class Ladder:
             outputs=[self.key, self.order],
             device=self.device,
         )
-        if wp.get_device(self.device).is_cuda:
+        if sort:
             wp.utils.radix_sort_pairs(self.key, self.order, rods)
         wp.launch(
             mesh.take_inputs,
             dim=rods,
             inputs=[*inputs, self.order, rods],
-            outputs=[self.length, *model, work.index, work.count],
+            outputs=[self.length, *self.model, self.work.index, self.work.count],
             device=self.device,
         )
+
+    def climb(self, rods: int, closure: int) -> None:
+        """Solve the first rods on every mesh."""
+        levels, model, scratch = self.levels, self.model, self.scratch
+        work, lost = self.work, self.lost
         self.iterations.zero_()
         for level in levels:
             level.lay(self.length, model[0], rods)
@@ -304,10 +297,25 @@ class Ladder:
         fine.solve(lost, model, closure, scratch)
         coarse.coarsen(lost, fine)
         coarse.solve(lost, model, closure, scratch)
+
+    def solve(
+        self,
+        inputs: list[wp.array],
+        first: int,
+        rods: int,
+        *,
+        closure: int,
+        extrapolate: bool,
+        out: reading.Results,
+    ) -> None:
+        """Solve inputs (l_s, kappa, k_s) from row `first` on into the same rows of `out`."""
+        self.expect(inputs, first, rods, sort=wp.get_device(self.device).is_cuda)
+        self.climb(rods, closure)
+        coarse, fine = self.levels[-2:]
         for level in (coarse, fine):
             level.read_out(rods)
             if self.sensitivities:
-                level.find_sensitivities(rods, model[0], scratch)
+                level.find_sensitivities(rods, self.model[0], self.scratch)
         wp.launch(
             reading.judge,
             dim=rods,
