@@ -252,6 +252,17 @@ class Ladder:
         self.key = wp.empty(2 * rods, dtype=wp.float32, device=device)
         self.order = wp.empty(2 * rods, dtype=wp.int32, device=device)
 
+    def fits(self, rods: int, edges: int, device: str, sensitivities: bool) -> bool:
+        """Whether this is the room that a call wants."""
+        mine = (self.rods, self.levels[-1].edges, self.device, self.sensitivities)
+        return mine == (rods, edges, device, sensitivities)
+
+    @property
+    def byte_count(self) -> int:
+        """Roughly what is held: scratch memory is most of it."""
+        numbers = self.levels[-1].edges * (stencil_entries(3) + 3 * row_width(3) + 24)
+        return 8 * self.rods * numbers
+
     def expect(self, inputs: list[wp.array], first: int, rods: int, *, sort: bool) -> None:
         """Take rods of `inputs` from row `first` on, sorted by the work that they will be."""
         wp.launch(

@@ -33,7 +33,9 @@ CLOSURES = {
 EDGE_COUNT = 128
 
 # Grasps solved at once: few on a CPU, whose cache they should not leave; many on a GPU.
-_CPU_CHUNK, _CUDA_CHUNK = 128, 131072
+_CPU_CHUNK, _CUDA_CHUNK = 128, 65536
+# Most of a GPU's memory that is kept from call to call.
+_KEPT_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,7 @@ def solve_grasps(
 
     spare: queue.SimpleQueue[Ladder] = queue.SimpleQueue()
     for _ in range(min(workers, -(-rods // size))):
-        spare.put(Ladder(size, edge_count, inputs.device, sensitivities))
+        spare.put(_ladder(size, edge_count, inputs.device, sensitivities))
 
     def solve_with_spare(first: int) -> None:
         ladder = spare.get()
@@ -185,8 +187,27 @@ def solve_grasps(
     else:
         for first in firsts:
             solve_with_spare(first)
+    if inputs.device != "cpu":
+        _keep(spare.get())
     eigenvalue = _eigenvalues(inputs, out, edge_count) if eigenvalues else None
     return _grasps(inputs, out, eigenvalue, shapes)
+
+
+# Room on a GPU that the last call left, for the next of its kind: taking it from the driver costs
+# as much as solving thousands of grasps.
+_kept: list[Ladder] = []
+
+
+def _ladder(rods: int, edges: int, device: str, sensitivities: bool) -> Ladder:
+    kept = _kept.pop() if _kept and device != "cpu" else None
+    if kept is not None and kept.fits(rods, edges, device, sensitivities):
+        return kept
+    return Ladder(rods, edges, device, sensitivities)
+
+
+def _keep(ladder: Ladder) -> None:
+    if ladder.byte_count < _KEPT_SHARE * wp.get_device(ladder.device).total_memory:
+        _kept[:] = [ladder]
 
 
 def _natural_curvature(value, count: int) -> np.ndarray | None:
