@@ -68,8 +68,8 @@ def _shape(path: Path, number: int, entry) -> LinkShape:
             values = np.atleast_1d(np.asarray(entry.get(name, default), dtype=float))
         except (TypeError, ValueError, OverflowError):
             values = np.array([])
-        if values.shape != (wanted,) or not np.isfinite(values).all():
-            raise RobotError(f"{where}: {name} must be {wanted} finite numbers")
+        if values.shape != (wanted,) or not (np.abs(values) <= 1e3).all():
+            raise RobotError(f"{where}: {name} must be {wanted} finite numbers, at most 1000")
         return values
 
     size = numbers("size", count, [1.0] * 3 if kind == "mesh" else None)
