@@ -6,7 +6,7 @@ import pytest
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
 from wrod.solvers.contact import Box, Contact, Cylinder, Friction, Plane
-from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.dynamics import SCHEMES, Dynamics
 
 G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
 WEIGHT = np.pi * RADIUS**2 * DENSITY * G
@@ -69,6 +69,42 @@ def test_rest_on_the_table():
     z = batch.positions()[0, :, 2]
     assert 0.95 * RADIUS < z.min() <= z.max() < RADIUS
     assert contact.force.numpy()[0].sum(axis=0)[2] == pytest.approx(WEIGHT * 0.07, rel=1e-4)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("step", [1e-3, 4e-3])
+def test_a_dropped_rod_stays_down(scheme, step):
+    """From 0.3 m it does not come up again, and no energy comes from anywhere but the contact's
+    own give, in which it has sunk by less than a tenth of the radius."""
+    batch = rods(straight(height=0.3))
+    contact = Contact(batch, RADIUS, CONTACT, Friction(0.5))
+    dynamics = Dynamics(batch, scheme=scheme, radius=RADIUS, contact=contact, keeps_recording=True)
+    energy, height = [dynamics.energy()[0]], []
+    for time in np.arange(0.02, 0.6, 0.02):
+        assert not dynamics.advance(time, step).diverged[0]
+        energy.append(dynamics.energy()[0])
+        height.append(batch.positions()[0, :, 2].max())
+    assert max(height[13:]) < RADIUS  # it lands after 0.247 s
+    assert height[-1] > 0.95 * RADIUS
+    assert np.diff(energy).max() < WEIGHT * 0.07 * 0.1 * RADIUS
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.3, 0.7])
+def test_restitution(restitution):
+    """The speed after an impact over that before it, in steps that resolve the contact."""
+    batch = rods(straight(nodes=5, height=RADIUS + 0.01), gravity=0.0)
+    contact = Contact(batch, RADIUS, CONTACT, Friction(0.5), restitution=restitution)
+    dynamics = Dynamics(
+        batch, scheme="bdf2", radius=RADIUS, contact=contact, keeps_recording=True, tolerance=1e-8,
+        force_scale=0.01,
+    )  # fmt: skip
+    velocity = np.zeros((1, 5, 3))
+    velocity[0, :, 2] = -0.5
+    dynamics.set_velocity(velocity)
+    dynamics.advance(0.05, 2e-5)
+    # A viscous contact that only pushes leaves a hundredth at least.
+    expected = 0.5 * max(restitution, 0.01)
+    assert dynamics.velocities()[0, :, 2] == pytest.approx(expected, abs=0.01)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -191,6 +227,8 @@ def test_bad_contacts_are_refused():
         Friction(float("nan"))
     with pytest.raises(RodError, match="radius"):
         Contact(batch, 0.0, CONTACT, Friction(0.3))
+    with pytest.raises(RodError, match="restitution"):
+        Contact(batch, RADIUS, CONTACT, Friction(0.3), restitution=1.0)
     with pytest.raises(RodError, match="direction"):
         Contact(batch, RADIUS, CONTACT, Friction(0.3), shapes=(Plane(normal=(0, 0, 0)),))
     with pytest.raises(RodError, match="sizes"):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
+from scipy.optimize import brentq
 
 from wrod.errors import RodError
 from wrod.kernels.contact import planes as kernels
@@ -78,6 +79,8 @@ class Friction:
 _ROLL_STIFFNESS = 1e3
 # Normal forces rise over this part of the radius: thin against the penetration that is allowed.
 _SKIN = 0.01
+# Damping ratio of contacts without restitution: 1 / (4 zeta^2) of the speed is left.
+_MOST_DAMPING = 5.0
 
 
 @dataclass
@@ -98,10 +101,14 @@ class Contact:
         friction: one for all rods, one per rod, or for every rod a list of one per shape.
         shapes: planes, boxes and cylinders that every rod touches, or for every rod a list of its
             own; default: the table z = 0.
+        restitution: (rod,) speed after an impact over that before, of a rod that lands flat, below
+            1; 0 is as little as a viscous contact leaves, a hundredth.
         keeps_roll: (rod,) whether what touches a shape keeps its roll, unless its friction says
             that it rolls. That counts for naturally curved rods, whose roll says where they bend.
 
     Attributes:
+        time_step: (rod,) duration of the present step, for what depends on rates; a `Dynamics` says
+            it, without one rates are 0.
         force: (rod, node) force on each node at the end of the last step.
         slip: (rod, node) distance that each node has slid in all [length].
 
@@ -115,6 +122,7 @@ class Contact:
     stiffness: np.ndarray
     friction: Friction | list[Friction] | list[list[Friction]]
     shapes: tuple | list[list] = (Plane(),)
+    restitution: np.ndarray | float = 0.0
     keeps_roll: np.ndarray | bool = False
     force: wp.array = field(init=False)
     slip: wp.array = field(init=False)
@@ -145,8 +153,12 @@ class Contact:
                 axis=1
             )
             self._roll = floats(np.where(held, _ROLL_STIFFNESS * edge, 0.0))
+        damping = contact_damping(np.broadcast_to(self.restitution, (rods,)))
+        ratio = batch.node_mass.numpy() / (stiffness * _node_lengths(batch))
+        self._relaxation = floats(damping[:, None] * np.sqrt(ratio))
+        self.time_step = floats(np.full(rods, np.inf))
         self._edges = EdgeContact(
-            batch, radius, stiffness, _SKIN, shapes, self._model[4:], self._roll
+            batch, radius, stiffness, _SKIN, shapes, self._model[4:], damping, self._roll
         )
         self._note_fixtures()
         per_shape = (rods, self._model[0].shape[1], nodes)
@@ -228,12 +240,13 @@ class Contact:
         wp.launch(
             kernels.contact,
             dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, active, dof, dof_before, self._bristle, self._sliding],
+            inputs=[*self._model, self._relaxation, self.time_step, active, dof, dof_before]
+            + [self._bristle, self._sliding],
             outputs=[out.gradient, out.hessian],
             device=self.batch.device,
         )
         if self._has_fixtures:
-            self._edges.add(active, dof, dof_before)
+            self._edges.add(self.time_step, active, dof, dof_before)
         if self._roll is not None:
             wp.launch(
                 kernels.hold_roll,
@@ -264,21 +277,65 @@ class Contact:
         if self._has_fixtures:
             self._edges.refuse(converged, dof, dof_before)
 
+    def find_touching(
+        self, chosen: wp.array, dof: wp.array, dof_before: wp.array, touching: wp.array
+    ) -> None:
+        """Raise `touching` (rod,) of the chosen rods to 1 where they touch, to 2 in an impact."""
+        wp.launch(
+            kernels.find_touching,
+            dim=(self.batch.rod_count, self.batch.node_count),
+            inputs=[*self._model[:2], chosen, dof, dof_before],
+            outputs=[touching],
+            device=self.batch.device,
+        )
+        if self._has_fixtures:
+            self._edges.find_touching(chosen, dof, dof_before, touching)
+
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
         wp.launch(
             kernels.settle_friction,
             dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, accepted, dof, dof_before],
+            inputs=[*self._model, self._relaxation, self.time_step, accepted, dof, dof_before],
             outputs=[self._bristle, self._sliding, self.slip, self.force],
             device=self.batch.device,
         )
         if self._has_fixtures:
-            self._edges.settle(accepted, dof, dof_before, self.slip, self.force)
+            self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)
 
     def penetration(self) -> np.ndarray:
         """(rod,) how deep each rod is in any box or cylinder now [length]."""
         return self._edges.penetration(self.batch.state.dof)
+
+
+def contact_damping(restitution: np.ndarray) -> np.ndarray:
+    """2 zeta of a viscous contact that pushes only, by its coefficient of restitution
+
+        e = exp(-2 zeta phi / sin phi),  cos phi = zeta
+
+    (Schwager and Poeschel 2007), for zeta > 1 with hyperbolic functions.
+
+    Raises:
+        RodError: a coefficient is not in [0, 1).
+    """
+    restitution = np.asarray(restitution, dtype=float)
+    if not ((restitution >= 0) & (restitution < 1)).all():
+        raise RodError("restitution must be at least 0 and below 1")
+
+    def speed_kept(zeta):
+        if zeta < 1.0:
+            phi = np.arccos(zeta)
+            return np.exp(-2.0 * zeta * phi / np.sin(phi))
+        phi = np.arccosh(max(zeta, 1.0 + 1e-12))
+        return np.exp(-2.0 * zeta * phi / np.sinh(phi))
+
+    values = {
+        e: brentq(lambda z, e=e: speed_kept(z) - e, 0.0, _MOST_DAMPING)
+        if e > speed_kept(_MOST_DAMPING)
+        else _MOST_DAMPING
+        for e in np.unique(restitution)
+    }
+    return np.array([2.0 * values[e] for e in restitution.ravel()]).reshape(restitution.shape)
 
 
 def _per_node(name: str, values, shape: tuple[int, int]) -> np.ndarray:

@@ -19,10 +19,13 @@ class EdgeContact:
         skin: thickness over which the force rises, over the radius.
         table: (rod, shape) `wrod.kernels.contact.planes.Shape`.
         laws: static and kinetic friction (rod, shape), rolling (rod,).
+        damping: relaxation time of the contact times sqrt(stiffness / mass), (rod,).
         roll_stiffness: (rod,) with which what touches keeps its roll [force length], or None.
     """
 
-    def __init__(self, batch: RodBatch, radius, stiffness, skin, table, laws, roll_stiffness):
+    def __init__(
+        self, batch: RodBatch, radius, stiffness, skin, table, laws, damping, roll_stiffness
+    ):
         self.batch = batch
         device, edges = batch.device, batch.node_count - 1
 
@@ -34,6 +37,9 @@ class EdgeContact:
         stiffness = (stiffness[:, 1:] + stiffness[:, :-1]) / 2 * batch.rest_length.numpy()
         self.radius = floats(radius)
         self._table = table
+        mass = batch.node_mass.numpy()
+        mass = (mass[:, 1:] + mass[:, :-1]) / 2
+        self._relaxation = floats(damping[:, None] * np.sqrt(mass / stiffness))
         self._law = [floats(stiffness), floats(skin * radius), *laws]
         if roll_stiffness is None:
             roll_stiffness = floats(np.zeros(batch.rod_count))
@@ -52,17 +58,21 @@ class EdgeContact:
             kernel, dim=self.radius.shape, inputs=inputs, outputs=outputs, device=batch.device
         )
 
-    def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
-        out, roll = self.batch.derivatives, [self._roll]
-        inputs = [*self._model, *roll, active, dof, dof_before, self.bristle, self.sliding]
+    def add(self, step: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        out, model = self.batch.derivatives, [*self._model, self._relaxation, self._roll]
+        inputs = [*model, step, active, dof, dof_before, self.bristle, self.sliding]
         self._launch(kernels.edge_contact, inputs, [out.gradient, out.hessian])
 
     def refuse(self, converged: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         inputs = [*self._model[:3], dof, dof_before]
         self._launch(kernels.refuse_tunnelling, inputs, [converged])
 
-    def settle(self, accepted, dof, dof_before, slip: wp.array, force: wp.array) -> None:
-        inputs = [*self._model, accepted, dof, dof_before]
+    def find_touching(self, chosen, dof, dof_before, touching: wp.array) -> None:
+        inputs = [*self._model[:3], chosen, dof, dof_before]
+        self._launch(kernels.find_touching, inputs, [touching])
+
+    def settle(self, step, accepted, dof, dof_before, slip: wp.array, force: wp.array) -> None:
+        inputs = [*self._model, self._relaxation, step, accepted, dof, dof_before]
         self._launch(kernels.settle_edges, inputs, [self.bristle, self.sliding, slip, force])
 
     def penetration(self, dof: wp.array) -> np.ndarray:
