@@ -36,7 +36,12 @@ from wrod.commands.options import (
 )
 @click.option("--spacing", default=0.0025, show_default=True, help="Distance between nodes [m].")
 @options(UNITS, PICTURE)
-@click.option("--friction", type=float, help="Static friction coefficient to check against.")
+@click.option(
+    "--friction",
+    "friction_text",
+    help="Of the table: a coefficient (0.3) or a range (0.2:0.6). The path is corrected until what "
+    "stays lies on the pattern, and what is expected there is said; takes a minute or two.",
+)
 @click.option(
     "--shapes/--no-shapes",
     default=True,
@@ -76,7 +81,7 @@ def command(
     scale: float | None,
     camera: Path | None,
     start: str | None,
-    friction: float | None,
+    friction_text: str | None,
     shapes: bool,
     remainder: bool | None,
     roll_text: str | None,
@@ -97,7 +102,6 @@ def command(
 
     from wrod.controller.controller import Controller
     from wrod.errors import DataError
-    from wrod.planning.friction import friction_bound
     from wrod.planning.picture import draw_plan
     from wrod.planning.plan import plan, prepare, with_shapes
 
@@ -107,7 +111,7 @@ def command(
         "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
     }  # fmt: skip
     curve = prepare(read_pattern(pattern, units, reading), rod, remainder)
-    bound = friction_bound(curve, rod, friction)
+    friction = None if friction_text is None else _friction(friction_text)
     with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=as_json) as bar:
 
         def progress(count: int, total: int) -> None:
@@ -118,8 +122,13 @@ def command(
         trajectory = plan(
             curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
             roll=read_roll(roll_text, rod), controller=controller, device=chosen,
-            progress=progress,
+            friction=None if method == "intuitive" else friction, progress=progress,
         )  # fmt: skip
+        if friction is not None and method == "intuitive":
+            from wrod.deployment.optimise import expect
+
+            expected = expect(curve, rod, trajectory, friction, device=chosen or "auto")
+            trajectory.metadata["expected"] = expected
         if shapes:
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=chosen, progress=progress)
@@ -148,14 +157,13 @@ def command(
         "laid_length": float(trajectory.arc_length[-1]),
         "highest_grip": float(trajectory.position[:, 2].max()),
         "twist": None if trajectory.twist is None else trajectory.twist[[0, -1]].tolist(),
-        "insufficient_friction": bound.insufficient,
         "joint_path": None if joint_path is None else joint_path.metadata,
         "written": [str(path) for path in written],
     }
     if as_json:
         click.echo(json.dumps(figures, indent=2))
         return
-    click.echo(_summary(figures, friction))
+    click.echo(_summary(figures))
     for path in written:
         click.echo(f"wrote {path}")
     if view and joint_path is not None:
@@ -183,7 +191,7 @@ def _joint_path(trajectory, rod, robot: str, placement: str):
         raise RobotError(f"{error} (--no-robot plans the trajectory alone)") from error
 
 
-def _summary(figures: dict, friction: float | None) -> str:
+def _summary(figures: dict) -> str:
     lines = [
         f"{figures['pattern']}: {figures['pattern_length']:.3f} m"
         + (
@@ -192,9 +200,13 @@ def _summary(figures: dict, friction: float | None) -> str:
             else ""
         )
         + f", {figures['nodes']} nodes, largest curvature {figures['largest_curvature']:.1f} 1/m",
-        f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}",
-        f"required static friction {figures['required_friction']:.2f}",
+        f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}"
+        + (f", closure {figures['closure']}" if figures["closure"] else ""),
     ]
+    if "expected" in figures:
+        lines += _expectation(figures["expected"], figures.get("optimised"))
+    else:
+        lines.append("for no table in particular; --friction 0.3 or 0.2:0.6 corrects it for one")
     if figures["twist"] is not None:
         first, last = (value / (2.0 * pi) for value in figures["twist"])
         lines.append(
@@ -215,13 +227,50 @@ def _summary(figures: dict, friction: float | None) -> str:
             f"y {place['y']:.3f}, z {place['z']:.3f} m, yaw {degrees(place['yaw']):.0f} degrees "
             "from the robot's base"
         )
-    if friction is not None:
-        places = figures["insufficient_friction"]
-        lines[2] += (
-            f"; {friction:g} holds everywhere"
-            if not places
-            else f"; {friction:g} is not enough at s = "
-            + ", ".join(f"{a:.3f} to {b:.3f}" for a, b in places)
-            + " m"
-        )
     return "\n".join(lines)
+
+
+def _expectation(expected: dict, optimised: dict | None) -> list[str]:
+    """What simulated deployments say of the plan, in sentences."""
+    mus = expected["friction"]
+    table = f"friction {mus[0]:.2g} to {mus[-1]:.2g}"
+    lines = [
+        f"expected on a table of {table}: {100 * expected['mean']:.2f} ± "
+        f"{100 * expected['deviation']:.2f} cm, at worst "
+        f"{100 * max(expected['error_mean']):.2f} cm "
+        f"({len(mus)} disturbed rods, laid in simulation)"
+    ]
+    if optimised is not None:
+        before, after = optimised["errors"][0], min(optimised["errors"])
+        lines.append(
+            f"grip corrected by up to {1e3 * optimised['largest_correction']:.0f} mm, "
+            f"from {100 * before:.2f} to {100 * after:.2f} cm over the rods that it was fitted to"
+        )
+    if expected["diverged"]:
+        lines.append(f"{expected['diverged']} of them could not be simulated to the end")
+    if expected["slides"]:
+        places = ", ".join(f"{a:.3f} to {b:.3f}" for a, b in expected["slides"])
+        lines.append(f"slides by more than 1 mm while it is laid at s = {places} m")
+    for start, stop, least in expected["off"]:
+        lines.append(
+            f"lies off the pattern by more than 5 mm at s = {start:.3f} to {stop:.3f} m"
+            + (
+                f" below friction {least:.2f}"
+                if least is not None
+                else ", up to the largest friction asked for"
+            )
+        )
+    return lines
+
+
+def _friction(text: str) -> float | tuple[float, float]:
+    """0.3, or (0.2, 0.6) of "0.2:0.6"."""
+    from wrod.errors import PatternError
+
+    try:
+        values = [float(word) for word in text.split(":")]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 2):
+        raise PatternError(f"--friction is {text!r}; give a coefficient (0.3) or a range (0.2:0.6)")
+    return values[0] if len(values) == 1 else (values[0], values[1])
