@@ -28,6 +28,7 @@ from wrod.kernels.contact.planes import (
     shape_displacement,
     shape_distance,
 )
+from wrod.kernels.contact.rolling import held_turn
 from wrod.kernels.elastic.assembly import (
     add_block,
     add_column,
@@ -238,7 +239,7 @@ def edge_contact(
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
     relaxation: wp.array2d(dtype=wp.float64),
-    roll_stiffness: wp.array(dtype=wp.float64),
+    roll_friction: wp.array2d(dtype=wp.float64),
     # State in:
     step: wp.array(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
@@ -246,6 +247,7 @@ def edge_contact(
     dof_before: wp.array2d(dtype=wp.float64),
     bristle: wp.array3d(dtype=wp.vec3d),
     sliding: wp.array3d(dtype=wp.int32),
+    turned: wp.array3d(dtype=wp.float64),
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
@@ -274,11 +276,15 @@ def edge_contact(
             add_edge(gradient, hessian, r, i, c, held.pull, held.grip)
             if rolling[r] > ZERO:
                 add_edge_spin(gradient, hessian, r, i, c, held.pull, held.grip)
-            if roll_stiffness[r] > ZERO:
+            if roll_friction[r, k] >= ZERO:
                 a = 4 * i + 3
-                turned = dof[r, a] - dof_before[r, a]
-                wp.atomic_add(gradient, r, a, roll_stiffness[r] * turned)
-                wp.atomic_add(hessian, r, a, 0, roll_stiffness[r])
+                arm = radius[r, i]
+                turn = turned[r, k, i] + dof[r, a] - dof_before[r, a]
+                roll = held_turn(
+                    turn, stiffness[r, i] * arm * arm, roll_friction[r, k] * c.force * arm
+                )
+                wp.atomic_add(gradient, r, a, roll[0])
+                wp.atomic_add(hessian, r, a, 0, roll[1])
 
 
 @wp.func
@@ -410,6 +416,7 @@ def settle_edges(
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
     relaxation: wp.array2d(dtype=wp.float64),
+    roll_friction: wp.array2d(dtype=wp.float64),
     # State in:
     step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
@@ -418,6 +425,7 @@ def settle_edges(
     # State in and out:
     bristle: wp.array3d(dtype=wp.vec3d),
     sliding: wp.array3d(dtype=wp.int32),
+    turned: wp.array3d(dtype=wp.float64),
     slip: wp.array2d(dtype=wp.float64),
     force: wp.array2d(dtype=wp.vec3d),
 ):
@@ -434,6 +442,7 @@ def settle_edges(
         mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
         sliding[r, k, i] = 0
         b = wp.vec3d(ZERO, ZERO, ZERO)
+        turn = wp.float64(0.0)
         if c.force > ZERO:
             law = damped_force(
                 c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
@@ -444,10 +453,16 @@ def settle_edges(
                 wp.atomic_add(slip, r, i, (ONE - c.near.s) * held.slides)
                 wp.atomic_add(slip, r, i + 1, c.near.s * held.slides)
             b = held.pull / stiffness[r, i]
+            if roll_friction[r, k] >= ZERO:
+                arm = radius[r, i]
+                k_r = stiffness[r, i] * arm * arm
+                turn = turned[r, k, i] + dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
+                turn = held_turn(turn, k_r, roll_friction[r, k] * law[0] * arm)[0] / k_r
             total = law[0] * c.near.normal - held.pull
             wp.atomic_add(force, r, i, (ONE - c.near.s) * total)
             wp.atomic_add(force, r, i + 1, c.near.s * total)
         bristle[r, k, i] = b
+        turned[r, k, i] = turn
 
 
 @wp.kernel

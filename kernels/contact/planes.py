@@ -395,39 +395,3 @@ def forget_friction(
     if chosen[r] != 0:
         bristle_out[r, k, i] = wp.vec3d(ZERO, ZERO, ZERO)
         sliding_out[r, k, i] = 0
-
-
-@wp.kernel
-def hold_roll(
-    # Model:
-    shapes: wp.array2d(dtype=Shape),
-    radius: wp.array2d(dtype=wp.float64),
-    stiffness: wp.array2d(dtype=wp.float64),
-    skin: wp.array2d(dtype=wp.float64),
-    roll_stiffness: wp.array(dtype=wp.float64),
-    # State in:
-    active: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec3d),
-    # State in and out:
-    gradient: wp.array2d(dtype=wp.float64),
-    hessian: wp.array3d(dtype=wp.float64),
-):
-    """Hold the angles of the edges around every node in contact where they were a step ago."""
-    r, i = wp.tid()
-    stiff = roll_stiffness[r]
-    if active[r] == 0 or stiff == ZERO:
-        return
-    last = gradient.shape[1] // 4
-    for k in range(shapes.shape[1]):
-        c = touch(
-            shapes[r, k], radius[r, i], ZERO, stiffness[r, i], skin[r, i], dof,
-            dof_before, bristle[r, k, i], r, i,
-        )  # fmt: skip
-        if c.force > ZERO:
-            for side in range(2):
-                a = 4 * i - 1 + 4 * side
-                if a > 0 and i + side <= last:
-                    wp.atomic_add(gradient, r, a, stiff * (dof[r, a] - dof_before[r, a]))
-                    wp.atomic_add(hessian, r, a, 0, stiff)

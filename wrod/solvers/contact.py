@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from wrod.errors import RodError
 from wrod.kernels.contact import linearised
 from wrod.kernels.contact import planes as kernels
+from wrod.kernels.contact import rolling as rolls
 from wrod.rods.batch import RodBatch
 from wrod.solvers.edge_contact import EdgeContact
 
@@ -61,11 +62,14 @@ class Friction:
         kinetic: coefficient while it slides [-]; default: the static one.
         rolling: where friction takes hold. False: of the centreline, as if the rod could not roll
             (soft, rough or not quite round rods); True: of the rod's surface, which rolls freely.
+        roll: where it is of the centreline and the contact keeps the roll of rods: largest torque
+            about the rod's axis over normal force and radius [-]; default: the static coefficient.
     """
 
     static: float
     kinetic: float | None = None
     rolling: bool = False
+    roll: float | None = None
 
     def __post_init__(self) -> None:
         values = [self.static, self.static if self.kinetic is None else self.kinetic]
@@ -74,10 +78,10 @@ class Friction:
                 f"friction is static {self.static!r}, kinetic {self.kinetic!r}; give finite "
                 "numbers with 0 <= kinetic <= static"
             )
+        if self.roll is not None and not (np.isfinite(self.roll) and self.roll >= 0):
+            raise RodError(f"roll friction is {self.roll!r}; give a finite number, 0 or more")
 
 
-# How stiffly a step holds the roll of what touches, over the twisting stiffness of an edge.
-_ROLL_STIFFNESS = 1e3
 # Normal forces rise over this part of the radius: thin against the penetration that is allowed.
 _SKIN = 0.01
 # Damping ratio of contacts without restitution: 1 / (4 zeta^2) of the speed is left.
@@ -137,7 +141,7 @@ class Contact:
         def floats(values):
             return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
 
-        shapes, static, kinetic, rolling = self._table()
+        shapes, static, kinetic, rolling, roll = self._table()
         self._model = [
             shapes,
             floats(radius),
@@ -147,13 +151,7 @@ class Contact:
             floats(kinetic),
             floats(rolling),
         ]
-        self._roll = None
-        held = np.broadcast_to(self.keeps_roll, (rods,)) & (rolling == 0)
-        if held.any():
-            edge = batch.twisting_stiffness.numpy().max(axis=1) / batch.rest_length.numpy().min(
-                axis=1
-            )
-            self._roll = floats(np.where(held, _ROLL_STIFFNESS * edge, 0.0))
+        self._roll = floats(self._kept(roll, rolling))
         damping = contact_damping(np.broadcast_to(self.restitution, (rods,)))
         ratio = batch.node_mass.numpy() / (stiffness * _node_lengths(batch))
         self._relaxation = floats(damping[:, None] * np.sqrt(ratio))
@@ -165,6 +163,7 @@ class Contact:
         per_shape = (rods, self._model[0].shape[1], nodes)
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
+        self._turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
 
@@ -174,7 +173,8 @@ class Contact:
         self._has_fixtures = any(not isinstance(s, Plane) for row in rows for s in row)
 
     def _table(self):
-        """Shapes (rod, shape), static and kinetic coefficients (rod, shape), rolling (rod,)."""
+        """Shapes (rod, shape), static and kinetic coefficients (rod, shape), rolling (rod,), those
+        of keeping the roll (rod, shape)."""
         rods = self.batch.rod_count
         shapes, friction = self.shapes, self.friction
         if not (isinstance(shapes, list) and all(isinstance(s, (list, tuple)) for s in shapes)):
@@ -190,7 +190,7 @@ class Contact:
         nothing.kind = int(kernels.NOTHING)
         table = []
         static, kinetic = np.zeros((2, rods, width))
-        rolling = np.zeros(rods)
+        rolling, roll = np.zeros(rods), np.zeros((rods, width))
         described = {}
         for r, (row, laws) in enumerate(zip(shapes, friction, strict=True)):
             laws = [laws] * len(row) if isinstance(laws, Friction) else laws
@@ -207,11 +207,18 @@ class Contact:
             kinetic[r, : len(row)] = [
                 law.static if law.kinetic is None else law.kinetic for law in laws
             ]
+            roll[r, : len(row)] = [law.static if law.roll is None else law.roll for law in laws]
             rolling[r] = any(law.rolling for law in laws)
         shaped = wp.empty((rods, width), dtype=kernels.Shape, device=self.batch.device)
         if table:
             wp.copy(shaped.flatten(), wp.array(table, dtype=kernels.Shape, device="cpu"))
-        return shaped, static, kinetic, rolling
+        return shaped, static, kinetic, rolling, roll
+
+    def _kept(self, roll: np.ndarray, rolling: np.ndarray) -> np.ndarray:
+        """(rod, shape) coefficients that keep the roll; -1 of rods that roll."""
+        kept = np.broadcast_to(self.keeps_roll, rolling.shape) & (rolling == 0)
+        self._keeps = bool(kept.any())
+        return np.where(kept[:, None], roll, -1.0)
 
     @property
     def table(self) -> wp.array:
@@ -226,13 +233,14 @@ class Contact:
         """
         before = self.shapes, self.friction
         self.shapes, self.friction = shapes, friction
-        table, static, kinetic, rolling = self._table()
+        table, static, kinetic, rolling, roll = self._table()
         if table.shape != self._model[0].shape:
             self.shapes, self.friction = before
             raise RodError("the number of shapes changed; make a new Contact")
         wp.copy(self._model[0], table)
         for array, values in zip(self._model[4:], (static, kinetic, rolling), strict=True):
             array.assign(values)
+        self._roll.assign(self._kept(roll, rolling))
         self._note_fixtures()
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
@@ -248,11 +256,12 @@ class Contact:
         )
         if self._has_fixtures:
             self._edges.add(self.time_step, active, dof, dof_before)
-        if self._roll is not None:
+        if self._keeps:
             wp.launch(
-                kernels.hold_roll,
+                rolls.hold_roll,
                 dim=(self.batch.rod_count, self.batch.node_count),
-                inputs=[*self._model[:4], self._roll, active, dof, dof_before, self._bristle],
+                inputs=[*self._model[:4], self._relaxation, self._roll, self.time_step]
+                + [active, dof, dof_before, self._turned],
                 outputs=[out.gradient, out.hessian],
                 device=self.batch.device,
             )
@@ -270,7 +279,8 @@ class Contact:
         wp.launch(
             linearised.linearise_contact,
             dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, accepted, dof, dof_before, self._bristle, self._sliding],
+            inputs=[*self._model, self._relaxation, self._roll, self.time_step]
+            + [accepted, dof, dof_before, self._bristle, self._sliding, self._turned],
             outputs=outputs,
             device=self.batch.device,
         )
@@ -279,13 +289,6 @@ class Contact:
     def tangent_stiffness(self) -> wp.array:
         """(rod, node) stiffness of each node's bristle [force/length]."""
         return self._model[2]
-
-    @property
-    def roll_stiffness(self) -> wp.array:
-        """(rod,) how stiffly a step holds the roll of an edge at a node in contact [moment/rad]."""
-        if self._roll is None:
-            return wp.zeros(self.batch.rod_count, dtype=wp.float64, device=self.batch.device)
-        return self._roll
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) touch everything for the first time."""
@@ -298,6 +301,14 @@ class Contact:
                 dim=bristle.shape,
                 inputs=[chosen],
                 outputs=[bristle, sliding],
+                device=self.batch.device,
+            )
+        for turned in (self._turned, self._edges.turned):
+            wp.launch(
+                rolls.forget_roll,
+                dim=turned.shape,
+                inputs=[chosen],
+                outputs=[turned],
                 device=self.batch.device,
             )
 
@@ -331,6 +342,15 @@ class Contact:
             outputs=[self._bristle, self._sliding, self.slip, self.force],
             device=self.batch.device,
         )
+        if self._keeps:
+            wp.launch(
+                rolls.settle_roll,
+                dim=(self.batch.rod_count, self.batch.node_count),
+                inputs=[*self._model[:4], self._relaxation, self._roll, self.time_step]
+                + [accepted, dof, dof_before],
+                outputs=[self._turned],
+                device=self.batch.device,
+            )
         if self._has_fixtures:
             self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)
 
