@@ -69,7 +69,7 @@ def test_pattern_file_with_units(tmp_path):
         (("line", "--radius", 0.001, "--lgb", 0.03, "--length", 0.4), "shorten the pattern"),
         (("line", "--rod", "rope", "--method", "guess"), "unknown method 'guess'"),
         (("line", "--rod", "rope", "--units", "mm"), "drop --units"),
-        (("line", "--rod", "rope", "--friction", "-1"), "'--friction': -1"),
+        (("line", "--rod", "rope", "--friction", "-1"), "friction is -1.0"),
         (("line", "--rod", "missing.json"), "missing.json: no such file"),
     ],
 )
