@@ -68,3 +68,22 @@ def test_bad_input_is_one_sentence(arc, tmp_path, extra, word):
     assert word in result.output
     assert "Traceback" not in result.output
     assert not out.exists()
+
+
+def test_trajectory_of_another_pattern_or_rod_is_refused(tmp_path):
+    from wrod.planning.trajectory import Trajectory
+
+    planned = wrod.plan(wrod.pattern("letter-L"), wrod.rod("rope"), method="intuitive")
+    planned.save(tmp_path / "plan")
+    file = str(tmp_path / "plan.npz")
+    assert len(Trajectory.load(file)) == len(planned)
+    for arguments, says in (
+        (("line", "--rod", "rope"), "is the trajectory of another pattern, 'letter-L'"),
+        (("letter-L", "--rod", "green-vps"), "was planned for another rod"),
+        (("letter-L", "--rod", "rope", "--method", "numeric"), "--method belong to a new plan"),
+    ):
+        result = CliRunner().invoke(
+            main, ["deploy", *arguments, "--trajectory", file, "--out", str(tmp_path / "o")]
+        )
+        assert result.exit_code == 2 and says in result.stderr
+        assert not (tmp_path / "o").exists()

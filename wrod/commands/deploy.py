@@ -78,6 +78,7 @@ def command(
     from wrod.planning.trajectory import Trajectory
     from wrod.solvers.contact import Friction
 
+    refuse_ignored(trajectory, method, closure)
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
     rod, curve = read_rod(rod_name, radius, lgb, length), read_pattern(pattern, units)
@@ -89,6 +90,7 @@ def command(
         )
     else:
         path = Trajectory.load(trajectory)
+        refuse_foreign(path, curve, rod, trajectory)
     curve = with_remainder_of(curve, path)
     rest = tail(curve, rod, path)
     jobs = [
@@ -171,3 +173,61 @@ def command(
         )
     for name in written:
         click.echo(f"wrote {name}")
+
+
+def refuse_ignored(trajectory: Path | None, method: str, closure: str | None) -> None:
+    """Refuse options that a combination would ignore.
+
+    Raises:
+        GraspError: names them.
+    """
+    from wrod.errors import GraspError
+
+    source = click.get_current_context().get_parameter_source("method")
+    chosen = ["--method"] if source is click.core.ParameterSource.COMMANDLINE else []
+    chosen += ["--closure"] if closure is not None else []
+    if trajectory is not None and chosen:
+        raise GraspError(
+            f"{' and '.join(chosen)} belong to a new plan, and --trajectory is one already; drop "
+            "the one or the other"
+        )
+    if method == "intuitive" and closure is not None:
+        raise GraspError("--closure chooses among optimal grasps, and --method intuitive has none")
+
+
+def refuse_foreign(path, curve, rod, name: Path) -> None:
+    """Refuse a trajectory of another pattern or of another rod.
+
+    Raises:
+        DataError: says what differs, and by how much.
+    """
+    from dataclasses import fields
+
+    import numpy as np
+
+    from wrod.errors import DataError
+
+    s = path.pattern_arc_length
+    on = (s >= -1e-9) & (s <= curve.length + 1e-9)
+    apart = abs(float(s[-1]) - curve.length)
+    if on.any():
+        position = curve.sample(np.clip(s[on], 0.0, curve.length))[0]
+        apart = max(apart, float(np.linalg.norm(position - path.contact[on], axis=1).max()))
+    if apart > 1e-3:
+        raise DataError(
+            f"{name}: is the trajectory of another pattern, {path.metadata.get('pattern')!r}: it "
+            f"leaves {curve.name} by up to {100 * apart:.1f} cm; give the pattern that it was "
+            "planned for"
+        )
+    planned = path.metadata.get("rod")
+    if not isinstance(planned, dict):
+        return
+    for field in fields(rod):
+        mine, theirs = getattr(rod, field.name), planned.get(field.name)
+        if not (isinstance(mine, float) and isinstance(theirs, (int, float))):
+            continue
+        if abs(mine - theirs) > 1e-6 * max(abs(mine), abs(theirs)):
+            raise DataError(
+                f"{name}: was planned for another rod, whose {field.name} is {theirs:g} and not "
+                f"{mine:g}; give that rod"
+            )
