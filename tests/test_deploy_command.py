@@ -70,20 +70,26 @@ def test_bad_input_is_one_sentence(arc, tmp_path, extra, word):
     assert not out.exists()
 
 
-def test_trajectory_of_another_pattern_or_rod_is_refused(tmp_path):
-    from wrod.planning.trajectory import Trajectory
+@pytest.mark.parametrize(
+    "pattern, changes, says",
+    [
+        ("line", [], "give the pattern that it was planned for"),
+        (None, ["--lgb", "0.025"], "gravito_bending_length is 0.018 m"),
+        (None, ["--method", "numeric"], "--method does nothing beside --trajectory"),
+        (None, ["--closure", "min_force"], "--closure does nothing beside --trajectory"),
+    ],
+)
+def test_refuses_a_trajectory_of_something_else(arc, tmp_path, pattern, changes, says):
+    rod = wrod.RodMaterial(0.0016, 0.018, 0.25)
+    path = wrod.plan(wrod.Pattern.load(arc), rod, "intuitive").save(tmp_path / "plan")[1]
+    args = ["deploy", pattern or str(arc), *SHORT, "--trajectory", str(path), *changes]
+    result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "o")])
+    assert result.exit_code == 2
+    assert says in result.output
+    assert not (tmp_path / "o").exists()
 
-    planned = wrod.plan(wrod.pattern("letter-L"), wrod.rod("rope"), method="intuitive")
-    planned.save(tmp_path / "plan")
-    file = str(tmp_path / "plan.npz")
-    assert len(Trajectory.load(file)) == len(planned)
-    for arguments, says in (
-        (("line", "--rod", "rope"), "is the trajectory of another pattern, 'letter-L'"),
-        (("letter-L", "--rod", "green-vps"), "was planned for another rod"),
-        (("letter-L", "--rod", "rope", "--method", "numeric"), "--method belong to a new plan"),
-    ):
-        result = CliRunner().invoke(
-            main, ["deploy", *arguments, "--trajectory", file, "--out", str(tmp_path / "o")]
-        )
-        assert result.exit_code == 2 and says in result.stderr
-        assert not (tmp_path / "o").exists()
+
+def test_refuses_a_closure_that_the_intuitive_method_ignores(arc, tmp_path):
+    args = ["deploy", str(arc), *SHORT, "--method", "intuitive", "--closure", "min_force"]
+    result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "o")])
+    assert result.exit_code == 2 and "--closure does nothing" in result.output

@@ -9,6 +9,9 @@ import click
 
 from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_pattern, read_rod
 
+# How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
+_SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
+
 
 @click.command(name="deploy")
 @click.argument("pattern")
@@ -18,6 +21,9 @@ from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_patt
     "--trajectory",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Trajectory (.npz) that `wrod plan` wrote, instead of a new plan.",
+)
+@click.option(
+    "--another-rod", is_flag=True, help="Lay another rod than that of the trajectory, on purpose."
 )
 @options(METHOD, UNITS)
 @click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient.")
@@ -48,6 +54,7 @@ def command(
     length: float | None,
     out: Path,
     trajectory: Path | None,
+    another_rod: bool,
     method: str,
     closure: str | None,
     units: str | None,
@@ -78,7 +85,6 @@ def command(
     from wrod.planning.trajectory import Trajectory
     from wrod.solvers.contact import Friction
 
-    refuse_ignored(trajectory, method, closure)
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
     rod, curve = read_rod(rod_name, radius, lgb, length), read_pattern(pattern, units)
@@ -90,7 +96,10 @@ def command(
         )
     else:
         path = Trajectory.load(trajectory)
-        refuse_foreign(path, curve, rod, trajectory)
+        _refuse_idle_options("--trajectory", "method", "closure")
+        _refuse_another_plan(path, with_remainder_of(curve, path), rod, another_rod)
+    if method == "intuitive":
+        _refuse_idle_options("--method intuitive", "closure")
     curve = with_remainder_of(curve, path)
     rest = tail(curve, rod, path)
     jobs = [
@@ -175,59 +184,39 @@ def command(
         click.echo(f"wrote {name}")
 
 
-def refuse_ignored(trajectory: Path | None, method: str, closure: str | None) -> None:
-    """Refuse options that a combination would ignore.
+def _refuse_idle_options(beside: str, *names: str) -> None:
+    """Refuse options that were given and would do nothing."""
+    from click.core import ParameterSource
 
-    Raises:
-        GraspError: names them.
-    """
-    from wrod.errors import GraspError
+    from wrod.errors import RodError
 
-    source = click.get_current_context().get_parameter_source("method")
-    chosen = ["--method"] if source is click.core.ParameterSource.COMMANDLINE else []
-    chosen += ["--closure"] if closure is not None else []
-    if trajectory is not None and chosen:
-        raise GraspError(
-            f"{' and '.join(chosen)} belong to a new plan, and --trajectory is one already; drop "
-            "the one or the other"
-        )
-    if method == "intuitive" and closure is not None:
-        raise GraspError("--closure chooses among optimal grasps, and --method intuitive has none")
+    context = click.get_current_context()
+    for name in names:
+        if context.get_parameter_source(name) == ParameterSource.COMMANDLINE:
+            raise RodError(f"--{name} does nothing beside {beside}; leave it out")
 
 
-def refuse_foreign(path, curve, rod, name: Path) -> None:
-    """Refuse a trajectory of another pattern or of another rod.
-
-    Raises:
-        DataError: says what differs, and by how much.
-    """
-    from dataclasses import fields
-
+def _refuse_another_plan(path, curve, rod, another_rod: bool) -> None:
+    """Refuse a trajectory that was planned for another pattern, or for another rod."""
     import numpy as np
 
-    from wrod.errors import DataError
+    from wrod.errors import PatternError, RodError
 
-    s = path.pattern_arc_length
-    on = (s >= -1e-9) & (s <= curve.length + 1e-9)
-    apart = abs(float(s[-1]) - curve.length)
-    if on.any():
-        position = curve.sample(np.clip(s[on], 0.0, curve.length))[0]
-        apart = max(apart, float(np.linalg.norm(position - path.contact[on], axis=1).max()))
-    if apart > 1e-3:
-        raise DataError(
-            f"{name}: is the trajectory of another pattern, {path.metadata.get('pattern')!r}: it "
-            f"leaves {curve.name} by up to {100 * apart:.1f} cm; give the pattern that it was "
-            "planned for"
+    s = np.clip(path.pattern_arc_length, -curve.remainder_length, curve.length)
+    apart = np.linalg.norm(curve.sample(s)[0] - path.contact, axis=1).max()
+    apart = max(apart, abs(path.pattern_arc_length[-1] - curve.length))
+    if apart > _SAME_PATTERN:
+        raise PatternError(
+            f"the trajectory is of {path.metadata.get('pattern', 'another pattern')}, up to "
+            f"{apart:.3f} m from {curve.name}; give the pattern that it was planned for"
         )
     planned = path.metadata.get("rod")
-    if not isinstance(planned, dict):
+    if planned is None or another_rod:
         return
-    for field in fields(rod):
-        mine, theirs = getattr(rod, field.name), planned.get(field.name)
-        if not (isinstance(mine, float) and isinstance(theirs, (int, float))):
-            continue
-        if abs(mine - theirs) > 1e-6 * max(abs(mine), abs(theirs)):
-            raise DataError(
-                f"{name}: was planned for another rod, whose {field.name} is {theirs:g} and not "
-                f"{mine:g}; give that rod"
+    for name in ("length", "radius", "gravito_bending_length"):
+        before, now = float(planned[name]), getattr(rod, name)
+        if abs(now - before) > _SAME_ROD * before:
+            raise RodError(
+                f"the trajectory is of a rod whose {name} is {before:g} m, and this one's is "
+                f"{now:g} m; give that rod, or --another-rod to lay this one all the same"
             )
