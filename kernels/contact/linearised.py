@@ -1,9 +1,9 @@
 """Derivatives of a rod's contact with a plane over one time step, of stick and of slip."""
 
 import warp as wp
-from wrod.kernels.contact.planes import Shape, damped_force, hold, touch
+from wrod.kernels.contact.planes import Shape, damped_force, friction_factor, hold, touch
 from wrod.kernels.contact.rolling import held_turn, node_turn
-from wrod.kernels.elastic.frames import ONE, ZERO
+from wrod.kernels.elastic.frames import ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,6 +19,8 @@ def linearise_contact(
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
     relaxation: wp.array2d(dtype=wp.float64),
+    field: wp.array2d(dtype=wp.float64),
+    place: wp.vec4d,
     roll_friction: wp.array2d(dtype=wp.float64),
     # State in:
     step: wp.array(dtype=wp.float64),
@@ -56,10 +58,13 @@ def linearise_contact(
         dof_before, bristle[r, 0, i], r, i,
     )  # fmt: skip
     if c.force > ZERO:
-        mu = wp.where(sliding[r, 0, i] != 0, kinetic_friction[r, 0], static_friction[r, 0])
         law = damped_force(
             c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
         )
+        mu = wp.where(sliding[r, 0, i] != 0, kinetic_friction[r, 0], static_friction[r, 0])
+        factor = friction_factor(field, place, node(dof, r, i))
+        slope = (mu * law[0]) * wp.vec3d(factor[1], factor[2], ZERO)
+        mu = mu * factor[0]
         lag = relaxation[r, i] / step[r]
         remembered = ZERO
         if c.closing < c.depth:
@@ -69,8 +74,8 @@ def linearise_contact(
         held = hold(c.bristle, n, stiffness[r, i], mu * law[0])
         if held.slides > ZERO:
             way = c.bristle / wp.length(c.bristle)
-            coupling = -mu * law[1] * wp.outer(way, n)
-            by_coefficient = law[0] * way
+            coupling = wp.outer(way, slope - mu * law[1] * n)
+            by_coefficient = factor[0] * law[0] * way
             sliding_memory = mu * remembered * wp.outer(way, n)
         friction = held.grip
         push = held.pull - law[0] * n

@@ -213,6 +213,33 @@ def hold(bristle: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: wp.f
     return out
 
 
+@wp.func
+def friction_factor(field: wp.array2d(dtype=wp.float64), place: wp.vec4d, q: wp.vec3d) -> wp.vec3d:
+    """Bilinear value at q of a field (y, x) over the plane z = 0, and its derivatives by x and y;
+    `place` is its first point and its spacing. Constant beyond its border."""
+    nx = field.shape[1]
+    ny = field.shape[0]
+    if nx == 1 and ny == 1:
+        return wp.vec3d(field[0, 0], ZERO, ZERO)
+    u = (q[0] - place[0]) / place[2]
+    v = (q[1] - place[1]) / place[3]
+    inside_x = wp.where(u > ZERO and u < wp.float64(nx - 1), ONE, ZERO)
+    inside_y = wp.where(v > ZERO and v < wp.float64(ny - 1), ONE, ZERO)
+    u = wp.clamp(u, ZERO, wp.float64(nx - 1))
+    v = wp.clamp(v, ZERO, wp.float64(ny - 1))
+    i = wp.min(int(u), nx - 2)
+    j = wp.min(int(v), ny - 2)
+    u = u - wp.float64(i)
+    v = v - wp.float64(j)
+    low = field[j, i] + u * (field[j, i + 1] - field[j, i])
+    high = field[j + 1, i] + u * (field[j + 1, i + 1] - field[j + 1, i])
+    by_u = (ONE - v) * (field[j, i + 1] - field[j, i])
+    by_u += v * (field[j + 1, i + 1] - field[j + 1, i])
+    return wp.vec3d(
+        low + v * (high - low), inside_x * by_u / place[2], inside_y * (high - low) / place[3]
+    )
+
+
 @wp.kernel
 def contact(
     # Model:
@@ -224,6 +251,8 @@ def contact(
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
     relaxation: wp.array2d(dtype=wp.float64),
+    field: wp.array2d(dtype=wp.float64),
+    place: wp.vec4d,
     # State in:
     step: wp.array(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
@@ -250,6 +279,7 @@ def contact(
         )  # fmt: skip
         if c.force > ZERO:
             mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
+            mu = mu * friction_factor(field, place, node(dof, r, i))[0]
             law = damped_force(
                 c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
             )
@@ -301,6 +331,8 @@ def settle_friction(
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
     relaxation: wp.array2d(dtype=wp.float64),
+    field: wp.array2d(dtype=wp.float64),
+    place: wp.vec4d,
     # State in:
     step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
@@ -324,6 +356,7 @@ def settle_friction(
             dof_before, bristle[r, k, i], r, i,
         )  # fmt: skip
         mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
+        mu = mu * friction_factor(field, place, node(dof, r, i))[0]
         sliding[r, k, i] = 0
         b = wp.vec3d(ZERO, ZERO, ZERO)
         if c.force > ZERO:

@@ -5,7 +5,7 @@ import pytest
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
-from wrod.solvers.contact import Box, Contact, Cylinder, Friction, Plane
+from wrod.solvers.contact import Box, Contact, Cylinder, Friction, FrictionField, Plane
 from wrod.solvers.dynamics import SCHEMES, Dynamics
 
 G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
@@ -131,6 +131,23 @@ def test_each_rod_has_its_own_friction():
     a = np.radians(20.0)
     expected = [G * np.sin(a), G * (np.sin(a) - 0.2 * np.cos(a)), 0.0]
     assert got == pytest.approx(expected, abs=1e-5 * G)
+
+
+def test_friction_varies_over_the_table():
+    """A block that slides from friction 0.1 onto 0.5 stops where its energy is used up."""
+    ice = (-1.0, 1.0), (-0.5, 0.5), (201, 2)
+    field = FrictionField.of(lambda x, y: np.where(y < 0.05, 0.2, 1.0), *ice)
+    batch = rods(straight())
+    contact = Contact(batch, RADIUS, CONTACT, Friction(0.5), friction_field=field)
+    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact)
+    dynamics.advance(0.1, 2e-3)
+    velocity = np.zeros((1, 15, 3))
+    velocity[:, :, 1] = 0.6
+    dynamics.set_velocity(velocity)
+    dynamics.advance(1.0, 2.5e-4)
+    # v^2 / 2 = g (0.1 s_1 + 0.3 s_2 + 0.5 s_3): between the grid's points it is their mean.
+    rest = (0.6**2 / 2 / G - 0.1 * 0.045 - 0.3 * 0.005) / 0.5
+    assert batch.positions()[0, :, 1].mean() == pytest.approx(0.05 + rest, abs=3e-4)
 
 
 def test_wheel_rolls_down_a_slope():
@@ -276,6 +293,8 @@ def test_bad_contacts_are_refused():
         Friction(float("nan"))
     with pytest.raises(RodError, match="radius"):
         Contact(batch, 0.0, CONTACT, Friction(0.3))
+    with pytest.raises(RodError, match="field of friction"):
+        FrictionField(np.ones((1, 3)), (0, 1), (0, 1))
     with pytest.raises(RodError, match="roll"):
         Friction(0.3, roll=-1.0)
     with pytest.raises(RodError, match="restitution"):

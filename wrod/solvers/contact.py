@@ -53,6 +53,45 @@ class Cylinder:
         return int(kernels.CYLINDER), self.center, _turn_up_to(self.axis), size
 
 
+@dataclass(frozen=True, eq=False)
+class FrictionField:
+    """How much friction there is at a place of the table, over the coefficients of `Friction`.
+
+    Attributes:
+        factor: (ny, nx) at the points of a grid, linear in between and constant beyond [-].
+        x, y: (2,) coordinates of its first and last column, and row [length].
+
+    Raises:
+        RodError: a factor is negative or not finite, or the grid has no extent.
+    """
+
+    factor: np.ndarray
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        factor = np.asarray(self.factor, dtype=float)
+        extent = self.x[1] > self.x[0] and self.y[1] > self.y[0]
+        if factor.ndim != 2 or min(factor.shape) < 2 or not extent:
+            raise RodError(
+                f"a field of friction of shape {factor.shape} over x {self.x} and y {self.y}; give "
+                "(ny, nx) factors, two or more each way, over rising coordinates"
+            )
+        if not (np.isfinite(factor) & (factor >= 0)).all():
+            raise RodError("a field of friction has factors that are negative or not finite")
+
+    @classmethod
+    def of(cls, function, x, y, shape: tuple[int, int] = (65, 65)) -> FrictionField:
+        """`function` of x and y arrays [length], sampled at (ny, nx) points."""
+        grid = np.meshgrid(np.linspace(*x, shape[1]), np.linspace(*y, shape[0]))
+        return cls(np.broadcast_to(function(*grid), shape), tuple(x), tuple(y))
+
+    def _place(self) -> tuple[float, float, float, float]:
+        ny, nx = np.shape(self.factor)
+        dx, dy = (self.x[1] - self.x[0]) / (nx - 1), (self.y[1] - self.y[0]) / (ny - 1)
+        return self.x[0], self.y[0], dx, dy
+
+
 @dataclass(frozen=True)
 class Friction:
     """Coulomb friction.
@@ -109,6 +148,7 @@ class Contact:
             own; default: the table z = 0.
         restitution: (rod,) speed after an impact over that before, of a rod that lands flat, below
             1; 0 is as little as a viscous contact leaves, a hundredth.
+        friction_field: how the friction of planes varies over x and y; default: it does not.
         keeps_roll: (rod,) whether what touches a shape keeps its roll, unless its friction says
             that it rolls. That counts for naturally curved rods, whose roll says where they bend.
 
@@ -129,6 +169,7 @@ class Contact:
     friction: Friction | list[Friction] | list[list[Friction]]
     shapes: tuple | list[list] = (Plane(),)
     restitution: np.ndarray | float = 0.0
+    friction_field: FrictionField | None = None
     keeps_roll: np.ndarray | bool = False
     force: wp.array = field(init=False)
     slip: wp.array = field(init=False)
@@ -157,6 +198,11 @@ class Contact:
         ratio = batch.node_mass.numpy() / (stiffness * _node_lengths(batch))
         self._relaxation = floats(damping[:, None] * np.sqrt(ratio))
         self.time_step = floats(np.full(rods, np.inf))
+        field = self.friction_field
+        self._field = [
+            floats(np.ones((1, 1)) if field is None else np.ascontiguousarray(field.factor)),
+            wp.vec4d(*((0.0, 0.0, 1.0, 1.0) if field is None else map(float, field._place()))),
+        ]
         self._edges = EdgeContact(
             batch, radius, stiffness, _SKIN, shapes, self._model[4:], damping, self._roll
         )
@@ -250,7 +296,8 @@ class Contact:
         wp.launch(
             kernels.contact,
             dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, self._relaxation, self.time_step, active, dof, dof_before]
+            inputs=[*self._model, self._relaxation, *self._field, self.time_step]
+            + [active, dof, dof_before]
             + [self._bristle, self._sliding],
             outputs=[out.gradient, out.hessian],
             device=self.batch.device,
@@ -280,7 +327,7 @@ class Contact:
         wp.launch(
             linearised.linearise_contact,
             dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, self._relaxation, self._roll, self.time_step]
+            inputs=[*self._model, self._relaxation, *self._field, self._roll, self.time_step]
             + [accepted, dof, dof_before, self._bristle, self._sliding, self._turned],
             outputs=outputs,
             device=self.batch.device,
@@ -339,7 +386,8 @@ class Contact:
         wp.launch(
             kernels.settle_friction,
             dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, self._relaxation, self.time_step, accepted, dof, dof_before],
+            inputs=[*self._model, self._relaxation, *self._field, self.time_step]
+            + [accepted, dof, dof_before],
             outputs=[self._bristle, self._sliding, self.slip, self.force],
             device=self.batch.device,
         )
