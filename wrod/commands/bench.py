@@ -23,6 +23,8 @@ BENCHMARKS = (
     "closures",
     "slippery",
     "applications",
+    "photographs",
+    "hands",
 )
 
 
