@@ -144,7 +144,7 @@ def simulate_deployments(
     release = hold if release is None else release
     if not release >= hold:
         raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
-    setups = _prepare(trials, hold, release, speed, spacing, node_count)
+    setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     options = dict(
         step=step,
         scheme=scheme,
@@ -198,7 +198,7 @@ def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
     return pattern
 
 
-def _prepare(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
+def prepare_trials(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
     """All rods of a batch share one number of nodes: the largest that the spacing asks for.
 
     Trials that differ in their disturbances alone share one undisturbed setup.
@@ -239,27 +239,14 @@ def _simulate(
     keeps_recording,
     report,
 ) -> list[Deployment]:
-    batch, rods = _batch(trials, setups, device)
-    radius = np.array([rod.radius for rod in rods])
-    load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
-    contact = Contact(
-        batch,
-        radius,
-        _stiffness(rods, [t.fixtures for t in trials]),
-        [t.friction for t in trials],
-        [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
-        keeps_roll=np.array([not t.rod.is_straight for t in trials]),
-    )
-    dynamics = Dynamics(
-        batch,
+    batch, contact, dynamics = assemble(
+        trials,
+        setups,
         scheme=scheme,
-        radius=radius,
         air_damping=air_damping,
         internal_damping=internal_damping,
-        contact=contact,
-        motion=GripMotion(batch, [setup.schedule for setup in setups]),
-        force_scale=load,
         tolerance=tolerance,
+        device=device,
         keeps_recording=keeps_recording,
     )
     ends = np.array([setup.end_time for setup in setups])
@@ -319,6 +306,45 @@ def _simulate(
             )
         )
     return deployments
+
+
+def assemble(
+    trials: list[Trial],
+    setups: list[Setup],
+    *,
+    scheme: str = "euler",
+    air_damping: float = 1.0,
+    internal_damping: float = 0.0,
+    tolerance: float = 1e-5,
+    device: str = "cpu",
+    keeps_recording: bool = False,
+) -> tuple[RodBatch, Contact, Dynamics]:
+    """The rods of prepared trials, what they touch, and what steps them; see
+    `simulate_deployments`."""
+    batch, rods = _batch(trials, setups, device)
+    radius = np.array([rod.radius for rod in rods])
+    load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
+    contact = Contact(
+        batch,
+        radius,
+        _stiffness(rods, [t.fixtures for t in trials]),
+        [t.friction for t in trials],
+        [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
+        keeps_roll=np.array([not t.rod.is_straight for t in trials]),
+    )
+    dynamics = Dynamics(
+        batch,
+        scheme=scheme,
+        radius=radius,
+        air_damping=air_damping,
+        internal_damping=internal_damping,
+        contact=contact,
+        motion=GripMotion(batch, [setup.schedule for setup in setups]),
+        force_scale=load,
+        tolerance=tolerance,
+        keeps_recording=keeps_recording,
+    )
+    return batch, contact, dynamics
 
 
 def _stiffness(rods: list[RodMaterial], fixtures: list[Fixtures | None]) -> np.ndarray:
