@@ -86,7 +86,10 @@ def _hidden(seeds, noises, only, out, workers, device, as_json) -> None:
     keep, have = rows.append, {}
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        ledger = Ledger(out / "rows.jsonl", {}, ("set", "seed", "noise"), "identification")
+        from wrod.files import schemas
+
+        keys = ("set", "seed", "noise")
+        ledger = Ledger(out / "rows.jsonl", {}, keys, "identification", schemas.HiddenRow)
         have = {ledger.key(r): r for r in ledger.rows}
 
         def keep(row):

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import SceneError
 from wrod.files import write_atomically
 from wrod.robot.grip import Grip, GripPath
@@ -33,6 +34,13 @@ SUFFIXES = (".usdc", ".usda", ".usd")
 _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
 
 
+@arguments.checked(
+    SceneError,
+    path=arguments.path,
+    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
+    joint_path=arguments.optional(arguments.like("a wrod.JointPath", "names", "positions")),
+    pattern=arguments.optional(arguments.like("a wrod.Pattern", "sample", "length")),
+)
 def export_usd(
     path: str | os.PathLike[str],
     *,

@@ -68,7 +68,8 @@ class Friction:
 
     def __post_init__(self) -> None:
         values = [self.static, self.static if self.kinetic is None else self.kinetic]
-        if not all(np.isfinite(v) and v >= 0 for v in values) or values[1] > values[0]:
+        real = all(isinstance(v, (int, float, np.number)) for v in values)
+        if not real or not all(0 <= v < np.inf for v in values) or values[1] > values[0]:
             raise RodError(
                 f"friction is static {self.static!r}, kinetic {self.kinetic!r}; give finite "
                 "numbers with 0 <= kinetic <= static"

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import write_atomically
 from wrod.identification.clamped.branches import Branch
@@ -158,6 +159,18 @@ class IdentificationReport:
         ]
 
 
+@arguments.checked(
+    DataError,
+    measurements=arguments.either(arguments.path, arguments.like("measurements", "clamp_position")),
+    test=arguments.optional(
+        arguments.either(arguments.path, arguments.like("measurements", "clamp_position"))
+    ),
+    candidates=arguments.optional(
+        arguments.several(arguments.either(arguments.text, arguments.like("an Effect", "name")))
+    ),
+    device=arguments.optional(arguments.text),
+    progress=arguments.optional(arguments.callback),
+)
 def identify_clamped(
     measurements: ClampedMeasurements | str | os.PathLike[str],
     *,

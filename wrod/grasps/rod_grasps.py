@@ -1,0 +1,186 @@
+"""Optimal grasps of a rod whose properties vary along it, in SI units.
+
+Where a rod is not the same everywhere, its grasp depends on which part of it hangs: on the arc
+length of the contact, not on the suspended length alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.errors import GraspError
+from wrod.grasps.general import RodArrays, solve_general
+from wrod.grasps.inputs import check_inputs
+from wrod.grasps.mesh import WEIGHT, two_sided_rest_lengths
+from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, Grasps
+from wrod.rods.batch import resolve_device
+from wrod.rods.discretisation import Rod, mesh_arrays, models_of
+from wrod.rods.model import RodModel
+
+
+@dataclass(frozen=True)
+class RodGrasps:
+    """Optimal grasps of one rod, one per contact; SI units, contact frame (x along the pattern, z
+    up), float64 NumPy.
+
+    Attributes:
+        arc_length: (n,) of the contacts on the rod [m].
+        curvature: (n,) of the pattern there [1/m].
+        position: (n, 3) grip position [m].
+        rotation: (n, 3) rotation vector of the rod's frame at the grip, which is that of the
+            contact frame at the contact [rad].
+        force: (n, 3) force on the suspended rod at the contact [N].
+        force_jacobian: (n, 3, 3) derivative of `force` by the grip position [N/m].
+        twist: (n,) angle by which the rod is twisted between contact and grip [rad].
+        shape: (n, node, 3) the rod from contact to grip [m].
+        node_arc_length: (n, node) arc length of its nodes on the rod [m].
+        converged, stable, iterations: see `Grasps`.
+        residual: (n,) largest unbalanced force [N].
+        eigenvalue: (n,) smallest eigenvalue of the held rod's Hessian, per length [N/m^2].
+        length_unit, force_unit: in which the solver works: L_gb [m] and k_b / L_gb^2 [N] of the
+            uniform rod of mean properties.
+    """
+
+    arc_length: np.ndarray
+    curvature: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    force: np.ndarray
+    force_jacobian: np.ndarray
+    twist: np.ndarray
+    shape: np.ndarray
+    node_arc_length: np.ndarray
+    converged: np.ndarray
+    stable: np.ndarray
+    iterations: np.ndarray
+    residual: np.ndarray
+    eigenvalue: np.ndarray
+    length_unit: float
+    force_unit: float
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+def solve_rod_grasps(
+    rod: Rod,
+    arc_length,
+    curvature,
+    *,
+    closure: str = "zero_tension",
+    roll: float = 0.0,
+    device: str | None = None,
+    edge_count: int = EDGE_COUNT,
+    extrapolate: bool = True,
+    threads: int | None = None,
+) -> RodGrasps:
+    """Optimal grasps of a rod held at its end, while it is laid from its beginning.
+
+    Args:
+        rod: a `RodModel` or a `RodMaterial`.
+        arc_length: (n,) arc length of the contacts, from the end that is laid first [m].
+        curvature: signed curvature of the pattern there [1/m], (n,) or one for all.
+        closure: "zero_tension", "min_force" or "min_friction".
+        roll: angle of the laid rod about its tangent, from up to its first material director m_1
+            [rad]; positive leans to the right.
+        device, edge_count, extrapolate, threads: see `wrod.solve_grasps`.
+
+    Raises:
+        GraspError: a contact is not on the rod, a value is not finite or, in L_gb, outside what can
+            be solved, or an unknown closure.
+    """
+    if closure not in CLOSURES:
+        raise GraspError(f"unknown closure {closure!r}; use one of {', '.join(CLOSURES)}")
+    if edge_count < 16 or edge_count % 4:
+        raise GraspError(f"edge_count is {edge_count}; use a multiple of four from 16")
+    if not math.isfinite(roll):
+        raise GraspError(f"roll is {roll!r}; give an angle in radians")
+    model = models_of(rod)[0]
+    contact = np.atleast_1d(np.asarray(arc_length, dtype=np.float64))
+    if contact.ndim != 1 or not ((contact >= 0.0) & (contact < model.length)).all():
+        raise GraspError(f"arc_length must be (n,) from 0 to below the rod's {model.length:g} m")
+    lgb, bending = _units(model)
+    stretch = mesh_arrays(model, np.linspace(0.0, model.length, 257))["stretching_stiffness"].mean()
+    scaled = np.asarray(curvature, dtype=np.float64) * lgb
+    length, kappa, ratio = check_inputs(
+        (model.length - contact) / lgb, scaled, stretch * lgb**2 / bending
+    )
+
+    def rods(edges: int) -> RodArrays:
+        return _on_meshes(model, contact, length, edges, lgb, bending)
+
+    fields = solve_general(
+        length,
+        kappa,
+        ratio,
+        rods,
+        roll=np.full(len(length), roll + model.principal_angle),
+        closure=CLOSURES[closure],
+        device=resolve_device(device),
+        edge_count=edge_count,
+        extrapolate=extrapolate,
+        eigenvalues=True,
+        threads=threads,
+    )
+    grasps = Grasps(**fields)
+    force = bending / lgb**2
+    return RodGrasps(
+        arc_length=contact,
+        curvature=kappa / lgb,
+        position=lgb * grasps.position,
+        rotation=grasps.rotation,
+        force=force * grasps.force,
+        force_jacobian=force / lgb * grasps.force_jacobian,
+        twist=grasps.twist,
+        shape=lgb * grasps.shape,
+        node_arc_length=contact[:, None] + lgb * grasps.arc_length,
+        converged=grasps.converged,
+        stable=grasps.stable,
+        iterations=grasps.iterations,
+        residual=force * grasps.residual,
+        eigenvalue=force / lgb**2 * grasps.eigenvalue,
+        length_unit=lgb,
+        force_unit=force,
+    )
+
+
+def _units(model: RodModel) -> tuple[float, float]:
+    """L_gb [m] and k_b [N m^2] of the uniform straight rod that the solver starts from."""
+    arrays = mesh_arrays(model, np.linspace(0.0, model.length, 257))
+    bending = float(arrays["bending_stiffness"].mean())
+    weight = float(arrays["node_mass"].sum()) * model.gravity / model.length
+    # The weight per length is WEIGHT k_b / L_gb^3.
+    return (WEIGHT * bending / weight) ** (1.0 / 3.0), bending
+
+
+def _on_meshes(
+    model: RodModel,
+    contact: np.ndarray,
+    length: np.ndarray,
+    edges: int,
+    lgb: float,
+    bending: float,
+) -> RodArrays:
+    """The part from contact to grip, dimensionless."""
+    rest = two_sided_rest_lengths(length, edges)
+    nodes = np.concatenate([-rest[:, :1], np.zeros_like(rest[:, :1]), np.cumsum(rest, axis=1)], 1)
+    arrays = mesh_arrays(model, contact[:, None] + lgb * nodes)
+    force = bending / lgb**2
+    softening = arrays["softening"][:, 1:].copy()
+    softening[..., 0] /= lgb**2
+    # What lies before the contact rests on the table.
+    weight = arrays["node_mass"][:, 1:] * (model.gravity / force)
+    weight[:, 0] *= 0.5
+    return RodArrays(
+        rest_length=rest,
+        stretching=arrays["stretching_stiffness"][:, 1:] / force,
+        bending=arrays["bending_stiffness"][:, 1:] / bending,
+        twisting=arrays["twisting_stiffness"][:, 1:] / bending,
+        natural_curvature=arrays["natural_curvature"][:, 1:] * lgb,
+        natural_twist=arrays["natural_twist"][:, 1:] * lgb,
+        softening=softening,
+        weight=weight,
+    )
