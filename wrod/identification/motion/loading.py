@@ -16,6 +16,8 @@ from wrod.identification.motion.split import split_evenly
 
 _FIELDS = ("positions", "rate_hz", "held", "gravity")
 _SHORTEST = 12
+# Slower than any swing of a rod, and faster than any camera of markers [Hz].
+_RATES = (2.0, 1e6)
 # No planet to stand on pulls so [m/s^2].
 _HEAVY = 30.0
 
@@ -68,6 +70,10 @@ def motion_from_arrays(
             "markers are needed"
         )
     rate, gravity = (_scalar(data, key, where) for key in ("rate_hz", "gravity"))
+    if not _RATES[0] <= rate <= _RATES[1]:
+        raise DataError(
+            f"{where}: rate_hz is {rate:g}; give frames per second, {_RATES[0]:g} to {_RATES[1]:g}"
+        )
     if gravity > _HEAVY:
         raise DataError(f"{where}: gravity is {gravity:g}; it must be in m/s^2")
     held = np.asarray(data["held"]).ravel()
