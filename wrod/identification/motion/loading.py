@@ -11,7 +11,7 @@ from wrod.errors import DataError
 from wrod.files import read_arrays
 from wrod.identification.motion.checks import check_positions
 from wrod.identification.motion.data import MotionMeasurements
-from wrod.identification.motion.repair import frame_gaps, sorted_grips
+from wrod.identification.motion.repair import frame_gaps, gaps_filled, sorted_grips
 from wrod.identification.motion.split import split_evenly
 
 _FIELDS = ("positions", "rate_hz", "held", "gravity")
@@ -86,11 +86,14 @@ def motion_from_arrays(
     if np.shape(names) != (recordings,):
         raise DataError(f"{where}: file_ids has shape {np.shape(names)}; give ({recordings},)")
     names = tuple(str(n) for n in names)
+    x, filled = gaps_filled(x)
     check_positions(x, names, rate, where)
     x, repaired = sorted_grips(x)
     gap = np.stack([frame_gaps(recording[:, [0, 1, -2, -1]]) for recording in x])
     fit, validation, test = split_evenly(recordings)
-    return MotionMeasurements(name, x, rate, gravity, names, gap, repaired, fit, validation, test)
+    return MotionMeasurements(
+        name, x, rate, gravity, names, gap, repaired, fit, validation, test, int(filled.sum())
+    )
 
 
 def _scalar(data, key: str, where: str) -> float:
