@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import sys
 import warnings
@@ -10,7 +11,7 @@ import click
 
 from wrod import __version__
 from wrod.commands.bounds import bounded
-from wrod.commands.running import INTERRUPTED, REFUSED, holding_output, stop
+from wrod.commands.running import INTERRUPTED, REFUSED, holding_output, interruptible, stop
 from wrod.errors import WrodWarning
 from wrod.files.writing import begin
 
@@ -52,7 +53,9 @@ class LazyGroup(click.Group):
 
     def invoke(self, ctx: click.Context):
         try:
-            return super().invoke(ctx)
+            # The outermost group alone: a benchmark runs within it.
+            with interruptible() if ctx.parent is None else contextlib.nullcontext():
+                return super().invoke(ctx)
         except click.UsageError as error:
             path = ctx.command_path if error.ctx is None else error.ctx.command_path
             click.echo(f"wrod: {error.format_message()} (see {path} --help)", err=True)

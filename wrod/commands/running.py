@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import functools
 import os
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import click
@@ -55,6 +57,40 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
     if isinstance(error, RecursionError):
         return "the input is nested too deeply", REFUSED
     return None
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """Let an interruption come through wherever it strikes.
+
+    Python drops a KeyboardInterrupt that strikes in a callback or a finaliser ("Exception
+    ignored"), and the command would go on. It is raised again every half second until the command
+    has ended. Outside the main thread, or without timers, interruptions stay as they are.
+    """
+    usable = hasattr(signal, "setitimer")
+    if not usable or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+
+    struck = []
+
+    def strike(number, frame):
+        struck.append(number)
+        signal.setitimer(signal.ITIMER_REAL, 0.5)
+        raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGINT, strike), signal.signal(signal.SIGALRM, strike)
+    except ValueError:  # not the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        if struck:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGINT, before[0])
+        signal.signal(signal.SIGALRM, before[1])
 
 
 def stop(ctx: click.Context, error: BaseException) -> None:
