@@ -46,9 +46,11 @@ class World:
     Profiles take arc lengths (K,) and give (..., K).
 
     Attributes:
-        bending: factors of (B1, B2), about directions turned from (m1, m2) by `principal` [rad].
+        bending: factors of (B1, B2), about directions turned from (m1, m2) by `principal` [rad];
+            of what resists turning about them, not bending towards them.
         twisting, stretching: factors of GJ and EA; twist_profile: a factor of GJ along the rod.
-        curvature, twist: at rest, in the material frame [1/m], [rad/m].
+        curvature, twist: at rest, in the material frame [1/m], [rad/m]. Curvature is that of
+            rotation vectors, the axis k that the tangent turns about: see `tangent_turn`.
         force: dead force per length beside the weight [N/m].
         drag: (q, t, s) -> force per length that follows the shape [N/m].
         mass: extra mass per length [kg/m].
@@ -78,6 +80,17 @@ class World:
     grip_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
     law: Callable | None = None
     see: Callable = as_they_are
+
+
+def tangent_turn(axis) -> np.ndarray:
+    """(2, ...) dt/ds along (m1, m2), as `wrod.RodModel` has it, of a curvature given as the axis k
+    of dt/ds = k x t along (m1, m2)."""
+    return np.stack([axis[1], -np.asarray(axis[0])])
+
+
+def turn_axis(curvature) -> np.ndarray:
+    """The inverse of `tangent_turn`."""
+    return np.stack([-np.asarray(curvature[1]), curvature[0]])
 
 
 def frames_of(q: np.ndarray) -> np.ndarray:

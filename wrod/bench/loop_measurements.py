@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wrod.bench.continuous_rod import World, constant, labels, measured
+from wrod.bench.continuous_rod import World, constant, labels, measured, turn_axis
 from wrod.errors import DataError
 from wrod.identification.clamped.setup import rotation_of
 from wrod.rods.material import RodMaterial
@@ -72,8 +72,6 @@ def clamped_experiment(
         "noise_std": noise,
         **labels(replace(rod, length=free_length)),
     }
-    # A rod that bends towards its first director turns about its second.
-    first, second = rod.natural_curvature
-    world = World(curvature=constant(-second, first))
+    world = World(curvature=constant(*turn_axis(rod.natural_curvature)))
     seen = measured(data, world, seed=1_000_000 + seed, noise=noise)
     return {**seen, **labels(replace(believed, length=free_length))}

@@ -133,7 +133,7 @@ def tail(pattern: Pattern, rod: RodMaterial, trajectory: Trajectory) -> Tail:
             rod,
             rod.length - start - s,
             curvature,
-            roll=float(trajectory.metadata.get("roll", 0.0)),
+            roll=trajectory.roll,
             closure=trajectory.metadata.get("closure") or "zero_tension",
             device="cpu",
         )

@@ -11,6 +11,7 @@ import numpy as np
 from wrod.errors import GraspError
 from wrod.grasps.mesh import MIRROR, MIRROR_ROTATION
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 if TYPE_CHECKING:
     from wrod.controller.controller import Controller
@@ -24,7 +25,8 @@ MIN_SUSPENDED_LENGTH = 1.0
 class GraspInputs:
     """What a grasp source is given: (T,) dimensionless lengths and curvatures of all nodes, the
     natural curvature (left, up) of the rod as it is held [1/L_gb], and the controller to ask; None
-    is the one that ships, which knows straight rods."""
+    is the one that ships, which knows straight rods. A rod that is more than uniform, isotropic and
+    linear comes along with its roll [rad]."""
 
     suspended_length: np.ndarray
     curvature: np.ndarray
@@ -35,11 +37,13 @@ class GraspInputs:
     natural_curvature: tuple[float, float] = (0.0, 0.0)
     poisson: float = 0.5
     controller: Controller | None = None
+    rod: RodModel | None = None
+    roll: float = 0.0
 
     @classmethod
     def of(
         cls,
-        rod: RodMaterial,
+        rod: RodModel | RodMaterial,
         suspended: np.ndarray,
         curvature: np.ndarray,
         *,
@@ -53,6 +57,7 @@ class GraspInputs:
         the roll that it is held at [rad] (see `RodMaterial.curvature_held`)."""
         lgb = rod.gravito_bending_length
         left, up = rod.curvature_held(roll)
+        model = RodModel.of(rod)
         return cls(
             # The maximum removes the rounding of a pattern that fills the rod.
             np.maximum(suspended / lgb, MIN_SUSPENDED_LENGTH),
@@ -64,12 +69,14 @@ class GraspInputs:
             (left * lgb, up * lgb),
             rod.poisson,
             controller,
+            None if model.is_uniform and -1.0 < rod.poisson <= 0.5 + 1e-9 else model,
+            roll,
         )
 
     @property
     def is_straight(self) -> bool:
         """Whether the rod is straight at rest."""
-        return self.natural_curvature == (0.0, 0.0)
+        return self.natural_curvature == (0.0, 0.0) and self.rod is None
 
     def at(self, nodes: np.ndarray) -> GraspInputs:
         """The inputs of some nodes."""
@@ -105,9 +112,40 @@ def _intuitive(inputs: GraspInputs) -> GraspPoses:
     return GraspPoses(position, rotation, np.full((count, 3), np.nan))
 
 
+def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
+    """Optimal grasps of a rod whose properties depend on where it touches the table."""
+    from wrod.grasps.rod_grasps import solve_rod_grasps
+
+    model, watch, count = inputs.rod, inputs.progress, len(inputs.suspended_length)
+    lgb = model.gravito_bending_length
+    force = model.mean_bending_stiffness / lgb**2
+    grasps = solve_rod_grasps(
+        model,
+        model.length - inputs.suspended_length * lgb,
+        inputs.curvature / lgb,
+        closure=inputs.closure,
+        roll=inputs.roll,
+        device=inputs.device,
+        progress=None if watch is None else lambda done: watch(done, count),
+    )
+    return GraspPoses(
+        grasps.position / lgb,
+        grasps.rotation,
+        grasps.force / force,
+        grasps.converged,
+        grasps.stable,
+        grasps.shape / lgb,
+        grasps.eigenvalue * lgb**2 / force,
+        grasps.twist,
+    )
+
+
 def _numeric(inputs: GraspInputs) -> GraspPoses:
     """Optimal grasps from the rod solver."""
     from wrod.grasps.optimal import solve_grasps
+
+    if inputs.rod is not None:
+        return _of_varying_rod(inputs)
 
     count = len(inputs.suspended_length)
     watch = inputs.progress
@@ -140,6 +178,7 @@ def _neural(inputs: GraspInputs) -> GraspPoses:
     """Optimal grasps from the trained controller; out of its range it warns."""
     from wrod.controller.controller import Controller
 
+    _refuse_varying(inputs)
     if inputs.controller is None and not inputs.is_straight:
         raise GraspError(
             "the controller that ships knows naturally straight rods only, and this one is curved "
@@ -155,10 +194,22 @@ def _neural(inputs: GraspInputs) -> GraspPoses:
     return _predicted(controller, inputs)
 
 
+def _refuse_varying(inputs: GraspInputs) -> None:
+    if inputs.rod is not None and inputs.controller is not None:
+        raise GraspError(
+            "controllers know uniform, isotropic, linear rods only, and this one has "
+            f"{', '.join(inputs.rod.not_uniform())} of its own; use method 'numeric' or 'auto' "
+            "without a controller"
+        )
+
+
 def _auto(inputs: GraspInputs) -> GraspPoses:
     """The controller where it was trained for closure and inputs, elsewhere the rod solver."""
     from wrod.controller.controller import Controller
 
+    if inputs.rod is not None:
+        _refuse_varying(inputs)
+        return _numeric(inputs)
     controller = inputs.controller or Controller.load()
     known = ~controller.out_of_range(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio

@@ -12,6 +12,9 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.files import write_atomically
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+from wrod.rods.model_file import rod_of_json
 
 _FORMAT = "wrod-trajectory-1"
 _OPTIONAL = ("shape", "twist")
@@ -34,6 +37,8 @@ class Trajectory:
             where the method does not compute them; saved in the NPZ file only.
         twist: (T,) angle by which the rod is twisted between contact and grip [rad], or None where
             it is not; whole turns count, which `rotation` cannot tell. In the NPZ file only.
+        roll: that the rod is put into the grip at: of its first material director where it begins,
+            from left towards up [rad].
     """
 
     arc_length: np.ndarray
@@ -44,9 +49,16 @@ class Trajectory:
     metadata: dict = field(default_factory=dict)
     shape: np.ndarray | None = None
     twist: np.ndarray | None = None
+    roll: float = 0.0
 
     def __len__(self) -> int:
         return len(self.arc_length)
+
+    @property
+    def rod(self) -> RodModel | RodMaterial | None:
+        """The rod that was planned for; None where `metadata` does not say."""
+        content = self.metadata.get("rod")
+        return rod_of_json(content) if isinstance(content, dict) else None
 
     @property
     def pattern_arc_length(self) -> np.ndarray:
@@ -86,6 +98,7 @@ class Trajectory:
                 rotation=self.rotation,
                 force=self.force,
                 units="SI: m, N",
+                roll=self.roll,
                 metadata=json.dumps(self.metadata, sort_keys=True),
                 **{
                     name: getattr(self, name)
@@ -112,7 +125,10 @@ class Trajectory:
                     raise DataError(f"{path}: holds {data['format']}, not a {_FORMAT}")
                 names = ("arc_length", "contact", "position", "rotation", "force")
                 more = {name: data[name] for name in _OPTIONAL if name in data.files}
-                return cls(*(data[n] for n in names), json.loads(str(data["metadata"])), **more)
+                metadata = json.loads(str(data["metadata"]))
+                # Of earlier versions.
+                roll = data["roll"] if "roll" in data.files else metadata.get("roll", 0.0)
+                return cls(*(data[n] for n in names), metadata, roll=float(roll), **more)
         except DataError:
             raise
         except Exception as error:

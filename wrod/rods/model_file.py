@@ -69,6 +69,41 @@ def model_of(content: dict) -> RodModel:
         raise RodError(str(error).replace("RodModel.__init__() ", "")) from None
 
 
+def rod_as_json(rod: RodModel | RodMaterial) -> dict:
+    """A rod as plain JSON values: a uniform one by the numbers of `RodMaterial`."""
+    if isinstance(rod, RodMaterial):
+        return {**asdict(rod), "natural_curvature": list(rod.natural_curvature)}
+    return {**model_as_json(rod), "gravito_bending_length": rod.gravito_bending_length}
+
+
+def rod_of_json(content) -> RodModel | RodMaterial:
+    """The rod that `rod_as_json` wrote.
+
+    Raises:
+        RodError: it is not one.
+    """
+    if not isinstance(content, dict):
+        raise RodError(f"{content!r:.80} is no rod")
+    if "bending_stiffness" in content:
+        return model_of({k: v for k, v in content.items() if k != "gravito_bending_length"})
+    try:
+        return RodMaterial(**content)
+    except TypeError as error:
+        raise RodError(str(error).replace("RodMaterial.__init__() ", "")) from None
+
+
+def load_rod(path, *, radius: float | None = None, length: float | None = None):
+    """A `RodMaterial` where the file holds no more than that, else the `RodModel`.
+
+    Raises:
+        RodError: as `RodModel.load`.
+    """
+    if _read(path).get("format") != MODEL_FORMAT:
+        return load_material(path, radius=radius, length=length)
+    model = load_model(path, radius=radius, length=length)
+    return model if model.not_uniform() else model.material()
+
+
 def load_model(path, *, radius: float | None = None, length: float | None = None) -> RodModel:
     """See `RodModel.load`."""
     instead = {"radius": radius, "length": length}
@@ -98,11 +133,20 @@ def load_material(path, *, radius: float | None = None, length: float | None = N
 
 
 def _new(path, content: dict, instead: dict) -> RodModel:
+    found = content.get("found")
     content = {k: v for k, v in content.items() if k not in ("format", "found")}
-    _warn(path, _assumed(content, content.pop("assumed", []), instead))
+    assumed = content.pop("assumed", [])
     model = model_of(content)
+    aside = found.get("set_aside") if isinstance(found, dict) else None
+    aside = [name for name in aside if isinstance(name, str)] if isinstance(aside, list) else []
+    said = [f"{', '.join(aside)!s:.200} set aside, as it belongs to the measurement"] * bool(aside)
+    said += _assumed(content, assumed, instead)
     if "length" in instead:
+        longest = model.length
         model = with_length(model, instead.pop("length"))
+        if model.length > longest * (1.0 + 1e-9) and model.varies:
+            said.append(f"beyond the measured {longest:g} m it goes on as it is there")
+    _warn(path, said)
     return replace(model, **instead)
 
 
