@@ -48,7 +48,7 @@ class RodGrasps:
         converged: (n,) bool; a solution that satisfies equilibrium to the solver's tolerance.
         stable: (n,) bool; no negative eigenvalue of the energy's Hessian.
         eigenvalue: (n,) stiffness of the softest motion per length [N/m^2].
-        twist: (n,) angle by which the rod is twisted between contact and grip [rad].
+        twist: (n,) angle by which the grip's frame is twisted against the contact's [rad].
         shape: (n, nodes, 3) from contact to grip [m].
     """
 
@@ -107,14 +107,14 @@ def solve_rod_grasps(
     force_unit = model.mean_bending_stiffness / lgb**2
     unit = model.scaled(lgb, force_unit)
     at, kappa = arc_length / lgb, curvature * lgb
-    angle = roll + model.principal_angle + model.natural_twist.integral(0.0, arc_length)
+    base, rolled = roll + model.principal_angle, model.rolled(arc_length)
     device = resolve_device(device)
     workers = (threads or os.cpu_count() or 1) if device == "cpu" else 1
     size = max(1, min(_CHUNK, -(-len(at) // workers))) if device == "cpu" else len(at)
 
     def solve(first: int):
         part = slice(first, first + size)
-        rods = (unit, at[part], kappa[part], angle[part])
+        rods = (unit, at[part], kappa[part], base, rolled[part])
         result = _solve_chunk(*rods, CLOSURES[closure], edge_count, device)
         if progress is not None:
             progress(len(result.position))
@@ -135,12 +135,12 @@ def solve_rod_grasps(
         join("converged").astype(bool),
         join("stable").astype(bool),
         join("eigenvalue", force_unit / lgb**2),
-        np.where(right, -1.0, 1.0) * join("twist"),
+        np.where(right, -1.0, 1.0) * join("twist") + rolled,
         mirror[:, None] * join("shape", lgb),
     )
 
 
-def _solve_chunk(unit, at, kappa, angle, closure, edge_count, device):
+def _solve_chunk(unit, at, kappa, base, rolled, closure, edge_count, device):
     """Coarse from a cold start, fine from coarse, then both combined."""
 
     def level(chosen, edges, guess=None, thrust=None):
@@ -148,7 +148,8 @@ def _solve_chunk(unit, at, kappa, angle, closure, edge_count, device):
             unit,
             at[chosen],
             kappa[chosen],
-            angle[chosen],
+            base,
+            rolled[chosen],
             edge_count=edges,
             closure=closure,
             device=device,
@@ -185,12 +186,14 @@ class RodGraspSolver(CurvedGraspSolver):
         unit: the rod in units of its L_gb and k_b / L_gb^2.
         at: (n,) arc length of the contacts.
         kappa: (n,) signed curvatures.
-        angle: (n,) of the first principal direction at the contact, from left towards up [rad].
+        base: of the first principal direction where the rod begins, from left towards up [rad].
+        rolled: (n,) how far it has turned at the contact [rad].
     """
 
-    def __init__(self, unit: RodModel, at, kappa, angle, *, edge_count, **options):
+    def __init__(self, unit: RodModel, at, kappa, base, rolled, *, edge_count, **options):
         right = kappa < 0.0
-        self.angle = np.where(right, np.pi - angle, angle)
+        self.base = np.where(right, np.pi - base, base)
+        angle = self.base + np.where(right, -rolled, rolled)
         super().__init__(
             unit.length - at,
             np.abs(kappa),
@@ -211,7 +214,7 @@ class RodGraspSolver(CurvedGraspSolver):
         self.begin = {name: _full(getattr(batch, name)) for name in _VARIED}
         extra = np.array([sum(m for s, m in unit.point_masses if s >= a) for a in at])
         self.load = unit.line_mass.integral(at, unit.length) + extra
-        director = np.stack([0.0 * at, np.cos(self.angle), np.sin(self.angle)], axis=1)
+        director = np.stack([0.0 * at, np.cos(angle), np.sin(angle)], axis=1)
         batch.set_configuration(batch.positions(), director=director)
         # What the walk's increments are measured by.
         self.natural = np.stack([self._way(), 0.0 * at], axis=1)
@@ -248,14 +251,15 @@ class RodGraspSolver(CurvedGraspSolver):
 
     def _grip_frame(self):
         frame, *others = super()._grip_frame()
-        turn = 0.5 * np.pi - self.angle  # from the first principal direction to what is up
+        # The grip holds the rod at one roll: its z axis is what pointed up where the rod begins.
+        turn = 0.5 * np.pi - self.base
         c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
         t, side, first = np.moveaxis(frame, 2, 0)
         return np.stack([t, c * side + s * first, c * first - s * side], axis=2), *others
 
     def _rotation(self) -> np.ndarray:
         first, second = self.goal["natural_curvature"][:, -1].T
-        c, s = np.cos(self.angle), np.sin(self.angle)
+        c, s = np.cos(self.base), np.sin(self.base)
         way = self.natural
         self.natural = np.stack([s * first + c * second, s * second - c * first], axis=1)
         try:

@@ -230,6 +230,11 @@ class RodModel:
         return not all(p.is_constant for p in profiles)
 
     @property
+    def has_sides(self) -> bool:
+        """Whether it matters how the rod is rolled about its tangent."""
+        return not (self.is_straight and self.is_isotropic)
+
+    @property
     def is_isotropic(self) -> bool:
         """Whether the rod bends as easily in every direction."""
         first, second = self.bending_stiffness
