@@ -274,7 +274,7 @@ def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray
 
 def roll_angle(roll: float | str, pattern: Pattern, rod: RodModel | RodMaterial) -> float:
     """The roll [rad] that `plan`'s words "up" and "plane" mean. A rod that is straight at rest gets
-    the softer of its principal directions into the table's plane, or 0.
+    the softer of its principal directions upwards, or 0 where it has none.
 
     Raises:
         GraspError: the roll is neither these nor a finite number.
@@ -284,7 +284,7 @@ def roll_angle(roll: float | str, pattern: Pattern, rod: RodModel | RodMaterial)
             raise GraspError(f"roll is {roll!r}; give a finite angle in radians, 'plane' or 'up'")
         return float(roll)
     if rod.is_straight:
-        return _softer_in_plane(rod)
+        return _softer_upwards(rod)
     left = -float(np.arctan2(*rod.curvature_held(0.0)[::-1]))
     if roll == "up":
         return left + 0.5 * np.pi
@@ -294,14 +294,15 @@ def roll_angle(roll: float | str, pattern: Pattern, rod: RodModel | RodMaterial)
     return left + np.pi if turning < -1e-3 else left
 
 
-def _softer_in_plane(rod: RodModel | RodMaterial) -> float:
-    """The roll that puts a straight rod's softer principal direction into the table's plane."""
+def _softer_upwards(rod: RodModel | RodMaterial) -> float:
+    """The roll that turns a straight rod's softer principal direction upwards, where it bends most;
+    the other way round the suspended rod rolls towards it and takes the laid one along."""
     model = RodModel.of(rod)
     if model.is_isotropic:
         return 0.0
     first, second = (float(b.mean(0.0, model.length)) for b in model.bending_stiffness)
     softer = model.principal_angle + (0.5 * np.pi if second < first else 0.0)
-    return float((-softer + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+    return float((0.5 * np.pi - softer + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
 
 
 def _contact_frame(tangent: np.ndarray) -> np.ndarray:
