@@ -4,10 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help setup demo test test-slow lint clean
+.PHONY: help setup demo test test-slow lint types docs clean
 help:
 	@echo "make demo       plan the letter A for green VPS; results in out/letter-A"
-	@echo "make test       lint and test (make test-slow: the long ones)"
+	@echo "make test       lint, types, tests (make test-slow: the long ones)"
+	@echo "make docs       the documentation's site, into out/docs"
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -20,7 +21,7 @@ setup: $(STAMP)
 demo: $(STAMP)
 	$(BIN)/wrod plan letter-A --rod green-vps --out out/letter-A
 
-test: lint
+test: lint types
 	$(BIN)/python -m pytest -m "not slow"
 
 test-slow: $(STAMP)
@@ -29,6 +30,12 @@ test-slow: $(STAMP)
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: $(STAMP)
+	$(BIN)/python -m mypy
+
+docs: $(STAMP)
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs out/docs
 
 clean:
 	rm -rf $(VENV) out build *.egg-info

@@ -120,12 +120,14 @@ def test_saved_controller_reads_back_and_foreign_files_do_not(controller, tmp_pa
     np.testing.assert_array_equal(again.predict(*inputs())[0], controller.predict(*inputs())[0])
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(DataError, match="not a readable controller"):
+    with pytest.raises(DataError, match="truncated or not a controller"):
         Controller.load(path)
     from safetensors.numpy import save_file
 
     save_file({"weight.0": np.zeros((3, 3))}, path)
-    with pytest.raises(DataError, match="is not a wrod-controller-1 file"):
+    with pytest.raises(
+        DataError, match=r"format has the unknown value|must be an object|lacks the entry"
+    ):
         Controller.load(path)
     label = json.dumps({**controller.metadata, "format": "wrod-controller-1"})
     save_file({"weight.0": np.zeros((3, 3))}, path, metadata={"wrod": label})
@@ -139,10 +141,12 @@ def test_saved_controller_reads_back_and_foreign_files_do_not(controller, tmp_pa
 
     halves = {k: torch.tensor(v).bfloat16() for k, v in controller._parameters.items()}
     save_tensors(halves, path, metadata={"wrod": label})
-    with pytest.raises(DataError, match="not a readable controller"):
+    with pytest.raises(DataError, match="truncated or not a controller"):
         Controller.load(path)
     for missing in (tmp_path / "missing", tmp_path):
-        with pytest.raises(DataError, match="not a readable controller"):
+        with pytest.raises(
+            DataError, match=r"no such file|truncated or not a controller|is a folder"
+        ):
             Controller.load(missing)
 
 

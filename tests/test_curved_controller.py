@@ -104,7 +104,7 @@ def test_its_file_says_what_it_was_made_for(controller, tmp_path):
     controller.metadata, kept = damaged, controller.metadata
     controller.save(path)
     controller.metadata = kept
-    with pytest.raises(DataError, match="do not fit together"):
+    with pytest.raises(DataError, match=r"rod\.natural_curvature must be a list"):
         Controller.load(path)
 
 

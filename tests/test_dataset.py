@@ -128,7 +128,7 @@ def test_ranks_that_contradict_each_other(monkeypatch):
 def test_truncated_shard_is_refused(copy, keep):
     path = store.shard_path(copy, 1)
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(DataError, match=r"grasps-00001.*truncated or no shard"):
+    with pytest.raises(DataError, match=r"grasps-00001.*truncated or not a shard"):
         load(copy)
 
 
@@ -144,15 +144,15 @@ def test_damaged_foreign_and_missing_shards_are_refused(copy, tmp_path_factory):
     with pytest.raises(DataError, match="another dataset or place"):
         load(copy)
     path.write_text("x,y\n1,2\n")
-    with pytest.raises(DataError, match="truncated or no shard"):
+    with pytest.raises(DataError, match="truncated or not a shard"):
         load(copy)
     path.unlink()
     with pytest.raises(DataError, match=r"grasps-00001.*is missing"):
         load(copy)
     (copy / "manifest.json").write_text('{"format": "other"}')
-    with pytest.raises(DataError, match="not the manifest"):
+    with pytest.raises(DataError, match="manifest"):
         load(copy)
-    with pytest.raises(DataError, match="make one with `wrod dataset`"):
+    with pytest.raises(DataError, match=r"no such file.*`wrod dataset`"):
         load(tmp_path_factory.mktemp("empty"))
 
 

@@ -99,15 +99,24 @@ def test_posts_along_a_pattern_leave_the_gap():
         (lambda d: d.update(format="other"), "format"),
         (lambda d: d.update(fixtures=[]), "fixtures"),
         (lambda d: d.update(script="print()"), "unknown entry 'script'"),
-        (lambda d: d["fixtures"][0].pop("name"), "fixture 0: give an object with a name"),
-        (lambda d: d["fixtures"][0]["cylinder"].update(radius=-1), "must be positive"),
-        (lambda d: d["fixtures"][0]["cylinder"].update(radius="1"), "radius is '1'"),
-        (lambda d: d["fixtures"][0]["cylinder"].update(center=[0, 1]), "3 finite numbers"),
-        (lambda d: d["fixtures"][2]["box"].update(size=[1, float("nan"), 1]), "finite"),
-        (lambda d: d["fixtures"][2].update(sphere={}), "either"),
+        (lambda d: d["fixtures"][0].pop("name"), r"fixtures\[0\] lacks the entry 'name'"),
+        (
+            lambda d: d["fixtures"][0]["cylinder"].update(radius=-1),
+            r"cylinder\.radius must be a number > 0",
+        ),
+        (
+            lambda d: d["fixtures"][0]["cylinder"].update(radius="1"),
+            r"cylinder\.radius must be a number, but is text",
+        ),
+        (
+            lambda d: d["fixtures"][0]["cylinder"].update(center=[0, 1]),
+            "must be a list of length 3",
+        ),
+        (lambda d: d["fixtures"][2]["box"].update(size=[1, float("nan"), 1]), "NaN and infinity"),
+        (lambda d: d["fixtures"][2].update(sphere={}), "unknown entry 'sphere'"),
         (lambda d: d["fixtures"][1].update(name="left"), "named twice"),
         (lambda d: d["gates"].append(["left", "nobody"]), "'nobody'"),
-        (lambda d: d["gates"].append("left"), "pairs of names"),
+        (lambda d: d["gates"].append("left"), "must be a list, but is text"),
     ],
 )
 def test_bad_scene_files_are_refused(tmp_path, change, message):

@@ -219,14 +219,14 @@ def test_shipped_plans(name):
     ("change", "message"),
     [
         (lambda d: d.update(format="x"), "format"),
-        (lambda d: d.pop("rods"), "missing"),
-        (lambda d: d["steps"][0][0].update(at="0.1"), "finite number"),
+        (lambda d: d.pop("rods"), "lacks the entry 'rods'"),
+        (lambda d: d["steps"][0][0].update(at="0.1"), "must be a number"),
         (lambda d: d["steps"][0][0].update(at=9.0), "beyond"),
-        (lambda d: d["steps"][0][0].update(rod=4), "names rod 4"),
-        (lambda d: d["steps"][0][0].update(hand=2), "hands 0 and 1"),
-        (lambda d: d["steps"][0].append(d["steps"][0][0]), "hands 0 and 1"),
+        (lambda d: d["steps"][0][0].update(rod=4), "must be a whole number <= 1"),
+        (lambda d: d["steps"][0][0].update(hand=2), "must be a whole number <= 1"),
+        (lambda d: d["steps"][0].append(d["steps"][0][0]), "list of length <= 2"),
         (lambda d: d.update(pull=d["pull"][:1]), "give two"),
-        (lambda d: d["pull"][0].update(where=[1]), "finite number"),
+        (lambda d: d["pull"][0].update(where=[1]), "list of length 2"),
     ],
 )
 def test_bad_plans_are_refused(tmp_path, change, message):

@@ -10,14 +10,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import to_builtins
 from wrod.training.sampling import INPUTS, RodInputs
 
 from wrod.errors import DataError
-from wrod.files import write_atomically
+from wrod.files import decode_json, read_json, read_tensors, schemas, write_atomically
 
 FORMAT = "wrod-grasps-1"
 MANIFEST = "manifest.json"
@@ -139,28 +140,10 @@ def read_manifest(folder: Path) -> Manifest:
         DataError: there is none, or it is not one of ours.
     """
     path = Path(folder) / MANIFEST
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: not readable ({error}); make one with `wrod dataset`") from None
-    if not isinstance(content, dict) or content.pop("format", None) != FORMAT:
-        raise DataError(f"{path}: is not the manifest of a {FORMAT} dataset")
-    try:
-        manifest = Manifest(**{**content, "inputs": tuple(content.get("inputs", ()))})
-    except TypeError as error:
-        raise DataError(f"{path}: {str(error).replace('Manifest.__init__() ', '')}") from None
-    for field in fields(Manifest):
-        kind = {"int": int, "str": str, "bool": bool}.get(str(field.type))
-        value = getattr(manifest, field.name)
-        if kind is not None and (type(value) is not kind or (kind is int and value < 0)):
-            raise DataError(f"{path}: {field.name} is {value!r}")
-    try:
-        manifest.rod_inputs  # noqa: B018  # raises where it is none
-    except TypeError:
-        raise DataError(f"{path}: rod is {manifest.rod!r}") from None
-    if manifest.shard_size < 1 or manifest.inputs != INPUTS:
-        raise DataError(f"{path}: is not a dataset of ({', '.join(INPUTS)}) in shards")
-    return manifest
+    found = read_json(path, schemas.Manifest, "the manifest that `wrod dataset` writes")
+    content = to_builtins(found)
+    del content["format"]
+    return Manifest(**{**content, "inputs": tuple(found.inputs)})
 
 
 def shard_path(folder: Path, shard: int) -> Path:
@@ -247,19 +230,11 @@ def shards(folder: Path) -> Iterator[dict]:
 
 
 def _open(path: Path) -> tuple[dict, dict]:
-    from safetensors import SafetensorError, safe_open
-
-    try:
-        with safe_open(path, framework="numpy") as file:
-            label = json.loads((file.metadata() or {}).get("wrod", "null"))
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except FileNotFoundError:
-        raise DataError(f"{path}: is missing; run the same `wrod dataset` again") from None
-    except (OSError, TypeError, ValueError, SafetensorError) as error:
-        raise DataError(f"{path}: is truncated or no shard ({error}); delete the file") from None
-    if not isinstance(label, dict) or label.get("format") != FORMAT:
-        raise DataError(f"{path}: is not a shard of a {FORMAT} dataset; delete the file")
-    return label, arrays
+    if not path.exists():
+        raise DataError(f"{path}: is missing; run the same `wrod dataset` again")
+    what = "a shard of a dataset; delete the file"
+    text, arrays = read_tensors(path, what)
+    return to_builtins(decode_json(text, schemas.Shard, str(path), what)), arrays
 
 
 def _checksum(arrays: dict) -> str:

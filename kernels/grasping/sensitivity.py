@@ -1,73 +1,100 @@
-"""Derivatives of a grasp by its inputs, from the factorisation that solved it."""
+"""Derivatives of a grasp by its inputs, with the factorisation of its own system."""
 
 import warp as wp
-from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
-from wrod.kernels.grasping.straight import (
-    border_forcing,
-    border_matrix,
-    contact_hessian_block,
+from wrod.kernels.elastic.frames import ONE, ZERO
+from wrod.kernels.grasping.closures import CONVERGED
+from wrod.kernels.grasping.contact_edge import (
     first_direction,
+    ghost_motion,
     half_turn,
-    mat66d,
-    vec6d,
-    write_step,
+    half_turn_rate,
+)
+from wrod.kernels.grasping.iteration import (
+    Scratch,
+    border,
+    eliminate,
+    ghost_load,
+    recover,
+    vector5,
+)
+from wrod.kernels.grasping.reading import rotation_rate
+from wrod.kernels.grasping.straight_rod import (
+    WEIGHT,
+    evaluate,
+    gradient_rate,
+    point,
+    put_point,
 )
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def grasp_rate(
+def find_sensitivities(
     # Model:
-    rest_length: wp.array2d(dtype=wp.float64),
-    rest_length_rate: wp.array2d(dtype=wp.float64),
+    edges: int,
+    rest: wp.array2d(dtype=wp.float64),
+    rest_rate: wp.array2d(dtype=wp.float64),
+    stretch_ratio: wp.array(dtype=wp.float64),
+    # In:
     curvature: wp.array(dtype=wp.float64),
-    curvature_rate: wp.float64,
-    weight_rate: wp.float64,
-    # State in:
-    free: wp.array2d(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    hessian: wp.array3d(dtype=wp.float64),
-    condensed: wp.array(dtype=mat66d),
-    reaction_rate: wp.array(dtype=vec6d),
-    # State in and out: column 0 comes in as the gradient's rate, solved, and leaves as the dofs'.
-    solution: wp.array3d(dtype=wp.float64),
+    shape: wp.array3d(dtype=wp.float64),
+    rotation: wp.array2d(dtype=wp.float64),
+    status: wp.array(dtype=wp.int32),
+    scratch: Scratch,
     # Out:
-    force_rate_out: wp.array(dtype=wp.vec3d),
+    rates_out: wp.array2d(dtype=wp.float64),
 ):
-    """Rate of every degree of freedom and of the contact force along a change of the inputs.
+    """Derivatives of position, rotation vector and force by (l_s, kappa, k_s), zero tension.
 
-    The inputs act on the free nodes through the gradient's own rate (`reaction_rate` is that,
-    condensed) and through the ghost and node 2, which turn with the curvature and with the length
-    of the first edge.
+    An input acts on the free nodes through the gradient's own rate, and through ghost and first
+    node, which turn with the curvature and with the length of the first edge.
     """
     r = wp.tid()
-    length = rest_length[r, 1]
-    length_rate = rest_length_rate[r, 1]
-    half = HALF * curvature[r] * length
-    half_rate = HALF * (curvature_rate * length + curvature[r] * length_rate)
-    turn_rate = half_rate / (ONE + half * half)
-    d = first_direction(half_turn(curvature[r], length))
-    across = wp.vec3d(-d[1], d[0], ZERO)
-    node_2 = (turn_rate * wp.length(node(dof, r, 2))) * across
-    ghost = wp.vec3d(
-        -length_rate * d[0] + length * turn_rate * d[1],
-        length_rate * d[1] + length * turn_rate * d[0],
-        ZERO,
-    )
-    s = condensed[r]
-    g = reaction_rate[r]
-    forcing = border_forcing(s, node_2, contact_hessian_block(hessian, r) * ghost)
-    for i in range(4):
-        forcing[i] += g[i]
-    v = -(wp.inverse(border_matrix(s, d)) * forcing)
-    node_2 = node_2 + v[0] * d
-    grip = wp.vec3d(v[1], v[2], v[3])
-    force = wp.vec3d(-g[3], -g[4], weight_rate - g[5])
-    for i in range(3):
-        for j in range(3):
-            force[i] -= s[3 + i, j] * node_2[j] + s[3 + i, 3 + j] * grip[j]
-    force_rate_out[r] = force
-    write_step(solution, free, r, ONE, node_2, grip)
-    for c in range(3):
-        solution[r, 0, c] = ghost[c]
+    slot = r % scratch.condensed.shape[0]
+    if status[r] != CONVERGED:
+        for i in range(27):
+            rates_out[r, i] = ZERO
+        return
+    kappa = curvature[r]
+    h0 = rest[r, 0]
+    half = half_turn(kappa, h0)
+    d = first_direction(half)
+    length = wp.length(point(shape, r, 1))
+    vector = wp.vec3d(rotation[r, 0], rotation[r, 1], rotation[r, 2])
+    evaluate(rest, stretch_ratio[r], kappa, shape, r, slot, edges, scratch.stiffness, scratch.load)
+    for j in range(3):
+        along_length = wp.where(j == 0, ONE, ZERO)
+        along_curvature = wp.where(j == 1, ONE, ZERO)
+        along_ratio = wp.where(j == 2, ONE, ZERO)
+        gradient_rate(
+            rest, rest_rate, stretch_ratio[r], along_ratio, kappa, shape, r, slot, edges,
+            along_length, scratch.load,
+        )  # fmt: skip
+        eliminate(scratch.stiffness, scratch.load, slot, edges, scratch.factor, scratch.condensed)
+        h0_rate = along_length * rest_rate[r, 0]
+        angle_rate = half_turn_rate(kappa, h0, along_curvature, h0_rate)
+        ghost = ghost_motion(half, h0, angle_rate, h0_rate)
+        turn = (angle_rate * length) * wp.vec3d(-d[1], d[0], ZERO)
+        f = border.residual(scratch.condensed, slot, turn, ZERO)
+        extra = ghost_load(scratch.stiffness, slot, ghost)
+        for i in range(3):
+            f[i] = f[i] + extra[i]
+        thrust = vector5(ZERO, ZERO, ZERO, ZERO, ONE)
+        v = border.solve(border.matrix(scratch.condensed, slot, d, thrust), -f)
+        node_1 = turn + v[0] * d
+        grip = wp.vec3d(v[1], v[2], v[3])
+        put_point(scratch.motion, slot, 0, wp.vec3d(ZERO, ZERO, ZERO))
+        put_point(scratch.motion, slot, 1, node_1)
+        put_point(scratch.motion, slot, edges, grip)
+        recover(scratch.factor, slot, edges, ONE, scratch.motion)
+        force = wp.vec3d(ZERO, ZERO, along_length * WEIGHT)
+        force -= border.grip_gradient(scratch.condensed, slot)
+        force -= border.grip_rate(scratch.condensed, slot, node_1, v)
+        spin = rotation_rate(
+            rest, rest_rate, shape, scratch.motion, vector, r, slot, edges, along_length
+        )
+        for i in range(3):
+            rates_out[r, 3 * i + j] = grip[i]
+            rates_out[r, 9 + 3 * i + j] = spin[i]
+            rates_out[r, 18 + 3 * i + j] = force[i]

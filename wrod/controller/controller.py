@@ -15,7 +15,7 @@ import numpy as np
 from wrod.controller.curved import curved, twisted
 from wrod.controller.model import chain, paper
 from wrod.errors import DataError, GraspError, OutOfRangeWarning
-from wrod.files import write_atomically
+from wrod.files import decode_labels, read_tensors, schemas, write_atomically
 
 _FORMAT = "wrod-controller-1"
 # Networks by name, each of (xp, parameters, (n, 3) inputs): position, rotation vector and force or
@@ -65,25 +65,16 @@ class Controller:
         """
         if path is None:
             path = resources.files("wrod.scenes") / "controller" / "default.safetensors"
-        from safetensors import SafetensorError, safe_open
-
-        try:
-            with safe_open(str(path), framework="numpy") as file:
-                label = (file.metadata() or {}).get("wrod", "null")
-                parameters = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            metadata = json.loads(label)
-        except (OSError, TypeError, ValueError, SafetensorError) as error:
-            raise DataError(
-                f"{path}: not a readable controller ({error}); make one with `wrod train`"
-            ) from None
-        if not isinstance(metadata, dict) or metadata.get("format") != _FORMAT:
-            raise DataError(f"{path}: is not a {_FORMAT} file; make one with `wrod train`")
+        what = "a controller that `wrod train` wrote"
+        label, parameters = read_tensors(path, what)
+        metadata = decode_labels(label, schemas.Controller, str(path), what)
         try:
             controller = cls(parameters, metadata)
             probe = np.array([[low for low, _ in controller.range.values()]])
             position, rotation, *_ = controller._network(np, parameters, probe)
             whole = position.shape == rotation.shape == (1, 3)
             whole &= bool(np.isfinite(position).all() and np.isfinite(rotation).all())
+            whole &= all(bool(np.isfinite(value).all()) for value in parameters.values())
         except (AttributeError, KeyError, TypeError, ValueError, IndexError):
             whole = False
         if not whole:

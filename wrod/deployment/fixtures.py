@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import SceneError
-from wrod.files import write_atomically
+from wrod.files import read_json, schemas, write_atomically
 from wrod.patterns.pattern import Pattern
 from wrod.solvers.contact import Box, Cylinder, Plane
 
@@ -131,26 +131,15 @@ class Fixtures:
             SceneError: the file is missing or not such a scene; names the fixture.
         """
         path = Path(path)
+        found = read_json(path, schemas.Fixtures, "a scene of fixtures", error=SceneError)
+        items = tuple(
+            _fixture(entry, f"{path}: fixture {k}") for k, entry in enumerate(found.fixtures)
+        )
+        name = path.stem if found.name is None else found.name
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise SceneError(f"{path}: not a readable scene file ({error})") from None
-        if not isinstance(data, dict) or data.get("format") != _FORMAT:
-            raise SceneError(f"{path}: give a JSON object whose format is {_FORMAT!r}")
-        unknown = set(data) - {"format", "name", "fixtures", "gates", "note"}
-        if unknown:
-            raise SceneError(f"{path}: unknown entry {min(unknown)!r}")
-        entries, gates = data.get("fixtures"), data.get("gates", [])
-        if not isinstance(entries, list) or not entries:
-            raise SceneError(f"{path}: 'fixtures' must be a list of one or more")
-        if not isinstance(gates, list) or not all(
-            isinstance(g, list) and len(g) == 2 and all(isinstance(n, str) for n in g)
-            for g in gates
-        ):
-            raise SceneError(f"{path}: 'gates' must be a list of pairs of names")
-        items = tuple(_fixture(entry, f"{path}: fixture {k}") for k, entry in enumerate(entries))
-        name, note = str(data.get("name", path.stem)), str(data.get("note", ""))
-        return cls(items, tuple((left, right) for left, right in gates), name, note)
+            return cls(items, tuple(found.gates), name, found.note)
+        except SceneError as error:
+            raise SceneError(f"{path}: {error}") from None
 
     @classmethod
     def along(
@@ -260,48 +249,14 @@ def _passes(line: np.ndarray, left: np.ndarray, right: np.ndarray) -> list[tuple
     return [(k + a[k], -int(np.sign(area[k])), height[k]) for k in np.flatnonzero(hit)]
 
 
-def _fixture(entry, where: str) -> Fixture:
-    if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
-        raise SceneError(f"{where}: give an object with a name")
-    where = f"{where} ({entry['name']})"
-    kinds = set(entry) - {"name"}
-    if kinds == {"cylinder"}:
-        values = _numbers(entry["cylinder"], {"center": 3, "radius": 1, "height": 1}, {}, where)
-        half = values["height"][0] / 2
-        x, y, z = values["center"]
-        if half <= 0 or values["radius"][0] <= 0:
-            raise SceneError(f"{where}: radius and height must be positive")
-        return Fixture(entry["name"], Cylinder((x, y, z + half), values["radius"][0], half))
-    if kinds == {"box"}:
-        values = _numbers(entry["box"], {"center": 3, "size": 3}, {"yaw": 0.0}, where)
-        half = [v / 2 for v in values["size"]]
-        if min(half) <= 0:
-            raise SceneError(f"{where}: sizes must be positive")
-        turn = math.radians(values["yaw"][0]) / 2
-        x, y, z = values["center"]
-        rotation = (0.0, 0.0, math.sin(turn), math.cos(turn))
-        return Fixture(entry["name"], Box((x, y, z + half[2]), tuple(half), rotation))
-    raise SceneError(f"{where}: give either 'cylinder' or 'box', and nothing else but the name")
-
-
-def _numbers(entry, wanted: dict, optional: dict, where: str) -> dict[str, list[float]]:
-    if not isinstance(entry, dict):
-        raise SceneError(f"{where}: give {', '.join(wanted)}")
-    unknown = set(entry) - set(wanted) - set(optional)
-    if unknown:
-        raise SceneError(f"{where}: unknown entry {min(unknown)!r}")
-    out = {name: [value] for name, value in optional.items()}
-    for name, count in [*wanted.items(), *((n, 1) for n in optional if n in entry)]:
-        value = entry.get(name)
-        values = value if count > 1 else [value]
-        number = (int, float)
-        if (
-            not isinstance(values, list)
-            or len(values) != count
-            or not all(isinstance(v, number) and not isinstance(v, bool) for v in values)
-            or not all(math.isfinite(v) for v in values)
-        ):
-            what = "a finite number" if count == 1 else f"{count} finite numbers"
-            raise SceneError(f"{where}: {name} is {value!r}; give {what} [m]")
-        out[name] = [float(v) for v in values]
-    return out
+def _fixture(entry: schemas.Fixture, where: str) -> Fixture:
+    if (entry.cylinder is None) == (entry.box is None):
+        raise SceneError(f"{where} ({entry.name}): give either 'cylinder' or 'box'")
+    if entry.cylinder is not None:
+        (x, y, z), half = entry.cylinder.center, entry.cylinder.height / 2
+        return Fixture(entry.name, Cylinder((x, y, z + half), entry.cylinder.radius, half))
+    x, y, z = entry.box.center
+    half = tuple(v / 2 for v in entry.box.size)
+    turn = math.radians(entry.box.yaw) / 2
+    rotation = (0.0, 0.0, math.sin(turn), math.cos(turn))
+    return Fixture(entry.name, Box((x, y, z + half[2]), half, rotation))

@@ -114,7 +114,9 @@ def simulate_deployments(
 
     Args:
         trials: what to simulate.
-        hold: length of the free end that is laid and held along the pattern at first [m].
+        hold: length of the free end that is laid and held along the pattern at first [m]; 0: the
+            rod hangs from the grip's first pose with its free end on the pattern's first point,
+            and that point alone is held until the grip is there.
         release: laid length at which the free end is let go [m]; default: `hold`.
         speed: at which the contact moves [m/s], slower where the grip has far to go; the tail is
             laid twice as fast.
@@ -132,9 +134,11 @@ def simulate_deployments(
         threads: CPU threads; default: one per core.
         progress: called with the fraction done since the last call, of all trials.
     """
-    for name, value in (("hold", hold), ("speed", speed), ("spacing", spacing)):
+    for name, value in (("speed", speed), ("spacing", spacing)):
         if not (np.isfinite(value) and value > 0):
             raise RodError(f"{name} is {value!r}; give a positive finite number")
+    if not (np.isfinite(hold) and hold >= 0):
+        raise RodError(f"hold is {hold!r}; give a length in metres, or 0 for a free end")
     if not trials:
         return []
     device = resolve_device(device)

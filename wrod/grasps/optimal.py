@@ -7,40 +7,38 @@ the contact frame has x along the pattern, z up, and a positive curvature turns 
 from __future__ import annotations
 
 import os
+import queue
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
+import warp as wp
 
 from wrod.errors import GraspError
-from wrod.grasps.curved import CurvedGraspSolver
-from wrod.grasps.mesh import MIRROR, MIRROR_ROTATION
-from wrod.grasps.solver import GraspSolution, GraspSolver
-from wrod.kernels.grasping import straight as grasping
-from wrod.rods.batch import resolve_device
+from wrod.grasps.curved_grasps import solve_curved
+from wrod.grasps.inputs import LIMITS, GraspArrays
+from wrod.grasps.levels import Ladder
+from wrod.kernels.grasping import closures
+from wrod.kernels.grasping.reading import Results
+from wrod.rods.batch import RodBatch
+from wrod.solvers.stability import smallest_eigenvalue
 
 CLOSURES = {
-    "zero_tension": int(grasping.ZERO_TENSION),
-    "min_force": int(grasping.MIN_FORCE),
-    "min_friction": int(grasping.MIN_FRICTION),
+    "zero_tension": int(closures.ZERO_TENSION),
+    "min_force": int(closures.MIN_FORCE),
+    "min_friction": int(closures.MIN_FRICTION),
 }
 EDGE_COUNT = 128
 
-# Inputs that are solved; beyond them grasps do not exist, or have never been checked.
-LIMITS = {
-    "suspended_length": (0.2, 100.0),
-    "curvature": (-5.0, 5.0),
-    "stretch_ratio": (50.0, 1e5),
-    "natural_curvature": (-1.0, 1.0),
-}
 # Grasps solved at once: few on a CPU, whose cache they should not leave; many on a GPU.
-_CPU_CHUNK, _CUDA_CHUNK = 128, 32768
+_CPU_CHUNK, _CUDA_CHUNK = 128, 65536
 
 
 @dataclass(frozen=True)
 class Grasps:
-    """Optimal grasps, one per input (float64 NumPy, dimensionless).
+    """Optimal grasps, one per input (float64 NumPy, or tensors or Warp arrays
+    on the device as the inputs were; dimensionless).
 
     Attributes:
         position: (n, 3) grip position in the contact frame [L_gb].
@@ -134,68 +132,58 @@ def solve_grasps(
         raise GraspError(f"sensitivities need closure 'zero_tension', not {closure!r}")
     if edge_count < 16 or edge_count % 2:
         raise GraspError(f"edge_count is {edge_count}; use an even number from 16")
-    ls, kappa, ks = check_inputs(suspended_length, curvature, stretch_ratio)
-    natural = _natural_curvature(natural_curvature, len(ls))
+    inputs = GraspArrays.of(suspended_length, curvature, stretch_ratio, device=device)
+    natural = _natural_curvature(natural_curvature, len(inputs))
     if natural is not None:
         if sensitivities:
             raise GraspError("sensitivities are known for naturally straight rods only")
         if not -1.0 < poisson <= 0.5:
             raise GraspError(f"poisson is {poisson!r}; an elastic rod needs a value in (-1, 0.5]")
-        # Right turns are solved as left turns of the mirrored rod.
-        natural[kappa < 0, 0] *= -1.0
-    device = resolve_device(device)
-    size = _CPU_CHUNK if device == "cpu" else _CUDA_CHUNK
-    workers = 1 if device != "cpu" else (threads or os.cpu_count() or 1)
-    size = max(1, min(size, -(-len(ls) // workers)))
-    chunks = [slice(i, i + size) for i in range(0, len(ls), size)]
+        on_cpu = inputs.device == "cpu"
+        return Grasps(
+            **solve_curved(
+                *inputs.numpy(), CLOSURES[closure], inputs.device, edge_count, extrapolate,
+                eigenvalues, shapes, natural, poisson, _CPU_CHUNK if on_cpu else _CUDA_CHUNK,
+                (threads or os.cpu_count() or 1) if on_cpu else 1, progress,
+            )
+        )  # fmt: skip
+    rods = len(inputs)
+    out = _results(rods, edge_count, inputs.device, sensitivities, shapes or eigenvalues)
+    workers = 1 if inputs.device != "cpu" else (threads or os.cpu_count() or 1)
+    size = _CPU_CHUNK if inputs.device == "cpu" else _CUDA_CHUNK
+    size = max(1, min(size, -(-rods // workers)))
 
-    def solve(chunk: slice) -> GraspSolution:
-        result = _solve_chunk(
-            ls[chunk],
-            np.abs(kappa[chunk]),
-            ks[chunk],
-            CLOSURES[closure],
-            device,
-            edge_count,
-            extrapolate,
-            sensitivities,
-            eigenvalues,
-            shapes,
-            None if natural is None else natural[chunk],
-            poisson,
+    def solve(first: int, ladder: Ladder) -> None:
+        count = min(size, rods - first)
+        ladder.solve(
+            inputs.arrays,
+            first,
+            count,
+            closure=CLOSURES[closure],
+            extrapolate=extrapolate,
+            out=out,
         )
         if progress is not None:
-            progress(len(result.position))
-        return result
+            progress(count)
 
-    if workers > 1 and len(chunks) > 1:
+    spare: queue.SimpleQueue[Ladder] = queue.SimpleQueue()
+    for _ in range(min(workers, -(-rods // size))):
+        spare.put(Ladder(size, edge_count, inputs.device, sensitivities))
+
+    def solve_with_spare(first: int) -> None:
+        ladder = spare.get()
+        solve(first, ladder)
+        spare.put(ladder)
+
+    firsts = range(0, rods, size)
+    if workers > 1 and len(firsts) > 1:
         with ThreadPoolExecutor(workers) as pool:
-            parts = list(pool.map(solve, chunks))
+            list(pool.map(solve_with_spare, firsts))
     else:
-        parts = [solve(chunk) for chunk in chunks]
-    return _grasps(parts, kappa, sensitivities)
-
-
-def check_inputs(*inputs) -> tuple[np.ndarray, ...]:
-    """(l_s, kappa, k_s) and anything after them as arrays of one shape (n,), or GraspError."""
-    arrays = [np.asarray(value, dtype=np.float64) for value in inputs]
-    try:
-        arrays = [np.atleast_1d(a) for a in np.broadcast_arrays(*arrays)]
-    except ValueError:
-        shapes = ", ".join(str(a.shape) for a in arrays)
-        raise GraspError(f"grasp inputs have shapes {shapes}, which do not broadcast") from None
-    if arrays[0].ndim != 1:
-        raise GraspError(f"grasp inputs have shape {arrays[0].shape}; give one-dimensional arrays")
-    names = ("suspended_length", "curvature", "stretch_ratio")
-    for name, value in zip(names, arrays, strict=False):
-        low, high = LIMITS[name]
-        bad = np.flatnonzero(~((value >= low) & (value <= high)))
-        if bad.size:
-            raise GraspError(
-                f"{name}[{bad[0]}] is {value[bad[0]]:g}, outside the {low:g} to {high:g} that can "
-                "be solved (dimensionless: lengths over L_gb, curvature times L_gb)"
-            )
-    return tuple(np.array(a) for a in arrays)
+        for first in firsts:
+            solve_with_spare(first)
+    eigenvalue = _eigenvalues(inputs, out, edge_count) if eigenvalues else None
+    return _grasps(inputs, out, eigenvalue, shapes)
 
 
 def _natural_curvature(value, count: int) -> np.ndarray | None:
@@ -219,139 +207,60 @@ def _natural_curvature(value, count: int) -> np.ndarray | None:
     return value
 
 
-def _solve_chunk(
-    ls,
-    kappa,
-    ks,
-    closure,
-    device,
-    edge_count,
-    extrapolate,
-    sensitivities,
-    eigenvalues,
-    shapes,
-    natural,
-    poisson,
-) -> GraspSolution:
-    """Coarse from a cold start, fine from coarse, then both combined."""
+def _results(rods: int, edges: int, device: str, sensitivities: bool, shapes: bool) -> Results:
+    out = Results()
 
-    def level(chosen, edges, guess=None, thrust=None) -> tuple[GraspSolver, GraspSolution]:
-        kind, rod = GraspSolver, {}
-        if natural is not None:
-            kind, rod = CurvedGraspSolver, {"natural_curvature": natural[chosen]}
-            rod["poisson"] = poisson
-        solver = kind(
-            ls[chosen],
-            kappa[chosen],
-            ks[chosen],
-            edge_count=edges,
-            closure=closure,
-            device=device,
-            guess=guess,
-            thrust=thrust,
-            **rod,
-        ).run()
-        return solver, solver.solution(
-            sensitivities=sensitivities,
-            # Those of the coarse mesh are of no use: nothing is extrapolated from them.
-            eigenvalues=eigenvalues and edges == edge_count,
-            shapes=shapes,
-        )
+    def floats(*shape, wanted=True):
+        size = shape if wanted else (0,) * len(shape)
+        return wp.empty(size, dtype=wp.float64, device=device)
 
-    everything = slice(None)
-    solver, coarse = level(everything, edge_count // 2)
-    _, fine = level(everything, edge_count, solver.refined(), coarse.thrust)
-    fine.converged &= coarse.converged
-    fine.iterations += coarse.iterations
-    lost = np.flatnonzero(~fine.converged)
-    if lost.size:
-        # Too coarse a mesh to start from: start on the fine one and come back from there.
-        solver, cold = level(lost, edge_count)
-        _, back = level(lost, edge_count // 2, solver.coarsened(), cold.thrust)
-        cold.converged &= back.converged
-        cold.iterations += back.iterations + fine.iterations[lost]
-        _put(coarse, lost, back)
-        _put(fine, lost, cold)
-    if extrapolate:
-        coarse.rotation = _same_way_round(coarse.rotation, fine.rotation)
-        for name in _EXTRAPOLATED:
-            value = getattr(fine, name)
-            if value is not None:
-                setattr(fine, name, (4.0 * value - getattr(coarse, name)) / 3.0)
-    admissible = (fine.lowest > -1e-6) & (fine.force[:, 2] > 0)
-    fine.converged &= admissible & fine.stable & (fine.turning < _GENTLE)
-    return fine
+    out.position, out.rotation, out.force = (floats(rods, 3) for _ in range(3))
+    out.force_jacobian = floats(rods, 3, 3)
+    for name in _SENSITIVITIES:
+        setattr(out, name, floats(rods, 3, 3, wanted=sensitivities))
+    out.shape = floats(rods, edges + 1, 3, wanted=shapes)
+    out.arc_length = floats(rods, edges + 1, wanted=shapes)
+    out.converged = wp.empty(rods, dtype=wp.bool, device=device)
+    out.stable = wp.empty(rods, dtype=wp.bool, device=device)
+    out.iterations = wp.empty(rods, dtype=wp.int32, device=device)
+    out.residual = floats(rods)
+    return out
 
 
-_EXTRAPOLATED = (
-    "position",
-    "rotation",
-    "twist",
-    "force",
-    "force_jacobian",
-    "position_sensitivity",
-    "rotation_sensitivity",
-    "force_sensitivity",
-)
-# Grasps on the gentle branch turn by less than this, those that have looped by more.
-_GENTLE = 2.0 * np.pi
+_SENSITIVITIES = ("position_sensitivity", "rotation_sensitivity", "force_sensitivity")
 
 
-def _same_way_round(vectors: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """Rotation vectors (n, 3) of the same rotations, with no full turn between them and `like`:
-    those of two meshes may lie on either side of half a turn."""
-    angle = np.linalg.norm(vectors, axis=1, keepdims=True)
-    axis = vectors / np.maximum(angle, 1e-300)
-    turns = np.rint(((like - vectors) * axis).sum(axis=1, keepdims=True) / (2.0 * np.pi))
-    return vectors + 2.0 * np.pi * turns * axis
+def _grasps(inputs: GraspArrays, out: Results, eigenvalue, shapes: bool) -> Grasps:
+    names = ["position", "rotation", "force", "force_jacobian", "converged", "stable"]
+    names += ["iterations", "residual"]
+    if shapes:
+        names += ["shape", "arc_length"]
+    if out.position_sensitivity.shape[0]:
+        names += _SENSITIVITIES
+    values = {name: inputs.result(getattr(out, name)) for name in names}
+    return Grasps(**values, eigenvalue=eigenvalue)
 
 
-def _put(target: GraspSolution, where: np.ndarray, source: GraspSolution) -> None:
-    for field in fields(GraspSolution):
-        value = getattr(target, field.name)
-        if value is not None and getattr(source, field.name) is not None:
-            value[where] = getattr(source, field.name)
-
-
-def _grasps(parts: list[GraspSolution], kappa: np.ndarray, sensitivities: bool) -> Grasps:
-    """Join the chunks and mirror the right turns: y -> -y, and inputs by -kappa."""
-
-    def join(name):
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    right = kappa < 0
-    twist = None if parts[0].twist is None else np.where(right, -1.0, 1.0) * join("twist")
-    position, rotation, force = join("position"), join("rotation"), join("force")
-    jacobian = join("force_jacobian")
-    shape = None if parts[0].shape is None else join("shape")
-    position[right] *= MIRROR
-    force[right] *= MIRROR
-    rotation[right] *= MIRROR_ROTATION
-    if shape is not None:
-        shape[right] *= MIRROR
-    jacobian[right] *= np.outer(MIRROR, MIRROR)
-    extra = {}
-    if parts[0].eigenvalue is not None:
-        extra["eigenvalue"] = join("eigenvalue")
-    if sensitivities:
-        for name, mirror in (
-            ("position_sensitivity", MIRROR),
-            ("rotation_sensitivity", MIRROR_ROTATION),
-            ("force_sensitivity", MIRROR),
-        ):
-            extra[name] = join(name)
-            extra[name][right] *= np.outer(mirror, [1.0, -1.0, 1.0])
-    return Grasps(
-        position,
-        rotation,
-        force,
-        join("converged"),
-        join("stable"),
-        join("iterations"),
-        join("residual"),
-        jacobian,
-        shape,
-        None if parts[0].arc_length is None else join("arc_length"),
-        twist,
-        **extra,
+def _eigenvalues(inputs: GraspArrays, out: Results, edge_count: int):
+    """(n,) smallest eigenvalue of the Hessian of every rod, held at the contact and at the grip."""
+    _, kappa, ks = inputs.numpy()
+    shape, arc_length = out.shape.numpy(), out.arc_length.numpy()
+    rest = np.diff(arc_length, axis=1)
+    half = np.arctan(0.5 * kappa * rest[:, 0])
+    ghost = -rest[:, :1] * np.stack([np.cos(half), -np.sin(half), np.zeros_like(half)], axis=1)
+    batch = RodBatch(
+        np.concatenate([ghost[:, None], shape], axis=1),
+        rest_length=np.concatenate([rest[:, :1], rest], axis=1),
+        stretching_stiffness=ks[:, None],
+        bending_stiffness=1.0,
+        # Without twist in the rod any positive value will do.
+        twisting_stiffness=2.0 / 3.0,
+        director=(0.0, 0.0, 1.0),
+        device=inputs.device,
     )
+    free = np.ones(batch.dof_count, dtype=bool)
+    free[:11] = False
+    free[-3:] = False
+    batch.set_free(free)
+    value = smallest_eigenvalue(batch)
+    return inputs.result(wp.array(value, dtype=wp.float64, device=inputs.device))

@@ -17,15 +17,9 @@ import numpy as np
 
 from wrod.errors import GraspError
 from wrod.grasps.curved import CurvedGraspSolver
+from wrod.grasps.curved_grasps import _EXTRAPOLATED, _GENTLE, _put, _same_way_round
 from wrod.grasps.mesh import MIRROR, MIRROR_ROTATION, WEIGHT
-from wrod.grasps.optimal import (
-    _EXTRAPOLATED,
-    _GENTLE,
-    CLOSURES,
-    EDGE_COUNT,
-    _put,
-    _same_way_round,
-)
+from wrod.grasps.optimal import CLOSURES, EDGE_COUNT
 from wrod.rods.batch import resolve_device
 from wrod.rods.discretisation import mesh_arrays
 from wrod.rods.model import RodModel

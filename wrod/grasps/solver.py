@@ -11,20 +11,13 @@ import warp as wp
 from wrod.grasps.mesh import (
     WEIGHT,
     node_weights,
-    rest_length_rates,
     rest_lengths,
     straight_pattern_guess,
 )
-from wrod.kernels.elastic.bending import bending_rate
-from wrod.kernels.elastic.loads import dead_loads
-from wrod.kernels.elastic.stretching import stretching_rate
-from wrod.kernels.grasping import sensitivity as grasp_sensitivity
 from wrod.kernels.grasping import start as grasp_start
 from wrod.kernels.grasping import straight as grasping
 from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import (
-    left_jacobian,
-    left_jacobian_inverse,
     rotation_matrix,
     rotation_vector,
 )
@@ -297,15 +290,6 @@ class GraspSolver:
                 factor=self.system.factor,
                 negative_pivots=self.system.negative_pivots.numpy(),
             )
-        if sensitivities:
-            rates = np.zeros((3, n, 3, 3))
-            batch.evaluate(order=2)
-            self._condense(batch.derivatives.gradient, batch.every_rod, wp.clone(self.reaction))
-            for j in range(3):
-                rates[0, :, :, j], rates[1, :, :, j], rates[2, :, :, j] = self._rates(j)
-            result.position_sensitivity = rates[0]
-            result.rotation_sensitivity = rates[1]
-            result.force_sensitivity = rates[2]
         return result
 
     def _arc_length(self) -> np.ndarray:
@@ -340,118 +324,3 @@ class GraspSolver:
         """(n, 3) rotation vectors of the grip's frame."""
         frame, _, _, binormal, fraction = self._grip_frame()
         return rotation_vector(rotation_matrix(fraction[:, None] * binormal) @ frame)
-
-    def _rates(self, j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives of position, rotation vector and force by input j.
-
-        The factorisation and the border's solutions in `system.x` are those of the solution.
-        """
-        batch, device = self.batch, self.device
-        rods, nodes = batch.rod_count, batch.node_count
-        every = batch.every_rod
-        rest_rate = wp.zeros((rods, nodes - 1), dtype=wp.float64, device=device)
-        gradient_rate = wp.zeros_like(batch.derivatives.gradient)
-        dof = batch.state.dof
-        if j == 0:
-            edges = rest_length_rates(self.inputs[0], nodes - 2)
-            rest_rate.assign(np.concatenate([edges[:, :1], edges], axis=1))
-            mass_rate = wp.array(
-                np.pad(node_weights(edges), ((0, 0), (1, 0))), dtype=wp.float64, device=device
-            )
-            wp.launch(
-                bending_rate,
-                dim=(rods, nodes - 2),
-                inputs=[
-                    batch.rest_length,
-                    batch.bending_stiffness,
-                    rest_rate,
-                    dof,
-                    batch.state.director,
-                ],
-                outputs=[gradient_rate],
-                device=device,
-            )
-            wp.launch(
-                dead_loads,
-                dim=(rods, nodes),
-                inputs=[
-                    mass_rate,
-                    batch.gravity,
-                    batch.point_load,
-                    batch.load_factor,
-                    every,
-                    dof,
-                ],
-                outputs=[wp.zeros(rods, dtype=wp.float64, device=device), gradient_rate],
-                device=device,
-            )
-        stiffness_rate = wp.full(
-            (rods, nodes - 1), 1.0 if j == 2 else 0.0, dtype=wp.float64, device=device
-        )
-        wp.launch(
-            stretching_rate,
-            dim=(rods, nodes - 1),
-            inputs=[batch.rest_length, batch.stretching_stiffness, rest_rate, stiffness_rate, dof],
-            outputs=[gradient_rate],
-            device=device,
-        )
-        reaction_rate = wp.zeros_like(self.reaction)
-        self.system.load(gradient_rate, batch.derivatives.hessian, every, columns=1)
-        self.system.solve(every, columns=1)
-        self._reduce(gradient_rate, every, reaction_rate)
-        force_rate = wp.zeros(rods, dtype=wp.vec3d, device=device)
-        wp.launch(
-            grasp_sensitivity.grasp_rate,
-            dim=rods,
-            inputs=[
-                batch.rest_length,
-                rest_rate,
-                self.curvature,
-                wp.float64(1.0 if j == 1 else 0.0),
-                wp.float64(WEIGHT if j == 0 else 0.0),
-                batch.free,
-                dof,
-                batch.derivatives.hessian,
-                self.condensed,
-                reaction_rate,
-                self.system.x,
-            ],
-            outputs=[force_rate],
-            device=device,
-        )
-        # Only the rod's end counts: the last three nodes and the angle of the last edge.
-        end_rate = self.system.x[:, 0, -11:].numpy()
-        rotation_rate = self._rotation_rate(end_rate, rest_rate[:, -2:].numpy())
-        return end_rate[:, -3:], rotation_rate, force_rate.numpy()
-
-    def _rotation_rate(self, end_rate: np.ndarray, rest_rate: np.ndarray) -> np.ndarray:
-        """(n, 3) derivative of the grip's rotation vector.
-
-        Args:
-            end_rate: (n, 11) rates of the last three nodes and the angles between them.
-            rest_rate: (n, 2) rates of the last two rest lengths.
-        """
-        batch = self.batch
-        frame, t, chi, binormal, fraction = self._grip_frame()
-        nodes = batch.state.dof[:, -11:].numpy()[:, [0, 1, 2, 4, 5, 6, 8, 9, 10]].reshape(-1, 3, 3)
-        length = np.linalg.norm(np.diff(nodes, axis=1), axis=2)
-        node_rate = end_rate[:, [0, 1, 2, 4, 5, 6, 8, 9, 10]].reshape(-1, 3, 3)
-        edge_rate = np.diff(node_rate, axis=1) / length[:, :, None]
-        t_rate = edge_rate - np.sum(edge_rate * t, axis=2, keepdims=True) * t
-        # Time-parallel frames spin with their tangent, the material frame by its angle on top.
-        spin = np.cross(t[:, 1], t_rate[:, 1]) + end_rate[:, 7:8] * t[:, 1]
-        chi_rate = np.sum(t_rate[:, 0] * t[:, 1] + t[:, 0] * t_rate[:, 1], axis=1)
-        binormal_rate = (
-            2.0 * (np.cross(t_rate[:, 0], t[:, 1]) + np.cross(t[:, 0], t_rate[:, 1]))
-            - chi_rate[:, None] * binormal
-        ) / chi[:, None]
-        rest, rate = batch.rest_length[:, -2:].numpy(), rest_rate
-        total = rest.sum(axis=1)
-        fraction_rate = (rate[:, 1] - rest[:, 1] * rate.sum(axis=1) / total) / (4.0 * total)
-        bend = fraction[:, None] * binormal
-        bend_rate = fraction_rate[:, None] * binormal + fraction[:, None] * binormal_rate
-        turn = rotation_matrix(bend)
-        omega = np.einsum("nij,nj->ni", left_jacobian(bend), bend_rate)
-        omega += np.einsum("nij,nj->ni", turn, spin)
-        vector = rotation_vector(turn @ frame)
-        return np.einsum("nij,nj->ni", left_jacobian_inverse(vector), omega)

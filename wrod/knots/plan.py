@@ -17,18 +17,16 @@ The moves of one step are made at the same time, each by another hand. Pulls gra
 
 from __future__ import annotations
 
-import json
-import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+from msgspec.structs import asdict
 
 from wrod.errors import DataError
+from wrod.files import read_json, schemas
 from wrod.patterns.pattern import Pattern
 from wrod.rods.material import RodMaterial, rod
-
-_FORMAT = "wrod-knot-1"
 
 
 @dataclass(frozen=True)
@@ -107,40 +105,19 @@ class KnotPlan:
             PatternError: a pattern cannot be read.
         """
         path = Path(path)
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise DataError(f"{path}: not a readable knot plan ({error})") from None
-        if not isinstance(data, dict) or data.get("format") != _FORMAT:
-            raise DataError(f"{path}: give a JSON object whose format is {_FORMAT!r}")
-        try:
-            rods = tuple(
-                (
-                    Pattern.load(path.parent / str(entry["pattern"]), smoothing=0.0),
-                    rod(str(entry["rod"])),
-                )
-                for entry in data["rods"]
-            )
-            steps = tuple(tuple(_move(move) for move in step) for step in data["steps"])
-            pull = tuple(_pull(entry) for entry in data.get("pull", []))
-            names = tuple(str(entry["rod"]) for entry in data["rods"])
-            plan = cls(
-                str(data["name"]),
-                str(data["knot"]),
-                rods,
-                steps,
-                pull,
-                _number(data["load"]),
-                names,
-            )
-        except (KeyError, TypeError, AttributeError) as error:
-            raise DataError(f"{path}: an entry is missing or of the wrong kind ({error})") from None
+        found = read_json(path, schemas.KnotPlan, "a knot plan")
+        rods = tuple(
+            (Pattern.load(path.parent / entry.pattern, smoothing=0.0), rod(entry.rod))
+            for entry in found.rods
+        )
+        steps = tuple(tuple(Move(**asdict(move)) for move in step) for step in found.steps)
+        pull = tuple(Pull(**asdict(entry)) for entry in found.pull)
+        names = tuple(entry.rod for entry in found.rods)
+        plan = cls(found.name, found.knot, rods, steps, pull, found.load, names)
         plan._check(path)
         return plan
 
     def _check(self, path: Path) -> None:
-        if len(self.rods) not in (1, 2):
-            raise DataError(f"{path}: ties {len(self.rods)} rods; give one or two")
         if len(self.pull) not in (0, 2):
             raise DataError(f"{path}: pulls with {len(self.pull)} hands; give two, or none")
         for number, step in enumerate(self.steps):
@@ -153,42 +130,3 @@ class KnotPlan:
                 raise DataError(f"{path}: a move names rod {move.rod}; there are {len(self.rods)}")
             if not 0.0 <= move.at <= self.rods[move.rod][1].length:
                 raise DataError(f"{path}: a move grasps at {move.at:g} m, beyond the rod's ends")
-
-
-def _number(value) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise TypeError(f"{value!r} is not a finite number")
-    return float(value)
-
-
-def _point(value) -> tuple[float, float]:
-    x, y = value if isinstance(value, list) and len(value) == 2 else (None, None)
-    return _number(x), _number(y)
-
-
-def _whole(value) -> int:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError(f"{value!r} is not a whole number")
-    return value
-
-
-def _move(entry: dict) -> Move:
-    extra: dict[str, Any] = {
-        name: _number(entry[name]) for name in ("lift", "turn", "lay_height") if name in entry
-    }
-    if "where" in entry:
-        extra["where"] = _point(entry["where"])
-    return Move(
-        _whole(entry["rod"]), _number(entry["at"]), _point(entry["to"]), _whole(entry["hand"]),
-        **extra,
-    )  # fmt: skip
-
-
-def _pull(entry: dict) -> Pull:
-    return Pull(
-        _whole(entry["rod"]),
-        _number(entry["at"]),
-        _point(entry["where"]),
-        _point(entry["direction"]),
-        _number(entry["distance"]),
-    )

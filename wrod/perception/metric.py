@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from wrod.errors import PerceptionError
+from wrod.files import read_json, schemas
 
+# Numbers of distortion coefficients that OpenCV knows.
+_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 MARKER_MISFIT = 0.02  # largest rms of the marker corners to their layout, in marker sides
 
 
@@ -29,17 +30,21 @@ class Camera:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Camera:
         """Read {"camera_matrix": 3 x 3, "distortion": [k1, k2, p1, p2, ...]} from a JSON file."""
-        data = _read_json(path, "a camera file")
-        try:
-            matrix = np.array(data["camera_matrix"], float).reshape(3, 3)
-            distortion = np.array(data.get("distortion", [0.0] * 5), float).ravel()
-        except (KeyError, TypeError, ValueError):
+        found = read_json(path, schemas.Camera, "a camera file", error=PerceptionError)
+        matrix = np.array(found.camera_matrix)
+        focal = np.diag(matrix)[:2]
+        off = [matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1.0]
+        if focal.min() < 1.0 or np.abs(off).max() > 1e-9:
             raise PerceptionError(
-                f'{path}: a camera file holds "camera_matrix" (3 x 3) and "distortion"'
-            ) from None
-        if not (np.isfinite(matrix).all() and np.isfinite(distortion).all() and matrix[0, 0] > 0):
-            raise PerceptionError(f"{path}: the camera matrix is not that of a camera")
-        return cls(matrix, distortion)
+                f"{path}: camera_matrix is not that of a camera; give "
+                "[[fx, skew, cx], [0, fy, cy], [0, 0, 1]] in pixels"
+            )
+        if len(found.distortion) not in _COEFFICIENTS:
+            raise PerceptionError(
+                f"{path}: distortion holds {len(found.distortion)} numbers; OpenCV's models have "
+                f"{', '.join(str(n) for n in _COEFFICIENTS)}"
+            )
+        return cls(matrix, np.array(found.distortion or [0.0] * 5))
 
     def undistort(self, points: np.ndarray) -> np.ndarray:
         """Where (n, 2) pixels would lie without lens distortion [px]."""
@@ -151,27 +156,26 @@ class MarkerLayout:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> MarkerLayout:
         """Read {"marker_corners_m": {"0": 4 x [x, y], ...}, "paper_size_m": [w, h]} (JSON)."""
-        data = _read_json(path, "a marker layout")
-        try:
-            corners = {
-                int(i): np.array(c, float).reshape(4, 2)
-                for i, c in data["marker_corners_m"].items()
-            }
-            paper = data.get("paper_size_m")
-            paper = None if paper is None else (float(paper[0]), float(paper[1]))
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError):
-            raise PerceptionError(
-                f'{path}: a marker layout holds "marker_corners_m": four corners [x, y] in metres '
-                "for each of the ids 0 to 3"
-            ) from None
-        if sorted(corners) != [0, 1, 2, 3] or not all(
-            np.isfinite(c).all() for c in corners.values()
-        ):
+        found = read_json(path, schemas.MarkerLayout, "a marker layout", error=PerceptionError)
+        corners = {int(i): np.array(c) for i, c in found.marker_corners_m.items()}
+        if sorted(corners) != [0, 1, 2, 3]:
             raise PerceptionError(f"{path}: the layout must place the markers 0, 1, 2 and 3")
-        dictionary = data.get("dictionary", "DICT_4X4_50")
-        if dictionary != "DICT_4X4_50":
-            raise PerceptionError(f"{path}: dictionary {dictionary} is not used; DICT_4X4_50 is")
-        return cls(corners, paper)
+        for number, corner in corners.items():
+            sides = np.diff(corner, axis=0, append=corner[:1])
+            lengths = np.hypot(*sides.T)
+            turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
+            square = np.abs(turns) > 0.9 * lengths.max() ** 2
+            if lengths.max() < 1e-4 or not square.all() or abs(np.sign(turns).sum()) != 4:
+                raise PerceptionError(
+                    f"{path}: marker {number} is no square; give its four corners [x, y] in "
+                    "metres, one after the other"
+                )
+        middles = np.array([corner.mean(axis=0) for corner in corners.values()])
+        if np.linalg.svd(middles - middles.mean(axis=0))[1][1] < 1e-3:
+            raise PerceptionError(
+                f"{path}: the markers lie on one line or spot; give the four corners of a sheet"
+            )
+        return cls(corners, found.paper_size_m)
 
     def region(self, plane: Plane, shape: tuple[int, int]) -> np.ndarray:
         """(H, W) uint8, 255 on the sheet and beside its markers, where strokes may be."""
@@ -273,15 +277,3 @@ def _fit_edges(outline: np.ndarray, corners: np.ndarray) -> np.ndarray:
 def _project(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
     lifted = np.column_stack([points, np.ones(len(points))]) @ homography.T
     return lifted[:, :2] / lifted[:, 2:]
-
-
-def _read_json(path: str | os.PathLike[str], what: str) -> dict:
-    try:
-        data = json.loads(Path(path).read_text())
-    except OSError as error:
-        raise PerceptionError(f"{path}: {what} that cannot be read ({error.strerror})") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise PerceptionError(f"{path}: {what} must be JSON ({error})") from None
-    if not isinstance(data, dict):
-        raise PerceptionError(f"{path}: {what} must be a JSON object")
-    return data

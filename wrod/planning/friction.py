@@ -46,10 +46,10 @@ def friction_bound(
     friction: float | None = None,
     spacing: float = 0.001,
 ) -> FrictionBound:
-    """Static friction that holds the pattern: mu_s >= k_b |kappa''| / (rho A g).
+    """Static friction that holds the pattern: mu_s >= k_b ``|kappa''|`` / (rho A g).
 
-    In the paper's L_gb this is 2 L_gb^3 |kappa''|, whatever the density. Of a rod that varies, k_b
-    (the mean of both directions) and weight are those of the place.
+    In the paper's L_gb this is 2 L_gb^3 ``|kappa''|``, whatever the density. Of a rod that varies,
+    k_b (the mean of both directions) and weight are those of the place.
 
     Args:
         pattern: with its remainder, if it has one.

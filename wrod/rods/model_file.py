@@ -7,9 +7,10 @@ import os
 import warnings
 from dataclasses import asdict, fields, replace
 from pathlib import Path
+from typing import Any
 
 from wrod.errors import RodError, WrodWarning
-from wrod.files import write_atomically
+from wrod.files import decode_labels, read_json, schemas, write_atomically
 from wrod.rods.law import law_as_json, law_of
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -20,7 +21,7 @@ MATERIAL_FORMAT = "wrod-rod-1"
 # A uniform rod, and a list of effects of which its numbers carry the first three.
 _OLD_FORMAT = "wrod-rod-model-1"
 _CARRIED = ("stiffness", "density", "natural_curvature")
-_MOST_BYTES = 16_000_000
+_WHAT = "a rod file, as `wrod loop --out` or `wrod identify` writes it"
 
 
 def save_material(material: RodMaterial, path: str | os.PathLike[str]) -> Path:
@@ -202,17 +203,11 @@ def _warn(path, said: list[str]) -> None:
 
 
 def _read(path) -> dict:
-    try:
-        size = Path(path).stat().st_size
-        if size > _MOST_BYTES:
-            raise RodError(f"{path}: is {size} bytes long, which no rod file is")
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except RodError:
-        raise
-    except (OSError, ValueError, RecursionError) as error:
-        raise RodError(f"{path}: not a readable rod file ({error})") from None
-    if not isinstance(content, dict):
-        raise RodError(f"{path}: is not a {MATERIAL_FORMAT} file; write one with `wrod loop --out`")
+    content = read_json(path, dict[str, Any], _WHAT, error=RodError)
+    if content.get("format") == MODEL_FORMAT:
+        # Every entry of the right kind, named if not; what they mean is for `RodModel`.
+        text = json.dumps(content)
+        return decode_labels(text, schemas.RodModelFile, str(path), _WHAT, error=RodError)
     return content
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from wrod.errors import GraspError
 from wrod.grasps.held_rods import HeldRods
+from wrod.grasps.inputs import check_inputs
 from wrod.grasps.manifold.grips import EDGE_COUNT, grasp_shapes, in_chunks, taut_position
-from wrod.grasps.optimal import check_inputs
 from wrod.rods.batch import resolve_device
 
 # How a ray ends at its low end.

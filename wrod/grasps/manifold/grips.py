@@ -16,7 +16,8 @@ import numpy as np
 
 from wrod.errors import GraspError
 from wrod.grasps.held_rods import HeldRods
-from wrod.grasps.optimal import check_inputs, solve_grasps
+from wrod.grasps.inputs import check_inputs
+from wrod.grasps.optimal import solve_grasps
 from wrod.rods.batch import resolve_device
 
 EDGE_COUNT = 64

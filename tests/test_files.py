@@ -1,0 +1,196 @@
+"""The reader of everything that users hand over: what it takes, and what it refuses in time."""
+
+import json
+import os
+import time
+import zipfile
+
+import numpy as np
+import pytest
+
+from wrod.errors import DataError, SceneError
+from wrod.files import decode_json, decode_labels, read_arrays, read_json, read_text, schemas
+
+SCENE = {
+    "format": "wrod-fixtures-1",
+    "fixtures": [{"name": "a", "cylinder": {"center": [0, 0, 0], "radius": 0.01, "height": 0.01}}],
+}
+
+
+def refused(text, says):
+    with pytest.raises(SceneError, match=says):
+        decode_json(text, schemas.Fixtures, "scene.json", "a scene", error=SceneError)
+
+
+def with_radius(value):
+    return json.dumps(SCENE).replace('"radius": 0.01', f'"radius": {value}')
+
+
+def test_a_good_scene_is_read():
+    found = decode_json(json.dumps(SCENE), schemas.Fixtures, "scene.json", "a scene")
+    assert found.fixtures[0].cylinder.radius == 0.01
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ("9" * 400, r"fixtures\[0\]\.cylinder\.radius is a number out of range"),
+        ("1e999", "out of range"),
+        ("1e3", r"radius must be a number <= 100"),
+        ("0", "radius must be a number > 0"),
+        ("NaN", "line 1, column .*NaN and infinity are no numbers"),
+        ("-Infinity", "NaN and infinity"),
+        ("null", "radius must be a number, but is null"),
+        ("true", "radius must be a number, but is true or false"),
+        ("[" * 100 + "]" * 100, "nested too deeply"),
+        ("[" * 3_000_000, "nested too deeply"),
+        ('{"a":' * 100_000, "nested too deeply"),
+        ('"\\', "ends in the middle|is no JSON"),
+        ('"' + '\\"' * 1_000_000, "must be a number, but is text|is no JSON"),
+    ],
+)
+def test_bad_numbers_are_named(value, says):
+    begin = time.process_time()
+    refused(with_radius(value), says)
+    assert time.process_time() - begin < 2.0
+
+
+def test_whole_numbers_of_an_open_schema_are_bounded():
+    text = json.dumps({"method": "numeric", "more": {"n": [10**400]}})
+    with pytest.raises(DataError, match=r"beyond 2\^53|out of range"):
+        decode_labels(text, schemas.TrajectoryMetadata, "a", "a plan")
+
+
+def test_syntax_names_the_line():
+    refused('{"format": "wrod-fixtures-1",\n "fixtures": [}', "line 2, column 15: is no JSON")
+    refused("", "ends in the middle of its JSON")
+    refused("[]", "must be an object, but is a list")
+
+
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path, says in [
+        (tmp_path / "pipe", "pipe or a device"),
+        (tmp_path, "is a folder"),
+        ("/dev/zero", "pipe or a device"),
+        (tmp_path / "none", "no such file"),
+        (tmp_path / ("x" * 5000), "cannot be read"),
+        ("nul\0byte", "cannot be read"),
+        (tmp_path / "a" / ".." / ("y" * 300), "cannot be read|no such file"),
+    ]:
+        for read in (read_text, read_arrays):
+            with pytest.raises(DataError, match=says):
+                read(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("{}".encode("utf-16"), "UTF-16; save it as UTF-8"),
+        (b'{\n"a": "\xff"}', "line 2: is not a readable text file"),
+        (b"\0\0\0", "zero bytes"),
+    ],
+)
+def test_encodings(tmp_path, content, says):
+    (tmp_path / "a.json").write_bytes(content)
+    with pytest.raises(DataError, match=says):
+        read_json(tmp_path / "a.json", schemas.Camera, "a camera file")
+
+
+def test_a_file_beyond_the_limit_is_not_read(tmp_path):
+    path = tmp_path / "large.json"
+    with open(path, "wb") as file:
+        file.truncate(10 * 2**30)  # a hole; nothing is written
+    with pytest.raises(DataError, match="10240 MiB, and at most"):
+        read_json(path, schemas.Camera, "a camera file")
+    with pytest.raises(DataError, match="10240 MiB, and at most"):
+        read_arrays(path)
+
+
+def npy(array):
+    import io
+
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def archive(path, **members):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in members.items():
+            file.writestr(f"{name}.npy", content)
+    return path
+
+
+def header(shape, dtype="<f8"):
+    text = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}"
+    text += " " * (-(len(text) + 11) % 64) + "\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
+
+
+def test_arrays_are_read(tmp_path):
+    np.savez(tmp_path / "a.npz", x=np.arange(3.0), label="word", flag=True)
+    found = read_arrays(tmp_path / "a.npz")
+    assert found["x"].tolist() == [0.0, 1.0, 2.0] and str(found["label"]) == "word"
+    assert set(read_arrays(tmp_path / "a.npz", only=["flag"])) == {"flag"}
+    np.save(tmp_path / "b.npy", np.eye(2))
+    assert read_arrays(tmp_path / "b.npy")[""].tolist() == [[1.0, 0.0], [0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (header((10**6, 10**6)), "MiB when unpacked"),
+        (header((2**40,)), "MiB when unpacked"),
+        (header((3,)), "bytes where its header promises"),
+        (header((-3,)), "has shape"),
+        (header((10**30,)), "MiB when unpacked"),
+        (header((1,) * 20) + bytes(8), "has shape"),
+        (header((3,), "|O"), "Python objects"),
+        (header((3,), "<c16"), "complex128 values"),
+        (header((3,), "<M8[s]"), "datetime64.* values"),
+        (header("(3,"), "not readable"),
+        (header((3,))[:40], "not readable"),
+        (b"\x93NUMPY\x09\x00" + bytes(20), "unknown file version"),
+        (b"", "not readable"),
+    ],
+)
+def test_headers_are_checked_before_arrays_are_read(tmp_path, content, says):
+    with pytest.raises(DataError, match=says):
+        read_arrays(archive(tmp_path / "a.npz", x=content))
+    if content:
+        (tmp_path / "a.npy").write_bytes(content)
+        with pytest.raises(DataError, match=says):
+            read_arrays(tmp_path / "a.npy")
+
+
+def test_bombs_are_refused_by_their_headers(tmp_path):
+    path = archive(tmp_path / "bomb.npz", **{f"a{k}": npy(np.zeros(2**24)) for k in range(8)})
+    assert path.stat().st_size < 2**20 * 2
+    begin = time.process_time()
+    with pytest.raises(DataError, match="MiB when unpacked"):
+        read_arrays(path)
+    assert time.process_time() - begin < 1.0
+    many = archive(tmp_path / "many.npz", **{f"a{k}": npy(np.zeros(1)) for k in range(300)})
+    with pytest.raises(DataError, match="holds 300 arrays"):
+        read_arrays(many)
+
+
+@pytest.mark.parametrize("keep", [0, 3, 30, 100, -30, -1])
+def test_truncated_archives_are_refused(tmp_path, keep):
+    path = tmp_path / "a.npz"
+    np.savez_compressed(path, x=np.random.default_rng(0).normal(size=200))
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(DataError, match=r"a\.npz: is not readable"):
+        read_arrays(path)
+
+
+def test_objects_run_no_code(tmp_path):
+    class Harm:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "ran"),)
+
+    np.savez(tmp_path / "a.npz", x=np.array([Harm()], dtype=object))
+    with pytest.raises(DataError, match="Python objects"):
+        read_arrays(tmp_path / "a.npz")
+    assert not (tmp_path / "ran").exists()

@@ -1,0 +1,129 @@
+"""Photographs of laid rods: read, placed in the picture, and laid in worlds."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import wrod
+from wrod.errors import DataError, RodError
+from wrod.identification.laid.photographs import load_photograph, load_photographs
+from wrod.identification.laid.placement import raw, rigid, seen_from
+from wrod.identification.laid.world import World, lay, plan_without_lead_in
+
+MEASURED = Path(__file__).parents[2] / "shared" / "measured" / "laid"
+PX_PER_M = 700.0
+
+
+def write(path, turn=0.0, shift=(0.0, 0.0), size=1.05, **changes):
+    """A photograph's file of a rod along a sine, turned and shifted; file metres."""
+    s = np.linspace(0.0, 0.4, 300)
+    line = np.column_stack([s, 0.05 * np.sin(12.0 * s)])
+    c, t = np.cos(turn), np.sin(turn)
+    rod = line @ np.array([[c, t], [-t, c]]) + shift
+    hidden = np.zeros(300)
+    hidden[50:60] = 1
+    data = dict(
+        centerline=np.where(hidden[:, None] == 0, rod, np.nan),
+        centerline_filled=rod,
+        hidden=hidden,
+        sigma=np.full(300, 5e-4),
+        pattern=line,
+        size_factor=size,
+        px_from_pattern=np.array([[PX_PER_M, 0.0, 20.0], [0.0, -PX_PER_M, 60.0]]),
+        pixels=rod * [PX_PER_M, -PX_PER_M] + [20.0, 60.0],
+        px_per_m=PX_PER_M,
+        registration_rms_px=0.2,
+    )
+    np.savez(path, **(data | changes))
+    return path
+
+
+def test_a_photograph_is_read_at_the_size_it_was_laid(tmp_path):
+    photograph = load_photograph(write(tmp_path / "green-vps-letterX-int.npz"))
+    assert (photograph.rod, photograph.pattern_name) == ("green-vps", "letterX")
+    assert photograph.method == "int"
+    assert photograph.seen.sum() == 290 and len(photograph.points) == 290
+    assert photograph.points[-1] == pytest.approx(1.05 * np.array([0.4, 0.05 * np.sin(4.8)]))
+    assert photograph.pattern.length == pytest.approx(
+        1.05 * np.hypot(*np.diff(photograph.points / 1.05, axis=0).T).sum(), rel=5e-3
+    )
+    expected = np.hypot(1.05 * 5e-4, 1.05 * 0.2 / PX_PER_M)
+    assert photograph.uncertainty == pytest.approx(np.full(290, expected))
+
+
+def test_bad_photographs_are_named(tmp_path):
+    good = write(tmp_path / "rope-line-int.npz")
+    assert load_photograph(good)
+    for changes, says in (
+        ({"size_factor": -1.0}, "size_factor"),
+        ({"hidden": np.ones(300)}, "fewer than 3"),
+        ({"sigma": np.zeros(300)}, "sigma is not positive"),
+        ({"hidden": np.zeros(4)}, "differ in their points"),
+        ({"px_from_pattern": np.zeros((2, 2))}, "wrong shape"),
+    ):
+        with pytest.raises(DataError, match=rf"rope-line-int\.npz: .*{says}"):
+            load_photograph(write(good, **changes))
+    np.savez(tmp_path / "rope-sine-int.npz", pixels=np.zeros(3))
+    (tmp_path / "rope-letterU-int.npz").write_bytes(b"PK\x03\x04torn")
+    for name in ("rope-sine-int", "rope-letterU-int", "rope-missing-int"):
+        with pytest.raises(DataError, match=name):
+            load_photograph(tmp_path / f"{name}.npz")
+    with pytest.raises(DataError, match="ROD-PATTERN-METHOD"):
+        load_photograph(write(tmp_path / "rope.npz"))
+    with pytest.raises(DataError, match="holds no file"):
+        load_photographs(tmp_path, "opt")
+
+
+def test_one_rigid_motion_is_taken_out(tmp_path):
+    path = write(tmp_path / "rope-sine-int.npz", turn=0.06, shift=(0.004, -0.007), size=1.0)
+    photograph = load_photograph(path)
+    s = np.linspace(0.0, 0.4, 6000)
+    curve = np.column_stack([s, 0.05 * np.sin(12.0 * s)])
+    placed = rigid(photograph, curve)
+    assert raw(photograph, curve).mean > 5e-3
+    assert placed.mean < 5e-5
+    assert placed.turn == pytest.approx(0.06, abs=1e-3)
+    # What is left after a motion is never more than before it.
+    bent = curve + np.column_stack([np.zeros(6000), 0.02 * s])
+    assert rigid(photograph, bent).mean <= raw(photograph, bent).mean
+
+
+def test_what_hangs_is_seen_farther_out():
+    s = np.linspace(0.0, 0.3, 40)
+    nodes = np.column_stack([np.full(40, 0.1), np.zeros(40), s])
+    seen = seen_from(s, nodes, np.zeros(2), 1.0)
+    # Straight above (0.1, 0) at 0.3 of the camera's height: 0.1 / 0.7 from below the camera.
+    assert seen[-1] == pytest.approx([0.1 / 0.7, 0.0])
+    assert seen_from(s, nodes, np.zeros(2))[-1] == pytest.approx([0.1, 0.0])
+
+
+def test_a_rod_hung_over_the_pattern_meanders_only_if_there_is_too_much_of_it():
+    """Without excess a naturally straight rod comes to lie along the line; an excess is laid as a
+    wave about it that goes on, some ten L_gb long."""
+    pattern = wrod.Pattern.from_expression("0*x", start=0.0, stop=0.42)
+    rod = wrod.RodMaterial(1.6e-3, 0.018, 0.72)
+    plan = plan_without_lead_in(pattern, rod, "intuitive")
+    worlds = [World(0.5, curvature=2.0, excess=excess) for excess in (-0.005, 0.02)]
+    little, much = lay(pattern, rod, plan, worlds, speed=0.03)
+    assert little.reached and much.reached
+
+    def swing(laid):
+        on = (laid.nodes[:, 2] < 3e-3) & (np.abs(laid.nodes[:, 0] - 0.3) < 0.09)
+        return np.ptp(laid.nodes[on, 1])
+
+    assert swing(much) > 3.0 * swing(little)
+    assert swing(much) > 4e-3
+    with pytest.raises(DataError, match="in two calls"):
+        lay(pattern, rod, plan, [World(), World(held=True)])
+    with pytest.raises(RodError, match="hold is -1"):
+        wrod.simulate_deployment(pattern, rod, plan, hold=-1.0)
+
+
+@pytest.mark.skipif(not MEASURED.exists(), reason="needs ../shared/measured/laid")
+def test_reads_all_photographs():
+    photographs = load_photographs(MEASURED)
+    assert len(photographs) == 21
+    for one in photographs:
+        off = raw(one, one.pattern.sample(np.linspace(0.0, one.pattern.length, 2000))[0][:, :2])
+        assert off.mean < 0.03, one.name

@@ -1,0 +1,304 @@
+"""Grasps of straight isotropic rods on one mesh of one device, and on a ladder of meshes.
+
+Nothing here asks the device anything: every method launches and returns. Dimensionless.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wrod.kernels.grasping import iteration, mesh, reading, sensitivity
+from wrod.kernels.grasping.closures import CONVERGED
+from wrod.kernels.linear.frontal import row_width, stencil_entries
+
+# Largest change of an edge in one step, as a fraction of its length.
+_STEP_LIMIT = 0.4
+# Newton steps on one continuation step before it counts as failed.
+_PATIENCE = 14
+_MAX_ITERATIONS = 400
+_FIRST_INCREMENT = 0.5
+# A ladder starts on this many edges or more.
+_COARSEST = 32
+# Threads a block on a GPU: few, so that finished blocks make room.
+_BLOCK = 32
+
+
+def per_rod(device: str, rods: int, *shape: int) -> wp.array:
+    """Uninitialised float64 (rod, *shape), laid out for a rod a thread: on a GPU neighbouring rods
+    are neighbours in memory."""
+    if wp.get_device(device).is_cpu or not shape:
+        return wp.empty((rods, *shape), dtype=wp.float64, device=device)
+    array = wp.empty((*shape, rods), dtype=wp.float64, device=device)
+    return array.transpose((len(shape), *range(len(shape))))
+
+
+def make_scratch(slots: int, edges: int, device: str) -> iteration.Scratch:
+    """Room to iterate `slots` rods at a time on meshes of up to `edges` edges."""
+    scratch = iteration.Scratch()
+    scratch.stiffness = per_rod(device, slots, edges, stencil_entries(3))
+    scratch.load = per_rod(device, slots, edges + 1, 3)
+    scratch.factor = per_rod(device, slots, 3 * edges, row_width(3))
+    scratch.condensed = per_rod(device, slots, 42)
+    scratch.motion = per_rod(device, slots, edges + 1, 3)
+    scratch.saved = per_rod(device, slots, edges + 1, 3)
+    return scratch
+
+
+class WorkList:
+    """Which rods to work on: their indices and how many there are, on the device."""
+
+    def __init__(self, rods: int, device: str):
+        self.rods, self.device = rods, device
+        self.index = wp.zeros(rods, dtype=wp.int32, device=device)
+        self.count = wp.zeros(1, dtype=wp.int32, device=device)
+
+    def launch(self, kernel, inputs: list, outputs: list = ()) -> None:
+        wp.launch(
+            kernel,
+            dim=self.rods,
+            inputs=[self.index, self.count, *inputs],
+            outputs=outputs,
+            device=self.device,
+            block_dim=_BLOCK,
+        )
+
+
+class MeshLevel:
+    """Rods on meshes of one number of edges; see `kernels.grasping`.
+
+    Iterations are added to `iterations` (rod,). Attributes are Warp arrays: shape (rod, node, 3),
+    curvature and thrust (rod,) of where each rod's iteration stands, and what `reading.Level` has.
+    """
+
+    def __init__(
+        self,
+        rods: int,
+        edges: int,
+        device: str,
+        iterations: wp.array,
+        rates: bool = False,
+    ):
+        self.rods, self.edges, self.device = rods, edges, device
+
+        def floats(*shape):
+            return per_rod(device, rods, *shape)
+
+        def ints():
+            return wp.zeros(rods, dtype=wp.int32, device=device)
+
+        self.rest, self.rest_rate = floats(edges), floats(edges)
+        self.tolerance, self.curvature, self.thrust = floats(), floats(), floats()
+        self.read = level = reading.Level()
+        level.shape = floats(edges + 1, 3)
+        level.rotation, level.force, level.jacobian = floats(3), floats(3), floats(9)
+        level.rates = floats(27) if rates else wp.empty((0, 0), dtype=wp.float64, device=device)
+        level.lowest, level.turning, level.residual = floats(), floats(), floats()
+        level.status, level.iterations, level.negative = ints(), iterations, ints()
+
+    @property
+    def shape(self) -> wp.array:
+        return self.read.shape
+
+    @property
+    def state(self) -> list[wp.array]:
+        return [self.shape, self.curvature, self.thrust]
+
+    def lay(self, length: wp.array, stretch_ratio: wp.array, first: int, rods: int) -> None:
+        """Lay the meshes of rods `first` on and forget what was solved on them."""
+        wp.launch(
+            mesh.lay_mesh,
+            dim=rods,
+            inputs=[length, stretch_ratio, first, self.edges],
+            outputs=[self.rest, self.rest_rate, self.tolerance],
+            device=self.device,
+        )
+        self.read.status.zero_()
+
+    def hang(self, work: WorkList) -> None:
+        """Start from a straight pattern."""
+        work.launch(mesh.hang_straight, [self.rest, self.edges], self.state)
+
+    def refine(self, work: WorkList, half: MeshLevel, quarter: MeshLevel | None = None) -> None:
+        """Start from the solution on half the edges, and on a quarter where that is known."""
+        other = half if quarter is None else quarter
+        work.launch(
+            mesh.refine,
+            [
+                half.edges,
+                self.rest,
+                half.curvature,
+                half.shape,
+                half.thrust,
+                int(quarter is not None),
+                other.shape,
+                other.thrust,
+            ],
+            self.state,
+        )
+
+    def coarsen(self, work: WorkList, double: MeshLevel) -> None:
+        """Start from the solution on twice the edges."""
+        work.launch(
+            mesh.coarsen,
+            [double.edges, self.rest, double.curvature, double.shape, double.thrust],
+            self.state,
+        )
+
+    def solve(
+        self, work: WorkList, model: list[wp.array], closure: int, scratch: iteration.Scratch
+    ) -> None:
+        """Iterate every rod of the list until it has converged or failed.
+
+        `model` are (stretch ratio, target curvature, weight), (rod,) each.
+        """
+        level = self.read
+        work.launch(
+            iteration.solve_straight,
+            [
+                self.edges,
+                self.rest,
+                *model,
+                self.tolerance,
+                closure,
+                wp.float64(_STEP_LIMIT),
+                wp.float64(_FIRST_INCREMENT),
+                _PATIENCE,
+                _MAX_ITERATIONS,
+                scratch,
+                *self.state,
+            ],
+            [
+                level.status,
+                level.iterations,
+                level.negative,
+                level.residual,
+                level.force,
+                level.jacobian,
+            ],
+        )
+
+    def read_out(self, rods: int) -> None:
+        """Frames and judgements of the first rods."""
+        level = self.read
+        wp.launch(
+            reading.read_straight,
+            dim=rods,
+            inputs=[self.edges, self.rest, level.shape],
+            outputs=[level.rotation, level.lowest, level.turning],
+            device=self.device,
+        )
+
+    def find_sensitivities(
+        self, rods: int, stretch_ratio: wp.array, scratch: iteration.Scratch
+    ) -> None:
+        """Derivatives by the inputs of the first rods, after `read_out`."""
+        level = self.read
+        wp.launch(
+            sensitivity.find_sensitivities,
+            dim=rods,
+            inputs=[
+                self.edges,
+                self.rest,
+                self.rest_rate,
+                stretch_ratio,
+                self.curvature,
+                level.shape,
+                level.rotation,
+                level.status,
+                scratch,
+            ],
+            outputs=[level.rates],
+            device=self.device,
+            block_dim=_BLOCK,
+        )
+
+
+class Ladder:
+    """Room to solve up to `rods` grasps at a time, from the coarsest of some meshes to the finest.
+
+    Every mesh has half the edges of the next. The last two are what Richardson's extrapolation
+    takes; those before them bring the rod near.
+    """
+
+    def __init__(self, rods: int, edges: int, device: str, sensitivities: bool):
+        self.rods, self.device, self.sensitivities = rods, device, sensitivities
+        counts = [edges // 2, edges]
+        while counts[0] % 2 == 0 and counts[0] // 2 >= _COARSEST:
+            counts.insert(0, counts[0] // 2)
+        last = len(counts) - 2
+        self.iterations = wp.zeros(rods, dtype=wp.int32, device=device)
+        self.levels = [
+            MeshLevel(rods, count, device, self.iterations, sensitivities and i >= last)
+            for i, count in enumerate(counts)
+        ]
+        slots = 1 if wp.get_device(device).is_cpu else rods
+        self.scratch = make_scratch(slots, edges, device)
+        self.work, self.lost = WorkList(rods, device), WorkList(rods, device)
+        self.model = [per_rod(device, rods) for _ in range(3)]
+
+    def solve(
+        self,
+        inputs: list[wp.array],
+        first: int,
+        rods: int,
+        *,
+        closure: int,
+        extrapolate: bool,
+        out: reading.Results,
+    ) -> None:
+        """Solve inputs (l_s, kappa, k_s) from row `first` on into the same rows of `out`."""
+        levels, model, scratch, work, lost = (
+            self.levels,
+            self.model,
+            self.scratch,
+            self.work,
+            self.lost,
+        )
+        wp.launch(
+            mesh.take_inputs,
+            dim=rods,
+            inputs=[*inputs, first, rods],
+            outputs=[*model, work.index, work.count],
+            device=self.device,
+        )
+        self.iterations.zero_()
+        for level in levels:
+            level.lay(inputs[0], inputs[2], first, rods)
+        levels[0].hang(work)
+        levels[0].solve(work, model, closure, scratch)
+        for i in range(1, len(levels)):
+            levels[i].refine(work, levels[i - 1], levels[i - 2] if i > 1 else None)
+            levels[i].solve(work, model, closure, scratch)
+        coarse, fine = levels[-2:]
+        # Too coarse a mesh to start from: start on the finest and come back from there.
+        lost.count.zero_()
+        wp.launch(
+            mesh.list_unsolved,
+            dim=rods,
+            inputs=[coarse.read.status, fine.read.status, CONVERGED],
+            outputs=[lost.index, lost.count],
+            device=self.device,
+        )
+        fine.hang(lost)
+        fine.solve(lost, model, closure, scratch)
+        coarse.coarsen(lost, fine)
+        coarse.solve(lost, model, closure, scratch)
+        for level in (coarse, fine):
+            level.read_out(rods)
+            if self.sensitivities:
+                level.find_sensitivities(rods, model[0], scratch)
+        wp.launch(
+            reading.judge,
+            dim=rods,
+            inputs=[
+                coarse.read,
+                fine.read,
+                int(extrapolate),
+                fine.edges,
+                fine.rest,
+                inputs[1],
+                first,
+            ],
+            outputs=[out],
+            device=self.device,
+        )

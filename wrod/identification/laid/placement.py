@@ -1,0 +1,118 @@
+"""Where a predicted rod is in a photograph: seen from the camera, after at most one rigid motion.
+
+What hangs from the grip is nearer to the camera than the table, and a camera shows it farther from
+the point that it looks down on: by H / (H - z), H the camera's and z the rod's height.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+from scipy.spatial import cKDTree
+
+from wrod.identification.laid.photographs import LaidPhotograph
+
+# A predicted curve is compared at points this far apart [m].
+_SPACING = 5e-4
+# Points nearer to the camera than this share of its height are not shown.
+_NEAREST = 0.7
+_ROUNDS = 12
+# Standard deviations of the turn [rad] and the shifts [m] that are looked for, over ten.
+_REACH = np.array([0.03, 0.005, 0.005])
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A predicted curve beside a photograph.
+
+    Attributes:
+        curve: (n, 2) the curve moved [m].
+        turn: angle [rad] about the middle of the points seen, and shift (2,) [m] of that middle.
+        distance: (m,) of every point seen from the curve [m].
+    """
+
+    curve: np.ndarray
+    turn: float
+    shift: np.ndarray
+    distance: np.ndarray
+
+    @property
+    def mean(self) -> float:
+        """Mean distance [m], which photographs are judged by."""
+        return float(self.distance.mean())
+
+
+def seen_from(
+    arc_length: np.ndarray, nodes: np.ndarray, middle: np.ndarray, height: float = np.inf
+) -> np.ndarray:
+    """(n, 2) what a camera that looks straight down shows of a rod, on the table's plane [m].
+
+    Args:
+        arc_length: (node,) [m].
+        nodes: (node, 3) the rod, the table at z = 0 [m].
+        middle: (2,) below the camera [m].
+        height: of the camera [m]; infinite: no perspective.
+    """
+    fine = np.linspace(arc_length[0], arc_length[-1], int(np.ptp(arc_length) / _SPACING) + 2)
+    place = CubicSpline(arc_length, nodes)(fine)
+    if not np.isfinite(height):
+        return place[:, :2]
+    above = np.maximum(place[:, 2], 0.0)
+    # The first place beyond the limit ends the curve: the gripper is there.
+    last = int(np.argmax(above > _NEAREST * height)) or len(above)
+    scale = height / (height - above[:last, None])
+    return middle + (place[:last, :2] - middle) * scale
+
+
+def raw(photograph: LaidPhotograph, curve: np.ndarray) -> Placement:
+    """The curve where it was predicted."""
+    return Placement(curve, 0.0, np.zeros(2), cKDTree(curve).query(photograph.points)[0])
+
+
+def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Placement:
+    """The curve after the one rigid motion in the plane that brings it nearest to what is seen.
+
+    Least sum of distances smoothed below the picture's uncertainty, as photographs are judged by
+    the mean distance; the nearest points are found anew after every fit. Motions of much more than
+    0.3 rad or 5 cm are not looked for: a straight rod would match from either end.
+    """
+    points = photograph.points
+    centre = points.mean(axis=0)
+    scale = float(np.median(photograph.uncertainty))
+    normal = _normals(curve)
+    motion, best = np.zeros(3), raw(photograph, curve)
+    for _ in range(_ROUNDS):
+        near = cKDTree(_moved(motion, curve, centre)).query(points)[1]
+        motion = _fitted(points, curve[near], normal[near], centre, motion, scale)
+        line = _moved(motion, curve, centre)
+        here = Placement(line, motion[0], motion[1:], cKDTree(line).query(points)[0])
+        if here.mean >= best.mean - 1e-3 * scale:
+            return min(here, best, key=lambda placement: placement.mean)
+        best = here
+    return best
+
+
+def _moved(motion, what, centre):
+    c, s = np.cos(motion[0]), np.sin(motion[0])
+    return (what - centre) @ np.array([[c, s], [-s, c]]) + centre + motion[1:]
+
+
+def _fitted(points, foot, normal, centre, motion, scale):
+    """(3,) turn and shift that bring the feet to the points, across the curve."""
+
+    def off(p):
+        c, s = np.cos(p[0]), np.sin(p[0])
+        across = normal @ np.array([[c, s], [-s, c]])
+        gap = points - _moved(p, foot, centre)
+        return np.concatenate([(gap * across).sum(axis=1) / scale, p / _REACH])
+
+    return least_squares(off, motion, loss="soft_l1", max_nfev=20).x
+
+
+def _normals(curve: np.ndarray) -> np.ndarray:
+    tangent = np.gradient(curve, axis=0)
+    length = np.maximum(np.linalg.norm(tangent, axis=1), 1e-12)
+    return np.column_stack([-tangent[:, 1], tangent[:, 0]]) / length[:, None]

@@ -1,0 +1,144 @@
+"""Worlds in which a photographed rod may have been laid, and where the rod comes to lie there.
+
+A world says what the plan does not know: the table's friction, the rod's true L_gb and natural
+curvature, how it is rolled in the grip, and how much more of it hangs below the grip than the plan
+believes. The rod hangs from the grip with its free end on the pattern's first point, as a robot
+begins that goes straight above the contact; or its first centimetres are held along the pattern.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from wrod.deployment.setup import Tail
+from wrod.deployment.simulate import Trial, simulate_deployments
+from wrod.errors import DataError
+from wrod.patterns.pattern import Pattern
+from wrod.planning.plan import plan
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.solvers.contact import Friction
+
+# Length of the free end that is held along the pattern, where it is held [m].
+HELD = 0.05
+# The grip rests for so long before it would let go, in the deployment's schedule [s].
+_RESTING = 0.45
+
+
+@dataclass(frozen=True)
+class World:
+    """What a plan does not know of a table and a rod.
+
+    Attributes:
+        friction: Coulomb coefficient of the table [-].
+        lgb_ratio: true over believed L_gb [-].
+        curvature: natural curvature [1/m], and roll: from left towards up, as the rod is held
+            [rad].
+        excess: how much more rod hangs below the grip than the plan believes [m].
+        radius_ratio: true over believed radius at the same weight and bending stiffness; below 1
+            the rod stretches less, by its square [-].
+        held: whether the first 5 cm are held along the pattern at first; otherwise the rod hangs
+            straight above the pattern's first point and its free end is let go.
+    """
+
+    friction: float = 0.4
+    lgb_ratio: float = 1.0
+    curvature: float = 0.0
+    roll: float = 0.0
+    excess: float = 0.0
+    radius_ratio: float = 1.0
+    held: bool = False
+
+    def rod(self, believed: RodMaterial) -> RodMaterial:
+        """The rod as it is in this world."""
+        return replace(
+            believed,
+            gravito_bending_length=believed.gravito_bending_length * self.lgb_ratio,
+            natural_curvature=(
+                self.curvature * float(np.cos(self.roll)),
+                self.curvature * float(np.sin(self.roll)),
+            ),
+            length=believed.length + self.excess,
+            radius=believed.radius * self.radius_ratio,
+        )
+
+    def as_dict(self) -> dict[str, float | bool]:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class LaidRod:
+    """Where a rod lies and hangs while the grip still holds; the table at z = 0.
+
+    Attributes:
+        arc_length: (node,) [m]; nodes: (node, 3) [m].
+        reached: whether the simulation came so far.
+        slip: (node,) how far each node slid [m].
+    """
+
+    arc_length: np.ndarray
+    nodes: np.ndarray
+    reached: bool
+    slip: np.ndarray
+
+
+def plan_without_lead_in(pattern: Pattern, rod: RodMaterial, method: str, **options) -> Trajectory:
+    """The paper's plan: nothing is laid before the pattern's first point."""
+    return plan(pattern, rod, method=method, remainder=False, **options)
+
+
+def lay(
+    pattern: Pattern,
+    believed: RodMaterial,
+    trajectory: Trajectory,
+    worlds: Sequence[World],
+    *,
+    spacing: float = 0.01,
+    step: float = 0.025,
+    speed: float = 0.02,
+    device: str = "cpu",
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[LaidRod]:
+    """Lay one rod along one pattern in many worlds at once, up to where the pattern ends.
+
+    Args:
+        pattern, believed, trajectory: what was planned.
+        worlds: what is true.
+        spacing, step, speed, device, threads, progress: as `wrod.simulate_deployments` takes them.
+
+    Raises:
+        DataError: worlds are mixed in how the free end begins.
+    """
+    if len({world.held for world in worlds}) > 1:
+        raise DataError("worlds differ in whether the free end is held; lay them in two calls")
+    if not worlds:
+        return []
+    # Nothing is laid after the pattern: what the photographs show was laid before.
+    end = Tail(trajectory.arc_length[-1:], trajectory.position[-1:], trajectory.rotation[-1:])
+    trials = [
+        Trial(pattern, world.rod(believed), trajectory, Friction(world.friction), tail=end)
+        for world in worlds
+    ]
+    laid = simulate_deployments(
+        trials,
+        hold=HELD if worlds[0].held else 0.0,
+        spacing=spacing,
+        step=step,
+        speed=speed,
+        device=device,
+        threads=threads,
+        progress=progress,
+    )
+    return [
+        LaidRod(
+            one.arc_length,
+            one.centerline,
+            not one.diverged or one.duration > one.let_go - _RESTING,
+            one.slip,
+        )
+        for one in laid
+    ]
