@@ -47,8 +47,8 @@ def test_rod_file_round_trip(tmp_path):
 @pytest.mark.parametrize(
     "content, says",
     [
-        ("{", "not a readable rod file"),
-        ("[1]", "not a wrod-rod-1 file"),
+        ("{", "ends in the middle"),
+        ("[1]", "object"),
         ('{"radius": 0.001}', "not a wrod-rod-1 file"),
         ('{"format": "wrod-rod-1", "radius": 0.001}', "gravito_bending_length"),
         ('{"format": "wrod-rod-1", "colour": 1}', "colour"),
