@@ -40,12 +40,23 @@ def test_corners_of_the_range_are_accurate(controller):
     assert np.abs(rotation - grasps.rotation).max() < 5e-3
 
 
-def test_table_4(controller, shared):
-    """Rods 1 to 3 and the paper's patterns: 0.1 mm and 5e-4 in all 21 cells."""
-    from wrod.bench.table4 import PATTERNS, RODS, cell
+def curves(folder):
+    """The paper's seven patterns from a folder, or the project's own of the same names."""
+    from wrod.bench.table4 import PATTERNS
 
-    for pattern in PATTERNS:
-        curve = wrod.Pattern.load(shared / "patterns" / f"{pattern}.txt")
+    names = {"letterU": "letter-U", "letterC": "letter-C", "letterL": "letter-L"}
+    for name in PATTERNS:
+        own = names.get(name, name.replace("letterA", "letter-A"))
+        yield name, wrod.Pattern.load(folder / f"{name}.txt") if folder else wrod.pattern(own)
+
+
+@pytest.mark.parametrize("published", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_table_4(controller, published, request):
+    """Rods 1 to 3 and seven patterns: 0.1 mm and 5e-4 in all 21 cells."""
+    from wrod.bench.table4 import RODS, cell
+
+    folder = request.getfixturevalue("shared") / "patterns" if published else None
+    for pattern, curve in curves(folder):
         for name in RODS:
             figures = cell(curve, wrod.rod(name), controller, "cpu", nodes=25)
             assert figures["position_error_max"] <= 1e-4, (pattern, name)

@@ -1,5 +1,6 @@
 import json
 
+import continuum
 import numpy as np
 import pytest
 
@@ -20,24 +21,33 @@ def errors(a, b):
     return [np.abs(getattr(a, k) - getattr(b, k)).max() for k in ("position", "rotation", "force")]
 
 
-def test_reference_grasps_of_the_continuum(shared):
-    """Twelve grasps of an independent boundary-value solver, at the default resolution."""
-    entries = json.loads((shared / "reference" / "optimal_grasps.json").read_text())
-    ls, kappa, ks = (np.array([e[k] for e in entries]) for k in ("ls", "kappa", "ks"))
-    grasps = solve_grasps(ls, kappa, ks)
+def test_grasps_of_the_continuum():
+    """Twelve grasps of a continuous rod by collocation, at the default resolution."""
+    entries = json.loads(continuum.STORED.read_text())
+    assert [(e["ls"], e["kappa"], e["ks"]) for e in entries] == list(continuum.INPUTS)
+    grasps = solve_grasps(*np.transpose(continuum.INPUTS))
     assert grasps.converged.all()
     assert grasps.stable.all()
+    for name in ("position", "rotation", "force"):
+        assert np.abs(getattr(grasps, name) - [e[name] for e in entries]).max() < 2e-3
+
+
+def test_published_grasps_of_the_continuum(shared):
+    """Twelve of somebody else's boundary-value solver."""
+    entries = json.loads((shared / "reference" / "optimal_grasps.json").read_text())
+    grasps = solve_grasps(*(np.array([e[k] for e in entries]) for k in ("ls", "kappa", "ks")))
+    assert grasps.converged.all()
     for name, key in (("position", "q"), ("rotation", "e"), ("force", "force")):
         assert np.abs(getattr(grasps, name) - [e[key] for e in entries]).max() < 2e-3
 
 
-def test_order_of_convergence_without_extrapolation(shared):
-    entries = json.loads((shared / "reference" / "optimal_grasps.json").read_text())
-    ls, kappa, ks = (np.array([e[k] for e in entries]) for k in ("ls", "kappa", "ks"))
-    exact = np.array([e["q"] for e in entries])
+def test_order_of_convergence_without_extrapolation():
+    entries = json.loads(continuum.STORED.read_text())
+    inputs = np.transpose(continuum.INPUTS)
+    exact = np.array([e["position"] for e in entries])
     error = [
         np.linalg.norm(
-            solve_grasps(ls, kappa, ks, edge_count=n, extrapolate=False).position - exact, axis=1
+            solve_grasps(*inputs, edge_count=n, extrapolate=False).position - exact, axis=1
         )
         for n in (64, 128, 256)
     ]

@@ -32,6 +32,11 @@ def deformed_rods(rod_count=4, node_count=7, seed=0, **changes):
     return batch
 
 
+# Rods whose bending energy is an invariant of the edges alone, by a way of its own in the kernel.
+ISOTROPIC = dict(bending_stiffness=1.7, natural_curvature=0.0, softening=0.0)
+KINDS = [(seed, {}) for seed in range(3)] + [(3, ISOTROPIC)]
+
+
 def displaced(batch, change, order):
     """Derivatives after a change of the degrees of freedom, frames carried along in time."""
     from wrod.rods.batch import Derivatives, RodState
@@ -49,9 +54,9 @@ def fourth_order(f, step):
     return (8 * (f(step) - f(-step)) - (f(2 * step) - f(-2 * step))) / (12 * step)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_gradient_is_the_slope_of_the_energy(seed):
-    batch = deformed_rods(seed=seed)
+@pytest.mark.parametrize(("seed", "kind"), KINDS)
+def test_gradient_is_the_slope_of_the_energy(seed, kind):
+    batch = deformed_rods(seed=seed, **kind)
     gradient = batch.evaluate(order=1).gradient.numpy()
     numeric = np.empty_like(gradient)
     for a in range(batch.dof_count):
@@ -63,14 +68,14 @@ def test_gradient_is_the_slope_of_the_energy(seed):
     assert np.abs(numeric - gradient).max() < 1e-7 * np.abs(gradient).max()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_hessian_is_the_curvature_of_the_energy(seed):
+@pytest.mark.parametrize(("seed", "kind"), KINDS)
+def test_hessian_is_the_curvature_of_the_energy(seed, kind):
     """Second differences of the energy alone: independent of the gradient's formula.
 
     Differencing the gradient would show the holonomy of two successive transports as well, which
     is antisymmetric and not part of the Hessian; its symmetric part is compared below.
     """
-    batch = deformed_rods(seed=seed)
+    batch = deformed_rods(seed=seed, **kind)
     band = batch.evaluate(order=2).hessian.numpy()
     jacobian = np.empty((batch.rod_count, batch.dof_count, batch.dof_count))
     for a in range(batch.dof_count):
@@ -100,6 +105,30 @@ def test_hessian_is_the_curvature_of_the_energy(seed):
 
 def without_loads(**changes):
     return deformed_rods(gravity=0.0, point_load=0.0, **changes)
+
+
+def test_twist_does_not_soften_bending():
+    """E = 2 B tan^2(phi / 2) / l at every node of an isotropic rod, however much it is twisted;
+    an anisotropic one has that for the mean of its stiffnesses where it is not twisted."""
+    for kind in (ISOTROPIC, dict(ISOTROPIC, bending_stiffness=np.array([[[1.2, 2.2]]]))):
+        batch = without_loads(seed=7, stretching_stiffness=1e-12, twisting_stiffness=1e-12, **kind)
+        edge = np.diff(batch.positions(), axis=1)
+        t = edge / np.linalg.norm(edge, axis=2, keepdims=True)
+        cosine = (t[:, 1:] * t[:, :-1]).sum(axis=2)
+        rest = batch.rest_length.numpy()
+        length = 0.5 * (rest[:, 1:] + rest[:, :-1])
+        expected = (2 * 1.7 * (1 - cosine) / (1 + cosine) / length).sum(axis=1)
+        if kind is ISOTROPIC:
+            energy = batch.evaluate(order=1).energy.numpy()
+        else:
+            # Without twist, and turned by half a right angle more: the mean over both.
+            energies = []
+            for angle in (0.3, 0.3 + np.pi / 2):
+                angles = np.full(rest.shape, angle)
+                batch.set_configuration(batch.positions(), angle=angles)
+                energies.append(batch.evaluate(order=1).energy.numpy().copy())
+            energy = np.mean(energies, axis=0)
+        assert energy == pytest.approx(expected, rel=1e-9)
 
 
 def test_internal_forces_and_torques_cancel():

@@ -56,8 +56,8 @@ class RodInputs:
 
     @classmethod
     def of(cls, rod: RodModel | RodMaterial, roll: float | str = "plane") -> RodInputs:
-        """A rod, of a `RodModel` its means, laid with this roll of its first director from left to up [rad]; "plane" and
-        "up" turn its natural curvature to the left or upwards."""
+        """A rod (of a `RodModel` its means) laid with this roll of its first director from left to
+        up [rad]; "plane" and "up" turn its natural curvature to the left or upwards."""
         if isinstance(rod, RodModel):
             # How a rod is damped does not change its grasps.
             still = {"internal_damping": 0.0, "air_damping": 0.0, "quadratic_drag": 0.0}

@@ -1,7 +1,13 @@
 """Bending: E = 1/2 l sum_k B_k (kappa_k / l - kappa0_k)^2 at each inner node (Eq. bending).
 
 l is half the rest length of the two edges around the node, kappa_k are the components of
-`wrod.kernels.elastic.curvature`. Second derivatives are exact for frames that are
+`wrod.kernels.elastic.curvature`. Those are means of two material frames, and their squares add up
+to K cos^2(d / 2), where K = 4 tan^2(phi / 2) is the edges' own and d the twist between the frames:
+a rod would soften as it is twisted. So the energy has K for the isotropic part of its square,
+
+    E + 1/2 (B / l) (K - kappa_1^2 - kappa_2^2),    B the mean of B_1 and B_2.
+
+Second derivatives are exact for frames that are
 parallel-transported in time from the state at which they are evaluated (Panetta et al. 2019):
 turning a tangent by a, perpendicular to it, changes t by a - |a|^2 t / 2 and m_k by -a_k t - a_k a
 / 2 to second order, a_k = a . m_k.
@@ -14,6 +20,7 @@ import warp as wp
 from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_gradient, add_edge_hessian
 from wrod.kernels.elastic.curvature import (
     add_component_rate,
+    add_invariant_rate,
     component,
     excess_curvature,
     perpendicular,
@@ -21,11 +28,13 @@ from wrod.kernels.elastic.curvature import (
     stencil,
     symmetric,
 )
-from wrod.kernels.elastic.frames import HALF, ONE, ZERO
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 from wrod.kernels.elastic.stretching import add_stretching, stretching
 from wrod.kernels.elastic.twisting import twisting, twisting_hessian
 
 wp.set_module_options({"enable_backward": False})
+
+FOUR = wp.constant(wp.float64(4.0))
 
 
 @wp.struct
@@ -53,6 +62,7 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
         rest_length: wp.array2d(dtype=wp.float64),
         stretching_stiffness: wp.array2d(dtype=wp.float64),
         bending_stiffness: wp.array2d(dtype=wp.vec2d),
+        invariant_stiffness: wp.array2d(dtype=wp.vec2d),
         natural_curvature: wp.array2d(dtype=wp.vec2d),
         law_parameter: wp.array2d(dtype=wp.vec2d),
         twisting_stiffness: wp.array2d(dtype=wp.float64),
@@ -69,6 +79,9 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
         hessian_out: wp.array3d(dtype=wp.float64),
     ):
         """Add energy and gradient, and the exact Hessian if `order` is 2.
+
+        The invariant K has the mean of `invariant_stiffness`: that of the material, while the other
+        may be one that stands for a viscous material in a step.
 
         Every inner node adds the stretching of the edge before it, the last that after it as well.
         """
@@ -116,51 +129,74 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
             q_te = ZERO
             q_tf = ZERO
 
+        average = HALF * (invariant_stiffness[r, i][0] + invariant_stiffness[r, i][1])
+        mean = average / rest
         for k in range(2):
-            c = component(s, k)
             stiffness = bending_stiffness[r, i][k]
-            excess = c.kappa / rest - natural_curvature[r, i][k]
-            moment = stiffness * excess
-            work = HALF * moment * excess * rest
+            isotropic = stiffness == average and natural_curvature[r, i][k] == ZERO
             if wp.static(law is not None):
-                q_e += moment * c.e
-                q_f += moment * c.f
-                q_te += moment * c.te
-                q_tf += moment * c.tf
-                stiffness = stiffness * here.secant
-                moment = moment * here.secant
-                work = work * here.energy
-            energy += work
-            g_e += moment * c.e
-            g_f += moment * c.f
-            g_te += moment * c.te
-            g_tf += moment * c.tf
+                isotropic = False
+            if not isotropic:  # all is in the invariant
+                c = component(s, k)
+                excess = c.kappa / rest - natural_curvature[r, i][k]
+                moment = stiffness * excess
+                work = HALF * moment * excess * rest
+                if wp.static(law is not None):
+                    q_e += moment * c.e
+                    q_f += moment * c.f
+                    q_te += moment * c.te
+                    q_tf += moment * c.tf
+                    stiffness = stiffness * here.secant
+                    moment = moment * here.secant
+                    work = work * here.energy
+                b = stiffness / rest - mean
+                moment = moment - mean * c.kappa
+                energy += work - HALF * mean * c.kappa * c.kappa
+                g_e += moment * c.e
+                g_f += moment * c.f
+                g_te += moment * c.te
+                g_tf += moment * c.tf
 
-            if order == 2:
-                b = stiffness / rest
-                m = moment / chi
-                e_u = wp.dot(c.m_e, s.u)
-                f_t = wp.dot(c.m_f, s.t)
-                h = (f_t + c.kappa * cosine) * eye - HALF * symmetric(c.m_e, s.u)
-                h = (project(h, s.t, s.t) - symmetric(c.e, grad_chi_e)) / chi
-                # The unit tangent's own second derivative by the edge vector.
-                h = h - symmetric(c.e, s.t)
-                ee += b * wp.outer(c.e, c.e) + moment * h
-                h = (c.kappa * cosine - e_u) * eye + HALF * symmetric(c.m_f, s.t)
-                h = (project(h, s.u, s.u) - symmetric(c.f, grad_chi_f)) / chi
-                h = h - symmetric(c.f, s.u)
-                ff += b * wp.outer(c.f, c.f) + moment * h
-                h = wp.outer(s.u, c.m_f) - wp.outer(c.m_e, s.t) - c.kappa * eye
-                h = project(h, s.t, s.u) - wp.outer(c.e, grad_chi_f) - wp.outer(grad_chi_e, c.f)
-                ef += b * wp.outer(c.e, c.f) + m * h
+                if order == 2:
+                    m = moment / chi
+                    e_u = wp.dot(c.m_e, s.u)
+                    f_t = wp.dot(c.m_f, s.t)
+                    h = (f_t + c.kappa * cosine) * eye - HALF * symmetric(c.m_e, s.u)
+                    h = (project(h, s.t, s.t) - symmetric(c.e, grad_chi_e)) / chi
+                    # The unit tangent's own second derivative by the edge vector.
+                    h = h - symmetric(c.e, s.t)
+                    ee += b * wp.outer(c.e, c.e) + moment * h
+                    h = (c.kappa * cosine - e_u) * eye + HALF * symmetric(c.m_f, s.t)
+                    h = (project(h, s.u, s.u) - symmetric(c.f, grad_chi_f)) / chi
+                    h = h - symmetric(c.f, s.u)
+                    ff += b * wp.outer(c.f, c.f) + moment * h
+                    h = wp.outer(s.u, c.m_f) - wp.outer(c.m_e, s.t) - c.kappa * eye
+                    h = project(h, s.t, s.u) - wp.outer(c.e, grad_chi_f)
+                    h = h - wp.outer(grad_chi_e, c.f)
+                    ef += b * wp.outer(c.e, c.f) + m * h
 
-                e_te += b * c.te * c.e + m * (-cosine * c.dm_e - c.te * grad_chi_e)
-                f_te += b * c.te * c.f + m * (perpendicular(c.dm_e, s.u) - c.te * grad_chi_f)
-                e_tf += b * c.tf * c.e - m * (perpendicular(c.dm_f, s.t) + c.tf * grad_chi_e)
-                f_tf += b * c.tf * c.f + m * (cosine * c.dm_f - c.tf * grad_chi_f)
-                te_te += b * c.te * c.te - m * e_u
-                te_tf += b * c.te * c.tf
-                tf_tf += b * c.tf * c.tf + m * f_t
+                    e_te += b * c.te * c.e + m * (-cosine * c.dm_e - c.te * grad_chi_e)
+                    f_te += b * c.te * c.f + m * (perpendicular(c.dm_e, s.u) - c.te * grad_chi_f)
+                    e_tf += b * c.tf * c.e - m * (perpendicular(c.dm_f, s.t) + c.tf * grad_chi_e)
+                    f_tf += b * c.tf * c.f + m * (cosine * c.dm_f - c.tf * grad_chi_f)
+                    te_te += b * c.te * c.te - m * e_u
+                    te_tf += b * c.te * c.tf
+                    tf_tf += b * c.tf * c.tf + m * f_t
+
+        # The invariant: K = 8 / chi - 4.
+        energy += mean * (FOUR / chi - TWO)
+        slope = -FOUR * mean / (chi * chi)
+        g_e += slope * grad_chi_e
+        g_f += slope * grad_chi_f
+        if order == 2:
+            b = -TWO * slope / chi
+            ee += b * wp.outer(grad_chi_e, grad_chi_e) - slope * (
+                symmetric(grad_chi_e, s.t) + cosine * (eye - wp.outer(s.t, s.t))
+            )
+            ff += b * wp.outer(grad_chi_f, grad_chi_f) - slope * (
+                symmetric(grad_chi_f, s.u) + cosine * (eye - wp.outer(s.u, s.u))
+            )
+            ef += b * wp.outer(grad_chi_e, grad_chi_f) + slope * project(eye, s.t, s.u)
 
         if wp.static(law is not None):  # noqa: SIM102 (the outer test is made at build time)
             if order == 2:
@@ -243,3 +279,5 @@ def bending_rate(
         c = component(s, k)
         rate = -bending_stiffness[r, i][k] * c.kappa / (rest * rest) * rest_rate
         add_component_rate(gradient_rate_out, r, i, s, c, rate)
+    mean = HALF * (bending_stiffness[r, i][0] + bending_stiffness[r, i][1])
+    add_invariant_rate(gradient_rate_out, r, i, s, -mean / (rest * rest) * rest_rate)

@@ -128,3 +128,28 @@ def add_component_rate(
     add_edge_gradient(gradient_rate, r, i, (rate / s.length_e) * c.e, (rate / s.length_f) * c.f)
     wp.atomic_add(gradient_rate, r, 4 * i - 1, rate * c.te)
     wp.atomic_add(gradient_rate, r, 4 * i + 3, rate * c.tf)
+
+
+@wp.func
+def invariant_gradient(s: Stencil, k: Component, m: Component):
+    """Gradient of (K - kappa_1^2 - kappa_2^2) / 2, K = 8 / (1 + t . u) - 4 (see
+    `wrod.kernels.elastic.bending`): by the turning of t and of u, and by the angles."""
+    chi = ONE + wp.dot(s.t, s.u)
+    slope = -wp.float64(4.0) / (chi * chi)
+    e = slope * perpendicular(s.u, s.t) - k.kappa * k.e - m.kappa * m.e
+    f = slope * perpendicular(s.t, s.u) - k.kappa * k.f - m.kappa * m.f
+    te = -k.kappa * k.te - m.kappa * m.te
+    tf = -k.kappa * k.tf - m.kappa * m.tf
+    return e, f, te, tf
+
+
+@wp.func
+def add_invariant_rate(
+    gradient_rate: wp.array2d(dtype=wp.float64), r: int, i: int, s: Stencil, rate: wp.float64
+):
+    """Add what a rate of B / l contributes to that of the gradient through what the energy has
+    beyond the components of the curvature."""
+    e, f, te, tf = invariant_gradient(s, component(s, 0), component(s, 1))
+    add_edge_gradient(gradient_rate, r, i, (rate / s.length_e) * e, (rate / s.length_f) * f)
+    wp.atomic_add(gradient_rate, r, 4 * i - 1, rate * te)
+    wp.atomic_add(gradient_rate, r, 4 * i + 3, rate * tf)

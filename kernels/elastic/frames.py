@@ -48,6 +48,20 @@ def rotate(v: wp.vec3d, axis: wp.vec3d, angle: wp.float64) -> wp.vec3d:
     return wp.cos(angle) * v + wp.sin(angle) * wp.cross(axis, v)
 
 
+@wp.func
+def angle_towards(
+    aim: wp.vec3d,
+    tangent: wp.vec3d,
+    angle: wp.float64,
+    tangent_before: wp.vec3d,
+    director_before: wp.vec3d,
+) -> wp.float64:
+    """Angle at which an edge that has come to `tangent` has its first material director along
+    `aim`; continuous with `angle` beyond a turn."""
+    carried = parallel_transport(director_before, tangent_before, tangent)
+    return angle + signed_angle(rotate(carried, tangent, angle), aim, tangent)
+
+
 @wp.kernel
 def transport_reference_frames(
     # State in:

@@ -3,12 +3,19 @@
 It keeps the share r of its stiffness and loses the rest: E = 1/2 l B (r Q + (1 - r) ln(1 + c Q) /
 c), with the excess curvatures e_k of `wrod.kernels.elastic.bending`, Q = sum_k B_k e_k^2 / B, B the
 mean of B_1 and B_2. In a plane the moment is B e (r + (1 - r) / (1 + c e^2)). `softening` holds (c,
-r), c >= 0 [length^2]; c = 0 is a linear rod.
+r), c >= 0 [length^2]; c = 0 is a linear rod. What the invariant K of `bending` adds in a rod that
+is twisted does not soften.
 """
 
 import warp as wp
 from wrod.kernels.elastic.bending import Law, make_elasticity
-from wrod.kernels.elastic.curvature import add_component_rate, component, excess_curvature, stencil
+from wrod.kernels.elastic.curvature import (
+    add_component_rate,
+    add_invariant_rate,
+    component,
+    excess_curvature,
+    stencil,
+)
 from wrod.kernels.elastic.frames import HALF, ONE, TWO
 
 wp.set_module_options({"enable_backward": False})
@@ -86,3 +93,4 @@ def softened_bending_rate(
         rate = stiffness_rate[k] * excess[k] + stiffness[k] * excess_rate[k]
         rate = rate * secant + stiffness[k] * excess[k] * secant_rate
         add_component_rate(gradient_rate_out, r, i, s, component(s, k), rate)
+    add_invariant_rate(gradient_rate_out, r, i, s, (mean_rate - mean * rest_rate / rest) / rest)

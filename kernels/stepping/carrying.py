@@ -6,7 +6,7 @@ meets them on the way.
 
 import warp as wp
 from wrod.kernels.contact.planes import Shape
-from wrod.kernels.elastic.frames import ONE, ZERO, node, parallel_transport, rotate, signed_angle
+from wrod.kernels.elastic.frames import ONE, ZERO, angle_towards, node, rotate
 from wrod.kernels.stepping.exchange import Span
 
 wp.set_module_options({"enable_backward": False})
@@ -178,10 +178,9 @@ def carry_ends(
     tangent = wp.quat_rotate(turn, wp.vec3d(ONE, ZERO, ZERO))
     aim = wp.quat_rotate(turn, wp.vec3d(ZERO, ONE, ZERO))
     e = end_edge(span[r], side)
-    carried = parallel_transport(director_before[r, e], tangent_before[r, e], tangent)
-    angle = dof[r, 4 * e + 3]
-    # Continuous beyond a turn.
-    dof[r, 4 * e + 3] = angle + signed_angle(rotate(carried, tangent, angle), aim, tangent)
+    dof[r, 4 * e + 3] = angle_towards(
+        aim, tangent, dof[r, 4 * e + 3], tangent_before[r, e], director_before[r, e]
+    )
     beyond = place - rest_length[r, e] * tangent
     if side == 1:
         beyond = place + rest_length[r, e] * tangent

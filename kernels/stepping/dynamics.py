@@ -12,7 +12,8 @@ they are smaller than the inertia of the nodes by the square of radius over leng
 """
 
 import warp as wp
-from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
+from wrod.kernels.elastic.assembly import add_diagonal_block, add_vector
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, node
 from wrod.kernels.lanes import count_of_lanes
 from wrod.kernels.stepping.newton_iteration import largest_safe_fraction_of_lanes
 
@@ -74,15 +75,22 @@ def predict(
     free: wp.array2d(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
     velocity: wp.array2d(dtype=wp.float64),
+    velocity_older: wp.array2d(dtype=wp.float64),
+    coefficient: wp.array(dtype=wp.vec3d),
+    growth: wp.float64,
     # State in and out:
     dof: wp.array2d(dtype=wp.float64),
 ):
-    """Newton starts where the free degrees of freedom would be without acceleration."""
+    """Newton starts where the free degrees of freedom would be with `growth` times the last change
+    of velocity, of which there is none in a first step."""
     r, a = wp.tid()
     if starting[r] == 0:
         return
     if free[r, a] != 0:
-        dof[r, a] = dof[r, a] + step[r] * velocity[r, a]
+        v = wp.float64(velocity[r, a])
+        if coefficient[r][2] != ZERO:
+            v += growth * (velocity[r, a] - velocity_older[r, a])
+        dof[r, a] = dof[r, a] + step[r] * v
 
 
 @wp.func
@@ -125,6 +133,54 @@ def add_inertia(
     hessian[r, a, 0] = hessian[r, a, 0] + m * rate * (rate + air_damping[r])
 
 
+@wp.func
+def rate(
+    coefficient: wp.vec3d, dt: wp.float64, now: wp.vec3d, before: wp.vec3d, older: wp.vec3d
+) -> wp.vec3d:
+    return (coefficient[0] * now + coefficient[1] * before + coefficient[2] * older) / dt
+
+
+@wp.func
+def drag_force(v: wp.vec3d, linear: wp.float64, quadratic: wp.float64) -> wp.vec3d:
+    return (linear + quadratic * wp.length(v)) * v
+
+
+@wp.func
+def drag_matrix(v: wp.vec3d, linear: wp.float64, quadratic: wp.float64) -> wp.mat33d:
+    """Derivative of `drag_force` by the velocity."""
+    speed = wp.length(v)
+    d = (linear + quadratic * speed) * wp.identity(3, dtype=wp.float64)
+    if speed > ZERO:
+        d += (quadratic / speed) * wp.outer(v, v)
+    return d
+
+
+@wp.kernel
+def add_drag(
+    # Model:
+    drag: wp.array2d(dtype=wp.vec2d),
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    step: wp.array(dtype=wp.float64),
+    coefficient: wp.array(dtype=wp.vec3d),
+    dof: wp.array2d(dtype=wp.float64),
+    before: wp.array2d(dtype=wp.float64),
+    older: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+):
+    """Add the drag of every node, (d_1 + d_2 |v|) v."""
+    r, i = wp.tid()
+    if active[r] == 0:
+        return
+    c = coefficient[r]
+    d = drag[r, i]
+    v = rate(c, step[r], node(dof, r, i), node(before, r, i), node(older, r, i))
+    add_vector(gradient, r, 4 * i, drag_force(v, d[0], d[1]))
+    add_diagonal_block(hessian, r, 4 * i, (c[0] / step[r]) * drag_matrix(v, d[0], d[1]))
+
+
 @wp.kernel
 def take_newton_step(
     # Model:
@@ -155,6 +211,7 @@ def judge_step(
     largest_step: wp.float64,
     smallest_step: wp.float64,
     growth: wp.float64,
+    refuses_saddles: int,
     # State in:
     converged: wp.array(dtype=wp.int32),
     negative_pivots: wp.array(dtype=wp.int32),
@@ -192,7 +249,7 @@ def judge_step(
         return
     active[r] = 0
     dt = step[r]
-    if converged[r] != 0 and negative_pivots[r] == 0:
+    if converged[r] != 0 and (refuses_saddles == 0 or negative_pivots[r] == 0):
         accepted_out[r] = 1
         time[r] = time[r] + dt
         step_before[r] = dt

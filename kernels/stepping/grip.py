@@ -1,7 +1,7 @@
 """A grip that carries the end of a rod along a path, and a free end that is held for a while."""
 
 import warp as wp
-from wrod.kernels.elastic.frames import HALF, ONE, TWO, parallel_transport, signed_angle
+from wrod.kernels.elastic.frames import HALF, ONE, TWO, angle_towards
 
 wp.set_module_options({"enable_backward": False})
 
@@ -76,11 +76,9 @@ def prescribe(
     tip = key_position(position, r, k, x)
     foot = tip - rest_length[r, n - 1] * tangent
     e = n - 1
-    director = parallel_transport(director_before[r, e], tangent_before[r, e], tangent)
-    angle = dof_before[r, 4 * e + 3]
-    # Continuous beyond a turn.
-    before = wp.cos(angle) * director + wp.sin(angle) * wp.cross(tangent, director)
-    dof_out[r, 4 * e + 3] = angle + signed_angle(before, side, tangent)
+    dof_out[r, 4 * e + 3] = angle_towards(
+        side, tangent, dof_before[r, 4 * e + 3], tangent_before[r, e], director_before[r, e]
+    )
     for c in range(3):
         dof_out[r, 4 * e + c] = foot[c]
         dof_out[r, 4 * n + c] = tip[c]

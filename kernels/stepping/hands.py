@@ -1,7 +1,7 @@
 """Hands that hold single edges of rods and carry them."""
 
 import warp as wp
-from wrod.kernels.elastic.frames import HALF, ONE, ZERO, parallel_transport, signed_angle
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO, angle_towards
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,10 +39,9 @@ def carry(
     tangent = wp.quat_rotate(turn, wp.vec3d(ONE, ZERO, ZERO))
     side = wp.quat_rotate(turn, wp.vec3d(ZERO, ONE, ZERO))
     reach = (HALF * rest_length[r, e]) * tangent
-    director = parallel_transport(director_before[r, e], tangent_before[r, e], tangent)
-    angle = dof_before[r, 4 * e + 3]
-    before = wp.cos(angle) * director + wp.sin(angle) * wp.cross(tangent, director)
-    dof_out[r, 4 * e + 3] = angle + signed_angle(before, side, tangent)
+    dof_out[r, 4 * e + 3] = angle_towards(
+        side, tangent, dof_before[r, 4 * e + 3], tangent_before[r, e], director_before[r, e]
+    )
     for c in range(3):
         dof_out[r, 4 * e + c] = middle[c] - reach[c]
         dof_out[r, 4 * e + 4 + c] = middle[c] + reach[c]

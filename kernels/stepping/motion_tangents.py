@@ -8,10 +8,10 @@ Arrays of the model with a leading axis of one are shared by all rods.
 
 import warp as wp
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH, add_edge_gradient
-from wrod.kernels.elastic.curvature import component, stencil
+from wrod.kernels.elastic.curvature import component, invariant_gradient, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO, edge, node
 from wrod.kernels.linear.banded import banded_entry
-from wrod.kernels.stepping.motion import drag_force, drag_matrix, rate
+from wrod.kernels.stepping.dynamics import drag_force, drag_matrix, rate
 from wrod.kernels.stepping.viscosity import strain
 
 wp.set_module_options({"enable_backward": False})
@@ -24,6 +24,7 @@ def column_node(x: wp.array3d(dtype=wp.float64), r: int, j: int, i: int) -> wp.v
 
 @wp.kernel
 def measure_strain_tangents(
+    accepted: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     director: wp.array2d(dtype=wp.vec3d),
     tangent: wp.array3d(dtype=wp.float64),
@@ -32,6 +33,8 @@ def measure_strain_tangents(
 ):
     """Rates of the strains along every column of `tangent`."""
     r, i_, group = wp.tid()
+    if accepted[r] == 0:
+        return
     i = i_ + 1
     s = stencil(dof, director, r, i)
     first = component(s, 0)
@@ -77,6 +80,7 @@ def law_denominator_rate(
 def inertial_tangents(
     # Model:
     mass: wp.array2d(dtype=wp.float64),
+    spin_inertia: wp.float64,
     linear_drag: wp.array2d(dtype=wp.float64),
     quadratic_drag: wp.array2d(dtype=wp.float64),
     gravity: wp.array2d(dtype=wp.vec3d),
@@ -84,10 +88,10 @@ def inertial_tangents(
     linear_drag_rate: wp.array2d(dtype=wp.float64),
     quadratic_drag_rate: wp.array2d(dtype=wp.float64),
     gravity_rate: wp.array2d(dtype=wp.vec3d),
-    spin_inertia: wp.float64,
     # State in:
-    coefficient: wp.vec3d,
-    dt: wp.float64,
+    accepted: wp.array(dtype=wp.int32),
+    coefficients: wp.array(dtype=wp.vec3d),
+    step: wp.array(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
     before: wp.array2d(dtype=wp.float64),
     older: wp.array2d(dtype=wp.float64),
@@ -102,6 +106,10 @@ def inertial_tangents(
 ):
     """Minus the rate of inertia, weight and drag at a fixed configuration at the step's end."""
     r, i, j = wp.tid()
+    if accepted[r] == 0:
+        return
+    coefficient = coefficients[r]
+    dt = step[r]
     m = wp.min(r, mass.shape[0] - 1)
     zero = wp.vec3d(ZERO, ZERO, ZERO)
     v = rate(coefficient, dt, node(dof, r, i), node(before, r, i), node(older, r, i))
@@ -152,13 +160,14 @@ def elastic_tangents(
     viscous_time_rate: wp.array2d(dtype=wp.vec3d),
     softening_rate: wp.array2d(dtype=wp.vec2d),
     # State in:
-    coefficient: wp.vec3d,
-    dt: wp.float64,
+    accepted: wp.array(dtype=wp.int32),
+    coefficients: wp.array(dtype=wp.vec3d),
+    step: wp.array(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
     director: wp.array2d(dtype=wp.vec3d),
     reference_twist: wp.array2d(dtype=wp.float64),
-    strain_before: wp.array2d(dtype=wp.vec3d),
-    strain_older: wp.array2d(dtype=wp.vec3d),
+    strain_before: wp.array2d(dtype=wp.vec4d),
+    strain_older: wp.array2d(dtype=wp.vec4d),
     strain_tangent_before: wp.array3d(dtype=wp.vec3d),
     strain_tangent_older: wp.array3d(dtype=wp.vec3d),
     per_thread: int,
@@ -167,6 +176,10 @@ def elastic_tangents(
 ):
     """Minus the rate of the elastic and viscous forces at a fixed configuration."""
     r, i, group = wp.tid()
+    if accepted[r] == 0:
+        return
+    coefficient = coefficients[r]
+    dt = step[r]
     columns = stiffness_rate.shape[0]
     first_column = group * per_thread
     last_column = wp.min(columns, first_column + per_thread)
@@ -187,12 +200,22 @@ def elastic_tangents(
         return
     length = HALF * (rest_length[r, i - 1] + rest_length[r, i])
     now = strain(dof, director, reference_twist, r, i)
-    flow = rate(coefficient, dt, now, strain_before[r, i], strain_older[r, i])
+    before = strain_before[r, i]
+    older = strain_older[r, i]
+    flow = rate(
+        coefficient,
+        dt,
+        now,
+        wp.vec3d(before[0], before[1], before[2]),
+        wp.vec3d(older[0], older[1], older[2]),
+    )
     s = stencil(dof, director, r, i)
     first = component(s, 0)
     second = component(s, 1)
     binormal = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
     b = stiffness[m, i]
+    mean = HALF * (b[0] + b[1]) / length
+    k_e, k_f, k_te, k_tf = invariant_gradient(s, first, second)
     eta = viscous_time[m, i]
     total = (now + wp.cw_mul(eta, flow)) / length
     excess = total - rest_strain[m, i]
@@ -219,11 +242,12 @@ def elastic_tangents(
             for k in range(2):
                 moment[k] = secant * moment[k] + secant_rate * b[k] * excess[k]
         row = r * columns + j
-        g_e = (moment[0] * first.e + moment[1] * second.e + moment[2] * binormal) / s.length_e
-        g_f = (moment[0] * first.f + moment[1] * second.f + moment[2] * binormal) / s.length_f
-        add_edge_gradient(right_hand_side, row, i, -g_e, -g_f)
-        g_te = moment[0] * first.te + moment[1] * second.te - moment[2]
-        g_tf = moment[0] * first.tf + moment[1] * second.tf + moment[2]
+        invariant = (HALF * (b_rate[0] + b_rate[1]) - mean * length_rate) / length
+        g_e = moment[0] * first.e + moment[1] * second.e + moment[2] * binormal + invariant * k_e
+        g_f = moment[0] * first.f + moment[1] * second.f + moment[2] * binormal + invariant * k_f
+        add_edge_gradient(right_hand_side, row, i, -g_e / s.length_e, -g_f / s.length_f)
+        g_te = moment[0] * first.te + moment[1] * second.te - moment[2] + invariant * k_te
+        g_tf = moment[0] * first.tf + moment[1] * second.tf + moment[2] + invariant * k_tf
         wp.atomic_add(right_hand_side, row, 4 * i - 1, -g_te)
         wp.atomic_add(right_hand_side, row, 4 * i + 3, -g_tf)
 
@@ -237,21 +261,27 @@ def held_tangents(
     grip_tangent: wp.array3d(dtype=wp.vec3d),
     dof: wp.array2d(dtype=wp.float64),
     free: wp.array2d(dtype=wp.int32),
-    time: int,
+    accepted: wp.array(dtype=wp.int32),
+    time: wp.array(dtype=wp.float64),
+    first_frame: int,
+    frame_rate: wp.float64,
     # Out:
     step_out: wp.array3d(dtype=wp.float64),
 ):
     r, j, k = wp.tid()
+    if accepted[r] == 0:
+        return
+    f = first_frame + int(wp.round(time[r] * frame_rate))
     n = (dof.shape[1] + 1) / 4
     first = wp.where(k == 0, 0, n - 2)
-    near = held_rate[r, time, j, 2 * k]
-    far = held_rate[r, time, j, 2 * k + 1]
+    near = held_rate[r, f, j, 2 * k]
+    far = held_rate[r, f, j, 2 * k + 1]
     for c in range(3):
         step_out[r, j, 4 * first + c] = near[c]
         step_out[r, j, 4 * first + 4 + c] = far[c]
     if free[r, 4 * first + 3] == 0:
         t = tangent[r, first]
-        g = grip_tangent[r, time, k]
+        g = grip_tangent[r, f, k]
         turned = (far - near) / wp.length(edge(dof, r, first))
         # Carrying the director from the grip to a tangent that turns leaves it half this spin.
         spin = wp.dot(wp.cross(g, t), turned) / (ONE + wp.dot(g, t))
@@ -260,6 +290,7 @@ def held_tangents(
 
 @wp.kernel
 def subtract_held(
+    accepted: wp.array(dtype=wp.int32),
     hessian: wp.array3d(dtype=wp.float64),
     held: wp.array3d(dtype=wp.float64),
     rows: int,
@@ -268,6 +299,8 @@ def subtract_held(
 ):
     """Take the matrix times what is held, nodes and angle of the edge at each end, from x."""
     r, j, k = wp.tid()
+    if accepted[r] == 0:
+        return
     n = held.shape[2]
     first = int(0)
     a = int(k)
@@ -282,9 +315,9 @@ def subtract_held(
 
 @wp.kernel
 def finish_tangents(
-    free: wp.array2d(dtype=wp.int32),
-    coefficient: wp.vec3d,
-    dt: wp.float64,
+    accepted: wp.array(dtype=wp.int32),
+    coefficients: wp.array(dtype=wp.vec3d),
+    step: wp.array(dtype=wp.float64),
     solution: wp.array3d(dtype=wp.float64),
     held: wp.array3d(dtype=wp.float64),
     # In and out:
@@ -295,12 +328,29 @@ def finish_tangents(
 ):
     """Shift the tangents' history by a step."""
     r, j, a = wp.tid()
+    if accepted[r] == 0:
+        return
+    coefficient = coefficients[r]
     now = solution[r, j, a] + held[r, j, a]
     v = coefficient[0] * now + coefficient[1] * tangent[r, j, a] + coefficient[2] * older[r, j, a]
     velocity_older[r, j, a] = velocity[r, j, a]
-    velocity[r, j, a] = v / dt
+    velocity[r, j, a] = v / step[r]
     older[r, j, a] = tangent[r, j, a]
     tangent[r, j, a] = now
+
+
+@wp.kernel
+def shift_strain_tangents(
+    accepted: wp.array(dtype=wp.int32),
+    strain_new: wp.array3d(dtype=wp.vec3d),
+    # In and out:
+    strain: wp.array3d(dtype=wp.vec3d),
+    strain_older: wp.array3d(dtype=wp.vec3d),
+):
+    r, j, i = wp.tid()
+    if accepted[r] != 0:
+        strain_older[r, j, i] = strain[r, j, i]
+        strain[r, j, i] = strain_new[r, j, i]
 
 
 @wp.func

@@ -124,6 +124,7 @@ def flow_bending(
     flown_length: wp.array2d(dtype=wp.float64),
     # Out:
     bending_out: wp.array2d(dtype=wp.vec2d),
+    invariant_out: wp.array2d(dtype=wp.vec2d),
     natural_curvature_out: wp.array2d(dtype=wp.vec2d),
     softening_out: wp.array2d(dtype=wp.vec2d),
     twisting_out: wp.array2d(dtype=wp.float64),
@@ -147,6 +148,8 @@ def flow_bending(
     b = bending[r, i]
     rest = natural_curvature[r, i]
     bending_out[r, i] = wp.vec2d(grown * f1 * b[0], grown * f2 * b[1])
+    # What twist must not soften does not flow.
+    invariant_out[r, i] = grown * b
     natural_curvature_out[r, i] = wp.vec2d(
         (rest[0] - eta[0] * history[0]) / (grown * f1),
         (rest[1] - eta[1] * history[1]) / (grown * f2),

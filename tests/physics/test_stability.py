@@ -68,6 +68,37 @@ def test_greenhill_load():
     assert found == pytest.approx(7.8373, rel=1e-3)
 
 
+def twisted_shafts(moment, edges, ratio):
+    """Straight shafts of unit length and stiffness between clamps, twisted by a moment."""
+    n, h = len(moment), 1.0 / edges
+    position = np.zeros((n, edges + 3, 3))
+    position[:, :, 2] = h * (np.arange(edges + 3) - 1)
+    # Half a cell at both clamps.
+    stiffness = np.where(np.isin(np.arange(edges + 3), (1, edges + 1)), 2.0, 1.0)
+    batch = RodBatch(
+        position,
+        stretching_stiffness=1e6,
+        bending_stiffness=stiffness,
+        twisting_stiffness=ratio * stiffness,
+    )
+    s = np.clip((np.arange(edges + 2) - 0.5) * h, 0.0, 1.0)
+    batch.set_configuration(position, angle=moment[:, None] / ratio * s)
+    prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
+    return batch
+
+
+@pytest.mark.parametrize("edges", [50, 100])
+@pytest.mark.parametrize("ratio", [0.6, 2 / 3])
+def test_greenhill_shaft(edges, ratio):
+    """M L / B = 8.98682, twice the root of tan x = x, of a shaft between clamps (Greenhill 1883):
+    it depends neither on the stiffness against twist nor on the twist of an edge, 0.3 or 0.15."""
+    exact = 8.986818916
+    moment = exact * np.linspace(0.99, 1.01, 5)
+    found = critical(moment, smallest_eigenvalue(twisted_shafts(moment, edges, ratio)))
+    # Differences of waves of that number err by (k h)^2 / 12.
+    assert found == pytest.approx(exact, rel=1.1 * (exact / edges) ** 2 / 12)
+
+
 def test_eigenvalue_of_a_cantilever_is_that_of_its_slowest_vibration():
     """lambda = 1.87510^4 B / L^4, to second order in the edge length."""
     exact = 1.8751040687**4

@@ -152,6 +152,14 @@ class Model:
             position = effect.measure(position, frame, part, setup)
         return position
 
+    def at_bound(self, values: np.ndarray) -> tuple[str, ...]:
+        """Keys of parameters that ended at a bound: the data ask for what they cannot be."""
+        return tuple(
+            p.key
+            for p, v in zip(self.parameters, values, strict=True)
+            if v <= p.lower or v >= p.upper
+        )
+
     def grown(self, values: np.ndarray, share: float) -> np.ndarray:
         """The same effects at a share of their size; places and directions stay."""
         return np.where([p.anywhere for p in self.parameters], values, share * values)

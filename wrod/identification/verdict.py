@@ -15,6 +15,9 @@ from wrod.identification.effect import Effect, Model
 BIC_MARGIN = 10.0
 AT_NOISE = 1.1
 PARTLY = 0.9
+# An effect lowers chi squared of trials that no choice has seen by this, and by so many standard
+# errors of its differences from trial to trial.
+UNSEEN_GAIN, UNSEEN_ERRORS = 4.0, 1.5
 _CORRELATED = 0.95
 
 
@@ -42,6 +45,8 @@ class Selection:
         confounded: pairs of names that these data cannot tell apart, with the evidence.
         ranking: every effect alone on the base model, best first.
         leading: the chosen model even where the verdict names no effect.
+        unseen: (chi squared that the model takes from the test trials, its standard error).
+        at_bound: parameters of the model that ended at a bound.
     """
 
     verdict: str
@@ -52,6 +57,8 @@ class Selection:
     rounds: list[Round]
     base_chi_squared: float
     cross_validation: tuple[float, float]
+    unseen: tuple[float, float] = (0.0, 0.0)
+    at_bound: tuple[str, ...] = ()
     confounded: list[dict] = field(default_factory=list)
 
 
@@ -71,15 +78,30 @@ def judge(
     """
     m = laboratory.measurements
     floor = m.noise_floor
-    before = m.rms(laboratory.predict(Model(), np.zeros(0)), m.test)
-    after = m.rms(laboratory.predict(fit.model, fit.values), m.test)
+    before = laboratory.rms(laboratory.predict(Model(), np.zeros(0)), m.test)
+    after = laboratory.rms(laboratory.predict(fit.model, fit.values), m.test)
     share = (before**2 - after**2) / max(before**2 - floor**2, 1e-300)
-    if not fit.model.effects and before <= AT_NOISE * floor:
+    unseen = _unseen_gain(laboratory, fit)
+    proven = unseen[0] >= max(UNSEEN_GAIN, UNSEEN_ERRORS * unseen[1])
+    at_noise, at_bound = at_noise_of(laboratory), fit.model.at_bound(fit.values)
+    if before <= at_noise * floor and not proven:
         verdict = "adequate"
         reason = f"the base model's test error is {before / floor:.2f} times the noise floor"
-    elif fit.model.effects and after <= AT_NOISE * floor:
+    elif fit.model.effects and not proven:
+        verdict = "unexplained"
+        reason = (
+            f"{' and '.join(fit.model.names)} helps trials that it was fitted to, not unseen ones; "
+            f"{before / floor:.2f} times the noise floor stays"
+        )
+    elif fit.model.effects and after <= at_noise * floor and not at_bound:
         verdict = "explained"
         reason = f"what is left on test trials is {after / floor:.2f} times the noise floor"
+    elif fit.model.effects and after <= at_noise * floor:
+        verdict = "partly-explained"
+        reason = (
+            f"what is left on test trials is {after / floor:.2f} times the noise floor, but "
+            f"{', '.join(at_bound)} ended at a bound: the effect stands for another one"
+        )
     elif fit.model.effects and share >= PARTLY:
         verdict = "partly-explained"
         reason = (
@@ -92,7 +114,9 @@ def judge(
             f"no effect, nor any few together, takes {100 * PARTLY:.0f} % of the excess error; "
             f"{before / floor:.2f} times the noise floor stays"
         )
-    named = empty if verdict == "unexplained" else fit
+    if verdict != "explained" and laboratory.noise.described():
+        reason += f"; the noise is not what was declared: {laboratory.noise.described()}"
+    named = fit if verdict in ("explained", "partly-explained") else empty
     selection = Selection(
         verdict,
         reason,
@@ -102,10 +126,33 @@ def judge(
         rounds,
         empty.chi_squared,
         cross_validation,
+        unseen,
+        at_bound,
     )
     if named.model.effects:
         selection.confounded = _confounded(laboratory, fit, rounds)
     return selection
+
+
+def at_noise_of(laboratory: Laboratory) -> float:
+    """Times the noise floor that a perfect model's test error may well be.
+
+    Correlated readings are few independent ones, so their RMS varies more.
+    """
+    m = laboratory.measurements
+    count = laboratory.effective[m.test].sum()
+    return max(AT_NOISE, 1.0 + 2.5 / np.sqrt(2.0 * count))
+
+
+def _unseen_gain(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
+    """(chi squared that a model takes from the test trials, standard error of that sum)."""
+    trials = laboratory.measurements.test
+    if not fit.model.effects:
+        return 0.0, 0.0
+    gain = laboratory.misfit(Model(), np.zeros(0), trials)
+    gain = gain - laboratory.misfit(fit.model, fit.values, trials)
+    error = gain.std(ddof=1) * np.sqrt(len(gain)) if len(gain) > 1 else 0.0
+    return float(gain.sum()), float(error)
 
 
 def _confounded(laboratory: Laboratory, fit: Fit, rounds: list[Round]) -> list[dict]:
@@ -167,7 +214,7 @@ def _leanest_bic(fit: Fit, names: list[str]) -> float:
         fit.model.parameters,
         [e.name for e in fit.model.effects for _ in e.parameters],
     )
-    price = np.log(fit.residual_count)
+    price = np.log(fit.effective_count)
     out: list[int] = []
     best, cost = fit.bic, 0.0
     for _ in parameters:

@@ -378,10 +378,12 @@ class RodBatch:
     @property
     def elastic_model(self) -> list[wp.array]:
         """What the elastic energy depends on besides the state: rest lengths, stretching and
-        bending stiffness, natural curvature, softening, twisting stiffness, natural twist."""
+        bending stiffness, that of bending's invariant (`wrod.kernels.elastic.bending`), natural
+        curvature, softening, twisting stiffness, natural twist."""
         return [
             self.rest_length,
             self.stretching_stiffness,
+            self.bending_stiffness,
             self.bending_stiffness,
             self.natural_curvature,
             self.softening,

@@ -76,8 +76,11 @@ class Dynamics:
     Args:
         batch: the rods, with node masses; their state is the initial configuration, at rest.
         scheme: "euler" (first order, dissipates) or "bdf2" (second order, hardly dissipates).
-        radius: (rod,) radius of the section, for the rotational inertia of the edges.
+        radius: (rod,) or (rod, node - 1) radius of the section, for the rotational inertia of the
+            edges.
         air_damping: (rod,) drag per mass and velocity [1/time].
+        drag: (rod, node, 2) drag of each node per velocity, and per velocity squared, on top of it;
+            default: none.
         internal_damping: Kelvin-Voigt time of the material [time], which does not oppose rigid
             motion: (rod,), or for every strain as in `wrod.solvers.viscosity.Viscosity`.
         contact: what the rods touch, one or several, or None; at most one `RodContact`.
@@ -87,6 +90,7 @@ class Dynamics:
             k_b / L^2 if that is larger.
         tolerance: largest residual of a step over the force scale.
         max_iterations: of Newton; a step that needs more is halved.
+        refuses_saddles: halve steps, too, whose matrix is indefinite where they end.
         keeps_recording: record the launches of a round on any device, and replay them in later
             calls of `advance` too, for callers that advance step by step. `motion` and contacts
             must then keep their arrays and numbers, or `forget_recording` be called. On a CPU no
@@ -103,6 +107,7 @@ class Dynamics:
         scheme: str = "bdf2",
         radius: np.ndarray | float,
         air_damping: np.ndarray | float = 0.0,
+        drag: np.ndarray | None = None,
         internal_damping: np.ndarray | float = 0.0,
         contact: Contact | RodContact | Sequence[Contact | RodContact] | None = None,
         motion: Motion | None = None,
@@ -110,6 +115,7 @@ class Dynamics:
         force_scale: np.ndarray | float | None = None,
         tolerance: float = 1e-6,
         max_iterations: int = 12,
+        refuses_saddles: bool = True,
         keeps_recording: bool = False,
     ):
         if scheme not in SCHEMES:
@@ -137,7 +143,15 @@ class Dynamics:
             return wp.full(rods, value, dtype=wp.int32, device=device)
 
         self.mass = wp.array(_masses(batch, radius), dtype=wp.float64, device=device)
+        self.refuses_saddles = int(refuses_saddles)
         self.air_damping = floats(air_damping)
+        self._drag = None
+        if drag is not None:
+            shape = (rods, batch.node_count, 2)
+            drag = np.ascontiguousarray(np.broadcast_to(np.asarray(drag, dtype=float), shape))
+            self._drag = wp.array(drag, dtype=wp.vec2d, device=device)
+        # The last change of velocity tells Newton's start, but for what hits something.
+        self._growth = 0.0 if self.contacts else 0.5
         self.viscosity = Viscosity(batch, internal_damping)
         self.force_scale = floats(_force_scale(batch) if force_scale is None else force_scale)
         self.length_scale = floats(batch.rest_length.numpy().sum(axis=1))
@@ -226,13 +240,21 @@ class Dynamics:
             [self.wanted_step, self.running, self.starting],
         )
 
+        on_cpu = wp.get_device(batch.device).is_cpu
+
         def take_round() -> None:
-            self._begin()
+            # A CPU's launches cost more than looking whether they have anything to do, unless they
+            # are recorded.
+            looks = on_cpu and not wp.get_device(batch.device).is_capturing
+            if not looks or self.starting.numpy().any():
+                self._begin()
             self._iterate(step, smallest)
-            self._finish(frames, frame_interval)
+            if not looks or self.active.numpy().any():
+                self._correct()
+            if not looks or self.accepted.numpy().any() or self.rejected.numpy().any():
+                self._finish(frames, frame_interval)
             self._ask()
 
-        on_cpu = wp.get_device(batch.device).is_cpu
         array = None if frames is None else frames.ptr
         key = (step, smallest, self.tolerance, array, frame_interval)
         graph = None
@@ -343,12 +365,20 @@ class Dynamics:
             self.motion.prescribe(self.starting, self.time, self.step, self.start)
         self._per_dof(
             kernels.predict,
-            [self.starting, batch.free, self.step, self.velocity],
+            [
+                self.starting,
+                batch.free,
+                self.step,
+                self.velocity,
+                self.velocity_older,
+                self.coefficient,
+                wp.float64(self._growth),
+            ],
             [batch.state.dof],
         )
 
     def _iterate(self, largest: float, smallest: float) -> None:
-        """One Newton iteration of every rod, or the verdict on its step."""
+        """Residual and matrix of a Newton iteration of every rod, and the verdict on its step."""
         batch, start, out = self.batch, self.start, self.batch.derivatives
         dof = batch.state.dof
         batch.transport_frames(start, batch.state, self.active)
@@ -369,6 +399,15 @@ class Dynamics:
             ],
             [out.gradient, out.hessian],
         )
+        if self._drag is not None:
+            wp.launch(
+                kernels.add_drag,
+                dim=(batch.rod_count, batch.node_count),
+                inputs=[self._drag, self.active, self.step, self.coefficient, dof, start.dof]
+                + [self.dof_older],
+                outputs=[out.gradient, out.hessian],
+                device=batch.device,
+            )
         for contact in self.contacts:
             contact.add(self.active, dof, start.dof)
         batch.walk(
@@ -393,6 +432,7 @@ class Dynamics:
                 wp.float64(largest),
                 wp.float64(smallest),
                 wp.float64(_GROWTH),
+                self.refuses_saddles,
                 self.converged,
                 self.system.negative_pivots,
                 self.step,
@@ -412,13 +452,17 @@ class Dynamics:
                 self.diverged,
             ],
         )
+
+    def _correct(self) -> None:
+        """The step of a Newton iteration."""
+        batch, out = self.batch, self.batch.derivatives
         self.system.factorise(out.hessian, self.active)
         wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
         self.system.solve(self.active)
         batch.walk(
             kernels.take_newton_step,
             [wp.float64(_STEP_LIMIT), self.active, self.system.x],
-            [dof],
+            [batch.state.dof],
         )
 
     def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
@@ -467,13 +511,15 @@ def _masses(batch: RodBatch, radius) -> np.ndarray:
     if not (mass > 0).all():
         raise RodError("node_mass holds a node without mass, which cannot be moved in time")
     rest = batch.rest_length.numpy()
-    radius = np.broadcast_to(np.asarray(radius, dtype=float), (batch.rod_count,))
+    radius = np.asarray(radius, dtype=float)
+    if radius.ndim < 2:
+        radius = np.broadcast_to(radius, (batch.rod_count,))[:, None]
     if not (np.isfinite(radius) & (radius > 0)).all():
         raise RodError("radius must be positive and finite")
     line_density = mass.sum(axis=1) / rest.sum(axis=1)
     out = np.empty((batch.rod_count, batch.node_count, 4))
     out[:, :, :3] = mass[:, :, None]
-    out[:, :-1, 3] = 0.5 * (radius**2 * line_density)[:, None] * rest
+    out[:, :-1, 3] = 0.5 * radius**2 * line_density[:, None] * rest
     return np.ascontiguousarray(out.reshape(batch.rod_count, -1)[:, :-1])
 
 

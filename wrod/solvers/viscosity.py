@@ -17,9 +17,10 @@ class Viscosity:
         batch: the rods.
         time: Kelvin-Voigt time, (rod,) of all strains, or (rod, node, 4), broadcast: of the first
             and second bending and the twisting at each node, and of the stretching of the edge
-            after it [time].
+            after it [time]. Given like that, strains are measured even if all are 0.
 
     Attributes:
+        exists: whether strains are measured; the following is there only then.
         model: what `RodBatch.evaluate` takes as `model`.
         strain, strain_older: (rod, node) strains at the start of the step, and of the one before.
 
@@ -31,6 +32,7 @@ class Viscosity:
         self.batch, device = batch, batch.device
         shape = (batch.rod_count, batch.node_count, 4)
         time = np.asarray(time, dtype=float)
+        each = time.ndim > 1
         if time.ndim == 1:
             time = time[:, None, None]
         try:
@@ -44,11 +46,11 @@ class Viscosity:
         self.time = wp.array(np.ascontiguousarray(time), dtype=wp.vec4d, device=device)
         # (rod,) of the stretching: rounding in stiff edges grows with it.
         self.stretching_time = wp.array(time[:, :, 3].max(axis=1), dtype=wp.float64, device=device)
-        self.exists = bool(time.any())
+        self.exists = each or bool(time.any())
         self.model = None
         if not self.exists:
             return
-        self.model = [wp.clone(a) if isinstance(a, wp.array) else a for a in batch.elastic_model]
+        self.model = [wp.clone(a) for a in batch.elastic_model]
         self.strain, self.strain_older = (
             wp.zeros(shape[:2], dtype=wp.vec4d, device=device) for _ in range(2)
         )
@@ -63,7 +65,7 @@ class Viscosity:
         if not self.exists:
             return
         batch, state = self.batch, self.batch.state
-        rest, stretching, bending, curvature, softening, twisting, twist = batch.elastic_model
+        rest, stretching, bending, _, curvature, softening, twisting, twist = batch.elastic_model
         self._launch(
             kernels.measure_strains,
             batch.node_count,

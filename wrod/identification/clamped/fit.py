@@ -34,7 +34,8 @@ class Fit:
         model: the effects.
         values: (P,) parameters; covariance: (P, P), of the Gaussian posterior.
         chi_squared: weighted squares of the residuals over the trials fitted, without the prior.
-        residual_count: how many residuals those were.
+        residual_count: how many residuals those were; effective_count: how many independent
+            readings they amount to.
         converged: whether the iteration ended by its own criterion.
     """
 
@@ -43,12 +44,13 @@ class Fit:
     covariance: np.ndarray
     chi_squared: float
     residual_count: int
+    effective_count: float
     converged: bool
 
     @property
     def bic(self) -> float:
         """Bayesian information criterion, up to a constant of the data."""
-        return self.chi_squared + len(self.values) * np.log(self.residual_count)
+        return self.chi_squared + len(self.values) * np.log(self.effective_count)
 
     def correlation(self) -> np.ndarray:
         """(P, P) correlations of the parameters."""
@@ -133,7 +135,6 @@ class _Iteration:
         self.scales = [np.array([p.scale for p in m.parameters]) for m in models]
         self.target = laboratory.target[trials]
         self.coordinates = laboratory.measurements.centerline[0].size
-        self.deviation = laboratory.deviation[trials]
         self.correction = laboratory.mesh_correction[trials]
         self.start, self.least_gain = state, least
 
@@ -224,7 +225,8 @@ class _Iteration:
 
     def _residual(self, c, k, values, setup, readings) -> np.ndarray:
         seen = self.laboratory.observed(self.models[c], values, setup, readings, k).real
-        return (self.target - seen - self.correction) / self.deviation * self.weights[c][:, None]
+        left = self.laboratory.whiten(self.target - seen - self.correction, self.trials)
+        return left * self.weights[c][:, None]
 
     def _cost(self, c, k, values, setup, readings) -> float:
         residual = self._residual(c, k, values, setup, readings)
@@ -238,7 +240,8 @@ class _Iteration:
         """Gauss-Newton matrix and right-hand side, prior included, in units of the priors."""
         residual = self._residual(c, k, self.values[c], setup, readings)
         scale = self.scales[c]
-        jacobian = rates / self.deviation[..., None] * self.weights[c][:, None, None] * scale
+        jacobian = self.laboratory.whiten(rates, self.trials)
+        jacobian *= self.weights[c][:, None, None] * scale
         matrix = np.einsum("trp,trq->pq", jacobian, jacobian) + np.eye(len(scale))
         away = (self.values[c] - self.means[c]) / scale
         return matrix, np.einsum("trp,tr->p", jacobian, residual) - away
@@ -270,6 +273,7 @@ class _Iteration:
             values,
             covariance,
             float(cost - self._prior(c, values)),
-            int(self.target.shape[1] * self.weights[c].sum()),
+            int(self.weights[c] @ self.laboratory.read[self.trials].sum(axis=1)),
+            float(self.weights[c] @ self.laboratory.effective[self.trials]),
             converged,
         )

@@ -10,6 +10,7 @@ from wrod.errors import DataError
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.layout import COMPLEX_STEP
 from wrod.identification.clamped.measurements import ClampedMeasurements
+from wrod.identification.clamped.noise import NoiseModel, outliers_of, whiteners
 from wrod.identification.clamped.sensing import Prediction
 from wrod.identification.clamped.setup import Setup
 from wrod.identification.effect import Model
@@ -40,7 +41,14 @@ class Laboratory:
         self.base_state = solver.saved()
         self.target, self.deviation = self._observations()
         self.mesh_correction = np.zeros_like(self.target)
+        self.read = np.isfinite(self.target)
+        markers = np.isfinite(measurements.centerline).all(axis=2)
+        self.read[:, : 3 * markers.shape[1]] = np.repeat(markers, 3, axis=1)
+        self.missing = int((~markers).sum())
+        self.target = np.nan_to_num(self.target)
+        self.set_noise(NoiseModel())
         self.refine(Model(), np.zeros(0))
+        self.outliers = self._set_aside()
 
     def _observations(self) -> tuple[np.ndarray, np.ndarray]:
         """(T, R) measured values and their standard deviations: markers, force, torque."""
@@ -55,6 +63,38 @@ class Laboratory:
                 target.append(value)
                 deviation.append(np.hypot(relative * value, absolute))
         return np.concatenate(target, axis=1), np.concatenate(deviation, axis=1)
+
+    def _set_aside(self) -> np.ndarray:
+        """(T, M) markers that stand apart from their neighbours; they are read no more."""
+        m = self.measurements
+        found = outliers_of(m.centerline - self.predict(Model(), np.zeros(0)), m.noise)
+        if found.any():
+            self.read[:, : found.size // len(found) * 3] &= ~np.repeat(found, 3, axis=1)
+            self.set_noise(self.noise)
+        return found
+
+    def set_noise(self, noise: NoiseModel, scatter_rates: np.ndarray | None = None) -> None:
+        """Weigh readings as this noise asks; see `whiteners` for (T, R, 15) `scatter_rates`."""
+        self.noise, self.scatter_rates = noise, scatter_rates
+        self.whitener, self.effective = whiteners(
+            noise, self.measurements.arc_length, self.read, scatter_rates
+        )
+        self.whitener /= self.deviation[:, None, :]
+
+    def whiten(self, values: np.ndarray, trials: np.ndarray) -> np.ndarray:
+        """Differences of readings (t, R, ...) as independent numbers of variance 1."""
+        whitener = self.whitener[trials]
+        return (whitener @ values.reshape(*values.shape[:2], -1)).reshape(values.shape)
+
+    def misfit(self, model: Model, values: np.ndarray, trials: np.ndarray) -> np.ndarray:
+        """(t,) chi squared of every trial."""
+        left = self.target[trials] - self.observe(model, values, trials=trials)
+        return (self.whiten(left, trials) ** 2).sum(axis=1)
+
+    def rms(self, predicted: np.ndarray, trials: np.ndarray) -> float:
+        """RMS over the markers read in trials of the distance to (T, M, 3) predictions [m]."""
+        square = ((predicted - self._markers(self.target)) ** 2).sum(axis=-1)[trials]
+        return float(np.sqrt(square[self._markers(self.read)[trials, :, 0]].mean()))
 
     def refine(self, model: Model, values: np.ndarray) -> None:
         """Set the mesh correction to that of a model: a third of what halving the mesh changes.
@@ -154,8 +194,9 @@ class Laboratory:
             except DataError:
                 scores.append(None)
                 continue
-            error = self._markers(seen) - m.centerline[trials]
-            scores.append(float(np.sqrt((error**2).sum(axis=-1).mean())))
+            square = ((self._markers(seen) - self._markers(self.target)[trials]) ** 2).sum(axis=-1)
+            read = self._markers(self.read)[trials, :, 0]
+            scores.append(float(np.sqrt(square[read].mean())))
         return scores
 
     def jacobian(self, model: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

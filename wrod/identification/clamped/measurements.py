@@ -23,7 +23,7 @@ class ClampedMeasurements:
     Attributes:
         name: what the data are called.
         material: the rod as its user measured it; `material.length` is the free length [m].
-        centerline: (T, M, 3) measured marker positions [m].
+        centerline: (T, M, 3) measured marker positions [m]; NaN where one was not seen.
         arc_length: (M,) unstretched arc length of each marker from clamp A [m].
         clamp_position, grip_position: (T, 3) reported ends of the free span [m].
         clamp_rotation, grip_rotation: (T, 3, 3) columns m1, m2, tangent along growing arc length.
@@ -59,11 +59,6 @@ class ClampedMeasurements:
     def noise_floor(self) -> float:
         """RMS distance of a perfect model from noisy markers [m]."""
         return np.sqrt(3.0) * self.noise
-
-    def rms(self, predicted: np.ndarray, trials: np.ndarray) -> float:
-        """RMS over trials and markers of the distance to (T, M, 3) predictions [m]."""
-        difference = predicted[trials] - self.centerline[trials]
-        return float(np.sqrt((difference**2).sum(axis=-1).mean()))
 
     def scored_on(self, other: ClampedMeasurements) -> ClampedMeasurements:
         """These measurements to fit on, all of `other` to score on.
@@ -168,10 +163,11 @@ def measurements_from_arrays(
         values[key] = _numbers(data, key, where)
         if values[key].shape != shape:
             raise DataError(f"{where}: {key} has shape {values[key].shape}; expected {shape}")
+    _check_seen(centerline, where)
     for key, value in values.items():
-        if not np.isfinite(value).all():
+        if key != "centerline" and not np.isfinite(value).all():
             place = np.argwhere(~np.isfinite(value))[0]
-            kind = "marker" if key in ("centerline", "arc_length") else "component"
+            kind = "marker" if key == "arc_length" else "component"
             at = f"trial {place[0]}" + (f", {kind} {place[1]}" if len(place) > 1 else "")
             at = f"{kind} {place[0]}" if key == "arc_length" else at
             raise DataError(f"{where}: {key} of {at} is not a number; leave that trial out")
@@ -195,6 +191,22 @@ def measurements_from_arrays(
     )
     check_geometry(measurements, where)
     return measurements
+
+
+def _check_seen(centerline: np.ndarray, where: str) -> None:
+    """A marker that was not seen costs its own readings, half of a rod its trial.
+
+    Raises:
+        DataError: a trial has fewer than 3 markers, or fewer than half of them.
+    """
+    seen = np.isfinite(centerline).all(axis=2).sum(axis=1)
+    least = max(3, (centerline.shape[1] + 1) // 2)
+    if (seen < least).any():
+        trial = int(np.argmin(seen))
+        raise DataError(
+            f"{where}: centerline of trial {trial} has {seen[trial]} of {centerline.shape[1]} "
+            f"markers, the others are not numbers; leave that trial out"
+        )
 
 
 def _numbers(data, key: str, where: str) -> np.ndarray:

@@ -32,18 +32,19 @@ def likely_pairs(
 ) -> list[tuple[Model, np.ndarray]]:
     """The `count` pairs of lowest linearised BIC, each with values to start from."""
     m = laboratory.measurements
-    deviation = laboratory.deviation[m.train]
     base = laboratory.observe(Model(), np.zeros(0), trials=m.train)
-    residual = ((laboratory.target[m.train] - base) / deviation).ravel()
+    residual = laboratory.whiten(laboratory.target[m.train] - base, m.train).ravel()
+    readings = laboratory.effective[m.train].sum()
     parts, blocks, first = [], [], 0
     # A wind is iterated over its whole batch.
     for group in ([e for e in candidates if e.follows_shape == windy] for windy in (False, True)):
         for effect, start, seen, rates in _linearised(laboratory, group):
             scale = np.array([p.scale for p in effect.parameters])
-            blocks.append((rates / deviation[..., None] * scale).reshape(residual.size, -1))
+            blocks.append((laboratory.whiten(rates, m.train) * scale).reshape(residual.size, -1))
             columns = slice(first, first + len(start))
             first += len(start)
-            parts.append(_Linear(effect, start, columns, ((seen - base) / deviation).ravel()))
+            shift = laboratory.whiten(seen - base, m.train).ravel()
+            parts.append(_Linear(effect, start, columns, shift))
     jacobian = np.concatenate(blocks, axis=1)
     gram = jacobian.T @ jacobian
     found: dict[tuple[str, str], tuple[float, Model, np.ndarray]] = {}
@@ -61,7 +62,7 @@ def likely_pairs(
             matrix = gram[np.ix_(columns, columns)] + np.eye(len(columns))
             rhs = jacobian[:, columns].T @ left - prior
             cost = left @ left + prior @ prior - rhs @ np.linalg.solve(matrix, rhs)
-            cost += len(start) * np.log(residual.size)
+            cost += len(start) * np.log(readings)
             key = (a.effect.name, b.effect.name)
             if key not in found or cost < found[key][0]:
                 found[key] = (float(cost), model, start)

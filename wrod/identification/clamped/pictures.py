@@ -57,7 +57,7 @@ def residuals(report) -> bytes:
         for predicted in (report.predicted_before, report.predicted_after)
     ]
     figure = new_figure(11.0, 3.6)
-    top = max(float(np.percentile(maps[0], 99)), 2e3 * m.noise_floor)
+    top = max(float(np.nanpercentile(maps[0], 99)), 2e3 * m.noise_floor)
     for k, (values, title) in enumerate(zip(maps, ("before", "after"), strict=True)):
         axes = figure.add_subplot(1, 2, k + 1)
         image = axes.imshow(values, aspect="auto", cmap="viridis", vmin=0.0, vmax=top)

@@ -16,6 +16,7 @@ from wrod.files import write_atomically
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.measurements import ClampedMeasurements, load_measurements
+from wrod.identification.clamped.noise import NoiseModel
 from wrod.identification.clamped.selection import select
 from wrod.identification.clamped.setup import Setup
 from wrod.identification.clamped.trace import Print, trace
@@ -64,6 +65,8 @@ class IdentificationReport:
         selection, prints: the whole evidence.
         predicted_before, predicted_after: (T, M, 3) marker positions [m].
         found: the rod with all that was found of it, and what belongs to the set-up instead.
+        noise: as the selection found it; missing: markers without a position; outliers: (T, M)
+            markers that were set aside.
     """
 
     measurements: ClampedMeasurements
@@ -79,6 +82,9 @@ class IdentificationReport:
     predicted_before: np.ndarray
     predicted_after: np.ndarray
     found: FoundRod
+    noise: NoiseModel
+    missing: int
+    outliers: np.ndarray
 
     @property
     def model(self) -> RodModel:
@@ -128,6 +134,15 @@ class IdentificationReport:
                 "residuals": s.fit.residual_count,
             },
             "set_aside": list(self.found.set_aside),
+            "noise": self.noise.to_dict() | {"said": self.noise.described()},
+            "readings_set_aside": {
+                "missing_markers": self.missing,
+                "outliers": [
+                    {"trial": int(t), "marker": int(k)} for t, k in np.argwhere(self.outliers)
+                ],
+            },
+            "unseen_trials": {"chi_squared_taken": s.unseen[0], "stderr": s.unseen[1]},
+            "parameters_at_a_bound": list(s.at_bound),
             "prints": [p.to_dict() for p in self.prints],
         }
 
@@ -187,8 +202,8 @@ def identify(
         measurements=m,
         verdict=selection.verdict,
         reason=selection.reason,
-        before=m.rms(before, m.test),
-        after=m.rms(after, m.test),
+        before=laboratory.rms(before, m.test),
+        after=laboratory.rms(after, m.test),
         noise_floor=m.noise_floor,
         effects=_found(laboratory, fit, selection),
         candidates=tuple(_scores(laboratory, selection)),
@@ -197,6 +212,9 @@ def identify(
         predicted_before=before,
         predicted_after=after,
         found=_found_rod(m, laboratory, fit),
+        noise=laboratory.noise,
+        missing=laboratory.missing,
+        outliers=laboratory.outliers,
     )
 
 

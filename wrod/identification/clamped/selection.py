@@ -4,9 +4,13 @@ Stopping rule. An effect joins the model if it lowers the Bayesian information c
 train trials by `BIC_MARGIN` or more, takes away at least `LEAST_SHARE` of the base model's excess
 of squares or, where the error is still above the noise, half of what is left of it (an effect's law
 is never exactly the rod's: smaller gains would only mend its form), and lowers the squared error of
-trials held out in cross-validation. No model has more than `MOST_EFFECTS`, and where two effects
-leave more than half of the excess a third is not tried: what so many small effects mend is not
-theirs.
+trials held out in cross-validation. Where the base model has no excess, the effect has to take as
+much as squares of noise vary by themselves. No model has more than `MOST_EFFECTS`, and where two
+effects leave more than half of the excess a third is not tried: what so many small effects mend is
+not theirs.
+
+The noise is taken as declared, then estimated from what the chosen model leaves; where it is
+another one, everything is weighed with it and chosen anew.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ import numpy as np
 from wrod.errors import DataError
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.noise import estimate
 from wrod.identification.clamped.pairs import likely_pairs
 from wrod.identification.effect import Effect, Model
 from wrod.identification.verdict import AT_NOISE, BIC_MARGIN, Round, Selection, judge
@@ -27,15 +32,47 @@ LEAST_SHARE = 0.005
 MOST_EFFECTS = 3
 _FOLDS = 4
 _FINE = 4 / 3
+# How often to choose at most, each time with the noise that the last choice has left.
+_NOISE_PASSES = 3
 # Pairs to fit, and how many standard deviations of chi squared deserve them.
 _PAIRS, _FLUCTUATION = 12, 5.0
 
 
 def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -> Selection:
     """Find the effects that explain the laboratory's train trials."""
+    for _ in range(_NOISE_PASSES):
+        current, rounds, held_out = _search(laboratory, candidates, progress)
+        if not _noise_changed(laboratory, current):
+            break
+    final = _polished(laboratory, current)
+    return judge(laboratory, final, _base_fit(laboratory), rounds, held_out)
+
+
+def _noise_changed(laboratory: Laboratory, current: Fit) -> bool:
+    """Estimate the noise beside a model; whether it is another one than the choice was made with.
+
+    Without an effect, or with errors that no noise of the declared size has, nothing would change.
+    """
+    noise, rates = estimate(laboratory, current.model, current.values)
+    if noise.near(laboratory.noise):
+        return False
+    laboratory.set_noise(noise, rates)
+    return bool(current.model.effects) or not _at_floor(laboratory)
+
+
+def _at_floor(laboratory: Laboratory) -> bool:
+    """Whether the base model is as near to the train trials as noise lets it."""
+    m = laboratory.measurements
+    rms = laboratory.rms(laboratory.predict(Model(), np.zeros(0)), m.train)
+    return rms <= AT_NOISE * m.noise_floor
+
+
+def _search(laboratory: Laboratory, candidates, progress):
+    """(model, rounds, (before, after) RMS of markers held out) with the present noise."""
     empty = _base_fit(laboratory)
     current, rounds = empty, []
     excess = max(empty.chi_squared - empty.residual_count, 0.0)
+    fluctuation = np.sqrt(2.0 * empty.residual_count)
     held_out = _held_out(laboratory, empty)
     base_held_out = held_out
     while len(current.model.effects) < MOST_EFFECTS:
@@ -52,12 +89,14 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -
         gain = current.bic - best.bic
         taken = current.chi_squared - best.chi_squared
         left = current.chi_squared - current.residual_count
-        share = taken / max(excess, 1e-300)
+        share = taken / max(excess, fluctuation)
         # Where much is left to explain, an effect beside a far larger one may be small.
         more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
         reason, ahead = "", held_out
         if gain < BIC_MARGIN:
             reason = f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
+        elif excess < _FLUCTUATION * fluctuation and taken < fluctuation:
+            reason = f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
         elif share < LEAST_SHARE and not more:
             reason = f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
         else:
@@ -90,20 +129,18 @@ def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -
         alone = [f.model.names[0] for f in rounds[0].fits]
         order = [alone.index(name) if name in alone else len(alone) for name in current.model.names]
         current = _reordered(current, np.argsort(order, kind="stable"))
-    final = _polished(laboratory, current)
-    return judge(laboratory, final, _base_fit(laboratory), rounds, (base_held_out[0], held_out[0]))
+    return current, rounds, (base_held_out[0], held_out[0])
 
 
 def _base_fit(laboratory: Laboratory) -> Fit:
     trials = laboratory.measurements.train
-    residual = (laboratory.target - laboratory.observe(Model(), np.zeros(0)))[trials]
-    residual /= laboratory.deviation[trials]
     return Fit(
         Model(),
         np.zeros(0),
         np.zeros((0, 0)),
-        float((residual**2).sum()),
-        residual.size,
+        float(laboratory.misfit(Model(), np.zeros(0), trials).sum()),
+        int(laboratory.read[trials].sum()),
+        float(laboratory.effective[trials].sum()),
         True,
     )
 
@@ -240,9 +277,10 @@ def _held_out(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
     for k, own in enumerate(fits):
         left = trials[fold == k]
         error = laboratory.target[left] - laboratory.observe(own.model, own.values, trials=left)
-        squares += float((error[:, :markers] ** 2).sum())
-        chi_squared += float(((error / laboratory.deviation[left]) ** 2).sum())
-    return float(np.sqrt(3.0 * squares / (len(trials) * markers))), chi_squared
+        squares += float((error**2)[:, :markers][laboratory.read[left, :markers]].sum())
+        chi_squared += float((laboratory.whiten(error, left) ** 2).sum())
+    count = laboratory.read[trials, :markers].sum()
+    return float(np.sqrt(3.0 * squares / count)), chi_squared
 
 
 def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
@@ -252,6 +290,7 @@ def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
         edge_count=int(_FINE * laboratory.edge_count),
         device=laboratory.device,
     )
+    fine.set_noise(laboratory.noise, laboratory.scatter_rates)
     if not fit.model.effects:
         laboratory.adopt(fine)
         return _base_fit(laboratory)

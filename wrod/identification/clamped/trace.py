@@ -114,8 +114,8 @@ def trace(laboratory: Laboratory) -> list[Print]:
     """Every print of the train trials' residual, the most telling first."""
     m = laboratory.measurements
     trials = m.train
-    residual = (laboratory.target - laboratory.observe(Model(), np.zeros(0)))[trials]
-    residual = (residual / laboratory.deviation[trials]).ravel()
+    residual = laboratory.target[trials] - laboratory.observe(Model(), np.zeros(0), trials=trials)
+    residual = laboratory.whiten(residual, trials).ravel()
     weight = m.material.weight
     solver, _ = laboratory.solver_at(Model(), np.zeros(0))
     frames = _node_frames(solver)
@@ -188,8 +188,7 @@ def trace(laboratory: Laboratory) -> list[Print]:
     for name, title, unit, points_to, model, components in plans:
         scale = np.array([p.scale for p in model.parameters])
         _, rates = laboratory.jacobian(model, np.zeros(len(scale)))
-        jacobian = rates[trials] * scale / laboratory.deviation[trials][..., None]
-        jacobian = jacobian.reshape(-1, len(scale))
+        jacobian = laboratory.whiten(rates[trials] * scale, trials).reshape(-1, len(scale))
         profile = isinstance(model.effects[0], Profile)
         prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
         evidence, _, share, value, stderr = infer(jacobian, residual, prior)

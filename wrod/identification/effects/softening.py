@@ -15,7 +15,7 @@ class Softening(Effect):
     kinds = ("clamped", "motion")
     parameters = (
         Parameter("log_critical_curvature", "", 3.0, lower=-5.0, upper=10.0, anywhere=True),
-        Parameter("lost_stiffness", "", 1.0, lower=-0.5, upper=1.0),
+        Parameter("lost_stiffness", "", 1.0, lower=0.0, upper=1.0),
     )
 
     def starts(self, measurements):

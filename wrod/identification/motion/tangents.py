@@ -11,10 +11,11 @@ from wrod.identification.motion.start import first_nodes, held_ends
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.linear import banded
 from wrod.kernels.stepping import motion_tangents as kernels
-from wrod.solvers.statics import BandedSystem
+from wrod.solvers.banded import BandedSystem
 
 if TYPE_CHECKING:
-    from wrod.identification.motion.solver import MotionSolver
+    from wrod.identification.motion.solver import MotionRun
+    from wrod.solvers.dynamics import Dynamics
 
 COMPLEX_STEP = 1e-30
 # Inertia of an edge about its axis, per line mass: far too small to be seen.
@@ -35,12 +36,18 @@ def node_columns(node_count: int) -> np.ndarray:
 
 
 class Tangents:
-    """Tangents of a run by every parameter."""
+    """Tangents of a run by every parameter; a follower of its `Dynamics`.
 
-    def __init__(self, solver: MotionSolver, setup, rates, rods, nodes, dofs):
-        self.solver, self.count = solver, len(rates)
-        device = solver.device
-        self.rods, self.nodes, self.dofs = rods, nodes, dofs
+    Args:
+        run: the run, its batch in the first configuration.
+        setup: the model.
+        rates: setups whose imaginary parts are `COMPLEX_STEP` times a parameter's rate.
+    """
+
+    def __init__(self, run: MotionRun, setup, rates):
+        self.run, self.batch, self.count = run, run.batch, len(rates)
+        windows, substeps, device = run.windows, run.substeps, run.device
+        rods, nodes, dofs = run.batch.rod_count, run.batch.node_count, run.batch.dof_count
         P = self.count
 
         def imag(value):
@@ -55,7 +62,7 @@ class Tangents:
                 value = value[:, 1:-1]
             value = np.ascontiguousarray(value)
             self.model[key] = wp.array(value, dtype=kind_of(key), device=device)
-        held = [held_ends(solver.windows, r, solver.substeps) for r in rates]
+        held = [held_ends(windows, r, substeps) for r in rates]
         self.held = wp.array(
             np.ascontiguousarray(np.stack([imag(h[0]) for h in held], axis=2)),
             dtype=wp.vec3d, device=device,
@@ -64,9 +71,7 @@ class Tangents:
             np.stack([np.broadcast_to(imag(r.roll + r.principal_angle), 2) for r in rates]),
             dtype=wp.float64, device=device,
         )  # fmt: skip
-        first = np.stack(
-            [imag(first_nodes(solver.windows, r, solver.substeps)) for r in rates], axis=2
-        )
+        first = np.stack([imag(first_nodes(windows, r, substeps)) for r in rates], axis=2)
         self.first = np.zeros((2, rods, P, dofs))
         self.first[:, :, :, node_columns(nodes)] = first.transpose(1, 0, 2, 3, 4).reshape(
             2, rods, P, -1
@@ -80,135 +85,155 @@ class Tangents:
         self.strain, self.strain_older, self.strain_new = (
             wp.zeros((rods, P, nodes), dtype=wp.vec3d, device=device) for _ in range(3)
         )
-        last = solver.windows.held.shape[1]
         markers = len(setup.marker_node) - 2
-        self.seen = wp.zeros((rods, last, markers, P), dtype=wp.vec3d, device=device)
-
+        self.seen = wp.zeros((rods, windows.held.shape[1], markers, P), wp.vec3d, device=device)
+        self.system = BandedSystem(run.batch)
         # A processor's core takes all columns of a node, a GPU's threads one each.
         self.per_thread = P if wp.get_device(device).is_cpu else 1
         self.groups = -(-P // self.per_thread)
 
     def _launch(self, kernel, dim, inputs, outputs=()):
-        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=self.solver.device)
+        dim = (self.batch.rod_count, *dim)
+        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=self.run.device)
 
-    def _elastic(self, batch, model, c, dt, strain_before, strain_older):
+    def _elastic(self, accepted, coefficient, step, strain_before, strain_older):
         names = ("rest_length", "stretching", "stiffness", "rest_strain", "viscous_time")
         names = (*names, "softening")
-        s = batch.state
+        batch, s = self.batch, self.batch.state
         self._launch(
             kernels.elastic_tangents,
-            (self.rods, self.nodes - 1, self.groups),
-            [model[k] for k in names] + [self.model[k] for k in names]
-            + [wp.vec3d(*c), dt, s.dof, s.director, s.reference_twist]
+            (batch.node_count - 1, self.groups),
+            [self.run.model[k] for k in names] + [self.model[k] for k in names]
+            + [accepted, coefficient, step, s.dof, s.director, s.reference_twist]
             + [strain_before, strain_older, self.strain, self.strain_older, self.per_thread],
-            [self.x.reshape((self.rods * self.count, self.dofs))],
+            [self.x.reshape((batch.rod_count * self.count, batch.dof_count))],
         )  # fmt: skip
 
-    def _solve(self, batch, system):
+    def _solve(self, accepted):
         """x <- solution of the step's matrix for x."""
-        every = batch.every_rod
-        hessian = batch.derivatives.hessian
-        system.factorise(hessian, every)
+        self.system.factorise(self.batch.derivatives.hessian, accepted)
         self._launch(
             banded.solve,
-            (self.rods, self.count),
-            [every, batch.free, system.factor],
+            (self.count,),
+            [accepted, self.batch.free, self.system.factor],
             [self.x],
         )
 
-    def _strains(self, batch, out):
-        s = batch.state
+    def _strains(self, accepted, out):
+        s = self.batch.state
         self._launch(
             kernels.measure_strain_tangents,
-            (self.rods, self.nodes - 2, self.groups),
-            [s.dof, s.director, self.now, self.per_thread],
+            (self.batch.node_count - 2, self.groups),
+            [accepted, s.dof, s.director, self.now, self.per_thread],
             [out],
         )
 
-    def begin(self, batch, model, time, grip_t, strain) -> None:
-        """Tangents of the first configuration: nodes by the setup, angles by their equilibrium."""
-        s = batch.state
-        step = wp.zeros_like(self.now)
+    def _hold(self, accepted, time, out):
+        batch, run = self.batch, self.run
         self._launch(
             kernels.held_tangents,
-            (self.rods, self.count, 2),
-            [self.held, self.roll, s.tangent, grip_t, s.dof, batch.free, time],
-            [step],
+            (self.count, 2),
+            [self.held, self.roll, batch.state.tangent, run.grip_tangent, batch.state.dof]
+            + [batch.free, accepted, time, run.substeps, run.step_rate],
+            [out],
         )
+
+    def begin(self, strain: wp.array) -> None:
+        """Tangents of the first configuration: nodes by the setup, angles by their equilibrium.
+
+        Args:
+            strain: (rod, node) strains there.
+        """
+        batch = self.batch
+        every, rods = batch.every_rod, batch.rod_count
+        step = wp.zeros_like(self.now)
+        self._hold(every, wp.zeros(rods, dtype=wp.float64, device=batch.device), step)
         value = self.first[1].copy()
         ends = [3, -4]
         value[:, :, ends] = step.numpy()[:, :, ends]
         self.step_held.assign(value)
         product = wp.zeros_like(self.x)
-        dim = (self.rods, self.count, self.dofs)
+        dim = (self.count, batch.dof_count)
+        batch.evaluate(order=2)
         hessian = batch.derivatives.hessian
-        self._launch(banded.multiply, dim, [batch.every_rod, hessian, self.step_held], [product])
+        self._launch(banded.multiply, dim, [every, hessian, self.step_held], [product])
         self.x.assign(-product.numpy())
-        self._elastic(batch, model, (0.0, 0.0, 0.0), 1.0, strain, strain)
-        self._solve(batch, BandedSystem(batch))
+        still = wp.zeros(rods, dtype=wp.vec3d, device=batch.device)
+        unit = wp.ones(rods, dtype=wp.float64, device=batch.device)
+        self._elastic(every, still, unit, strain, strain)
+        self._solve(every)
         self.now.assign(self.x.numpy() + value)
-        self._strains(batch, self.strain)
+        self._strains(every, self.strain)
         wp.copy(self.strain_older, self.strain)
         self.step_held.zero_()
 
     def set_velocity(self, h) -> None:
+        """Begin with the difference of the first two frames, `h` apart."""
         now = self.now.numpy().copy()
         earlier = now.copy()
-        columns = node_columns(self.nodes)
+        columns = node_columns(self.batch.node_count)
         earlier[:, :, columns] = self.first[0][:, :, columns]
         self.earliest = earlier
         self.older.assign(earlier)
         self.velocity.assign((now - earlier) / h)
         wp.copy(self.velocity_older, self.velocity)
 
-    def step(self, batch, model, system, c, dt, time, grip_t, history, strains) -> None:
-        """Tangents of the step that the batch has just taken."""
-        s = batch.state
+    def follow(self, dynamics: Dynamics) -> None:
+        """Tangents of the steps that have been accepted."""
+        accepted, batch, model = dynamics.accepted, self.batch, self.run.model
+        if wp.get_device(batch.device).is_cpu and not accepted.numpy().any():
+            return
         names = ("mass", "linear_drag", "quadratic_drag", "gravity")
+        masses, others = names[:1], names[1:]
+        history = [dynamics.start.dof, dynamics.dof_older]
+        history += [dynamics.velocity, dynamics.velocity_older]
+        coefficient, step = dynamics.coefficient, dynamics.step
         self._launch(
             kernels.inertial_tangents,
-            (self.rods, self.nodes, self.count),
-            [model[k] for k in names] + [self.model[k] for k in names]
-            + [SPIN_INERTIA, wp.vec3d(*c), dt, s.dof, *history]
+            (batch.node_count, self.count),
+            [model[k] for k in masses] + [SPIN_INERTIA] + [model[k] for k in others]
+            + [self.model[k] for k in names]
+            + [accepted, coefficient, step, batch.state.dof, *history]
             + [self.now, self.older, self.velocity, self.velocity_older],
             [self.x],
         )  # fmt: skip
-        self._elastic(batch, model, c, dt, *strains)
-        self._launch(
-            kernels.held_tangents,
-            (self.rods, self.count, 2),
-            [self.held, self.roll, s.tangent, grip_t, s.dof, batch.free, time],
-            [self.step_held],
-        )
-        rows = min(7 + HALF_BANDWIDTH, self.dofs)
+        viscosity = dynamics.viscosity
+        self._elastic(accepted, coefficient, step, viscosity.strain, viscosity.strain_older)
+        self._hold(accepted, dynamics.time, self.step_held)
+        rows = min(7 + HALF_BANDWIDTH, batch.dof_count)
         self._launch(
             kernels.subtract_held,
-            (self.rods, self.count, 2 * rows),
-            [batch.derivatives.hessian, self.step_held, rows],
+            (self.count, 2 * rows),
+            [accepted, batch.derivatives.hessian, self.step_held, rows],
             [self.x],
         )
-        self._solve(batch, system)
+        self._solve(accepted)
         self._launch(
             kernels.finish_tangents,
-            (self.rods, self.count, self.dofs),
-            [batch.free, wp.vec3d(*c), dt, self.x, self.step_held],
+            (self.count, batch.dof_count),
+            [accepted, coefficient, step, self.x, self.step_held],
             [self.now, self.older, self.velocity, self.velocity_older],
         )
-        self._strains(batch, self.strain_new)
-        self.strain_older, self.strain, self.strain_new = (
-            self.strain, self.strain_new, self.strain_older,
-        )  # fmt: skip
+        self._strains(accepted, self.strain_new)
+        self._launch(
+            kernels.shift_strain_tangents,
+            (self.count, batch.node_count),
+            [accepted, self.strain_new],
+            [self.strain, self.strain_older],
+        )
 
     def centre(self, h) -> None:
+        """As `MotionRun` centres its velocities."""
         now, middle = self.now.numpy().copy(), self.older.numpy().copy()
         self.velocity.assign((1.5 * now - 2.0 * middle + 0.5 * self.earliest) / h)
         self.velocity_older.assign((now - self.earliest) / (2.0 * h))
 
-    def observe(self, batch, place, offset, frame) -> None:
-        s = batch.state
+    def observe(self, place, offset, frame) -> None:
+        """Record the markers' tangents in a frame."""
+        s = self.batch.state
         self._launch(
             kernels.observe_tangents,
-            (self.rods, place.shape[0], self.count),
+            (place.shape[0], self.count),
             [place, offset, self.model["marker_offset"], s.dof, s.director, self.now, frame],
             [self.seen],
         )

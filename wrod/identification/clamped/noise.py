@@ -1,0 +1,301 @@
+"""The noise of clamped measurements, estimated from what a fitted model leaves.
+
+Readings of one trial may err together: neighbouring markers of a camera system do, and so does
+everything in a trial whose poses were reported wrongly or whose camera was knocked. In units of the
+declared deviations the readings of trial t have the covariance
+
+    C_t = size^2 ((1 - w) I + w exp(-|s_i - s_j| / l)) (markers) + I (wrench) + sum_g a_g^2 U_g U_g'
+
+with U_g what a small displacement or turn of the cameras, of clamp A or of the gripper in that one
+trial does to its readings. Size, share w, correlation length l and the scatters a_g maximise the
+restricted likelihood (Patterson and Thompson 1971): the fitted effects' own freedom is paid for. A
+shape of the residual that comes back in every trial is not noise; it can only pass for noise as far
+as noise of the declared size may have it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from wrod.identification.effect import Model, effects
+
+# Groups of random effects of a trial, in the order of their columns, three each.
+SCATTER = {
+    "camera_offset": "m",
+    "clamp_offset": "m",
+    "clamp_rotation": "rad",
+    "grip_offset": "m",
+    "grip_rotation": "rad",
+}
+# Noise may be this much larger or smaller than declared; what is larger is a misfit.
+_LARGEST, _SMALLEST = 1.25, 0.5
+# A kind of noise is believed where it lowers -2 log (restricted likelihood) by this for each of its
+# parameters: selections of effects rest on it, and white noise is what was declared.
+_PRICE = 6.0
+# In units of the scales below, a scatter that nobody would see.
+_NO_SCATTER = 1e-3
+_SCALES = {"m": 1e-3, "rad": 0.01}
+# A reading is an outlier beyond this many robust deviations from its neighbours along the rod.
+_OUTLIER = 6.0
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """What the readings of a trial have in common; the default is what was declared.
+
+    Attributes:
+        size: standard deviation of a marker coordinate over the declared one.
+        share: of the markers' variance that is correlated along the rod.
+        length: over which that correlation falls to 1/e [m].
+        scatter: standard deviation from trial to trial, by `SCATTER` [m] or [rad].
+    """
+
+    size: float = 1.0
+    share: float = 0.0
+    length: float = 0.0
+    scatter: tuple[float, ...] = (0.0,) * len(SCATTER)
+
+    @property
+    def white(self) -> bool:
+        """Whether it is what was declared."""
+        return self == NoiseModel()
+
+    def near(self, other: NoiseModel) -> bool:
+        """Whether choices made with `other` stand with this noise as well."""
+        mine, theirs = ([n.size, n.share, *n.scatter] for n in (self, other))
+        kinds = [np.array(v) > 0.0 for v in (mine, theirs)]
+        if (kinds[0] != kinds[1]).any():
+            return False
+        apart = abs(np.log((self.length or 1.0) / (other.length or 1.0)))
+        return bool(np.allclose(mine, theirs, rtol=0.3, atol=0.0) and apart < 0.5)
+
+    def described(self) -> str:
+        """A phrase for people; empty where the noise is as declared."""
+        said = []
+        if self.share > 0.0:
+            said.append(
+                f"marker noise {self.size:.2f} times the declared, {100 * self.share:.0f} % of it "
+                f"correlated over {1e3 * self.length:.0f} mm of rod"
+            )
+        for (name, unit), value in zip(SCATTER.items(), self.scatter, strict=True):
+            if value > 0.0:
+                size = f"{1e3 * value:.2g} mm" if unit == "m" else f"{np.degrees(value):.2g} deg"
+                said.append(f"{name.replace('_', ' ')} that changes by {size} from trial to trial")
+        return "; ".join(said)
+
+    def to_dict(self) -> dict:
+        """As `report.json` has it."""
+        return {
+            "size_over_declared": self.size,
+            "correlated_share": self.share,
+            "correlation_length": self.length,
+            "scatter": dict(zip(SCATTER, self.scatter, strict=True)),
+        }
+
+    def markers(self, arc_length: np.ndarray) -> np.ndarray:
+        """(M, M) covariance of one coordinate along the rod, in declared variances."""
+        return _along(self.size, self.share, self.length, arc_length)
+
+
+def _along(size, share, length, arc_length) -> np.ndarray:
+    count = len(arc_length)
+    if share == 0.0:
+        return size**2 * np.eye(count)
+    apart = np.abs(arc_length[:, None] - arc_length[None])
+    return size**2 * ((1.0 - share) * np.eye(count) + share * np.exp(-apart / length))
+
+
+def outliers_of(residual: np.ndarray, noise: float) -> np.ndarray:
+    """(T, M) whether a marker stands apart from its neighbours along the rod in one trial.
+
+    Whatever the model misses moves neighbouring markers alike, so a residual (T, M, 3) [m] is
+    compared with the median of three lines through its neighbours, in units of what such
+    differences are over all trials at that marker.
+    """
+    count = residual.shape[1]
+    if count < 8:
+        return np.zeros(residual.shape[:2], dtype=bool)
+    away = np.empty_like(residual)
+    for m in range(count):
+        lines = []
+        for k in (1, 2, 3):
+            a, b = (m - k, m + k) if k <= m < count - k else (m + k, m + 2 * k)
+            if b >= count:
+                a, b = m - k, m - 2 * k
+            lines.append(residual[:, a] + (residual[:, b] - residual[:, a]) * (m - a) / (b - a))
+        away[:, m] = residual[:, m] - np.nanmedian(lines, axis=0)
+    away = np.nan_to_num(away)
+    spread = np.median(np.abs(away), axis=(0, 2)) / 0.6745
+    limit = _OUTLIER * np.maximum(spread, noise)
+    return (np.abs(away) > limit[:, None]).any(axis=2)
+
+
+def whiteners(noise, arc_length, seen, scatter_rates) -> tuple[np.ndarray, np.ndarray]:
+    """((T, R, R) maps of readings, in declared deviations, to independent ones of variance 1,
+    (T,) effective numbers of independent readings).
+
+    Args:
+        noise: the noise model.
+        arc_length: (M,) of the markers [m].
+        seen: (T, R) readings that exist; the others are mapped to zero.
+        scatter_rates: (T, R, 15) columns of `SCATTER`, in declared deviations; None for no scatter.
+    """
+    trials, readings = seen.shape
+    coordinates = 3 * len(arc_length)
+    common = np.eye(readings)
+    common[:coordinates, :coordinates] = np.kron(noise.markers(arc_length), np.eye(3))
+    out = np.zeros((trials, readings, readings))
+    effective = np.empty(trials)
+    size = np.repeat(noise.scatter, 3)
+    for t in range(trials):
+        own = np.flatnonzero(seen[t])
+        c = common[np.ix_(own, own)]
+        effective[t] = np.trace(c) ** 2 / (c * c).sum()
+        if scatter_rates is not None and size.any():
+            u = scatter_rates[t][own] * size
+            c = c + u @ u.T
+        out[t][np.ix_(own, own)] = np.linalg.inv(np.linalg.cholesky(c))
+    return out, effective
+
+
+def scatter_rates(laboratory, model: Model, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((T, R, P), (T, R, 15)) rates of the model's readings in its parameters and in `SCATTER`."""
+    known = effects()
+    everything = Model((*model.effects, *(known[name] for name in SCATTER)))
+    start = np.concatenate([values, np.zeros(3 * len(SCATTER))])
+    _, rates = laboratory.jacobian(everything, start)
+    return rates[:, :, : len(values)], rates[:, :, len(values) :]
+
+
+def estimate(laboratory, model: Model, values: np.ndarray) -> tuple[NoiseModel, np.ndarray]:
+    """The noise of the train trials given a fitted model, and (T, R, 15) rates of `SCATTER`."""
+    trials = laboratory.measurements.train
+    deviation = laboratory.deviation[trials]
+    own, scatter = scatter_rates(laboratory, model, values)
+    residual = (laboratory.target - laboratory.observe(model, values))[trials] / deviation
+    priors = np.array([p.scale for p in model.parameters])
+    likelihood = _Restricted(
+        laboratory.measurements.arc_length,
+        laboratory.read[trials],
+        residual,
+        own[trials] / deviation[..., None] * priors,
+        scatter[trials] / deviation[..., None],
+    )
+    return likelihood.best(), scatter / laboratory.deviation[..., None]
+
+
+class _Restricted:
+    """-2 log (restricted likelihood) of the noise, about a linearised model.
+
+    Args:
+        residual: (t, R); own: (t, R, P), in units of the priors; scatter: (t, R, 15); all in
+            declared deviations. read: (t, R) which readings exist.
+    """
+
+    def __init__(self, arc_length, read, residual, own, scatter):
+        self.arc_length, self.count = arc_length, len(arc_length)
+        mask = read[..., None]
+        self.columns = np.concatenate([residual[..., None], own, scatter], axis=2) * mask
+        self.full = bool(read.all())
+        self.read, self.width = read, own.shape[2]
+        units = np.repeat([_SCALES[u] for u in SCATTER.values()], 3)
+        self.columns[:, :, 1 + self.width :] *= units
+        self.span = float(arc_length[-1] - arc_length[0])
+
+    def best(self) -> NoiseModel:
+        """The likeliest noise among white, correlated, scattered and both, each paid for."""
+        gap = self.span / max(self.count - 1, 1)
+        along = [(np.log(_SMALLEST), np.log(_LARGEST)), (0.0, 0.999), (np.log(0.3 * gap),
+                 np.log(2.0 * self.span))]  # fmt: skip
+        groups = [(np.log(_NO_SCATTER), np.log(30.0))] * len(SCATTER)
+        start_along = [[0.0, 0.5, np.log(3.0 * gap)], [0.0, 0.9, np.log(8.0 * gap)]]
+        small = [np.log(0.3)] * len(SCATTER)
+        white = self.value(1.0, 0.0, gap, np.zeros(len(SCATTER)))
+        found = [(white, NoiseModel())]
+        for correlated in (False, True):
+            for scattered in (False, True):
+                if not correlated and not scattered:
+                    continue
+                starts = start_along if correlated else [[]]
+                bounds = along * correlated + groups * scattered
+                for start in starts:
+                    first = np.array(start + small * scattered)
+                    result = minimize(
+                        lambda p, c=correlated, s=scattered: self.value(*self._read(p, c, s)),
+                        first, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40},
+                    )  # fmt: skip
+                    size, share, length, own = self._read(result.x, correlated, scattered)
+                    # A scatter that does nothing is none.
+                    own = np.where(own > 20 * _NO_SCATTER, own, 0.0)
+                    own = self._needed((size, share, length), own)
+                    price = _PRICE * (3 * correlated + (own > 0).sum())
+                    units = np.array([_SCALES[u] for u in SCATTER.values()])
+                    noise = NoiseModel(
+                        float(size), float(share), float(length if correlated else 0.0),
+                        tuple((own * units).tolist()),
+                    )  # fmt: skip
+                    found.append((self.value(size, share, length, own) + price, noise))
+        return min(found, key=lambda f: f[0])[1]
+
+    def _needed(self, along, scatter) -> np.ndarray:
+        """The scatters without those that are not worth their price."""
+        scatter = scatter.copy()
+        now = self.value(*along, scatter)
+        for k in np.argsort(scatter):
+            if scatter[k] > 0.0:
+                less = scatter.copy()
+                less[k] = 0.0
+                without = self.value(*along, less)
+                if without < now + _PRICE:
+                    scatter, now = less, without
+        return scatter
+
+    def _read(self, p, correlated, scattered):
+        size, share, length = 1.0, 0.0, 1.0
+        if correlated:
+            size, share, length = np.exp(p[0]), p[1], np.exp(p[2])
+        scatter = np.exp(p[3 * correlated :]) if scattered else np.zeros(len(SCATTER))
+        return size, share, length, scatter
+
+    def value(self, size, share, length, scatter) -> float:
+        """-2 log of the restricted likelihood, up to a constant."""
+        x, log_det = self._whitened(_along(size, share, length, self.arc_length))
+        width = self.width
+        own = x[:, :, : 1 + width]
+        gram = np.einsum("trp,trq->tpq", own, own)
+        if np.any(scatter):
+            u = x[:, :, 1 + width :] * np.repeat(scatter, 3)
+            inner = np.eye(u.shape[2]) + np.einsum("trp,trq->tpq", u, u)
+            cross = np.einsum("trp,trq->tpq", u, own)
+            gram = gram - np.einsum("tpq,tpr->tqr", cross, np.linalg.solve(inner, cross))
+            log_det += float(np.linalg.slogdet(inner)[1].sum())
+        gram = gram.sum(axis=0)
+        square = gram[0, 0]
+        if width:
+            matrix = gram[1:, 1:] + np.eye(width)
+            square -= gram[0, 1:] @ np.linalg.solve(matrix, gram[0, 1:])
+            log_det += float(np.linalg.slogdet(matrix)[1])
+        return float(square + log_det)
+
+    def _whitened(self, along):
+        """Columns in independent readings, and the log determinant of the common covariance."""
+        c = 3 * self.count
+        x = self.columns.copy()
+        trials = len(x)
+        markers = x[:, :c].reshape(trials, self.count, 3, -1)
+        if self.full:
+            factor = np.linalg.cholesky(along)
+            inverse = np.linalg.inv(factor)
+            x[:, :c] = np.einsum("ij,tjkp->tikp", inverse, markers).reshape(trials, c, -1)
+            return x, float(6.0 * trials * np.log(np.diag(factor)).sum())
+        log_det = 0.0
+        for t in range(trials):
+            own = self.read[t, :c:3]
+            factor = np.linalg.cholesky(along[np.ix_(own, own)])
+            log_det += 6.0 * float(np.log(np.diag(factor)).sum())
+            markers[t][own] = np.einsum("ij,jkp->ikp", np.linalg.inv(factor), markers[t][own])
+        x[:, :c] = markers.reshape(trials, c, -1)
+        return x, log_det
