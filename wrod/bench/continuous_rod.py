@@ -21,7 +21,9 @@ from wrod.errors import DataError
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.measurements import measurements_from_arrays
 from wrod.identification.clamped.setup import Setup
+from wrod.rods.law import Linear
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 
 def constant(*values: float) -> Callable:
@@ -93,6 +95,30 @@ def turn_axis(curvature) -> np.ndarray:
     return np.stack([-np.asarray(curvature[1]), curvature[0]])
 
 
+def world_of(rod: RodModel, base: RodMaterial) -> World:
+    """The laboratory in which a piece of `rod` is clamped, seen from the base model."""
+    first, second = rod.bending_stiffness
+    line_mass = base.weight / base.gravity
+    c, r = rod.law.softening
+
+    def law(e):
+        x = 1.0 + c * e * e
+        return e * (r + (1.0 - r) / x), r + (1.0 - r) * (2.0 - x) / (x * x)
+
+    return World(
+        # What resists bending towards one direction is about the other.
+        bending=lambda s: np.stack([second(s), first(s)]) / base.bending_stiffness,
+        principal=rod.principal_angle,
+        twist_profile=lambda s: rod.twisting_stiffness(s) / base.twisting_stiffness,
+        stretching=float(rod.stretching_stiffness.mean(0.0, base.length))
+        / base.stretching_stiffness,
+        curvature=lambda s: turn_axis([k(s) for k in rod.natural_curvature]),
+        twist=float(rod.natural_twist.mean(0.0, base.length)),
+        mass=lambda s: (rod.line_mass(s) - line_mass)[None],
+        law=None if isinstance(rod.law, Linear) else law,
+    )
+
+
 def frames_of(q: np.ndarray) -> np.ndarray:
     """(3, 3, K) rotation matrices of (4, K) quaternions (w, x, y, z), normalised."""
     w, x, y, z = q / np.sqrt((q * q).sum(axis=0))
@@ -113,11 +139,13 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def excess_of(moment: np.ndarray, stiffness: np.ndarray, law: Callable | None, share: float):
     """(2, K) curvatures beyond those at rest that carry (2, K) moments; Newton's method on
-    (1 - share) e + share law(e) = size of moment over stiffness."""
+    (1 - share) e + share law(e) = size of moment over stiffness, sizes weighted by the stiffness as
+    in the energy."""
     excess = moment / stiffness
     if law is None:
         return excess
-    size = np.sqrt((excess**2).sum(axis=0)) + 1e-300
+    weight = stiffness / np.mean(stiffness, axis=0)
+    size = np.sqrt((weight * excess**2).sum(axis=0)) + 1e-300
     e = size.copy()
     for _ in range(60):
         value, slope = law(e)
