@@ -83,7 +83,9 @@ def test_commands_take_the_model(folder, tmp_path):
     assert "line_mass" in result.stderr and "set aside" not in result.stderr
     figures = json.loads(result.stdout)
     assert figures["rod"]["radius"] == 0.003
-    assert np.linalg.norm(figures["rod"]["natural_curvature"]) > 1.0
+    model = json.loads((folder / "model.json").read_text())
+    assert figures["rod"]["natural_curvature"] == model["natural_curvature"] != [0.0, 0.0]
+    assert figures["rod"]["internal_damping"] == model["internal_damping"] > 0.0
     args = ["dataset", "--size", "2", *rod, "--out", str(tmp_path / "grasps"), "--device", "cpu"]
     result = CliRunner().invoke(main, args)
     assert result.exit_code == 0, result.output
