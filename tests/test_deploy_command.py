@@ -68,3 +68,28 @@ def test_bad_input_is_one_sentence(arc, tmp_path, extra, word):
     assert word in result.output
     assert "Traceback" not in result.output
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "pattern, changes, says",
+    [
+        ("line", [], "give the pattern that it was planned for"),
+        (None, ["--lgb", "0.025"], "gravito_bending_length is 0.018 m"),
+        (None, ["--method", "numeric"], "--method does nothing beside --trajectory"),
+        (None, ["--closure", "min_force"], "--closure does nothing beside --trajectory"),
+    ],
+)
+def test_refuses_a_trajectory_of_something_else(arc, tmp_path, pattern, changes, says):
+    rod = wrod.RodMaterial(0.0016, 0.018, 0.25)
+    path = wrod.plan(wrod.Pattern.load(arc), rod, "intuitive").save(tmp_path / "plan")[1]
+    args = ["deploy", pattern or str(arc), *SHORT, "--trajectory", str(path), *changes]
+    result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "o")])
+    assert result.exit_code == 2
+    assert says in result.output
+    assert not (tmp_path / "o").exists()
+
+
+def test_refuses_a_closure_that_the_intuitive_method_ignores(arc, tmp_path):
+    args = ["deploy", str(arc), *SHORT, "--method", "intuitive", "--closure", "min_force"]
+    result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "o")])
+    assert result.exit_code == 2 and "--closure does nothing" in result.output

@@ -253,14 +253,14 @@ def test_a_disturbance_moves_the_robot_as_a_whole(plans):
     from scipy.spatial.transform import Rotation
 
     from wrod.deployment.setup import Disturbance
-    from wrod.deployment.simulate import _prepare
+    from wrod.deployment.simulate import prepare_trials
 
     pattern, by_method = plans
     disturbance = Disturbance(offset=(0.002, -0.003), yaw=0.05)
     shaken = Disturbance(jitter=0.001, offset=(0.002, -0.003), yaw=0.05, seed=3)
     plan = pattern, ROD, by_method["numeric"], wrod.Friction(0.5)
     rest = tail(pattern, ROD, by_method["numeric"])
-    setups = _prepare(
+    setups = prepare_trials(
         [Trial(*plan, d, rest) for d in (Disturbance(), disturbance, shaken)],
         *(0.05, 0.1, 0.03, 0.006, None),
     )

@@ -67,7 +67,6 @@ def changed(index, axis, by):
         (changed(30, 2, 0.05), "line 31: .*one horizontal plane"),
         (changed(30, 1, 0.005), "line 31: .*spike of curvature"),
         (changed(30, 1, 0.0012), "line 31: .*spike of curvature"),
-        ([[0, 0], [0.1, 0], [0.2, 0], [0.2, 0.1], [0.2, 0.2]], "line 3: .*90 degrees"),
     ],
 )
 def test_bad_points_are_named_by_file_and_line(tmp_path, points, says):
@@ -135,3 +134,60 @@ def test_few_points_make_a_curve_through_them(count):
     pattern = wrod.Pattern.from_points(points)
     assert pattern.length == pytest.approx(0.16, rel=2e-3)
     np.testing.assert_allclose(pattern.sample(pattern.length)[0][0, :2], points[-1], atol=1e-4)
+
+
+CORNERS = np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0.4, 0.2]])
+
+
+def test_four_points_are_the_lines_between_them():
+    pattern = wrod.Pattern.from_points(CORNERS)
+    far, _ = pattern.departure()
+    assert far < 1e-3  # two turns of 2 mm each; a curve through the four was off by 35 mm
+    assert pattern.length == pytest.approx(0.6, abs=2e-3)
+    position = pattern.sample([0.1, 0.3, 0.5])[0][:, :2]
+    np.testing.assert_allclose(position, [[0.1, 0], [0.2, 0.1], [0.3, 0.2]], atol=1e-3)
+
+
+def test_corner_among_many_points_is_no_spike():
+    leg = np.linspace(0.0, 0.2, 41)
+    points = np.concatenate(
+        [np.column_stack([leg, 0 * leg]), np.column_stack([0.2 + 0 * leg, leg])[1:]]
+    )
+    pattern = wrod.Pattern.from_points(points)
+    assert pattern.departure()[0] < 5e-4
+
+
+def test_points_of_a_circle_stay_a_curve():
+    angle = np.linspace(0.0, 1.5 * np.pi, 12)
+    points = 0.1 * np.column_stack([np.cos(angle), np.sin(angle)])
+    curvature = wrod.Pattern.from_points(points).sample(np.linspace(0.05, 0.4, 50))[2]
+    assert np.abs(curvature - 10.0).max() < 0.5
+    # ... and says how far it leaves the chords: a sagitta.
+    assert wrod.Pattern.from_points(points).departure()[0] == pytest.approx(
+        0.1 * (1 - np.cos(0.75 * np.pi / 11)), rel=0.2
+    )
+
+
+def test_scaled_pattern_is_similar():
+    pattern = wrod.Pattern.from_points(POINTS)
+    half = pattern.scaled(0.5)
+    s = np.linspace(0.0, pattern.length, 60)
+    assert half.length == pytest.approx(pattern.length / 2)
+    here, there = (p.sample(t) for p, t in ((pattern, s), (half, s / 2)))
+    np.testing.assert_allclose(there[0] - there[0][0], (here[0] - here[0][0]) / 2, atol=1e-6)
+    np.testing.assert_allclose(there[2], 2 * here[2], atol=1e-4)
+
+
+@pytest.mark.parametrize("row", ["{x};{y}", "{x} {y}", "{x}\t{y}"])
+def test_decimal_commas_are_understood(tmp_path, row):
+    path = tmp_path / "p.csv"
+    lines = [row.format(x=f"{x:.6f}", y=f"{y:.6f}").replace(".", ",") for x, y in POINTS]
+    path.write_text("\n".join(lines))
+    assert wrod.Pattern.load(path).length == pytest.approx(LENGTH, rel=1e-4)
+
+
+def test_decimal_commas_between_commas_are_refused(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("\n".join(f"0,{int(1e4 * x)},0,{int(1e4 * y + 500)}" for x, y in POINTS))
+    with pytest.raises(PatternError, match=r"p\.csv, line 1: .*decimal commas"):
+        wrod.Pattern.load(path)

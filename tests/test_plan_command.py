@@ -30,12 +30,12 @@ def test_plan_writes_trajectory_and_picture(tmp_path, name):
 def test_json_has_the_figures_of_the_plan(tmp_path):
     result = run(
         "sine", "--radius", 0.0016, "--lgb", 0.03, "--length", 0.9, "--method", "intuitive",
-        "--out", tmp_path, "--json", "--friction", 0.4, "--no-remainder",
+        "--out", tmp_path, "--json", "--no-remainder",
     )  # fmt: skip
     figures = json.loads(result.stdout)
     assert figures["rod"]["gravito_bending_length"] == 0.03
     assert figures["remainder_length"] == 0.0
-    assert figures["insufficient_friction"] and figures["required_friction"] > 0.4
+    assert figures["required_friction"] > 0.4
     assert figures["highest_grip"] == pytest.approx(0.9)
 
 
@@ -105,17 +105,65 @@ def test_main_command_ends_in_joint_path_scene_and_picture(tmp_path):
 @pytest.mark.parametrize(
     "arguments, says",
     [
-        (("--placement", "2,0,-0.3,0"), "out of reach at node"),
         (("--placement", "table"), "placement 'table' is not 'auto'"),
         (("--robot", "gone.urdf"), "gone.urdf: no such URDF file"),
+        (("--robot", "baxter"), "known robots: sawyer, panda, ur5e"),
+        (("--flange", "elbow"), "no link 'elbow' for the gripper's flange"),
+        (("--table-height", "nan"), "--table-height is nan"),
+        (("--speed", "0"), "--speed is 0"),
+        (("--obstacles", "gone.json"), "gone.json: not a readable file of obstacles"),
+        (("--no-robot", "--tip", "hand"), "--tip belong to an arm"),
+        (("--export", "karel"), "unknown format 'karel'"),
+        (("--placement", "1,0,0,0", "--table-height", "0"), "drop --table-height"),
     ],
 )
-def test_arm_that_cannot_is_one_sentence_and_writes_nothing(tmp_path, arguments, says):
+def test_what_cannot_work_is_refused_before_anything_is_solved(
+    tmp_path, monkeypatch, arguments, says
+):
+    def solved(*_, **__):
+        raise AssertionError("solved")
+
+    monkeypatch.setattr("wrod.planning.plan.plan", solved)
     out = tmp_path / "out"
-    fixed = ["plan", "line", "--rod", "rope", "--method", "intuitive", "--out", str(out)]
-    result = CliRunner().invoke(main, [*fixed, *arguments])
+    result = CliRunner().invoke(
+        main, ["plan", "line", "--rod", "rope", "--out", str(out), *arguments]
+    )
     assert result.exit_code == 2 and says in result.stderr
     assert result.stderr.count("\n") == 1 and not out.exists()
+
+
+def test_plan_without_a_joint_path_is_kept(tmp_path):
+    fixed = ["plan", "line", "--rod", "rope", "--method", "intuitive", "--out", str(tmp_path)]
+    result = CliRunner().invoke(main, [*fixed, "--placement", "2,0,-0.3,0", "--no-remedy"])
+    assert result.exit_code == 3 and "out of reach at node" in result.stderr
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"trajectory.csv", "trajectory.npz", "preview.png", "reach.png"}
+    assert len(Trajectory.load(tmp_path / "trajectory.npz")) > 100
+
+
+def test_corners_are_rounded_and_said(tmp_path):
+    drawing = tmp_path / "l.csv"
+    drawing.write_text("x [mm],y [mm]\n0,0\n250,0\n250,250\n")
+    options = (drawing, "--rod", "green-vps", "--method", "intuitive", "--json")
+    result = run(*options, "--out", tmp_path / "o")
+    figures = json.loads(result.stdout)
+    assert figures["rounding"]["bound"] == pytest.approx(3.0 / 0.032)
+    assert 0.0005 < figures["rounding"]["largest"] < 0.01
+    assert figures["largest_curvature"] < 3.0 / 0.032 * 1.001
+    assert "rounded" in figures["notes"][0]
+    result = run(*options, "--tolerance", 0.0002, "--out", tmp_path / "p")
+    assert result.exit_code == 2 and "--tolerance" in result.stderr
+    assert not (tmp_path / "p").exists()
+
+
+def test_too_long_a_pattern_names_a_size_that_fits(tmp_path):
+    drawing = tmp_path / "long.csv"
+    drawing.write_text("x,y\n0,0\n0.6,0\n0.6,0.6\n")
+    options = (drawing, "--rod", "green-vps", "--method", "intuitive")
+    result = run(*options, "--out", tmp_path / "o")
+    assert result.exit_code == 2 and "a rod as stiff of 1.2" in result.stderr
+    factor = result.stderr.split("--resize ")[1].split("`")[0]
+    assert run(*options, "--resize", factor, "--out", tmp_path / "o").exit_code == 0
 
 
 def test_default_plan_has_shapes_to_draw_unless_told_not_to(tmp_path):

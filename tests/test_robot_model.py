@@ -172,7 +172,23 @@ def test_own_urdf_gets_the_gripper_on_its_last_link(tmp_path):
     from wrod.robot.collision import CollisionModel
 
     model = CollisionModel(arm)
-    assert "k6" in model.links and 0.02 < model.radius[model.links.index("k6")] < 0.06
+    mine = [k for k, link in enumerate(model.links) if link == "k6"]
+    corners = 1e-3 * np.array([[0, 0, 0], [30, 0, 0], [0, 30, 0], [0, 0, 60]])
+    weights = np.random.default_rng(1).dirichlet(np.ones(4), 2000)
+    start, end, radius = model._start[mine], model._end[mine], model.radius[mine]
+    assert covers(start, end, radius, weights @ corners)
+    # ... and not much more: a hundredth of a litre of tetrahedron in capsules of a few.
+    volume = (np.pi * radius**2 * (np.linalg.norm(end - start, axis=1) + 4 / 3 * radius)).sum()
+    assert volume < 12 * 0.03 * 0.03 * 0.06 / 6
+
+
+def covers(start, end, radius, points):
+    """Whether every point is in one of the capsules."""
+    axis = end - start
+    share = np.einsum("nkx,kx->nk", points[:, None] - start, axis)
+    share = np.clip(share / np.maximum((axis**2).sum(1), 1e-12), 0, 1)
+    off = np.linalg.norm(points[:, None] - start - share[..., None] * axis, axis=2)
+    return bool((off <= radius + 1e-6).any(1).all())
 
 
 @pytest.mark.parametrize(

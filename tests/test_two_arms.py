@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError
 from wrod.robot.arm import Arm
-from wrod.robot.collision import CollisionModel, capsule_of
+from wrod.robot.capsules import capsules_of
+from wrod.robot.collision import CollisionModel
 from wrod.robot.hold_path import Follower, follow
 from wrod.robot.holds import Hand, HandFilm, find_grasps, find_holds
 from wrod.robot.model import load_robot
@@ -99,7 +100,7 @@ def sampled(arms, number: int, codes) -> list[np.ndarray]:
     base = arms.placements[number].world_from_base
     out = []
     for shape in arms.robot.shapes("collision"):
-        start, end, radius = capsule_of(shape)
+        ((start, end, radius),) = capsules_of(shape)
         local = start + np.linspace(0.0, 1.0, 25)[:, None] * (end - start)
         frames = base @ poses[shape.link]
         points = np.einsum("kij,nj->kni", frames[:, :3, :3], local) + frames[:, None, :3, 3]

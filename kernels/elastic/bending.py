@@ -19,6 +19,7 @@ as much as computing.
 import warp as wp
 from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_gradient, add_edge_hessian
 from wrod.kernels.elastic.curvature import (
+    Stencil,
     add_component_rate,
     add_invariant_rate,
     component,
@@ -50,55 +51,49 @@ class Law:
     coupling: wp.float64
 
 
-def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
-    """The kernel of the linear law, or that of a `law` (excess, stiffness, its numbers) -> `Law`.
+@wp.struct
+class Bending:
+    """Energy of the bending at one node and its derivatives.
 
-    What only a law needs is left out of the linear kernel when it is built, which grasps notice.
+    Letters e and f are the turning of the tangents before and after the node, te and tf the angles
+    of these edges; two letters are second derivatives, in that order.
     """
 
-    @wp.kernel
-    def elasticity(
-        # Model:
-        rest_length: wp.array2d(dtype=wp.float64),
-        stretching_stiffness: wp.array2d(dtype=wp.float64),
-        bending_stiffness: wp.array2d(dtype=wp.vec2d),
-        invariant_stiffness: wp.array2d(dtype=wp.vec2d),
-        natural_curvature: wp.array2d(dtype=wp.vec2d),
-        law_parameter: wp.array2d(dtype=wp.vec2d),
-        twisting_stiffness: wp.array2d(dtype=wp.float64),
-        natural_twist: wp.array2d(dtype=wp.float64),
-        # State in:
-        active: wp.array(dtype=wp.int32),
-        dof_in: wp.array2d(dtype=wp.float64),
-        director_in: wp.array2d(dtype=wp.vec3d),
-        reference_twist_in: wp.array2d(dtype=wp.float64),
+    energy: wp.float64
+    g_e: wp.vec3d
+    g_f: wp.vec3d
+    g_te: wp.float64
+    g_tf: wp.float64
+    ee: wp.mat33d
+    ef: wp.mat33d
+    ff: wp.mat33d
+    e_te: wp.vec3d
+    f_te: wp.vec3d
+    e_tf: wp.vec3d
+    f_tf: wp.vec3d
+    te_te: wp.float64
+    te_tf: wp.float64
+    tf_tf: wp.float64
+
+
+def make_bending(law: wp.Function | None = None) -> wp.Function:
+    """Bending at a node by the linear law, or by a `law` (excess, stiffness, its numbers) -> `Law`.
+
+    What only a law needs is left out of the linear one when it is built.
+    """
+
+    @wp.func
+    def bending(
+        s: Stencil,
+        rest: wp.float64,
+        principal: wp.vec2d,
+        natural: wp.vec2d,
+        parameter: wp.vec2d,
+        invariant: wp.vec2d,
         order: int,
-        # Out:
-        energy_out: wp.array(dtype=wp.float64),
-        gradient_out: wp.array2d(dtype=wp.float64),
-        hessian_out: wp.array3d(dtype=wp.float64),
-    ):
-        """Add energy and gradient, and the exact Hessian if `order` is 2.
-
-        The invariant K has the mean of `invariant_stiffness`: that of the material, while the other
-        may be one that stands for a viscous material in a step.
-
-        Every inner node adds the stretching of the edge before it, the last that after it as well.
-        """
-        r, j = wp.tid()
-        if active[r] == 0:
-            return
-        i = j + 1
-        last = i == stretching_stiffness.shape[1] - 1
-        if bending_stiffness[r, i][0] == ZERO:  # at a cut
-            for e in range(i - 1, wp.where(last, i + 1, i)):
-                add_stretching(
-                    rest_length, stretching_stiffness, dof_in, r, e, order,
-                    energy_out, gradient_out, hessian_out,
-                )  # fmt: skip
-            return
-        s = stencil(dof_in, director_in, r, i)
-        rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
+    ) -> Bending:
+        """Of stiffnesses `principal`, curvature `natural` at rest; `invariant` are the stiffnesses
+        whose mean the invariant K has. Second derivatives if `order` is 2."""
         cosine = wp.dot(s.t, s.u)
         chi = ONE + cosine
         grad_chi_e = perpendicular(s.u, s.t)
@@ -121,24 +116,24 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
         te_tf = ZERO
         tf_tf = ZERO
         if wp.static(law is not None):
-            excesses = excess_curvature(s, rest, natural_curvature[r, i])
-            here = law(excesses, bending_stiffness[r, i], law_parameter[r, i])
+            excesses = excess_curvature(s, rest, natural)
+            here = law(excesses, principal, parameter)
             # Gradient of sum_k B_k e_k^2 / 2, times l.
             q_e = wp.vec3d(ZERO, ZERO, ZERO)
             q_f = wp.vec3d(ZERO, ZERO, ZERO)
             q_te = ZERO
             q_tf = ZERO
 
-        average = HALF * (invariant_stiffness[r, i][0] + invariant_stiffness[r, i][1])
+        average = HALF * (invariant[0] + invariant[1])
         mean = average / rest
         for k in range(2):
-            stiffness = bending_stiffness[r, i][k]
-            isotropic = stiffness == average and natural_curvature[r, i][k] == ZERO
+            stiffness = principal[k]
+            isotropic = stiffness == average and natural[k] == ZERO
             if wp.static(law is not None):
                 isotropic = False
             if not isotropic:  # all is in the invariant
                 c = component(s, k)
-                excess = c.kappa / rest - natural_curvature[r, i][k]
+                excess = c.kappa / rest - natural[k]
                 moment = stiffness * excess
                 work = HALF * moment * excess * rest
                 if wp.static(law is not None):
@@ -213,17 +208,97 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
                 te_tf += b * q_te * q_tf
                 tf_tf += b * q_tf * q_tf
 
+        out = Bending()
+        out.energy = energy
+        out.g_e = g_e
+        out.g_f = g_f
+        out.g_te = g_te
+        out.g_tf = g_tf
+        out.ee = ee
+        out.ef = ef
+        out.ff = ff
+        out.e_te = e_te
+        out.f_te = f_te
+        out.e_tf = e_tf
+        out.f_tf = f_tf
+        out.te_te = te_te
+        out.te_tf = te_tf
+        out.tf_tf = tf_tf
+        return out
+
+    return bending
+
+
+def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
+    """The kernel of the linear law, or that of a `law` (excess, stiffness, its numbers) -> `Law`.
+
+    What only a law needs is left out of the linear kernel when it is built, which grasps notice.
+    """
+
+    bending = make_bending(law)
+
+    @wp.kernel
+    def elasticity(
+        # Model:
+        rest_length: wp.array2d(dtype=wp.float64),
+        stretching_stiffness: wp.array2d(dtype=wp.float64),
+        bending_stiffness: wp.array2d(dtype=wp.vec2d),
+        invariant_stiffness: wp.array2d(dtype=wp.vec2d),
+        natural_curvature: wp.array2d(dtype=wp.vec2d),
+        law_parameter: wp.array2d(dtype=wp.vec2d),
+        twisting_stiffness: wp.array2d(dtype=wp.float64),
+        natural_twist: wp.array2d(dtype=wp.float64),
+        # State in:
+        active: wp.array(dtype=wp.int32),
+        dof_in: wp.array2d(dtype=wp.float64),
+        director_in: wp.array2d(dtype=wp.vec3d),
+        reference_twist_in: wp.array2d(dtype=wp.float64),
+        order: int,
+        # Out:
+        energy_out: wp.array(dtype=wp.float64),
+        gradient_out: wp.array2d(dtype=wp.float64),
+        hessian_out: wp.array3d(dtype=wp.float64),
+    ):
+        """Add energy and gradient, and the exact Hessian if `order` is 2.
+
+        The invariant K has the mean of `invariant_stiffness`: that of the material, while the other
+        may be one that stands for a viscous material in a step.
+
+        Every inner node adds the stretching of the edge before it, the last that after it as well.
+        """
+        r, j = wp.tid()
+        if active[r] == 0:
+            return
+        i = j + 1
+        last = i == stretching_stiffness.shape[1] - 1
+        if bending_stiffness[r, i][0] == ZERO:  # at a cut
+            for e in range(i - 1, wp.where(last, i + 1, i)):
+                add_stretching(
+                    rest_length, stretching_stiffness, dof_in, r, e, order,
+                    energy_out, gradient_out, hessian_out,
+                )  # fmt: skip
+            return
+        s = stencil(dof_in, director_in, r, i)
+        rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
+        bend = bending(
+            s,
+            rest,
+            bending_stiffness[r, i],
+            natural_curvature[r, i],
+            law_parameter[r, i],
+            invariant_stiffness[r, i],
+            order,
+        )
         inv_e = ONE / s.length_e
         inv_f = ONE / s.length_f
-        twist = twisting(
-            twisting_stiffness[r, i], natural_twist[r, i], rest, s, dof_in, reference_twist_in, r, i
-        )
+        tau = dof_in[r, 4 * i + 3] - dof_in[r, 4 * i - 1] + reference_twist_in[r, i]
+        twist = twisting(twisting_stiffness[r, i], natural_twist[r, i], rest, s, tau)
         before = stretching(stretching_stiffness[r, i - 1], rest_length[r, i - 1], s.length_e, s.t)
-        energy += before.energy + twist.energy
-        g_e = inv_e * g_e + twist.moment * twist.e + before.gradient
-        g_f = inv_f * g_f + twist.moment * twist.f
-        ee = (inv_e * inv_e) * ee + before.hessian
-        ff = (inv_f * inv_f) * ff
+        energy = bend.energy + before.energy + twist.energy
+        g_e = inv_e * bend.g_e + twist.moment * twist.e + before.gradient
+        g_f = inv_f * bend.g_f + twist.moment * twist.f
+        ee = (inv_e * inv_e) * bend.ee + before.hessian
+        ff = (inv_f * inv_f) * bend.ff
         if last:
             after = stretching(stretching_stiffness[r, i], rest_length[r, i], s.length_f, s.u)
             energy += after.energy
@@ -231,24 +306,24 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
             ff += after.hessian
         wp.atomic_add(energy_out, r, energy)
         add_edge_gradient(gradient_out, r, i, g_e, g_f)
-        wp.atomic_add(gradient_out, r, 4 * i - 1, g_te - twist.moment)
-        wp.atomic_add(gradient_out, r, 4 * i + 3, g_tf + twist.moment)
+        wp.atomic_add(gradient_out, r, 4 * i - 1, bend.g_te - twist.moment)
+        wp.atomic_add(gradient_out, r, 4 * i + 3, bend.g_tf + twist.moment)
         if order == 2:
             b = twist.stiffness
             twist_ee, twist_ef, twist_ff = twisting_hessian(s, twist)
-            ef = (inv_e * inv_f) * ef
+            ef = (inv_e * inv_f) * bend.ef
             add_edge_hessian(hessian_out, r, i, ee + twist_ee, ef + twist_ef, ff + twist_ff)
             add_angle_hessian(
                 hessian_out,
                 r,
                 i,
-                inv_e * e_te - b * twist.e,
-                inv_f * f_te - b * twist.f,
-                inv_e * e_tf + b * twist.e,
-                inv_f * f_tf + b * twist.f,
-                te_te + b,
-                te_tf - b,
-                tf_tf + b,
+                inv_e * bend.e_te - b * twist.e,
+                inv_f * bend.f_te - b * twist.f,
+                inv_e * bend.e_tf + b * twist.e,
+                inv_f * bend.f_tf + b * twist.f,
+                bend.te_te + b,
+                bend.te_tf - b,
+                bend.tf_tf + b,
             )
 
     return elasticity

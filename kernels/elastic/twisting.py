@@ -36,12 +36,9 @@ def twisting(
     rest: wp.float64,
     # State in:
     s: Stencil,
-    dof: wp.array2d(dtype=wp.float64),
-    reference_twist: wp.array2d(dtype=wp.float64),
-    r: int,
-    i: int,
+    tau: wp.float64,
 ) -> Twisting:
-    tau = dof[r, 4 * i + 3] - dof[r, 4 * i - 1] + reference_twist[r, i]
+    """At the twist `tau` across the node [rad]."""
     excess = tau / rest - natural_twist
     # Half the curvature binormal.
     turn = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))

@@ -25,7 +25,6 @@ def lay_mesh(
     # In:
     length: wp.array(dtype=wp.float64),
     stretch_ratio: wp.array(dtype=wp.float64),
-    first: int,
     edges: int,
     # Out:
     rest_out: wp.array2d(dtype=wp.float64),
@@ -36,7 +35,7 @@ def lay_mesh(
     `wrod.grasps.mesh.rest_lengths`. The tolerance is what rounding positions leaves: in the
     stiffest edge, over the whole rod, and in the sharpest bend, near the contact."""
     r = wp.tid()
-    total = length[first + r]
+    total = length[r]
     growth = wp.log(ONE + total / GRADING)
     s = wp.float64(0.0)
     s_rate = wp.float64(0.0)
@@ -51,7 +50,7 @@ def lay_mesh(
         s = end
         s_rate = end_rate
     h = rest_out[r, 0]
-    rounding = stretch_ratio[first + r] / h * total
+    rounding = stretch_ratio[r] / h * total
     rounding += wp.float64(4.0) / (h * h * h) * wp.min(total, wp.float64(5.0))
     tolerance_out[r] = wp.max(TOLERANCE, ROUNDING * rounding)
 
@@ -67,6 +66,7 @@ def hang_straight(
     shape_out: wp.array3d(dtype=wp.float64),
     curvature_out: wp.array(dtype=wp.float64),
     thrust_out: wp.array(dtype=wp.float64),
+    family_out: wp.array2d(dtype=wp.float64),
 ):
     """Shape near the grasp of a straight pattern, for Newton's method to start from.
 
@@ -108,6 +108,11 @@ def hang_straight(
         s += h
     curvature_out[r] = ZERO
     thrust_out[r] = ZERO
+    # The family of grasps: at first along the thrust, and as steep as Gauss and Newton have it.
+    for i in range(4):
+        family_out[r, i] = ZERO
+    family_out[r, 4] = ONE
+    family_out[r, 5] = ONE
 
 
 @wp.func
@@ -139,6 +144,7 @@ def refine(
     curvature: wp.array(dtype=wp.float64),
     shape: wp.array3d(dtype=wp.float64),
     thrust: wp.array(dtype=wp.float64),
+    family: wp.array2d(dtype=wp.float64),
     # Solved on half the edges as well, or 0:
     ahead: int,
     coarse: wp.array3d(dtype=wp.float64),
@@ -147,6 +153,7 @@ def refine(
     shape_out: wp.array3d(dtype=wp.float64),
     curvature_out: wp.array(dtype=wp.float64),
     thrust_out: wp.array(dtype=wp.float64),
+    family_out: wp.array2d(dtype=wp.float64),
 ):
     """Guess on a mesh of twice the edges. Errors fall by four from mesh to mesh: where two are
     solved, a third of their difference, over four, goes on top."""
@@ -170,6 +177,8 @@ def refine(
     if ahead != 0:
         pull += share * (pull - coarse_thrust[r])
     thrust_out[r] = pull
+    for i in range(6):
+        family_out[r, i] = family[r, i]
     kappa = curvature[r]
     curvature_out[r] = kappa
     length = wp.length(point(shape_out, r, 1))
@@ -186,10 +195,12 @@ def coarsen(
     curvature: wp.array(dtype=wp.float64),
     shape: wp.array3d(dtype=wp.float64),
     thrust: wp.array(dtype=wp.float64),
+    family: wp.array2d(dtype=wp.float64),
     # Out:
     shape_out: wp.array3d(dtype=wp.float64),
     curvature_out: wp.array(dtype=wp.float64),
     thrust_out: wp.array(dtype=wp.float64),
+    family_out: wp.array2d(dtype=wp.float64),
 ):
     """Guess on a mesh of half the edges: every other node."""
     thread = wp.tid()
@@ -199,6 +210,8 @@ def coarsen(
     for i in range(edges // 2 + 1):
         put_point(shape_out, r, i, point(shape, r, 2 * i))
     thrust_out[r] = thrust[r]
+    for i in range(6):
+        family_out[r, i] = family[r, i]
     kappa = curvature[r]
     curvature_out[r] = kappa
     length = wp.length(point(shape_out, r, 1))
@@ -222,25 +235,44 @@ def list_unsolved(
 
 
 @wp.kernel
+def expect_work(
+    # In:
+    curvature: wp.array(dtype=wp.float64),
+    first: int,
+    # Out:
+    key_out: wp.array(dtype=wp.float32),
+    order_out: wp.array(dtype=wp.int32),
+):
+    """Rows `first` on, and keys that bring those of the same number of iterations together, most
+    first: neighbouring threads of a GPU wait for each other."""
+    r = wp.tid()
+    key_out[r] = -wp.float32(wp.abs(curvature[first + r]))
+    order_out[r] = first + r
+
+
+@wp.kernel
 def take_inputs(
     # In:
     length: wp.array(dtype=wp.float64),
     curvature: wp.array(dtype=wp.float64),
     stretch_ratio: wp.array(dtype=wp.float64),
-    first: int,
+    order: wp.array(dtype=wp.int32),
     rods: int,
     # Out:
+    length_out: wp.array(dtype=wp.float64),
     stretch_ratio_out: wp.array(dtype=wp.float64),
     target_out: wp.array(dtype=wp.float64),
     weight_out: wp.array(dtype=wp.float64),
     work_out: wp.array(dtype=wp.int32),
     count_out: wp.array(dtype=wp.int32),
 ):
-    """Rows `first` on; right turns are solved as left turns of the mirrored rod."""
+    """Inputs in the order of work; right turns are solved as left turns of the mirrored rod."""
     r = wp.tid()
-    stretch_ratio_out[r] = stretch_ratio[first + r]
-    target_out[r] = wp.abs(curvature[first + r])
-    weight_out[r] = WEIGHT * length[first + r]
+    row = order[r]
+    length_out[r] = length[row]
+    stretch_ratio_out[r] = stretch_ratio[row]
+    target_out[r] = wp.abs(curvature[row])
+    weight_out[r] = WEIGHT * length[row]
     work_out[r] = r
     if r == 0:
         count_out[0] = rods

@@ -116,6 +116,58 @@ def read_straight(
     turning_out[r] = turning
 
 
+@wp.kernel
+def read_general(
+    # In:
+    edges: int,
+    rest: wp.array2d(dtype=wp.float64),
+    natural_curvature: wp.array2d(dtype=wp.vec2d),
+    roll: wp.array(dtype=wp.float64),
+    state: wp.array3d(dtype=wp.float64),
+    # Out:
+    rotation_out: wp.array2d(dtype=wp.float64),
+    lowest_out: wp.array(dtype=wp.float64),
+    turning_out: wp.array(dtype=wp.float64),
+    twist_out: wp.array(dtype=wp.float64),
+):
+    """As `read_straight` for a rod with directors of its own, and the twist from contact to grip.
+
+    Over the last half edge the curvature falls linearly to the natural one, and the twist goes on
+    as it was. The frame stands `roll` before the first director, as at the contact.
+    """
+    r = wp.tid()
+    lowest = wp.float64(0.0)
+    turning = wp.float64(0.0)
+    twist = wp.float64(0.0)
+    t = wp.normalize(point(state, r, 1) - point(state, r, 0))
+    before = wp.vec3d(t)
+    for j in range(1, edges):
+        u = wp.normalize(point(state, r, j + 1) - point(state, r, j))
+        turning += wp.atan2(wp.length(wp.cross(t, u)), wp.dot(t, u))
+        lowest = wp.min(lowest, state[r, j + 1, 2])
+        twist += state[r, j, 6]
+        before = t
+        t = u
+    m1 = wp.vec3d(state[r, edges - 1, 3], state[r, edges - 1, 4], state[r, edges - 1, 5])
+    m2 = wp.cross(t, m1)
+    h = rest[r, edges - 2]
+    g = rest[r, edges - 1]
+    last = state[r, edges - 1, 6] * g / (h + g)
+    inner = TWO / (ONE + wp.dot(before, t)) / (HALF * (h + g)) * wp.cross(before, t)
+    natural = natural_curvature[r, edges - 1]
+    own = wp.cross(t, natural[0] * m1 + natural[1] * m2)
+    bend = HALF * g * own + (g / wp.float64(8.0)) * (inner - own) + last * t
+    up = wp.cos(roll[r]) * m1 - wp.sin(roll[r]) * m2
+    x = rotate_by(bend, t)
+    z = rotate_by(bend, up)
+    v = rotation_vector(x, wp.cross(z, x), z)
+    for c in range(3):
+        rotation_out[r, c] = v[c]
+    lowest_out[r] = wp.min(lowest, state[r, 1, 2])
+    turning_out[r] = turning
+    twist_out[r] = twist + last
+
+
 @wp.func
 def rotation_rate(
     rest: wp.array2d(dtype=wp.float64),
@@ -224,14 +276,14 @@ def judge(
     edges: int,
     rest: wp.array2d(dtype=wp.float64),
     curvature: wp.array(dtype=wp.float64),
-    first: int,
+    order: wp.array(dtype=wp.int32),
     # Out:
     out: Results,
 ):
-    """Combine both meshes (Richardson) into rows `first` on of the results, mirror right turns, and
+    """Combine both meshes (Richardson) into the results' rows, mirror right turns, and
     say which are results: admissible, stable and on the gentle branch."""
     r = wp.tid()
-    row = first + r
+    row = order[r]
     c = wp.float64(0.0)
     f = wp.float64(1.0)
     if extrapolate != 0:

@@ -2,6 +2,7 @@
 
 import warp as wp
 from wrod.kernels.elastic.frames import ONE, ZERO
+from wrod.kernels.grasping.bordered import make_border
 from wrod.kernels.grasping.closures import CONVERGED
 from wrod.kernels.grasping.contact_edge import (
     first_direction,
@@ -11,11 +12,7 @@ from wrod.kernels.grasping.contact_edge import (
 )
 from wrod.kernels.grasping.iteration import (
     Scratch,
-    border,
-    eliminate,
     ghost_load,
-    recover,
-    vector5,
 )
 from wrod.kernels.grasping.reading import rotation_rate
 from wrod.kernels.grasping.straight_rod import (
@@ -25,8 +22,13 @@ from wrod.kernels.grasping.straight_rod import (
     point,
     put_point,
 )
+from wrod.kernels.linear.frontal import make_elimination
 
 wp.set_module_options({"enable_backward": False})
+
+eliminate, recover = make_elimination(3)
+border = make_border(3)
+vector5 = border.vector
 
 
 @wp.kernel

@@ -10,6 +10,14 @@ wp.set_module_options({"enable_backward": False})
 WEIGHT = wp.constant(wp.float64(0.5))  # per length, by the definition of L_gb
 
 
+@wp.struct
+class StraightRod:
+    """A uniform rod on a mesh: rest lengths (rod, edge) and stretch ratio (rod,)."""
+
+    rest: wp.array2d(dtype=wp.float64)
+    stretch_ratio: wp.array(dtype=wp.float64)
+
+
 @wp.func
 def point(shape: wp.array3d(dtype=wp.float64), r: int, i: int) -> wp.vec3d:
     return wp.vec3d(shape[r, i, 0], shape[r, i, 1], shape[r, i, 2])

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 import wrod
-from wrod.grasps.rod_grasps import solve_rod_grasps
+from wrod.planning.sources import SOURCES, GraspInputs
 from wrod.rods.law import Softening
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
@@ -83,7 +83,11 @@ def clamped(model: RodModel, at: float, roll: float, grasps, k: int, edges: int)
 @pytest.mark.parametrize("curvature", [0.0, 12.0, -12.0])
 def test_a_clamped_rod_has_the_curvature_of_the_pattern(name, curvature):
     model, roll = RODS[name], 0.4
-    grasps = solve_rod_grasps(model, [AT], [curvature], roll=roll, device="cpu")
+    inputs = GraspInputs.of(
+        model, np.array([L - AT]), np.array([curvature]), roll=roll, device="cpu"
+    )
+    grasps = SOURCES["numeric"](inputs)
+    grasps = replace(grasps, shape=model.gravito_bending_length * grasps.shape)
     assert grasps.converged.all()
     coarse, fine = (clamped(model, AT, roll, grasps, 0, n) for n in (150, 300))
     bend = (2.0 * fine[0] - coarse[0]) * LGB  # first order: over the first edge it changes

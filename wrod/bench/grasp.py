@@ -26,16 +26,26 @@ def whole_range(count: int, seed: int = 0):
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
 def command(count: int, device: str, threads: int, as_json: bool) -> None:
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
+    import warp as wp
+
     from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, solve_grasps
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
     device = resolve_device(device)
 
+    on_gpu = device != "cpu"
+
     def measure(n: int, **options) -> dict:
         inputs = whole_range(n)
+        if on_gpu:  # what is solved there starts and stays there
+            inputs = [wp.array(v, dtype=wp.float64, device=device) for v in inputs]
+            options["shapes"] = False
+            solve_grasps(*inputs, **options)
+            wp.synchronize_device(device)
         clock, cpu = time.perf_counter(), time.process_time()
         grasps = solve_grasps(*inputs, device=device, threads=threads, **options)
+        wp.synchronize_device(device)
         wall, cpu = time.perf_counter() - clock, time.process_time() - cpu
         return {
             "grasps": n,
@@ -43,8 +53,8 @@ def command(count: int, device: str, threads: int, as_json: bool) -> None:
             "closure": options.get("closure", "zero_tension"),
             "per_second": n / wall,
             "cpu_seconds_per_grasp": cpu / n,
-            "converged": float(grasps.converged.mean()),
-            "iterations": float(grasps.iterations.mean()),
+            "converged": float(_numpy(grasps.converged).mean()),
+            "iterations": float(_numpy(grasps.iterations).mean()),
         }
 
     for closure in CLOSURES:  # compile the kernels outside the clock
@@ -53,6 +63,8 @@ def command(count: int, device: str, threads: int, as_json: bool) -> None:
     rows += [measure(count // 2, edge_count=n) for n in (64, 256)]
     rows += [measure(count // 2, closure=c) for c in ("min_force", "min_friction")]
     figures = {"machine": machine_line(device), "device": device, "rows": rows}
+    if on_gpu:
+        figures["gpu"] = gpu_work(whole_range(count), device)
     if as_json:
         click.echo(json.dumps(figures))
         return
@@ -68,3 +80,76 @@ def command(count: int, device: str, threads: int, as_json: bool) -> None:
             f"{1e3 * row['cpu_seconds_per_grasp']:8.3f} {row['converged']:10.4f} "
             f"{row['iterations']:10.1f}"
         )
+    if on_gpu:
+        click.echo(
+            "one call of {grasps} grasps: {wall:.1f} ms, the GPU works {gpu:.1f} ms of them "
+            "({busy:.0%}); {launches} launches, {copies} copies between host and GPU\n"
+            "by count of operations {gflops:.0f} GFLOP/s of float64 and {gbytes:.0f} GB/s to and "
+            "from scratch memory, {flops_per_byte:.1f} operations a byte: a card of {peak_gflops} "
+            "GFLOP/s and {peak_gbytes} GB/s would be "
+            "limited to {bound:.0f} grasps/s by {limit}".format(**figures["gpu"])
+        )
+
+
+# Float64 and memory of an H200 (data sheet).
+PEAK_GFLOPS, PEAK_GBYTES = 34_000, 4_800
+
+
+def work_of(iterations: float, edges: int) -> tuple[float, float]:
+    """(floating point operations, bytes) of a grasp, counted in the source.
+
+    A node of an iteration costs about 330 operations for its stencil, 3 pivots on 8, 7 and 6
+    entries below them and 4 border columns, 2 operations each, and the way back; it writes and
+    reads 21 second derivatives, 42 numbers of the factor, and 12 of load, motion and shape. Two
+    thirds of the iterations are on a quarter of the edges, the others on half and on all of them.
+    """
+    nodes = iterations * edges * (0.66 * 0.25 + 0.17 * 0.5 + 0.17)
+    operations = 330 + 2 * sum(k * (k + 1) / 2 + 4 * k + 10 for k in (8, 7, 6)) + 2 * 3 * 12
+    return nodes * operations, nodes * 8 * (2 * 21 + 2 * 42 + 3 * 12)
+
+
+def gpu_work(inputs, device: str) -> dict:
+    """What one call does on a GPU: how long it works, launches, copies, and where limits lie."""
+    import warp as wp
+
+    from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
+
+    inputs = [wp.array(v, dtype=wp.float64, device=device) for v in inputs]
+
+    def solve():
+        grasps = solve_grasps(*inputs, shapes=False)
+        wp.synchronize_device(device)
+        return grasps
+
+    walls = []
+    for _ in range(3):
+        clock = time.perf_counter()
+        grasps = solve()
+        walls.append(1e3 * (time.perf_counter() - clock))
+    wp.timing_begin(cuda_filter=wp.TIMING_ALL)
+    solve()
+    events = wp.timing_end()
+    wall, gpu = sorted(walls)[1], sum(event.elapsed for event in events)
+    operations, moved = work_of(float(grasps.iterations.numpy().mean()), EDGE_COUNT)
+    count = len(grasps)
+    bounds = {"arithmetic": PEAK_GFLOPS * 1e9 / operations, "memory": PEAK_GBYTES * 1e9 / moved}
+    limit = min(bounds, key=bounds.get)
+    return {
+        "grasps": count,
+        "wall": wall,
+        "gpu": gpu,
+        "busy": gpu / wall,
+        "launches": sum("kernel" in event.name for event in events),
+        "copies": sum("memcpy" in event.name and "DtoD" not in event.name for event in events),
+        "gflops": operations * count / gpu / 1e6,
+        "gbytes": moved * count / gpu / 1e6,
+        "flops_per_byte": operations / moved,
+        "peak_gflops": PEAK_GFLOPS,
+        "peak_gbytes": PEAK_GBYTES,
+        "bound": bounds[limit],
+        "limit": limit,
+    }
+
+
+def _numpy(array):
+    return array.numpy() if hasattr(array, "numpy") else array

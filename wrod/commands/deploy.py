@@ -9,6 +9,9 @@ import click
 
 from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_pattern, read_rod
 
+# How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
+_SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
+
 
 @click.command(name="deploy")
 @click.argument("pattern")
@@ -18,6 +21,9 @@ from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_patt
     "--trajectory",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Trajectory (.npz) that `wrod plan` wrote, instead of a new plan.",
+)
+@click.option(
+    "--another-rod", is_flag=True, help="Lay another rod than that of the trajectory, on purpose."
 )
 @options(METHOD, UNITS)
 @click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient.")
@@ -48,6 +54,7 @@ def command(
     length: float | None,
     out: Path,
     trajectory: Path | None,
+    another_rod: bool,
     method: str,
     closure: str | None,
     units: str | None,
@@ -89,6 +96,10 @@ def command(
         )
     else:
         path = Trajectory.load(trajectory)
+        _refuse_idle_options("--trajectory", "method", "closure")
+        _refuse_another_plan(path, with_remainder_of(curve, path), rod, another_rod)
+    if method == "intuitive":
+        _refuse_idle_options("--method intuitive", "closure")
     curve = with_remainder_of(curve, path)
     rest = tail(curve, rod, path)
     jobs = [
@@ -171,3 +182,41 @@ def command(
         )
     for name in written:
         click.echo(f"wrote {name}")
+
+
+def _refuse_idle_options(beside: str, *names: str) -> None:
+    """Refuse options that were given and would do nothing."""
+    from click.core import ParameterSource
+
+    from wrod.errors import RodError
+
+    context = click.get_current_context()
+    for name in names:
+        if context.get_parameter_source(name) == ParameterSource.COMMANDLINE:
+            raise RodError(f"--{name} does nothing beside {beside}; leave it out")
+
+
+def _refuse_another_plan(path, curve, rod, another_rod: bool) -> None:
+    """Refuse a trajectory that was planned for another pattern, or for another rod."""
+    import numpy as np
+
+    from wrod.errors import PatternError, RodError
+
+    s = np.clip(path.pattern_arc_length, -curve.remainder_length, curve.length)
+    apart = np.linalg.norm(curve.sample(s)[0] - path.contact, axis=1).max()
+    apart = max(apart, abs(path.pattern_arc_length[-1] - curve.length))
+    if apart > _SAME_PATTERN:
+        raise PatternError(
+            f"the trajectory is of {path.metadata.get('pattern', 'another pattern')}, up to "
+            f"{apart:.3f} m from {curve.name}; give the pattern that it was planned for"
+        )
+    planned = path.metadata.get("rod")
+    if planned is None or another_rod:
+        return
+    for name in ("length", "radius", "gravito_bending_length"):
+        before, now = float(planned[name]), getattr(rod, name)
+        if abs(now - before) > _SAME_ROD * before:
+            raise RodError(
+                f"the trajectory is of a rod whose {name} is {before:g} m, and this one's is "
+                f"{now:g} m; give that rod, or --another-rod to lay this one all the same"
+            )

@@ -21,6 +21,10 @@ ROD = (
     click.option("--length", type=float, help="Its total length, or a rod file's instead [m]."),
 )
 UNITS = (click.option("--units", help="Units of a pattern file: m, cm, mm, um or in."),)
+DRAWING = (
+    click.option("--layer", help="Layer of an SVG or DXF drawing, by name; default: all seen."),
+    click.option("--stroke", type=int, help="Which of a drawing's strokes, from 1."),
+)
 CLOSURE = (
     click.option(
         "--closure",
@@ -131,13 +135,20 @@ def read_roll(text: str | None, rod) -> float | str:
     return roll
 
 
-def read_pattern(name: str, units: str | None, reading: dict | None = None):
-    """The `Pattern` of that name, file of points, or picture.
+def read_pattern(
+    name: str,
+    units: str | None,
+    reading: dict | None = None,
+    layer: str | None = None,
+    stroke: int | None = None,
+):
+    """The `Pattern` of that name, file of points, drawing, or picture.
 
     Args:
         name: what the command was given.
         units: of a file of points.
         reading: values of `PICTURE`'s options by name; None where not given.
+        layer, stroke: `DRAWING`'s options.
 
     Raises:
         PatternError, PerceptionError: unknown, unreadable, or an option does not belong to it.
@@ -148,6 +159,8 @@ def read_pattern(name: str, units: str | None, reading: dict | None = None):
     path = Path(name)
     given = {option: value for option, value in (reading or {}).items() if value is not None}
     if path.suffix.lower() in _PICTURES:
+        if layer is not None or stroke is not None:
+            raise PatternError(f"{name}: --layer and --stroke belong to SVG and DXF drawings")
         return _scanned(path, units, given)
     if given:
         named = ", ".join(f"--{option}" for option in given)
@@ -158,7 +171,7 @@ def read_pattern(name: str, units: str | None, reading: dict | None = None):
         return pattern(name)
     if not path.suffix and not path.exists():
         return pattern(name)
-    return Pattern.load(path, units=units)
+    return Pattern.load(path, units=units, layer=layer, stroke=stroke)
 
 
 def _scanned(path: Path, units: str | None, given: dict):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from math import degrees, pi
 from pathlib import Path
 
 import click
 
 from wrod.commands.options import (
     DEVICE,
+    DRAWING,
     METHOD,
     PICTURE,
     ROD,
@@ -20,6 +20,11 @@ from wrod.commands.options import (
     read_rod,
     read_roll,
 )
+from wrod.commands.plan_pattern import SHAPE, fit, too_long
+from wrod.commands.plan_steps import NO_JOINT_PATH, arm_steps, save_plan, solve_grasps_of
+from wrod.commands.plan_summary import read_friction, summary
+from wrod.commands.robot_options import ROBOT, RobotRequest
+from wrod.errors import PatternError
 
 
 @click.command(name="plan")
@@ -35,8 +40,13 @@ from wrod.commands.options import (
     "one that ships, for straight rods.",
 )
 @click.option("--spacing", default=0.0025, show_default=True, help="Distance between nodes [m].")
-@options(UNITS, PICTURE)
-@click.option("--friction", type=float, help="Static friction coefficient to check against.")
+@options(UNITS, DRAWING, PICTURE)
+@click.option(
+    "--friction",
+    "friction_text",
+    help="Of the table: a coefficient (0.3) or a range (0.2:0.6). The path is corrected until what "
+    "stays lies on the pattern, and what is expected there is said; takes a minute or two.",
+)
 @click.option(
     "--shapes/--no-shapes",
     default=True,
@@ -47,16 +57,7 @@ from wrod.commands.options import (
     default=None,
     help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
 )
-@options(ROLL)
-@click.option("--robot", default="sawyer", show_default=True, help="sawyer, or a URDF file.")
-@click.option("--no-robot", is_flag=True, help="Leave out joint path and scene.")
-@click.option(
-    "--placement",
-    default="auto",
-    show_default=True,
-    help="auto, or x,y,z,yaw of the pattern from the robot's base [m, degrees]; z is the table.",
-)
-@click.option("--view", is_flag=True, help="Then play the scene in a browser on this machine.")
+@options(ROLL, SHAPE, ROBOT)
 @options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
@@ -71,157 +72,93 @@ def command(
     controller_file: Path | None,
     spacing: float,
     units: str | None,
+    layer: str | None,
+    stroke: int | None,
     markers: Path | None,
     sheet: str | None,
     scale: float | None,
     camera: Path | None,
     start: str | None,
-    friction: float | None,
+    friction_text: str | None,
     shapes: bool,
     remainder: bool | None,
     roll_text: str | None,
-    robot: str,
-    no_robot: bool,
-    placement: str,
-    view: bool,
+    resize: float | None,
+    tolerance: float,
+    hold: float | None,
     device: str,
     as_json: bool,
+    **arm,
 ) -> None:
     """Plan how the grip moves to lay a rod along PATTERN.
 
     PATTERN is a file of points (text, CSV, NPY or NPZ), a picture of a drawn curve (with
-    --markers, --sheet or --scale), or a built-in pattern: line, circle, sine,
-    letter-U, letter-C, letter-L, letter-A, letter-S.
+    --markers, --sheet or --scale), a vector drawing (SVG, DXF), or a built-in pattern: line,
+    circle, sine, letter-U, letter-C, letter-L, letter-A, letter-S.
+
+    Corners are rounded to what the rod can lie in. What is finished is kept: without a joint path
+    the trajectory and its picture are written all the same, and the exit code is 3.
     """
-    from tqdm import tqdm
-
     from wrod.controller.controller import Controller
-    from wrod.errors import DataError
-    from wrod.planning.friction import friction_bound
-    from wrod.planning.picture import draw_plan
-    from wrod.planning.plan import plan, prepare, with_shapes
+    from wrod.planning.plan import prepare
 
+    request = RobotRequest(**arm)
+    request.check()
     rod = read_rod(rod_name, radius, lgb, length)
     controller = None if controller_file is None else Controller.load(controller_file)
     reading = {
         "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
     }  # fmt: skip
-    curve = prepare(read_pattern(pattern, units, reading), rod, remainder)
-    bound = friction_bound(curve, rod, friction)
-    with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=as_json) as bar:
+    drawn = read_pattern(pattern, units, reading, layer, stroke)
+    chosen = None if device == "auto" else device
 
-        def progress(count: int, total: int) -> None:
-            bar.total = total
-            bar.update(count)
+    friction = None if friction_text is None else read_friction(friction_text)
 
-        chosen = None if device == "auto" else device
-        trajectory = plan(
-            curve, rod, method, closure=closure, spacing=spacing, remainder=remainder,
-            roll=read_roll(roll_text, rod), controller=controller, device=chosen,
-            progress=progress,
-        )  # fmt: skip
-        if shapes:
-            bar.n = 0
-            trajectory = with_shapes(trajectory, curve, device=chosen, progress=progress)
-    steps = tqdm(total=4, unit="step", leave=False, delay=1.0, disable=as_json or no_robot)
-    with steps:
-
-        def step(what: str) -> None:
-            steps.set_description(what)
-            steps.update(1)
-
-        step("joint path")
-        joint_path = None if no_robot else _joint_path(trajectory, rod, robot, placement)
+    def planned(resize: float | None, hold: float | None, friction=None):
+        """Pattern, rod and trajectory at a size and a hold."""
+        fitted = fit(drawn, rod, resize, tolerance, hold)
         try:
-            step("plan")
-            picture = draw_plan(out / "preview.png", curve, trajectory)
-            written = [*trajectory.save(out / "trajectory"), picture]
-            if joint_path is not None:
-                from wrod.scene.deliver import deliver
+            curve = prepare(fitted.pattern, fitted.rod, remainder)
+        except PatternError as error:
+            remedy = too_long(fitted.pattern, fitted.rod)
+            raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
+        trajectory = solve_grasps_of(
+            curve, fitted.rod, as_json, method=method, closure=closure, spacing=spacing,
+            remainder=remainder, roll=read_roll(roll_text, fitted.rod), controller=controller,
+            device=chosen, shapes=shapes, friction=friction,
+        )  # fmt: skip
+        return fitted, curve, trajectory
 
-                written += deliver(out, trajectory, joint_path, curve, rod, step)
-        except OSError as error:
-            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    fitted, curve, trajectory = planned(resize, hold, friction)
+    written = save_plan(out, curve, trajectory)
+    joint_path, reason = None, None
+    if not request.no_robot:
+        joint_path, reason, more = arm_steps(
+            request, out, trajectory, curve, fitted.rod, as_json, planned, (resize, hold)
+        )
+        written += more
     figures = {
         **trajectory.metadata,
+        **fitted.figures,
         "nodes": len(trajectory),
         "laid_length": float(trajectory.arc_length[-1]),
         "highest_grip": float(trajectory.position[:, 2].max()),
         "twist": None if trajectory.twist is None else trajectory.twist[[0, -1]].tolist(),
-        "insufficient_friction": bound.insufficient,
         "joint_path": None if joint_path is None else joint_path.metadata,
+        "no_joint_path": reason,
+        "notes": list(fitted.notes),
         "written": [str(path) for path in written],
     }
     if as_json:
         click.echo(json.dumps(figures, indent=2))
-        return
-    click.echo(_summary(figures, friction))
-    for path in written:
-        click.echo(f"wrote {path}")
-    if view and joint_path is not None:
+    else:
+        click.echo(summary(figures))
+        for path in written:
+            click.echo(f"wrote {path}")
+    if reason is not None:
+        click.echo(f"wrod: {reason}", err=True)
+        click.get_current_context().exit(NO_JOINT_PATH)
+    if request.view:
         from wrod.scene.view import view as show
 
         show(out / "scene.usdc")
-
-
-def _joint_path(trajectory, rod, robot: str, placement: str):
-    """Joint path of the arm, before anything is written."""
-    from wrod.errors import RobotError
-    from wrod.robot.joint_path import solve_joint_path
-
-    try:
-        import newton  # noqa: F401  # the scene's picture needs it: say so before writing
-        import pxr  # noqa: F401
-
-        return solve_joint_path(trajectory, robot, placement, rod_radius=rod.radius)
-    except ImportError as error:
-        raise RobotError(
-            f"joint paths and scenes need {error.name}; install wrod[robot,scene,newton], or plan "
-            "with --no-robot"
-        ) from error
-    except RobotError as error:
-        raise RobotError(f"{error} (--no-robot plans the trajectory alone)") from error
-
-
-def _summary(figures: dict, friction: float | None) -> str:
-    lines = [
-        f"{figures['pattern']}: {figures['pattern_length']:.3f} m"
-        + (
-            f" and a remainder of {figures['remainder_length']:.3f} m"
-            if figures["remainder_length"]
-            else ""
-        )
-        + f", {figures['nodes']} nodes, largest curvature {figures['largest_curvature']:.1f} 1/m",
-        f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}",
-        f"required static friction {figures['required_friction']:.2f}",
-    ]
-    if figures["twist"] is not None:
-        first, last = (value / (2.0 * pi) for value in figures["twist"])
-        lines.append(
-            f"naturally curved rod: lay it with its first material director "
-            f"{degrees(figures['roll']):.0f} degrees from left towards up, twisted by {first:.2f} "
-            f"turns between table and grip at first and by {last:.2f} in the end"
-        )
-    if "shapes" in figures:
-        apart = 1e3 * figures["shapes"]["largest_grip_difference"]
-        lines[1] += f"; the rod solver's grips differ by {apart:.2g} mm at most"
-    if figures["joint_path"] is not None:
-        path = figures["joint_path"]
-        place = path["placement"]
-        lines.append(
-            f"joint path of {path['duration']:.0f} s at {path['rate']:g} Hz, at least "
-            f"{path['limit_margin']:.2f} rad from the joint limits and "
-            f"{1e3 * min(path['gap'].values()):.0f} mm clear; pattern at x {place['x']:.3f}, "
-            f"y {place['y']:.3f}, z {place['z']:.3f} m, yaw {degrees(place['yaw']):.0f} degrees "
-            "from the robot's base"
-        )
-    if friction is not None:
-        places = figures["insufficient_friction"]
-        lines[2] += (
-            f"; {friction:g} holds everywhere"
-            if not places
-            else f"; {friction:g} is not enough at s = "
-            + ", ".join(f"{a:.3f} to {b:.3f}" for a, b in places)
-            + " m"
-        )
-    return "\n".join(lines)

@@ -120,7 +120,8 @@ def tail(pattern: Pattern, rod: RodModel | RodMaterial, trajectory: Trajectory) 
     s = np.linspace(0.0, max(length, 0.0), count)
     (corner,), (tangent,), (bend,) = pattern.sample(pattern.length)
     x = np.clip(s / (_STRAIGHTEN * lgb), 0.0, 1.0)
-    curvature = bend * (1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
+    ease = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    curvature = bend * (1.0 - ease)
     heading = np.arctan2(tangent[1], tangent[0]) + _integrate(curvature, s)
     frame = Rotation.from_euler("z", heading[:, None]).as_matrix()
     contact = corner + np.column_stack(
@@ -141,6 +142,10 @@ def tail(pattern: Pattern, rod: RodModel | RodMaterial, trajectory: Trajectory) 
     )
     position = contact + lgb * np.einsum("tij,tj->ti", frame, poses.position)
     rotation = frame @ Rotation.from_rotvec(poses.rotation).as_matrix()
+    # A corrected trajectory ends beside its grasp: the correction fades out with the bend.
+    position += (1.0 - ease)[:, None] * (trajectory.position[-1] - position[0])
+    turn = Rotation.from_matrix(trajectory.rotation[-1] @ rotation[0].T).as_rotvec()
+    rotation = Rotation.from_rotvec((1.0 - ease)[:, None] * turn).as_matrix() @ rotation
     good = np.isfinite(position).all(axis=1)
     if poses.converged is not None:
         good &= poses.converged
@@ -170,6 +175,7 @@ class Setup:
         approach: how long the grip takes to the trajectory's first pose [s].
         measure_time: when the first measurement is due, the grip still holding [s].
         end_time: when the second is due [s].
+        covered: (key,) laid length that the trajectory has come to at each key [m].
     """
 
     arc_length: np.ndarray
@@ -180,6 +186,7 @@ class Setup:
     approach: float
     measure_time: float
     end_time: float
+    covered: np.ndarray | None = None
 
 
 def prepare_deployment(
@@ -229,7 +236,7 @@ def prepare_deployment(
     begin = position[-1], _frame_without_twist(frame, position, on_table, tip)
     twist = 0.0 if trajectory.twist is None else float(trajectory.twist[first])
     turns = _whole_turns(begin[1], trajectory.rotation[first], twist)
-    schedule, approach, measure_time, end_time = _schedule(
+    schedule, approach, measure_time, end_time, covered = _schedule(
         path, tail, begin, turns, release, int(on_table.sum()), speed
     )
     # The rod's centreline is a radius above the table.
@@ -245,6 +252,7 @@ def prepare_deployment(
         approach,
         measure_time,
         end_time,
+        covered,
     )
 
 
@@ -259,7 +267,7 @@ def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
         count = len(position)
         rng = np.random.default_rng(disturbance.seed)
         shaking = smooth_noise(rng, count, disturbance.jitter, 0.05 / KEY_INTERVAL)
-        fade = 1.0 - _blend(KEY_INTERVAL * np.arange(count), setup.approach)
+        fade = 1.0 - blend(KEY_INTERVAL * np.arange(count), setup.approach)
         position = position + fade[:, None] * shaking
     if disturbance.slip != 0.0:
         position = position + _slipped(setup, disturbance)
@@ -270,7 +278,7 @@ def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
         schedule=replace(
             schedule,
             position=turn.apply(position - setup.origin) + shift,
-            rotation=_one_hemisphere((turn * Rotation.from_quat(schedule.rotation)).as_quat()),
+            rotation=one_hemisphere((turn * Rotation.from_quat(schedule.rotation)).as_quat()),
         ),
     )
 
@@ -281,12 +289,12 @@ def _slipped(setup: Setup, disturbance: Disturbance) -> np.ndarray:
     rng = np.random.default_rng([disturbance.seed, 1])
     start = rng.uniform(setup.approach, max(setup.measure_time - _SLIPPING, setup.approach))
     t = KEY_INTERVAL * np.arange(len(setup.schedule.position))
-    share = 1.0 - _blend(t - start, _SLIPPING / 0.7)
+    share = 1.0 - blend(t - start, _SLIPPING / 0.7)
     along = Rotation.from_quat(setup.schedule.rotation).apply([1.0, 0.0, 0.0])
     return disturbance.slip * share[:, None] * along
 
 
-def _blend(t: np.ndarray, approach: float) -> np.ndarray:
+def blend(t: np.ndarray, approach: float) -> np.ndarray:
     """From where the rod hangs at first (1) to where the trajectory begins (0)."""
     x = np.clip(t / (0.7 * approach), 0.0, 1.0)
     return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
@@ -337,22 +345,22 @@ def _schedule(path, tail, begin, turns, release, held_nodes, speed):
         after = tail_path(tail_laid(t[late] - measure_time))
         position[late] = after[0]
         rotation = Rotation.concatenate([rotation[~late], after[1]])
-    blend = _blend(t, approach)
-    position += blend[:, None] * (begin[0] - position[0])
+    share = blend(t, approach)
+    position += share[:, None] * (begin[0] - position[0])
     turn = (Rotation.from_matrix(begin[1]) * rotation[0].inv()).as_rotvec()
-    rotation = Rotation.from_rotvec(blend[:, None] * turn) * rotation
-    spin = 2.0 * np.pi * turns * (1.0 - blend)
+    rotation = Rotation.from_rotvec(share[:, None] * turn) * rotation
+    spin = 2.0 * np.pi * turns * (1.0 - share)
     rotation = rotation * Rotation.from_rotvec(spin[:, None] * [1.0, 0.0, 0.0])
     # Not before the rod has come to rest at the trajectory's first pose.
     at = np.searchsorted(laid(t - approach), release)
     let_free = max(float(t[min(int(at), len(t) - 1)]), approach)
     schedule = GripSchedule(
-        position, _one_hemisphere(rotation.as_quat()), held_nodes, let_free, let_go_time
+        position, one_hemisphere(rotation.as_quat()), held_nodes, let_free, let_go_time
     )
-    return schedule, approach, measure_time, end_time
+    return schedule, approach, measure_time, end_time, laid(t - approach)
 
 
-def _one_hemisphere(quaternions: np.ndarray) -> np.ndarray:
+def one_hemisphere(quaternions: np.ndarray) -> np.ndarray:
     """Flip signs so that neighbours are close, as interpolation needs."""
     dots = np.sum(quaternions[1:] * quaternions[:-1], axis=1)
     signs = np.cumprod(np.concatenate([[1.0], np.where(dots < 0.0, -1.0, 1.0)]))

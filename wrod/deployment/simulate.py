@@ -145,7 +145,7 @@ def simulate_deployments(
     release = hold if release is None else release
     if not release >= hold:
         raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
-    setups = _prepare(trials, hold, release, speed, spacing, node_count)
+    setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     options = dict(
         step=step,
         scheme=scheme,
@@ -199,7 +199,7 @@ def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
     return pattern
 
 
-def _prepare(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
+def prepare_trials(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
     """All rods of a batch share one number of nodes: the largest that the spacing asks for.
 
     Trials that differ in their disturbances alone share one undisturbed setup.
@@ -240,33 +240,14 @@ def _simulate(
     keeps_recording,
     report,
 ) -> list[Deployment]:
-    batch, rods = _batch(trials, setups, device)
-    radius = np.array([rod.radius for rod in rods])
-    load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
-    contact = Contact(
-        batch,
-        radius,
-        _stiffness(rods, [t.fixtures for t in trials]),
-        [t.friction for t in trials],
-        [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
-        keeps_roll=np.array([RodModel.of(t.rod).has_sides for t in trials]),
-    )
-    dynamics = Dynamics(
-        batch,
+    batch, contact, dynamics = assemble(
+        trials,
+        setups,
         scheme=scheme,
-        radius=radius,
-        air_damping=np.array([_damping(air_damping, rod.air_damping or 1.0) for rod in rods]),
-        internal_damping=np.array(
-            [_damping(internal_damping, rod.internal_damping) for rod in rods]
-        ),
-        contact=contact,
-        motion=GripMotion(
-            batch,
-            [setup.schedule for setup in setups],
-            [rod.principal_angle for rod in rods],
-        ),
-        force_scale=load,
+        air_damping=air_damping,
+        internal_damping=internal_damping,
         tolerance=tolerance,
+        device=device,
         keeps_recording=keeps_recording,
     )
     ends = np.array([setup.end_time for setup in setups])
@@ -326,6 +307,51 @@ def _simulate(
             )
         )
     return deployments
+
+
+def assemble(
+    trials: list[Trial],
+    setups: list[Setup],
+    *,
+    scheme: str = "euler",
+    air_damping: float | None = None,
+    internal_damping: float | None = None,
+    tolerance: float = 1e-5,
+    device: str = "cpu",
+    keeps_recording: bool = False,
+) -> tuple[RodBatch, Contact, Dynamics]:
+    """The rods of prepared trials, what they touch, and what steps them; see
+    `simulate_deployments`."""
+    batch, rods = _batch(trials, setups, device)
+    radius = np.array([rod.radius for rod in rods])
+    load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
+    contact = Contact(
+        batch,
+        radius,
+        _stiffness(rods, [t.fixtures for t in trials]),
+        [t.friction for t in trials],
+        [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
+        keeps_roll=np.array([RodModel.of(t.rod).has_sides for t in trials]),
+    )
+    dynamics = Dynamics(
+        batch,
+        scheme=scheme,
+        radius=radius,
+        air_damping=np.array([_damping(air_damping, rod.air_damping or 1.0) for rod in rods]),
+        internal_damping=np.array(
+            [_damping(internal_damping, rod.internal_damping) for rod in rods]
+        ),
+        contact=contact,
+        motion=GripMotion(
+            batch,
+            [setup.schedule for setup in setups],
+            [rod.principal_angle for rod in rods],
+        ),
+        force_scale=load,
+        tolerance=tolerance,
+        keeps_recording=keeps_recording,
+    )
+    return batch, contact, dynamics
 
 
 def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndarray:

@@ -32,15 +32,16 @@ def per_rod(device: str, rods: int, *shape: int) -> wp.array:
     return array.transpose((len(shape), *range(len(shape))))
 
 
-def make_scratch(slots: int, edges: int, device: str) -> iteration.Scratch:
-    """Room to iterate `slots` rods at a time on meshes of up to `edges` edges."""
+def make_scratch(slots: int, edges: int, device: str, size: int = 3) -> iteration.Scratch:
+    """Room to iterate `slots` rods at a time on meshes of up to `edges` edges; `size` is 3 for
+    straight isotropic rods, 4 for general ones."""
     scratch = iteration.Scratch()
-    scratch.stiffness = per_rod(device, slots, edges, stencil_entries(3))
-    scratch.load = per_rod(device, slots, edges + 1, 3)
-    scratch.factor = per_rod(device, slots, 3 * edges, row_width(3))
-    scratch.condensed = per_rod(device, slots, 42)
-    scratch.motion = per_rod(device, slots, edges + 1, 3)
-    scratch.saved = per_rod(device, slots, edges + 1, 3)
+    scratch.stiffness = per_rod(device, slots, edges, stencil_entries(size))
+    scratch.load = per_rod(device, slots, edges + 1, size)
+    scratch.factor = per_rod(device, slots, size * edges, row_width(size))
+    scratch.condensed = per_rod(device, slots, 2 * size * (2 * size + 1))
+    scratch.motion = per_rod(device, slots, edges + 1, size)
+    scratch.saved = per_rod(device, slots, edges + 1, 3 if size == 3 else 7)
     return scratch
 
 
@@ -88,6 +89,8 @@ class MeshLevel:
 
         self.rest, self.rest_rate = floats(edges), floats(edges)
         self.tolerance, self.curvature, self.thrust = floats(), floats(), floats()
+        self.family, self.increment = floats(6), floats()
+        self.increment.fill_(_FIRST_INCREMENT)
         self.read = level = reading.Level()
         level.shape = floats(edges + 1, 3)
         level.rotation, level.force, level.jacobian = floats(3), floats(3), floats(9)
@@ -101,14 +104,14 @@ class MeshLevel:
 
     @property
     def state(self) -> list[wp.array]:
-        return [self.shape, self.curvature, self.thrust]
+        return [self.shape, self.curvature, self.thrust, self.family]
 
-    def lay(self, length: wp.array, stretch_ratio: wp.array, first: int, rods: int) -> None:
-        """Lay the meshes of rods `first` on and forget what was solved on them."""
+    def lay(self, length: wp.array, stretch_ratio: wp.array, rods: int) -> None:
+        """Lay the meshes of the first rods and forget what was solved on them."""
         wp.launch(
             mesh.lay_mesh,
             dim=rods,
-            inputs=[length, stretch_ratio, first, self.edges],
+            inputs=[length, stretch_ratio, self.edges],
             outputs=[self.rest, self.rest_rate, self.tolerance],
             device=self.device,
         )
@@ -129,6 +132,7 @@ class MeshLevel:
                 half.curvature,
                 half.shape,
                 half.thrust,
+                half.family,
                 int(quarter is not None),
                 other.shape,
                 other.thrust,
@@ -140,7 +144,14 @@ class MeshLevel:
         """Start from the solution on twice the edges."""
         work.launch(
             mesh.coarsen,
-            [double.edges, self.rest, double.curvature, double.shape, double.thrust],
+            [
+                double.edges,
+                self.rest,
+                double.curvature,
+                double.shape,
+                double.thrust,
+                double.family,
+            ],
             self.state,
         )
 
@@ -152,16 +163,18 @@ class MeshLevel:
         `model` are (stretch ratio, target curvature, weight), (rod,) each.
         """
         level = self.read
+        rod = iteration.StraightRod()
+        rod.rest, rod.stretch_ratio = self.rest, model[0]
         work.launch(
             iteration.solve_straight,
             [
                 self.edges,
-                self.rest,
-                *model,
+                rod,
+                *model[1:],
                 self.tolerance,
                 closure,
                 wp.float64(_STEP_LIMIT),
-                wp.float64(_FIRST_INCREMENT),
+                self.increment,
                 _PATIENCE,
                 _MAX_ITERATIONS,
                 scratch,
@@ -234,36 +247,48 @@ class Ladder:
         slots = 1 if wp.get_device(device).is_cpu else rods
         self.scratch = make_scratch(slots, edges, device)
         self.work, self.lost = WorkList(rods, device), WorkList(rods, device)
-        self.model = [per_rod(device, rods) for _ in range(3)]
+        self.length, *self.model = (per_rod(device, rods) for _ in range(4))
+        # Sorting takes room for as many again.
+        self.key = wp.empty(2 * rods, dtype=wp.float32, device=device)
+        self.order = wp.empty(2 * rods, dtype=wp.int32, device=device)
 
-    def solve(
-        self,
-        inputs: list[wp.array],
-        first: int,
-        rods: int,
-        *,
-        closure: int,
-        extrapolate: bool,
-        out: reading.Results,
-    ) -> None:
-        """Solve inputs (l_s, kappa, k_s) from row `first` on into the same rows of `out`."""
-        levels, model, scratch, work, lost = (
-            self.levels,
-            self.model,
-            self.scratch,
-            self.work,
-            self.lost,
+    def fits(self, rods: int, edges: int, device: str, sensitivities: bool) -> bool:
+        """Whether this is the room that a call wants."""
+        mine = (self.rods, self.levels[-1].edges, self.device, self.sensitivities)
+        return mine == (rods, edges, device, sensitivities)
+
+    @property
+    def byte_count(self) -> int:
+        """Roughly what is held: scratch memory is most of it."""
+        numbers = self.levels[-1].edges * (stencil_entries(3) + 3 * row_width(3) + 24)
+        return 8 * self.rods * numbers
+
+    def expect(self, inputs: list[wp.array], first: int, rods: int, *, sort: bool) -> None:
+        """Take rods of `inputs` from row `first` on, sorted by the work that they will be."""
+        wp.launch(
+            mesh.expect_work,
+            dim=rods,
+            inputs=[inputs[1], first],
+            outputs=[self.key, self.order],
+            device=self.device,
         )
+        if sort:
+            wp.utils.radix_sort_pairs(self.key, self.order, rods)
         wp.launch(
             mesh.take_inputs,
             dim=rods,
-            inputs=[*inputs, first, rods],
-            outputs=[*model, work.index, work.count],
+            inputs=[*inputs, self.order, rods],
+            outputs=[self.length, *self.model, self.work.index, self.work.count],
             device=self.device,
         )
+
+    def climb(self, rods: int, closure: int) -> None:
+        """Solve the first rods on every mesh."""
+        levels, model, scratch = self.levels, self.model, self.scratch
+        work, lost = self.work, self.lost
         self.iterations.zero_()
         for level in levels:
-            level.lay(inputs[0], inputs[2], first, rods)
+            level.lay(self.length, model[0], rods)
         levels[0].hang(work)
         levels[0].solve(work, model, closure, scratch)
         for i in range(1, len(levels)):
@@ -283,10 +308,25 @@ class Ladder:
         fine.solve(lost, model, closure, scratch)
         coarse.coarsen(lost, fine)
         coarse.solve(lost, model, closure, scratch)
+
+    def solve(
+        self,
+        inputs: list[wp.array],
+        first: int,
+        rods: int,
+        *,
+        closure: int,
+        extrapolate: bool,
+        out: reading.Results,
+    ) -> None:
+        """Solve inputs (l_s, kappa, k_s) from row `first` on into the same rows of `out`."""
+        self.expect(inputs, first, rods, sort=wp.get_device(self.device).is_cuda)
+        self.climb(rods, closure)
+        coarse, fine = self.levels[-2:]
         for level in (coarse, fine):
             level.read_out(rods)
             if self.sensitivities:
-                level.find_sensitivities(rods, model[0], scratch)
+                level.find_sensitivities(rods, self.model[0], self.scratch)
         wp.launch(
             reading.judge,
             dim=rods,
@@ -297,7 +337,7 @@ class Ladder:
                 fine.edges,
                 fine.rest,
                 inputs[1],
-                first,
+                self.order,
             ],
             outputs=[out],
             device=self.device,

@@ -16,9 +16,10 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import GraspError
-from wrod.grasps.curved_grasps import solve_curved
+from wrod.grasps.general import curved_rods, solve_general
 from wrod.grasps.inputs import LIMITS, GraspArrays
 from wrod.grasps.levels import Ladder
+from wrod.grasps.results import SENSITIVITIES, empty_results
 from wrod.kernels.grasping import closures
 from wrod.kernels.grasping.reading import Results
 from wrod.rods.batch import RodBatch
@@ -33,6 +34,8 @@ EDGE_COUNT = 128
 
 # Grasps solved at once: few on a CPU, whose cache they should not leave; many on a GPU.
 _CPU_CHUNK, _CUDA_CHUNK = 128, 65536
+# Most of a GPU's memory that is kept from call to call.
+_KEPT_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -139,16 +142,18 @@ def solve_grasps(
             raise GraspError("sensitivities are known for naturally straight rods only")
         if not -1.0 < poisson <= 0.5:
             raise GraspError(f"poisson is {poisson!r}; an elastic rod needs a value in (-1, 0.5]")
-        on_cpu = inputs.device == "cpu"
-        return Grasps(
-            **solve_curved(
-                *inputs.numpy(), CLOSURES[closure], inputs.device, edge_count, extrapolate,
-                eigenvalues, shapes, natural, poisson, _CPU_CHUNK if on_cpu else _CUDA_CHUNK,
-                (threads or os.cpu_count() or 1) if on_cpu else 1, progress,
-            )
+        return _solve_curved(
+            inputs, natural, poisson, closure, edge_count, extrapolate, eigenvalues, shapes,
+            threads, progress,
         )  # fmt: skip
     rods = len(inputs)
-    out = _results(rods, edge_count, inputs.device, sensitivities, shapes or eigenvalues)
+    out = empty_results(
+        rods,
+        edge_count,
+        inputs.device,
+        sensitivities=sensitivities,
+        shapes=shapes or eigenvalues,
+    )
     workers = 1 if inputs.device != "cpu" else (threads or os.cpu_count() or 1)
     size = _CPU_CHUNK if inputs.device == "cpu" else _CUDA_CHUNK
     size = max(1, min(size, -(-rods // workers)))
@@ -168,7 +173,7 @@ def solve_grasps(
 
     spare: queue.SimpleQueue[Ladder] = queue.SimpleQueue()
     for _ in range(min(workers, -(-rods // size))):
-        spare.put(Ladder(size, edge_count, inputs.device, sensitivities))
+        spare.put(_ladder(size, edge_count, inputs.device, sensitivities))
 
     def solve_with_spare(first: int) -> None:
         ladder = spare.get()
@@ -182,8 +187,27 @@ def solve_grasps(
     else:
         for first in firsts:
             solve_with_spare(first)
+    if inputs.device != "cpu":
+        _keep(spare.get())
     eigenvalue = _eigenvalues(inputs, out, edge_count) if eigenvalues else None
     return _grasps(inputs, out, eigenvalue, shapes)
+
+
+# Room on a GPU that the last call left, for the next of its kind: taking it from the driver costs
+# as much as solving thousands of grasps.
+_kept: list[Ladder] = []
+
+
+def _ladder(rods: int, edges: int, device: str, sensitivities: bool) -> Ladder:
+    kept = _kept.pop() if _kept and device != "cpu" else None
+    if kept is not None and kept.fits(rods, edges, device, sensitivities):
+        return kept
+    return Ladder(rods, edges, device, sensitivities)
+
+
+def _keep(ladder: Ladder) -> None:
+    if ladder.byte_count < _KEPT_SHARE * wp.get_device(ladder.device).total_memory:
+        _kept[:] = [ladder]
 
 
 def _natural_curvature(value, count: int) -> np.ndarray | None:
@@ -207,27 +231,30 @@ def _natural_curvature(value, count: int) -> np.ndarray | None:
     return value
 
 
-def _results(rods: int, edges: int, device: str, sensitivities: bool, shapes: bool) -> Results:
-    out = Results()
-
-    def floats(*shape, wanted=True):
-        size = shape if wanted else (0,) * len(shape)
-        return wp.empty(size, dtype=wp.float64, device=device)
-
-    out.position, out.rotation, out.force = (floats(rods, 3) for _ in range(3))
-    out.force_jacobian = floats(rods, 3, 3)
-    for name in _SENSITIVITIES:
-        setattr(out, name, floats(rods, 3, 3, wanted=sensitivities))
-    out.shape = floats(rods, edges + 1, 3, wanted=shapes)
-    out.arc_length = floats(rods, edges + 1, wanted=shapes)
-    out.converged = wp.empty(rods, dtype=wp.bool, device=device)
-    out.stable = wp.empty(rods, dtype=wp.bool, device=device)
-    out.iterations = wp.empty(rods, dtype=wp.int32, device=device)
-    out.residual = floats(rods)
-    return out
-
-
-_SENSITIVITIES = ("position_sensitivity", "rotation_sensitivity", "force_sensitivity")
+def _solve_curved(
+    inputs, natural, poisson, closure, edge_count, extrapolate, eigenvalues, shapes, threads,
+    progress,
+) -> Grasps:  # fmt: skip
+    length, curvature, stretch_ratio = inputs.numpy()
+    fields = solve_general(
+        length,
+        curvature,
+        stretch_ratio,
+        lambda edges: curved_rods(length, stretch_ratio, natural, poisson, edges),
+        roll=np.zeros(len(length)),
+        closure=CLOSURES[closure],
+        device=inputs.device,
+        edge_count=edge_count,
+        extrapolate=extrapolate,
+        eigenvalues=eigenvalues,
+        shapes=shapes,
+        threads=threads,
+        progress=progress,
+    )
+    if inputs.kind == "numpy":
+        return Grasps(**fields)
+    arrays = {k: wp.array(v, device=inputs.device) for k, v in fields.items()}
+    return Grasps(**{k: inputs.result(v) for k, v in arrays.items()})
 
 
 def _grasps(inputs: GraspArrays, out: Results, eigenvalue, shapes: bool) -> Grasps:
@@ -236,7 +263,7 @@ def _grasps(inputs: GraspArrays, out: Results, eigenvalue, shapes: bool) -> Gras
     if shapes:
         names += ["shape", "arc_length"]
     if out.position_sensitivity.shape[0]:
-        names += _SENSITIVITIES
+        names += SENSITIVITIES
     values = {name: inputs.result(getattr(out, name)) for name in names}
     return Grasps(**values, eigenvalue=eigenvalue)
 

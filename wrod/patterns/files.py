@@ -21,6 +21,8 @@ _UNIT_WORDS = {
 _DECLARED = re.compile(r"\bunits?\b\s*(?:[:=]|\bin\b|[\[(])\s*[\[(\"']?\s*([A-Za-zµμ]+)", re.I)
 _COLUMN = re.compile(r"^\s*[\"']?([xyz])(?:[\s_\[(]+([A-Za-zµμ]+)[\])]*)?[\"']?\s*$", re.I)
 _SPLIT = re.compile(r"[,;\s]+")
+_DECIMAL_COMMA = re.compile(r"^[+-]?\d+(,\d+)?([eE][+-]?\d+)?$")
+_COMMAS_ONLY = re.compile(r"^\s*[+-]?\d+(\s*,\s*[+-]?\d+)+\s*$")
 _MAX_POINTS = 1_000_000
 
 
@@ -108,7 +110,7 @@ def _read_text(path: Path) -> RawPoints:
             units = _declared_units(content, path, number) or units
             columns = _columns(content) or columns
             continue
-        cells = [cell for cell in _SPLIT.split(content) if cell]
+        cells = _cells(content)
         try:
             values = [float(cell) for cell in cells]
         except ValueError:
@@ -131,7 +133,21 @@ def _read_text(path: Path) -> RawPoints:
             raise PatternError(f"{path}: more than {_MAX_POINTS} points; thin the pattern out")
     if not rows:
         raise PatternError(f"{path}: holds no points; give at least 3")
+    if count in (4, 6) and _COMMAS_ONLY.match(text.splitlines()[lines[0] - 1]):
+        raise PatternError(
+            f"{path}, line {lines[0]}: {count} whole numbers between commas look like {count // 2} "
+            "with decimal commas; write decimal points, or put semicolons between the columns"
+        )
     return RawPoints(np.array(rows, dtype=float), str(path), units, lines)
+
+
+def _cells(content: str) -> list[str]:
+    """Numbers of a line as Python writes them; decimal commas where semicolons, blanks or tabs
+    stand between the columns."""
+    words = [word for word in re.split(r"[;\s]+", content) if word]
+    if len(words) > 1 and any("," in w for w in words) and all(map(_DECIMAL_COMMA.match, words)):
+        return [word.replace(",", ".") for word in words]
+    return [cell for cell in _SPLIT.split(content) if cell]
 
 
 def _is_header(content: str) -> bool:
@@ -237,39 +253,46 @@ def _planar(points: np.ndarray, raw: RawPoints) -> np.ndarray:
     return flat
 
 
-def refuse_spikes(points: np.ndarray, raw: RawPoints) -> None:
-    """Refuse points that stand off the curve of their neighbours, and corners.
+def refuse_spikes(points: np.ndarray, raw: RawPoints, corners: np.ndarray) -> None:
+    """Refuse points that stand off the curve of their neighbours; corners are none.
 
     A point is compared with the cubic through two neighbours on each side: 0.1 of the spacing off
     it is a change of direction by some 20 degrees and back, unless the other points say that the
-    noise is of that size.
+    noise is of that size. A corner lies on the line of its neighbours on either side, a spike on
+    neither.
 
     Raises:
         PatternError: names the first such point.
     """
     flat = points[:, :2]
-    steps = np.diff(flat, axis=0)
-    spacing = np.linalg.norm(steps, axis=1)
-    direction = steps / spacing[:, None]
-    cross = direction[:-1, 0] * direction[1:, 1] - direction[:-1, 1] * direction[1:, 0]
-    angle = np.abs(np.arctan2(cross, np.sum(direction[:-1] * direction[1:], axis=1)))
-    if len(points) >= 5:
-        off, near = _distance_from_neighbours(flat, spacing)
-        noise = 1.4826 * np.median(off)
-        excess = off / np.maximum(8.0 * noise, 0.1 * near)
-        worst = int(np.argmax(excess))
-        if excess[worst] > 1.0:
-            raise PatternError(
-                f"{raw.where(worst + 1)}: stands {off[worst]:.2g} m off the curve of its "
-                "neighbours, a spike of curvature; remove or correct the point"
-            )
-    sharp = np.flatnonzero(angle > max(np.radians(60.0), 8.0 * 1.4826 * np.median(angle)))
-    if len(sharp):
+    if len(points) < 5:
+        return
+    off, near = _distance_from_neighbours(flat, np.linalg.norm(np.diff(flat, axis=0), axis=1))
+    noise = 1.4826 * np.median(off)
+    excess = off / np.maximum(8.0 * noise, 0.1 * near)
+    for corner in corners:
+        if _on_lines(flat, corner, max(8.0 * noise, 0.1 * near[corner - 1])):
+            excess[max(corner - 3, 0) : corner + 2] = 0.0
+    worst = int(np.argmax(excess))
+    if excess[worst] > 1.0:
         raise PatternError(
-            f"{raw.where(sharp[0] + 1)}: the pattern turns by "
-            f"{np.degrees(angle[sharp[0]]):.0f} degrees at one point, which no rod follows; "
-            "round the corner or sample it more finely"
+            f"{raw.where(worst + 1)}: stands {off[worst]:.2g} m off the curve of its "
+            "neighbours, a spike of curvature; remove or correct the point"
         )
+
+
+def _on_lines(flat: np.ndarray, index: int, slack: float) -> bool:
+    """Whether a point lies on the lines of its two neighbours on both sides."""
+    for way in (-1, 1):
+        first, second = index + way, index + 2 * way
+        if not 0 <= second < len(flat):
+            continue
+        along = flat[first] - flat[second]
+        along = along / np.linalg.norm(along)
+        off = flat[index] - flat[first]
+        if abs(off[0] * along[1] - off[1] * along[0]) > slack:
+            return False
+    return True
 
 
 def _distance_from_neighbours(

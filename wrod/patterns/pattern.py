@@ -12,7 +12,10 @@ from scipy.interpolate import PPoly
 
 from wrod.errors import PatternError
 from wrod.files import write_atomically
+from wrod.patterns.corners import distance_from_lines, find_corners, heading_with_corners
 from wrod.patterns.curve import heading_of_curve, integrate_heading, lead_in
+from wrod.patterns.drawings import EXACT, read_drawing
+from wrod.patterns.drawings import SUFFIXES as DRAWINGS
 from wrod.patterns.expressions import compile_expression
 from wrod.patterns.files import RawPoints, checked_points, read_points, refuse_spikes, unit_scale
 from wrod.patterns.shapes import SHAPES
@@ -56,8 +59,11 @@ class Pattern:
         units: str | None = None,
         smoothing: float | None = None,
         name: str | None = None,
+        layer: str | None = None,
+        stroke: int | None = None,
     ) -> Pattern:
-        """Pattern from a file of points: text or CSV (one point a line), NPY or NPZ ('points').
+        """Pattern from a file of points: text or CSV (one point a line), NPY or NPZ ('points'), or
+        from a vector drawing: SVG or DXF.
 
         A header line may name the columns (x, y, z) and the units (`units: mm`, `x [mm]`); lines
         that begin with # or % are comments. Coordinates are metres unless a unit is named.
@@ -67,10 +73,17 @@ class Pattern:
             units: m, cm, mm, um or in; must agree with the header's.
             smoothing: as in `from_points`.
             name: defaults to the file's stem.
+            layer, stroke: of a drawing that holds several (see `drawings.read_drawing`).
 
         Raises:
             PatternError: names the file, and the line or point where there is one.
         """
+        if Path(path).suffix.lower() in DRAWINGS:
+            raw = read_drawing(Path(path), units, layer, stroke)
+            level = EXACT if smoothing is None else smoothing
+            return cls._from_raw(raw, "m", level, name or Path(path).stem)
+        if layer is not None or stroke is not None:
+            raise PatternError(f"{path}: layers and strokes belong to SVG and DXF drawings")
         raw = read_points(path)
         return cls._from_raw(raw, units, smoothing, name or Path(path).stem)
 
@@ -111,8 +124,12 @@ class Pattern:
         if smoothing is not None and not (np.isfinite(smoothing) and smoothing >= 0.0):
             raise PatternError(f"smoothing is {smoothing!r}; give a noise level in metres, or None")
         points = checked_points(raw, units)
-        refuse_spikes(points, raw)
-        heading, origin, noise = fit_heading(points[:, :2], smoothing)
+        corners = find_corners(points[:, :2])
+        refuse_spikes(points, raw, corners)
+        if len(corners):
+            heading, origin, noise = heading_with_corners(points[:, :2], corners, smoothing)
+        else:
+            heading, origin, noise = fit_heading(points[:, :2], smoothing)
         return cls(
             heading,
             origin,
@@ -234,6 +251,42 @@ class Pattern:
             height=self._height,
             points=self.points,
             noise=self.noise,
+        )
+
+    def departure(self) -> tuple[float, float]:
+        """How far the curve leaves the straight lines between the points that it was made from
+        [m], and at which arc length [m]; zeros for a closed form."""
+        if self.points is None:
+            return 0.0, 0.0
+        s = np.linspace(0.0, self.length, 1500)
+        far, place = distance_from_lines(self.points[:, :2], self.sample(s)[0][:, :2])
+        return far, float(s[place])
+
+    def scaled(self, factor: float) -> Pattern:
+        """The pattern drawn `factor` times as large, about its first point.
+
+        Raises:
+            PatternError: the factor is not a positive number.
+        """
+        if not (np.isfinite(factor) and factor > 0.0):
+            raise PatternError(f"size factor is {factor!r}; give a positive number")
+        first = self._heading.x[0]
+        powers = factor ** -np.arange(len(self._heading.c) - 1, -1, -1, dtype=float)
+        points = None
+        if self.points is not None:
+            anchor = np.append(self._origin, self._height)
+            points = anchor + factor * (self.points - anchor)
+        return Pattern(
+            PPoly(
+                self._heading.c * powers[:, None],
+                first * factor + factor * (self._heading.x - first),
+            ),
+            self._origin,
+            name=self.name,
+            source=self.source,
+            height=self._height,
+            points=points,
+            noise=self.noise * factor,
         )
 
     def save(self, path: str | os.PathLike[str], spacing: float = 0.001) -> Path:

@@ -57,6 +57,7 @@ def plan(
     remainder: bool | float | None = None,
     roll: float | str = "plane",
     controller: Controller | None = None,
+    friction: float | tuple[float, float] | None = None,
     device: str | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> Trajectory:
@@ -83,19 +84,24 @@ def plan(
             the plane the twist changes least; up, less is pushed aside (docs/loop.md).
         controller: what "neural" and "auto" ask, for example one that was trained for this
             naturally curved rod; None is the one that ships, for all straight rods.
+        friction: of the table, a coefficient (taken to be known to a tenth) or a range: the path
+            is corrected through simulated deployments until what stays lies on the pattern, for
+            rods and tables that cover what is known of them (docs/deployment.md; a minute or
+            two). None: the grasps as they are.
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
         progress: called with the nodes done since the last call and the number of all nodes.
 
     Returns:
         One pose per contact node; `metadata` names method, closure, rod, pattern, remainder, the
         friction that the laid pattern asks for ("required_friction") and that the rod asks for
-        where it touches down ("contact_friction"), and the warnings given.
+        where it touches down ("contact_friction"), and the warnings given; with `friction`,
+        "optimised" and "expected": what simulated deployments say (`wrod.deployment.optimise`).
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
             bend it tighter than its own radius, or spacing is not positive.
-        GraspError: unknown method, a grasp that did not converge (names node and inputs), or a
-            controller that was made for another rod.
+        GraspError: unknown method, friction for the intuitive one, a grasp that did not converge
+            (names node and inputs), or a controller that was made for another rod.
 
     Warns:
         StabilityWarning: some grasps are elastically unstable, or close to it.
@@ -103,6 +109,20 @@ def plan(
     """
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
+    if friction is not None:
+        from wrod.deployment.optimise import Spread, optimise
+
+        spread = Spread.of(friction)
+        if method == "intuitive":
+            raise GraspError(
+                "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
+            )
+        how = dict(
+            method=method, closure=closure, spacing=spacing, remainder=remainder, roll=roll,
+            controller=controller, device=device, progress=progress,
+        )  # fmt: skip
+        start = plan(pattern, rod, **how)
+        return optimise(prepare(pattern, rod, remainder), rod, start, spread, device=device)
     pattern = prepare(pattern, rod, remainder)
     if closure is None and controller is not None and method in ("auto", "neural"):
         closure = controller.closure
@@ -218,7 +238,8 @@ def with_shapes(
             back without.
     """
     closure, rod = trajectory.metadata.get("closure"), trajectory.rod
-    if trajectory.shape is not None or closure is None or rod is None:
+    corrected = "optimised" in trajectory.metadata  # its grips are not those of grasps
+    if trajectory.shape is not None or closure is None or rod is None or corrected:
         return trajectory
     s = trajectory.pattern_arc_length
     tangent, curvature = _course(trajectory, pattern)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from wrod.errors import GraspError
 from wrod.grasps.mesh import MIRROR, MIRROR_ROTATION
@@ -119,24 +120,30 @@ def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
     model, watch, count = inputs.rod, inputs.progress, len(inputs.suspended_length)
     lgb = model.gravito_bending_length
     force = model.mean_bending_stiffness / lgb**2
+    at = np.maximum(model.length - inputs.suspended_length * lgb, 0.0)
+    # Where the rod is twisted at rest its first director turns along the laid part.
+    rolled = model.rolled(at)
     grasps = solve_rod_grasps(
         model,
-        model.length - inputs.suspended_length * lgb,
+        at,
         inputs.curvature / lgb,
         closure=inputs.closure,
-        roll=inputs.roll,
+        roll=inputs.roll + rolled - 0.5 * np.pi,
         device=inputs.device,
-        progress=None if watch is None else lambda done: watch(done, count),
     )
+    if watch is not None:
+        watch(count, count)
+    # The grip holds the rod at one roll: its y axis is what was to the left where the rod begins.
+    turn = Rotation.from_rotvec(rolled[:, None] * [1.0, 0.0, 0.0])
     return GraspPoses(
         grasps.position / lgb,
-        grasps.rotation,
+        (Rotation.from_rotvec(grasps.rotation) * turn).as_rotvec(),
         grasps.force / force,
         grasps.converged,
         grasps.stable,
         grasps.shape / lgb,
         grasps.eigenvalue * lgb**2 / force,
-        grasps.twist,
+        grasps.twist + rolled,
     )
 
 

@@ -1,6 +1,7 @@
 """Distances between the arm's links, the table, the pedestal and the laid rod.
 
-Every collision shape becomes a capsule (a segment with a radius) that contains it.
+Every collision shape becomes capsules (segments with a radius) that contain it: distances with
+gradients, and never too large. What they refuse is looked at with the true shapes (`exact`).
 """
 
 from __future__ import annotations
@@ -11,68 +12,66 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wrod.errors import RobotError, WrodWarning
-from wrod.robot.mesh import read_mesh
+from wrod.robot.capsules import capsules_of
+from wrod.robot.exact import ExactShapes
 from wrod.robot.model import Robot
-from wrod.robot.urdf import LinkShape
 
 if TYPE_CHECKING:
     import torch
 
+_MOST_EXACT = 4000  # distances between true shapes in one report
 _NOTHING = 10.0  # [m] gap to a rod of which nothing lies yet; finite for the gradient
-
-
-def capsule_of(shape: LinkShape) -> tuple[np.ndarray, np.ndarray, float]:
-    """Ends (3,), (3,) and radius [m] of a capsule around a shape, in its link's frame."""
-    if shape.kind == "sphere":
-        half, radius, axis = 0.0, shape.size[0], np.eye(3)[2]
-    elif shape.kind == "cylinder":
-        radius, half, axis = shape.size[0], shape.size[1] / 2, np.eye(3)[2]
-    elif shape.kind == "box":
-        size = np.array(shape.size)
-        long = int(size.argmax())
-        half, axis = size[long] / 2, np.eye(3)[long]
-        radius = float(np.linalg.norm(np.delete(size, long)) / 2)
-    else:
-        vertices = read_mesh(shape.mesh)[0] * np.array(shape.size)
-        middle = (vertices.max(0) + vertices.min(0)) / 2
-        _, _, axes = np.linalg.svd(vertices - middle, full_matrices=False)
-        along = (vertices - middle) @ axes[0]
-        across = (vertices - middle) - along[:, None] * axes[0]
-        radius = float(np.linalg.norm(across, axis=1).max())
-        ends = [middle + axes[0] * along.min(), middle + axes[0] * along.max()]
-        start, end = (shape.pose[:3, :3] @ p + shape.pose[:3, 3] for p in ends)
-        return start, end, radius
-    offset = shape.pose[:3, :3] @ axis * half
-    return shape.pose[:3, 3] - offset, shape.pose[:3, 3] + offset, radius
 
 
 class CollisionModel:
     """Capsules of an arm on a pedestal, and the pairs that could meet.
 
-    Pairs that are never checked: links joined by one joint, and links two joints apart that
-    overlap in most poses (their shapes are built into each other).
+    Pairs that are never checked: links joined by one joint, links two or three joints apart that
+    overlap in most poses (their shapes are built into each other), and those that the robot's
+    SRDF file, where there is one, says to leave out.
+
+    Attributes:
+        shapes: collision shapes; `shape_of` (C,) is that of each capsule.
+        links: (C,) link of each capsule; `radius` (C,) [m]; `depth` (C,) joints below it.
+        pairs: (P, 2) capsules that could meet.
+        low: capsules that may reach down to the table.
+        exact: the true shapes, or None where capsules are all there is.
     """
 
     def __init__(self, robot: Robot):
         self.robot = robot
-        shapes = []
+        self.shapes, capsules, shape_of = [], [], []
         for shape in robot.shapes("collision"):
             try:
-                shapes.append((shape, capsule_of(shape)))
+                around = capsules_of(shape)
             except RobotError as error:
                 warnings.warn(
                     WrodWarning(f"link {shape.link!r} is not checked for collision: {error}"),
                     stacklevel=2,
                 )
-        self.links = [shape.link for shape, _ in shapes]
-        self.radius = np.array([c[2] for _, c in shapes])
-        anchors = [self._anchor(link) for link in self.links]
-        starts = [self._in_anchor(shape.link, capsule[0]) for shape, capsule in shapes]
-        ends = [self._in_anchor(shape.link, capsule[1]) for shape, capsule in shapes]
-        self._frame = [robot.chain.frame_to_idx[a] for a in anchors]
-        self._start, self._end = np.array(starts), np.array(ends)
+                continue
+            shape_of += [len(self.shapes)] * len(around)
+            self.shapes.append(shape)
+            capsules += around
+        if not capsules:
+            raise RobotError(
+                f"{robot.urdf.path}: no link has a collision shape that can be read, so nothing "
+                "would keep the arm off the table; give the links <collision> elements"
+            )
+        self.shape_of = np.array(shape_of)
+        self.exact = ExactShapes.of(self.shapes)
+        self.links = [self.shapes[k].link for k in shape_of]
+        self.radius = np.array([c[2] for c in capsules])
+        self.anchors = [self._anchor(link) for link in self.links]
+        self._frame = [robot.chain.frame_to_idx[a] for a in self.anchors]
+        self._start = np.array(
+            [self._in_anchor(link, c[0]) for link, c in zip(self.links, capsules, strict=True)]
+        )
+        self._end = np.array(
+            [self._in_anchor(link, c[1]) for link, c in zip(self.links, capsules, strict=True)]
+        )
         depth = self._depths()
-        self.depth = np.array([depth[a] for a in anchors])
+        self.depth = np.array([depth[a] for a in self.anchors])
         self.pairs = self._pairs()
         # The first two moving links stay over the pedestal; whatever comes after may reach down.
         self.low = np.flatnonzero(self.depth >= 2)
@@ -113,22 +112,38 @@ class CollisionModel:
 
     def _pairs(self) -> np.ndarray:
         apart = np.abs(self.depth[:, None] - self.depth[None, :])
-        far = np.argwhere(np.triu(apart > 2))
-        near = np.argwhere(np.triu(apart == 2))
-        if len(near):
-            import torch
+        every = np.argwhere(np.triu(apart >= 2))
+        disabled = self.robot.urdf.never_in_contact()
+        if disabled:
+            named = [frozenset((self.links[i], self.links[j])) for i, j in every]
+            every = every[[pair not in disabled for pair in named]]
+        if len(every) == 0:
+            return every.reshape(0, 2)
+        near = apart[every[:, 0], every[:, 1]]
+        overlap = self._overlap(every)
+        # Built into each other; farther apart only what never comes free is left out.
+        return every[np.where(near == 2, overlap < 0.3, np.where(near == 3, overlap < 0.9, True))]
 
-            robot = self.robot
-            lower = np.maximum(robot.lower, -np.pi)
-            upper = np.minimum(robot.upper, np.pi)
-            q = np.random.default_rng(0).uniform(lower, upper, (200, len(lower)))
-            with torch.no_grad():
-                frames = robot.chain.forward_kinematics_tensor(torch.from_numpy(q))
-                start, end = self.points(frames)
-            self.pairs = near
-            overlap = (self.self_distances(start, end) < 0).double().mean(0).numpy()
-            near = near[overlap < 0.3]
-        return np.concatenate([far, near])
+    def _overlap(self, pairs: np.ndarray) -> np.ndarray:
+        """Share (P,) of random poses in which the shapes of each pair of capsules overlap."""
+        import torch
+
+        robot = self.robot
+        lower = np.maximum(robot.lower, -np.pi)
+        upper = np.minimum(robot.upper, np.pi)
+        q = np.random.default_rng(0).uniform(lower, upper, (200, len(lower)))
+        with torch.no_grad():
+            frames = robot.chain.forward_kinematics_tensor(torch.from_numpy(q))
+            start, end = self.points(frames)
+        self.pairs = pairs
+        hit = (self.self_distances(start, end) < 0).numpy()
+        # Shapes, not capsules: a mesh is built into its neighbour with any of its capsules.
+        names = self.shape_of[pairs]
+        share = np.zeros(len(pairs))
+        for shapes in np.unique(names, axis=0):
+            mine = (names == shapes).all(1)
+            share[mine] = hit[:, mine].any(1).mean()
+        return share
 
     def points(self, frames: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Ends of the capsules in the base frame, (B, C, 3) each, from the chain's frames."""
@@ -178,6 +193,49 @@ class CollisionModel:
         later = torch.arange(len(contacts))[None] >= laid[:, None]
         gap = gap.masked_fill(later[:, None], _NOTHING).amin(-1)
         return gap - torch.from_numpy(self.radius[low]) - rod_radius
+
+    def settle(self, gaps: dict, positions: np.ndarray, around, clearance: float) -> dict:
+        """The gaps with those of the true shapes where capsules come nearer than `clearance`.
+
+        Args:
+            gaps: "links" (K, pairs), "table" and "laid rod" (K, low) [m], of capsules.
+            positions: (K, n) joint positions [rad].
+            around: `Surroundings` at the same samples.
+        """
+        if self.exact is None or min(float(gap.min()) for gap in gaps.values()) >= clearance:
+            return gaps
+        poses = self.robot.link_poses(positions)
+        gaps = {**gaps, "links": self._settled_links(gaps["links"], poses, clearance)}
+        for kind, top in (("table", 0.0), ("laid rod", 2.0 * around.rod_radius)):
+            gap = gaps[kind].copy()
+            for column in np.flatnonzero((gap < clearance).any(0)):
+                rows = np.flatnonzero(gap[:, column] < clearance)
+                shape = int(self.shape_of[self.low[column]])
+                lowest = self.exact.lowest(shape, poses[self.shapes[shape].link][rows])
+                room = lowest - around.table_height - top
+                gap[rows, column] = np.maximum(gap[rows, column], room)
+            gaps[kind] = gap
+        return gaps
+
+    def _settled_links(self, gap: np.ndarray, poses: dict, clearance: float) -> np.ndarray:
+        gap = gap.copy()
+        names = self.shape_of[self.pairs] if len(self.pairs) else np.zeros((0, 2), int)
+        left = _MOST_EXACT
+        for first, second in np.unique(names, axis=0):
+            mine = np.flatnonzero((names == (first, second)).all(1))
+            rows = np.flatnonzero((gap[:, mine] < clearance).any(1))
+            # The worst first: where there are too many, the rest keep what their capsules say.
+            rows = rows[np.argsort(gap[np.ix_(rows, mine)].min(1))][:left]
+            left -= len(rows)
+            for row in rows:
+                true = self.exact.gap(
+                    int(first),
+                    int(second),
+                    poses[self.shapes[first].link][row],
+                    poses[self.shapes[second].link][row],
+                )
+                gap[row, mine] = np.maximum(gap[row, mine], true)
+        return gap
 
 
 def between(start, end, radius, other_start, other_end, other_radius) -> torch.Tensor:

@@ -125,6 +125,9 @@ def solve_joint_path(
     grip_angle: float | str = "auto",
     gripper_length: float | None = None,
     flange: str | None = None,
+    tip: str | None = None,
+    table_height: float | None = None,
+    obstacles=None,
     grip_speed: float = 0.02,
     rate: float = 100.0,
     limit_margin: float = 0.02,
@@ -147,7 +150,9 @@ def solve_joint_path(
             lies along the fingers) to pi/2 (the rod crosses them), or "auto": the smallest that
             works. The gripper's roll about the rod is constant.
         gripper_length: from the flange to the grasp point [m], 0.15 by default.
-        flange: link that carries the gripper (see `load_robot`).
+        flange, tip: link that carries the gripper, or the arm's own grasp point (see `load_robot`).
+        table_height: from the robot's base [m], where the placement is "auto"; None tries a few.
+        obstacles: `Obstacles` that the arm must keep clear of.
         grip_speed: along the path [m/s], a turn of one radian counting as 5 cm.
         rate: of the output [1/s].
         limit_margin: least distance from the joint limits [rad].
@@ -167,6 +172,9 @@ def solve_joint_path(
         grip_angle=grip_angle,
         gripper_length=gripper_length,
         flange=flange,
+        tip=tip,
+        table_height=table_height,
+        obstacles=obstacles,
         grip_speed=grip_speed,
         rate=rate,
         limit_margin=limit_margin,

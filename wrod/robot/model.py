@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from wrod.errors import RobotError
+from wrod.errors import RobotError, WrodWarning
 from wrod.robot.urdf import LinkShape, UrdfFile, read_urdf
 from wrod.scenes import gripper as gripper_model
 from wrod.scenes import sawyer
+from wrod.scenes.arms import TABLES, arm_urdf
+from wrod.scenes.urdf_writer import joint_element, link_element
 
-ROBOTS = {"sawyer": sawyer.PATH}
+ROBOTS = ("sawyer", *TABLES)
 GRASP_LINK = "grasp"
 
 # Joint acceleration and jerk limits [rad/s^2], [rad/s^3]. A URDF has none; these are gentle for
@@ -60,6 +63,17 @@ class Robot:
     def base(self) -> str:
         return self.urdf.base_link
 
+    @property
+    def table_heights(self) -> tuple[float, ...]:
+        """Heights of a table [m], from the base, that are tried in this order.
+
+        Sawyer stands on its own pedestal before the table; other arms are bolted to a stand whose
+        height is the user's to choose.
+        """
+        if self.name == "sawyer":
+            return (-0.55, -0.4, -0.25)
+        return (0.0, -0.15, -0.3, -0.45)
+
     def shapes(self, tag: str) -> list[LinkShape]:
         """Shapes of every link; `tag` is "visual" or "collision"."""
         return self.urdf.shapes(tag)
@@ -91,6 +105,7 @@ def load_robot(
     robot: str | os.PathLike[str] | Robot = "sawyer",
     *,
     flange: str | None = None,
+    tip: str | None = None,
     gripper_length: float | None = None,
     acceleration: float | None = None,
     jerk: float | None = None,
@@ -98,9 +113,12 @@ def load_robot(
     """Load an arm by name or from a URDF file, and put the gripper on it.
 
     Args:
-        robot: "sawyer", a URDF file, or a `Robot` (returned as it is).
-        flange: link that carries the gripper; `right_hand` where there is one, else the end of
-            the longest chain.
+        robot: a name of `ROBOTS` (sawyer, panda, ur5e, ur10e, iiwa, xarm7, gen3), a URDF or xacro
+            file, or a `Robot` (returned as it is).
+        flange: link that carries wrod's gripper; by default the end of the longest chain of
+            revolute joints. What the file hangs on it gives way.
+        tip: link of the file's own gripper at the grasp point, +z along the fingers, which close
+            along y; then no gripper is added.
         gripper_length: from the flange to the grasp point [m], 0.15 by default. A URDF that has a
             link `grasp` of its own keeps its gripper.
         acceleration, jerk: joint limits [rad/s^2], [rad/s^3]; a URDF has none.
@@ -108,18 +126,55 @@ def load_robot(
     Raises:
         RobotError: the file, a link or a mesh is missing, the file cannot be read, a joint has no
             limits, or the arm has fewer than six joints.
+
+    Warns:
+        WrodWarning: links beyond the flange gave way to the gripper.
     """
     if isinstance(robot, Robot):
         return robot
-    path = Path(ROBOTS.get(os.fspath(robot), robot))
-    if not path.is_file() and os.fspath(robot) not in ROBOTS and path.suffix != ".urdf":
-        raise RobotError(
-            f"unknown robot {os.fspath(robot)!r}; known robots: {', '.join(ROBOTS)} "
-            "(or give a URDF file)"
-        )
-    urdf = read_urdf(path)
-    urdf, length = _with_gripper(urdf, flange, gripper_length)
+    urdf, length = describe_robot(robot, flange=flange, tip=tip, gripper_length=gripper_length)
     return _build(urdf, length, acceleration or ACCELERATION, jerk or JERK)
+
+
+def describe_robot(
+    robot: str | os.PathLike[str],
+    *,
+    flange: str | None = None,
+    tip: str | None = None,
+    gripper_length: float | None = None,
+) -> tuple[UrdfFile, float]:
+    """The URDF with its gripper, and the gripper's length [m]; checked in milliseconds.
+
+    Args, Raises, Warns: see `load_robot`.
+    """
+    name = os.fspath(robot)
+    if name == "sawyer":
+        urdf = read_urdf(sawyer.PATH)
+    elif name in TABLES:
+        urdf = UrdfFile(Path(name), arm_urdf(name))
+    elif Path(name).suffix not in (".urdf", ".xacro", ".xml") and not Path(name).is_file():
+        raise RobotError(
+            f"unknown robot {name!r}; known robots: {', '.join(ROBOTS)} (or give a URDF file)"
+        )
+    else:
+        urdf = read_urdf(name)
+    if tip is None:
+        return _with_gripper(urdf, flange, gripper_length)
+    if flange is not None or gripper_length is not None:
+        raise RobotError(
+            "a tip is a point of the arm's own gripper, and flange and gripper length belong to "
+            "wrod's; give either the one or the others"
+        )
+    urdf.require_link(tip, "tip")
+    root = copy.deepcopy(urdf.root)
+    if tip != GRASP_LINK:
+        if GRASP_LINK in urdf.links:
+            raise RobotError(
+                f"{urdf.path}: has a link {GRASP_LINK!r} of its own; leave out the tip"
+            )
+        root.append(link_element(GRASP_LINK))
+        root.append(joint_element("grasp_point", tip, GRASP_LINK, (0, 0, 0)))
+    return UrdfFile(urdf.path, root), float("nan")
 
 
 def _with_gripper(
@@ -139,14 +194,23 @@ def _with_gripper(
     if flange is None and mount is not None:
         flange = mount.find("parent").get("link")
     if flange is None:
-        flange = "right_hand" if "right_hand" in urdf.links else urdf.deepest_link()
+        flange = urdf.flange()
     urdf.require_link(flange, "gripper's flange")
+    beyond = urdf.beyond(flange)
+    moved = sorted(beyond - set(gripper_model.LINKS))
+    if moved:
+        warnings.warn(
+            f"{urdf.path}: {', '.join(moved)} beyond the flange {flange!r} give way to wrod's "
+            "gripper; name the grasp point with tip to keep them",
+            WrodWarning,
+            stacklevel=3,
+        )
     root = copy.deepcopy(urdf.root)
+    gone = beyond | set(gripper_model.LINKS)
     for element in list(root):
         child = element.find("child")
-        if element.get("name") in gripper_model.LINKS or (
-            child is not None and child.get("link") in gripper_model.LINKS
-        ):
+        mine = element.tag == "link" and element.get("name") in gone
+        if mine or (child is not None and child.get("link") in gone):
             root.remove(element)
     try:
         root.extend(gripper_model.gripper_elements(flange, float(wanted)))
@@ -172,6 +236,9 @@ def _build(urdf: UrdfFile, gripper_length: float, acceleration: float, jerk: flo
             link.remove(element)
     for element in [e for e in bare if e.tag not in ("link", "joint")]:
         bare.remove(element)
+    for joint in bare.findall("joint"):
+        for element in [e for e in joint if e.tag in ("dynamics", "safety_controller")]:
+            joint.remove(element)
     try:
         tree = pk.build_chain_from_urdf(ElementTree.tostring(bare))
         chain = pk.SerialChain(tree, GRASP_LINK)

@@ -10,9 +10,10 @@ import numpy as np
 
 from wrod.errors import RobotError
 from wrod.planning.trajectory import Trajectory
+from wrod.robot.capsules import capsules_of
 from wrod.robot.model import Robot
 
-PEDESTAL_CLEARANCE = 0.26  # [m] the table begins this far from the arm's axis
+PEDESTAL_ROOM = 0.08  # [m] the table begins this far from the shapes that do not move
 TABLE_MARGIN = 0.06  # [m] of table around the pattern
 
 
@@ -91,28 +92,57 @@ def contact_in_base(trajectory: Trajectory, placement: Placement) -> np.ndarray:
     return trajectory.contact @ pose[:3, :3].T + pose[:3, 3]
 
 
-def candidates(trajectory: Trajectory, robot: Robot, count: int = 24) -> list[Placement]:
+def pedestal_clearance(robot: Robot) -> float:
+    """Distance from the arm's axis at which the table begins [m]."""
+    poses = robot.link_poses(np.zeros(len(robot.joint_names)))
+    fixed = {robot.base}
+    joints = [j for j in robot.urdf.joints if j.get("type") == "fixed"]
+    for _ in joints:
+        fixed |= {
+            j.find("child").get("link") for j in joints if j.find("parent").get("link") in fixed
+        }
+    reach = 0.0
+    for shape in robot.shapes("collision"):
+        if shape.link in fixed:
+            pose = poses[shape.link][0]
+            for start, end, radius in capsules_of(shape):
+                for point in (start, end):
+                    out = pose[:3, :3] @ point + pose[:3, 3]
+                    reach = max(reach, float(abs(out[0])) + radius)
+    return reach + PEDESTAL_ROOM - 0.02
+
+
+def candidates(
+    trajectory: Trajectory,
+    robot: Robot,
+    count: int = 24,
+    heights: tuple[float, ...] | None = None,
+) -> list[Placement]:
     """Placements worth trying, the most central first.
 
     A grid of positions, table heights and turns is ranked by how far the grip stays from the ends
     of the arm's reach, keeping the table off the pedestal.
+
+    Args:
+        heights: of the table [m]; None those of the robot.
     """
     shoulder, far = reach(robot)
+    clearance = pedestal_clearance(robot)
     middle = (trajectory.contact[:, :2].min(0) + trajectory.contact[:, :2].max(0)) / 2
     grid = itertools.product(
         np.arange(0.45, 0.8, 0.07) * far / 1.3,
-        (-0.25, -0.1, 0.05, 0.2),
-        (-0.55, -0.4, -0.25),
+        np.array([-0.25, -0.1, 0.05, 0.2]) * min(far / 1.3, 1.0),
+        robot.table_heights if heights is None else heights,
         np.arange(8) * math.pi / 4,
     )
     ranked = []
     for radius, side, height, yaw in grid:
         turned = Placement(0.0, 0.0, 0.0, yaw).base_from_world[:2, :2] @ middle
         x, y = float(radius - turned[0]), float(side - turned[1])
-        placement = Placement(x, y, height, float(yaw))
+        placement = Placement(x, y, float(height), float(yaw))
         contact = contact_in_base(trajectory, placement)
         near = np.linalg.norm(contact[:, :2], axis=1).min()
-        if near < PEDESTAL_CLEARANCE + TABLE_MARGIN or contact[:, 0].min() < PEDESTAL_CLEARANCE:
+        if near < clearance + TABLE_MARGIN or contact[:, 0].min() < clearance:
             continue
         pose = placement.base_from_world
         grip = trajectory.position @ pose[:3, :3].T + pose[:3, 3]

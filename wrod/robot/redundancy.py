@@ -20,6 +20,8 @@ from wrod.robot.model import Robot
 
 LIMIT_ROOM = 0.35  # [rad] joints are pushed to stay this far inside their limits
 GAP_ROOM = 0.035  # [m] links are pushed to stay this far apart
+# Nearer than this a path is refused or nearly so: far dearer than what is only uncomfortable.
+_LEAST_LIMIT_ROOM, _LEAST_GAP = 0.06, 0.012  # [rad], [m]
 MANIPULABILITY_ROOM = 0.04  # below this a pose counts as close to a singularity
 
 
@@ -101,9 +103,11 @@ def improve(
         with torch.set_grad_enabled(gradient):
             room = torch.minimum(variable - lower, upper - variable)
             cost = 20.0 * (LIMIT_ROOM - room).clamp_min(0).square().sum()
+            cost = cost + 1000.0 * (_LEAST_LIMIT_ROOM - room).clamp_min(0).square().sum()
             distances = gaps(model, variable, around)
             for gap in distances.values():
                 cost = cost + 2000.0 * (GAP_ROOM - gap).clamp_min(0).square().sum()
+                cost = cost + 4e4 * (_LEAST_GAP - gap).clamp_min(0).square().sum()
             measure = manipulability(robot.chain.jacobian_tensor(variable))
             cost = cost + 200.0 * (MANIPULABILITY_ROOM - measure).clamp_min(0).square().sum()
         if gradient:

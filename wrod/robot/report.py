@@ -68,6 +68,7 @@ def inspect(
     with torch.no_grad():
         distances = {kind: gap.numpy() for kind, gap in gaps(model, q, around).items()}
         measure = manipulability(robot.chain.jacobian_tensor(q)).numpy()
+    distances = model.settle(distances, positions, around, clearance)
 
     def where(sample: int) -> str:
         node = path.node_of(travel[sample])

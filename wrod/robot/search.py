@@ -93,6 +93,19 @@ def follow_targets(
     return [(int(i) // seeds, positions[k], miss[k], excess[k]) for k, i in enumerate(index)]
 
 
+def follow_from(
+    robot: Robot, targets: np.ndarray, start: np.ndarray
+) -> list[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+    """Follow the solution near joint positions (n,) [rad] along each of several ways.
+
+    Args, Returns: see `follow_targets`; `start` is near the ways' middles.
+    """
+    middle = targets.shape[1] // 2
+    positions, miss = _follow(robot, np.tile(start, (len(targets), 1)), targets, middle)
+    excess = np.maximum(positions - robot.upper, robot.lower - positions).max(-1)
+    return [(way, positions[way], miss[way], excess[way]) for way in range(len(targets))]
+
+
 def _wrap(robot: Robot, positions: np.ndarray) -> np.ndarray:
     """Turn each joint by whole turns to where it is nearest the middle of its range."""
     middle = np.where(np.isfinite(robot.lower + robot.upper), (robot.lower + robot.upper) / 2, 0.0)

@@ -12,6 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError
 
+# Usual names of the link that a gripper is screwed to, whole or as the end of one.
+_FLANGES = (
+    "right_hand", "tool0", "flange", "link8", "link_eef", "ee_link", "end_effector_link", "link_ee",
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class LinkShape:
@@ -68,22 +73,57 @@ class UrdfFile:
                 f"{', '.join(self.links)}"
             )
 
-    def deepest_link(self) -> str:
-        """The link at the end of the longest chain of moving joints."""
-        moving = {"revolute", "continuous", "prismatic"}
+    def flange(self) -> str:
+        """The link that carries a gripper: fixed to the end of the longest chain of revolute
+        joints (prismatic fingers do not count), the one of a flange's usual names if there is one.
+        """
         parent = {
-            j.find("child").get("link"): (j.find("parent").get("link"), j.get("type") in moving)
+            j.find("child").get("link"): (j.find("parent").get("link"), j.get("type"))
             for j in self.joints
         }
 
-        def depth(link: str) -> tuple[int, int]:
-            count = steps = 0
+        def turns(link: str) -> int:
+            count = 0
             while link in parent:
-                link, moves = parent[link]
-                count, steps = count + moves, steps + 1
-            return count, -steps
+                link, kind = parent[link]
+                count += kind in ("revolute", "continuous")
+            return count
 
-        return max(self.links, key=depth)
+        ends = [x for x in self.links if parent.get(x, ("", ""))[1] in ("revolute", "continuous")]
+        if not ends:
+            return self.base_link
+        last = max(ends, key=turns)
+        fixed = [last]
+        for link in fixed:
+            fixed += [x for x, (above, kind) in parent.items() if above == link and kind == "fixed"]
+        for name in _FLANGES:
+            for link in fixed:
+                if link == name or link.endswith(name):
+                    return link
+        return last
+
+    def beyond(self, link: str) -> set[str]:
+        """All links that hang from a link."""
+        found, queue = set(), [link]
+        while queue:
+            above = queue.pop()
+            below = [
+                j.find("child").get("link")
+                for j in self.joints
+                if j.find("parent").get("link") == above
+            ]
+            found |= set(below)
+            queue += below
+        return found
+
+    def never_in_contact(self) -> set[frozenset[str]]:
+        """Pairs of links whose contact an SRDF beside the file disables; empty without one."""
+        for folder in (self.path.parent, self.path.parent.parent / "srdf"):
+            for name in (self.path.stem, self.root.get("name", "")):
+                file = folder / f"{name}.srdf"
+                if name and file.is_file():
+                    return _disabled_pairs(file)
+        return set()
 
     def shapes(self, tag: str) -> list[LinkShape]:
         """All shapes of every link; `tag` is "visual" or "collision"."""
@@ -123,25 +163,41 @@ class UrdfFile:
         return LinkShape(link, shape.tag, size, pose, color)
 
     def mesh_path(self, name: str) -> Path:
-        """File that a mesh name means: relative to the URDF, or `package://` of a folder above it.
+        """File that a mesh name means: relative to the URDF, or `package://` of a package that is
+        a folder above it, beside one, or on ROS_PACKAGE_PATH or AMENT_PREFIX_PATH.
 
         Raises:
             RobotError: there is no such file.
         """
-        if name.startswith("package://"):
-            package, _, rest = name.removeprefix("package://").partition("/")
-            folders = [p for p in self.path.resolve().parents]
+        hint = "put it there or remove the mesh from the file"
+        if name.startswith(("package://", "model://")):
+            package, _, rest = name.partition("://")[2].partition("/")
+            folders = list(self.path.resolve().parents)
             candidates = [p / rest for p in folders if p.name == package]
-            candidates += [p / package / rest for p in folders]
+            candidates += [p / package / rest for p in folders + package_folders()]
+            hint = (
+                f"put the package {package!r} beside the URDF or name its parent folder in "
+                "ROS_PACKAGE_PATH"
+            )
+        elif name.startswith(("http://", "https://")):
+            raise RobotError(
+                f"{self.path}: mesh {name!r} is on the net; download it and name the file"
+            )
         else:
             candidates = [self.path.parent / name.removeprefix("file://")]
         for candidate in candidates:
             if candidate.is_file():
                 return candidate
         raise RobotError(
-            f"{self.path}: mesh {name!r} is missing (looked at {candidates[0]}); put it there or "
-            "remove the mesh from the file"
+            f"{self.path}: mesh {name!r} is missing (looked at {candidates[0]}); {hint}"
         )
+
+
+def package_folders() -> list[Path]:
+    """Folders that hold ROS packages, from the environment."""
+    found = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    ament = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [Path(p) for p in found if p] + [Path(p) / "share" for p in ament if p]
 
 
 def read_urdf(path: str | os.PathLike[str]) -> UrdfFile:
@@ -155,7 +211,10 @@ def read_urdf(path: str | os.PathLike[str]) -> UrdfFile:
     if not path.is_file():
         raise RobotError(f"{path}: no such URDF file")
     try:
-        root = ElementTree.parse(path).getroot()
+        if path.suffix == ".xacro":
+            root = ElementTree.fromstring(_expanded(path))
+        else:
+            root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
         raise RobotError(f"{path}: not readable as XML ({error})") from error
     if root.tag != "robot":
@@ -175,6 +234,35 @@ def read_urdf(path: str | os.PathLike[str]) -> UrdfFile:
     for mesh in root.iter("mesh"):
         urdf.mesh_path(mesh.get("filename", ""))
     return urdf
+
+
+def _expanded(path: Path) -> str:
+    """Text of the URDF that a xacro file makes."""
+    try:
+        import xacro
+    except ImportError as error:
+        raise RobotError(
+            f"{path}: is a xacro file, which needs the package xacro; install wrod[meshes], or "
+            "write the URDF with `xacro FILE > arm.urdf`"
+        ) from error
+    try:
+        return xacro.process_file(str(path)).toxml()
+    except Exception as error:
+        raise RobotError(
+            f"{path}: xacro cannot expand it ({error}); write the URDF where its packages are "
+            "installed, with `xacro FILE > arm.urdf`"
+        ) from error
+
+
+def _disabled_pairs(path: Path) -> set[frozenset[str]]:
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise RobotError(f"{path}: not a readable SRDF file ({error})") from error
+    return {
+        frozenset((pair.get("link1", ""), pair.get("link2", "")))
+        for pair in root.iter("disable_collisions")
+    }
 
 
 def _origin(element: ElementTree.Element | None) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import RodError
+from wrod.kernels.contact import linearised
 from wrod.kernels.contact import planes as kernels
 from wrod.rods.batch import RodBatch
 from wrod.solvers.edge_contact import EdgeContact
@@ -242,6 +243,36 @@ class Contact:
                 outputs=[out.gradient, out.hessian],
                 device=self.batch.device,
             )
+
+    def linearise(
+        self, accepted: wp.array, dof: wp.array, dof_before: wp.array, outputs: list[wp.array]
+    ) -> None:
+        """Derivatives of the first shape's contact at the end of accepted steps; before `settle`.
+
+        Args:
+            accepted: (rod,) whose steps are.
+            dof, dof_before: (rod, dof) at the end and at the start of the steps.
+            outputs: (rod, node) each: see `wrod.kernels.contact.linearised`.
+        """
+        wp.launch(
+            linearised.linearise_contact,
+            dim=(self.batch.rod_count, self.batch.node_count),
+            inputs=[*self._model, accepted, dof, dof_before, self._bristle, self._sliding],
+            outputs=outputs,
+            device=self.batch.device,
+        )
+
+    @property
+    def tangent_stiffness(self) -> wp.array:
+        """(rod, node) stiffness of each node's bristle [force/length]."""
+        return self._model[2]
+
+    @property
+    def roll_stiffness(self) -> wp.array:
+        """(rod,) how stiffly a step holds the roll of an edge at a node in contact [moment/rad]."""
+        if self._roll is None:
+            return wp.zeros(self.batch.rod_count, dtype=wp.float64, device=self.batch.device)
+        return self._roll
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) touch everything for the first time."""

@@ -1,0 +1,102 @@
+"""Derivatives of deployments, against differences of deployments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import wrod
+from wrod.deployment.setup import Disturbance
+from wrod.deployment.simulate import Trial
+from wrod.deployment.tangents import Directions, lay
+from wrod.errors import RodError
+from wrod.solvers.contact import Friction
+
+ROD = wrod.RodMaterial(0.0016, 0.032, 0.32)
+OPTIONS = dict(spacing=0.01, step=0.02, speed=0.05)
+
+
+@pytest.fixture(scope="module")
+def bend():
+    """A short pattern that bends by 1 / L_gb, and its plan."""
+    s = np.linspace(0.0, 0.16, 200)
+    heading = 0.5 * (1.0 + np.tanh((s - 0.1) / 0.02))
+    points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
+    pattern = wrod.Pattern.from_points(points)
+    return pattern, wrod.plan(pattern, ROD, "numeric", closure="min_friction", spacing=0.01)
+
+
+def columns(trajectory):
+    """Each coordinate of the pose, around the middle of the path; friction, stiffness, natural
+    curvature."""
+    bump = np.exp(-0.5 * ((trajectory.arc_length - 0.11) / 0.02) ** 2)
+    path = np.einsum("t,cd->ctd", bump, np.eye(6))
+    return Directions.of_path(path) + Directions.of_rod(len(trajectory))
+
+
+def displaced(trial, directions, column, by, offset):
+    """What the direction of that number leads to, without any derivative."""
+    law, disturbance = trial.friction, trial.disturbance
+    law = Friction(law.static + by * directions.friction[column])
+    stiffer = np.exp(by * directions.stiffness[column] / 3.0) - 1.0
+    bent = by * directions.natural_curvature[column]
+    disturbance = replace(disturbance, lgb_error=stiffer, natural_curvature=bent)
+    move = offset + by * directions.path[column]
+    return replace(trial, friction=law, disturbance=disturbance), move
+
+
+# Sticking: all agree. Sliding at friction 0.15: so do they, as far as the step's tolerance allows.
+@pytest.mark.parametrize("friction, tolerance, agrees", [(4.0, 1e-9, 5e-4), (0.15, 1e-9, 5e-4)])
+def test_tangents_are_limits_of_differences(bend, friction, tolerance, agrees):
+    pattern, trajectory = bend
+    trial = Trial(pattern, ROD, trajectory, Friction(friction))
+    directions = columns(trajectory)
+    # Beside the plan, so that rotation vectors are not at their origin.
+    offset = 0.002 * np.sin(20.0 * trajectory.arc_length)[:, None] * [1, 1, 1, 20, 20, 20]
+    options = OPTIONS | {"tolerance": tolerance}
+    laid = lay([trial], [directions], [offset], **options)[0]
+    assert not laid.diverged
+    assert (laid.slip.max() > 2e-3) == (friction < 0.2)
+    until = np.searchsorted(laid.arc_length, trajectory.arc_length[-1])
+    size = 1e-6
+    trials, moves = [], []
+    for column in range(len(directions)):
+        scale = 100.0 if directions.natural_curvature[column] else 1.0
+        for sign in (1.0, -1.0):
+            one, move = displaced(trial, directions, column, sign * scale * size, offset)
+            trials.append(one)
+            moves.append(move)
+    ends = np.array([one.centerline for one in lay(trials, None, moves, **options)])
+    for column in range(len(directions)):
+        scale = 100.0 if directions.natural_curvature[column] else 1.0
+        difference = (ends[2 * column] - ends[2 * column + 1]) / (2.0 * scale * size)
+        error = np.abs(difference - laid.tangent[column])[:until].max()
+        largest = np.abs(laid.tangent[column])[:until].max()
+        assert largest > 0.0
+        assert error < agrees * largest + 1e-6, (column, error, largest)
+
+
+def test_a_batch_holds_what_its_rods_hold_alone(bend):
+    pattern, trajectory = bend
+    trials = [
+        Trial(pattern, ROD, trajectory, Friction(mu), Disturbance(yaw=yaw))
+        for mu, yaw in ((0.8, 0.0), (0.2, 0.3))
+    ]
+    directions = [columns(trajectory)] * 2
+    together = lay(trials, directions, **OPTIONS)
+    for trial, one in zip(trials, together, strict=True):
+        alone = lay([trial], directions[:1], **OPTIONS)[0]
+        np.testing.assert_allclose(one.centerline, alone.centerline, atol=1e-12)
+        np.testing.assert_allclose(one.tangent, alone.tangent, atol=1e-9)
+
+
+def test_what_a_tangent_cannot_know_is_refused(bend):
+    pattern, trajectory = bend
+    trial = Trial(pattern, ROD, trajectory, Friction(0.5, rolling=True))
+    with pytest.raises(RodError, match="roll"):
+        lay([trial], [columns(trajectory)], **OPTIONS)
+    with pytest.raises(RodError, match="sets of directions"):
+        lay([trial], [columns(trajectory)] * 2, **OPTIONS)
+    with pytest.raises(RodError, match="one for each pose"):
+        still = replace(trial, friction=Friction(0.5))
+        lay([still], [Directions.of_path(np.zeros((1, 3, 6)))], **OPTIONS)

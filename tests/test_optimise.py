@@ -1,0 +1,107 @@
+"""Plans that are corrected through simulated deployments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import wrod
+from wrod.commands import main
+from wrod.deployment.optimise import Corrections, Spread, expect, optimise
+from wrod.deployment.simulate import Trial
+from wrod.deployment.tangents import Directions, lay
+from wrod.errors import GraspError, PatternError
+from wrod.solvers.contact import Friction
+
+ROD = wrod.RodMaterial(0.0016, 0.032, 0.36)
+
+
+@pytest.fixture(scope="module")
+def bend():
+    """A pattern that turns by 92 degrees at up to 0.64 / L_gb, and its plan."""
+    s = np.linspace(0.0, 0.2, 400)
+    heading = 0.8 * (1.0 + np.tanh((s - 0.11) / 0.04))
+    points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
+    pattern = wrod.Pattern.from_points(points)
+    return pattern, wrod.plan(pattern, ROD, spacing=0.005)
+
+
+def test_a_corrected_plan_lays_better_than_the_best_grasps(bend):
+    pattern, trajectory = bend
+    corrected = optimise(pattern, ROD, trajectory, 0.3, samples=2, iterations=4)
+    before = expect(pattern, ROD, trajectory, 0.3, trials=3)
+    after = corrected.metadata["expected"]
+    assert after["diverged"] == 0
+    assert after["mean"] < 0.5 * before["mean"]
+    said = corrected.metadata["optimised"]
+    # What the fitted rods keep is less than what unseen ones do, and the least of all iterations.
+    assert min(said["errors"]) < after["mean"] < said["errors"][0]
+    moved = np.linalg.norm(corrected.position - trajectory.position, axis=1)
+    assert 1e-3 < moved.max() < 1.5 * ROD.gravito_bending_length
+    # Smooth: no contact node moves the grip by more than a third of a millimetre off its course.
+    bent = np.diff(corrected.position - trajectory.position, 2, axis=0)
+    assert np.abs(bent).max() < 1e-3
+    np.testing.assert_array_equal(corrected.rotation, trajectory.rotation)
+
+
+def test_the_command_says_what_is_expected(bend, tmp_path):
+    np.savetxt(tmp_path / "bend.txt", bend[0].sample(np.linspace(0.0, 0.19, 200))[0], header="m")
+    arguments = ["plan", str(tmp_path / "bend.txt"), "--rod", str(ROD.save(tmp_path / "rod.json"))]
+    arguments += ["--method", "intuitive", "--friction", "0.2:0.6", "--no-robot", "--units", "m"]
+    result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    assert "expected on a table of friction 0.2 to 0.6" in result.output
+    assert "lies off the pattern by more than 5 mm at s = " in result.output
+    saved = wrod.Trajectory.load(tmp_path / "out" / "trajectory.npz")
+    assert saved.metadata["expected"]["mean"] > 0.005
+
+
+def test_columns_are_what_corrections_do(bend):
+    pattern, trajectory = bend
+    corrections = Corrections(pattern, trajectory, ROD.gravito_bending_length, 0.05)
+    values = np.random.default_rng(0).standard_normal(3 * corrections.count)
+    by_columns = np.einsum("c,ctd->td", values, corrections.columns())
+    moved = corrections.apply(values).position - trajectory.position
+    np.testing.assert_allclose(by_columns[:, :3], moved, atol=1e-12)
+    assert not by_columns[:, 3:].any()
+    # The rod ends at the grip still.
+    shape = corrections.apply(values).shape
+    np.testing.assert_allclose(shape[:, -1] - trajectory.shape[:, -1], moved, atol=1e-12)
+
+
+def test_a_plain_deployment_is_that_of_the_simulation(bend):
+    pattern, trajectory = bend
+    laid = lay([Trial(pattern, ROD, trajectory, Friction(0.4))], spacing=0.01, step=0.02)[0]
+    same = wrod.simulate_deployment(pattern, ROD, trajectory, 0.4, spacing=0.01, step=0.02)
+    np.testing.assert_allclose(laid.centerline, same.centerline, atol=1e-12)
+    with_columns = lay(
+        [Trial(pattern, ROD, trajectory, Friction(0.4))],
+        [Directions.of_rod(len(trajectory))],
+        spacing=0.01,
+        step=0.02,
+    )[0]
+    np.testing.assert_array_equal(laid.centerline, with_columns.centerline)
+
+
+def test_a_sample_covers_what_is_declared():
+    spread = Spread.of((0.2, 0.6))
+    rods, laws, disturbances = zip(*spread.sample(6, ROD), strict=True)
+    mus = np.array([law.static for law in laws])
+    assert mus[0] > 0.2 and mus[-1] < 0.6 and np.ptp(np.diff(mus)) < 1e-9
+    assert len({d.lgb_error for d in disturbances}) == 6
+    assert min(d.lgb_error for d in disturbances) < -0.02
+    assert max(d.lgb_error for d in disturbances) > 0.02
+    assert len({rod.stretch_ratio for rod in rods}) == 2
+    np.testing.assert_allclose(Spread.of(0.5).friction, (0.45, 0.55))
+
+
+@pytest.mark.parametrize("friction", [0.0, -1.0, np.nan, (0.6, 0.2), (0.1, 0.2, 0.3)])
+def test_friction_that_is_none_is_refused(friction):
+    with pytest.raises(PatternError, match="friction is"):
+        wrod.plan(wrod.pattern("line"), replace(ROD, length=0.9), friction=friction)
+
+
+def test_the_intuitive_method_is_not_corrected():
+    with pytest.raises(GraspError, match="intuitive"):
+        wrod.plan(wrod.pattern("line"), replace(ROD, length=0.9), "intuitive", friction=0.3)

@@ -1,0 +1,124 @@
+"""Grasps of rods whose properties vary along them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wrod.errors import GraspError
+from wrod.grasps.optimal import solve_grasps
+from wrod.grasps.rod_grasps import solve_rod_grasps
+from wrod.rods.material import rod
+from wrod.rods.model import RodModel
+from wrod.rods.profile import Profile
+
+GREEN = rod("green-vps")
+CONTACT, CURVATURE = np.array([0.1, 0.45, 0.45]), np.array([0.0, 20.0, -40.0])
+
+
+@pytest.mark.parametrize("closure", ["zero_tension", "min_force", "min_friction"])
+def test_a_uniform_straight_rod_is_the_special_case(closure):
+    lgb = GREEN.gravito_bending_length
+    grasps = solve_rod_grasps(GREEN, CONTACT, CURVATURE, closure=closure)
+    plain = solve_grasps(
+        (GREEN.length - CONTACT) / lgb, CURVATURE * lgb, GREEN.stretch_ratio, closure=closure
+    )
+    assert grasps.converged.all()
+    assert np.abs(grasps.position / lgb - plain.position).max() < 2e-3
+    assert np.abs(grasps.force / grasps.force_unit - plain.force).max() < 1e-3
+    assert np.abs(grasps.twist).max() < 1e-6
+
+
+def stiffer_upwards() -> RodModel:
+    model = RodModel.of(GREEN)
+    ends = (0.0, model.length)
+    stiffness = model.bending_stiffness[0].values[0]
+    return replace(
+        model,
+        bending_stiffness=(
+            Profile((stiffness, 2.0 * stiffness), ends),
+            Profile((0.7 * stiffness, 1.4 * stiffness), ends),
+        ),
+        natural_curvature=(Profile((2.0, 0.0), ends), Profile((1.0, 1.0), ends)),
+        natural_twist=Profile((1.0,)),
+    )
+
+
+def test_second_order_in_the_mesh():
+    model = stiffer_upwards()
+    reach = [
+        solve_rod_grasps(
+            model, CONTACT, CURVATURE, edge_count=n, extrapolate=False, roll=0.4
+        ).position
+        for n in (64, 128, 256, 512)
+    ]
+    error = [np.linalg.norm(p - reach[-1], axis=1) for p in reach]
+    assert (np.log2(error[0] / error[1]) > 1.8).all()
+    exact = solve_rod_grasps(model, CONTACT, CURVATURE, edge_count=512, roll=0.4)
+    here = solve_rod_grasps(model, CONTACT, CURVATURE, roll=0.4)
+    assert here.converged.all()
+    assert np.abs(here.position - exact.position).max() < 1e-3 * GREEN.gravito_bending_length
+
+
+def test_the_batch_finds_the_grasp_in_balance():
+    """Energy's gradient by `RodBatch.of`, with the nodes and the rod's own frames given to it."""
+    from wrod.rods.batch import RodBatch
+    from wrod.solvers.statics import solve_equilibria
+
+    model = replace(stiffer_upwards(), natural_twist=Profile((0.0,)))
+    grasps = solve_rod_grasps(model, CONTACT[1:2], CURVATURE[1:2], extrapolate=False)
+    s, shape = grasps.node_arc_length[0], grasps.shape[0]
+    first = shape[1] - shape[0]
+    ghost = shape[0] - (s[1] - s[0]) * first * [1, -1, 1] / np.linalg.norm(first)
+    batch = RodBatch.of(
+        model,
+        np.concatenate([[2 * s[0] - s[1]], s]),
+        np.concatenate([ghost[None], shape])[None],
+        director=(0.0, 0.0, 1.0),
+    )
+    # The contact's edges and the grip are held; the grip's roll is what brings the contact's
+    # twisting moment to nothing.
+    free = np.ones(batch.dof_count, dtype=bool)
+    free[:11] = False
+    free[-4:] = False
+    batch.set_free(free)
+    dof = batch.state.dof.numpy().copy()
+    dof[:, -4] = grasps.twist[0]
+    # Spread the twist over the rod before the rest is solved for.
+    dof[:, 7:-4:4] = np.linspace(0.0, grasps.twist[0], len(s) - 1)[None, :-1]
+    batch.state.dof.assign(dof)
+    assert solve_equilibria(batch, prescribed=dof).converged.all()
+    moved = np.abs(batch.positions()[0, 1:] - shape).max()
+    assert moved < 2e-3 * grasps.length_unit
+    reaction = batch.evaluate(order=1).gradient.numpy()[0]
+    assert np.abs(reaction[-3]) < 1e-2 * grasps.force_unit
+    assert np.abs(reaction[7]) < 1e-2 * grasps.force_unit * grasps.length_unit
+
+
+def test_a_mirrored_rod_has_mirrored_grasps():
+    model = stiffer_upwards()
+    c1, c2 = model.natural_curvature
+    other = replace(
+        model,
+        natural_curvature=(c1, Profile(tuple(-v for v in c2.values), c2.knots)),
+        natural_twist=Profile((-1.0,)),
+    )
+    left = solve_rod_grasps(model, CONTACT, CURVATURE, roll=0.3)
+    right = solve_rod_grasps(other, CONTACT, -CURVATURE, roll=-0.3)
+    assert np.allclose(right.position, left.position * [1, -1, 1], atol=1e-9)
+    assert np.allclose(right.rotation, left.rotation * [-1, 1, -1], atol=1e-7)
+    assert np.allclose(right.twist, -left.twist, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        ({"arc_length": [2.0]}, "arc_length"),
+        ({"curvature": 1e4}, "curvature"),
+        ({"closure": "least"}, "closure"),
+        ({"roll": np.nan}, "roll"),
+    ],
+)
+def test_bad_input_is_named(change, word):
+    with pytest.raises(GraspError, match=word):
+        solve_rod_grasps(**{"rod": GREEN, "arc_length": [0.4], "curvature": 1.0, **change})

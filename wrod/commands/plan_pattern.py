@@ -1,0 +1,101 @@
+"""What `wrod plan` does to a pattern before it is planned: resize, round, hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import click
+
+# Curvature [1/L_gb] that grasps of every closure exist for, and up to which rods lie well.
+LARGEST_CURVATURE = 3.0
+
+SHAPE = (
+    click.option("--resize", type=float, help="Draw the pattern this many times as large."),
+    click.option(
+        "--tolerance",
+        default=0.01,
+        show_default=True,
+        help="How far rounded corners may leave the pattern [m].",
+    ),
+    click.option(
+        "--hold",
+        type=float,
+        help="Grip the rod at this length from its free end instead of at its other end [m].",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A pattern ready for planning, the rod as it is held, and what was done to them."""
+
+    pattern: object
+    rod: object
+    notes: tuple[str, ...]
+    figures: dict
+
+
+def fit(curve, rod, resize: float | None, tolerance: float, hold: float | None) -> Prepared:
+    """Resize a pattern, hold the rod at a length, round what bends too much for the rod.
+
+    Raises:
+        PatternError: the curve departs from what was given by more than the tolerance.
+        RodError: the hold is not on the rod.
+    """
+    from wrod.errors import PatternError, RodError
+    from wrod.patterns.rounding import round_corners
+
+    if not tolerance > 0:
+        raise PatternError(f"--tolerance is {tolerance:g}; give a positive number of metres")
+    notes, figures = [], {}
+    if hold is not None:
+        if not 0 < hold <= rod.length:
+            raise RodError(
+                f"--hold is {hold:g} m, and the rod is {rod.length:g} m long; hold it on the rod"
+            )
+        notes.append(f"held at {hold:g} m; {rod.length - hold:.3f} m hang beyond the grip")
+        rod = replace(rod, length=hold)
+    if resize is not None:
+        curve = curve.scaled(resize)
+        notes.append(f"drawn {resize:g} times as large")
+    far, where = curve.departure()
+    if far > tolerance:
+        raise PatternError(
+            f"{curve.source}: the curve through its points leaves the lines between them by "
+            f"{1e3 * far:.1f} mm at s = {where:.3f} m, more than the tolerance of "
+            f"{1e3 * tolerance:g} mm; give more points, or --tolerance {far + 1e-4:.4f}"
+        )
+    if far > 1e-3:
+        notes.append(
+            f"the curve leaves the lines between the points by {1e3 * far:.1f} mm at most, at "
+            f"s = {where:.3f} m"
+        )
+    figures["departure_from_points"] = far
+    if too_long(curve, rod) is not None:
+        return Prepared(curve, rod, tuple(notes), figures)  # it is refused next
+    bound = LARGEST_CURVATURE / rod.gravito_bending_length
+    curve, rounding = round_corners(curve, bound, tolerance)
+    if rounding is not None:
+        notes.append(str(rounding))
+        figures["rounding"] = {
+            "largest": rounding.largest,
+            "places": [list(place) for place in rounding.places],
+            "sharpest": rounding.sharpest,
+            "bound": rounding.bound,
+        }
+    return Prepared(curve, rod, tuple(notes), figures)
+
+
+def too_long(curve, rod) -> str | None:
+    """The remedies for a pattern that the rod cannot lay, or None where it can."""
+    from wrod.planning.sources import MIN_SUSPENDED_LENGTH
+
+    spare = rod.length - MIN_SUSPENDED_LENGTH * rod.gravito_bending_length
+    if curve.length <= spare or spare <= 0:
+        return None
+    factor = int(1e3 * spare / curve.length - 5) / 1e3
+    needed = curve.length + MIN_SUSPENDED_LENGTH * rod.gravito_bending_length
+    return (
+        f"`--resize {factor:g}` draws it smaller; a rod as stiff of {needed + 0.005:.3f} m "
+        "lays it as it is"
+    )

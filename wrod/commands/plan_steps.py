@@ -1,0 +1,135 @@
+"""The steps of `wrod plan`, each of which leaves something behind: grasps, files, joint path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+NO_JOINT_PATH = 3  # exit code: the plan stands, the arm cannot follow it
+
+
+def solve_grasps_of(
+    curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, **options
+):
+    """The trajectory, with the rod's shapes where they are wanted."""
+    from tqdm import tqdm
+
+    from wrod.planning.plan import plan, with_shapes
+
+    with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=quiet or None) as bar:
+
+        def progress(count: int, total: int) -> None:
+            bar.total = total
+            bar.update(count)
+
+        trajectory = plan(
+            curve, rod, method, device=device, progress=progress,
+            friction=None if method == "intuitive" else friction, **options,
+        )  # fmt: skip
+        if friction is not None and method == "intuitive":
+            from wrod.deployment.optimise import expect
+
+            expected = expect(curve, rod, trajectory, friction, device=device or "auto")
+            trajectory.metadata["expected"] = expected
+        if shapes:
+            bar.n = 0
+            trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
+    return trajectory
+
+
+def save_plan(out: Path, curve, trajectory) -> list[Path]:
+    """Write the trajectory and its picture.
+
+    Raises:
+        DataError: the folder cannot be written.
+    """
+    from wrod.errors import DataError
+    from wrod.planning.picture import draw_plan
+
+    try:
+        picture = draw_plan(out / "preview.png", curve, trajectory)
+        return [*trajectory.save(out / "trajectory"), picture]
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+
+
+def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, size):
+    """Joint path and scene, or the reason why there is none, with what would help.
+
+    Args:
+        planned: (resize, hold) -> what the plan would be with them; `size` is what they are now.
+
+    Returns:
+        The `JointPath` or None, the reason or None, and the files written.
+    """
+    from tqdm import tqdm
+
+    from wrod.errors import DataError, RobotError
+    from wrod.robot.remedy import draw_reach
+    from wrod.robot.solve import UnreachedError
+    from wrod.scene.deliver import deliver
+
+    with tqdm(total=4, unit="step", leave=False, delay=1.0, disable=quiet or None) as steps:
+
+        def step(what: str) -> None:
+            steps.set_description(what)
+            steps.update(1)
+
+        step("joint path")
+        try:
+            joint_path = request.solve(trajectory, rod)
+        except UnreachedError as error:
+            step("remedy")
+            picture = draw_reach(out / "reach.png", error)
+            said = _remedy(request, error, rod, curve, planned, size) if request.remedy else None
+            reason = str(error).rsplit(";", 1)[0] + f"; {said}" if said else str(error)
+            return None, reason, [picture]
+        except RobotError as error:
+            return None, str(error), []
+        try:
+            written = request.export(joint_path, out)
+            written += deliver(out, trajectory, joint_path, curve, rod, step)
+            return joint_path, None, written
+        except OSError as error:
+            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+
+
+def _remedy(request, failed, rod, curve, planned, size) -> str | None:
+    """An option with which the joint path was found, or None."""
+    import warnings
+
+    from wrod.errors import WrodError
+    from wrod.robot.placement import candidates
+    from wrod.robot.remedy import remedies
+
+    resize, hold = size
+    free = request.placement == "auto"
+
+    def places(heights):
+        return candidates(failed.task.trajectory, failed.task.robot, heights=heights)
+
+    for change in remedies(failed, rod, curve.length + curve.remainder_length, places):
+        (name, value), *_ = change.items()
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                if name == "table_height":
+                    # Found by solving for it; a placement that was given must be given up.
+                    lift = 100 * (value - failed.best.branch.placement.z)
+                    way = "higher" if lift > 0 else "lower"
+                    kept = "" if free else " and --placement auto"
+                    return (
+                        f"with the table {abs(lift):.0f} cm {way}, --table-height {value:g}"
+                        f"{kept}, it is found"
+                    )
+                if name == "resize":
+                    value = round(value * (resize or 1.0), 3)
+                    fitted, _, trajectory = planned(value, hold)
+                else:
+                    fitted, _, trajectory = planned(resize, value)
+                request.solve(trajectory, fitted.rod)
+        except WrodError:
+            continue
+        if name == "hold":
+            return f"held {value:g} m from its free end, --hold {value:g}, it is found"
+        return f"drawn {value:g} times as large, --resize {value:g}, it is found"
+    return None

@@ -1,0 +1,96 @@
+"""What `wrod plan` tells a reader about a plan."""
+
+from __future__ import annotations
+
+from math import degrees, pi
+
+
+def summary(figures: dict) -> str:
+    """Lines for a reader from the figures that --json prints."""
+    lines = [
+        f"{figures['pattern']}: {figures['pattern_length']:.3f} m"
+        + (
+            f" and a remainder of {figures['remainder_length']:.3f} m"
+            if figures["remainder_length"]
+            else ""
+        )
+        + f", {figures['nodes']} nodes, largest curvature {figures['largest_curvature']:.1f} 1/m",
+        f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}"
+        + (f", closure {figures['closure']}" if figures["closure"] else ""),
+    ]
+    if "expected" in figures:
+        lines += _expectation(figures["expected"], figures.get("optimised"))
+    else:
+        lines.append("for no table in particular; --friction 0.3 or 0.2:0.6 corrects it for one")
+    lines += [f"note: {note}" for note in figures["notes"]]
+    if figures["twist"] is not None:
+        first, last = (value / (2.0 * pi) for value in figures["twist"])
+        lines.append(
+            f"naturally curved rod: lay it with its first material director "
+            f"{degrees(figures['roll']):.0f} degrees from left towards up, twisted by {first:.2f} "
+            f"turns between table and grip at first and by {last:.2f} in the end"
+        )
+    if "shapes" in figures:
+        apart = 1e3 * figures["shapes"]["largest_grip_difference"]
+        lines[1] += f"; the rod solver's grips differ by {apart:.2g} mm at most"
+    if figures["joint_path"] is not None:
+        path = figures["joint_path"]
+        place = path["placement"]
+        lines.append(
+            f"joint path of {path['duration']:.0f} s at {path['rate']:g} Hz, at least "
+            f"{path['limit_margin']:.2f} rad from the joint limits and "
+            f"{1e3 * min(path['gap'].values()):.0f} mm clear; pattern at x {place['x']:.3f}, "
+            f"y {place['y']:.3f}, z {place['z']:.3f} m, yaw {degrees(place['yaw']):.0f} degrees "
+            "from the robot's base"
+        )
+    return "\n".join(lines)
+
+
+def _expectation(expected: dict, optimised: dict | None) -> list[str]:
+    """What simulated deployments say of the plan, in sentences."""
+    mus = expected["friction"]
+    table = f"friction {mus[0]:.2g} to {mus[-1]:.2g}"
+    lines = [
+        f"expected on a table of {table}: {100 * expected['mean']:.2f} ± "
+        f"{100 * expected['deviation']:.2f} cm, at worst "
+        f"{100 * max(expected['error_mean']):.2f} cm "
+        f"({len(mus)} disturbed rods, laid in simulation)"
+    ]
+    if optimised is not None:
+        before, after = optimised["errors"][0], min(optimised["errors"])
+        lines.append(
+            f"grip corrected by up to {1e3 * optimised['largest_correction']:.0f} mm, "
+            f"from {100 * before:.2f} to {100 * after:.2f} cm over the rods that it was fitted to"
+        )
+    if expected["diverged"]:
+        lines.append(f"{expected['diverged']} of them could not be simulated to the end")
+    if expected["slides"]:
+        places = ", ".join(f"{a:.3f} to {b:.3f}" for a, b in expected["slides"])
+        lines.append(f"slides by more than 1 mm while it is laid at s = {places} m")
+    for start, stop, least in expected["off"]:
+        lines.append(
+            f"lies off the pattern by more than 5 mm at s = {start:.3f} to {stop:.3f} m"
+            + (
+                f" below friction {least:.2f}"
+                if least is not None
+                else ", up to the largest friction asked for"
+            )
+        )
+    return lines
+
+
+def read_friction(text: str) -> float | tuple[float, float]:
+    """0.3, or (0.2, 0.6) of "0.2:0.6".
+
+    Raises:
+        PatternError: it is neither.
+    """
+    from wrod.errors import PatternError
+
+    try:
+        values = [float(word) for word in text.split(":")]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 2):
+        raise PatternError(f"--friction is {text!r}; give a coefficient (0.3) or a range (0.2:0.6)")
+    return values[0] if len(values) == 1 else (values[0], values[1])

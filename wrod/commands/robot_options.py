@@ -1,0 +1,180 @@
+"""Options of an arm, checked before anything is solved."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import click
+
+ROBOT = (
+    click.option(
+        "--robot",
+        default="sawyer",
+        show_default=True,
+        help="sawyer, panda, ur5e, ur10e, iiwa, xarm7, gen3, or a URDF or xacro file.",
+    ),
+    click.option("--no-robot", is_flag=True, help="Leave out joint path and scene."),
+    click.option(
+        "--placement",
+        default="auto",
+        show_default=True,
+        help="auto, or x,y,z,yaw of the pattern from the robot's base [m, degrees]; z is the "
+        "table.",
+    ),
+    click.option(
+        "--table-height",
+        type=float,
+        help="Height of the table from the robot's base [m], for --placement auto; default: tries "
+        "a few.",
+    ),
+    click.option("--flange", help="Link that carries the gripper; default: the arm's last."),
+    click.option("--tip", help="Link of the arm's own gripper at the grasp point, +z along it."),
+    click.option("--gripper-length", type=float, help="From flange to grasp point [m]; 0.15."),
+    click.option("--speed", type=float, help="Of the grip along its path [m/s]; 0.02."),
+    click.option(
+        "--obstacles",
+        type=click.Path(path_type=Path),
+        help="JSON list of boxes, cylinders, spheres and meshes that stand in the way.",
+    ),
+    click.option(
+        "--remedy/--no-remedy",
+        default=True,
+        help="Where no joint path exists, look for what would help (default).",
+    ),
+    click.option(
+        "--export",
+        "exports",
+        multiple=True,
+        help="Also write ros-yaml, ros-json, mcap, urscript, libfranka, intera or poses; all that "
+        "suit the arm: all.",
+    ),
+    click.option("--view", is_flag=True, help="Then play the scene in a browser on this machine."),
+)
+_NEEDED = {
+    "torch": "robot", "pytorch_kinematics": "robot", "ruckig": "robot", "trimesh": "robot",
+    "pxr": "scene", "newton": "newton",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RobotRequest:
+    """What was asked of an arm; see `ROBOT`."""
+
+    robot: str
+    no_robot: bool
+    placement: str
+    table_height: float | None
+    flange: str | None
+    tip: str | None
+    gripper_length: float | None
+    speed: float | None
+    obstacles: Path | None
+    remedy: bool
+    exports: tuple[str, ...]
+    view: bool
+
+    def check(self) -> None:
+        """Refuse in milliseconds what would fail after the plan.
+
+        Raises:
+            RobotError, SceneError: a bad option, a file that cannot be used, a missing library.
+        """
+        from wrod.errors import RobotError, SceneError
+
+        if self.no_robot:
+            self._refuse_ignored()
+            return
+        for module, extra in _NEEDED.items():
+            if find_spec(module) is None:
+                raise RobotError(
+                    f"joint paths and scenes need {module}; install wrod[{extra}], or plan with "
+                    "--no-robot"
+                )
+        if self.view and find_spec("viser") is None:
+            raise SceneError("--view needs Viser; install wrod[view]")
+        for name in ("table_height", "gripper_length", "speed"):
+            value = getattr(self, name)
+            if value is not None and not math.isfinite(value):
+                raise RobotError(f"--{name.replace('_', '-')} is {value}; give a finite number")
+        if self.speed is not None and self.speed <= 0:
+            raise RobotError(f"--speed is {self.speed:g}; give a positive number of m/s")
+        from wrod.robot.model import describe_robot
+        from wrod.robot.obstacles import Obstacles
+        from wrod.robot.outputs import FORMATS
+        from wrod.robot.placement import Placement
+
+        for name in self.exports:
+            if name not in (*FORMATS, "all"):
+                raise RobotError(
+                    f"--export: unknown format {name!r}; known formats: {', '.join(FORMATS)}, all"
+                )
+        if self.placement != "auto":
+            Placement.parse(self.placement)
+            if self.table_height is not None:
+                raise RobotError(
+                    "--placement has the table's height in it; drop --table-height or --placement"
+                )
+        if self.obstacles is not None:
+            Obstacles.load(self.obstacles)
+        import warnings
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # said again when the arm is loaded
+            describe_robot(
+                self.robot, flange=self.flange, tip=self.tip, gripper_length=self.gripper_length
+            )
+
+    def _refuse_ignored(self) -> None:
+        from wrod.errors import RobotError
+
+        given = [
+            f"--{name.replace('_', '-')}"
+            for name in (
+                "table_height", "flange", "tip", "gripper_length", "speed", "obstacles",
+            )
+            if getattr(self, name) is not None
+        ]  # fmt: skip
+        given += (
+            ["--export"] * bool(self.exports)
+            + ["--view"] * self.view
+            + ["--placement"] * (self.placement != "auto")
+        )
+        if given:
+            raise RobotError(f"{', '.join(given)} belong to an arm; drop them or --no-robot")
+
+    def solve(self, trajectory, rod, **changes):
+        """The joint path of a trajectory.
+
+        Args:
+            changes: of this request, such as another `table_height`.
+
+        Raises:
+            RobotError: there is none.
+        """
+        from wrod.robot.joint_path import solve_joint_path
+        from wrod.robot.obstacles import Obstacles
+
+        options = {
+            "flange": self.flange,
+            "tip": self.tip,
+            "gripper_length": self.gripper_length,
+            "table_height": self.table_height,
+            "obstacles": None if self.obstacles is None else Obstacles.load(self.obstacles),
+            "placement": self.placement,
+            "rod_radius": rod.radius,
+        }
+        if self.speed is not None:
+            options["grip_speed"] = self.speed
+        return solve_joint_path(trajectory, self.robot, **{**options, **changes})
+
+    def export(self, joint_path, folder) -> list[Path]:
+        """Write the formats that were asked for."""
+        from wrod.robot.outputs import export, suited
+
+        names = list(self.exports)
+        if "all" in names:
+            names = suited(joint_path)
+        return export(joint_path, folder, names)

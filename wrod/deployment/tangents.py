@@ -1,0 +1,369 @@
+"""Deployments with their derivatives: how what lies answers to the grip's path and to the rod."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import warp as wp
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from wrod.deployment.grip_path import KEY_INTERVAL
+from wrod.deployment.setup import Setup, blend, one_hemisphere
+from wrod.deployment.simulate import Trial, assemble, prepare_trials, with_remainder_of
+from wrod.errors import RodError
+from wrod.kernels.stepping import deployment_tangents as kernels
+from wrod.rods.batch import RodBatch, resolve_device
+from wrod.solvers.contact import Contact
+from wrod.solvers.dynamics import Dynamics
+
+_PACK = kernels.PACK
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Along what a deployment is differentiated: columns, each a rate of all that follows.
+
+    Attributes:
+        path: (column, T, 6) displacement [m] and rotation vector [rad], in the world frame, of each
+            pose of the trajectory.
+        friction: (column,) of the static and the kinetic coefficient [-].
+        stiffness: (column,) of the logarithm of the rod's stiffness in stretching, bending and
+            twisting, its weight unchanged: three times that of L_gb [-].
+        natural_curvature: (column,) of the curvature at rest towards the left of the laid rod
+            [1/m].
+    """
+
+    path: np.ndarray
+    friction: np.ndarray
+    stiffness: np.ndarray
+    natural_curvature: np.ndarray
+
+    @classmethod
+    def of_path(cls, path: np.ndarray) -> Directions:
+        """Displacements of the path alone: (column, T, 6)."""
+        none = np.zeros(len(path))
+        return cls(np.asarray(path, dtype=float), none, none, none)
+
+    @classmethod
+    def of_rod(cls, nodes: int) -> Directions:
+        """Three columns: friction, logarithm of the stiffness, natural curvature. `nodes` is T."""
+        one = np.eye(3)
+        return cls(np.zeros((3, nodes, 6)), one[0], one[1], one[2])
+
+    def __add__(self, other: Directions) -> Directions:
+        """The columns of both."""
+        names = ("path", "friction", "stiffness", "natural_curvature")
+        return Directions(*(np.concatenate([getattr(d, n) for d in (self, other)]) for n in names))
+
+    def __len__(self) -> int:
+        return len(self.friction)
+
+
+@dataclass(frozen=True)
+class Laid:
+    """What lies at the end of the pattern, the grip still holding, and its derivatives.
+
+    Attributes:
+        arc_length: (node,) rest arc length from the free end [m].
+        centerline: (node, 3), at the height of the pattern's plane [m].
+        tangent: (column, node, 3) derivative along each direction.
+        slip: (node,) how far each node slid on the table [m].
+        diverged: no step converged any more; the rest is from the last good one.
+        steps: time steps taken.
+    """
+
+    arc_length: np.ndarray
+    centerline: np.ndarray
+    tangent: np.ndarray
+    slip: np.ndarray
+    diverged: bool
+    steps: int
+
+
+def lay(
+    trials: list[Trial],
+    directions: list[Directions] | None = None,
+    displacements: list[np.ndarray] | None = None,
+    *,
+    hold: float = 0.05,
+    release: float | None = None,
+    speed: float = 0.02,
+    spacing: float = 0.005,
+    node_count: int | None = None,
+    step: float = 0.01,
+    scheme: str = "euler",
+    tolerance: float = 1e-5,
+    device: str | None = "cpu",
+) -> list[Laid]:
+    """Lay rods until the end of their patterns, with the derivatives of what lies.
+
+    The derivatives are those of the steps that are taken: every tangent solves the linearised step
+    with its exact Jacobian, contact, stick and slip included. The grip's time law and the time
+    steps count as given. Where a node passes from sticking to sliding, the laid curve has a kink in
+    its parameters, and the derivative is that of the side on which the deployment went.
+
+    Args:
+        trials: what to lay, without fixtures.
+        directions: of each trial, all with the same number of columns; None: no derivatives.
+        displacements: (T, 6) of each trial: displacement [m] and rotation vector [rad] of the
+            trajectory's poses, their time law unchanged.
+        hold, release, speed, spacing, node_count, step, scheme, tolerance, device: see
+            `simulate_deployments`.
+
+    Raises:
+        RodError: a trial has fixtures or lets the rod roll while derivatives are wanted, or the
+            directions do not match the trials.
+    """
+    device = resolve_device(device)
+    if directions is not None:
+        _check(trials, directions)
+    setups = prepare_trials(
+        trials, hold, hold if release is None else release, speed, spacing, node_count
+    )
+    if displacements is None:
+        displacements = [np.zeros((len(trial.trajectory), 6)) for trial in trials]
+    moves = [_over_keys(*one) for one in zip(trials, setups, displacements, strict=True)]
+    setups = [_displaced(*one) for one in zip(setups, moves, strict=True)]
+    columns = None
+    if directions is not None:
+        columns = _columns(trials, setups, directions, moves)
+    # One thread that replays its launches is faster than two that make them.
+    batch, contact, dynamics = assemble(
+        trials,
+        setups,
+        scheme=scheme,
+        tolerance=tolerance,
+        device=device,
+        keeps_recording=device == "cpu",
+    )
+    if columns is not None:
+        dynamics.follower = Tangents(batch, contact, *columns)
+    end = dynamics.advance(np.array([s.measure_time for s in setups]), step)
+    positions, slip = batch.positions(), contact.slip.numpy()
+    rates = np.zeros((len(trials), 0, *positions.shape[1:]))
+    if dynamics.follower is not None:
+        rates = dynamics.follower.values()
+    laid = []
+    for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
+        pattern = with_remainder_of(trial.pattern, trial.trajectory)
+        sink = np.array([0.0, 0.0, trial.rod.radius - pattern.sample(0.0)[0][0, 2]])
+        laid.append(
+            Laid(
+                setup.arc_length,
+                positions[k] - sink,
+                rates[k],
+                slip[k].copy(),
+                bool(end.diverged[k]),
+                int(end.steps[k]),
+            )
+        )
+    return laid
+
+
+def _check(trials: list[Trial], directions: list[Directions]) -> None:
+    if len(directions) != len(trials) or len({len(d) for d in directions}) > 1:
+        raise RodError(
+            f"{len(trials)} trials have {len(directions)} sets of directions of "
+            f"{sorted({len(d) for d in directions})} columns; give one set for each, of one size"
+        )
+    for trial, columns in zip(trials, directions, strict=True):
+        if trial.fixtures is not None or trial.friction.rolling:
+            raise RodError(
+                "derivatives of a deployment know the table alone, with friction that does not "
+                "roll; leave fixtures and rolling out"
+            )
+        if columns.path.shape[1] != len(trial.trajectory):
+            raise RodError(
+                f"directions of {columns.path.shape[1]} poses for a trajectory of "
+                f"{len(trial.trajectory)}; give one for each pose"
+            )
+
+
+def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarray]):
+    """(rod, column, key, 6) rates of the grip, three (rod, column) of what the rod is, and (rod,
+    column) when each column begins [s]."""
+    paths = []
+    for trial, setup, columns, move in zip(trials, setups, directions, moves, strict=True):
+        rates = _over_keys(trial, setup, columns.path)
+        # Rotation vectors add up to a rotation's spin by its left Jacobian.
+        spin = np.einsum("kij,ckj->cki", _left_jacobian(move[:, 3:]), rates[..., 3:])
+        paths.append(np.concatenate([rates[..., :3], spin], axis=2))
+    keys = max(rates.shape[1] for rates in paths)
+    path = np.stack(
+        [np.pad(r, ((0, 0), (0, keys - r.shape[1]), (0, 0)), mode="edge") for r in paths]
+    )
+    names = ("friction", "stiffness", "natural_curvature")
+    rod = [np.stack([getattr(d, n) for d in directions]) for n in names]
+    moves = np.abs(path).max(axis=3) > 0.0
+    first = np.where(moves.any(axis=2), moves.argmax(axis=2) - 2, keys)
+    first = np.where(np.any(np.stack(rod) != 0.0, axis=0), -2, first)
+    return path, *rod, KEY_INTERVAL * first
+
+
+def _over_keys(trial: Trial, setup: Setup, values: np.ndarray) -> np.ndarray:
+    """(..., key, 6) of the grip's keys out of (..., T, 6) of the trajectory's poses; the grip comes
+    to the first as it comes to the trajectory, and keeps the last after the pattern's end."""
+    t = KEY_INTERVAL * np.arange(len(setup.schedule.position))
+    share = 1.0 - blend(t, setup.approach)
+    out = CubicSpline(trial.trajectory.arc_length, values, axis=-2)(setup.covered) * share[:, None]
+    turn = Rotation.from_euler("z", trial.disturbance.yaw).as_matrix()
+    return (out.reshape(*out.shape[:-1], 2, 3) @ turn.T).reshape(out.shape)
+
+
+def _displaced(setup: Setup, move: np.ndarray) -> Setup:
+    """The setup with its keys displaced by (key, 6)."""
+    if not move.any():
+        return setup
+    schedule = setup.schedule
+    turned = Rotation.from_rotvec(move[:, 3:]) * Rotation.from_quat(schedule.rotation)
+    schedule = replace(
+        schedule,
+        position=schedule.position + move[:, :3],
+        rotation=one_hemisphere(turned.as_quat()),
+    )
+    return replace(setup, schedule=schedule)
+
+
+def _left_jacobian(vector: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) rate of the rotation's spin by its rotation vector (n, 3)."""
+    angle = np.linalg.norm(vector, axis=1)[:, None, None]
+    cross = -np.cross(vector[:, None], np.eye(3)[None])
+    small = angle < 1e-4
+    x = np.where(small, 1.0, angle)
+    first = np.where(small, 0.5, (1.0 - np.cos(x)) / x**2)
+    second = np.where(small, 1.0 / 6.0, (x - np.sin(x)) / x**3)
+    return np.eye(3) + first * cross + second * cross @ cross
+
+
+class Tangents:
+    """Tangents of a batch of deployments (a `wrod.solvers.dynamics.Follower`).
+
+    Args:
+        batch: the rods.
+        contact: with the table, the only thing that they touch.
+        path: (rod, column, key, 6) rates of the grip's position [m] and rotation vector [rad].
+        friction, stiffness, natural_curvature: (rod, column), see `Directions`.
+        begin: (rod, column) time before which a column is nothing [s].
+    """
+
+    def __init__(
+        self,
+        batch: RodBatch,
+        contact: Contact,
+        path: np.ndarray,
+        friction: np.ndarray,
+        stiffness: np.ndarray,
+        natural_curvature: np.ndarray,
+        begin: np.ndarray,
+    ):
+        self.batch, self.contact = batch, contact
+        rods, nodes, dofs, device = batch.rod_count, batch.node_count, batch.dof_count, batch.device
+        self.count = path.shape[1]
+        # Columns that begin together share a pack, which rests until then.
+        self.order = np.argsort(begin.min(axis=0), kind="stable")
+        packs = -(-self.count // _PACK)
+
+        def packed(values):
+            """(rod, column, ...) -> (rod, pack, ..., 8)."""
+            values = values[:, self.order]
+            pad = [(0, 0)] * values.ndim
+            pad[1] = (0, packs * _PACK - self.count)
+            values = np.pad(values, pad).reshape(rods, packs, _PACK, *values.shape[2:])
+            return wp.array(
+                np.ascontiguousarray(np.moveaxis(values, 2, -1)), dtype=kernels.vec8d, device=device
+            )
+
+        late = np.pad(
+            begin[:, self.order], ((0, 0), (0, packs * _PACK - self.count)), constant_values=np.inf
+        )
+        self.begin = wp.array(
+            late.reshape(rods, packs, _PACK).min(axis=2), dtype=wp.float64, device=device
+        )
+        self.path = packed(path)
+        self.friction_rate, self.stiffness_rate, self.natural_rate = (
+            packed(v) for v in (friction, stiffness, natural_curvature)
+        )
+
+        def zeros(size):
+            return wp.zeros((rods, packs, size), dtype=kernels.vec8d, device=device)
+
+        self.now, self.older, self.velocity, self.velocity_older, self.x = (
+            zeros(dofs) for _ in range(5)
+        )
+        self.bristle = zeros(3 * nodes)
+
+        def per_node(dtype):
+            return wp.zeros((rods, nodes), dtype=dtype, device=device)
+
+        self.friction, self.coupling = per_node(wp.mat33d), per_node(wp.mat33d)
+        self.by_coefficient, self.push = per_node(wp.vec3d), per_node(wp.vec3d)
+        self.elastic, self.natural = (
+            wp.zeros((rods, dofs), dtype=wp.float64, device=device) for _ in range(2)
+        )
+        band = 2 * kernels.HALF_BANDWIDTH + 1
+        self.factor = wp.zeros((rods, dofs, band), dtype=wp.float64, device=device)
+        self.roll = contact.roll_stiffness
+        self.packs = packs
+
+    def follow(self, dynamics: Dynamics) -> None:
+        """Carry the tangents over the accepted steps."""
+        batch, accepted = self.batch, dynamics.accepted
+        state, start, out = batch.state, dynamics.start, batch.derivatives
+        rods, dofs = batch.rod_count, batch.dof_count
+
+        def launch(kernel, dim, inputs, outputs):
+            wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
+
+        about_contact = [self.friction, self.coupling, self.by_coefficient, self.push]
+        self.contact.linearise(accepted, state.dof, start.dof, about_contact)
+        launch(
+            kernels.elastic_forces,
+            (rods, dofs),
+            [dynamics.mass, dynamics.air_damping, batch.node_mass, batch.gravity, accepted]
+            + [dynamics.step, dynamics.coefficient, state.dof, start.dof, dynamics.dof_older]
+            + [dynamics.velocity, dynamics.velocity_older, out.gradient, self.push],
+            [self.elastic, self.natural],
+        )
+        launch(
+            kernels.natural_forces,
+            (rods, batch.node_count - 2),
+            [batch.bending_stiffness, accepted, state.dof, state.director],
+            [self.natural],
+        )
+        launch(
+            kernels.factorise_step,
+            (rods,),
+            [accepted, batch.free, out.hessian, self.coupling],
+            [self.factor],
+        )
+        launch(
+            kernels.load_tangents,
+            (rods, self.packs),
+            [dynamics.mass, dynamics.air_damping, batch.rest_length, wp.float64(KEY_INTERVAL)]
+            + [self.path, self.friction_rate, self.stiffness_rate, self.natural_rate]
+            + [self.roll, self.begin, accepted, batch.free, dynamics.time, dynamics.step]
+            + [dynamics.coefficient, state.tangent, self.friction, self.by_coefficient, self.push]
+            + [self.elastic, self.natural, self.now, self.older, self.velocity]
+            + [self.velocity_older, self.bristle],
+            [self.x],
+        )
+        launch(
+            kernels.advance_tangents,
+            (rods, self.packs),
+            [self.contact.tangent_stiffness, self.friction_rate, self.begin, accepted]
+            + [dynamics.time, dynamics.step, dynamics.coefficient, self.factor]
+            + about_contact,
+            [self.x, self.now, self.older, self.velocity, self.velocity_older, self.bristle],
+        )
+
+    def values(self) -> np.ndarray:
+        """(rod, column, node, 3) derivatives of the nodes now."""
+        dof = self.now.numpy()
+        rods, packs, dofs, _ = dof.shape
+        columns = np.moveaxis(dof, 3, 2).reshape(rods, packs * _PACK, dofs)[:, : self.count]
+        out = np.empty_like(columns)
+        out[:, self.order] = columns
+        padded = np.pad(out, ((0, 0), (0, 0), (0, 1)))
+        return padded.reshape(rods, self.count, -1, 4)[..., :3]

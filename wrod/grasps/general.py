@@ -1,0 +1,352 @@
+"""Grasps of rods whose properties vary along them, from arrays on the mesh. Dimensionless.
+
+The laid rod keeps its roll: between contact and table there is no twist, so no twisting moment at
+the contact either. Its bending moment is what the pattern's curvature and the rod's own make it. At
+the grip the bending moment is zero, as for a straight rod, which leaves the rod's natural curvature
+there; its twisting moment is what the grip's roll has to supply. One freedom is left, as before.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+
+import numpy as np
+import warp as wp
+
+from wrod.grasps.levels import (
+    _MAX_ITERATIONS,
+    _PATIENCE,
+    _STEP_LIMIT,
+    Ladder,
+    MeshLevel,
+    make_scratch,
+    per_rod,
+)
+from wrod.grasps.mesh import node_weights, two_sided_rest_lengths
+from wrod.grasps.results import empty_results
+from wrod.kernels.grasping import general_rod, iteration, reading
+from wrod.rods.batch import RodBatch
+from wrod.solvers.stability import smallest_eigenvalue
+
+_CPU_CHUNK, _CUDA_CHUNK = 64, 8192
+# How much of a rod's own properties is added at once at first: natural curvature [1/L_gb], or the
+# share by which a stiffness differs. The twist that natural curvature brings grows with the length.
+_INCREMENT, _LONG = 0.5, 4.0
+
+
+@dataclass(frozen=True)
+class RodArrays:
+    """Rods on meshes from contact (node 0) to grip, as `RodBatch` takes them, without its ghosts.
+
+    Attributes:
+        rest_length, stretching: (n, edges).
+        bending, natural_curvature, softening: (n, edges + 1, 2), in principal directions.
+        twisting, natural_twist, weight: (n, edges + 1).
+    """
+
+    rest_length: np.ndarray
+    stretching: np.ndarray
+    bending: np.ndarray
+    twisting: np.ndarray
+    natural_curvature: np.ndarray
+    natural_twist: np.ndarray
+    softening: np.ndarray
+    weight: np.ndarray
+
+    def __getitem__(self, rows) -> RodArrays:
+        return RodArrays(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def mirrored(self, rows: np.ndarray) -> RodArrays:
+        """With the chosen rods as in a mirror: their second directors turn round."""
+        curvature, twist = self.natural_curvature.copy(), self.natural_twist.copy()
+        curvature[rows, :, 1] *= -1.0
+        twist[rows] *= -1.0
+        return RodArrays(
+            self.rest_length,
+            self.stretching,
+            self.bending,
+            self.twisting,
+            curvature,
+            twist,
+            self.softening,
+            self.weight,
+        )
+
+    def departure(self) -> np.ndarray:
+        """(n,) how far each rod is from a straight uniform one of unit stiffness."""
+        size = np.linalg.norm(self.natural_curvature, axis=2).max(axis=1)
+        size = size + np.abs(self.natural_twist).max(axis=1)
+        size += np.abs(np.log(self.bending)).max(axis=(1, 2))
+        return size + np.abs(self.softening[:, :, 0] * (1.0 - self.softening[:, :, 1])).max(axis=1)
+
+
+def curved_rods(
+    length: np.ndarray,
+    stretch_ratio: np.ndarray,
+    natural_curvature: np.ndarray,
+    poisson: float,
+    edges: int,
+) -> RodArrays:
+    """Uniform isotropic rods with natural curvature (n, 2) towards +y (left) and +z (up)."""
+    rest = two_sided_rest_lengths(length, edges)
+    n, nodes = len(length), edges + 1
+    # The first material director at the contact points up, the second to the right.
+    natural = np.stack([natural_curvature[:, 1], -natural_curvature[:, 0]], axis=1)
+    return RodArrays(
+        rest_length=rest,
+        stretching=np.repeat(stretch_ratio[:, None], edges, axis=1),
+        bending=np.ones((n, nodes, 2)),
+        twisting=np.full((n, nodes), 1.0 / (1.0 + poisson)),
+        natural_curvature=np.repeat(natural[:, None], nodes, axis=1),
+        natural_twist=np.zeros((n, nodes)),
+        softening=np.broadcast_to([0.0, 1.0], (n, nodes, 2)).copy(),
+        weight=node_weights(rest),
+    )
+
+
+def solve_general(
+    length: np.ndarray,
+    curvature: np.ndarray,
+    stretch_ratio: np.ndarray,
+    rods: Callable[[int], RodArrays],
+    *,
+    roll: np.ndarray,
+    closure: int,
+    device: str,
+    edge_count: int,
+    extrapolate: bool = True,
+    eigenvalues: bool = False,
+    shapes: bool = True,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> dict[str, np.ndarray]:
+    """Fields of `Grasps` for rods given by their arrays.
+
+    Args:
+        length, curvature, stretch_ratio: (n,) suspended length, signed curvature of the pattern,
+            and stretch ratio of the uniform straight rod that the solver starts from.
+        rods: the rods on meshes of so many edges.
+        roll: (n,) angle about the tangent, at the contact, from up to the first director [rad].
+        closure, device, edge_count, extrapolate, eigenvalues, shapes, threads, progress: see
+            `wrod.solve_grasps`.
+    """
+    right = curvature < 0.0
+    meshes = [rods(count).mirrored(right) for count in (edge_count // 2, edge_count)]
+    roll = np.where(right, -roll, roll)
+    on_cpu = device == "cpu"
+    workers = (threads or os.cpu_count() or 1) if on_cpu else 1
+    n = len(length)
+    size = max(1, min(_CPU_CHUNK if on_cpu else _CUDA_CHUNK, -(-n // workers)))
+
+    def solve(first: int) -> dict[str, np.ndarray]:
+        rows = slice(first, first + size)
+        part = _solve_chunk(
+            length[rows],
+            curvature[rows],
+            stretch_ratio[rows],
+            [mesh[rows] for mesh in meshes],
+            roll[rows],
+            closure,
+            device,
+            extrapolate,
+            eigenvalues,
+            shapes,
+        )
+        if progress is not None:
+            progress(len(part["position"]))
+        return part
+
+    with ThreadPoolExecutor(workers) as pool:
+        parts = list(pool.map(solve, range(0, n, size)))
+    out = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    out["twist"][right] *= -1.0
+    return out
+
+
+class _GeneralLevel:
+    """General rods on one mesh: a straight rod's grasp there, then their own."""
+
+    def __init__(self, rods: RodArrays, roll: np.ndarray, device: str, ladder: Ladder):
+        n, edges = rods.rest_length.shape
+        self.rods, self.roll, self.device = rods, roll, device
+        self.straight = level = MeshLevel(n, edges, device, ladder.iterations)
+        # The straight rod's Newton iteration hardly has to move on the new mesh.
+        level.rest.assign(rods.rest_length)
+        shortest = rods.rest_length.min(axis=1)
+        length = rods.rest_length.sum(axis=1)
+        rounding = rods.stretching.max(axis=1) / shortest * length
+        rounding += 4.0 / shortest**3 * np.minimum(length, 5.0)
+        level.tolerance.assign(np.maximum(1e-9, 8 * np.finfo(float).eps * rounding))
+
+        def array(value, dtype=wp.float64):
+            return wp.array(np.ascontiguousarray(value), dtype=dtype, device=device)
+
+        self.model = model = general_rod.GeneralRod()
+        model.rest, model.stretch_ratio = level.rest, ladder.model[0]
+        model.stretching, model.twisting = array(rods.stretching), array(rods.twisting)
+        model.natural_twist, model.weight = array(rods.natural_twist), array(rods.weight)
+        model.bending = array(rods.bending, wp.vec2d)
+        model.natural_curvature = array(rods.natural_curvature, wp.vec2d)
+        model.softening = array(rods.softening, wp.vec2d)
+        self.weight, self.roll_array = array(rods.weight.sum(axis=1)), array(roll)
+        most = _INCREMENT * np.minimum(1.0, _LONG / length)
+        increment = most / np.maximum(rods.departure(), 1e-300)
+        # The first step is made larger before it is taken.
+        self.increment = array(np.minimum(increment, 1.0) / 2.0)
+        self.state = per_rod(device, n, edges + 1, 7)
+        self.family, self.twist = per_rod(device, n, 7), per_rod(device, n)
+
+    def solve(self, ladder: Ladder, closure: int) -> None:
+        level, fine, device = self.straight, ladder.levels[-1], self.device
+        n, edges = level.rods, level.edges
+        wp.copy(level.curvature, fine.curvature)
+        wp.copy(level.thrust, fine.thrust)
+        wp.copy(level.family, fine.family)
+        wp.launch(
+            general_rod.interpolate_shape,
+            dim=n,
+            inputs=[fine.edges, fine.rest, fine.shape, edges, level.rest, level.curvature],
+            outputs=[level.shape],
+            device=device,
+        )
+        level.solve(ladder.work, ladder.model, closure, ladder.scratch)
+        wp.launch(
+            general_rod.start_general,
+            dim=n,
+            inputs=[edges, level.shape, self.roll_array, level.family],
+            outputs=[self.state, self.family],
+            device=device,
+        )
+        slots = 1 if wp.get_device(device).is_cpu else n
+        read = level.read
+        ladder.work.launch(
+            iteration.solve_general,
+            [
+                edges,
+                self.model,
+                level.curvature,
+                self.weight,
+                level.tolerance,
+                closure,
+                wp.float64(_STEP_LIMIT),
+                self.increment,
+                _PATIENCE,
+                _MAX_ITERATIONS,
+                make_scratch(slots, edges, device, 4),
+                self.state,
+                level.curvature,
+                level.thrust,
+                self.family,
+            ],
+            [
+                read.status,
+                read.iterations,
+                read.negative,
+                read.residual,
+                read.force,
+                read.jacobian,
+            ],
+        )
+        read.shape = self.state
+        wp.launch(
+            reading.read_general,
+            dim=n,
+            inputs=[
+                edges,
+                level.rest,
+                self.model.natural_curvature,
+                self.roll_array,
+                self.state,
+            ],
+            outputs=[read.rotation, read.lowest, read.turning, self.twist],
+            device=device,
+        )
+
+    def eigenvalue(self) -> np.ndarray:
+        """(n,) smallest eigenvalues of the rods as they are held."""
+        rods, state = self.rods, self.state.numpy()
+        shape, director = state[:, :, :3], state[:, :-1, 3:6]
+        rest = rods.rest_length
+        half = np.arctan(0.5 * self.straight.curvature.numpy() * rest[:, 0])
+        back = np.stack([np.cos(half), -np.sin(half), np.zeros_like(half)], axis=1)
+        # Turned back about the vertical, as the ghost edge stands to the first.
+        c, s = np.cos(2.0 * half), np.sin(2.0 * half)
+        x, y, z = director[:, 0].T
+        ghost = np.stack([c * x + s * y, c * y - s * x, z], axis=1)
+
+        def pad(value):
+            return np.concatenate([value[:, :1], value], axis=1)
+
+        batch = RodBatch(
+            np.concatenate([(-rest[:, :1] * back)[:, None], shape], axis=1),
+            rest_length=pad(rest),
+            stretching_stiffness=pad(rods.stretching),
+            bending_stiffness=pad(rods.bending),
+            twisting_stiffness=pad(rods.twisting),
+            natural_curvature=pad(rods.natural_curvature),
+            natural_twist=pad(rods.natural_twist),
+            softening=pad(rods.softening),
+            director=np.concatenate([ghost[:, None], director], axis=1),
+            device=self.device,
+        )
+        twist = np.zeros((len(rest), batch.node_count))
+        twist[:, 2:-1] = state[:, 1:-1, 6]
+        batch.state.reference_twist.assign(twist)
+        free = np.ones(batch.dof_count, dtype=bool)
+        free[:11] = False
+        free[-4:] = False
+        batch.set_free(free)
+        return smallest_eigenvalue(batch)
+
+
+def _solve_chunk(
+    length,
+    curvature,
+    stretch_ratio,
+    meshes,
+    roll,
+    closure,
+    device,
+    extrapolate,
+    eigenvalues,
+    shapes,
+) -> dict[str, np.ndarray]:
+    n, edges = meshes[1].rest_length.shape
+    inputs = [
+        wp.array(value, dtype=wp.float64, device=device)
+        for value in (length, curvature, stretch_ratio)
+    ]
+    ladder = Ladder(n, edges, device, False)
+    ladder.expect(inputs, 0, n, sort=False)
+    ladder.climb(n, closure)
+    coarse, fine = (_GeneralLevel(mesh, roll, device, ladder) for mesh in meshes)
+    for level in (coarse, fine):
+        level.solve(ladder, closure)
+    out = empty_results(n, edges, device, sensitivities=False, shapes=shapes)
+    wp.launch(
+        reading.judge,
+        dim=n,
+        inputs=[
+            coarse.straight.read,
+            fine.straight.read,
+            int(extrapolate),
+            edges,
+            fine.straight.rest,
+            inputs[1],
+            ladder.order,
+        ],
+        outputs=[out],
+        device=device,
+    )
+    names = ["position", "rotation", "force", "force_jacobian", "converged", "stable"]
+    names += ["iterations", "residual", *(["shape", "arc_length"] if shapes else [])]
+    result = {name: getattr(out, name).numpy() for name in names}
+    share = 1.0 / 3.0 if extrapolate else 0.0
+    twist = fine.twist.numpy()
+    result["twist"] = twist + share * (twist - coarse.twist.numpy())
+    if eigenvalues:
+        result["eigenvalue"] = fine.eigenvalue()
+    return result

@@ -1,0 +1,187 @@
+"""One attempt at a joint path: branches at given places, ranked, improved, checked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from wrod.planning.trajectory import Trajectory
+from wrod.robot.collision import CollisionModel
+from wrod.robot.grip import Grip, GripPath, grasp_targets
+from wrod.robot.knots import COARSEST, joint_spline
+from wrod.robot.model import Robot
+from wrod.robot.placement import Placement, contact_in_base
+from wrod.robot.redundancy import GAP_ROOM, Surroundings, gaps, improve
+from wrod.robot.report import PathReport, inspect
+from wrod.robot.search import Branch, find_branches, follow_from
+
+_COARSE = 0.025  # [m] of travel between the samples that are searched and improved
+_LAID = 0.004  # [m] between the points of the laid rod that gaps are measured to
+_RANKED = 24  # different branches whose obstacles are looked at
+_TRIED = 4  # branches that are improved and compared
+_ROUNDS, _AROUND = 4, 24  # of the search near a branch, and choices in each
+# Reach of that search at first: place [m], yaw, roll, grip angle [rad], table height [m].
+_NEAR = np.array([0.08, 0.08, 0.5, 0.5, 0.3, 0.06])
+
+
+@dataclass(frozen=True)
+class Solution:
+    branch: Branch
+    spline: Any
+    report: PathReport
+
+
+@dataclass
+class Task:
+    """What is asked for: an arm, a path, and what it must keep.
+
+    Attributes:
+        robot, model, trajectory, path: of the task.
+        limit_margin, clearance, rod_radius: see `solve_joint_path`.
+        obstacles: capsules in the base frame at one pose ((C, 3), (C, 3), (C,)) or None [m].
+        free_height: whether the table's height may be changed.
+    """
+
+    robot: Robot
+    model: CollisionModel
+    trajectory: Trajectory
+    path: GripPath
+    limit_margin: float
+    clearance: float
+    rod_radius: float
+    obstacles: tuple | None = None
+    free_height: bool = False
+
+    def __post_init__(self):
+        count = max(24, math.ceil(self.path.travel[-1] / _COARSE))
+        self.travel = np.linspace(0.0, self.path.travel[-1], count)
+
+    def targets(self, placement: Placement, grip: Grip, travel: np.ndarray) -> np.ndarray:
+        return grasp_targets(self.path.poses(travel), grip, placement.base_from_world)
+
+    def branches(self, places: list[Placement], angle: float, seeds: int) -> list[Branch]:
+        """Distinct branches at one grip angle, the most promising first."""
+        # Along the rod the last joint takes any roll up; across it, it decides where the hand is.
+        rolls = (0.0,) if angle == 0.0 else tuple(math.pi / 4 * k for k in range(8))
+        if len(places) > 1 and len(rolls) > 1:
+            places, rolls = places[:12], rolls[::2]
+        choices = [(place, Grip(angle, roll)) for place in places for roll in rolls]
+        found = find_branches(self.robot, self.path, self.travel, choices, seeds=seeds)
+        return sorted(_distinct(found, _RANKED), key=self.cost)
+
+    def cost(self, branch: Branch) -> float:
+        """Of a branch and of what it comes near; the elbow may still gain a few centimetres."""
+        import torch
+
+        with torch.no_grad():
+            near = gaps(
+                self.model,
+                torch.from_numpy(branch.positions.copy()),
+                self.surroundings(branch.placement, self.travel),
+            )
+        least = min(float(gap.min()) for gap in near.values())
+        return branch.cost + 10.0 * max(0.0, GAP_ROOM - least)
+
+    def best(self, branches: list[Branch], count: int = _TRIED) -> Solution | None:
+        """The best path over the first few branches, feasible or not."""
+        best = None
+        for branch in branches[:count]:
+            solution = self.finish(branch)
+            key = (solution.report.shortfall, -solution.report.quality)
+            if best is None or key < (best.report.shortfall, -best.report.quality):
+                best = solution
+        return best
+
+    def nearby(self, branch: Branch, fixed: bool, seed: int = 0) -> Branch:
+        """A better branch near one: place, yaw, roll and grip angle varied, ever less.
+
+        Args:
+            fixed: the place must stay.
+        """
+        rng = np.random.default_rng(seed)
+        scale = _NEAR * np.array([not fixed] * 3 + [1, 1] + [self.free_height and not fixed])
+        best, value = branch, self.cost(branch)
+        for _ in range(_ROUNDS):
+            place, grip = best.placement, best.grip
+            choices = []
+            for x, y, yaw, roll, angle, z in rng.normal(size=(_AROUND, 6)) * scale / 2:
+                moved = replace(
+                    place, x=place.x + x, y=place.y + y, z=place.z + z, yaw=place.yaw + yaw
+                )
+                tilt = float(np.clip(grip.angle + angle, 0.0, math.pi / 2))
+                choices.append((moved, Grip(tilt, grip.roll + roll)))
+            middle = best.positions[len(best.positions) // 2]
+            targets = np.stack([self.targets(p, g, self.travel) for p, g in choices])
+            rows = follow_from(self.robot, targets, middle)
+            tried = [Branch(*choices[way], *row) for way, *row in rows]
+            for other in sorted(tried, key=lambda item: item.cost)[:6]:
+                cost = self.cost(other)
+                if cost < value:
+                    best, value = other, cost
+            scale = scale * 0.6
+        return best
+
+    def surroundings(self, placement: Placement, travel: np.ndarray) -> Surroundings:
+        """Obstacles at samples `travel` of the path."""
+        # Points of the laid rod a few millimetres apart are enough for gaps of that size.
+        arc = self.trajectory.arc_length
+        stride = max(1, int(_LAID * (len(self.path) - 1) / max(arc[-1] - arc[0], 1e-9)))
+        contact = contact_in_base(self.trajectory, placement)[::stride]
+        laid = np.searchsorted(self.path.travel[::stride], travel + 1e-12, side="right")
+        other = None
+        if self.obstacles is not None:
+            start, end, radius = self.obstacles
+            count = len(travel)
+            other = (
+                np.broadcast_to(start, (count, *start.shape)).copy(),
+                np.broadcast_to(end, (count, *end.shape)).copy(),
+                radius,
+            )
+        return Surroundings(placement.z, contact, laid, self.rod_radius, other)
+
+    def finish(self, branch: Branch) -> Solution:
+        """Improve a branch, fill it in between the samples, and check it."""
+
+        def targets(at):
+            return self.targets(branch.placement, branch.grip, at)
+
+        coarse = branch.positions
+        if branch.miss.max() < 0.01:
+            around = self.surroundings(branch.placement, self.travel)
+            coarse = improve(self.robot, self.model, coarse, targets(self.travel), around)
+        spline, knots = joint_spline(
+            self.robot, targets, self.travel, coarse, self.path.samples(COARSEST)
+        )
+        # Between the spline's knots, where nothing was solved: the honest place to check.
+        check = np.sort(np.concatenate([self.path.travel, (knots[:-1] + knots[1:]) / 2]))
+        report = inspect(
+            self.robot,
+            self.model,
+            self.path,
+            self.trajectory.arc_length,
+            check,
+            spline(check),
+            targets(check),
+            self.surroundings(branch.placement, check),
+            self.limit_margin,
+            self.clearance,
+        )
+        return Solution(branch, spline, report)
+
+
+def _distinct(branches: list[Branch], count: int) -> list[Branch]:
+    """The first few that differ from each other by more than rounding."""
+    kept: list[Branch] = []
+    for branch in branches:
+        if all(
+            branch.placement != other.placement
+            or np.abs(branch.positions - other.positions).max() > 0.1
+            for other in kept
+        ):
+            kept.append(branch)
+        if len(kept) == count:
+            break
+    return kept

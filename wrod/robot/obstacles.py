@@ -1,0 +1,109 @@
+"""What a user says stands in the arm's way: boxes, cylinders, spheres and meshes."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from wrod.errors import RobotError
+from wrod.robot.capsules import Capsule, capsules_of
+from wrod.robot.urdf import LinkShape
+
+_BAR = 0.06  # [m] widest bar that a box is cut into
+_SIZES = {"sphere": 1, "cylinder": 2, "box": 3}
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """Shapes that stand still, in the frame of the robot's base [m]."""
+
+    shapes: tuple[LinkShape, ...]
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Obstacles:
+        """Read a JSON list of {"kind": ..., "size": [...], "xyz": [...], "rpy": [...]}.
+
+        kind is sphere (size: radius), cylinder (radius, length), box (x, y, z) or mesh ("file",
+        and size: its scale in x, y, z); lengths in m, angles in rad, in the robot's base frame.
+
+        Raises:
+            RobotError: the file is missing, or an entry is not such a shape; names it.
+        """
+        path = Path(path)
+        try:
+            entries = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise RobotError(f"{path}: not a readable file of obstacles ({error})") from None
+        if not isinstance(entries, list):
+            raise RobotError(f"{path}: give a list of obstacles, [{{'kind': 'box', ...}}]")
+        return cls(tuple(_shape(path, k, entry) for k, entry in enumerate(entries)))
+
+    def capsules(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Starts, ends (C, 3) and radii (C,) [m] of capsules that contain them, or None."""
+        found: list[Capsule] = []
+        for shape in self.shapes:
+            found += _bars(shape) if shape.kind == "box" else capsules_of(shape)
+        if not found:
+            return None
+        return tuple(np.array([capsule[k] for capsule in found]) for k in range(3))
+
+
+def _shape(path: Path, number: int, entry) -> LinkShape:
+    where = f"{path}: obstacle {number + 1}"
+    if not isinstance(entry, dict) or entry.get("kind") not in (*_SIZES, "mesh"):
+        raise RobotError(f"{where}: has no kind; give sphere, cylinder, box or mesh")
+    unknown = set(entry) - {"kind", "size", "xyz", "rpy", "file", "name"}
+    if unknown:
+        raise RobotError(f"{where}: does not know {', '.join(sorted(unknown))}")
+    kind, count = entry["kind"], _SIZES.get(entry["kind"], 3)
+
+    def numbers(name: str, wanted: int, default) -> np.ndarray:
+        try:
+            values = np.atleast_1d(np.asarray(entry.get(name, default), dtype=float))
+        except (TypeError, ValueError):
+            values = np.array([])
+        if values.shape != (wanted,) or not np.isfinite(values).all():
+            raise RobotError(f"{where}: {name} must be {wanted} finite numbers")
+        return values
+
+    size = numbers("size", count, [1.0] * 3 if kind == "mesh" else None)
+    if (size <= 0).any():
+        raise RobotError(f"{where}: its size must be positive")
+    pose = np.eye(4)
+    pose[:3, 3] = numbers("xyz", 3, [0.0] * 3)
+    pose[:3, :3] = Rotation.from_euler("xyz", numbers("rpy", 3, [0.0] * 3)).as_matrix()
+    file = None
+    if kind == "mesh":
+        file = path.parent / str(entry.get("file", ""))
+        if not file.is_file():
+            raise RobotError(f"{where}: its mesh file {str(entry.get('file'))!r} is missing")
+    name = str(entry.get("name", f"obstacle {number + 1}"))
+    return LinkShape(name, kind, tuple(map(float, size)), pose, (0.6, 0.45, 0.2), file)
+
+
+def _bars(shape: LinkShape) -> list[Capsule]:
+    """Capsules along a box's longest side, thin enough not to reach far beyond it."""
+    size = np.array(shape.size)
+    long = int(size.argmax())
+    across = [k for k in range(3) if k != long]
+    counts = [int(np.ceil(size[k] / _BAR)) for k in across]
+    cell = size[across] / counts
+    radius = float(np.hypot(*cell) / 2)
+    found = []
+    for i in range(counts[0]):
+        for j in range(counts[1]):
+            middle = np.zeros(3)
+            middle[across[0]] = (i + 0.5) * cell[0] - size[across[0]] / 2
+            middle[across[1]] = (j + 0.5) * cell[1] - size[across[1]] / 2
+            ends = []
+            for side in (-1.0, 1.0):
+                point = middle.copy()
+                point[long] = side * size[long] / 2
+                ends.append(shape.pose[:3, :3] @ point + shape.pose[:3, 3])
+            found.append((ends[0], ends[1], radius))
+    return found

@@ -1,0 +1,223 @@
+"""Joint paths in the formats that robots' own software reads."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from wrod.errors import RobotError
+from wrod.files import write_atomically
+from wrod.robot.joint_path import JointPath
+
+# name -> (file, what it is)
+FORMATS = {
+    "ros-yaml": "trajectory_msgs.yaml",
+    "ros-json": "trajectory_msgs.json",
+    "mcap": "trajectory.mcap",
+    "urscript": "path.script",
+    "libfranka": "libfranka.csv",
+    "intera": "intera.csv",
+    "poses": "poses.csv",
+}
+_UR_STEP = 0.008  # [s] of servoj: the arm's own rate is a multiple of 125 / s
+
+
+def accelerations(path: JointPath) -> np.ndarray:
+    """(T, n) joint accelerations [rad/s^2], differences of the velocities."""
+    if len(path.time) < 3:
+        return np.zeros_like(path.velocities)
+    return np.gradient(path.velocities, path.time, axis=0, edge_order=2)
+
+
+def export(path: JointPath, folder: str | os.PathLike[str], formats: list[str]) -> list[Path]:
+    """Write a joint path in each of some formats; see `FORMATS`.
+
+    Args:
+        path: with its robot, for "poses".
+
+    Raises:
+        RobotError: an unknown format, a missing library, or an arm that the format is not for.
+    """
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown:
+        raise RobotError(
+            f"unknown format {unknown[0]!r}; known formats: {', '.join(FORMATS)} (or all)"
+        )
+    writers: dict[str, Callable[[JointPath], bytes]] = {
+        "ros-yaml": lambda p: _yaml(ros_message(p)).encode(),
+        "ros-json": lambda p: (json.dumps(ros_message(p), indent=1) + "\n").encode(),
+        "mcap": _mcap,
+        "urscript": lambda p: urscript(p).encode(),
+        "libfranka": lambda p: _table(p, "libfranka").encode(),
+        "intera": lambda p: _table(p, "intera").encode(),
+        "poses": lambda p: _poses(p).encode(),
+    }
+    # All are made before any is written: nothing is left behind half.
+    made = [(Path(folder) / FORMATS[name], writers[name](path)) for name in formats]
+    return [
+        write_atomically(file, lambda out, data=data: out.write(data), "wb") for file, data in made
+    ]
+
+
+def suited(path: JointPath) -> list[str]:
+    """The formats that suit a joint path's arm, of those whose libraries are there."""
+    from importlib.util import find_spec
+
+    names = ["ros-yaml", "ros-json", "poses"]
+    names += ["mcap"] * (find_spec("mcap") is not None)
+    names += ["urscript"] * (len(path.names) == 6)
+    names += ["libfranka"] * (len(path.names) == 7)
+    names += ["intera"] * (path.names[0] == "right_j0")
+    return names
+
+
+def ros_message(path: JointPath) -> dict:
+    """The path as a `trajectory_msgs/msg/JointTrajectory`, plain values."""
+    second = accelerations(path)
+    points = []
+    for k, time in enumerate(path.time):
+        whole, nano = divmod(round(float(time) * 1e9), 10**9)
+        points.append(
+            {
+                "positions": [round(float(v), 9) for v in path.positions[k]],
+                "velocities": [round(float(v), 9) for v in path.velocities[k]],
+                "accelerations": [round(float(v), 9) for v in second[k]],
+                "effort": [],
+                "time_from_start": {"sec": whole, "nanosec": nano},
+            }
+        )
+    return {
+        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
+        "joint_names": list(path.names),
+        "points": points,
+    }
+
+
+def _yaml(message: dict) -> str:
+    """The message as YAML: every point on lines of its own, numbers in flow style."""
+    stamp = message["header"]["stamp"]
+    lines = [
+        "header:",
+        f"  stamp: {{sec: {stamp['sec']}, nanosec: {stamp['nanosec']}}}",
+        '  frame_id: ""',
+        f"joint_names: [{', '.join(message['joint_names'])}]",
+        "points:",
+    ]
+    for point in message["points"]:
+        start = point["time_from_start"]
+        lines += [
+            f"- positions: [{_row(point['positions'])}]",
+            f"  velocities: [{_row(point['velocities'])}]",
+            f"  accelerations: [{_row(point['accelerations'])}]",
+            "  effort: []",
+            f"  time_from_start: {{sec: {start['sec']}, nanosec: {start['nanosec']}}}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _row(values) -> str:
+    return ", ".join(f"{float(value):.9f}" for value in values)
+
+
+def _mcap(path: JointPath) -> bytes:
+    """One JSON message of the ROS type on the topic /joint_trajectory."""
+    try:
+        from mcap.writer import Writer
+    except ImportError as error:
+        raise RobotError("MCAP files need the package mcap; install wrod[mcap]") from error
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    writer.start(profile="", library="wrod")
+    number = {"type": "array", "items": {"type": "number"}}
+    point = {name: number for name in ("positions", "velocities", "accelerations", "effort")}
+    point["time_from_start"] = {
+        "type": "object",
+        "properties": {"sec": {"type": "integer"}, "nanosec": {"type": "integer"}},
+    }
+    schema = {
+        "type": "object",
+        "properties": {
+            "header": {"type": "object"},
+            "joint_names": {"type": "array", "items": {"type": "string"}},
+            "points": {"type": "array", "items": {"type": "object", "properties": point}},
+        },
+    }
+    kind = writer.register_schema(
+        "trajectory_msgs/JointTrajectory", "jsonschema", json.dumps(schema).encode()
+    )
+    channel = writer.register_channel("/joint_trajectory", "json", kind)
+    writer.add_message(channel, 0, json.dumps(ros_message(path)).encode(), 0)
+    writer.finish()
+    return buffer.getvalue()
+
+
+def urscript(path: JointPath) -> str:
+    """A URScript program: to the start in the joints, then `servoj` at the controller's pace.
+
+    Raises:
+        RobotError: the arm has no six joints.
+    """
+    if len(path.names) != 6:
+        raise RobotError(
+            f"URScript moves arms of six joints, and this one has {len(path.names)}; choose "
+            "another format"
+        )
+    time = np.arange(0.0, path.time[-1] + _UR_STEP / 2, _UR_STEP)
+    rows = np.column_stack([np.interp(time, path.time, q) for q in path.positions.T])
+    lines = [
+        "def wrod_path():",
+        "  # Written by wrod: check it at reduced speed first. Units: rad, s.",
+        f"  movej([{_row(rows[0])}], a=0.5, v=0.3)",
+        f"  # {len(rows)} points, {_UR_STEP} s apart",
+    ]
+    lines += [f"  servoj([{_row(q)}], t={_UR_STEP}, lookahead_time=0.1, gain=300)" for q in rows]
+    return "\n".join([*lines, "  stopj(1.0)", "end", ""])
+
+
+def _table(path: JointPath, kind: str) -> str:
+    """CSV: for libfranka every millisecond with velocities, for intera its own column names."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    if kind == "intera":
+        writer.writerow(["time", *path.names])
+        rows = np.column_stack([path.time, path.positions])
+    else:
+        if len(path.names) != 7:
+            raise RobotError(
+                f"libfranka moves arms of seven joints, and this one has {len(path.names)}; choose "
+                "another format"
+            )
+        from scipy.interpolate import CubicHermiteSpline
+
+        curve = CubicHermiteSpline(path.time, path.positions, path.velocities)
+        time = np.round(np.arange(0.0, path.time[-1] + 5e-4, 1e-3), 6)
+        time = np.minimum(time, path.time[-1])
+        names = [f"q{k + 1}" for k in range(7)] + [f"dq{k + 1}" for k in range(7)]
+        writer.writerow(["time", *names])
+        rows = np.column_stack([time, curve(time), curve(time, 1)])
+    writer.writerows([[f"{value:.9g}" for value in row] for row in rows])
+    return text.getvalue()
+
+
+def _poses(path: JointPath) -> str:
+    """CSV of timed poses of the grasp in the robot's base frame, unit quaternions x, y, z, w."""
+    if path.robot is None:
+        raise RobotError("poses need the robot; load the joint path with it")
+    from wrod.robot.kinematics import grasp_poses
+
+    poses = grasp_poses(path.robot, path.positions)
+    turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    signs = np.cumprod(np.r_[1.0, np.where((turns[1:] * turns[:-1]).sum(1) < 0, -1.0, 1.0)])
+    rows = np.column_stack([path.time, poses[:, :3, 3], turns * signs[:, None]])
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["time [s]", "x [m]", "y [m]", "z [m]", "qx", "qy", "qz", "qw"])
+    writer.writerows([[f"{value:.9g}" for value in row] for row in rows])
+    return text.getvalue()

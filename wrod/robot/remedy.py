@@ -1,0 +1,119 @@
+"""What would help where no joint path was found: computed, and tried before it is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from wrod.errors import RobotError
+from wrod.robot.solve import UnreachedError, attempt
+
+FINGERS = 0.012  # [m] from the grasp point to the outside of the gripper's fingers
+_STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
+
+
+def low_end(trajectory, clearance: float) -> float | None:
+    """Share of the laid length at which the fingers come down to the table; None if they do not."""
+    low = trajectory.position[:, 2] < FINGERS + clearance
+    if not low.any():
+        return None
+    first = int(np.argmax(low))
+    arc = trajectory.arc_length
+    return float(arc[max(first - 1, 0)] / arc[-1])
+
+
+def other_height(failed: UnreachedError, candidates: Callable) -> float | None:
+    """A table height [m] at which the same path is found, nearest to what was tried first.
+
+    Args:
+        failed: the error that says what was tried.
+        candidates: heights -> placements.
+    """
+    from wrod.robot.kinematics import one_torch_thread
+
+    middle = failed.best.branch.placement.z
+    task = failed.task
+    with one_torch_thread():
+        for step in _STEPS:
+            places = candidates((middle + step,))
+            if not places:
+                continue
+            # Looked at coarsely first: most heights fail at once.
+            angle = failed.best.branch.grip.angle
+            branches = task.branches(places, angle, 8)
+            if task.cost(branches[0]) > 3.0:
+                continue
+            found = attempt(task, places, (angle,), False)
+            if found.report.problem is None:
+                return float(found.branch.placement.z)
+    return None
+
+
+def draw_reach(path, failed: UnreachedError):
+    """Picture of where the pattern lay in the nearest attempt, and where else it was tried."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from wrod.files import write_atomically
+    from wrod.robot.placement import contact_in_base, reach
+
+    task, best = failed.task, failed.best
+    pose = best.branch.placement.base_from_world
+    contact = contact_in_base(task.trajectory, best.branch.placement)
+    grip = task.trajectory.position @ pose[:3, :3].T + pose[:3, 3]
+    missed = np.interp(task.path.travel, task.travel, best.branch.miss)
+    shoulder, far = reach(task.robot)
+    figure = Figure(figsize=(11.0, 5.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    angle = np.linspace(0.0, 2 * np.pi, 200)
+    for k, (a, b, label) in enumerate(((0, 1, "from above"), (0, 2, "from the side"))):
+        axes = figure.add_subplot(1, 2, k + 1)
+        for share, style in ((1.0, "-"), (0.4, ":")):
+            axes.plot(
+                shoulder[a] + share * far * np.cos(angle),
+                shoulder[b] + share * far * np.sin(angle),
+                style, color="0.6", lw=1.0,
+            )  # fmt: skip
+        shown = [c for c in failed.places if c != best.branch.placement]
+        for place in shown[:12] if k == 0 else []:
+            other = contact_in_base(task.trajectory, place)
+            axes.plot(other[:, a], other[:, b], color="0.85", lw=0.8)
+        axes.plot(contact[:, a], contact[:, b], color="tab:blue", lw=2.0, label="pattern")
+        marks = axes.scatter(
+            grip[:, a], grip[:, b], c=1e3 * missed, cmap="YlOrRd", s=8, vmin=0.0,
+            vmax=max(1.0, 1e3 * float(missed.max())), label="grip",
+        )  # fmt: skip
+        axes.plot(0.0, 0.0, "k^", label="robot's base")
+        axes.set_aspect("equal")
+        axes.set_title(label, fontsize=10)
+        axes.set_xlabel("x from the robot's base [m]")
+        axes.set_ylabel(f"{'xyz'[b]} [m]")
+        axes.legend(fontsize=8, loc="lower left")
+    figure.colorbar(marks, ax=figure.axes, label="miss of the grip [mm]", shrink=0.8)
+    figure.suptitle(
+        f"{task.robot.name}: {best.report.problem}\nsolid circle: outstretched; grey: other "
+        "places tried",
+        fontsize=9,
+    )
+    return write_atomically(path, lambda file: figure.savefig(file, dpi=110), "wb")
+
+
+def remedies(failed: UnreachedError, rod, pattern_length: float, candidates) -> Iterator[dict]:
+    """What to try, most likely first: {"resize" | "table_height" | "hold": value}."""
+    share = low_end(failed.task.trajectory, failed.task.clearance)
+    if share is not None:
+        # Not as short as possible: the next millimetres are as low.
+        yield {"resize": float(np.floor(100 * share - 1.0) / 100)}
+        return
+    needed = pattern_length + 1.5 * rod.gravito_bending_length
+    if needed < 0.9 * rod.length:
+        yield {"hold": float(np.ceil(100 * needed) / 100)}
+    try:
+        height = other_height(failed, candidates)
+    except RobotError:
+        height = None
+    if height is not None:
+        yield {"table_height": round(height, 3)}
+    yield {"resize": 0.8}
+    yield {"resize": 0.6}
