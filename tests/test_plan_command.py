@@ -70,7 +70,7 @@ def test_pattern_file_with_units(tmp_path):
         (("line", "--rod", "rope", "--method", "guess"), "unknown method 'guess'"),
         (("line", "--rod", "rope", "--units", "mm"), "drop --units"),
         (("line", "--rod", "rope", "--friction", "-1"), "friction is -1.0"),
-        (("line", "--rod", "missing.json"), "missing.json: not a readable rod file"),
+        (("line", "--rod", "missing.json"), "missing.json: no such file"),
     ],
 )
 def test_bad_input_is_one_sentence_and_writes_nothing(tmp_path, arguments, says):

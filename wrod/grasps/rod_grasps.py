@@ -169,7 +169,9 @@ def _on_meshes(
     arrays = mesh_arrays(model, contact[:, None] + lgb * nodes)
     force = bending / lgb**2
     twist = arrays["natural_twist"][:, 1:] * lgb
-    # The laid rod lies with the twist that it has at rest: nothing twists it at the contact.
+    # The laid rod lies with the twist that it has at rest: nothing twists it at the contact. What
+    # half of the first edge has of it is the next node's.
+    twist[:, 1] += twist[:, 0] * rest[:, 0] / (rest[:, 0] + rest[:, 1])
     twist[:, 0] = 0.0
     softening = arrays["softening"][:, 1:].copy()
     softening[..., 0] /= lgb**2

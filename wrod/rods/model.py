@@ -215,7 +215,8 @@ class RodModel:
     @property
     def poisson(self) -> float:
         """k_b / k_t - 1 of the means, Poisson's ratio of a round section [-]."""
-        return self.mean_bending_stiffness / self._mean(self.twisting_stiffness) - 1.0
+        ratio = self.mean_bending_stiffness / self._mean(self.twisting_stiffness) - 1.0
+        return 0.5 if abs(ratio - 0.5) < _ROUND else ratio  # no more than 0.5 but for rounding
 
     @property
     def is_straight(self) -> bool:
