@@ -79,6 +79,7 @@ def command(
     )
     from wrod.deployment.simulate import simulate_deployments
     from wrod.errors import RodError
+    from wrod.files import schemas, write_atomically
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
@@ -105,7 +106,7 @@ def command(
         "patterns": "built-in" if patterns is None else patterns.name,
     }
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures")
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", schemas.CampaignRow)
     start = time.perf_counter()
     plans, lacking = _plans(curves, METHODS, device, as_json)
     planned = time.perf_counter() - start
@@ -154,7 +155,7 @@ def command(
         f"{release:g} m, patterns {settings['patterns']}."
     )
     words = [*summary(table), *lacking]
-    (out / "closures.md").write_text(markdown(table, head, words), encoding="utf-8")
+    write_atomically(out / "closures.md", lambda file: file.write(markdown(table, head, words)))
     written = [
         write_csv(out / "closures.csv", table),
         out / "closures.md",

@@ -103,7 +103,11 @@ def _hidden(seeds, only, out, workers, device, as_json) -> None:
     keep, have = rows.append, {}
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        ledger = Ledger(out / "rows.jsonl", {}, ("set", "seed"), "identification")
+        from wrod.files import schemas
+
+        ledger = Ledger(
+            out / "rows.jsonl", {}, ("set", "seed"), "identification", schemas.HiddenRow
+        )
         have = {ledger.key(r): r for r in ledger.rows}
 
         def keep(row):

@@ -39,6 +39,8 @@ def command(
     from wrod.bench.table3_report import KEYS, cells, draw, markdown, summary, write_csv
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.errors import RodError
+    from wrod.files import schemas, write_atomically
+    from wrod.grasps.optimal import CLOSURES
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
@@ -53,9 +55,11 @@ def command(
         "closure": closure or "favoured",
         "patterns": "built-in" if patterns is None else patterns.name,
     }
-    out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3")
     curves = {name: read_pattern(name, patterns) for name in PATTERNS}
+    if closure is not None and closure not in CLOSURES:
+        raise RodError(f"unknown closure {closure!r:.60}; use one of {', '.join(CLOSURES)}")
+    out.mkdir(parents=True, exist_ok=True)
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", schemas.Table3Row)
     start = time.perf_counter()
     plans = _plans(curves, closure, device, as_json)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
@@ -94,7 +98,7 @@ def command(
         f"{settings['patterns']}."
     )
     text = markdown(table, head)
-    (out / "table3.md").write_text(text, encoding="utf-8")
+    write_atomically(out / "table3.md", lambda file: file.write(text))
     written = [
         write_csv(out / "table3.csv", table),
         out / "table3.md",

@@ -22,6 +22,8 @@ BENCHMARKS = (
     "loop",
     "closures",
     "applications",
+    "photographs",
+    "hands",
 )
 
 

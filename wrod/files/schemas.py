@@ -276,8 +276,40 @@ class TrajectoryMetadata(_Open, frozen=True):
     warnings: Annotated[list[str], Meta(max_length=1000)] = []
 
 
-class Campaign(_Open, frozen=True):
-    """First line of a campaign's file: what all its trials have in common."""
+class CampaignRow(_Open, frozen=True):
+    """A trial of a campaign (a line of its trials.jsonl), beside what tells which it is."""
 
-    format: Name
-    settings: dict[str, Any] = field(default_factory=dict)
+    diverged: bool
+    steps: Count
+
+
+class Table3Row(CampaignRow, frozen=True):
+    """A trial of `wrod bench table3`: figures in cm, and the laid curve in m."""
+
+    error_mean: float
+    error_std: float
+    released_error_mean: float
+    released_error_std: float
+    slip: float
+    curve: Annotated[list[tuple[float, float]], Meta(max_length=10_000)]
+
+
+class ApplicationsRow(_Open, frozen=True):
+    """A trial of `wrod bench applications`."""
+
+    case: Name
+    method: Name
+    trial: Count
+    success: bool
+    why: str
+    cpu_seconds: float
+    steps: Count
+    curves: dict[str, list[list[list[float]]]]
+
+
+class HiddenRow(_Open, frozen=True):
+    """A set of `wrod bench identify --hidden`."""
+
+    set: Name
+    seed: Count
+    outcome: Name

@@ -9,8 +9,11 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from wrod.errors import RodError, WrodWarning
 from wrod.files import decode_labels, read_json, schemas, write_atomically
+from wrod.files.reading import entry_message
 from wrod.rods.law import law_as_json, law_of
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -166,8 +169,12 @@ def _material(path, content: dict, instead: dict) -> RodMaterial:
         content = {"format": MATERIAL_FORMAT, **_rod_of_old(path, content, instead)}
     if content.pop("format", None) != MATERIAL_FORMAT:
         raise RodError(f"is not a {MATERIAL_FORMAT} file; write one with `wrod loop --out`")
+    content = {**content, **instead}
     try:
-        return RodMaterial(**{**content, **instead})
+        msgspec.convert({"format": MATERIAL_FORMAT, **content}, schemas.RodFile)
+        return RodMaterial(**content)
+    except msgspec.ValidationError as error:
+        raise RodError(entry_message(str(error))) from None
     except TypeError as error:
         raise RodError(str(error).replace("RodMaterial.__init__() ", "")) from None
 

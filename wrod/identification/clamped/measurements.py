@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.files import read_arrays
 from wrod.identification.clamped.checks import check_geometry, check_rod
 from wrod.rods.material import RodMaterial
 
@@ -103,13 +104,7 @@ def load_measurements(path: str | os.PathLike[str]) -> ClampedMeasurements:
             sentence names the field, the trial and the marker.
     """
     path = Path(path)
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            data = {key: file[key] for key in file.files}
-    except (OSError, ValueError, EOFError, KeyError) as error:
-        raise DataError(f"{path}: not a readable .npz file ({error})") from None
-    except Exception as error:  # zipfile's own errors derive from Exception alone
-        raise DataError(f"{path}: not a readable .npz file ({error})") from None
+    data = read_arrays(path, "an .npz file of measurements")
     return measurements_from_arrays(data, name=path.stem, where=str(path))
 
 

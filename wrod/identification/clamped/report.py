@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import DataError, WrodWarning
 from wrod.files import write_atomically
 from wrod.identification.clamped.fit import Fit, fit_models
@@ -160,6 +161,18 @@ class IdentificationReport:
         ]
 
 
+@arguments.checked(
+    DataError,
+    measurements=arguments.either(arguments.path, arguments.like("measurements", "clamp_position")),
+    test=arguments.optional(
+        arguments.either(arguments.path, arguments.like("measurements", "clamp_position"))
+    ),
+    candidates=arguments.optional(
+        arguments.several(arguments.either(arguments.text, arguments.like("an Effect", "name")))
+    ),
+    device=arguments.optional(arguments.text),
+    progress=arguments.optional(arguments.callback),
+)
 def identify(
     measurements: ClampedMeasurements | str | os.PathLike[str],
     *,

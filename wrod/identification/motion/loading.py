@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.files import read_arrays
 from wrod.identification.motion.checks import check_positions
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.repair import frame_gaps, sorted_grips
@@ -22,9 +23,8 @@ _HEAVY = 30.0
 def is_motion(path: str | os.PathLike[str]) -> bool:
     """Whether an .npz file holds recordings of motion, by its fields."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return "positions" in file.files and "rate_hz" in file.files
-    except Exception:  # whatever is wrong with the file, its loader says it
+        return {"rate_hz"} == set(read_arrays(path, only=["rate_hz"]))
+    except DataError:  # whatever is wrong with the file, its loader says it
         return False
 
 
@@ -39,11 +39,7 @@ def load_motion(path: str | os.PathLike[str]) -> MotionMeasurements:
             sentence names the field, the recording, the frame and the marker.
     """
     path = Path(path)
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            data = {key: file[key] for key in file.files}
-    except Exception as error:
-        raise DataError(f"{path}: not a readable .npz file ({error})") from None
+    data = read_arrays(path, "an .npz file of recordings")
     return motion_from_arrays(data, name=path.stem, where=str(path))
 
 

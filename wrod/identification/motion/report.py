@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import DataError, WrodWarning
 from wrod.files import write_atomically
 from wrod.identification.effect import Effect, Estimate, Model, effects
@@ -203,6 +204,18 @@ class MotionReport:
             return self.model.material()
 
 
+@arguments.checked(
+    DataError,
+    measurements=arguments.either(arguments.path, arguments.like("recordings", "positions")),
+    test=arguments.optional(
+        arguments.either(arguments.path, arguments.like("recordings", "positions"))
+    ),
+    candidates=arguments.optional(
+        arguments.several(arguments.either(arguments.text, arguments.like("an Effect", "name")))
+    ),
+    device=arguments.optional(arguments.text),
+    progress=arguments.optional(arguments.callback),
+)
 def identify_motion(
     measurements: MotionMeasurements | str | os.PathLike[str],
     *,
