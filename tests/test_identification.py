@@ -14,7 +14,7 @@ from wrod.errors import DataError
 from wrod.identification import identify, load_measurements
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.measurements import measurements_from_arrays
+from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.setup import Setup, rotation_of
 from wrod.identification.clamped.trace import trace
 from wrod.identification.effect import Effect, Model, Parameter, effects

@@ -59,8 +59,8 @@ def command(
 
     from wrod.bench.applications_cables import disturbances_text
     from wrod.bench.applications_cables_picture import draw_cables
-    from wrod.bench.applications_report import METHODS, draw, markdown, table
-    from wrod.bench.applications_trials import run_trials
+    from wrod.bench.applications_report import draw, markdown, table
+    from wrod.bench.applications_trials import METHODS, run_trials
     from wrod.bench.ledger import Ledger
     from wrod.errors import RodError
     from wrod.files import schemas, write_atomically

@@ -16,6 +16,7 @@ from wrod.files.writing import begin
 
 COMMANDS = (
     "plan",
+    "show",
     "deploy",
     "loop",
     "scan",

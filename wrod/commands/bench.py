@@ -21,6 +21,7 @@ BENCHMARKS = (
     "cables",
     "loop",
     "closures",
+    "slippery",
     "applications",
     "photographs",
     "hands",

@@ -159,7 +159,7 @@ def simulate_deployments(
         node_count: nodes of every rod instead, so that results do not depend on which trials are
             simulated together; default: what the longest needs.
         step: largest time step [s].
-        scheme: "euler" or "bdf2".
+        scheme: "euler", "bdf2" or "midpoint".
         air_damping: drag per mass and velocity [1/s]; default: the rod's own, or 1 where it says
             nothing.
         internal_damping: Kelvin-Voigt time of the material [s]; default: the rod's own.

@@ -312,4 +312,5 @@ class HiddenRow(_Open, frozen=True):
 
     set: Name
     seed: Count
+    noise: Name
     outcome: Name

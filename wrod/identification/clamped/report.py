@@ -14,9 +14,11 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import DataError, WrodWarning
 from wrod.files import write_atomically
+from wrod.identification.clamped.branches import Branch
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.measurements import ClampedMeasurements, load_measurements
+from wrod.identification.clamped.loading import load_measurements
+from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.noise import NoiseModel
 from wrod.identification.clamped.selection import select
 from wrod.identification.clamped.setup import Setup
@@ -67,7 +69,7 @@ class IdentificationReport:
         predicted_before, predicted_after: (T, M, 3) marker positions [m].
         found: the rod with all that was found of it, and what belongs to the set-up instead.
         noise: as the selection found it; missing: markers without a position; outliers: (T, M)
-            markers that were set aside.
+            markers that were set aside; branches: (T,) equilibrium of the base model in each trial.
     """
 
     measurements: ClampedMeasurements
@@ -86,6 +88,7 @@ class IdentificationReport:
     noise: NoiseModel
     missing: int
     outliers: np.ndarray
+    branches: tuple[Branch, ...]
 
     @property
     def model(self) -> RodModel:
@@ -142,6 +145,16 @@ class IdentificationReport:
                     {"trial": int(t), "marker": int(k)} for t, k in np.argwhere(self.outliers)
                 ],
             },
+            "equilibria": [
+                {
+                    "trial": t,
+                    "negative_eigenvalues": b.negative,
+                    "stable_found": b.found,
+                    "reached_from": b.start,
+                }
+                for t, b in enumerate(self.branches)
+                if b.negative or b.found > 1 or b.start == "saddle"
+            ],
             "unseen_trials": {"chi_squared_taken": s.unseen[0], "stderr": s.unseen[1]},
             "parameters_at_a_bound": list(s.at_bound),
             "prints": [p.to_dict() for p in self.prints],
@@ -173,7 +186,7 @@ class IdentificationReport:
     device=arguments.optional(arguments.text),
     progress=arguments.optional(arguments.callback),
 )
-def identify(
+def identify_clamped(
     measurements: ClampedMeasurements | str | os.PathLike[str],
     *,
     test: ClampedMeasurements | str | os.PathLike[str] | None = None,
@@ -206,7 +219,7 @@ def identify(
     say("force print")
     prints = trace(laboratory)
     say("effects")
-    selection = select(laboratory, chosen)
+    selection = select(laboratory, chosen, build=candidates is None)
     say("scores")
     fit = selection.fit
     before = laboratory.predict(Model(), np.zeros(0))
@@ -228,6 +241,7 @@ def identify(
         noise=laboratory.noise,
         missing=laboratory.missing,
         outliers=laboratory.outliers,
+        branches=tuple(laboratory.branches),
     )
 
 
