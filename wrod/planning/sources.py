@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -136,17 +137,29 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
     )
 
 
-def _neural(inputs: GraspInputs) -> GraspPoses:
-    """Optimal grasps from the trained controller; out of its range it warns."""
+@cache
+def _of_closure(closure: str) -> Controller:
     from wrod.controller.controller import Controller
 
+    return Controller.load(closure=closure)
+
+
+def _shipped(default: str, closure: str) -> Controller:
+    """The controller of a closure that ships, or that of `default`; read once."""
+    from wrod.controller.controller import SHIPPED
+
+    return _of_closure(closure if closure in SHIPPED else default)
+
+
+def _neural(inputs: GraspInputs) -> GraspPoses:
+    """Optimal grasps from the trained controller; out of its range it warns."""
     if inputs.controller is None and not inputs.is_straight:
         raise GraspError(
             "the controller that ships knows naturally straight rods only, and this one is curved "
             "at rest; train one for it with `wrod dataset --rod` and `wrod train`, or use method "
             "'numeric' or 'auto'"
         )
-    controller = inputs.controller or Controller.load()
+    controller = inputs.controller or _shipped("zero_tension", inputs.closure)
     if inputs.closure != controller.closure:
         raise GraspError(
             f"the controller knows closure {controller.closure!r} only, not {inputs.closure!r}; "
@@ -157,9 +170,7 @@ def _neural(inputs: GraspInputs) -> GraspPoses:
 
 def _auto(inputs: GraspInputs) -> GraspPoses:
     """The controller where it was trained for closure and inputs, elsewhere the rod solver."""
-    from wrod.controller.controller import Controller
-
-    controller = inputs.controller or Controller.load()
+    controller = inputs.controller or _shipped("zero_tension", inputs.closure)
     known = ~controller.out_of_range(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     )
