@@ -146,7 +146,7 @@ def test_pattern_too_long_says_by_how_much():
     rod = wrod.RodMaterial(0.0016, 0.032, 0.5)
     with pytest.raises(PatternError, match=r"0\.5 m.*0\.468 m.*by 0\.032 m"):
         wrod.plan(wrod.pattern("line"), rod, "intuitive")
-    huge = wrod.Pattern.from_points(wrod.pattern("sine").sample(np.linspace(0, 0.5, 90))[0] * 1e3)
+    huge = wrod.Pattern.from_points(wrod.pattern("sine").sample(np.linspace(0, 0.5, 90))[0] * 1e2)
     with pytest.raises(PatternError, match="another unit"):
         wrod.plan(huge, ROD, "intuitive")
 

@@ -87,6 +87,11 @@ class GraspSolver:
         level.lay(self.length, self.model[0], n)
         level.hang(self.work)
         if guess is not None:
+            guess = np.array(guess)
+            # The contact holds the direction of the first edge.
+            half = np.arctan(0.5 * np.asarray(curvature) * level.rest.contiguous().numpy()[:, 0])
+            first = np.stack([np.cos(half), np.sin(half), np.zeros_like(half)], axis=1)
+            guess[:, 1] = np.linalg.norm(guess[:, 1], axis=1)[:, None] * first
             put(level.shape, guess)
             put(level.curvature, curvature)
         if thrust is not None:

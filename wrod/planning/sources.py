@@ -170,7 +170,8 @@ def _neural(inputs: GraspInputs) -> GraspPoses:
 
 def _auto(inputs: GraspInputs) -> GraspPoses:
     """The controller where it was trained for closure and inputs, elsewhere the rod solver."""
-    controller = inputs.controller or _shipped("zero_tension", inputs.closure)
+    # Others do not know the thrust, and with it what a plan asks of the table.
+    controller = inputs.controller or _of_closure("zero_tension")
     known = ~controller.out_of_range(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     )
@@ -207,7 +208,8 @@ def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
     position, rotation, force, twist = controller.predict_with_twist(
         inputs.suspended_length, side * inputs.curvature, inputs.stretch_ratio
     )
-    if force is None:
+    # The chain that controllers learn has no thrust at the contact.
+    if force is None or controller.closure != "zero_tension":
         force = np.full_like(position, np.nan)
     if side < 0.0:
         position, rotation, force = MIRROR * position, MIRROR_ROTATION * rotation, MIRROR * force
