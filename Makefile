@@ -27,6 +27,14 @@ test: lint types
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
 
+# Fifty times the hostile inputs that the tests try, and other ones each time.
+fuzz: $(STAMP)
+	WROD_FUZZ=50 $(BIN)/python -m pytest -s tests/test_fuzz.py
+
+# A hundred kills at random moments; every run has to end in the same bytes.
+kill-test: $(STAMP)
+	$(BIN)/python tests/killing.py --kills 100
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

@@ -9,7 +9,7 @@ from wrod.bench.hidden_effects import TRIALS, cases, hidden_set
 from wrod.bench.hidden_table import error_of, lines, outcome, summary
 from wrod.commands import main
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.measurements import measurements_from_arrays
+from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.effect import Model, effects
 
 
@@ -126,6 +126,7 @@ def test_every_effect_of_a_clamped_rod_is_hidden_somewhere():
 def test_table_and_its_summary():
     row = {
         "seed": 4,
+        "noise": "white",
         "before_mm": 5.0,
         "after_mm": 0.87,
         "noise_floor_mm": 0.87,
@@ -134,7 +135,16 @@ def test_table_and_its_summary():
         "worst_deviations": 0.7,
     }
     found = {"set": "stiffness", "outcome": "right", **entry("stiffness"), **row}
-    rows = [found, {"set": "kink", "seed": 4, "outcome": "not made", "reason": "no equilibrium"}]
+    rows = [
+        found,
+        {
+            "set": "kink",
+            "seed": 4,
+            "noise": "pose",
+            "outcome": "not made",
+            "reason": "no equilibrium",
+        },
+    ]
     text = "\n".join(lines(rows) + summary(rows))
     assert "no equilibrium" in text
     assert "one effect              1 sets: right 1" in text

@@ -12,7 +12,7 @@ import wrod
 from wrod.bench.loop_measurements import clamped_experiment
 from wrod.commands import main
 from wrod.errors import DataError
-from wrod.identification.clamped.measurements import measurements_from_arrays
+from wrod.identification.clamped.loading import measurements_from_arrays
 
 
 def test_synthetic_measurements_show_the_true_rod():

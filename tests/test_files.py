@@ -4,6 +4,7 @@ import json
 import os
 import time
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -194,3 +195,10 @@ def test_objects_run_no_code(tmp_path):
     with pytest.raises(DataError, match="Python objects"):
         read_arrays(tmp_path / "a.npz")
     assert not (tmp_path / "ran").exists()
+
+
+def test_the_docs_say_what_the_schemas_say():
+    from wrod.files.document import document
+
+    page = Path(__file__).parents[1] / "docs" / "formats.md"
+    assert page.read_text(encoding="utf-8") == document()

@@ -175,7 +175,7 @@ def test_files_hold_the_path(tmp_path, letter_path):
     assert np.array_equal(back.positions, letter_path.positions)
     assert back.metadata == letter_path.metadata
     arrays.write_bytes(arrays.read_bytes()[:200])
-    with pytest.raises(DataError, match=r"joint_path\.npz: not a readable joint path"):
+    with pytest.raises(DataError, match=r"joint_path\.npz: is not"):
         JointPath.load(arrays)
 
 

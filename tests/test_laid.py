@@ -10,6 +10,8 @@ from test_deployment import QUICK, ROD, quarter_turn
 
 import wrod
 from wrod.commands import main
+from wrod.commands.plan_summary import read_friction
+from wrod.deployment.table import Table
 from wrod.errors import DataError
 from wrod.identification.laid.fit import fit_laid, with_parameters
 from wrod.identification.laid.measurements import load_laid
@@ -94,9 +96,7 @@ def test_bad_centrelines_are_named(tmp_path, plan):
         load_laid([], pattern)
     with pytest.raises(DataError, match="noise is -1"):
         load_laid([line], pattern, noise=-1)
-    paths = np.empty(1, object)
-    paths[0] = line
-    np.savez(tmp_path / "pixels.npz", paths=paths)
+    np.savez(tmp_path / "pixels.npz", paths=line[None])
     (tmp_path / "torn.npz").write_bytes(b"PK\x03\x04torn")
     with pytest.raises(DataError, match=r"pixels\.npz: is a scan without"):
         load_laid([tmp_path / "pixels.npz"], pattern, noise=NOISE)
@@ -157,3 +157,36 @@ def test_laid_command(plan, tmp_path):
     assert np.mean(figures["left_mm"]) == pytest.approx(2.0, abs=0.1)
     result = CliRunner().invoke(main, [*args[:-1], "1"])
     assert result.exit_code == 2 and "no rod given" in result.stderr
+
+
+def test_friction_of_the_table_is_found(plan):
+    pattern, _ = plan
+    # Straight above the contact, so that the table has something to hold.
+    path = wrod.plan(pattern, ROD, "intuitive", remainder=False)
+    laid = wrod.simulate_deployment(pattern, ROD, path, 0.3, **QUICK)
+    rods = [noisy(laid.released_centerline, seed) for seed in range(3)]
+    measured = load_laid(rods, pattern)
+    fit = fit_laid(measured, ROD, path, 0.4, fit_friction=True, iterations=3, **QUICK)
+    error = fit.estimates["log_friction"].stderr
+    assert 0.0 < error < 0.3
+    assert abs(np.log(fit.friction / 0.3)) < max(3.0 * error, 0.1)
+    assert fit.after < fit.before
+
+
+def test_table_file(tmp_path):
+    table = Table(0.4, 0.1, -0.3)
+    assert Table.load(table.save(tmp_path / "table.json")) == table
+    assert read_friction(str(tmp_path / "table.json")) == table.interval
+    assert table.interval == pytest.approx((0.4 * np.exp(-0.1), 0.4 * np.exp(0.1)))
+    for text, says in (
+        ("{}", "is not a table"),
+        ('{"format": "wrod-table-1", "friction": -1, "log_error": 0.1}', "friction -1"),
+        ('{"format": "wrod-table-1", "friction": 0.3}', "not a readable table"),
+        ("[", "not a readable table"),
+        ("[]", "not a readable table"),
+    ):
+        (tmp_path / "bad.json").write_text(text)
+        with pytest.raises(DataError, match=rf"bad\.json: .*{says}"):
+            Table.load(tmp_path / "bad.json")
+    with pytest.raises(DataError, match="missing"):
+        Table.load(tmp_path / "missing.json")

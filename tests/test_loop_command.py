@@ -29,12 +29,12 @@ def test_loop_height_gives_the_rod_and_its_file(tmp_path):
 @pytest.mark.parametrize(
     "changed, says",
     [
-        ({"--height": 0}, "loop height is 0.0"),
-        ({"--height": "nan"}, "loop height is nan"),
-        ({"--radius": -1}, "radius is -1.0"),
-        ({"--length": 0}, "length is 0.0"),
-        ({"--density": 0}, "density is 0.0"),
-        ({"--poisson": 0.7}, "poisson is 0.7"),
+        ({"--height": 0}, "'--height': 0"),
+        ({"--height": "nan"}, "'--height': nan"),
+        ({"--radius": -1}, "'--radius': -1"),
+        ({"--length": 0}, "'--length': 0"),
+        ({"--density": 0}, "'--density': 0"),
+        ({"--poisson": 0.7}, "'--poisson': 0.7"),
         ({"--out": "rod.txt"}, "not a .json file name"),
     ],
 )

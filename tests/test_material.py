@@ -47,18 +47,18 @@ def test_rod_file_round_trip(tmp_path):
 @pytest.mark.parametrize(
     "content, says",
     [
-        ("{", "not a readable rod file"),
-        ("[1]", "not a wrod-rod-1 file"),
+        ("{", "ends in the middle of its JSON"),
+        ("[1]", "must be an object, but is a list"),
         ('{"radius": 0.001}', "not a wrod-rod-1 file"),
         ('{"format": "wrod-rod-1", "radius": 0.001}', "gravito_bending_length"),
         ('{"format": "wrod-rod-1", "colour": 1}', "colour"),
         (
             '{"format": "wrod-rod-1", "radius": -1, "gravito_bending_length": 1, "length": 1}',
-            "radius is -1",
+            "radius must be a number > 0",
         ),
         (
             '{"format": "wrod-rod-1", "radius": "a", "gravito_bending_length": 1, "length": 1}',
-            "radius is 'a'",
+            "radius must be a number, but is text",
         ),
     ],
 )

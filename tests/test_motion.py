@@ -278,9 +278,17 @@ def test_bad_data_are_named_in_a_sentence(recorded, change, sentence):
         motion_from_arrays(_with(recorded, **change(recorded)))
 
 
+def test_a_marker_lost_for_a_few_frames_costs_no_recording(recorded):
+    x = recorded["positions"].copy()
+    x[2, 7:10, 4] = np.nan
+    m = motion_from_arrays(_with(recorded, positions=x))
+    assert m.filled == 3
+    assert np.abs(m.positions[2, 7:10, 4] - recorded["positions"][2, 7:10, 4]).max() < 2e-4
+
+
 def test_a_lost_marker_is_named(recorded):
     x = recorded["positions"].copy()
-    x[2, 7, 4, 1] = np.nan
+    x[2, 7:20, 4, 1] = np.nan
     with pytest.raises(DataError, match="marker 4 of recording 2 is not finite in frame 7"):
         motion_from_arrays(_with(recorded, positions=x))
 

@@ -7,9 +7,10 @@ import pytest
 
 import wrod
 from wrod.errors import DataError, RodError
+from wrod.identification.laid.choice import average, choose
 from wrod.identification.laid.photographs import load_photograph, load_photographs
 from wrod.identification.laid.placement import raw, rigid, seen_from
-from wrod.identification.laid.world import World, lay, plan_without_lead_in
+from wrod.identification.laid.world import LaidRod, World, lay, plan_without_lead_in
 
 MEASURED = Path(__file__).parents[2] / "shared" / "measured" / "laid"
 PX_PER_M = 700.0
@@ -127,3 +128,33 @@ def test_reads_all_photographs():
     for one in photographs:
         off = raw(one, one.pattern.sample(np.linspace(0.0, one.pattern.length, 2000))[0][:, :2])
         assert off.mean < 0.03, one.name
+
+
+def test_worlds_are_weighed_by_the_other_pictures():
+    near, far = 1e-3, 5e-3
+    # Two worlds, three pictures: the third alone speaks for the second world.
+    choice = choose(np.array([[near, near, far], [far, far, near]]))
+    assert choice.weights.sum() == pytest.approx(1.0)
+    assert choice.weights[0] > choice.weights[1]
+    # Without the third picture the first world is all the more likely; without the first, neither.
+    assert choice.left_out[2, 0] > choice.weights[0]
+    assert choice.left_out[0] == pytest.approx([0.5, 0.5])
+    with pytest.raises(DataError, match="two or more"):
+        choose(np.array([[near], [far]]))
+
+
+def test_worlds_are_averaged_at_equal_distance_from_the_grip():
+    s = np.linspace(0.0, 0.5, 26)
+    straight = LaidRod(s, np.column_stack([s, 0.0 * s, 0.0 * s]), True)
+    # The same place laid by a rod of 2 cm more, which begins 2 cm behind.
+    longer = np.linspace(0.0, 0.52, 27)
+    behind = LaidRod(
+        longer, np.column_stack([longer - 0.02, 0.01 + 0.0 * longer, 0.0 * longer]), True
+    )
+    lost = LaidRod(s, np.full((26, 3), 9.0), False)
+    worlds = [World(), World(excess=0.02), World()]
+    mean = average([straight, behind, lost], worlds, np.array([0.25, 0.25, 0.5]))
+    assert mean.nodes[:, 0] == pytest.approx(mean.arc_length, abs=1e-12)
+    assert mean.nodes[:, 1] == pytest.approx(np.full(len(mean.nodes), 0.005))
+    with pytest.raises(DataError, match="no world"):
+        average([lost], worlds[:1], np.ones(1))

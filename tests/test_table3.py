@@ -67,7 +67,7 @@ def test_ledger_goes_on_where_it_was_killed(tmp_path):
     with pytest.raises(DataError, match="other settings"):
         Ledger(path, {"speed": 0.05}, KEYS)
     path.write_text("what is this")
-    with pytest.raises(DataError, match="not a readable"):
+    with pytest.raises(DataError, match="not readable"):
         Ledger(path, {"speed": 0.02}, KEYS)
 
 

@@ -274,8 +274,13 @@ def load(folder: str | os.PathLike[str], most: int | None = None) -> GraspTable:
     """
     parts, rows = [], 0
     for columns in store.shards(Path(folder)):
-        parts.append(GraspTable.of(columns))
-        rows += len(parts[-1])
+        part = GraspTable.of(columns)
+        for values in (part.inputs, part.outputs, part.sensitivity):
+            if values is not None and not np.isfinite(values).all():
+                path = store.shard_path(Path(folder), len(parts))
+                raise DataError(f"{path}: holds grasps that are not numbers; delete the file")
+        parts.append(part)
+        rows += len(part)
         if most is not None and rows >= most:
             break
     if not rows:

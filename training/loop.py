@@ -22,10 +22,12 @@ from wrod.training.score import figures
 
 from wrod.controller.controller import Controller
 from wrod.errors import DataError
-from wrod.files import write_atomically
+from wrod.files import checked_path, write_atomically
+from wrod.files.reading import shown
 
 CHECKPOINT = "checkpoint.pt"
 _FORMAT = "wrod-checkpoint-1"
+_MOST_BYTES = 8 * 2**30
 # Forces count less than poses: nobody grips by them.
 _FORCE_WEIGHT = 0.3
 # The falling rate ends at this fraction of the first.
@@ -137,7 +139,7 @@ class Training:
         self,
         *,
         minutes: float | None = None,
-        checkpoint_every: float = 30.0,
+        checkpoint_every: float = 2.0,
         watch_every: int = 500,
         progress: Callable[[int, int, float], object] | None = None,
     ) -> None:
@@ -145,13 +147,14 @@ class Training:
 
         Args:
             minutes: the rate falls with the steps or with the time, whichever is further.
-            checkpoint_every: seconds between checkpoints.
+            checkpoint_every: seconds between checkpoints; at least 20 times what one takes, or 0
+                for one after every step.
             watch_every: steps between validations.
             progress: called with steps done, all steps and the last validation MAE.
         """
         budget = math.inf if minutes is None else 60.0 * minutes
         steps, begin = self.recipe.steps, time.monotonic() - self.seconds
-        saved = time.monotonic()
+        saved, took = time.monotonic(), 0.0
         while self.step < steps and self.seconds < budget:
             done = max(self.step / steps, self.seconds / budget)
             if self.refine and self.solve and self.rounds < 2 and done > (self.rounds + 1) / 4:
@@ -163,9 +166,12 @@ class Training:
                 self._watch()
                 if progress is not None:
                     progress(self.step, steps, self.history[-1][2])
-            if time.monotonic() - saved > checkpoint_every:
+            pause = max(checkpoint_every, 20.0 * took) if checkpoint_every > 0.0 else 0.0
+            if time.monotonic() - saved > pause:
+                start = time.monotonic()
                 self.checkpoint()
                 saved = time.monotonic()
+                took = saved - start
         if not self.history or self.history[-1][0] != self.step:
             self._watch()
         self.checkpoint()
@@ -217,6 +223,11 @@ class Training:
     def _watch(self) -> None:
         """Validate, and let an alternating recipe react."""
         error = float(np.abs(errors(self.network, self.validation, self.device)).mean())
+        if not math.isfinite(error):
+            raise DataError(
+                f"the network's error is {error} after {self.step} steps; train with a smaller "
+                "--sensitivity-weight, or look for damage in the dataset"
+            )
         rate = self.optimizers[self.using].param_groups[0]["lr"]
         self.history.append([self.step, self.seconds, error, rate, self.batch])
         if self.recipe.optimizer != "alternating":
@@ -277,15 +288,26 @@ class Training:
         path = self.folder / CHECKPOINT
         if not path.exists():
             return False
+        checked_path(path, "a checkpoint; delete it", limit=_MOST_BYTES)
         try:
             content = torch.load(path, map_location=self.device, weights_only=True)
             known = content["format"] == _FORMAT
+            other = not known or content["run"] != self._run()
         except Exception as error:
-            raise DataError(f"{path}: not a readable checkpoint ({error}); delete it") from None
-        if not known or content["run"] != self._run():
+            said = shown(error, 200)
+            raise DataError(f"{path}: not a readable checkpoint ({said}); delete it") from None
+        if other:
             raise DataError(
                 f"{path}: is of another recipe, seed or dataset; delete it or choose another --out"
             )
+        try:
+            self._restore(content)
+        except Exception as error:  # whichever part of the file lacks or is misshapen
+            said = shown(error, 200)
+            raise DataError(f"{path}: a part of it does not fit ({said}); delete it") from None
+        return True
+
+    def _restore(self, content: dict) -> None:
         self.network.load_state_dict(content["network"])
         for optimizer, state in zip(self.optimizers, content["optimizers"], strict=True):
             optimizer.load_state_dict(state)
@@ -298,8 +320,11 @@ class Training:
         if content["extra"] is not None:
             parts = [None if v is None else v.cpu().numpy() for v in content["extra"]]
             self.learning = GraspTable.join([self.learning, GraspTable(*parts)])
+        finite = all(bool(torch.isfinite(p).all()) for p in self.network.parameters())
+        whole = all(isinstance(n, int) and n >= 0 for n in (self.step, self.rounds, self.batch))
+        if not (finite and whole and self.using in range(len(self.optimizers))):
+            raise ValueError("weights or counters are not numbers that a training has")
         self._upload()
-        return True
 
     def _run(self) -> dict:
         """What a checkpoint must agree in."""

@@ -8,6 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from wrod import __version__
+from wrod.errors import DataError
 
 
 def machine_line(device: str = "cpu") -> str:
@@ -31,3 +32,38 @@ def machine_line(device: str = "cpu") -> str:
 
         parts.insert(1, wp.get_device(device).name)
     return "; ".join(parts)
+
+
+def available_memory() -> float:
+    """Bytes that this process may still take; infinite where the system does not say."""
+    free = float("inf")
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                free = 1024.0 * int(line.split()[1])
+        group = Path("/sys/fs/cgroup")
+        limit = (group / "memory.max").read_text().strip()
+        if limit != "max":
+            used = int((group / "memory.current").read_text())
+            free = min(free, float(int(limit) - used))
+    except (OSError, ValueError, IndexError):
+        pass  # another system, or an older one
+    return free
+
+
+def require_memory(needed: float, what: str, remedy: str) -> None:
+    """Refuse work that does not fit into this machine's memory.
+
+    Args:
+        needed: bytes.
+        what: needs them, and `remedy`: what to do, for the message.
+
+    Raises:
+        DataError: there are less.
+    """
+    free = available_memory()
+    if needed > free:
+        raise DataError(
+            f"{what} need about {needed / 2**30:.3g} GiB of memory, and {free / 2**30:.3g} GiB are "
+            f"free; {remedy}"
+        )

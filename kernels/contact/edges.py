@@ -21,10 +21,14 @@ from wrod.kernels.contact.planes import (
     NOTHING,
     PLANE,
     Shape,
+    damped_force,
+    hold,
     normal_force,
+    note_touch,
     shape_displacement,
     shape_distance,
 )
+from wrod.kernels.contact.rolling import held_turn
 from wrod.kernels.elastic.assembly import (
     add_block,
     add_column,
@@ -167,11 +171,14 @@ def within_reach(shape: Shape, q: wp.vec3d, e: wp.vec3d, reach: wp.float64) -> b
 
 @wp.struct
 class Grip:
-    """What a fixture does to an edge: closest point, normal force and its slope, stretch of the
+    """What a fixture does to an edge: closest point, normal force at rest and its slope, depth and
+    by how much it has grown in this step, stretch of the
     bristle before return mapping, the edge itself, the direction in which its surface moves when it
     spins (radius times n x t), and c."""
 
     near: Closest
+    depth: wp.float64
+    closing: wp.float64
     force: wp.float64
     slope: wp.float64
     bristle: wp.vec3d
@@ -203,7 +210,8 @@ def edge_touch(
         return out
     near = closest_on_edge(shape, q, e, out.smoothing)
     out.near = near
-    law = normal_force(radius - near.distance, stiffness, skin)
+    out.depth = radius - near.distance
+    law = normal_force(out.depth, stiffness, skin)
     out.force = law[0]
     out.slope = law[1]
     if out.force > ZERO:
@@ -215,6 +223,7 @@ def edge_touch(
         moved = moved - shape_displacement(shape, q + near.s * e)
         b = bristle_before + moved + spun * out.spin
         out.bristle = b - wp.dot(b, n) * n
+        out.closing = -wp.dot(moved, n)
     return out
 
 
@@ -229,13 +238,16 @@ def edge_contact(
     static_friction: wp.array2d(dtype=wp.float64),
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
-    roll_stiffness: wp.array(dtype=wp.float64),
+    relaxation: wp.array2d(dtype=wp.float64),
+    roll_friction: wp.array2d(dtype=wp.float64),
     # State in:
+    step: wp.array(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
     bristle: wp.array3d(dtype=wp.vec3d),
     sliding: wp.array3d(dtype=wp.int32),
+    turned: wp.array3d(dtype=wp.float64),
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
@@ -255,23 +267,24 @@ def edge_contact(
         )  # fmt: skip
         if c.force > ZERO:
             mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
-            n = c.near.normal
-            size = wp.length(c.bristle)
-            across = wp.identity(3, dtype=wp.float64) - wp.outer(n, n)
-            k_t = wp.float64(stiffness[r, i])
-            if k_t * size > mu * c.force:
-                k_t = mu * c.force / size
-                across = across - wp.outer(c.bristle, c.bristle) / (size * size)
-            pull = k_t * c.bristle
-            grip = k_t * across
-            add_edge(gradient, hessian, r, i, c, pull, grip)
+            law = damped_force(
+                c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
+            )
+            c.force = law[0]
+            c.slope = law[1]
+            held = hold(c.bristle, c.near.normal, stiffness[r, i], mu * c.force)
+            add_edge(gradient, hessian, r, i, c, held.pull, held.grip)
             if rolling[r] > ZERO:
-                add_edge_spin(gradient, hessian, r, i, c, pull, grip)
-            if roll_stiffness[r] > ZERO:
+                add_edge_spin(gradient, hessian, r, i, c, held.pull, held.grip)
+            if roll_friction[r, k] >= ZERO:
                 a = 4 * i + 3
-                turned = dof[r, a] - dof_before[r, a]
-                wp.atomic_add(gradient, r, a, roll_stiffness[r] * turned)
-                wp.atomic_add(hessian, r, a, 0, roll_stiffness[r])
+                arm = radius[r, i]
+                turn = turned[r, k, i] + dof[r, a] - dof_before[r, a]
+                roll = held_turn(
+                    turn, stiffness[r, i] * arm * arm, roll_friction[r, k] * c.force * arm
+                )
+                wp.atomic_add(gradient, r, a, roll[0])
+                wp.atomic_add(hessian, r, a, 0, roll[1])
 
 
 @wp.func
@@ -362,6 +375,36 @@ def refuse_tunnelling(
 
 
 @wp.kernel
+def find_touching(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    # State in:
+    chosen: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    # State out:
+    touching_out: wp.array(dtype=wp.int32),
+):
+    """Say of the chosen rods whether their edges touch a fixture (1), and in an impact (2)."""
+    r, i = wp.tid()
+    if chosen[r] == 0 or radius[r, i] == ZERO:
+        return
+    q = node(dof, r, i)
+    e = node(dof, r, i + 1) - q
+    for k in range(shapes.shape[1]):
+        if within_reach(shapes[r, k], q, e, radius[r, i]):
+            near = closest_on_edge(shapes[r, k], q, e, SMOOTHING * rest_length[r, i])
+            if near.distance < radius[r, i]:
+                moved = (ONE - near.s) * (q - node(dof_before, r, i))
+                moved = moved + near.s * (q + e - node(dof_before, r, i + 1))
+                moved = moved - shape_displacement(shapes[r, k], q + near.s * e)
+                closing = -wp.dot(moved, near.normal)
+                note_touch(touching_out, r, radius[r, i] - near.distance, closing, radius[r, i])
+
+
+@wp.kernel
 def settle_edges(
     # Model:
     shapes: wp.array2d(dtype=Shape),
@@ -372,13 +415,17 @@ def settle_edges(
     static_friction: wp.array2d(dtype=wp.float64),
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
+    relaxation: wp.array2d(dtype=wp.float64),
+    roll_friction: wp.array2d(dtype=wp.float64),
     # State in:
+    step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
     # State in and out:
     bristle: wp.array3d(dtype=wp.vec3d),
     sliding: wp.array3d(dtype=wp.int32),
+    turned: wp.array3d(dtype=wp.float64),
     slip: wp.array2d(dtype=wp.float64),
     force: wp.array2d(dtype=wp.vec3d),
 ):
@@ -393,20 +440,29 @@ def settle_edges(
             dof, dof_before, bristle[r, k, i], r, i,
         )  # fmt: skip
         mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
-        size = wp.length(c.bristle)
-        limit = mu * c.force / stiffness[r, i]
-        b = c.bristle
         sliding[r, k, i] = 0
+        b = wp.vec3d(ZERO, ZERO, ZERO)
+        turn = wp.float64(0.0)
         if c.force > ZERO:
-            if size > limit:
+            law = damped_force(
+                c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
+            )
+            held = hold(c.bristle, c.near.normal, stiffness[r, i], mu * law[0])
+            if held.slides > ZERO:
                 sliding[r, k, i] = 1
-                wp.atomic_add(slip, r, i, (ONE - c.near.s) * (size - limit))
-                wp.atomic_add(slip, r, i + 1, c.near.s * (size - limit))
-                b = (limit / size) * b
-            total = c.force * c.near.normal - stiffness[r, i] * b
+                wp.atomic_add(slip, r, i, (ONE - c.near.s) * held.slides)
+                wp.atomic_add(slip, r, i + 1, c.near.s * held.slides)
+            b = held.pull / stiffness[r, i]
+            if roll_friction[r, k] >= ZERO:
+                arm = radius[r, i]
+                k_r = stiffness[r, i] * arm * arm
+                turn = turned[r, k, i] + dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
+                turn = held_turn(turn, k_r, roll_friction[r, k] * law[0] * arm)[0] / k_r
+            total = law[0] * c.near.normal - held.pull
             wp.atomic_add(force, r, i, (ONE - c.near.s) * total)
             wp.atomic_add(force, r, i + 1, c.near.s * total)
         bristle[r, k, i] = b
+        turned[r, k, i] = turn
 
 
 @wp.kernel

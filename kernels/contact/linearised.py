@@ -1,8 +1,9 @@
 """Derivatives of a rod's contact with a plane over one time step, of stick and of slip."""
 
 import warp as wp
-from wrod.kernels.contact.planes import Shape, touch
-from wrod.kernels.elastic.frames import ZERO
+from wrod.kernels.contact.planes import Shape, damped_force, friction_factor, hold, touch
+from wrod.kernels.contact.rolling import held_turn, node_turn
+from wrod.kernels.elastic.frames import ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
 
@@ -17,20 +18,31 @@ def linearise_contact(
     static_friction: wp.array2d(dtype=wp.float64),
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
+    relaxation: wp.array2d(dtype=wp.float64),
+    field: wp.array2d(dtype=wp.float64),
+    place: wp.vec4d,
+    roll_friction: wp.array2d(dtype=wp.float64),
     # State in:
+    step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
     bristle: wp.array3d(dtype=wp.vec3d),
     sliding: wp.array3d(dtype=wp.int32),
+    turned: wp.array3d(dtype=wp.float64),
     # Out:
     friction_out: wp.array2d(dtype=wp.mat33d),
     coupling_out: wp.array2d(dtype=wp.mat33d),
     by_coefficient_out: wp.array2d(dtype=wp.vec3d),
     push_out: wp.array2d(dtype=wp.vec3d),
+    memory_out: wp.array2d(dtype=wp.mat33d),
+    sliding_memory_out: wp.array2d(dtype=wp.mat33d),
+    roll_out: wp.array2d(dtype=wp.float64),
 ):
     """Of each node: friction's derivative by the bristle, by the normal displacement, by the
-    coefficient; and the residual of contact."""
+    coefficient; the residual of contact; and what, of contact and of friction alone, depends on
+    where the node was before, as the normal force is viscous; and how stiffly its roll is held. The
+    bound of a roll that slides is taken as constant."""
     r, i = wp.tid()
     if accepted[r] == 0:
         return
@@ -38,24 +50,44 @@ def linearise_contact(
     coupling = wp.mat33d()
     by_coefficient = wp.vec3d()
     push = wp.vec3d()
+    memory = wp.mat33d()
+    roll = wp.float64(0.0)
+    sliding_memory = wp.mat33d()
     c = touch(
         shapes[r, 0], radius[r, i], rolling[r], stiffness[r, i], skin[r, i], dof,
         dof_before, bristle[r, 0, i], r, i,
     )  # fmt: skip
     if c.force > ZERO:
+        law = damped_force(
+            c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
+        )
         mu = wp.where(sliding[r, 0, i] != 0, kinetic_friction[r, 0], static_friction[r, 0])
-        size = wp.length(c.bristle)
-        across = wp.identity(3, dtype=wp.float64) - wp.outer(c.normal, c.normal)
-        k_t = wp.float64(stiffness[r, i])
-        if k_t * size > mu * c.force:
-            k_t = mu * c.force / size
-            way = c.bristle / size
-            across = across - wp.outer(way, way)
-            coupling = -mu * c.slope * wp.outer(way, c.normal)
-            by_coefficient = c.force * way
-        friction = k_t * across
-        push = k_t * c.bristle - c.force * c.normal
+        factor = friction_factor(field, place, node(dof, r, i))
+        slope = (mu * law[0]) * wp.vec3d(factor[1], factor[2], ZERO)
+        mu = mu * factor[0]
+        lag = relaxation[r, i] / step[r]
+        remembered = ZERO
+        if c.closing < c.depth:
+            remembered = law[1] * lag / (ONE + lag)
+        n = c.normal
+        memory = -remembered * wp.outer(n, n)
+        held = hold(c.bristle, n, stiffness[r, i], mu * law[0])
+        if held.slides > ZERO:
+            way = c.bristle / wp.length(c.bristle)
+            coupling = wp.outer(way, slope - mu * law[1] * n)
+            by_coefficient = factor[0] * law[0] * way
+            sliding_memory = mu * remembered * wp.outer(way, n)
+        friction = held.grip
+        push = held.pull - law[0] * n
+        if roll_friction[r, 0] >= ZERO:
+            arm = radius[r, i]
+            turn = node_turn(dof, dof_before, turned[r, 0, i], r, i)
+            limit = roll_friction[r, 0] * law[0] * arm
+            roll = held_turn(turn, stiffness[r, i] * arm * arm, limit)[1]
     friction_out[r, i] = friction
     coupling_out[r, i] = coupling
     by_coefficient_out[r, i] = by_coefficient
     push_out[r, i] = push
+    memory_out[r, i] = memory + sliding_memory
+    sliding_memory_out[r, i] = sliding_memory
+    roll_out[r, i] = roll

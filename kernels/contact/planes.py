@@ -5,6 +5,10 @@ slope is continuous. Friction: an elastic bristle between rod and shape carries 
 sticks; where the load exceeds mu N the bristle slides on (return mapping, as in elastoplasticity),
 so that a node that sticks does not creep however long it is loaded.
 
+While the penetration p grows or shrinks at a rate, the normal force is that of p + tau dp/dt, never
+attractive: a Kelvin-Voigt solid, whose tau decides how fast things bounce off each other. In a step
+that begins apart only the part in touch counts.
+
 A node that stuck at the end of the last step slides at the static coefficient, one that slid at the
 kinetic one: within a step the law is fixed, and Newton converges.
 """
@@ -20,6 +24,9 @@ PLANE = wp.constant(0)
 BOX = wp.constant(1)
 CYLINDER = wp.constant(2)
 FAR = wp.constant(wp.float64(1.0e300))
+# Way on which a rod meets something in a step of which two-step differences may still reach over
+# it, over the radius: what they throw back then is lost in the contact's own give.
+IMPACT_WAY = wp.constant(wp.float64(0.1))
 
 
 @wp.struct
@@ -106,11 +113,29 @@ def normal_force(p: wp.float64, stiffness: wp.float64, skin: wp.float64) -> wp.v
     return wp.vec2d(stiffness * (p - HALF * skin), stiffness)
 
 
+@wp.func
+def damped_force(
+    depth: wp.float64,
+    closing: wp.float64,
+    relaxation: wp.float64,
+    dt: wp.float64,
+    stiffness: wp.float64,
+    skin: wp.float64,
+) -> wp.vec2d:
+    """Force at a penetration that has grown by `closing` in the time dt, and its slope."""
+    lag = relaxation / dt
+    law = normal_force(depth + lag * wp.min(closing, depth), stiffness, skin)
+    return wp.vec2d(law[0], (ONE + lag) * law[1])
+
+
 @wp.struct
 class Touch:
-    """Normal force, its slope, outward normal, stretch of the bristle before return mapping, and
-    the direction in which the rod's surface moves when it spins (radius times n x t)."""
+    """Normal force at rest, its slope, depth and by how much it has grown in this step, outward
+    normal, stretch of the bristle before return mapping, and the direction in which the rod's
+    surface moves when it spins (radius times n x t)."""
 
+    depth: wp.float64
+    closing: wp.float64
     force: wp.float64
     slope: wp.float64
     normal: wp.vec3d
@@ -145,7 +170,8 @@ def touch(
         return out
     q = node(dof, r, i)
     distance = shape_distance(shape, q)
-    law = normal_force(radius - distance[0], stiffness, skin)
+    out.depth = radius - distance[0]
+    law = normal_force(out.depth, stiffness, skin)
     out.force = law[0]
     out.slope = law[1]
     n = wp.vec3d(distance[1], distance[2], distance[3])
@@ -158,7 +184,60 @@ def touch(
         moved = q - node(dof_before, r, i) - shape_displacement(shape, q)
         b = bristle_before + moved + spun * out.spin
         out.bristle = b - wp.dot(b, n) * n
+        out.closing = -wp.dot(moved, n)
     return out
+
+
+@wp.struct
+class Hold:
+    """What a bristle holds: its pull and its stiffness (a matrix), and by how much it slides."""
+
+    pull: wp.vec3d
+    grip: wp.mat33d
+    slides: wp.float64
+
+
+@wp.func
+def hold(bristle: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: wp.float64) -> Hold:
+    """Coulomb's return mapping: a bristle of that stretch pulls by `limit` at most."""
+    out = Hold()
+    across = wp.identity(3, dtype=wp.float64) - wp.outer(normal, normal)
+    k = wp.float64(stiffness)
+    size = wp.length(bristle)
+    if stiffness * size > limit:
+        k = limit / size
+        across = across - wp.outer(bristle, bristle) / (size * size)
+        out.slides = size - limit / stiffness
+    out.pull = k * bristle
+    out.grip = k * across
+    return out
+
+
+@wp.func
+def friction_factor(field: wp.array2d(dtype=wp.float64), place: wp.vec4d, q: wp.vec3d) -> wp.vec3d:
+    """Bilinear value at q of a field (y, x) over the plane z = 0, and its derivatives by x and y;
+    `place` is its first point and its spacing. Constant beyond its border."""
+    nx = field.shape[1]
+    ny = field.shape[0]
+    if nx == 1 and ny == 1:
+        return wp.vec3d(field[0, 0], ZERO, ZERO)
+    u = (q[0] - place[0]) / place[2]
+    v = (q[1] - place[1]) / place[3]
+    inside_x = wp.where(u > ZERO and u < wp.float64(nx - 1), ONE, ZERO)
+    inside_y = wp.where(v > ZERO and v < wp.float64(ny - 1), ONE, ZERO)
+    u = wp.clamp(u, ZERO, wp.float64(nx - 1))
+    v = wp.clamp(v, ZERO, wp.float64(ny - 1))
+    i = wp.min(int(u), nx - 2)
+    j = wp.min(int(v), ny - 2)
+    u = u - wp.float64(i)
+    v = v - wp.float64(j)
+    low = field[j, i] + u * (field[j, i + 1] - field[j, i])
+    high = field[j + 1, i] + u * (field[j + 1, i + 1] - field[j + 1, i])
+    by_u = (ONE - v) * (field[j, i + 1] - field[j, i])
+    by_u += v * (field[j + 1, i + 1] - field[j + 1, i])
+    return wp.vec3d(
+        low + v * (high - low), inside_x * by_u / place[2], inside_y * (high - low) / place[3]
+    )
 
 
 @wp.kernel
@@ -171,7 +250,11 @@ def contact(
     static_friction: wp.array2d(dtype=wp.float64),
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
+    relaxation: wp.array2d(dtype=wp.float64),
+    field: wp.array2d(dtype=wp.float64),
+    place: wp.vec4d,
     # State in:
+    step: wp.array(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
@@ -196,18 +279,16 @@ def contact(
         )  # fmt: skip
         if c.force > ZERO:
             mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
-            size = wp.length(c.bristle)
-            across = wp.identity(3, dtype=wp.float64) - wp.outer(c.normal, c.normal)
-            k_t = wp.float64(stiffness[r, i])
-            if k_t * size > mu * c.force:
-                k_t = mu * c.force / size
-                across = across - wp.outer(c.bristle, c.bristle) / (size * size)
-            pull = k_t * c.bristle
-            block = k_t * across
-            add_vector(gradient, r, 4 * i, pull - c.force * c.normal)
-            add_diagonal_block(hessian, r, 4 * i, block + c.slope * wp.outer(c.normal, c.normal))
+            mu = mu * friction_factor(field, place, node(dof, r, i))[0]
+            law = damped_force(
+                c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
+            )
+            n = c.normal
+            held = hold(c.bristle, n, stiffness[r, i], mu * law[0])
+            add_vector(gradient, r, 4 * i, held.pull - law[0] * n)
+            add_diagonal_block(hessian, r, 4 * i, held.grip + law[1] * wp.outer(n, n))
             if rolling[r] > ZERO:
-                add_spin(gradient, hessian, r, i, c.spin, pull, block)
+                add_spin(gradient, hessian, r, i, c.spin, held.pull, held.grip)
 
 
 @wp.func
@@ -249,7 +330,11 @@ def settle_friction(
     static_friction: wp.array2d(dtype=wp.float64),
     kinetic_friction: wp.array2d(dtype=wp.float64),
     rolling: wp.array(dtype=wp.float64),
+    relaxation: wp.array2d(dtype=wp.float64),
+    field: wp.array2d(dtype=wp.float64),
+    place: wp.vec4d,
     # State in:
+    step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
@@ -271,17 +356,63 @@ def settle_friction(
             dof_before, bristle[r, k, i], r, i,
         )  # fmt: skip
         mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
-        size = wp.length(c.bristle)
-        limit = mu * c.force / stiffness[r, i]
-        b = c.bristle
+        mu = mu * friction_factor(field, place, node(dof, r, i))[0]
         sliding[r, k, i] = 0
-        if c.force > ZERO and size > limit:
-            sliding[r, k, i] = 1
-            slip[r, i] = slip[r, i] + size - limit
-            b = (limit / size) * b
+        b = wp.vec3d(ZERO, ZERO, ZERO)
+        if c.force > ZERO:
+            law = damped_force(
+                c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
+            )
+            held = hold(c.bristle, c.normal, stiffness[r, i], mu * law[0])
+            if held.slides > ZERO:
+                sliding[r, k, i] = 1
+                slip[r, i] = slip[r, i] + held.slides
+            b = held.pull / stiffness[r, i]
+            total = total + law[0] * c.normal - held.pull
         bristle[r, k, i] = b
-        total = total + c.force * c.normal - stiffness[r, i] * b
     force_out[r, i] = total
+
+
+@wp.func
+def note_touch(
+    touching: wp.array(dtype=wp.int32),
+    r: int,
+    depth: wp.float64,
+    closing: wp.float64,
+    radius: wp.float64,
+):
+    """An impact (2) is what was apart and comes nearer by more than a part of the radius; all else
+    that is within reach touches (1)."""
+    if closing > depth and closing > IMPACT_WAY * radius:
+        wp.atomic_max(touching, r, 2)
+    else:
+        wp.atomic_max(touching, r, 1)
+
+
+@wp.kernel
+def find_touching(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    # State in:
+    chosen: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    # State out:
+    touching_out: wp.array(dtype=wp.int32),
+):
+    """Say of the chosen rods whether nodes touch a plane (1), and whether in an impact (2)."""
+    r, i = wp.tid()
+    if chosen[r] == 0:
+        return
+    for k in range(shapes.shape[1]):
+        if shapes[r, k].kind == PLANE:
+            q = node(dof, r, i)
+            d = shape_distance(shapes[r, k], q)
+            if d[0] < radius[r, i]:
+                moved = q - node(dof_before, r, i) - shape_displacement(shapes[r, k], q)
+                closing = -wp.dot(moved, wp.vec3d(d[1], d[2], d[3]))
+                note_touch(touching_out, r, radius[r, i] - d[0], closing, radius[r, i])
 
 
 @wp.kernel
@@ -297,39 +428,3 @@ def forget_friction(
     if chosen[r] != 0:
         bristle_out[r, k, i] = wp.vec3d(ZERO, ZERO, ZERO)
         sliding_out[r, k, i] = 0
-
-
-@wp.kernel
-def hold_roll(
-    # Model:
-    shapes: wp.array2d(dtype=Shape),
-    radius: wp.array2d(dtype=wp.float64),
-    stiffness: wp.array2d(dtype=wp.float64),
-    skin: wp.array2d(dtype=wp.float64),
-    roll_stiffness: wp.array(dtype=wp.float64),
-    # State in:
-    active: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec3d),
-    # State in and out:
-    gradient: wp.array2d(dtype=wp.float64),
-    hessian: wp.array3d(dtype=wp.float64),
-):
-    """Hold the angles of the edges around every node in contact where they were a step ago."""
-    r, i = wp.tid()
-    stiff = roll_stiffness[r]
-    if active[r] == 0 or stiff == ZERO:
-        return
-    last = gradient.shape[1] // 4
-    for k in range(shapes.shape[1]):
-        c = touch(
-            shapes[r, k], radius[r, i], ZERO, stiffness[r, i], skin[r, i], dof,
-            dof_before, bristle[r, k, i], r, i,
-        )  # fmt: skip
-        if c.force > ZERO:
-            for side in range(2):
-                a = 4 * i - 1 + 4 * side
-                if a > 0 and i + side <= last:
-                    wp.atomic_add(gradient, r, a, stiff * (dof[r, a] - dof_before[r, a]))
-                    wp.atomic_add(hessian, r, a, 0, stiff)

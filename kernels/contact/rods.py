@@ -12,7 +12,7 @@ rod that rests or slides steadily feels mu times its true load.
 """
 
 import warp as wp
-from wrod.kernels.contact.planes import normal_force
+from wrod.kernels.contact.planes import damped_force, normal_force, note_touch
 from wrod.kernels.contact.segments import SMOOTHING, Nearest, nearest
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 
@@ -27,10 +27,12 @@ EVERY = wp.constant(2)
 
 @wp.struct
 class Law:
-    """What all pairs of a rod share: stiffness, skin, and the coefficients of friction."""
+    """What all pairs of a rod share: stiffness, skin, relaxation time of the normal force, and the
+    coefficients of friction."""
 
     stiffness: wp.float64
     skin: wp.float64
+    relaxation: wp.float64
     static_friction: wp.float64
     kinetic_friction: wp.float64
 
@@ -105,6 +107,7 @@ def pair_contact(
     law: Law,
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
+    dt: wp.float64,
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
     bristle: wp.vec2d,
@@ -130,6 +133,9 @@ def pair_contact(
         e2 = wp.cross(n, e1)
         motion = surface_motion(dof, dof_before, r, i, near.s, -radius[r, i], n)
         motion = motion - surface_motion(dof, dof_before, r, j, near.t, radius[r, j], n)
+        normal = damped_force(p, -wp.dot(motion, n), law.relaxation, dt, law.stiffness, law.skin)
+        out.force = normal[0]
+        out.slope = normal[1]
         b1 = bristle[0] + wp.dot(motion, e1)
         b2 = bristle[1] + wp.dot(motion, e2)
         stretch = b1 * e1 + b2 * e2
@@ -206,6 +212,7 @@ def rod_contact(
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
     # State in:
+    step: wp.array(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
@@ -231,7 +238,7 @@ def rod_contact(
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
         c = pair_contact(
-            law[r], radius, rest_length, dof, dof_before, bristle[r, i, k], load[r, i, k],
+            law[r], radius, rest_length, step[r], dof, dof_before, bristle[r, i, k], load[r, i, k],
             sliding[r, i, k], sticking[r], r, i, j,
         )  # fmt: skip
         depth_out[r, i, k] = radius[r, i] + radius[r, j] - c.near.distance
@@ -243,6 +250,39 @@ def rod_contact(
             add_edge_force(gradient, r, i, c.near.s, push, m, c.pull)
             m = edge_motion(c.near.second, c.near.t, radius[r, j], c.normal)
             add_edge_force(gradient, r, j, c.near.t, -push, m, -c.pull)
+
+
+@wp.kernel
+def find_touching(
+    # Model:
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    reach: wp.array(dtype=wp.float64),
+    # State in:
+    chosen: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    partner_count: wp.array2d(dtype=wp.int32),
+    partner: wp.array3d(dtype=wp.int32),
+    # State out:
+    touching_out: wp.array(dtype=wp.int32),
+):
+    """Say of the chosen rods whether their edges touch (1), and whether in an impact (2). What goes
+    farther than the lists of partners were made for may touch."""
+    r, i = wp.tid()
+    if chosen[r] == 0:
+        return
+    if wp.length(node(dof, r, i) - node(dof_before, r, i)) > reach[r]:
+        wp.atomic_max(touching_out, r, 1)
+    for k in range(partner_count[r, i]):
+        j = partner[r, i, k]
+        near = nearest_of_edges(dof, rest_length, r, i, j)
+        depth = radius[r, i] + radius[r, j] - near.distance
+        if depth > ZERO:
+            n = near.gap / wp.max(wp.length(near.gap), wp.float64(1.0e-12))
+            motion = surface_motion(dof, dof_before, r, i, near.s, -radius[r, i], n)
+            motion = motion - surface_motion(dof, dof_before, r, j, near.t, radius[r, j], n)
+            note_touch(touching_out, r, depth, -wp.dot(motion, n), radius[r, i])
 
 
 @wp.kernel
@@ -280,6 +320,7 @@ def settle_friction(
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
     # State in:
+    step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
@@ -300,7 +341,7 @@ def settle_friction(
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
         c = pair_contact(
-            law[r], radius, rest_length, dof, dof_before, bristle[r, i, k], load[r, i, k],
+            law[r], radius, rest_length, step[r], dof, dof_before, bristle[r, i, k], load[r, i, k],
             sliding[r, i, k], SLIPPING, r, i, j,
         )  # fmt: skip
         bristle[r, i, k] = c.bristle

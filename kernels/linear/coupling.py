@@ -172,6 +172,7 @@ def add_pairs(
     coupled: wp.array(dtype=wp.int32),
     overflow: wp.array(dtype=wp.int32),
     free: wp.array2d(dtype=wp.int32),
+    step: wp.array(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
     bristle: wp.array3d(dtype=wp.vec2d),
@@ -201,8 +202,8 @@ def add_pairs(
         j = pair[1]
         slot = pair[2]
         c = pair_contact(
-            law[r], radius, rest_length, dof, dof_before, bristle[r, i, slot], load[r, i, slot],
-            sliding[r, i, slot], sticking[r], r, i, j,
+            law[r], radius, rest_length, step[r], dof, dof_before, bristle[r, i, slot],
+            load[r, i, slot], sliding[r, i, slot], sticking[r], r, i, j,
         )  # fmt: skip
         held = wp.min(c.force, load[r, i, slot])
         e = c.near.first

@@ -157,6 +157,14 @@ def key_rate(
     )
 
 
+@wp.func
+def angles_around(i: int, n: int):
+    """Columns of the angles before and after node i, the same at an end, and each one's share."""
+    before = wp.max(4 * i - 1, 3)
+    after = wp.min(4 * i + 3, n - 4)
+    return before, after, wp.where(before < after, HALF, ONE)
+
+
 @wp.kernel
 def load_tangents(
     # Model:
@@ -168,7 +176,7 @@ def load_tangents(
     friction_rate: wp.array2d(dtype=vec8d),
     stiffness_rate: wp.array2d(dtype=vec8d),
     natural_rate: wp.array2d(dtype=vec8d),
-    roll_stiffness: wp.array(dtype=wp.float64),
+    roll: wp.array2d(dtype=wp.float64),
     begin: wp.array2d(dtype=wp.float64),
     # State in:
     accepted: wp.array(dtype=wp.int32),
@@ -180,6 +188,7 @@ def load_tangents(
     friction: wp.array2d(dtype=wp.mat33d),
     by_coefficient: wp.array2d(dtype=wp.vec3d),
     push: wp.array2d(dtype=wp.vec3d),
+    memory: wp.array2d(dtype=wp.mat33d),
     elastic: wp.array2d(dtype=wp.float64),
     natural: wp.array2d(dtype=wp.float64),
     now: wp.array3d(dtype=vec8d),
@@ -187,6 +196,7 @@ def load_tangents(
     velocity: wp.array3d(dtype=vec8d),
     velocity_older: wp.array3d(dtype=vec8d),
     bristle: wp.array3d(dtype=vec8d),
+    turned: wp.array3d(dtype=vec8d),
     # Out:
     x_out: wp.array3d(dtype=vec8d),
 ):
@@ -212,13 +222,18 @@ def load_tangents(
                 x = by_coefficient[r, i][row] * friction_rate[r, p]
                 for k in range(3):
                     x += d[row, k] * (bristle[r, p, 3 * i + k] - now[r, p, 4 * i + k])
+                    x += memory[r, i][row, k] * now[r, p, 4 * i + k]
                 if free[r, 4 * i + row] != 0:
                     x_out[r, p, 4 * i + row] = x_out[r, p, 4 * i + row] - x
-            if roll_stiffness[r] > ZERO:
+            if roll[r, i] > ZERO:
+                before, after, share = angles_around(i, n)
+                x = (share * roll[r, i]) * (
+                    turned[r, p, i] - HALF * (now[r, p, before] + now[r, p, after])
+                )
                 for side in range(2):
                     a = 4 * i - 1 + 4 * side
                     if a > 0 and a < n and free[r, a] != 0:
-                        x_out[r, p, a] = x_out[r, p, a] + roll_stiffness[r] * now[r, p, a]
+                        x_out[r, p, a] = x_out[r, p, a] - x
     if free[r, n - 1] == 0:
         m = wp.min(r, rates.shape[0] - 1)
         at = wp.clamp(time[r] / interval, ZERO, wp.float64(rates.shape[2] - 1))
@@ -258,6 +273,8 @@ def advance_tangents(
     coupling: wp.array2d(dtype=wp.mat33d),
     by_coefficient: wp.array2d(dtype=wp.vec3d),
     push: wp.array2d(dtype=wp.vec3d),
+    sliding_memory: wp.array2d(dtype=wp.mat33d),
+    roll: wp.array2d(dtype=wp.float64),
     # State in and out:
     x: wp.array3d(dtype=vec8d),
     now: wp.array3d(dtype=vec8d),
@@ -265,6 +282,7 @@ def advance_tangents(
     velocity: wp.array3d(dtype=vec8d),
     velocity_older: wp.array3d(dtype=vec8d),
     bristle: wp.array3d(dtype=vec8d),
+    turned: wp.array3d(dtype=vec8d),
 ):
     """Solve for the tangents at the end of the step, and shift their history by it."""
     r, p = wp.tid()
@@ -289,6 +307,7 @@ def advance_tangents(
         if push[r, i][2] != ZERO:
             d = friction[r, i]
             g = coupling[r, i]
+            h = sliding_memory[r, i]
             f = by_coefficient[r, i]
             inverse = ONE / stiffness[r, i]
             b0 = f[0] * friction_rate[r, p]
@@ -297,12 +316,20 @@ def advance_tangents(
             for k in range(3):
                 moved = x[r, p, 4 * i + k]
                 pulled = bristle[r, p, 3 * i + k] + moved - now[r, p, 4 * i + k]
-                b0 += d[0, k] * pulled + g[0, k] * moved
-                b1 += d[1, k] * pulled + g[1, k] * moved
-                b2 += d[2, k] * pulled + g[2, k] * moved
+                was = now[r, p, 4 * i + k]
+                b0 += d[0, k] * pulled + g[0, k] * moved + h[0, k] * was
+                b1 += d[1, k] * pulled + g[1, k] * moved + h[1, k] * was
+                b2 += d[2, k] * pulled + g[2, k] * moved + h[2, k] * was
             b0 = inverse * b0
             b1 = inverse * b1
             b2 = inverse * b2
+        turn = vec8d()
+        if roll[r, i] > ZERO:
+            before, after, _ = angles_around(i, n)
+            turn = turned[r, p, i] + HALF * (
+                x[r, p, before] + x[r, p, after] - now[r, p, before] - now[r, p, after]
+            )
+        turned[r, p, i] = turn
         bristle[r, p, 3 * i] = b0
         bristle[r, p, 3 * i + 1] = b1
         bristle[r, p, 3 * i + 2] = b2

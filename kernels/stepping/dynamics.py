@@ -5,7 +5,15 @@ Velocity and acceleration at the end of a step are linear in the new configurati
     v = (c_0 q + c_1 q_n + c_2 q_(n-1)) / dt,    a = (c_0 v + c_1 v_n + c_2 v_(n-1)) / dt,
 
 with c = (1, -1, 0) for implicit Euler and, for the two-step backward differentiation formula with
-steps in the ratio w = dt / dt_before, c = ((1 + 2w)/(1 + w), -(1 + w), w^2/(1 + w)). Angles are
+steps in the ratio w = dt / dt_before, c = ((1 + 2w)/(1 + w), -(1 + w), w^2/(1 + w)). The implicit
+midpoint rule is a step of implicit Euler to the middle, where forces are taken, and as far again
+without new forces: q_(n+1) = 2 q - q_n, v_(n+1) = 2 v - v_n. The time to where forces are taken is
+`span`; it is the whole `step` but for the midpoint rule.
+
+A rod that something has stopped has a velocity that differences over earlier steps do not know:
+two-step formulas would throw it back, the midpoint rule reflect it. So a step with an impact, and
+the two after it, are of implicit Euler; and the midpoint rule, which does not damp what is stiff,
+leaves steps in which anything is touched to the two-step formula. Angles are
 differenced as they are: reference frames carried by time-parallel transport do not spin. The
 gyroscopic forces of an edge that spins while its axis turns are left out, as in Bergou et al. 2008:
 they are smaller than the inertia of the nodes by the square of radius over length.
@@ -19,11 +27,19 @@ from wrod.kernels.stepping.newton_iteration import largest_safe_fraction_of_lane
 
 wp.set_module_options({"enable_backward": False})
 
+EULER = wp.constant(0)
+TWO_STEP = wp.constant(1)
+MIDPOINT = wp.constant(2)
+# What has made a rod leave its scheme for a step: nothing, that it touches something, an impact.
+NOTHING = wp.constant(0)
+TOUCH = wp.constant(1)
+IMPACT = wp.constant(2)
+
 
 @wp.kernel
 def begin_step(
     # Model:
-    two_step: int,
+    scheme: int,
     tolerance: wp.float64,
     rounding: wp.array(dtype=wp.vec2d),
     stretching_time: wp.array(dtype=wp.float64),
@@ -33,8 +49,11 @@ def begin_step(
     time: wp.array(dtype=wp.float64),
     step_before: wp.array(dtype=wp.float64),
     wanted_step: wp.array(dtype=wp.float64),
+    leaves: wp.array(dtype=wp.int32),
     # State out:
     step_out: wp.array(dtype=wp.float64),
+    span_out: wp.array(dtype=wp.float64),
+    touching_out: wp.array(dtype=wp.int32),
     coefficient_out: wp.array(dtype=wp.vec3d),
     tolerance_out: wp.array(dtype=wp.float64),
     iteration_out: wp.array(dtype=wp.int32),
@@ -57,13 +76,19 @@ def begin_step(
     elif left < TWO * dt:
         dt = HALF * left
     step_out[r] = dt
-    if two_step != 0 and step_before[r] > ZERO:
+    touching_out[r] = NOTHING
+    span = wp.float64(dt)
+    if scheme == MIDPOINT and leaves[r] == NOTHING:
+        span = HALF * dt
+        coefficient_out[r] = wp.vec3d(ONE, -ONE, ZERO)
+    elif scheme != EULER and leaves[r] != IMPACT and step_before[r] > ZERO:
         w = dt / step_before[r]
         coefficient_out[r] = wp.vec3d((ONE + TWO * w) / (ONE + w), -(ONE + w), w * w / (ONE + w))
     else:
         coefficient_out[r] = wp.vec3d(ONE, -ONE, ZERO)
+    span_out[r] = span
     # Rounding of positions leaves this much in the stiffest edge, and in the inertia of the step.
-    rate = coefficient_out[r][0] / dt
+    rate = coefficient_out[r][0] / span
     left_over = rounding[r][0] * (ONE + stretching_time[r] * rate) + rounding[r][1] * rate * rate
     tolerance_out[r] = wp.max(tolerance, left_over)
 
@@ -212,11 +237,16 @@ def judge_step(
     smallest_step: wp.float64,
     growth: wp.float64,
     refuses_saddles: int,
+    scheme: int,
     # State in:
     converged: wp.array(dtype=wp.int32),
     negative_pivots: wp.array(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
+    span: wp.array(dtype=wp.float64),
+    coefficient: wp.array(dtype=wp.vec3d),
+    touching: wp.array(dtype=wp.int32),
     # State in and out:
+    leaves: wp.array(dtype=wp.int32),
     iteration: wp.array(dtype=wp.int32),
     active: wp.array(dtype=wp.int32),
     time: wp.array(dtype=wp.float64),
@@ -250,9 +280,22 @@ def judge_step(
     active[r] = 0
     dt = step[r]
     if converged[r] != 0 and (refuses_saddles == 0 or negative_pivots[r] == 0):
+        halfway = span[r] < dt
+        two_step = coefficient[r][2] != ZERO
+        if (halfway and touching[r] != NOTHING) or (two_step and touching[r] == IMPACT):
+            # Once more, by another scheme.
+            rejected_out[r] = 1
+            leaves[r] = touching[r]
+            starting_out[r] = 1
+            return
+        # No difference, nor one of differences, may reach beyond an impact.
+        hit = touching[r] == IMPACT
+        step_before[r] = wp.where(hit or leaves[r] == IMPACT, ZERO, dt)
+        leaves[r] = wp.where(hit, IMPACT, NOTHING)
+        if scheme == MIDPOINT and touching[r] == TOUCH:
+            leaves[r] = TOUCH
         accepted_out[r] = 1
         time[r] = time[r] + dt
-        step_before[r] = dt
         step_count[r] = step_count[r] + 1
         wanted_step[r] = wp.min(growth * wanted_step[r], largest_step)
         if time[r] >= until[r] - wp.float64(1.0e-9) * largest_step:
@@ -267,11 +310,34 @@ def judge_step(
 
 
 @wp.kernel
+def extrapolate(
+    # State in:
+    chosen: wp.array(dtype=wp.int32),
+    step: wp.array(dtype=wp.float64),
+    span: wp.array(dtype=wp.float64),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    # State out:
+    end_out: wp.array2d(dtype=wp.float64),
+):
+    """Where the chosen rods are at the end of their steps."""
+    r, a = wp.tid()
+    if chosen[r] == 0:
+        return
+    end = dof[r, a]
+    if span[r] < step[r]:
+        end = TWO * end - dof_before[r, a]
+    end_out[r, a] = end
+
+
+@wp.kernel
 def shift_history(
     # State in:
     accepted: wp.array(dtype=wp.int32),
     residual: wp.array2d(dtype=wp.float64),
+    free: wp.array2d(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
+    span: wp.array(dtype=wp.float64),
     coefficient: wp.array(dtype=wp.vec3d),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
@@ -287,6 +353,8 @@ def shift_history(
     if accepted[r] == 0:
         return
     v = difference(coefficient[r], step[r], dof[r, a], dof_before[r, a], dof_older[r, a])
+    if span[r] < step[r] and free[r, a] != 0:
+        v = TWO * v - velocity[r, a]
     velocity_older[r, a] = velocity[r, a]
     velocity[r, a] = v
     dof_older[r, a] = dof_before[r, a]
@@ -301,6 +369,7 @@ def forget_history(
     step_before_out: wp.array(dtype=wp.float64),
     wanted_step_out: wp.array(dtype=wp.float64),
     diverged_out: wp.array(dtype=wp.int32),
+    leaves_out: wp.array(dtype=wp.int32),
 ):
     """The next step of the chosen rods is their first, of implicit Euler."""
     r = wp.tid()
@@ -308,6 +377,7 @@ def forget_history(
         step_before_out[r] = ZERO
         wanted_step_out[r] = ZERO
         diverged_out[r] = 0
+        leaves_out[r] = NOTHING
 
 
 @wp.kernel

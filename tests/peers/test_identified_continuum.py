@@ -6,7 +6,7 @@ import pytest
 from wrod.bench.continuous_rod import World, hanging, measured
 from wrod.identification import Effect, Parameter, identify
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.measurements import measurements_from_arrays
+from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.effect import Model
 from wrod.rods.material import RodMaterial
 

@@ -5,8 +5,8 @@ import pytest
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
-from wrod.solvers.contact import Box, Contact, Cylinder, Friction, Plane
-from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.contact import Box, Contact, Cylinder, Friction, FrictionField, Plane
+from wrod.solvers.dynamics import SCHEMES, Dynamics
 
 G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
 WEIGHT = np.pi * RADIUS**2 * DENSITY * G
@@ -71,6 +71,42 @@ def test_rest_on_the_table():
     assert contact.force.numpy()[0].sum(axis=0)[2] == pytest.approx(WEIGHT * 0.07, rel=1e-4)
 
 
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("step", [1e-3, 4e-3])
+def test_a_dropped_rod_stays_down(scheme, step):
+    """From 0.3 m it does not come up again, and no energy comes from anywhere but the contact's
+    own give, in which it has sunk by less than a tenth of the radius."""
+    batch = rods(straight(height=0.3))
+    contact = Contact(batch, RADIUS, CONTACT, Friction(0.5))
+    dynamics = Dynamics(batch, scheme=scheme, radius=RADIUS, contact=contact, keeps_recording=True)
+    energy, height = [dynamics.energy()[0]], []
+    for time in np.arange(0.02, 0.6, 0.02):
+        assert not dynamics.advance(time, step).diverged[0]
+        energy.append(dynamics.energy()[0])
+        height.append(batch.positions()[0, :, 2].max())
+    assert max(height[13:]) < RADIUS  # it lands after 0.247 s
+    assert height[-1] > 0.95 * RADIUS
+    assert np.diff(energy).max() < WEIGHT * 0.07 * 0.1 * RADIUS
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.3, 0.7])
+def test_restitution(restitution):
+    """The speed after an impact over that before it, in steps that resolve the contact."""
+    batch = rods(straight(nodes=5, height=RADIUS + 0.01), gravity=0.0)
+    contact = Contact(batch, RADIUS, CONTACT, Friction(0.5), restitution=restitution)
+    dynamics = Dynamics(
+        batch, scheme="bdf2", radius=RADIUS, contact=contact, keeps_recording=True, tolerance=1e-8,
+        force_scale=0.01,
+    )  # fmt: skip
+    velocity = np.zeros((1, 5, 3))
+    velocity[0, :, 2] = -0.5
+    dynamics.set_velocity(velocity)
+    dynamics.advance(0.05, 2e-5)
+    # A viscous contact that only pushes leaves a hundredth at least.
+    expected = 0.5 * max(restitution, 0.01)
+    assert dynamics.velocities()[0, :, 2] == pytest.approx(expected, abs=0.01)
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_block_on_a_slope(axis):
     """Slides if and only if tan(angle) > mu, with a = g (sin - mu cos)."""
@@ -95,6 +131,23 @@ def test_each_rod_has_its_own_friction():
     a = np.radians(20.0)
     expected = [G * np.sin(a), G * (np.sin(a) - 0.2 * np.cos(a)), 0.0]
     assert got == pytest.approx(expected, abs=1e-5 * G)
+
+
+def test_friction_varies_over_the_table():
+    """A block that slides from friction 0.1 onto 0.5 stops where its energy is used up."""
+    ice = (-1.0, 1.0), (-0.5, 0.5), (201, 2)
+    field = FrictionField.of(lambda x, y: np.where(y < 0.05, 0.2, 1.0), *ice)
+    batch = rods(straight())
+    contact = Contact(batch, RADIUS, CONTACT, Friction(0.5), friction_field=field)
+    dynamics = Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact)
+    dynamics.advance(0.1, 2e-3)
+    velocity = np.zeros((1, 15, 3))
+    velocity[:, :, 1] = 0.6
+    dynamics.set_velocity(velocity)
+    dynamics.advance(1.0, 2.5e-4)
+    # v^2 / 2 = g (0.1 s_1 + 0.3 s_2 + 0.5 s_3): between the grid's points it is their mean.
+    rest = (0.6**2 / 2 / G - 0.1 * 0.045 - 0.3 * 0.005) / 0.5
+    assert batch.positions()[0, :, 1].mean() == pytest.approx(0.05 + rest, abs=3e-4)
 
 
 def test_wheel_rolls_down_a_slope():
@@ -183,6 +236,55 @@ def test_rod_hangs_over_a_fixture(shape, distance):
     assert force[2] == pytest.approx(WEIGHT * 0.32, rel=0.02)
 
 
+def on_its_side(natural, roll, nodes=15, bend=10.0):
+    """A rod that lies along an arc, its natural curvature across it, pressed down by its weight:
+    nodes stay where they are, angles are free. The torque B kappa kappa_0 sin(angle) of all inner
+    nodes wants to lay it down, mu_r w L R is what the table can hold."""
+    angle = bend * np.linspace(0.0, 0.07, nodes)
+    # The law of contact at the depth that carries the weight.
+    depth = np.sqrt(2 * WEIGHT * 0.01 * RADIUS / CONTACT)
+    height = np.full(nodes, RADIUS - depth)
+    position = np.column_stack([np.sin(angle) / bend, (1 - np.cos(angle)) / bend, height])
+    batch = RodBatch(
+        np.repeat(position[None], len(natural), axis=0),
+        stretching_stiffness=4 * STIFFNESS / RADIUS**2,
+        bending_stiffness=STIFFNESS,
+        twisting_stiffness=STIFFNESS / 1.5,
+        natural_curvature=np.array([[[k, 0.0]] for k in natural]),
+        node_mass=WEIGHT / G * 0.07 / nodes,
+        director=(0.0, 0.0, 1.0),
+    )
+    free = np.zeros(batch.dof_count, dtype=bool)
+    free[3::4] = True
+    batch.set_free(free)
+    law = Friction(0.5, roll=roll)
+    contact = Contact(batch, RADIUS, CONTACT, law, keeps_roll=True)
+    return Dynamics(
+        batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=2000.0,
+        force_scale=WEIGHT * LGB, tolerance=1e-9, keeps_recording=True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("step", [5e-3, 0.05])
+def test_roll_is_held_up_to_a_bound(step):
+    """Below it a naturally curved rod on its side holds its roll for a minute and does not creep,
+    above it it rolls to where sin(angle) = mu_r w L R / (B kappa kappa_0 L), whatever the step."""
+    nodes, roll, bend = 15, 0.3, 10.0
+    edge = 0.07 / (nodes - 1)
+    held = roll * WEIGHT * 0.07 * RADIUS
+    at_bound = held / (STIFFNESS * bend * edge * (nodes - 2))
+    dynamics = on_its_side(at_bound * np.array([0.5, 0.95, 1.5, 3.0]), roll)
+    turned = []
+    for time in (5.0, 65.0):
+        assert not dynamics.advance(time, step).diverged.any()
+        turned.append(np.abs(dynamics.batch.state.dof.numpy()[:, 3::4].mean(axis=1)))
+    # The bristle's own give: mu_r / 600 of a radian and a little.
+    assert (turned[1][:2] < 0.02).all()
+    assert np.abs(turned[1] - turned[0])[:2].max() < 1e-9
+    expected = np.pi / 2 - np.arcsin(1.0 / np.array([1.5, 3.0]))
+    assert turned[1][2:] == pytest.approx(expected, rel=0.02)
+
+
 def test_bad_contacts_are_refused():
     batch = rods(straight())
     with pytest.raises(RodError, match="friction"):
@@ -191,6 +293,12 @@ def test_bad_contacts_are_refused():
         Friction(float("nan"))
     with pytest.raises(RodError, match="radius"):
         Contact(batch, 0.0, CONTACT, Friction(0.3))
+    with pytest.raises(RodError, match="field of friction"):
+        FrictionField(np.ones((1, 3)), (0, 1), (0, 1))
+    with pytest.raises(RodError, match="roll"):
+        Friction(0.3, roll=-1.0)
+    with pytest.raises(RodError, match="restitution"):
+        Contact(batch, RADIUS, CONTACT, Friction(0.3), restitution=1.0)
     with pytest.raises(RodError, match="direction"):
         Contact(batch, RADIUS, CONTACT, Friction(0.3), shapes=(Plane(normal=(0, 0, 0)),))
     with pytest.raises(RodError, match="sizes"):

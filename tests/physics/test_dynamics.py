@@ -4,11 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from wrod.errors import RodError
-from wrod.rods.batch import RodBatch
+from wrod.rods.batch import RodBatch, full_hessian
 from wrod.solvers.dynamics import SCHEMES, Dynamics
-from wrod.solvers.statics import prescribe
+from wrod.solvers.statics import prescribe, solve_equilibria
 
 ROOT = 1.875104068711961  # first root of cos(x) cosh(x) = -1
 
@@ -79,6 +80,39 @@ def test_euler_never_gains_energy():
     first = dynamics.energy()[0]
     _, _, energies = vibrate(dynamics, 1.0, 30)
     assert (np.diff(np.concatenate([[first], energies[:, 0]])) <= 1e-9 * first).all()
+
+
+def test_midpoint_keeps_period_and_energy_of_a_swing():
+    """A cable of 0.25 m that swings in its slowest mode, in steps of 9 ms: omega dt = 0.07."""
+    n, length, step = 21, 0.25, 9e-3
+    batch = straight_rod(n, gravity=(0.0, 0.0, -9.81), length=length, stiffness=1e-3)
+    batch.stretching_stiffness.fill_(1e3)
+    prescribe(batch, pinned_nodes=(0,))
+    assert solve_equilibria(batch).converged.all()
+    dynamics = Dynamics(batch, scheme="midpoint", radius=0.01, tolerance=1e-9)
+    matrix = full_hessian(batch.evaluate(order=2).hessian.numpy()[0])
+    node = np.arange(4, batch.dof_count)
+    node = node[node % 4 != 3]
+    mass = dynamics.mass.numpy()[0, node]
+    (square,), mode = eigh(matrix[np.ix_(node, node)], np.diag(mass), subset_by_index=[0, 0])
+    period = 2 * np.pi / np.sqrt(square)
+    speed = np.zeros((1, batch.dof_count))
+    speed[0, node] = 0.01 * np.sqrt(square) * length * mode[:, 0] / np.abs(mode).max()
+    dynamics.velocity.assign(speed)
+    low = dynamics.energy()[0] - 0.5 * (mass * speed[0, node] ** 2).sum()
+    time = step * np.arange(1, int(5.1 * period / step))
+    place, energy = [], []
+    start = batch.state.dof.numpy()[0, node].copy()
+    for t in time:
+        dynamics.advance(t, step)
+        place.append((batch.state.dof.numpy()[0, node] - start) @ (mass * mode[:, 0]))
+        energy.append(dynamics.energy()[0] - low)
+    place = np.array(place)
+    i = np.flatnonzero(place[:-1] * place[1:] < 0)
+    crossing = time[i] + step * place[i] / (place[i] - place[i + 1])
+    found = 2 * (crossing[-1] - crossing[0]) / (len(crossing) - 1)
+    assert found == pytest.approx(period, rel=5e-4)
+    assert energy[-1] == pytest.approx(energy[0], rel=5e-6)  # 1e-6 a period
 
 
 @pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("bdf2", 2)])
@@ -174,16 +208,16 @@ def test_internal_damping_of_a_cantilever(scheme):
     assert rate == pytest.approx(b * omega**2, rel=0.02)
 
 
-def straight_rod(nodes=21, gravity=(0.0, 0.0, 0.0), turned=0.0):
-    """Unit length and mass, hanging from the origin, turned from the vertical."""
-    s = np.linspace(0.0, 1.0, nodes)
+def straight_rod(nodes=21, gravity=(0.0, 0.0, 0.0), turned=0.0, length=1.0, stiffness=1e3):
+    """Unit mass per length, hanging from the origin, turned from the vertical."""
+    s = np.linspace(0.0, length, nodes)
     position = np.column_stack([np.sin(turned) * s, 0 * s, -np.cos(turned) * s])
     return RodBatch(
         position[None],
         stretching_stiffness=1e6,
-        bending_stiffness=1e3,
-        twisting_stiffness=1e3,
-        node_mass=masses(nodes),
+        bending_stiffness=stiffness,
+        twisting_stiffness=stiffness,
+        node_mass=masses(nodes, length),
         gravity=gravity,
     )
 

@@ -59,10 +59,11 @@ def command(
 
     from wrod.bench.applications_cables import disturbances_text
     from wrod.bench.applications_cables_picture import draw_cables
-    from wrod.bench.applications_report import METHODS, draw, markdown, table
-    from wrod.bench.applications_trials import run_trials
+    from wrod.bench.applications_report import draw, markdown, table
+    from wrod.bench.applications_trials import METHODS, run_trials
     from wrod.bench.ledger import Ledger
     from wrod.errors import RodError
+    from wrod.files import schemas, write_atomically
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
@@ -73,7 +74,13 @@ def command(
     device = resolve_device(device)
     cases = chosen or CASES
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", {}, ("case", "method", "trial"), "applications")
+    ledger = Ledger(
+        out / "trials.jsonl",
+        {},
+        ("case", "method", "trial"),
+        "applications",
+        schemas.ApplicationsRow,
+    )
     keys = list(product(range(first, first + trials), cases, METHODS))
     done = ledger.done()
     pending = [key for key in keys if (key[1], key[2], key[0]) not in done]
@@ -97,7 +104,7 @@ def command(
     rows = [r for r in ledger.rows if (r["case"], r["method"], r["trial"]) in wanted]
     cells = table(rows)
     text = markdown(cells) + "\n" + disturbances_text(rows)
-    (out / "applications.md").write_text(text, encoding="utf-8")
+    write_atomically(out / "applications.md", lambda file: file.write(text))
     written += [out / "applications.md", draw(out / "applications.png", rows), ledger.path]
     cables = draw_cables(out / "cables.png", rows)
     written += [] if cables is None else [cables]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.bench.applications_report import METHODS, SHORT
+from wrod.bench.applications_trials import METHODS, SHORT
 from wrod.files import write_atomically
 
 _INK, _MUTED, _POST = "#22262b", "#59616b", "#c9ced6"

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod.bench.applications_trials import METHODS, SHORT, cable_scene, knot_plan
 from wrod.files import write_atomically
 
-METHODS = ("intuitive", "neural")
-SHORT = {"intuitive": "INT", "neural": "OPT"}
 # Tong et al., the success table: successes of ten trials.
 PAPER = {
     ("S cable", "intuitive"): 0,
@@ -115,7 +114,6 @@ def _score(cell: dict) -> str:
 
 
 def _cables(axes, case: str, method: str, rows: list[dict], cell: dict) -> None:
-    from wrod.bench.applications_trials import cable_scene
     from wrod.deployment.picture import draw_fixtures
 
     pattern, fixtures = cable_scene(case)
@@ -131,7 +129,6 @@ def _cables(axes, case: str, method: str, rows: list[dict], cell: dict) -> None:
 
 def _knots(axes, case: str, rows: list[dict], cells: dict) -> None:
     """INT as laid and at the end, an example of its commonest end; OPT laid, tied and pulled."""
-    from wrod.bench.applications_trials import knot_plan
 
     plan = knot_plan(case)
     panels = [("intuitive", "laid"), ("intuitive", "end"), *(("neural", s) for s in _STAGES)]

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.bench.applications_report import SHORT
 from wrod.bench.table3_paper import FRICTION
 from wrod.patterns.pattern import Pattern
 
+METHODS = ("intuitive", "neural")
+SHORT = {"intuitive": "INT", "neural": "OPT"}
 # The cable on steel, the rods of the knots on steel (Table 2 of the paper).
 CABLE_FRICTION, KNOT_FRICTION, ROD_FRICTION = FRICTION["low"], FRICTION["medium"], 0.4
 # Laid length at which the free end, whose first 5 cm are held, is let go [m].

@@ -79,6 +79,7 @@ def command(
     )
     from wrod.deployment.simulate import simulate_deployments
     from wrod.errors import RodError
+    from wrod.files import schemas, write_atomically
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
@@ -87,13 +88,24 @@ def command(
     device = resolve_device(device)
     given = _FULL if full else _SMALL
     axes = {
-        "frictions": _numbers(frictions or given["frictions"], "frictions", 0.0, 10.0),
-        "curvatures": _numbers(curvatures or given["curvatures"], "curvatures", 0.0, 3.5),
+        "frictions": _numbers(
+            given["frictions"] if frictions is None else frictions, "frictions", 0.0, 10.0
+        ),
+        "curvatures": _numbers(
+            given["curvatures"] if curvatures is None else curvatures, "curvatures", 0.0, 3.5
+        ),
         "stretch_ratios": _numbers(
-            stretch_ratios or given["stretch_ratios"], "stretch-ratios", 50.0, 1e5
+            given["stretch_ratios"] if stretch_ratios is None else stretch_ratios,
+            "stretch-ratios",
+            50.0,
+            1e5,
         ),
     }
-    curves = _drawn(rods or given["rods"], names or given["names"], patterns)
+    curves = _drawn(
+        given["rods"] if rods is None else rods,
+        given["names"] if names is None else names,
+        patterns,
+    )
     curves += _arcs(axes["curvatures"], axes["stretch_ratios"])
     nodes = _nodes(curves, spacing)
     settings = {
@@ -105,7 +117,7 @@ def command(
         "patterns": "built-in" if patterns is None else patterns.name,
     }
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures")
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", schemas.CampaignRow)
     start = time.perf_counter()
     plans, lacking = _plans(curves, METHODS, device, as_json)
     planned = time.perf_counter() - start
@@ -154,7 +166,7 @@ def command(
         f"{release:g} m, patterns {settings['patterns']}."
     )
     words = [*summary(table), *lacking]
-    (out / "closures.md").write_text(markdown(table, head, words), encoding="utf-8")
+    write_atomically(out / "closures.md", lambda file: file.write(markdown(table, head, words)))
     written = [
         write_csv(out / "closures.csv", table),
         out / "closures.md",

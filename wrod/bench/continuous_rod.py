@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.errors import DataError
 from wrod.identification.clamped.equilibria import ClampedSolver
-from wrod.identification.clamped.measurements import measurements_from_arrays
+from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.setup import Setup
 from wrod.rods.material import RodMaterial
 

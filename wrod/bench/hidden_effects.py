@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.bench.continuous_rod import World, constant, labels, measured
+from wrod.bench.hidden_noise import with_noise
 from wrod.errors import DataError
 from wrod.rods.material import RodMaterial
 
@@ -129,6 +130,18 @@ def softening(rng, rod):
         return e * (kept + (1 - kept) / one), kept + (1 - kept) * (2 - one) / one**2
 
     truth = {"softening": {("critical_curvature",): (critical,), ("kept_stiffness",): (kept,)}}
+    return Hidden(World(law=law), truth)
+
+
+def stiffening(rng, rod):
+    critical = _between(rng, 0.5, 0.9) / rod.gravito_bending_length
+    final = _between(rng, 1.8, 3.0)
+
+    def law(e):
+        one = 1.0 + (e / critical) ** 2
+        return e * (final + (1 - final) / one), final + (1 - final) * (2 - one) / one**2
+
+    truth = {"stiffening": {("critical_curvature",): (critical,), ("final_stiffness",): (final,)}}
     return Hidden(World(law=law), truth)
 
 
@@ -255,20 +268,24 @@ def twist_stiffness(rng, rod):
     return Hidden(World(twisting=ratio), truth)
 
 
-# ---- effects that have none ----------------------------------------------------------------------
+# ---- effects that have none: five that `identify` builds, two that nothing explains -------------
 
 
 def kink(rng, rod):
     """A sharp bend at one place."""
     place, bend = _between(rng, 0.3, 0.7) * rod.length, _in_plane(rng, 0.5, 0.8)
-    return Hidden(World(curvature=lambda s: bend[:, None] * _bump(s, place, 0.008)), {})
+    truth = _vector("local_bend", ("angle_1", "angle_2"), bend)
+    truth["local_bend"][("arc_length",)] = (place,)
+    return Hidden(World(curvature=lambda s: bend[:, None] * _bump(s, place, 0.008)), truth)
 
 
 def half_draught(rng, rod):
     """A sideways force on the far half only."""
     place = _between(rng, 0.45, 0.6) * rod.length
     force = np.append(_in_plane(rng, 0.2, 0.35), 0.0)[:, None] * rod.weight
-    return Hidden(World(force=lambda s: force / (1.0 + np.exp((place - s) / 0.01))), {})
+    truth = _vector("local_load", ("force_x", "force_y", "force_z"), force[:, 0])
+    truth["local_load"][("start",)] = (place,)
+    return Hidden(World(force=lambda s: force / (1.0 + np.exp((place - s) / 0.01))), truth)
 
 
 def sticking_roll(rng, rod):
@@ -277,13 +294,42 @@ def sticking_roll(rng, rod):
 
 
 def soft_spot(rng, rod):
-    """A nick: four centimetres with an eighth of the stiffness."""
+    """A nick: four centimetres with an eighth of the stiffness, against twist as well."""
     place = _between(rng, 0.3, 0.7) * rod.length
 
-    def profile(s):
-        return np.stack([1.0 - 0.875 * np.exp(-((((s - place) / 0.02) ** 2) ** 2))] * 2)
+    def factor(s):
+        return 1.0 - 0.875 * np.exp(-((((s - place) / 0.02) ** 2) ** 2))
 
-    return Hidden(World(bending=profile), {})
+    around = np.linspace(place - 0.06, place + 0.06, 2001)
+    softer = float(np.trapezoid(1.0 / factor(around) - 1.0, around))
+    truth = _vector("stretch", ("extra_compliance",), [softer])
+    truth["stretch"][("start", "stop")] = (place - 0.017, place + 0.017)
+    world = World(bending=lambda s: np.stack([factor(s)] * 2), twist_profile=factor)
+    return Hidden(world, truth)
+
+
+def sleeve(rng, rod):
+    """A stretch that something is pulled over: several times as stiff and as heavy."""
+    start, length = _between(rng, 0.25, 0.6) * rod.length, _between(rng, 0.06, 0.1)
+    stiff, heavy = _between(rng, 2.0, 4.0), _between(rng, 0.8, 1.6)
+    line = rod.weight / rod.gravity
+
+    def window(s):
+        return (
+            1.0 / (1.0 + np.exp((start - s) / 0.003)) / (1.0 + np.exp((s - start - length) / 0.003))
+        )
+
+    def factor(s):
+        return 1.0 + (stiff - 1.0) * window(s)
+
+    truth = _vector("stretch", ("extra_mass",), [heavy * line * length])
+    truth["stretch"][("start", "stop")] = (start, start + length)
+    world = World(
+        bending=lambda s: np.stack([factor(s)] * 2),
+        twist_profile=factor,
+        mass=lambda s: heavy * line * window(s)[None],
+    )
+    return Hidden(world, truth)
 
 
 def magnet(rng, rod):
@@ -295,7 +341,7 @@ def magnet(rng, rod):
         away = point[:, None] - q
         return strength * 0.15**2 * away / ((away**2).sum(axis=0) + 0.05**2) ** 1.5
 
-    return Hidden(World(drag=force), {})
+    return Hidden(World(drag=force), _vector("attraction", ("x", "y", "z"), point))
 
 
 def shaking_camera(rng, rod):
@@ -320,6 +366,7 @@ KNOWN: dict[str, Callable] = {
         anisotropic_bending,
         twist_stiffness,
         softening,
+        stiffening,
         softening_by_tanh,
         softening_by_yield,
         point_mass,
@@ -355,9 +402,10 @@ PAIRS = (
     (density_profile, grip_rotation),
     (anisotropic_bending, gravity_tilt),
 )
-UNCOVERED: dict[str, Callable] = {
-    f.__name__: f for f in (kink, half_draught, sticking_roll, soft_spot, magnet, shaking_camera)
+BUILT: dict[str, Callable] = {
+    f.__name__: f for f in (kink, half_draught, soft_spot, sleeve, magnet)
 }
+UNCOVERED: dict[str, Callable] = {f.__name__: f for f in (sticking_roll, shaking_camera)}
 
 
 def _combined(parts: list[Hidden]) -> Hidden:
@@ -382,11 +430,14 @@ def cases() -> dict[str, Callable[[np.random.Generator, RodMaterial], Hidden]]:
         for a, b in PAIRS
     }
     nothing = {f"none {k}": none for k in (1, 2, 3)}
-    return {**nothing, **KNOWN, **pairs, **UNCOVERED}
+    return {**nothing, **KNOWN, **pairs, **BUILT, **UNCOVERED}
 
 
-def hidden_set(name: str, seed: int) -> tuple[dict[str, np.ndarray], Hidden]:
+def hidden_set(name: str, seed: int, noise: str = "white") -> tuple[dict[str, np.ndarray], Hidden]:
     """A case's measurements, as `wrod.load_measurements` reads them from a file, and its truth.
+
+    Args:
+        noise: of the markers, one of `wrod.bench.hidden_noise.NOISES`.
 
     Raises:
         DataError: several draws in a row have a trial without an equilibrium.
@@ -396,7 +447,11 @@ def hidden_set(name: str, seed: int) -> tuple[dict[str, np.ndarray], Hidden]:
     def draw():
         rod = _rod(rng)
         hidden, poses = cases()[name](rng, rod), _poses(rng, rod)
-        return measured(poses, hidden.world, seed=int(rng.integers(2**31)), noise=NOISE), hidden
+        own = int(rng.integers(2**31))
+        if noise == "white":
+            return measured(poses, hidden.world, seed=own, noise=NOISE), hidden
+        data = measured(poses, hidden.world, seed=own, noise=0.0)
+        return with_noise(data, noise, own), hidden
 
     for _ in range(_REDRAWS):
         with suppress(DataError):  # a rod that is led through a fold

@@ -20,22 +20,30 @@ OUTCOMES = (
 )
 
 
-def examine(case: str, seed: int, device: str = "cpu") -> dict:
+def examine(case: str, seed: int, noise: str = "white", device: str = "cpu") -> dict:
     """Make one set, identify it, and compare what is said with what was hidden."""
     from wrod.bench.hidden_effects import UNCOVERED, hidden_set
-    from wrod.bench.identify import row
+    from wrod.bench.identify_row import row
     from wrod.errors import DataError
-    from wrod.identification.clamped.measurements import measurements_from_arrays
+    from wrod.identification.clamped.loading import measurements_from_arrays
 
     try:
-        data, hidden = hidden_set(case, seed)
+        data, hidden = hidden_set(case, seed, noise)
+        measurements = measurements_from_arrays(data, name=case)
     except DataError as error:
-        return {"set": case, "seed": seed, "outcome": "not made", "reason": str(error)}
-    entry = row(measurements_from_arrays(data, name=case), device)
+        return {
+            "set": case,
+            "seed": seed,
+            "noise": noise,
+            "outcome": "not made",
+            "reason": str(error),
+        }
+    entry = row(measurements, device)
     found = {effect["name"]: effect["parameters"] for effect in entry["effects"]}
     worst, deviations = error_of(found, hidden.truth)
     return entry | {
         "seed": seed,
+        "noise": noise,
         "hidden": sorted(hidden.truth),
         "truth": {
             name: [[list(keys), list(values)] for keys, values in own.items()]
@@ -91,13 +99,15 @@ def error_of(found: dict, truth: dict) -> tuple[float | None, float | None]:
     return (max(errors), max(deviations)) if errors else (None, None)
 
 
-def examine_all(jobs: Sequence[tuple[str, int]], workers: int, device: str, done, progress) -> None:
-    """Examine every (case, seed) in processes side by side; `done` gets each row as it comes."""
+def examine_all(
+    jobs: Sequence[tuple[str, int, str]], workers: int, device: str, done, progress
+) -> None:
+    """Examine every (case, seed, noise) in processes side by side; `done` gets each row."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     # A fresh interpreter for each worker: Warp's threads do not survive a fork.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(examine, case, seed, device) for case, seed in jobs]
+        futures = [pool.submit(examine, *job, device) for job in jobs]
         for future in as_completed(futures):
             done(future.result())
             progress()
@@ -106,12 +116,12 @@ def examine_all(jobs: Sequence[tuple[str, int]], workers: int, device: str, done
 def lines(rows: Sequence[dict]) -> list[str]:
     """The table for people."""
     text = [
-        f"{'hidden':38} {'seed':>4}  {'outcome':12} {'verdict':17} {'before':>7} {'/floor':>7} "
-        f"{'error':>7} {'/sigma':>7} {'cpu s':>6}  found"
+        f"{'hidden':38} {'seed':>4} {'noise':14}  {'outcome':12} {'verdict':17} {'before':>7} "
+        f"{'/floor':>7} {'error':>7} {'/sigma':>7} {'cpu s':>6}  found"
     ]
     for r in rows:
         if r["outcome"] == "not made":
-            text.append(f"{r['set']:38} {r['seed']:>4}  not made     {r['reason']}")
+            text.append(f"{r['set']:38} {r['seed']:>4} {r['noise']:14}  not made     {r['reason']}")
             continue
         error = "" if r["worst_error"] is None else f"{100 * r['worst_error']:.1f} %"
         sigma = "" if r["worst_error"] is None else f"{r['worst_deviations']:.1f}"
@@ -119,7 +129,7 @@ def lines(rows: Sequence[dict]) -> list[str]:
         found = " + ".join(effect["name"] for effect in r["effects"]) or "-"
         rivals = "; ".join(" ~ ".join(pair["effects"]) for pair in r["confounded"])
         text.append(
-            f"{r['set']:38} {r['seed']:>4}  {r['outcome']:12} {r['verdict']:17} "
+            f"{r['set']:38} {r['seed']:>4} {r['noise']:14}  {r['outcome']:12} {r['verdict']:17} "
             f"{r['before_mm']:7.2f} {ratio:7.3f} {error:>7} {sigma:>7} {r['cpu_seconds']:6.1f}  "
             f"{found}" + (f"  ({rivals})" if rivals else "")
         )
@@ -128,10 +138,12 @@ def lines(rows: Sequence[dict]) -> list[str]:
 
 def summary(rows: Sequence[dict]) -> list[str]:
     """How often each outcome came, for each kind of case."""
-    from wrod.bench.hidden_effects import KNOWN, UNCOVERED
+    from wrod.bench.hidden_effects import BUILT, KNOWN, UNCOVERED
 
     def kind(row):
         name = row["set"]
+        if name in BUILT:
+            return "built from its print"
         if name in UNCOVERED:
             return "no plug-in covers it"
         if name in KNOWN:
@@ -139,13 +151,23 @@ def summary(rows: Sequence[dict]) -> list[str]:
         return "two effects" if " + " in name else "nothing hidden"
 
     text = []
-    for title in ("nothing hidden", "one effect", "two effects", "no plug-in covers it"):
+    for title in (
+        "nothing hidden",
+        "one effect",
+        "two effects",
+        "built from its print",
+        "no plug-in covers it",
+    ):
         own = [r for r in rows if kind(r) == title and r["outcome"] != "not made"]
         if not own:
             continue
         counts = {o: sum(r["outcome"] == o for r in own) for o in OUTCOMES}
         said = ", ".join(f"{o} {n}" for o, n in counts.items() if n)
         text.append(f"{title:21} {len(own):3} sets: {said}")
+        for noise in sorted({r["noise"] for r in own} - {"white"}):
+            part = [r["outcome"] for r in own if r["noise"] == noise]
+            said = ", ".join(f"{o} {part.count(o)}" for o in OUTCOMES if o in part)
+            text.append(f"{'':21}     {len(part):3} of them with {noise}: {said}")
         named = [r for r in own if r["outcome"] == "right" and r["worst_error"] is not None]
         if named:
             close = sum(r["worst_error"] <= WITHIN for r in named)

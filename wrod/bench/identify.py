@@ -9,33 +9,6 @@ from pathlib import Path
 import click
 
 
-def row(data, device: str) -> dict:
-    """One set, a file or measurements: what `wrod identify` says of it, and what that cost."""
-    from wrod.identification import identify
-
-    clock, cpu = time.perf_counter(), time.process_time()
-    report = identify(data, device=device)
-    content = report.to_dict()
-    left_out = ("reference", "title")
-    return {
-        "set": report.measurements.name,
-        "verdict": report.verdict,
-        "reason": report.reason,
-        "before_mm": content["before_mm"],
-        "after_mm": content["after_mm"],
-        "noise_floor_mm": content["noise_floor_mm"],
-        "likeliest_print": report.prints[0].name,
-        "effects": [
-            {key: value for key, value in effect.items() if key not in left_out}
-            for effect in content["effects"]
-        ],
-        "confounded": content["confounded"],
-        "selection": content["selection"],
-        "seconds": time.perf_counter() - clock,
-        "cpu_seconds": time.process_time() - cpu,
-    }
-
-
 @click.command(name="identify")
 @click.option(
     "--sets",
@@ -50,6 +23,12 @@ def row(data, device: str) -> dict:
     multiple=True,
     help="Seed of sets made here, each with a hidden effect; may be given again.",
 )
+@click.option(
+    "--noise",
+    "noises",
+    multiple=True,
+    help="Hidden: kind of noise of the markers; may be given again. Default: white.",
+)
 @click.option("--only", multiple=True, help="Hidden: only cases with this text in their name.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Hidden: keep rows.")
 @click.option("--workers", default=1, show_default=True, help="Hidden: processes side by side.")
@@ -58,6 +37,7 @@ def row(data, device: str) -> dict:
 def command(
     folder: Path | None,
     seeds: tuple[int, ...],
+    noises: tuple[str, ...],
     only: tuple[str, ...],
     out: Path | None,
     workers: int,
@@ -80,15 +60,16 @@ def command(
         raise DataError(f"workers is {workers}; give 1 or more")
     device = resolve_device(device)
     if seeds:
-        _hidden(seeds, only, out, workers, device, as_json)
+        _hidden(seeds, noises or ("white",), only, out, workers, device, as_json)
     else:
         _measured(folder, device, as_json)
 
 
-def _hidden(seeds, only, out, workers, device, as_json) -> None:
+def _hidden(seeds, noises, only, out, workers, device, as_json) -> None:
     from tqdm import tqdm
 
     from wrod.bench.hidden_effects import cases
+    from wrod.bench.hidden_noise import NOISES
     from wrod.bench.hidden_table import examine_all, lines, summary
     from wrod.bench.ledger import Ledger
     from wrod.errors import DataError
@@ -99,24 +80,29 @@ def _hidden(seeds, only, out, workers, device, as_json) -> None:
         raise DataError(
             f"no case is called like {', '.join(only)}; the cases: {', '.join(cases())}"
         )
+    if unknown := set(noises) - set(NOISES):
+        raise DataError(f"no noise is called {', '.join(unknown)}; there are {', '.join(NOISES)}")
     rows: list[dict] = []
     keep, have = rows.append, {}
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        ledger = Ledger(out / "rows.jsonl", {}, ("set", "seed"), "identification")
+        from wrod.files import schemas
+
+        keys = ("set", "seed", "noise")
+        ledger = Ledger(out / "rows.jsonl", {}, keys, "identification", schemas.HiddenRow)
         have = {ledger.key(r): r for r in ledger.rows}
 
         def keep(row):
             ledger.add([row])
             rows.append(row)
 
-    wanted = [(name, seed) for seed in seeds for name in names]
+    wanted = [(name, seed, noise) for noise in noises for seed in seeds for name in names]
     rows += [have[key] for key in wanted if key in have]
     pending = [key for key in wanted if key not in have]
     start = time.perf_counter()
     with tqdm(total=len(wanted), initial=len(rows), unit="set", disable=None, leave=False) as bar:
         examine_all(pending, min(workers, max(len(pending), 1)), device, keep, bar.update)
-    rows.sort(key=lambda r: wanted.index((r["set"], r["seed"])))
+    rows.sort(key=lambda r: wanted.index((r["set"], r["seed"], r["noise"])))
     seconds = time.perf_counter() - start
     if as_json:
         click.echo(json.dumps({"machine": machine_line(device), "seconds": seconds, "rows": rows}))
@@ -131,6 +117,7 @@ def _hidden(seeds, only, out, workers, device, as_json) -> None:
 def _measured(folder: Path, device: str, as_json: bool) -> None:
     from tqdm import tqdm
 
+    from wrod.bench.identify_row import row
     from wrod.errors import DataError
     from wrod.machine import machine_line
 

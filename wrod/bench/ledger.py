@@ -6,8 +6,14 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
+
 from wrod.errors import DataError
-from wrod.files import write_atomically
+from wrod.files import read_text, write_atomically
+from wrod.files.reading import entry_message, refuse_depth, shown
+
+# Of a campaign of a million trials.
+_MOST_BYTES = 2**31
 
 
 class Ledger:
@@ -17,30 +23,46 @@ class Ledger:
         path: the file.
         settings: what all trials have in common; a file that was begun with others is refused.
         keys: the fields of a row that tell which trial it is.
+        fields: schema of a row, of `wrod.files.schemas`.
         title: what the campaign's files are called.
 
     Raises:
         DataError: the file belongs to a campaign with other settings, or is not one.
     """
 
-    def __init__(self, path: Path, settings: dict, keys: Sequence[str], title: str = "campaign"):
+    def __init__(
+        self,
+        path: Path,
+        settings: dict,
+        keys: Sequence[str],
+        title: str = "campaign",
+        fields: type | None = None,
+    ):
         self.path, self.keys, self.rows = path, tuple(keys), []
         head = {"format": f"wrod-{title}-1", **settings}
         if not path.exists():
             write_atomically(path, lambda file: file.write(json.dumps(head) + "\n"))
             return
-        lines = path.read_text(encoding="utf-8").split("\n")
+        lines = read_text(path, "a campaign's file", limit=_MOST_BYTES).split("\n")
         whole, broken = lines[:-1], lines[-1]  # a killed run may leave half a line
-        try:
-            found = json.loads(whole[0])
-            self.rows = [json.loads(line) for line in whole[1:]]
-        except (IndexError, ValueError):
-            raise DataError(f"{path}: is not a readable campaign; choose another --out") from None
+        remedy = "delete that line, or choose another --out"
+        found = _line(whole[0] if whole else "", f"{path}, line 1", "choose another --out")
         if found != json.loads(json.dumps(head)):
             raise DataError(
-                f"{path}: was begun with other settings ({found}); choose another --out or delete "
-                "it"
+                f"{path}: was begun with other settings ({shown(found, 300)}); choose another "
+                "--out or delete it"
             )
+        for number, line in enumerate(whole[1:], start=2):
+            row, where = _line(line, f"{path}, line {number}", remedy), f"{path}, line {number}"
+            if fields is not None:
+                try:
+                    msgspec.convert(row, fields)
+                except msgspec.ValidationError as reason:
+                    raise DataError(f"{where}: {entry_message(str(reason))}; {remedy}") from None
+            for key in self.keys:
+                if not isinstance(row.get(key), (str, int, float)):
+                    raise DataError(f"{where}: is no trial, for it lacks {key!r}; {remedy}")
+            self.rows.append(row)
         if broken:
             write_atomically(path, lambda file: file.write("\n".join(whole) + "\n"))
 
@@ -59,3 +81,15 @@ class Ledger:
         """The rows of these trials, in the order in which the trials are given."""
         by_key = {self.key(row): row for row in self.rows}
         return [by_key[key] for key in keys if key in by_key]
+
+
+def _line(text: str, where: str, remedy: str) -> dict:
+    """The object on a line; figures of trials that diverged may be NaN."""
+    try:
+        refuse_depth(text.encode("utf-8", "replace"))
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise DataError(f"{where}: is not readable; {remedy}")
+    return found

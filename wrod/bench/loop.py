@@ -101,6 +101,7 @@ def command(
     from wrod.bench.loop_trials import Case, identified, network_for, row, trials_along, with_length
     from wrod.bench.table3_paper import PATTERNS, read_pattern
     from wrod.deployment.simulate import simulate_deployments
+    from wrod.files import write_atomically
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
     from wrod.rods.material import rod
@@ -162,7 +163,7 @@ def command(
         f"{'built-in patterns' if patterns is None else 'patterns of a folder'}."
     )
     text = markdown(rows, found, head)
-    (out / "loop.md").write_text(text, encoding="utf-8")
+    write_atomically(out / "loop.md", lambda file: file.write(text))
     written += [
         write_csv(out / "loop.csv", rows),
         out / "loop.md",

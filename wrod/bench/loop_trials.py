@@ -30,7 +30,7 @@ def identified(true, believed, trials, noise, seed, candidates, device):
     """Report of an identification that knows the measurements and the believed rod only."""
     from wrod.bench.loop_measurements import clamped_experiment
     from wrod.identification import identify
-    from wrod.identification.clamped.measurements import measurements_from_arrays
+    from wrod.identification.clamped.loading import measurements_from_arrays
 
     data = clamped_experiment(true, believed, trials=trials, noise=noise, seed=seed)
     measurements = measurements_from_arrays(data, name="synthetic")

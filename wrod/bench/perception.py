@@ -32,6 +32,7 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
     from tqdm import tqdm
 
     from wrod.errors import DataError, WrodError
+    from wrod.files import read_json
     from wrod.machine import machine_line
     from wrod.perception.image import read_image
     from wrod.perception.score import score_paths
@@ -44,7 +45,7 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
     rows: list[dict[str, Any]] = []
     for folder in sets:
         counts = folder / "crossings.json"
-        crossings = json.loads(counts.read_text()) if counts.exists() else {}
+        crossings = read_json(counts, dict[str, int], "counts") if counts.exists() else {}
         labels = sorted((folder / "gt").glob("*.png"))
         for file in tqdm(
             labels, unit="picture", leave=False, desc=folder.name, disable=as_json or None

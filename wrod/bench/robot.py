@@ -1,9 +1,10 @@
-"""`wrod bench robot`: joint paths for the seven patterns and rods 1 to 3."""
+"""`wrod bench robot`: joint paths for the seven patterns and rods 1 to 3, of one arm or of all."""
 
 from __future__ import annotations
 
 import json
 import time
+from pathlib import Path
 
 import click
 
@@ -14,39 +15,69 @@ RODS = ("pink-vps", "green-vps", "rope")
 @click.command(name="robot")
 @click.option("--method", default="numeric", show_default=True, help="Planner of the trajectories.")
 @click.option("--patterns", help="Folder of points files to use for the built-in patterns.")
+@click.option(
+    "--robots", default="sawyer", show_default=True, help="Arms, separated by commas, or all."
+)
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder of finished cases, with a valid scene asked of each; a stopped run goes on.",
+)
 @click.option("--finer", is_flag=True, help="Compare with plans at a tenth of the node distance.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(method: str, patterns: str | None, finer: bool, as_json: bool) -> None:
-    """Solve 21 joint paths with automatic placement and print what they keep."""
-    from pathlib import Path
-
+def command(
+    method: str, patterns: str | None, robots: str, out: Path | None, finer: bool, as_json: bool
+) -> None:
+    """Solve 21 joint paths an arm with automatic placement and print what they keep."""
     from tqdm import tqdm
 
+    from wrod.bench.ledger import Ledger
+    from wrod.errors import RobotError
     from wrod.machine import machine_line
+    from wrod.robot.model import ROBOTS
 
-    cases = [(pattern, rod) for rod in RODS for pattern in PATTERNS]
+    names = list(ROBOTS) if robots == "all" else robots.split(",")
+    unknown = [name for name in names if name not in ROBOTS]
+    if unknown:
+        raise RobotError(f"unknown robot {unknown[0]!r}; known robots: {', '.join(ROBOTS)}, all")
+    folder = None if patterns is None else Path(patterns)
+    cases = [(name, p, r) for name in names for r in RODS for p in PATTERNS]
+    ledger = None
+    if out is not None:
+        settings = {"method": method, "patterns": patterns, "finer": finer}
+        ledger = Ledger(out / "arms.jsonl", settings, ("robot", "pattern", "rod"), "arms")
+    done = {
+        (r["robot"], r["pattern"], r["rod"]): r for r in ([] if ledger is None else ledger.rows)
+    }
     rows = []
-    for pattern, rod in tqdm(cases, leave=False, disable=as_json):
-        folder = None if patterns is None else Path(patterns)
-        rows.append(run_case(pattern, rod, method, folder, finer))
+    for name, pattern, rod in tqdm(cases, leave=False, disable=as_json or None):
+        row = done.get((name, pattern, rod))
+        if row is None:
+            row = run_case(pattern, rod, method, folder, finer, robot=name, scene=out is not None)
+            if ledger is not None:
+                ledger.add([row])
+        rows.append(row)
     solved = sum("error" not in row for row in rows)
     if as_json:
         click.echo(json.dumps({"machine": machine_line(), "paths": rows, "solved": solved}))
         return
     click.echo(machine_line())
     click.echo(
-        f"{'pattern':10s} {'rod':10s} {'CPU s':>6s} {'error mm':>9s} {'degrees':>9s} {'limit':>6s}"
-        f" {'gap mm':>7s} {'turn':>6s} {'step':>6s} {'beyond':>6s} {'minutes':>8s}"
+        f"{'robot':7s} {'pattern':10s} {'rod':10s} {'CPU s':>6s} {'error mm':>9s} {'degrees':>9s}"
+        f" {'limit':>6s} {'gap mm':>7s} {'turn':>6s} {'step':>6s} {'beyond':>6s} {'minutes':>8s}"
         + (f" {'finer mm':>9s} {'degrees':>9s}" if finer else "")
     )
     for row in rows:
         if "error" in row:
-            click.echo(f"{row['pattern']:10s} {row['rod']:10s} {row['error']}")
+            click.echo(
+                f"{row['robot']:7s} {row['pattern']:10s} {row['rod']:10s} "
+                f"{row.get('cpu', 0.0):6.2f} {row['error']}"
+            )
             continue
         click.echo(
-            f"{row['pattern']:10s} {row['rod']:10s} {row['cpu']:6.2f} {row['position_mm']:9.1e}"
-            f" {row['rotation_deg']:9.1e} {row['limit_margin']:6.2f} {row['gap_mm']:7.1f}"
-            f" {row['turn']:6.3f} {row['step']:6.3f} {row['beyond']:6.3f}"
+            f"{row['robot']:7s} {row['pattern']:10s} {row['rod']:10s} {row['cpu']:6.2f}"
+            f" {row['position_mm']:9.1e} {row['rotation_deg']:9.1e} {row['limit_margin']:6.2f}"
+            f" {row['gap_mm']:7.1f} {row['turn']:6.3f} {row['step']:6.3f} {row['beyond']:6.3f}"
             f" {row['duration'] / 60:8.2f}"
             + (f" {row['finer_mm']:9.3f} {row['finer_deg']:9.4f}" if finer else "")
         )
@@ -80,9 +111,18 @@ def against_finer(path, curve, rod, method: str, trajectory) -> dict:
 
 
 def run_case(
-    pattern: str, rod_name: str, method: str = "numeric", folder=None, finer: bool = False
+    pattern: str,
+    rod_name: str,
+    method: str = "numeric",
+    folder=None,
+    finer: bool = False,
+    robot: str = "sawyer",
+    scene: bool = False,
 ) -> dict:
-    """Plan and solve one case; figures of its joint path, or the error."""
+    """Plan and solve one case; figures of its joint path, or the error.
+
+    With `scene`, its USD scene is written and asked of OpenUSD's validators too.
+    """
     import warnings
 
     import numpy as np
@@ -90,7 +130,8 @@ def run_case(
     import wrod
     from wrod.errors import WrodError, WrodWarning
 
-    row = {"pattern": pattern, "rod": rod_name}
+    row = {"robot": robot, "pattern": pattern, "rod": rod_name}
+    started = time.process_time()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", WrodWarning)
@@ -105,7 +146,7 @@ def run_case(
         if finer:
             row |= against_finer(path, curve, wrod.rod(rod_name), method, trajectory)
     except WrodError as error:
-        return row | {"error": str(error)}
+        return row | {"cpu": time.process_time() - started, "error": str(error)}
     figures = path.metadata
     return row | {
         "position_mm": 1e3 * figures["position_error"],
@@ -119,3 +160,16 @@ def run_case(
         "grip_angle": figures["grip_angle"],
         "duration": figures["duration"],
     }
+
+
+def _scene_faults(trajectory, path, curve, rod) -> list[str]:
+    """What OpenUSD's validators say of the scene, nothing where it is in order."""
+    import tempfile
+
+    import wrod
+    from wrod.scene.validate import validation_errors
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.usdc"
+        wrod.export_usd(file, trajectory=trajectory, joint_path=path, pattern=curve, rod=rod)
+        return validation_errors(file)

@@ -17,11 +17,17 @@ from wrod.bench.ledger import Ledger
 @click.command(name="table3")
 @click.option("--trials", default=10, show_default=True, help="Trials a cell.")
 @click.option("--closure", help="Closure of OPT; default: the one that the planner favours.")
+@click.option(
+    "--known-table",
+    is_flag=True,
+    help="Plan OPT for the friction of each substrate; plans are kept in OUT/plans.",
+)
 @campaign.options(speed=0.02, step=0.01, spacing=0.005)
 def command(
     out: Path,
     trials: int,
     closure: str | None,
+    known_table: bool,
     patterns: Path | None,
     release: float,
     speed: float,
@@ -39,6 +45,8 @@ def command(
     from wrod.bench.table3_report import KEYS, cells, draw, markdown, summary, write_csv
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.errors import RodError
+    from wrod.files import schemas, write_atomically
+    from wrod.grasps.optimal import CLOSURES
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
@@ -52,12 +60,16 @@ def command(
         "release": release,
         "closure": closure or "favoured",
         "patterns": "built-in" if patterns is None else patterns.name,
-    }
-    out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3")
+    } | ({"known_table": True} if known_table else {})
     curves = {name: read_pattern(name, patterns) for name in PATTERNS}
+    if closure is not None and closure not in CLOSURES:
+        raise RodError(f"unknown closure {closure!r:.60}; use one of {', '.join(CLOSURES)}")
+    out.mkdir(parents=True, exist_ok=True)
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", schemas.Table3Row)
     start = time.perf_counter()
     plans = _plans(curves, closure, device, as_json)
+    if known_table:
+        plans |= _corrected_plans(plans, out / "plans", device, as_json)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
         (rod, substrate, name, method, trial)
@@ -94,7 +106,7 @@ def command(
         f"{settings['patterns']}."
     )
     text = markdown(table, head)
-    (out / "table3.md").write_text(text, encoding="utf-8")
+    write_atomically(out / "table3.md", lambda file: file.write(text))
     written = [
         write_csv(out / "table3.csv", table),
         out / "table3.md",
@@ -144,9 +156,34 @@ def _plans(curves: dict, closure: str | None, device: str, quiet: bool) -> dict:
     return plans
 
 
+def _corrected_plans(plans: dict, folder: Path, device: str, quiet: bool) -> dict:
+    """(rod, substrate, pattern, "numeric") -> the same as `_plans`, corrected for the table."""
+    from tqdm import tqdm
+
+    from wrod.bench.table3_paper import SUBSTRATES, friction
+    from wrod.deployment.optimise import optimise
+    from wrod.deployment.setup import tail
+    from wrod.planning.trajectory import Trajectory
+
+    corrected = {}
+    jobs = [(key, s) for key in plans if key[2] == "numeric" for s in SUBSTRATES]
+    for (name, curve, method), substrate in tqdm(jobs, desc="corrections", disable=quiet):
+        led, material, trajectory, _ = plans[name, curve, method]
+        path = folder / f"{name}-{substrate}-{curve}.npz"
+        if path.exists():
+            trajectory = Trajectory.load(path)
+        else:
+            mu = friction(name, substrate)
+            trajectory = optimise(led, material, trajectory, mu, device=device)
+            trajectory.save(path)
+        rest = tail(led, material, trajectory)
+        corrected[name, substrate, curve, method] = (led, material, trajectory, rest)
+    return corrected
+
+
 def _plan_of(key: tuple, plans: dict) -> tuple:
-    rod, _, name, method, _ = key
-    return plans[rod, name, method]
+    rod, substrate, name, method, _ = key
+    return plans.get((rod, substrate, name, method)) or plans[rod, name, method]
 
 
 def _trial(key: tuple, plans: dict):

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import importlib
+import sys
 import warnings
 
 import click
 
 from wrod import __version__
-from wrod.errors import WrodError, WrodWarning
+from wrod.commands.bounds import bounded
+from wrod.commands.running import INTERRUPTED, REFUSED, holding_output, stop
+from wrod.errors import WrodWarning
+from wrod.files.writing import begin
 
 COMMANDS = (
     "plan",
+    "show",
     "deploy",
     "loop",
     "scan",
@@ -31,6 +36,7 @@ class LazyGroup(click.Group):
     def __init__(self, *args, package: str, names: tuple[str, ...], **kwargs):
         super().__init__(*args, **kwargs)
         self.package, self.names = package, names
+        self.loaded: dict[str, click.Command] = {}
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.names)
@@ -38,15 +44,31 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in self.names:
             return None
-        module = importlib.import_module(f"{self.package}.{name.replace('-', '_')}")
-        return module.command
+        if name not in self.loaded:
+            module = importlib.import_module(f"{self.package}.{name.replace('-', '_')}")
+            path = name if self.package == "wrod.commands" else f"bench {name}"
+            self.loaded[name] = holding_output(bounded(module.command, path))
+        return self.loaded[name]
 
     def invoke(self, ctx: click.Context):
         try:
             return super().invoke(ctx)
-        except WrodError as error:
-            click.echo(f"wrod: {error}", err=True)
-            ctx.exit(2)
+        except click.UsageError as error:
+            path = ctx.command_path if error.ctx is None else error.ctx.command_path
+            click.echo(f"wrod: {error.format_message()} (see {path} --help)", err=True)
+            ctx.exit(REFUSED)
+        except (click.ClickException, click.exceptions.Exit, click.Abort):
+            raise
+        except (Exception, KeyboardInterrupt) as error:
+            stop(ctx, error)
+
+    def main(self, *args, **kwargs):
+        begin()
+        try:
+            return super().main(*args, **kwargs)
+        except KeyboardInterrupt:  # before a command began, or after it ended
+            click.echo("wrod: interrupted", err=True)
+            sys.exit(INTERRUPTED)
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):

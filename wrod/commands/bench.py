@@ -21,7 +21,10 @@ BENCHMARKS = (
     "cables",
     "loop",
     "closures",
+    "slippery",
     "applications",
+    "photographs",
+    "hands",
 )
 
 

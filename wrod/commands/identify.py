@@ -28,16 +28,15 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.identification import identify, identify_motion, is_motion
+    from wrod.identification import identify
 
-    ask = identify_motion if is_motion(data) else identify
     with tqdm(total=4, disable=None, leave=False, bar_format="{desc}: {elapsed}") as bar:
 
         def say(text: str) -> None:
             bar.set_description(text)
             bar.update()
 
-        report = ask(data, test=test, candidates=names or None, device=device, progress=say)
+        report = identify(data, test=test, candidates=names or None, device=device, progress=say)
     written = report.save(out)
     if as_json:
         content = report.to_dict() | {"written": [str(p) for p in written]}

@@ -27,6 +27,8 @@ from wrod.commands.options import DEVICE, ROD, UNITS, options, read_pattern, rea
     "--holding", is_flag=True, help="Measured with the grip holding, not after it let go."
 )
 @click.option("--iterations", default=2, show_default=True, help="Steps of the fit; 0: residual.")
+@click.option("--fit-friction", is_flag=True, help="Find the table's friction, too.")
+@click.option("--table", type=click.Path(dir_okay=False, path_type=Path), help="Its file (.json).")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Fitted rod (.json).")
 @options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
@@ -43,6 +45,8 @@ def command(
     friction: float,
     holding: bool,
     iterations: int,
+    fit_friction: bool,
+    table: Path | None,
     out: Path | None,
     device: str,
     as_json: bool,
@@ -51,16 +55,19 @@ def command(
 
     RODS are scans (`wrod scan --out`), deployments (`wrod deploy`) or files of points, all laid by
     one trajectory. The residual is explained by simulated deployments with another natural
-    curvature and another L_gb.
+    curvature and another L_gb, with --fit-friction also with another friction.
     """
     from tqdm import tqdm
 
     from wrod.deployment.simulate import with_remainder_of
+    from wrod.deployment.table import Table
     from wrod.errors import DataError
     from wrod.identification.laid.fit import fit_laid
     from wrod.identification.laid.measurements import load_laid
     from wrod.planning.trajectory import Trajectory
 
+    if table is not None and not (fit_friction and iterations > 0):
+        raise DataError("--table is for the friction found; add --fit-friction and iterations")
     if iterations == 0 and out is not None:
         raise DataError("--out is for the fitted rod, and --iterations 0 fits none; drop one")
     path = Trajectory.load(trajectory)
@@ -81,6 +88,7 @@ def command(
         with tqdm(total=1.0, leave=False, desc="laid", disable=as_json, bar_format=shown) as bar:
             fit = fit_laid(
                 laid, rod, path, friction, released=not holding, iterations=iterations,
+                fit_friction=fit_friction,
                 device=device,
                 progress=lambda share: bar.update(min(share, bar.total - bar.n)),
             )  # fmt: skip
@@ -92,9 +100,16 @@ def command(
             "alone_mm": {name: 1e3 * value for name, value in fit.alone.items()},
             "parameters": {name: asdict(value) for name, value in fit.estimates.items()},
             "rod": asdict(fit.rod),
+            "friction": fit.friction,
+            "correlation": fit.correlation,
         }
-        if out is not None:
-            figures["written"] = [str(fit.rod.save(out))]
+        written = [] if out is None else [str(fit.rod.save(out))]
+        if table is not None:
+            error = fit.estimates["log_friction"].stderr
+            found = Table(fit.friction, error, fit.correlation)
+            written.append(str(found.save(table)))
+        if written:
+            figures["written"] = written
     if as_json:
         click.echo(json.dumps(figures, indent=2))
         return

@@ -68,7 +68,7 @@ def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, 
     from wrod.robot.solve import UnreachedError
     from wrod.scene.deliver import deliver
 
-    with tqdm(total=4, unit="step", leave=False, delay=1.0, disable=quiet or None) as steps:
+    with tqdm(total=5, unit="step", leave=False, delay=1.0, disable=quiet or None) as steps:
 
         def step(what: str) -> None:
             steps.set_description(what)

@@ -75,6 +75,7 @@ def command(
 
     from wrod.errors import DataError
     from wrod.files import write_atomically
+    from wrod.machine import require_memory
     from wrod.rods.batch import resolve_device
     from wrod.training.dataset import GraspTable, load
     from wrod.training.finish import finished
@@ -98,10 +99,16 @@ def command(
         "width": width,
         "sensitivity_weight": sensitivity_weight,
     }
-    recipe = find(name or ("curved" if curved else "default"))
+    recipe = find(("curved" if curved else "default") if name is None else name)
     recipe = replace(recipe, **{k: v for k, v in changes.items() if v is not None})
     recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
     device = resolve_device(device)
+    # Values of every layer, their gradients and tangents, and the optimiser's matrices.
+    require_memory(
+        recipe.width * 8.0 * (recipe.depth + 1) * (8.0 * recipe.batch + 12.0 * recipe.width),
+        f"batches of {recipe.batch} in a network {recipe.width} wide",
+        "give a smaller --batch or --width",
+    )
     refine = 0
     if generate is not None:
         refine = generate // 5

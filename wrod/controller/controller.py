@@ -193,6 +193,9 @@ class Controller:
         return outside
 
     def _inputs(self, *inputs):
+        for name, value in zip(_INPUTS, inputs, strict=True):
+            if isinstance(value, (str, bytes, dict, type(None))):
+                raise GraspError(f"{name} must be numbers, not {value!r:.60}")
         torch = sys.modules.get("torch")
         if torch is not None and any(isinstance(value, torch.Tensor) for value in inputs):
             like = next(value for value in inputs if isinstance(value, torch.Tensor))
@@ -204,7 +207,10 @@ class Controller:
         else:
             xp, stack = np, lambda arrays: np.stack(arrays, -1)
             broadcast, finite = np.broadcast_arrays, np.isfinite
-            tensors = [np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in inputs]
+            try:
+                tensors = [np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in inputs]
+            except (TypeError, ValueError, OverflowError) as error:
+                raise GraspError(f"grasp inputs must be numbers ({error})") from None
         try:
             tensors = broadcast(*tensors)
         except (ValueError, RuntimeError):

@@ -25,6 +25,7 @@ import numpy as np
 
 from wrod.errors import SceneError
 from wrod.files import read_json, schemas, write_atomically
+from wrod.files.reading import shown
 from wrod.patterns.pattern import Pattern
 from wrod.solvers.contact import Box, Cylinder, Plane
 
@@ -110,12 +111,13 @@ class Fixtures:
         names = [item.name for item in self.items]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
-            raise SceneError(f"{self.name}: fixture {min(twice)!r} is named twice")
+            raise SceneError(f"{self.name}: fixture {min(twice)!r:.80} is named twice")
         for gate in self.gates:
             for name in gate:
                 if name not in names:
                     raise SceneError(
-                        f"{self.name}: gate {list(gate)} names {name!r}, which is no fixture"
+                        f"{self.name}: gate {shown(list(gate))} names {name!r:.80}, which is no "
+                        "fixture"
                     )
 
     @property

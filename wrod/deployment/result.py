@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError
-from wrod.files import write_atomically
+from wrod.files import read_arrays, write_atomically
 from wrod.patterns.pattern import Pattern
 
 # Points of the accuracy metric (Eq. metric, N = 50).
@@ -77,19 +77,16 @@ class Deployment:
         Raises:
             DataError: the file is missing, truncated or not a deployment.
         """
+        what = "the .npz of a deployment that `wrod deploy` wrote"
+        data = read_arrays(path, what)
+        if str(data.get("format")) != _FORMAT:
+            raise DataError(f"{path}: is not of the format {_FORMAT}; give {what}")
+        names = [f.name for f in fields(cls) if f.name in data]
         try:
-            with np.load(path, allow_pickle=False) as data:
-                if str(data["format"]) != _FORMAT:
-                    raise DataError(f"{path}: holds {data['format']}, not a {_FORMAT}")
-                names = [f.name for f in fields(cls) if f.name in data.files]
-                return cls(**{name: data[name][()] for name in names})
-        except DataError:
-            raise
-        except Exception as error:
-            raise DataError(
-                f"{path}: not a readable deployment ({error}); give the .npz that `wrod deploy` "
-                "wrote"
-            ) from error
+            return cls(**{name: data[name][()] for name in names})
+        except TypeError as error:
+            said = str(error).replace("Deployment.__init__() ", "")
+            raise DataError(f"{path}: {said}; give {what}") from None
 
 
 def errors_along(

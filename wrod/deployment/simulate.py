@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.grip_path import GripMotion
 from wrod.deployment.result import Deployment, deployment_error
@@ -23,6 +24,7 @@ from wrod.deployment.setup import (
     tail,
 )
 from wrod.errors import RodError
+from wrod.machine import require_memory
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.batch import RodBatch, node_positions, resolve_device
@@ -36,6 +38,8 @@ from wrod.solvers.dynamics import Dynamics
 _SINKING = 1.0 / 600.0
 _SINKING_AT_POSTS = _SINKING / 10.0
 # Rods stepped at once on a CPU.
+# Beyond these a deployment takes weeks; what a node holds in states and factors.
+_MOST_STEPS, _MOST_NODES, _NODE_BYTES = 2e7, 2e5, 4096.0
 _CPU_CHUNK = 16
 
 
@@ -52,6 +56,17 @@ class Trial:
     fixtures: Fixtures | None = None
 
 
+@arguments.checked(
+    RodError,
+    pattern=arguments.like("a wrod.Pattern", "sample", "length", "remainder_length"),
+    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
+    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
+    friction=arguments.either(
+        arguments.like("a wrod.Friction", "static", "kinetic"), arguments.number(0.0, 1e3)
+    ),
+    disturbance=arguments.optional(arguments.like("a wrod.Disturbance", "jitter")),
+    fixtures=arguments.optional(arguments.like("a wrod.Fixtures", "items", "gates")),
+)
 def simulate_deployment(
     pattern: Pattern,
     rod: RodMaterial,
@@ -92,6 +107,26 @@ def simulate_deployment(
     return simulate_deployments([trial], **options)[0]
 
 
+@arguments.checked(
+    RodError,
+    trials=arguments.several(
+        arguments.like("a wrod.Trial", "pattern", "rod", "trajectory", "friction"), least=0
+    ),
+    hold=arguments.number(0.0, 100.0),
+    release=arguments.optional(arguments.number(0.0, 100.0)),
+    speed=arguments.number(1e-5, 100.0),
+    spacing=arguments.number(1e-5, 1.0),
+    node_count=arguments.optional(arguments.whole(4, 100_000)),
+    step=arguments.number(1e-6, 1.0),
+    scheme=arguments.text,
+    air_damping=arguments.number(0.0, 1e6),
+    internal_damping=arguments.number(0.0, 1e6),
+    tolerance=arguments.number(1e-15, 1.0),
+    frame_interval=arguments.optional(arguments.number(1e-5, 1e6)),
+    device=arguments.optional(arguments.text),
+    threads=arguments.optional(arguments.whole(0, 4096)),
+    progress=arguments.optional(arguments.callback),
+)
 def simulate_deployments(
     trials: list[Trial],
     *,
@@ -124,7 +159,7 @@ def simulate_deployments(
         node_count: nodes of every rod instead, so that results do not depend on which trials are
             simulated together; default: what the longest needs.
         step: largest time step [s].
-        scheme: "euler" or "bdf2".
+        scheme: "euler", "bdf2" or "midpoint".
         air_damping: drag per mass and velocity [1/s].
         internal_damping: Kelvin-Voigt time of the material [s].
         tolerance: of a step's residual forces, over the weight of one L_gb of rod.
@@ -144,6 +179,7 @@ def simulate_deployments(
     release = hold if release is None else release
     if not release >= hold:
         raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
+    _refuse_endless(trials, speed, spacing, step, frame_interval)
     setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     options = dict(
         step=step,
@@ -183,6 +219,25 @@ def simulate_deployments(
     else:
         parts = [run(chunk) for chunk in chunks]
     return [deployment for part in parts for deployment in part]
+
+
+def _refuse_endless(trials: list[Trial], speed, spacing, step, frame_interval) -> None:
+    """Refuse what no machine ends, or this one has no memory for, before anything is laid."""
+    longest = max(float(trial.rod.length) for trial in trials)
+    nodes, duration = longest / spacing + 100.0, 2.0 * longest / speed
+    if duration / step > _MOST_STEPS or nodes > _MOST_NODES:
+        raise RodError(
+            f"{longest:g} m of rod at {speed:g} m/s in steps of {step:g} s and edges of "
+            f"{spacing:g} m take {duration / step:.2g} steps of {nodes:.2g} nodes; give a larger "
+            "speed, step or spacing"
+        )
+    frames = 0.0 if frame_interval is None else duration / frame_interval
+    require_memory(
+        len(trials) * nodes * (_NODE_BYTES + 24.0 * frames),
+        f"{len(trials)} trials of {nodes:.0f} nodes"
+        + (f" and {frames:.0f} frames" if frames else ""),
+        "ask for fewer trials or frames, or a larger spacing",
+    )
 
 
 def nodes_needed(trials: list[Trial], spacing: float) -> int:

@@ -299,12 +299,14 @@ class Tangents:
 
         self.friction, self.coupling = per_node(wp.mat33d), per_node(wp.mat33d)
         self.by_coefficient, self.push = per_node(wp.vec3d), per_node(wp.vec3d)
+        self.memory, self.sliding_memory = per_node(wp.mat33d), per_node(wp.mat33d)
         self.elastic, self.natural = (
             wp.zeros((rods, dofs), dtype=wp.float64, device=device) for _ in range(2)
         )
         band = 2 * kernels.HALF_BANDWIDTH + 1
         self.factor = wp.zeros((rods, dofs, band), dtype=wp.float64, device=device)
-        self.roll = contact.roll_stiffness
+        self.roll = per_node(wp.float64)
+        self.turned = zeros(nodes)
         self.packs = packs
 
     def follow(self, dynamics: Dynamics) -> None:
@@ -317,7 +319,8 @@ class Tangents:
             wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
 
         about_contact = [self.friction, self.coupling, self.by_coefficient, self.push]
-        self.contact.linearise(accepted, state.dof, start.dof, about_contact)
+        memory = [self.memory, self.sliding_memory, self.roll]
+        self.contact.linearise(accepted, state.dof, start.dof, about_contact + memory)
         launch(
             kernels.elastic_forces,
             (rods, dofs),
@@ -345,8 +348,9 @@ class Tangents:
             + [self.path, self.friction_rate, self.stiffness_rate, self.natural_rate]
             + [self.roll, self.begin, accepted, batch.free, dynamics.time, dynamics.step]
             + [dynamics.coefficient, state.tangent, self.friction, self.by_coefficient, self.push]
+            + [self.memory]
             + [self.elastic, self.natural, self.now, self.older, self.velocity]
-            + [self.velocity_older, self.bristle],
+            + [self.velocity_older, self.bristle, self.turned],
             [self.x],
         )
         launch(
@@ -354,8 +358,9 @@ class Tangents:
             (rods, self.packs),
             [self.contact.tangent_stiffness, self.friction_rate, self.begin, accepted]
             + [dynamics.time, dynamics.step, dynamics.coefficient, self.factor]
-            + about_contact,
-            [self.x, self.now, self.older, self.velocity, self.velocity_older, self.bristle],
+            + [*about_contact, self.sliding_memory, self.roll],
+            [self.x, self.now, self.older, self.velocity, self.velocity_older, self.bristle]
+            + [self.turned],
         )
 
     def values(self) -> np.ndarray:

@@ -152,7 +152,7 @@ def decode_json(
     """As `read_json`, of JSON that stands within another file; `where` names it in messages."""
     content = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
     try:
-        _refuse_depth(content)
+        refuse_depth(content)
         value = msgspec.json.decode(content, type=schema)
     except RecursionError:
         raise error(f"{where}: is nested too deeply to be {what}") from None
@@ -180,6 +180,8 @@ def entry_message(reason: str) -> str:
     """msgspec's account of a wrong entry in our words: the entry first."""
     reason, _, place = reason.partition(" - at ")
     place = place.strip("`").removeprefix("$").removeprefix(".").replace("[...]", "")
+    reason = re.sub(r"([`'][^`']{60})[^`']+([`'])", r"\1…\2", reason)
+    place = place if len(place) <= 120 else f"{place[:119]}…"
     reason = reason.replace("`", "'").replace("Object missing required field", "lacks the entry")
     reason = reason.replace("Object contains unknown field", "has an unknown entry")
     reason = re.sub("^Invalid enum value", "has the unknown value", reason)
@@ -202,7 +204,7 @@ def shown(value: object, most: int = 80) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def _refuse_depth(content: bytes) -> None:
+def refuse_depth(content: bytes) -> None:
     """Refuse JSON whose brackets outside of text are nested more deeply than any of ours."""
     depth = 0
     for mark in _MARKS.finditer(content):

@@ -6,9 +6,9 @@ NaN or infinity, and numbers that no float64 holds are refused, so every number 
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from msgspec import Meta, Struct, field
+from msgspec import Meta, Struct
 
 # A table, and everything on it or beside it, lies within 100 m.
 Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0, description="[m]")]
@@ -243,8 +243,41 @@ class TrajectoryMetadata(_Open, frozen=True):
     warnings: Annotated[list[str], Meta(max_length=1000)] = []
 
 
-class Campaign(_Open, frozen=True):
-    """First line of a campaign's file: what all its trials have in common."""
+class CampaignRow(_Open, frozen=True):
+    """A trial of a campaign (a line of its trials.jsonl), beside what tells which it is."""
 
-    format: Name
-    settings: dict[str, Any] = field(default_factory=dict)
+    diverged: bool
+    steps: Count
+
+
+class Table3Row(CampaignRow, frozen=True):
+    """A trial of `wrod bench table3`: figures in cm, and the laid curve in m."""
+
+    error_mean: float
+    error_std: float
+    released_error_mean: float
+    released_error_std: float
+    slip: float
+    curve: Annotated[list[tuple[float, float]], Meta(max_length=10_000)]
+
+
+class ApplicationsRow(_Open, frozen=True):
+    """A trial of `wrod bench applications`."""
+
+    case: Name
+    method: Name
+    trial: Count
+    success: bool
+    why: str
+    cpu_seconds: float
+    steps: Count
+    curves: dict[str, list[list[list[float]]]]
+
+
+class HiddenRow(_Open, frozen=True):
+    """A set of `wrod bench identify --hidden`."""
+
+    set: Name
+    seed: Count
+    noise: Name
+    outcome: Name

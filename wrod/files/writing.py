@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO
+
+# The last of what was written whole, for the message of a command that ends early.
+_FINISHED: deque[Path] = deque(maxlen=1000)
 
 
 def write_atomically(
@@ -14,7 +19,7 @@ def write_atomically(
 ) -> Path:
     """Call `write(file)` on a temporary file beside `path`, then move it there.
 
-    A reader, or a process killed half-way, never sees a half-written file.
+    A reader, or a process killed half-way, never sees a half-written file. `finished` knows of it.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -25,6 +30,18 @@ def write_atomically(
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except BaseException:
-        os.unlink(temporary)
+        with contextlib.suppress(OSError):  # the folder may be gone, and the reason is elsewhere
+            os.unlink(temporary)
         raise
+    _FINISHED.append(path)
     return path
+
+
+def finished() -> list[Path]:
+    """The last files that were written whole since `begin`, in order."""
+    return list(dict.fromkeys(_FINISHED))
+
+
+def begin() -> None:
+    """Forget what `finished` knows: a new command begins."""
+    _FINISHED.clear()

@@ -155,7 +155,13 @@ def _outside(name: str, index: int, value: float) -> str:
 
 def check_inputs(*inputs) -> tuple[np.ndarray, ...]:
     """(l_s, kappa, k_s) and anything after them as arrays of one shape (n,), or GraspError."""
-    arrays = [np.asarray(value, dtype=np.float64) for value in inputs]
+    names = ("suspended_length", "curvature", "stretch_ratio", "natural_curvature")
+    arrays = []
+    for value, name in zip(inputs, (*names, *names), strict=False):
+        try:
+            arrays.append(np.asarray(value, dtype=np.float64))
+        except (TypeError, ValueError, OverflowError):
+            raise GraspError(f"{name} must be numbers, not {value!r:.60}") from None
     try:
         arrays = [np.atleast_1d(a) for a in np.broadcast_arrays(*arrays)]
     except ValueError:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.general import curved_rods, solve_general
 from wrod.grasps.inputs import LIMITS, GraspArrays
@@ -84,6 +85,15 @@ class Grasps:
         return len(self.position)
 
 
+@arguments.checked(
+    GraspError,
+    closure=arguments.text,
+    poisson=arguments.number(-1.0, 0.5),
+    device=arguments.optional(arguments.text),
+    edge_count=arguments.whole(4, 4096),
+    threads=arguments.optional(arguments.whole(0, 4096)),
+    progress=arguments.optional(arguments.callback),
+)
 def solve_grasps(
     suspended_length,
     curvature,

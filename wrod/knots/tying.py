@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from wrod import arguments
+from wrod.errors import RodError
 from wrod.knots.laying import lay
 from wrod.knots.moves import make
 from wrod.knots.plan import KnotPlan
@@ -17,6 +19,20 @@ from wrod.knots.trials import Handling, TyingResult
 from wrod.knots.tying_run import TyingRun
 
 
+@arguments.checked(
+    RodError,
+    knot=arguments.like("a KnotPlan", "rods", "steps", "pull"),
+    trials=arguments.several(arguments.like("a Handling", "__dict__")),
+    method=arguments.text,
+    friction=arguments.number(0.0, 1e3),
+    rod_friction=arguments.number(0.0, 1e3),
+    speed=arguments.number(1e-4, 10.0),
+    hand_speed=arguments.number(1e-4, 10.0),
+    step=arguments.number(1e-5, 1.0),
+    film_interval=arguments.optional(arguments.number(1e-4, 1e6)),
+    device=arguments.text,
+    progress=arguments.optional(arguments.callback),
+)
 def tie(
     knot: KnotPlan,
     trials: list[Handling],

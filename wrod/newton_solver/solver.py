@@ -78,7 +78,9 @@ class SolverDER(SolverBase):
         """
         Args:
             model: The model to be simulated.
-            scheme: "bdf2" (second order, hardly dissipates) or "euler" (first order, dissipates).
+            scheme: "bdf2" (second order, hardly dissipates), "midpoint" (a quarter of its error,
+                loses nothing; "bdf2" where anything is touched) or "euler" (first order,
+                dissipates).
             max_step: Longest time step of a rod [s]; a longer `dt` is divided. Defaults to `dt`.
             tolerance: Largest unbalanced force of a step over the rod's weight, or over
                 k_b / L^2 if that is larger.

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import PatternError
+from wrod.files import checked_path, read_arrays, read_text
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 _UNIT_WORDS = {
@@ -21,9 +22,13 @@ _UNIT_WORDS = {
 _DECLARED = re.compile(r"\bunits?\b\s*(?:[:=]|\bin\b|[\[(])\s*[\[(\"']?\s*([A-Za-zµμ]+)", re.I)
 _COLUMN = re.compile(r"^\s*[\"']?([xyz])(?:[\s_\[(]+([A-Za-zµμ]+)[\])]*)?[\"']?\s*$", re.I)
 _SPLIT = re.compile(r"[,;\s]+")
+# A drawn metre has a point every 50 micrometres then; smoothing takes a second for so many.
+_MAX_POINTS = 20_000
+_MAX_BYTES = 16 * 2**20
+# A table lies within so much [m].
+_FARTHEST = 100.0
 _DECIMAL_COMMA = re.compile(r"^[+-]?\d+(,\d+)?([eE][+-]?\d+)?$")
 _COMMAS_ONLY = re.compile(r"^\s*[+-]?\d+(\s*,\s*[+-]?\d+)+\s*$")
-_MAX_POINTS = 1_000_000
 
 
 @dataclass
@@ -61,46 +66,35 @@ def read_points(path: str | os.PathLike[str]) -> RawPoints:
     Raises:
         PatternError: the file is missing, unreadable or holds no table of points.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise PatternError(f"{path}: no such file; give a file of points or a built-in pattern")
+    path = checked_path(path, "a file of points or a built-in pattern", error=PatternError)
     if path.suffix.lower() in (".npy", ".npz"):
         return _read_numpy(path)
     return _read_text(path)
 
 
 def _read_numpy(path: Path) -> RawPoints:
-    units = None
-    try:
-        data = np.load(path, allow_pickle=False)
-        if isinstance(data, np.lib.npyio.NpzFile):
-            with data:
-                if "units" in data.files:
-                    units = str(data["units"])
-                names = [name for name in data.files if data[name].ndim == 2]
-                if "points" in data.files:
-                    names = ["points"]
-                if len(names) != 1:
-                    raise PatternError(
-                        f"{path}: holds {len(names)} tables; save the points as the array 'points'"
-                    )
-                data = data[names[0]]
-    except PatternError:
-        raise
-    except Exception as error:
-        raise PatternError(f"{path}: not a readable NumPy file of numbers ({error})") from None
+    arrays = read_arrays(path, "a NumPy file of points", error=PatternError, limit=_MAX_BYTES)
+    units = str(arrays["units"])[:100] if "units" in arrays else None
+    names = [name for name, array in arrays.items() if array.ndim == 2]
+    names = [name for name in ("", "points") if name in arrays] or names
+    if len(names) != 1:
+        raise PatternError(
+            f"{path}: holds {len(names)} tables; save the points as the array 'points'"
+        )
+    data = arrays[names[0]]
+    if data.ndim != 2:
+        raise PatternError(
+            f"{path}: has shape {data.shape}; give one row of x, y (and z) per point"
+        )
+    if len(data) > _MAX_POINTS:
+        raise PatternError(f"{path}: {_too_many(len(data))}")
     if data.dtype.kind not in "fiu":
         raise PatternError(f"{path}: holds {data.dtype} values; save plain numbers")
     return RawPoints(np.asarray(data, dtype=float), str(path), units)
 
 
 def _read_text(path: Path) -> RawPoints:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise PatternError(
-            f"{path}: not a readable text file ({error}); give text, CSV, NPY or NPZ"
-        ) from None
+    text = read_text(path, "text, CSV, NPY or NPZ", error=PatternError, limit=_MAX_BYTES)
     units, columns, count, rows, lines = None, None, 0, [], []
     for number, line in enumerate(text.splitlines(), start=1):
         content = line.strip()
@@ -130,7 +124,7 @@ def _read_text(path: Path) -> RawPoints:
         rows.append([values[column] for column in columns])
         lines.append(number)
         if len(rows) > _MAX_POINTS:
-            raise PatternError(f"{path}: more than {_MAX_POINTS} points; thin the pattern out")
+            raise PatternError(f"{path}: {_too_many(len(rows))}")
     if not rows:
         raise PatternError(f"{path}: holds no points; give at least 3")
     if count in (4, 6) and _COMMAS_ONLY.match(text.splitlines()[lines[0] - 1]):
@@ -139,6 +133,10 @@ def _read_text(path: Path) -> RawPoints:
             "with decimal commas; write decimal points, or put semicolons between the columns"
         )
     return RawPoints(np.array(rows, dtype=float), str(path), units, lines)
+
+
+def _too_many(count: int) -> str:
+    return f"has {count} points or more, and at most {_MAX_POINTS} are taken; thin it out"
 
 
 def _cells(content: str) -> list[str]:
@@ -210,8 +208,10 @@ def checked_points(raw: RawPoints, units: str | None) -> np.ndarray:
             "drop one of them"
         )
     points = raw.points
-    if len(points) == 0:
+    if points.ndim == 0 or len(points) == 0:
         raise PatternError(f"{raw.source}: holds no points; give at least 3")
+    if len(points) > _MAX_POINTS:
+        raise PatternError(f"{raw.source}: {_too_many(len(points))}")
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise PatternError(
             f"{raw.source}: has shape {points.shape}; give one row of x, y (and z) per point"
@@ -222,7 +222,14 @@ def checked_points(raw: RawPoints, units: str | None) -> np.ndarray:
         raise PatternError(
             f"{raw.where(bad[0])}: a coordinate is {value}; remove the point or correct it"
         )
-    points = points * scale
+    with np.errstate(over="ignore"):
+        points = points * scale
+    far = np.flatnonzero(np.abs(points).max(axis=1) > _FARTHEST)
+    if len(far):
+        raise PatternError(
+            f"{raw.where(far[0])}: lies {np.abs(points[far[0]]).max():.3g} m from the origin; a "
+            "table lies within 100 m, so check the units"
+        )
     if points.shape[1] == 2:
         points = np.column_stack([points, np.zeros(len(points))])
     if len(np.unique(points, axis=0)) < 3:

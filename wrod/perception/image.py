@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
+import warnings
 
 import numpy as np
 
 from wrod.errors import PerceptionError
+from wrod.files import checked_path
 
+# Most pixels of a picture: three times those of a phone; tracing them needs 2 GiB.
+LARGEST = 36_000_000
+_MOST_BYTES = 256 * 2**20
 SMALLEST = 16  # shorter side below which no stroke can be told from noise [px]
 
 
@@ -22,8 +27,16 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     """
     from PIL import Image, ImageOps, UnidentifiedImageError
 
+    checked_path(path, "a JPEG or PNG", error=PerceptionError, limit=_MOST_BYTES)
     try:
-        with Image.open(path) as picture:
+        with warnings.catch_warnings(), Image.open(path) as picture:
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # refused below
+            width, height = picture.size
+            if width * height > LARGEST:
+                raise PerceptionError(
+                    f"{path}: has {width} x {height} px, and at most {LARGEST / 1e6:.0f} million "
+                    "are traced; scale it down"
+                )
             picture = ImageOps.exif_transpose(picture)
             if picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info:
                 picture = picture.convert("RGBA")
@@ -33,13 +46,13 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
                 array = np.array(picture)
             else:
                 array = np.array(picture.convert("L" if picture.mode == "L" else "RGB"))
-    except FileNotFoundError:
-        raise PerceptionError(f"{path}: no such picture") from None
     except UnidentifiedImageError:
         raise PerceptionError(
             f"{path}: not a picture that can be read; give a JPEG or PNG"
         ) from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except PerceptionError:
+        raise
+    except Exception as error:  # each of Pillow's readers has its own
         raise PerceptionError(
             f"{path}: the picture is damaged or truncated ({error}); copy it again"
         ) from None
@@ -56,6 +69,13 @@ def as_image(image: np.ndarray, name: str = "the picture") -> np.ndarray:
         PerceptionError: other shapes or types, not finite, or smaller than 16 px.
     """
     image = np.asarray(image)
+    if image.dtype.kind not in "buif":
+        raise PerceptionError(f"{name}: holds {image.dtype} values; give bool, uint8, or float")
+    if image.ndim in (2, 3) and image.shape[0] * image.shape[1] > LARGEST:
+        raise PerceptionError(
+            f"{name}: has {image.shape[1]} x {image.shape[0]} px, and at most "
+            f"{LARGEST / 1e6:.0f} million are traced; scale it down"
+        )
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
     if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (3, 4)):

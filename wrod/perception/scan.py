@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import PerceptionError
 from wrod.perception.image import as_image, is_mask, read_image
 from wrod.perception.metric import Camera, MarkerLayout, Plane
@@ -90,6 +91,11 @@ def read_scan(
     return Scan(name, picture, found, lines, plane, dots)
 
 
+@arguments.checked(
+    PerceptionError,
+    image=arguments.either(arguments.path, arguments.array((None, None), (None, None, None))),
+    scale=arguments.optional(arguments.number(1e-9, 10.0)),
+)
 def scan(
     image: str | os.PathLike[str] | np.ndarray,
     *,

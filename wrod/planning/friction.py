@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.errors import PatternError
+from wrod import arguments
+from wrod.errors import PatternError, RodError
 from wrod.patterns.pattern import Pattern
 from wrod.rods.material import RodMaterial
 
@@ -39,6 +40,13 @@ class FrictionBound:
         ]
 
 
+@arguments.checked(
+    RodError,
+    pattern=arguments.like("a wrod.Pattern", "sample", "length", "remainder_length"),
+    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
+    friction=arguments.optional(arguments.number(0.0, 1e3)),
+    spacing=arguments.number(1e-5, 10.0),
+)
 def friction_bound(
     pattern: Pattern, rod: RodMaterial, friction: float | None = None, spacing: float = 0.001
 ) -> FrictionBound:

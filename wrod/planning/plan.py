@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from wrod import arguments
 from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
 from wrod.grasps.mesh import WEIGHT
 from wrod.patterns.pattern import Pattern
@@ -45,6 +46,22 @@ SMALL_STABILITY_MARGIN = CHAIN_MARGIN / 3.0
 _SAME_GRASP = 0.06
 
 
+@arguments.checked(
+    PatternError,
+    pattern=arguments.like("a wrod.Pattern", "sample", "length", "remainder_length"),
+    spacing=arguments.number(2e-4, 10.0),
+)
+@arguments.checked(
+    GraspError,
+    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
+    method=arguments.text,
+    closure=arguments.optional(arguments.text),
+    remainder=arguments.either(arguments.flag, arguments.number(0.0, 100.0)),
+    roll=arguments.either(arguments.text, arguments.number(-1e6, 1e6)),
+    controller=arguments.like("a wrod.Controller", "predict", "out_of_range"),
+    device=arguments.optional(arguments.text),
+    progress=arguments.optional(arguments.callback),
+)
 def plan(
     pattern: Pattern,
     rod: RodMaterial,

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import DataError
-from wrod.files import write_atomically
+from wrod import arguments
+from wrod.errors import DataError, RobotError
+from wrod.files import read_arrays, write_atomically
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
@@ -97,26 +98,36 @@ class JointPath:
             DataError: the file is missing, truncated or not a joint path.
         """
         names = ("time", "positions", "velocities", "arc_length", "node_time", "node_positions")
+        what = "the .npz of a joint path that `wrod plan` wrote"
+        data = read_arrays(path, what)
+        if str(data.get("format")) != _FORMAT:
+            raise DataError(f"{path}: is not of the format {_FORMAT}; give {what}")
         try:
-            with np.load(path, allow_pickle=False) as data:
-                if str(data["format"]) != _FORMAT:
-                    raise DataError(f"{path}: holds {data['format']}, not a {_FORMAT}")
-                return cls(
-                    tuple(map(str, data["names"])),
-                    *(data[name] for name in names),
-                    Placement(*map(float, data["placement"])),
-                    Grip(*map(float, data["grip"])),
-                    robot,
-                    json.loads(str(data["metadata"])),
-                )
-        except DataError:
-            raise
-        except Exception as error:
-            raise DataError(
-                f"{path}: not a readable joint path ({error}); give the .npz that `wrod plan` wrote"
-            ) from error
+            return cls(
+                tuple(map(str, data["names"])),
+                *(data[name] for name in names),
+                Placement(*map(float, data["placement"])),
+                Grip(*map(float, data["grip"])),
+                robot,
+                json.loads(str(data["metadata"])),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(f"{path}: lacks {error}; give {what}") from None
 
 
+@arguments.checked(
+    RobotError,
+    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
+    robot=arguments.either(arguments.path, arguments.like("a Robot", "joint_names", "chain")),
+    grip_angle=arguments.either(arguments.text, arguments.number(-1e3, 1e3)),
+    gripper_length=arguments.optional(arguments.number(1e-3, 10.0)),
+    flange=arguments.optional(arguments.text),
+    grip_speed=arguments.number(1e-4, 10.0),
+    rate=arguments.number(1.0, 1e4),
+    limit_margin=arguments.number(0.0, 3.0),
+    clearance=arguments.number(0.0, 1.0),
+    rod_radius=arguments.number(1e-6, 1.0),
+)
 def solve_joint_path(
     trajectory: Trajectory,
     robot: str | os.PathLike[str] | Robot = "sawyer",

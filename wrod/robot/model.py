@@ -14,6 +14,7 @@ import numpy as np
 
 from wrod.errors import RobotError, WrodWarning
 from wrod.robot.urdf import LinkShape, UrdfFile, read_urdf
+from wrod.robot.urdf_checks import check_reach
 from wrod.scenes import gripper as gripper_model
 from wrod.scenes import sawyer
 from wrod.scenes.arms import TABLES, arm_urdf
@@ -254,6 +255,10 @@ def _build(urdf: UrdfFile, gripper_length: float, acceleration: float, jerk: flo
     elements = {joint.get("name"): joint for joint in urdf.joints}
     for name in names:
         joint = elements[name]
+        if joint.get("type") == "prismatic":
+            raise RobotError(
+                f"{urdf.path}: joint {name!r} slides; paths are planned for joints that turn"
+            )
         limit = joint.find("limit")
         if joint.get("type") == "continuous":
             limits.append((-np.inf, np.inf))
@@ -265,6 +270,7 @@ def _build(urdf: UrdfFile, gripper_length: float, acceleration: float, jerk: flo
             raise RobotError(f"{urdf.path}: joint {name!r} has no velocity limit")
         velocity.append(float(limit.get("velocity")))
     lower, upper = np.array(limits).T
+    check_reach(urdf.path, chain, lower, upper)
     count = len(names)
     return Robot(
         name=urdf.root.get("name", urdf.path.stem),

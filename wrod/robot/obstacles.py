@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError
+from wrod.files import read_json
 from wrod.robot.capsules import Capsule, capsules_of
 from wrod.robot.urdf import LinkShape
 
 _BAR = 0.06  # [m] widest bar that a box is cut into
+# A cell has tens of them.
+_MOST = 500
 _SIZES = {"sphere": 1, "cylinder": 2, "box": 3}
 
 
@@ -35,12 +38,10 @@ class Obstacles:
             RobotError: the file is missing, or an entry is not such a shape; names it.
         """
         path = Path(path)
-        try:
-            entries = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise RobotError(f"{path}: not a readable file of obstacles ({error})") from None
-        if not isinstance(entries, list):
-            raise RobotError(f"{path}: give a list of obstacles, [{{'kind': 'box', ...}}]")
+        what = "a list of obstacles, [{'kind': 'box', ...}]"
+        entries = read_json(path, list[Any], what, error=RobotError)
+        if len(entries) > _MOST:
+            raise RobotError(f"{path}: holds {len(entries)} obstacles; at most {_MOST} are kept")
         return cls(tuple(_shape(path, k, entry) for k, entry in enumerate(entries)))
 
     def capsules(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -65,10 +66,10 @@ def _shape(path: Path, number: int, entry) -> LinkShape:
     def numbers(name: str, wanted: int, default) -> np.ndarray:
         try:
             values = np.atleast_1d(np.asarray(entry.get(name, default), dtype=float))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             values = np.array([])
-        if values.shape != (wanted,) or not np.isfinite(values).all():
-            raise RobotError(f"{where}: {name} must be {wanted} finite numbers")
+        if values.shape != (wanted,) or not (np.abs(values) <= 1e3).all():
+            raise RobotError(f"{where}: {name} must be {wanted} finite numbers, at most 1000")
         return values
 
     size = numbers("size", count, [1.0] * 3 if kind == "mesh" else None)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError
+from wrod.robot.urdf_checks import check_urdf, parse_xml, root_of
 
 # Usual names of the link that a gripper is screwed to, whole or as the end of one.
 _FLANGES = (
@@ -208,29 +209,9 @@ def read_urdf(path: str | os.PathLike[str]) -> UrdfFile:
             have, or names a mesh file that does not exist.
     """
     path = Path(path)
-    if not path.is_file():
-        raise RobotError(f"{path}: no such URDF file")
-    try:
-        if path.suffix == ".xacro":
-            root = ElementTree.fromstring(_expanded(path))
-        else:
-            root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise RobotError(f"{path}: not readable as XML ({error})") from error
-    if root.tag != "robot":
-        raise RobotError(f"{path}: its root element is <{root.tag}>, not <robot>; give a URDF file")
+    root = root_of(_expanded(path), path) if path.suffix == ".xacro" else parse_xml(path)
+    check_urdf(root, path)
     urdf = UrdfFile(path, root)
-    names = set(urdf.links)
-    for joint in urdf.joints:
-        for end in ("parent", "child"):
-            element = joint.find(end)
-            link = None if element is None else element.get("link")
-            if link not in names:
-                raise RobotError(
-                    f"{path}: joint {joint.get('name')!r} names the {end} link {link!r}, which "
-                    "the file does not have"
-                )
-    _ = urdf.base_link
     for mesh in root.iter("mesh"):
         urdf.mesh_path(mesh.get("filename", ""))
     return urdf

@@ -18,6 +18,14 @@ if TYPE_CHECKING:
 # `wrod.identification.folded_loop` derives it from the heavy elastica. The paper's 0.9066 belongs
 # to (k_b/(pi h^2 rho g))^(1/3), 2^(1/3) larger.
 LOOP_HEIGHT_RATIO = 1.14224
+# What rods, on whatever planet, may have: beyond, stiffnesses leave the range of float64.
+_BOUNDS = {
+    "radius": (1e-7, 10.0),
+    "gravito_bending_length": (1e-6, 1e4),
+    "length": (1e-6, 1e6),
+    "density": (1e-6, 1e7),
+    "gravity": (1e-9, 1e6),
+}
 
 
 @dataclass(frozen=True)
@@ -51,9 +59,16 @@ class RodMaterial:
     def __post_init__(self) -> None:
         for name in ("radius", "gravito_bending_length", "length", "density", "gravity"):
             value = getattr(self, name)
-            if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
+            low, high = _BOUNDS[name]
+            real = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not (real and value > 0 and value != math.inf):
                 raise RodError(
-                    f"rod {name} is {value!r}; give a positive finite number in SI units"
+                    f"rod {name} is {value!r:.80}; give a positive finite number in SI units"
+                )
+            if not low <= value <= high:
+                raise RodError(
+                    f"rod {name} is {value!r:.80}; no rod has that, give {low:g} to {high:g} in SI "
+                    "units"
                 )
         if not (isinstance(self.poisson, (int, float)) and -1.0 < self.poisson <= 0.5):
             raise RodError(
@@ -82,9 +97,9 @@ class RodMaterial:
         gravity: float = 9.81,
     ) -> RodMaterial:
         """Rod of a known Young's modulus [Pa]: L_gb = (E h^2 / (8 rho g))^(1/3) (Eq. material)."""
-        if not (math.isfinite(youngs_modulus) and youngs_modulus > 0):
+        if not (isinstance(youngs_modulus, (int, float)) and 0 < youngs_modulus < 1e15):
             raise RodError(
-                f"rod youngs_modulus is {youngs_modulus!r}; give a positive number of pascals"
+                f"rod youngs_modulus is {youngs_modulus!r:.80}; give a positive number of pascals"
             )
         probe = cls(radius, 1.0, length, poisson, density, gravity)  # validates before the division
         lgb = (youngs_modulus * radius**2 / (8.0 * probe.density * probe.gravity)) ** (1.0 / 3.0)
@@ -106,8 +121,8 @@ class RodMaterial:
         The height is that of the centreline above the flat part's centreline, and is
         1.14224 L_gb (see `wrod.identification.folded_loop`), not the paper's 0.9066 L_gb.
         """
-        if not (math.isfinite(loop_height) and loop_height > 0):
-            raise RodError(f"loop height is {loop_height!r}; give a positive number of metres")
+        if not (isinstance(loop_height, (int, float)) and 0 < loop_height < math.inf):
+            raise RodError(f"loop height is {loop_height!r:.80}; give a positive number of metres")
         lgb = loop_height / LOOP_HEIGHT_RATIO
         return cls(radius, lgb, length, poisson, density, gravity)
 
@@ -222,7 +237,7 @@ def rod(name: str) -> RodMaterial:
     """
     try:
         return _PRESETS[name]
-    except KeyError:
+    except (KeyError, TypeError):
         raise RodError(
             f"unknown rod {name!r}; known rods: {', '.join(rod_names())} "
             "(or build a wrod.RodMaterial of your own)"

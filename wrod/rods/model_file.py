@@ -7,9 +7,13 @@ import os
 import warnings
 from dataclasses import asdict, fields, replace
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from wrod.errors import RodError, WrodWarning
-from wrod.files import write_atomically
+from wrod.files import read_json, schemas, write_atomically
+from wrod.files.reading import entry_message
 from wrod.rods.law import law_as_json, law_of
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -121,8 +125,12 @@ def _material(path, content: dict, instead: dict) -> RodMaterial:
         content = {"format": MATERIAL_FORMAT, **_rod_of_old(path, content, instead)}
     if content.pop("format", None) != MATERIAL_FORMAT:
         raise RodError(f"is not a {MATERIAL_FORMAT} file; write one with `wrod loop --out`")
+    content = {**content, **instead}
     try:
-        return RodMaterial(**{**content, **instead})
+        msgspec.convert({"format": MATERIAL_FORMAT, **content}, schemas.RodFile)
+        return RodMaterial(**content)
+    except msgspec.ValidationError as error:
+        raise RodError(entry_message(str(error))) from None
     except TypeError as error:
         raise RodError(str(error).replace("RodMaterial.__init__() ", "")) from None
 
@@ -158,18 +166,8 @@ def _warn(path, said: list[str]) -> None:
 
 
 def _read(path) -> dict:
-    try:
-        size = Path(path).stat().st_size
-        if size > _MOST_BYTES:
-            raise RodError(f"{path}: is {size} bytes long, which no rod file is")
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except RodError:
-        raise
-    except (OSError, ValueError, RecursionError) as error:
-        raise RodError(f"{path}: not a readable rod file ({error})") from None
-    if not isinstance(content, dict):
-        raise RodError(f"{path}: is not a {MATERIAL_FORMAT} file; write one with `wrod loop --out`")
-    return content
+    what = "a rod file; write one with `wrod loop --out`"
+    return read_json(path, dict[str, Any], what, error=RodError, limit=_MOST_BYTES)
 
 
 def _write(path, content: dict) -> Path:

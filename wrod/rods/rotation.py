@@ -41,3 +41,11 @@ def left_jacobian_inverse(vector: np.ndarray) -> np.ndarray:
     c = np.where(small, 1 / 12 + angle**2 / 720, 1 / safe**2 - 0.5 / (safe * np.tan(safe / 2)))
     k = _cross_matrix(vector)
     return np.eye(3) - 0.5 * k + c * (k @ k)
+
+
+def transport(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Turn (..., 3) vectors by the smallest rotation from unit vectors t to u; analytic."""
+    axis = np.cross(t, u)
+    cosine = np.sum(t * u, axis=-1, keepdims=True)
+    along = np.sum(axis * v, axis=-1, keepdims=True) / (1.0 + cosine)
+    return cosine * v + np.cross(axis, v) + along * axis

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ def deliver(
     rod,
     progress: Callable[[str], object] = lambda what: None,
 ) -> list[Path]:
-    """Write joint_path.csv/.npz, scene.usdc and scene.png into a folder.
+    """Write joint_path.csv/.npz, scene.usdc, scene.png and, with Viser, scene.html into a folder.
 
     Args:
         out: the folder.
@@ -41,8 +42,17 @@ def deliver(
     scene = export_usd(
         out / "scene.usdc", trajectory=trajectory, joint_path=joint_path, pattern=pattern, rod=rod
     )
+    written.append(scene)
+    if find_spec("viser") is not None:
+        from wrod.scene.page import write_deployment_page
+
+        progress("page")
+        page = out / "scene.html"
+        written.append(
+            write_deployment_page(page, trajectory, joint_path, pattern=pattern, rod=rod)
+        )
     progress("picture")
-    return [*written, scene, draw_scene(scene, out / "scene.png")]
+    return [*written, draw_scene(scene, out / "scene.png")]
 
 
 def draw_scene(scene: Path, path: Path) -> Path:

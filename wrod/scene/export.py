@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import SceneError
 from wrod.files import write_atomically
 from wrod.robot.grip import Grip, GripPath
@@ -25,6 +26,7 @@ from wrod.scene.workplace import (
     add_grip_path,
     add_pattern,
     add_rod,
+    add_stand,
     add_table,
     table_under,
 )
@@ -33,6 +35,13 @@ SUFFIXES = (".usdc", ".usda", ".usd")
 _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
 
 
+@arguments.checked(
+    SceneError,
+    path=arguments.path,
+    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
+    joint_path=arguments.optional(arguments.like("a wrod.JointPath", "names", "positions")),
+    pattern=arguments.optional(arguments.like("a wrod.Pattern", "sample", "length")),
+)
 def export_usd(
     path: str | os.PathLike[str],
     *,
@@ -232,13 +241,14 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
         robot = joint_path.robot
         base = joint_path.placement.world_from_base
         add_arm(stage, f"{root}/robot", robot, base, joint_path.node_positions, times, materials)
+        if robot.name != "sawyer":  # Sawyer brings its pedestal
+            add_stand(stage, f"{root}/stand", base, BASE_HEIGHT, materials)
         front = base[:2, 0]
         poses = robot.link_poses(joint_path.node_positions[:: max(1, len(trajectory) // 20)])
         for link in poses.values():
             seen.append(link[:, :3, 3] @ base[:3, :3].T + base[:3, 3])
-        if robot.name == "sawyer":
-            feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
-            seen.append(base[:3, 3] + feet)
+        feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
+        seen.append(base[:3, 3] + feet)
     item.front = item.turn[:2, :2] @ front
     item.corners = item.points @ item.turn.T + shift
     figures = {**trajectory.metadata}

@@ -91,6 +91,17 @@ def add_table(stage, path: str, table: Table, materials: Materials) -> None:
         )
 
 
+def add_stand(stage, path: str, base: np.ndarray, height: float, materials: Materials) -> None:
+    """A column from the floor up to an arm's base (4, 4) [m]."""
+    for name, radius, tall, down in (
+        ("column", 0.09, height, height / 2),
+        ("foot", 0.22, 0.03, height - 0.015),
+    ):
+        pose = np.array(base, dtype=float)
+        pose[:3, 3] -= pose[:3, 2] * down
+        add_shape(stage, f"{path}_{name}", "cylinder", (radius, tall), pose, materials, _LEG)
+
+
 def add_floor(stage, path: str, centre, size, height: float, materials: Materials) -> None:
     """A slab whose upper face is at `height` [m]."""
     pose = np.eye(4)

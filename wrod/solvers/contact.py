@@ -6,10 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
+from scipy.optimize import brentq
 
 from wrod.errors import RodError
 from wrod.kernels.contact import linearised
 from wrod.kernels.contact import planes as kernels
+from wrod.kernels.contact import rolling as rolls
 from wrod.rods.batch import RodBatch
 from wrod.solvers.edge_contact import EdgeContact
 
@@ -51,6 +53,45 @@ class Cylinder:
         return int(kernels.CYLINDER), self.center, _turn_up_to(self.axis), size
 
 
+@dataclass(frozen=True, eq=False)
+class FrictionField:
+    """How much friction there is at a place of the table, over the coefficients of `Friction`.
+
+    Attributes:
+        factor: (ny, nx) at the points of a grid, linear in between and constant beyond [-].
+        x, y: (2,) coordinates of its first and last column, and row [length].
+
+    Raises:
+        RodError: a factor is negative or not finite, or the grid has no extent.
+    """
+
+    factor: np.ndarray
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        factor = np.asarray(self.factor, dtype=float)
+        extent = self.x[1] > self.x[0] and self.y[1] > self.y[0]
+        if factor.ndim != 2 or min(factor.shape) < 2 or not extent:
+            raise RodError(
+                f"a field of friction of shape {factor.shape} over x {self.x} and y {self.y}; give "
+                "(ny, nx) factors, two or more each way, over rising coordinates"
+            )
+        if not (np.isfinite(factor) & (factor >= 0)).all():
+            raise RodError("a field of friction has factors that are negative or not finite")
+
+    @classmethod
+    def of(cls, function, x, y, shape: tuple[int, int] = (65, 65)) -> FrictionField:
+        """`function` of x and y arrays [length], sampled at (ny, nx) points."""
+        grid = np.meshgrid(np.linspace(*x, shape[1]), np.linspace(*y, shape[0]))
+        return cls(np.broadcast_to(function(*grid), shape), tuple(x), tuple(y))
+
+    def _place(self) -> tuple[float, float, float, float]:
+        ny, nx = np.shape(self.factor)
+        dx, dy = (self.x[1] - self.x[0]) / (nx - 1), (self.y[1] - self.y[0]) / (ny - 1)
+        return self.x[0], self.y[0], dx, dy
+
+
 @dataclass(frozen=True)
 class Friction:
     """Coulomb friction.
@@ -60,25 +101,31 @@ class Friction:
         kinetic: coefficient while it slides [-]; default: the static one.
         rolling: where friction takes hold. False: of the centreline, as if the rod could not roll
             (soft, rough or not quite round rods); True: of the rod's surface, which rolls freely.
+        roll: where it is of the centreline and the contact keeps the roll of rods: largest torque
+            about the rod's axis over normal force and radius [-]; default: the static coefficient.
     """
 
     static: float
     kinetic: float | None = None
     rolling: bool = False
+    roll: float | None = None
 
     def __post_init__(self) -> None:
         values = [self.static, self.static if self.kinetic is None else self.kinetic]
-        if not all(np.isfinite(v) and v >= 0 for v in values) or values[1] > values[0]:
+        real = all(isinstance(v, (int, float, np.number)) for v in values)
+        if not real or not all(0 <= v < np.inf for v in values) or values[1] > values[0]:
             raise RodError(
                 f"friction is static {self.static!r}, kinetic {self.kinetic!r}; give finite "
                 "numbers with 0 <= kinetic <= static"
             )
+        if self.roll is not None and not (np.isfinite(self.roll) and self.roll >= 0):
+            raise RodError(f"roll friction is {self.roll!r}; give a finite number, 0 or more")
 
 
-# How stiffly a step holds the roll of what touches, over the twisting stiffness of an edge.
-_ROLL_STIFFNESS = 1e3
 # Normal forces rise over this part of the radius: thin against the penetration that is allowed.
 _SKIN = 0.01
+# Damping ratio of contacts without restitution: 1 / (4 zeta^2) of the speed is left.
+_MOST_DAMPING = 5.0
 
 
 @dataclass
@@ -99,10 +146,15 @@ class Contact:
         friction: one for all rods, one per rod, or for every rod a list of one per shape.
         shapes: planes, boxes and cylinders that every rod touches, or for every rod a list of its
             own; default: the table z = 0.
+        restitution: (rod,) speed after an impact over that before, of a rod that lands flat, below
+            1; 0 is as little as a viscous contact leaves, a hundredth.
+        friction_field: how the friction of planes varies over x and y; default: it does not.
         keeps_roll: (rod,) whether what touches a shape keeps its roll, unless its friction says
             that it rolls. That counts for naturally curved rods, whose roll says where they bend.
 
     Attributes:
+        time_step: (rod,) duration of the present step, for what depends on rates; a `Dynamics` says
+            it, without one rates are 0.
         force: (rod, node) force on each node at the end of the last step.
         slip: (rod, node) distance that each node has slid in all [length].
 
@@ -116,6 +168,8 @@ class Contact:
     stiffness: np.ndarray
     friction: Friction | list[Friction] | list[list[Friction]]
     shapes: tuple | list[list] = (Plane(),)
+    restitution: np.ndarray | float = 0.0
+    friction_field: FrictionField | None = None
     keeps_roll: np.ndarray | bool = False
     force: wp.array = field(init=False)
     slip: wp.array = field(init=False)
@@ -129,7 +183,7 @@ class Contact:
         def floats(values):
             return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
 
-        shapes, static, kinetic, rolling = self._table()
+        shapes, static, kinetic, rolling, roll = self._table()
         self._model = [
             shapes,
             floats(radius),
@@ -139,20 +193,24 @@ class Contact:
             floats(kinetic),
             floats(rolling),
         ]
-        self._roll = None
-        held = np.broadcast_to(self.keeps_roll, (rods,)) & (rolling == 0)
-        if held.any():
-            edge = batch.twisting_stiffness.numpy().max(axis=1) / batch.rest_length.numpy().min(
-                axis=1
-            )
-            self._roll = floats(np.where(held, _ROLL_STIFFNESS * edge, 0.0))
+        self._roll = floats(self._kept(roll, rolling))
+        damping = contact_damping(np.broadcast_to(self.restitution, (rods,)))
+        ratio = batch.node_mass.numpy() / (stiffness * _node_lengths(batch))
+        self._relaxation = floats(damping[:, None] * np.sqrt(ratio))
+        self.time_step = floats(np.full(rods, np.inf))
+        field = self.friction_field
+        self._field = [
+            floats(np.ones((1, 1)) if field is None else np.ascontiguousarray(field.factor)),
+            wp.vec4d(*((0.0, 0.0, 1.0, 1.0) if field is None else map(float, field._place()))),
+        ]
         self._edges = EdgeContact(
-            batch, radius, stiffness, _SKIN, shapes, self._model[4:], self._roll
+            batch, radius, stiffness, _SKIN, shapes, self._model[4:], damping, self._roll
         )
         self._note_fixtures()
         per_shape = (rods, self._model[0].shape[1], nodes)
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
+        self._turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
 
@@ -162,7 +220,8 @@ class Contact:
         self._has_fixtures = any(not isinstance(s, Plane) for row in rows for s in row)
 
     def _table(self):
-        """Shapes (rod, shape), static and kinetic coefficients (rod, shape), rolling (rod,)."""
+        """Shapes (rod, shape), static and kinetic coefficients (rod, shape), rolling (rod,), those
+        of keeping the roll (rod, shape)."""
         rods = self.batch.rod_count
         shapes, friction = self.shapes, self.friction
         if not (isinstance(shapes, list) and all(isinstance(s, (list, tuple)) for s in shapes)):
@@ -178,7 +237,7 @@ class Contact:
         nothing.kind = int(kernels.NOTHING)
         table = []
         static, kinetic = np.zeros((2, rods, width))
-        rolling = np.zeros(rods)
+        rolling, roll = np.zeros(rods), np.zeros((rods, width))
         described = {}
         for r, (row, laws) in enumerate(zip(shapes, friction, strict=True)):
             laws = [laws] * len(row) if isinstance(laws, Friction) else laws
@@ -195,11 +254,18 @@ class Contact:
             kinetic[r, : len(row)] = [
                 law.static if law.kinetic is None else law.kinetic for law in laws
             ]
+            roll[r, : len(row)] = [law.static if law.roll is None else law.roll for law in laws]
             rolling[r] = any(law.rolling for law in laws)
         shaped = wp.empty((rods, width), dtype=kernels.Shape, device=self.batch.device)
         if table:
             wp.copy(shaped.flatten(), wp.array(table, dtype=kernels.Shape, device="cpu"))
-        return shaped, static, kinetic, rolling
+        return shaped, static, kinetic, rolling, roll
+
+    def _kept(self, roll: np.ndarray, rolling: np.ndarray) -> np.ndarray:
+        """(rod, shape) coefficients that keep the roll; -1 of rods that roll."""
+        kept = np.broadcast_to(self.keeps_roll, rolling.shape) & (rolling == 0)
+        self._keeps = bool(kept.any())
+        return np.where(kept[:, None], roll, -1.0)
 
     @property
     def table(self) -> wp.array:
@@ -214,13 +280,14 @@ class Contact:
         """
         before = self.shapes, self.friction
         self.shapes, self.friction = shapes, friction
-        table, static, kinetic, rolling = self._table()
+        table, static, kinetic, rolling, roll = self._table()
         if table.shape != self._model[0].shape:
             self.shapes, self.friction = before
             raise RodError("the number of shapes changed; make a new Contact")
         wp.copy(self._model[0], table)
         for array, values in zip(self._model[4:], (static, kinetic, rolling), strict=True):
             array.assign(values)
+        self._roll.assign(self._kept(roll, rolling))
         self._note_fixtures()
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
@@ -229,17 +296,20 @@ class Contact:
         wp.launch(
             kernels.contact,
             dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, active, dof, dof_before, self._bristle, self._sliding],
+            inputs=[*self._model, self._relaxation, *self._field, self.time_step]
+            + [active, dof, dof_before]
+            + [self._bristle, self._sliding],
             outputs=[out.gradient, out.hessian],
             device=self.batch.device,
         )
         if self._has_fixtures:
-            self._edges.add(active, dof, dof_before)
-        if self._roll is not None:
+            self._edges.add(self.time_step, active, dof, dof_before)
+        if self._keeps:
             wp.launch(
-                kernels.hold_roll,
+                rolls.hold_roll,
                 dim=(self.batch.rod_count, self.batch.node_count),
-                inputs=[*self._model[:4], self._roll, active, dof, dof_before, self._bristle],
+                inputs=[*self._model[:4], self._relaxation, self._roll, self.time_step]
+                + [active, dof, dof_before, self._turned],
                 outputs=[out.gradient, out.hessian],
                 device=self.batch.device,
             )
@@ -257,7 +327,8 @@ class Contact:
         wp.launch(
             linearised.linearise_contact,
             dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, accepted, dof, dof_before, self._bristle, self._sliding],
+            inputs=[*self._model, self._relaxation, *self._field, self._roll, self.time_step]
+            + [accepted, dof, dof_before, self._bristle, self._sliding, self._turned],
             outputs=outputs,
             device=self.batch.device,
         )
@@ -266,13 +337,6 @@ class Contact:
     def tangent_stiffness(self) -> wp.array:
         """(rod, node) stiffness of each node's bristle [force/length]."""
         return self._model[2]
-
-    @property
-    def roll_stiffness(self) -> wp.array:
-        """(rod,) how stiffly a step holds the roll of an edge at a node in contact [moment/rad]."""
-        if self._roll is None:
-            return wp.zeros(self.batch.rod_count, dtype=wp.float64, device=self.batch.device)
-        return self._roll
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) touch everything for the first time."""
@@ -287,6 +351,14 @@ class Contact:
                 outputs=[bristle, sliding],
                 device=self.batch.device,
             )
+        for turned in (self._turned, self._edges.turned):
+            wp.launch(
+                rolls.forget_roll,
+                dim=turned.shape,
+                inputs=[chosen],
+                outputs=[turned],
+                device=self.batch.device,
+            )
 
     def refuse(
         self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
@@ -295,21 +367,75 @@ class Contact:
         if self._has_fixtures:
             self._edges.refuse(converged, dof, dof_before)
 
+    def find_touching(
+        self, chosen: wp.array, dof: wp.array, dof_before: wp.array, touching: wp.array
+    ) -> None:
+        """Raise `touching` (rod,) of the chosen rods to 1 where they touch, to 2 in an impact."""
+        wp.launch(
+            kernels.find_touching,
+            dim=(self.batch.rod_count, self.batch.node_count),
+            inputs=[*self._model[:2], chosen, dof, dof_before],
+            outputs=[touching],
+            device=self.batch.device,
+        )
+        if self._has_fixtures:
+            self._edges.find_touching(chosen, dof, dof_before, touching)
+
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
         wp.launch(
             kernels.settle_friction,
             dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, accepted, dof, dof_before],
+            inputs=[*self._model, self._relaxation, *self._field, self.time_step]
+            + [accepted, dof, dof_before],
             outputs=[self._bristle, self._sliding, self.slip, self.force],
             device=self.batch.device,
         )
+        if self._keeps:
+            wp.launch(
+                rolls.settle_roll,
+                dim=(self.batch.rod_count, self.batch.node_count),
+                inputs=[*self._model[:4], self._relaxation, self._roll, self.time_step]
+                + [accepted, dof, dof_before],
+                outputs=[self._turned],
+                device=self.batch.device,
+            )
         if self._has_fixtures:
-            self._edges.settle(accepted, dof, dof_before, self.slip, self.force)
+            self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)
 
     def penetration(self) -> np.ndarray:
         """(rod,) how deep each rod is in any box or cylinder now [length]."""
         return self._edges.penetration(self.batch.state.dof)
+
+
+def contact_damping(restitution: np.ndarray) -> np.ndarray:
+    """2 zeta of a viscous contact that pushes only, by its coefficient of restitution
+
+        e = exp(-2 zeta phi / sin phi),  cos phi = zeta
+
+    (Schwager and Poeschel 2007), for zeta > 1 with hyperbolic functions.
+
+    Raises:
+        RodError: a coefficient is not in [0, 1).
+    """
+    restitution = np.asarray(restitution, dtype=float)
+    if not ((restitution >= 0) & (restitution < 1)).all():
+        raise RodError("restitution must be at least 0 and below 1")
+
+    def speed_kept(zeta):
+        if zeta < 1.0:
+            phi = np.arccos(zeta)
+            return np.exp(-2.0 * zeta * phi / np.sin(phi))
+        phi = np.arccosh(max(zeta, 1.0 + 1e-12))
+        return np.exp(-2.0 * zeta * phi / np.sinh(phi))
+
+    values = {
+        e: brentq(lambda z, e=e: speed_kept(z) - e, 0.0, _MOST_DAMPING)
+        if e > speed_kept(_MOST_DAMPING)
+        else _MOST_DAMPING
+        for e in np.unique(restitution)
+    }
+    return np.array([2.0 * values[e] for e in restitution.ravel()]).reshape(restitution.shape)
 
 
 def _per_node(name: str, values, shape: tuple[int, int]) -> np.ndarray:

@@ -123,6 +123,7 @@ class CoupledSystem(BandedSystem):
                 batch.rest_length,
                 SMOOTHING,
                 *chosen,
+                contact.time_step,
                 *contact.configuration,
                 contact.bristle,
                 contact.load,

@@ -20,7 +20,7 @@ from wrod.solvers.contact import Contact
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.viscosity import Viscosity
 
-SCHEMES = ("euler", "bdf2")
+SCHEMES = ("euler", "bdf2", "midpoint")
 # Largest change of an edge in one Newton iteration, as a fraction of its length.
 _STEP_LIMIT = 0.3
 # A rod is cut out when it wants steps shorter than this fraction of the largest.
@@ -75,7 +75,9 @@ class Dynamics:
 
     Args:
         batch: the rods, with node masses; their state is the initial configuration, at rest.
-        scheme: "euler" (first order, dissipates) or "bdf2" (second order, hardly dissipates).
+        scheme: "euler" (first order, dissipates), "bdf2" (second order, hardly dissipates) or
+            "midpoint" (second order, a quarter of its error, dissipates nothing of itself; steps in
+            which anything is touched are of "bdf2").
         radius: (rod,) or (rod, node - 1) radius of the section, for the rotational inertia of the
             edges.
         air_damping: (rod,) drag per mass and velocity [1/time].
@@ -122,7 +124,7 @@ class Dynamics:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
         self.batch, self.contact, self.motion = batch, contact, motion
         self.follower = follower
-        self.two_step, self.max_iterations = int(scheme == "bdf2"), max_iterations
+        self._scheme, self.max_iterations = SCHEMES.index(scheme), max_iterations
         rods, device = batch.rod_count, batch.device
         if contact is None:
             contact = ()
@@ -158,6 +160,9 @@ class Dynamics:
         self.tolerance, self.step_tolerance, self.residual = tolerance, floats(), floats()
         self.rounding = wp.array(self._rounding(), dtype=wp.vec2d, device=device)
         self.time, self.until, self.step, self.step_before = (floats() for _ in range(4))
+        # Time from the start of the step to where its forces are; why a rod leaves its scheme.
+        self.span, self._no_step = floats(), floats()
+        self.leaves, self.touching = ints(), ints()
         self.wanted_step = floats()
         self.coefficient = wp.zeros(rods, dtype=wp.vec3d, device=device)
         self.running, self.starting, self.active, self.converged = (ints() for _ in range(4))
@@ -171,6 +176,9 @@ class Dynamics:
             wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
         )
         self.dof_older = wp.clone(batch.state.dof)
+        self._end = wp.clone(batch.state.dof)
+        for contact in self.contacts:
+            contact.time_step = self.span
         # (rod, dof): forces that held prescribed degrees of freedom at the end of the last step.
         self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
         self.keeps_recording, self._recording = keeps_recording, None
@@ -191,7 +199,9 @@ class Dynamics:
         """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
         must have its frames, and from `velocity`; one that was cut out takes part again."""
         self._per_rod(
-            kernels.forget_history, [chosen], [self.step_before, self.wanted_step, self.diverged]
+            kernels.forget_history,
+            [chosen],
+            [self.step_before, self.wanted_step, self.diverged, self.leaves],
         )
         self._copy(chosen, self.batch.state, self.start)
         for contact in self.contacts:
@@ -338,7 +348,7 @@ class Dynamics:
         self._per_rod(
             kernels.begin_step,
             [
-                self.two_step,
+                self._scheme,
                 wp.float64(self.tolerance),
                 self.rounding,
                 self.viscosity.stretching_time,
@@ -347,9 +357,12 @@ class Dynamics:
                 self.time,
                 self.step_before,
                 self.wanted_step,
+                self.leaves,
             ],
             [
                 self.step,
+                self.span,
+                self.touching,
                 self.coefficient,
                 self.step_tolerance,
                 self.iteration,
@@ -358,17 +371,17 @@ class Dynamics:
                 self.system.negative_pivots,
             ],
         )
-        self.viscosity.begin(self.starting, self.coefficient, self.step)
+        self.viscosity.begin(self.starting, self.coefficient, self.span)
         if self.rod_contact is not None:
             self.rod_contact.prepare(self.starting, self.rejected, self.start.dof)
         if self.motion is not None:
-            self.motion.prescribe(self.starting, self.time, self.step, self.start)
+            self.motion.prescribe(self.starting, self.time, self.span, self.start)
         self._per_dof(
             kernels.predict,
             [
                 self.starting,
                 batch.free,
-                self.step,
+                self.span,
                 self.velocity,
                 self.velocity_older,
                 self.coefficient,
@@ -389,7 +402,7 @@ class Dynamics:
                 self.mass,
                 self.air_damping,
                 self.active,
-                self.step,
+                self.span,
                 self.coefficient,
                 dof,
                 start.dof,
@@ -403,7 +416,7 @@ class Dynamics:
             wp.launch(
                 kernels.add_drag,
                 dim=(batch.rod_count, batch.node_count),
-                inputs=[self._drag, self.active, self.step, self.coefficient, dof, start.dof]
+                inputs=[self._drag, self.active, self.span, self.coefficient, dof, start.dof]
                 + [self.dof_older],
                 outputs=[out.gradient, out.hessian],
                 device=batch.device,
@@ -424,6 +437,14 @@ class Dynamics:
         )
         for contact in self.contacts:
             contact.refuse(self.converged, self.active, dof, start.dof)
+        if self._scheme and self.contacts:
+            self._per_dof(
+                kernels.extrapolate,
+                [self.converged, self.step, self.span, dof, start.dof],
+                [self._end],
+            )
+            for contact in self.contacts:
+                contact.find_touching(self.converged, self._end, start.dof, self.touching)
         self._per_rod(
             kernels.judge_step,
             [
@@ -433,11 +454,16 @@ class Dynamics:
                 wp.float64(smallest),
                 wp.float64(_GROWTH),
                 self.refuses_saddles,
+                self._scheme,
                 self.converged,
                 self.system.negative_pivots,
                 self.step,
+                self.span,
+                self.coefficient,
+                self.touching,
             ],
             [
+                self.leaves,
                 self.iteration,
                 self.active,
                 self.time,
@@ -473,6 +499,8 @@ class Dynamics:
         self.viscosity.finish(self.accepted)
         for contact in self.contacts:
             contact.settle(self.accepted, dof, start.dof)
+        if SCHEMES[self._scheme] == "midpoint":
+            self._complete()
         if frames is not None:
             self._per_dof(
                 kernels.record_frames,
@@ -484,7 +512,9 @@ class Dynamics:
             [
                 self.accepted,
                 batch.derivatives.gradient,
+                batch.free,
                 self.step,
+                self.span,
                 self.coefficient,
                 dof,
                 start.dof,
@@ -493,6 +523,15 @@ class Dynamics:
         )
         self._copy(self.accepted, batch.state, start)
         self._copy(self.rejected, start, batch.state)
+
+    def _complete(self) -> None:
+        """Bring accepted steps from where their forces are to their ends."""
+        batch, start, dof = self.batch, self.start, self.batch.state.dof
+        inputs = [self.accepted, self.step, self.span, dof, start.dof]
+        self._per_dof(kernels.extrapolate, inputs, [dof])
+        if self.motion is not None:
+            self.motion.prescribe(self.accepted, self.time, self._no_step, start)
+        batch.transport_frames(start, batch.state, self.accepted)
 
     def _copy(self, chosen: wp.array, source: RodState, target: RodState) -> None:
         batch = self.batch

@@ -19,10 +19,14 @@ class EdgeContact:
         skin: thickness over which the force rises, over the radius.
         table: (rod, shape) `wrod.kernels.contact.planes.Shape`.
         laws: static and kinetic friction (rod, shape), rolling (rod,).
-        roll_stiffness: (rod,) with which what touches keeps its roll [force length], or None.
+        damping: relaxation time of the contact times sqrt(stiffness / mass), (rod,).
+        roll_friction: (rod, shape) bound of the torque that keeps the roll, over normal force and
+            radius; below 0 where it rolls.
     """
 
-    def __init__(self, batch: RodBatch, radius, stiffness, skin, table, laws, roll_stiffness):
+    def __init__(
+        self, batch: RodBatch, radius, stiffness, skin, table, laws, damping, roll_friction
+    ):
         self.batch = batch
         device, edges = batch.device, batch.node_count - 1
 
@@ -34,13 +38,15 @@ class EdgeContact:
         stiffness = (stiffness[:, 1:] + stiffness[:, :-1]) / 2 * batch.rest_length.numpy()
         self.radius = floats(radius)
         self._table = table
+        mass = batch.node_mass.numpy()
+        mass = (mass[:, 1:] + mass[:, :-1]) / 2
+        self._relaxation = floats(damping[:, None] * np.sqrt(mass / stiffness))
         self._law = [floats(stiffness), floats(skin * radius), *laws]
-        if roll_stiffness is None:
-            roll_stiffness = floats(np.zeros(batch.rod_count))
-        self._roll = roll_stiffness
+        self._roll = roll_friction
         shape = (batch.rod_count, table.shape[1], edges)
         self.bristle = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self.sliding = wp.zeros(shape, dtype=wp.int32, device=device)
+        self.turned = wp.zeros(shape, dtype=wp.float64, device=device)
 
     @property
     def _model(self) -> list:
@@ -52,18 +58,24 @@ class EdgeContact:
             kernel, dim=self.radius.shape, inputs=inputs, outputs=outputs, device=batch.device
         )
 
-    def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
-        out, roll = self.batch.derivatives, [self._roll]
-        inputs = [*self._model, *roll, active, dof, dof_before, self.bristle, self.sliding]
+    def add(self, step: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
+        out, model = self.batch.derivatives, [*self._model, self._relaxation, self._roll]
+        inputs = [*model, step, active, dof, dof_before, self.bristle, self.sliding]
+        inputs.append(self.turned)
         self._launch(kernels.edge_contact, inputs, [out.gradient, out.hessian])
 
     def refuse(self, converged: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         inputs = [*self._model[:3], dof, dof_before]
         self._launch(kernels.refuse_tunnelling, inputs, [converged])
 
-    def settle(self, accepted, dof, dof_before, slip: wp.array, force: wp.array) -> None:
-        inputs = [*self._model, accepted, dof, dof_before]
-        self._launch(kernels.settle_edges, inputs, [self.bristle, self.sliding, slip, force])
+    def find_touching(self, chosen, dof, dof_before, touching: wp.array) -> None:
+        inputs = [*self._model[:3], chosen, dof, dof_before]
+        self._launch(kernels.find_touching, inputs, [touching])
+
+    def settle(self, step, accepted, dof, dof_before, slip: wp.array, force: wp.array) -> None:
+        inputs = [*self._model, self._relaxation, self._roll, step, accepted, dof, dof_before]
+        outputs = [self.bristle, self.sliding, self.turned, slip, force]
+        self._launch(kernels.settle_edges, inputs, outputs)
 
     def penetration(self, dof: wp.array) -> np.ndarray:
         """(rod,) deepest penetration into any fixture [length]."""

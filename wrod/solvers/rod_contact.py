@@ -14,7 +14,7 @@ from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
 from wrod.kernels.contact import touching
 from wrod.rods.batch import RodBatch
-from wrod.solvers.contact import Friction
+from wrod.solvers.contact import Friction, contact_damping
 from wrod.solvers.coupled import CoupledSystem
 
 # Pairs nearer along the rod than this many radii do not touch: half a turn of the tightest bend.
@@ -40,9 +40,11 @@ class RodContact:
         friction: one for all rows, or one per row; `rolling` is without effect here.
         stiffness: (rod,) normal and tangential stiffness of a pair [force/length]; default:
             10 EA / radius.
+        restitution: (rod,) speed after an impact over that before; see `Contact`.
         partners: most edges that one edge can be near to and that come after it.
 
     Attributes:
+        time_step: (rod,) duration of the present step; see `Contact`.
         force: (rod, node) contact force on each node at the end of the last step.
         slip: (rod, edge) distance that each edge has slid on others in all [length].
         penetration: (rod,) deepest penetration at the end of the last step [length].
@@ -59,6 +61,7 @@ class RodContact:
         friction: Friction | list[Friction],
         *,
         stiffness: np.ndarray | float | None = None,
+        restitution: np.ndarray | float = 0.0,
         partners: int = 32,
     ):
         self.batch, device = batch, batch.device
@@ -86,10 +89,14 @@ class RodContact:
         def zeros(dtype, *shape):
             return wp.zeros((rods, *shape), dtype=dtype, device=device)
 
+        damping = contact_damping(np.broadcast_to(restitution, (rods,)))
+        # Two edges that meet move as one of half their mass.
+        mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
         laws = []
         for r in range(rods):
             law = kernels.Law()
             law.stiffness, law.skin = stiffness[r], _SKIN * mean_radius[r]
+            law.relaxation = damping[r] * np.sqrt(mass[r] / stiffness[r])
             f = friction[r]
             law.static_friction = f.static
             law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
@@ -113,6 +120,7 @@ class RodContact:
         self.overflow, self.sticking, self._overloaded = (zeros(wp.int32) for _ in range(3))
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
         self.force = zeros(wp.vec3d, nodes)
+        self.time_step = floats(np.full(rods, np.inf))
         self.configuration = ()
         self.system = CoupledSystem(self)
         self._check_start()
@@ -175,6 +183,7 @@ class RodContact:
             dim=self.partner_count.shape,
             inputs=[
                 *self._model,
+                self.time_step,
                 active,
                 dof,
                 dof_before,
@@ -220,6 +229,19 @@ class RodContact:
             [converged, active],
         )
 
+    def find_touching(
+        self, chosen: wp.array, dof: wp.array, dof_before: wp.array, touching: wp.array
+    ) -> None:
+        """Raise `touching` (rod,) of the chosen rods to 1 where they touch, to 2 in an impact."""
+        wp.launch(
+            kernels.find_touching,
+            dim=self.partner_count.shape,
+            inputs=[self.edge_radius, self.batch.rest_length, self.reach, chosen, dof, dof_before]
+            + [self.partner_count, self.partner],
+            outputs=[touching],
+            device=self.batch.device,
+        )
+
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
         device = self.batch.device
@@ -233,7 +255,8 @@ class RodContact:
         wp.launch(
             kernels.settle_friction,
             dim=self.partner_count.shape,
-            inputs=[*self._model, accepted, dof, dof_before, self.partner_count, self.partner],
+            inputs=[*self._model, self.time_step, accepted, dof, dof_before]
+            + [self.partner_count, self.partner],
             outputs=[
                 self.bristle,
                 self.load,

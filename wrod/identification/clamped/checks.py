@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.rods.material import RodMaterial
-
-if TYPE_CHECKING:
-    from wrod.identification.clamped.measurements import ClampedMeasurements
 
 _ROTATION_TOLERANCE = 1e-3
 # A measured shape further from its clamps than this many free lengths is not that rod in metres.

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import DataError
+from wrod.identification.clamped.branches import Branch, from_measured, settle
 from wrod.identification.clamped.layout import (
     batch_arrays,
     dead_force,
@@ -22,10 +23,11 @@ from wrod.identification.clamped.sensing import Prediction, View
 from wrod.identification.clamped.sensitivity import WIND_PASSES, WIND_TOLERANCE, Sensitivity
 from wrod.identification.clamped.setup import Setup
 from wrod.rods.batch import RodBatch, RodState
+from wrod.rods.rotation import transport
 from wrod.solvers.statics import EquilibriumSolver
 
 _WAYPOINTS = 8
-_PATIENCE, _WALK_PATIENCE = 12, 60
+_PATIENCE, _WALK_PATIENCE, _FALL_PATIENCE = 12, 60, 150
 
 
 class ClampedSolver:
@@ -34,12 +36,15 @@ class ClampedSolver:
     Args:
         setups: one model for each candidate, of the same node count and trials.
         device: Warp device.
+        start: a state to begin with; by default rods are led to their poses from straight, and
+            put on their stable branch (`branches`, one entry per rod).
+        shape: (T, node, 3) measured positions of the nodes, to choose that branch by.
 
     Raises:
         DataError: a trial of the first solution does not reach its reported poses.
     """
 
-    def __init__(self, setups: Sequence[Setup], *, device: str = "cpu", start=None):
+    def __init__(self, setups: Sequence[Setup], *, device: str = "cpu", start=None, shape=None):
         first = setups[0]
         self.candidate_count, self.trial_count = len(setups), len(first.clamp_position)
         self.edge_count = len(first.fraction) - 1
@@ -59,8 +64,10 @@ class ClampedSolver:
         self.batch.set_free(free)
         self.sensitivity = Sensitivity(self.batch, self.trial_count, self.edge_count)
         self.principal = np.zeros(self.batch.rod_count)
+        self.negative = np.zeros(self.batch.rod_count, dtype=int)
+        self.branches: list[Branch] = []
         if start is None:
-            self._walk_to(setups, poses)
+            self._find(setups, poses, shape)
         else:
             self.restore(start)
 
@@ -128,7 +135,7 @@ class ClampedSolver:
         reached &= np.abs(self.total_twist() - twist) < np.pi
         return reached.reshape(-1, self.trial_count)
 
-    def _equilibrium(self, setups, targets, tolerance) -> np.ndarray:
+    def _equilibrium(self, setups, targets, tolerance, patience=None) -> np.ndarray:
         batch = self.batch
         wind = np.repeat(np.real([s.wind for s in setups]), self.trial_count, axis=0)
         windy = bool(np.any(wind))
@@ -140,8 +147,9 @@ class ClampedSolver:
             result = solver.solve(
                 prescribed=targets,
                 tolerance=tolerance,
-                max_iterations=_PATIENCE if targets is None else _WALK_PATIENCE,
+                max_iterations=patience or (_PATIENCE if targets is None else _WALK_PATIENCE),
             )
+            self.negative = result.negative_pivots
             scale = solver.force_scale.numpy()[:, None, None]
             if np.abs(load - before).max(axis=None, initial=0, where=np.isfinite(load)) <= (
                 WIND_TOLERANCE * scale.max()
@@ -149,7 +157,66 @@ class ClampedSolver:
                 break
         return result.converged
 
-    def _walk_to(self, setups: Sequence[Setup], poses) -> None:
+    def _find(self, setups: Sequence[Setup], poses, shape) -> None:
+        """Lead every rod to its poses, and from there to its branch."""
+        count = self.batch.rod_count
+        measured = None
+        if shape is not None:
+            shape = np.tile(shape, (self.candidate_count, 1, 1))
+            straight = self.saved()
+            measured, certain = from_measured(self, setups, shape)
+            if certain.all():
+                self.branches = [Branch(0, 1, "measured")] * count
+                return
+            self.restore(straight)
+        walked = self._walk_to(setups, poses)
+        if walked.all() and measured is None and not self.negative.any():
+            self.branches = [Branch(0, 1, "straight")] * count
+            return
+        self.branches = settle(self, setups, walked, shape, measured)
+        lost = [b.found == 0 for b in self.branches]
+        if any(lost):
+            trial = int(np.argmax(lost)) % self.trial_count
+            raise DataError(
+                f"the rod of trial {trial} finds no equilibrium at its reported poses; check "
+                "length, L_gb and the poses"
+            )
+
+    def shape_to(self, setups: Sequence[Setup], shape: np.ndarray, state=None) -> None:
+        """Put the rods' (rod, node, 3) nodes between the clamps somewhere, the clamps to their
+        poses, and the twist evenly along them; or leave it as in a saved `state`."""
+        poses = end_poses(setups)
+        (a, ra), (b, rb) = poses
+        batch = self.batch
+        h = batch.rest_length.numpy()[:, :1]
+        nodes = np.concatenate(
+            [(a - h * ra[:, :, 2])[:, None], shape, (b + h * rb[:, :, 2])[:, None]], axis=1
+        )
+        nodes[:, 1], nodes[:, -2] = a, b
+        if state is None:
+            batch.set_configuration(nodes, director=ra[:, :, 0])
+            dof = self._prescribed(*poses, setups)
+            share = np.linspace(0.0, 1.0, dof[:, 3::4].shape[1])
+            dof[:, 3::4] = dof[:, 3:4] + share * (dof[:, -4:-3] - dof[:, 3:4])
+            batch.state.dof.assign(dof)
+            self.principal = np.repeat(
+                np.real([s.principal_angle for s in setups]), self.trial_count
+            )
+            return
+        self.restore(state)
+        before = RodState.zeros(batch.rod_count, batch.node_count, self.device)
+        before.assign(batch.state)
+        dof = batch.state.dof.numpy().copy()
+        for axis in range(3):
+            dof[:, axis::4] = nodes[:, :, axis]
+        batch.state.dof.assign(dof)
+        batch.transport_frames(before, batch.state, batch.every_rod)
+
+    def relax(self, setups: Sequence[Setup]) -> np.ndarray:
+        """Equilibrium of every rod from where it is; (rod,) whether it got there."""
+        return self._equilibrium(setups, None, 1e-9, _FALL_PATIENCE)
+
+    def _walk_to(self, setups: Sequence[Setup], poses) -> np.ndarray:
         """From straight and untwisted to the reported poses, the gripper turning the short way."""
         (a, ra), (b, rb) = poses
         start = (
@@ -172,12 +239,7 @@ class ClampedSolver:
             targets = self.batch.state.dof.numpy().copy()
             targets[:, -4] -= 2 * np.pi * turns
             converged = self._equilibrium(setups, targets, 1e-9)
-        if not converged.all():
-            trial = int(np.argmin(converged)) % self.trial_count
-            raise DataError(
-                f"the rod of trial {trial} finds no equilibrium at its reported poses; check "
-                "length, L_gb and the poses"
-            )
+        return converged
 
     def _turn_principal(self, setups: Sequence[Setup]) -> None:
         """Turn the directors that the solver carries to the principal directions of the models.
@@ -208,7 +270,7 @@ class ClampedSolver:
         dof[:, 0:3], dof[:, 4:7] = a - h * ra[:, :, 2], a
         dof[:, -7:-4], dof[:, -3:] = b, b + h * rb[:, :, 2]
         for edge, column, frame in ((0, 3, ra), (-1, -4, rb)):
-            carried = _transport(director[:, edge], tangent[:, edge], frame[:, :, 2])
+            carried = transport(director[:, edge], tangent[:, edge], frame[:, :, 2])
             angle = np.arctan2(
                 np.sum(np.cross(frame[:, :, 2], carried) * frame[:, :, 0], axis=1),
                 np.sum(carried * frame[:, :, 0], axis=1),
@@ -236,10 +298,3 @@ class ClampedSolver:
     def predict_rates(self, rates, wanted=None) -> list[Prediction]:
         """The present prediction with its derivatives; see `Sensitivity.predict_rates`."""
         return self.sensitivity.predict_rates(rates, wanted)
-
-
-def _transport(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
-    axis = np.cross(t, u)
-    cosine = np.sum(t * u, axis=1, keepdims=True)
-    along = np.sum(axis * v, axis=1, keepdims=True) / np.maximum(1.0 + cosine, 1e-12)
-    return cosine * v + np.cross(axis, v) + along * axis

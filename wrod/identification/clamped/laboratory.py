@@ -37,8 +37,8 @@ class Laboratory:
         self.edge_count, self.device = edge_count, device
         self.trials = np.arange(measurements.trial_count)
         self.base = Setup.base(measurements, self.trials, edge_count)
-        solver = ClampedSolver([self.base], device=device)
-        self.base_state = solver.saved()
+        solver = ClampedSolver([self.base], device=device, shape=self.base.measured)
+        self.base_state, self.branches = solver.saved(), solver.branches
         self.target, self.deviation = self._observations()
         self.mesh_correction = np.zeros_like(self.target)
         self.read = np.isfinite(self.target)
@@ -103,7 +103,7 @@ class Laboratory:
         """
         fine = self.observe(model, values, corrected=False)
         half = Setup.base(self.measurements, self.trials, self.edge_count // 2)
-        solver = ClampedSolver([half], device=self.device)
+        solver = ClampedSolver([half], device=self.device, shape=half.measured)
         setup = self._lead(solver, half, model, values)
         coarse = self.observed(model, values, setup, solver.predict([setup]), 0).real
         correction = (fine - coarse) / 3.0

@@ -211,7 +211,7 @@ class _Restricted:
         along = [(np.log(_SMALLEST), np.log(_LARGEST)), (0.0, 0.999), (np.log(0.3 * gap),
                  np.log(2.0 * self.span))]  # fmt: skip
         groups = [(np.log(_NO_SCATTER), np.log(30.0))] * len(SCATTER)
-        start_along = [[0.0, 0.5, np.log(3.0 * gap)], [0.0, 0.9, np.log(8.0 * gap)]]
+        start_along = [[0.0, 0.8, np.log(5.0 * gap)]]
         small = [np.log(0.3)] * len(SCATTER)
         white = self.value(1.0, 0.0, gap, np.zeros(len(SCATTER)))
         found = [(white, NoiseModel())]
@@ -225,7 +225,7 @@ class _Restricted:
                     first = np.array(start + small * scattered)
                     result = minimize(
                         lambda p, c=correlated, s=scattered: self.value(*self._read(p, c, s)),
-                        first, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40},
+                        first, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30},
                     )  # fmt: skip
                     size, share, length, own = self._read(result.x, correlated, scattered)
                     # A scatter that does nothing is none.

@@ -10,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import write_atomically
+from wrod.identification.clamped.branches import Branch
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.measurements import ClampedMeasurements, load_measurements
+from wrod.identification.clamped.loading import load_measurements
+from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.noise import NoiseModel
 from wrod.identification.clamped.selection import select
 from wrod.identification.clamped.trace import Print, trace
@@ -63,7 +66,7 @@ class IdentificationReport:
         predicted_before, predicted_after: (T, M, 3) marker positions [m].
         material: the rod with what a `RodMaterial` can carry of the effects.
         noise: as the selection found it; missing: markers without a position; outliers: (T, M)
-            markers that were set aside.
+            markers that were set aside; branches: (T,) equilibrium of the base model in each trial.
     """
 
     measurements: ClampedMeasurements
@@ -82,6 +85,7 @@ class IdentificationReport:
     noise: NoiseModel
     missing: int
     outliers: np.ndarray
+    branches: tuple[Branch, ...]
 
     def to_dict(self) -> dict:
         """The content of `report.json`; lengths of errors in mm, everything else SI."""
@@ -125,6 +129,16 @@ class IdentificationReport:
                     {"trial": int(t), "marker": int(k)} for t, k in np.argwhere(self.outliers)
                 ],
             },
+            "equilibria": [
+                {
+                    "trial": t,
+                    "negative_eigenvalues": b.negative,
+                    "stable_found": b.found,
+                    "reached_from": b.start,
+                }
+                for t, b in enumerate(self.branches)
+                if b.negative or b.found > 1 or b.start == "saddle"
+            ],
             "unseen_trials": {"chi_squared_taken": s.unseen[0], "stderr": s.unseen[1]},
             "parameters_at_a_bound": list(s.at_bound),
             "prints": [p.to_dict() for p in self.prints],
@@ -145,7 +159,19 @@ class IdentificationReport:
         ]
 
 
-def identify(
+@arguments.checked(
+    DataError,
+    measurements=arguments.either(arguments.path, arguments.like("measurements", "clamp_position")),
+    test=arguments.optional(
+        arguments.either(arguments.path, arguments.like("measurements", "clamp_position"))
+    ),
+    candidates=arguments.optional(
+        arguments.several(arguments.either(arguments.text, arguments.like("an Effect", "name")))
+    ),
+    device=arguments.optional(arguments.text),
+    progress=arguments.optional(arguments.callback),
+)
+def identify_clamped(
     measurements: ClampedMeasurements | str | os.PathLike[str],
     *,
     test: ClampedMeasurements | str | os.PathLike[str] | None = None,
@@ -178,7 +204,7 @@ def identify(
     say("force print")
     prints = trace(laboratory)
     say("effects")
-    selection = select(laboratory, chosen)
+    selection = select(laboratory, chosen, build=candidates is None)
     say("scores")
     fit = selection.fit
     before = laboratory.predict(Model(), np.zeros(0))
@@ -200,6 +226,7 @@ def identify(
         noise=laboratory.noise,
         missing=laboratory.missing,
         outliers=laboratory.outliers,
+        branches=tuple(laboratory.branches),
     )
 
 

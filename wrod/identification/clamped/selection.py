@@ -9,8 +9,10 @@ much as squares of noise vary by themselves. No model has more than `MOST_EFFECT
 effects leave more than half of the excess a third is not tried: what so many small effects mend is
 not theirs.
 
-The noise is taken as declared, then estimated from what the chosen model leaves; where it is
-another one, everything is weighed with it and chosen anew.
+Where no known effect reaches the noise, effects are built from profiles along the rod (`profiles`)
+and tried by themselves, then beside the known ones. The noise is taken as declared, then estimated
+from what the chosen model leaves; where it is another one, everything is weighed with it and chosen
+anew.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import estimate
 from wrod.identification.clamped.pairs import likely_pairs
+from wrod.identification.clamped.profiles import built_effects
 from wrod.identification.effect import Effect, Model
 from wrod.identification.verdict import AT_NOISE, BIC_MARGIN, Round, Selection, judge
 
@@ -36,16 +39,41 @@ _FINE = 4 / 3
 _NOISE_PASSES = 3
 # Pairs to fit, and how many standard deviations of chi squared deserve them.
 _PAIRS, _FLUCTUATION = 12, 5.0
+# Leaner pairs to fit in the place of a chosen one, out of so many by superposition.
+_LEANER, _LEANER_FROM = 6, 40
 
 
-def select(laboratory: Laboratory, candidates: list[Effect], *, progress=None) -> Selection:
-    """Find the effects that explain the laboratory's train trials."""
+def select(
+    laboratory: Laboratory, candidates: list[Effect], *, build: bool = False, progress=None
+) -> Selection:
+    """Find the effects that explain the laboratory's train trials.
+
+    Args:
+        build: whether to build effects where the candidates do not reach the noise.
+    """
+    pool, built = list(candidates), None
     for _ in range(_NOISE_PASSES):
-        current, rounds, held_out = _search(laboratory, candidates, progress)
+        current, rounds, held_out = _search(laboratory, pool, progress)
+        if build and built is None and not _reaches_noise(laboratory, current):
+            built = built_effects(laboratory)[0]
+            for more in (built, [*pool, *built]):
+                other, steps, ahead = _search(laboratory, more, progress)
+                if other.bic < current.bic - BIC_MARGIN:
+                    current, rounds, held_out = other, [*rounds, *steps], ahead
+                if _reaches_noise(laboratory, current):
+                    break
+            pool += built
         if not _noise_changed(laboratory, current):
             break
     final = _polished(laboratory, current)
     return judge(laboratory, final, _base_fit(laboratory), rounds, held_out)
+
+
+def _reaches_noise(laboratory: Laboratory, fit: Fit) -> bool:
+    """Whether a model is as near to the train trials as noise lets it, with plausible numbers."""
+    m = laboratory.measurements
+    rms = laboratory.rms(laboratory.predict(fit.model, fit.values), m.train)
+    return rms <= AT_NOISE * m.noise_floor and not fit.model.at_bound(fit.values)
 
 
 def _noise_changed(laboratory: Laboratory, current: Fit) -> bool:
@@ -57,14 +85,7 @@ def _noise_changed(laboratory: Laboratory, current: Fit) -> bool:
     if noise.near(laboratory.noise):
         return False
     laboratory.set_noise(noise, rates)
-    return bool(current.model.effects) or not _at_floor(laboratory)
-
-
-def _at_floor(laboratory: Laboratory) -> bool:
-    """Whether the base model is as near to the train trials as noise lets it."""
-    m = laboratory.measurements
-    rms = laboratory.rms(laboratory.predict(Model(), np.zeros(0)), m.train)
-    return rms <= AT_NOISE * m.noise_floor
+    return bool(current.model.effects) or not _reaches_noise(laboratory, current)
 
 
 def _search(laboratory: Laboratory, candidates, progress):
@@ -124,6 +145,7 @@ def _search(laboratory: Laboratory, candidates, progress):
         if len(current.model.effects) > 1 and left > 0.5 * excess:
             break
     current = _pruned(laboratory, current)
+    current = _leaner(laboratory, current, candidates, rounds, progress)
     if len(current.model.effects) > 1:
         # The one that does most by itself comes first.
         alone = [f.model.names[0] for f in rounds[0].fits]
@@ -239,6 +261,28 @@ def _pruned(laboratory, current: Fit) -> Fit:
             break
         current = best
     return current
+
+
+def _leaner(laboratory, current: Fit, candidates, rounds: list[Round], progress) -> Fit:
+    """A pair of fewer parameters in the place of a pair, if it does as well; what was fitted for
+    that joins the last step, so that the verdict may name it as confounded."""
+    if len(current.model.effects) != 2 or not rounds:
+        return current
+    tried = {frozenset(f.model.names) for r in rounds for f in r.fits}
+    pairs = [
+        (model, start)
+        for model, start in likely_pairs(laboratory, candidates, _LEANER_FROM)
+        if len(start) < len(current.values) and frozenset(model.names) not in tried
+    ][:_LEANER]
+    models, starts = [model for model, _ in pairs], [start for _, start in pairs]
+    fits = _best_of_each(
+        _fit(laboratory, models, starts, None, progress, rival=current.chi_squared)
+    )
+    for step in reversed(rounds):
+        if any(set(f.model.names) == set(current.model.names) for f in step.fits):
+            step.fits += fits
+            break
+    return min([current, *fits], key=lambda f: f.bic)
 
 
 def _fit(laboratory, models, starts, origin, progress, rival: float = np.inf) -> list[Fit]:

@@ -34,6 +34,8 @@ class Setup:
         clamp_position, grip_position: (T, 3) [m].
         clamp_rotation, grip_rotation: (T, 3, 3), columns m1, m2, tangent.
         marker_arc_length: (M,) unstretched arc length of each marker from the clamp [m].
+        measured: (T, n + 1, 3) where markers and clamps say that the nodes are, for loads that
+            depend on the place in the laboratory (real) [m].
     """
 
     fraction: np.ndarray
@@ -55,6 +57,7 @@ class Setup:
     grip_position: np.ndarray
     grip_rotation: np.ndarray
     marker_arc_length: np.ndarray
+    measured: np.ndarray
 
     @classmethod
     def base(cls, measurements: ClampedMeasurements, trials: np.ndarray, edge_count: int) -> Setup:
@@ -81,6 +84,7 @@ class Setup:
             grip_position=m.grip_position[trials],
             grip_rotation=m.grip_rotation[trials],
             marker_arc_length=m.arc_length.copy(),
+            measured=m.node_positions(edge_count)[trials],
         )
 
     @property

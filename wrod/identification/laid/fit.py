@@ -1,8 +1,9 @@
-"""What the shapes of laid rods say of the rod: natural curvature and L_gb, by simulation.
+"""What the shapes of laid rods say of rod and table: natural curvature, L_gb, friction, by
+simulation.
 
 The deployment is simulated as it was planned, with the believed rod and with each parameter a
 little off; the residual is explained by these prints, the weighted least squares of one Gauss-
-Newton step, as often as asked. Friction keeps what it is given: it is not fitted.
+Newton step, as often as asked. Friction keeps what it is given unless it is asked for.
 """
 
 from __future__ import annotations
@@ -22,12 +23,14 @@ from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Friction
 
-PARAMETERS = ("natural_curvature", "log_L_gb")
-_UNITS = {"natural_curvature": "1/m", "log_L_gb": ""}
+PARAMETERS = ("natural_curvature", "log_L_gb", "log_friction")
+# Of the rod, among which as few are taken as explain it.
+_OF_ROD = PARAMETERS[:2]
+_UNITS = {"natural_curvature": "1/m", "log_L_gb": "", "log_friction": ""}
 # Differences are taken over these: large against the simulation's rounding, small in effect.
-_STEPS = {"natural_curvature": 1.0, "log_L_gb": 0.03}
+_STEPS = {"natural_curvature": 1.0, "log_L_gb": 0.03, "log_friction": 0.15}
 # Standard deviations of Gaussian priors around the believed rod.
-_PRIORS = {"natural_curvature": 20.0, "log_L_gb": 0.5}
+_PRIORS = {"natural_curvature": 20.0, "log_L_gb": 0.5, "log_friction": 0.7}
 # Two prints with a correlation beyond this cannot be told apart.
 _CONFOUNDED = 0.95
 # One parameter is enough where it leaves no more than this, over what both leave.
@@ -40,14 +43,16 @@ class LaidFit:
 
     Attributes:
         estimates: by parameter that is needed: curvature of the rod at rest to the left of the
-            pattern [1/m], and the logarithm of the true over the believed L_gb. Their standard
-            errors are those of the noise; what the simulation itself misses is not in them.
+            pattern [1/m], the logarithm of the true over the believed L_gb and, if asked for, that
+            of the true over the believed friction. Their standard errors are those of the noise;
+            what the simulation itself misses is not in them.
         rod: the believed rod with them.
         before, after: RMS distance of the rods from the simulation with the believed and with the
             fitted rod [m].
         noise_floor: that of a perfect prediction [m].
         alone: RMS distance [m] that each parameter alone would leave, to first order.
-        correlation: of the two estimates, 0 for one.
+        correlation: of the two estimates that are told apart worst, 0 for one.
+        friction: the table's coefficient, fitted or as given.
         verdict: "adequate", "explained", "partly-explained" or "unexplained".
         reason: the evidence in a sentence.
     """
@@ -59,6 +64,7 @@ class LaidFit:
     noise_floor: float
     alone: dict[str, float]
     correlation: float
+    friction: float
     verdict: str
     reason: str
 
@@ -69,6 +75,7 @@ def fit_laid(
     trajectory: Trajectory,
     friction: Friction | float = 0.6,
     *,
+    fit_friction: bool = False,
     released: bool = True,
     iterations: int = 2,
     progress: Callable[[float], object] | None = None,
@@ -80,9 +87,11 @@ def fit_laid(
         measurements: the laid rods.
         rod: the believed rod.
         trajectory: that laid them.
-        friction: of the table.
+        friction: of the table, or a first guess of it.
+        fit_friction: find it as well, together with natural curvature and L_gb. Its derivative is
+            that of rods that slide: where none does, the error stays that of the prior, 0.7.
         released: whether they were measured after the grip let go, or with it still holding.
-        iterations: Gauss-Newton steps, each a batch of three simulated deployments.
+        iterations: Gauss-Newton steps, each a batch of three or four simulated deployments.
         progress: called with the share of all simulations done since the last call.
         options: those of `wrod.simulate_deployments`.
 
@@ -93,19 +102,20 @@ def fit_laid(
         raise DataError(f"iterations is {iterations}; give at least 1")
     law = friction if isinstance(friction, Friction) else Friction(friction)
     roll = float(trajectory.metadata.get("roll", 0.0))
+    active = list(range(len(PARAMETERS) if fit_friction else len(_OF_ROD)))
     after_plan = tail(measurements.pattern, _planned(rod, trajectory), trajectory)
 
     def predict(many: list[np.ndarray]) -> np.ndarray:
         """(k, 50, 2) where rods with these parameters come to lie."""
         trials = [
-            Trial(measurements.pattern, with_parameters(rod, v, roll), trajectory, law,
-                  tail=after_plan)
+            Trial(measurements.pattern, with_parameters(rod, v, roll), trajectory,
+                  scaled(law, v[2]), tail=after_plan)
             for v in many
         ]  # fmt: skip
 
         def watch(share: float) -> None:
             if progress is not None:
-                progress(share * len(many) / (3 * iterations + 1))
+                progress(share * len(many) / ((1 + len(active)) * iterations + 1))
 
         laid = simulate_deployments(trials, progress=watch, **options)
         if any(d.diverged for d in laid):
@@ -118,7 +128,7 @@ def fit_laid(
     priors = np.array([_PRIORS[name] for name in PARAMETERS])
     mean, count = measurements.positions.mean(axis=0), len(measurements.curves)
     weight = count / measurements.noise**2
-    values, active = np.zeros(2), [0, 1]
+    values = np.zeros(len(PARAMETERS))
     before, alone = np.inf, {}
     for iteration in range(iterations):
         here, *there = predict([values, *(values + np.diag(steps)[active])])
@@ -128,8 +138,9 @@ def fit_laid(
         )
         if iteration == 0:
             before, alone = measurements.rms(here), _alone(measurements, here, rates, off)
-            active = _chosen(measurements, here, rates, off, alone)
-            rates = rates[active]
+            if not fit_friction:
+                active = _chosen(measurements, here, rates, off, alone)
+                rates = rates[active]
         matrix = weight * rates @ rates.T + np.diag(priors[active] ** -2)
         pull = weight * rates @ off - values[active] / priors[active] ** 2
         values[active] += np.linalg.solve(matrix, pull)
@@ -140,11 +151,15 @@ def fit_laid(
         PARAMETERS[k]: Estimate(float(values[k]), float(e), _UNITS[PARAMETERS[k]])
         for k, e in zip(active, errors, strict=True)
     }
-    correlation = float(covariance[0, -1] / (errors[0] * errors[-1])) if len(active) > 1 else 0.0
+    apart = np.tril(covariance / np.outer(errors, errors), -1)
+    correlation = float(apart.flat[np.abs(apart).argmax()])
     floor = measurements.noise_floor
     verdict, reason = _verdict(before, after, floor, count, estimates, correlation)
     if verdict == "adequate":
-        estimates, values, after = {}, np.zeros(2), before
+        # The friction is asked for, whether or not the believed one would do.
+        kept = estimates.get("log_friction")
+        estimates, after = {} if kept is None else {"log_friction": kept}, before
+        values[: len(_OF_ROD)] = 0.0
     return LaidFit(
         estimates,
         with_parameters(rod, values, roll),
@@ -153,9 +168,17 @@ def fit_laid(
         floor,
         alone,
         correlation,
+        scaled(law, values[2]).static,
         verdict,
         reason,
     )
+
+
+def scaled(law: Friction, log_ratio: float) -> Friction:
+    """The law with both coefficients exp(log_ratio) times as large."""
+    ratio = float(np.exp(log_ratio))
+    kinetic = None if law.kinetic is None else law.kinetic * ratio
+    return replace(law, static=law.static * ratio, kinetic=kinetic)
 
 
 def with_parameters(rod: RodMaterial, values: np.ndarray, roll: float = 0.0) -> RodMaterial:
@@ -179,13 +202,13 @@ def _chosen(measurements, here, rates, off, alone) -> list[int]:
     """The better parameter, or both where it leaves clearly more than both together do."""
     together = np.linalg.lstsq(rates.T, off, rcond=None)[0] @ rates
     left = measurements.rms(here + together.reshape(METRIC_POINTS, 2))
-    best = min(range(len(PARAMETERS)), key=lambda k: alone[PARAMETERS[k]])
+    best = min(range(len(_OF_ROD)), key=lambda k: alone[_OF_ROD[k]])
     return [best] if alone[PARAMETERS[best]] <= _ENOUGH * left else [0, 1]
 
 
 def _alone(measurements, here, rates, off) -> dict[str, float]:
     left = {}
-    for name, rate in zip(PARAMETERS, rates, strict=True):
+    for name, rate in zip(PARAMETERS, rates, strict=False):
         moved = here + (rate * (rate @ off) / max(rate @ rate, 1e-300)).reshape(METRIC_POINTS, 2)
         left[name] = measurements.rms(moved)
     return left

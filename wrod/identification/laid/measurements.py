@@ -8,7 +8,6 @@ pattern.
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from scipy.signal import savgol_filter
 
 from wrod.deployment.result import METRIC_POINTS
 from wrod.errors import DataError, WrodError
+from wrod.files import read_arrays
 from wrod.patterns.files import read_points, unit_scale
 from wrod.patterns.pattern import Pattern
 from wrod.perception.refine import arc_length
@@ -130,20 +130,17 @@ def load_laid(
 
 def _read(path: Path, units: str | None) -> np.ndarray:
     if path.suffix.lower() == ".npz":
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                for key in ("path_m", "centerline"):
-                    if key in file.files:
-                        return np.asarray(file[key], dtype=float)
-                if "paths" in file.files:
-                    raise DataError(
-                        f"{path}: is a scan without one metric centreline; scan it with a scale "
-                        "(--markers, --sheet or --scale) and a single rod in view"
-                    )
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            if isinstance(error, WrodError):
-                raise
-            raise DataError(f"{path}: not a readable .npz file ({error})") from None
+        found = read_arrays(path, "a scan, a deployment or points (.npz)")
+        for key in ("path_m", "centerline"):
+            if key in found:
+                if found[key].dtype.kind not in "fiu":
+                    raise DataError(f"{path}: {key} does not hold numbers")
+                return np.asarray(found[key], dtype=float)
+        if "paths" in found:
+            raise DataError(
+                f"{path}: is a scan without one metric centreline; scan it with a scale "
+                "(--markers, --sheet or --scale) and a single rod in view"
+            )
     try:
         raw = read_points(path)
         scale = unit_scale(units or raw.units or "m", raw.source)

@@ -8,13 +8,13 @@ laid: all lengths here are those on the table.
 from __future__ import annotations
 
 import os
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from wrod.errors import DataError, WrodError
+from wrod.files import read_arrays
 from wrod.patterns.pattern import Pattern
 
 _NEEDED = ("centerline", "centerline_filled", "hidden", "sigma", "pattern", "size_factor",
@@ -76,18 +76,16 @@ def load_photograph(path: str | os.PathLike[str]) -> LaidPhotograph:
     parts = path.stem.split("-")
     if len(parts) < 3:
         raise DataError(f"{path}: the name is to be ROD-PATTERN-METHOD.npz, such as rope-line-int")
+    file = read_arrays(path, "a photograph's file")
+    missing = [name for name in _NEEDED if name not in file]
+    if missing:
+        raise DataError(f"{path}: has no {', '.join(missing)}; give a photograph's file")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            missing = [name for name in _NEEDED if name not in file.files]
-            if missing:
-                raise DataError(f"{path}: has no {', '.join(missing)}; give a photograph's file")
-            data = {name: np.asarray(file[name], dtype=float) for name in _NEEDED}
-            spread = float(file["registration_rms_px"]) / float(file["px_per_m"])
+        data = {name: np.asarray(file[name], dtype=float) for name in _NEEDED}
+        spread = float(file["registration_rms_px"]) / float(file["px_per_m"])
     except KeyError:
         spread = np.nan
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, WrodError):
-            raise
+    except (TypeError, ValueError) as error:
         raise DataError(f"{path}: not a readable photograph's file ({error})") from None
     size = float(data["size_factor"]) if data["size_factor"].ndim == 0 else np.nan
     if not (np.isfinite(size) and size > 0.0):

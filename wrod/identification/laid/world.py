@@ -76,13 +76,11 @@ class LaidRod:
     Attributes:
         arc_length: (node,) [m]; nodes: (node, 3) [m].
         reached: whether the simulation came so far.
-        slip: (node,) how far each node slid [m].
     """
 
     arc_length: np.ndarray
     nodes: np.ndarray
     reached: bool
-    slip: np.ndarray
 
 
 def plan_without_lead_in(pattern: Pattern, rod: RodMaterial, method: str, **options) -> Trajectory:
@@ -138,7 +136,6 @@ def lay(
             one.arc_length,
             one.centerline,
             not one.diverged or one.duration > one.let_go - _RESTING,
-            one.slip,
         )
         for one in laid
     ]

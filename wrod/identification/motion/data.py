@@ -27,6 +27,7 @@ class MotionMeasurements:
             frames were lost.
         repaired: (R,) frames in which a grip's two markers were found exchanged, and put back.
         fit, validation, test: recordings to fit on, to choose effects by, and to score on.
+        filled: places of single markers that were not seen, taken from the marker's own path.
     """
 
     name: str
@@ -39,6 +40,7 @@ class MotionMeasurements:
     fit: np.ndarray
     validation: np.ndarray
     test: np.ndarray
+    filled: int = 0
 
     @property
     def recording_count(self) -> int:
@@ -148,4 +150,5 @@ class MotionMeasurements:
             fit=np.setdiff1d(everything, held_out),
             validation=held_out,
             test=test,
+            filled=self.filled + other.filled,
         )

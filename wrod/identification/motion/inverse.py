@@ -25,7 +25,6 @@ from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.start import held_ends
 from wrod.identification.motion.tangents import COMPLEX_STEP, kind_of, node_columns
 from wrod.identification.motion.windows import Windows, windows_of
-from wrod.kernels.stepping import motion as kernels
 from wrod.kernels.stepping import motion_tangents
 from wrod.rods.batch import RodBatch
 from wrod.solvers.statics import EquilibriumSolver, prescribe
@@ -111,12 +110,21 @@ class InverseMotion:
         strains = strains.reshape((b.rod_count, count, b.node_count))
         out = wp.zeros((b.rod_count * count, b.dof_count), dtype=wp.float64, device=b.device)
         s = b.state
+        coefficients = wp.full(
+            b.rod_count, wp.vec3d(0.0, 1.0, 0.0), dtype=wp.vec3d, device=b.device
+        )
+        unit = wp.ones(b.rod_count, dtype=wp.float64, device=b.device)
+        strain_rate = wp.array(
+            np.pad(self.strain_rate.numpy(), ((0, 0), (0, 0), (0, 1))),
+            dtype=wp.vec4d,
+            device=b.device,
+        )
         # The kernel's strain rate is a difference of strains over a step: here it is given.
         wp.launch(
             motion_tangents.elastic_tangents,
             (b.rod_count, b.node_count - 1, 1),
-            inputs=[*model, *moved, wp.vec3d(0.0, 1.0, 0.0), wp.float64(1.0)]
-            + [s.dof, s.director, s.reference_twist, self.strain_rate, self.strain_rate]
+            inputs=[*model, *moved, b.every_rod, coefficients, unit]
+            + [s.dof, s.director, s.reference_twist, strain_rate, strain_rate]
             + [strains, strains, count],
             outputs=[out],
             device=b.device,
@@ -253,22 +261,24 @@ def _batch(m, setup, path, device) -> RodBatch:
     )
     places = tuple(int(i) for i in setup.marker_node)
     prescribe(batch, clamped_nodes=places, clamped_angles=(0, -1))
-    held = [wp.array(np.ascontiguousarray(v[:, None]), dtype=wp.vec3d, device=device)
-            for v in (path.grip_tangent, path.grip_director)]  # fmt: skip
     state = batch.state
-    wp.launch(
-        kernels.roll_held,
-        (batch.rod_count, 2),
-        inputs=[state.director, state.tangent, *held, batch.free, 0],
-        outputs=[state.dof],
-        device=device,
-    )
-    # The angles between begin with an even share of the twist.
     dof = state.dof.numpy().copy()
+    for edge, column, k in ((0, 3, 0), (-1, -4, 1)):
+        t, d = (v.numpy()[:, edge] for v in (state.tangent, state.director))
+        own = _carried(path.grip_director[:, k], path.grip_tangent[:, k], t)
+        dof[:, column] = np.arctan2(np.sum(np.cross(d, own) * t, axis=1), np.sum(d * own, axis=1))
+    # The angles between begin with an even share of the twist.
     edges = batch.node_count - 1
     dof[:, 3::4] = dof[:, 3:4] + (dof[:, -4:-3] - dof[:, 3:4]) * (np.arange(edges) / (edges - 1))
     state.dof.assign(dof)
     return batch
+
+
+def _carried(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) across the unit tangents `t` turned the shortest way to `u`."""
+    axis = np.cross(t, u)
+    along = np.sum(axis * v, axis=1, keepdims=True) / (1.0 + np.sum(t * u, axis=1, keepdims=True))
+    return np.sum(t * u, axis=1, keepdims=True) * v + np.cross(axis, v) + along * axis
 
 
 class _Condensation:
@@ -374,7 +384,7 @@ class _Condensation:
         wp.launch(
             motion_tangents.measure_strain_tangents,
             (b.rod_count, b.node_count - 2, 1),
-            inputs=[s.dof, s.director]
+            inputs=[b.every_rod, s.dof, s.director]
             + [wp.array(rate[:, None], dtype=wp.float64, device=b.device), 1],
             outputs=[out],
             device=b.device,

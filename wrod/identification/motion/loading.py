@@ -8,13 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.files import read_arrays
 from wrod.identification.motion.checks import check_positions
 from wrod.identification.motion.data import MotionMeasurements
-from wrod.identification.motion.repair import frame_gaps, sorted_grips
+from wrod.identification.motion.repair import frame_gaps, gaps_filled, sorted_grips
 from wrod.identification.motion.split import split_evenly
 
 _FIELDS = ("positions", "rate_hz", "held", "gravity")
 _SHORTEST = 12
+# Slower than any swing of a rod, and faster than any camera of markers [Hz].
+_RATES = (2.0, 1e6)
 # No planet to stand on pulls so [m/s^2].
 _HEAVY = 30.0
 
@@ -22,9 +25,8 @@ _HEAVY = 30.0
 def is_motion(path: str | os.PathLike[str]) -> bool:
     """Whether an .npz file holds recordings of motion, by its fields."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return "positions" in file.files and "rate_hz" in file.files
-    except Exception:  # whatever is wrong with the file, its loader says it
+        return {"rate_hz"} == set(read_arrays(path, only=["rate_hz"]))
+    except DataError:  # whatever is wrong with the file, its loader says it
         return False
 
 
@@ -39,11 +41,7 @@ def load_motion(path: str | os.PathLike[str]) -> MotionMeasurements:
             sentence names the field, the recording, the frame and the marker.
     """
     path = Path(path)
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            data = {key: file[key] for key in file.files}
-    except Exception as error:
-        raise DataError(f"{path}: not a readable .npz file ({error})") from None
+    data = read_arrays(path, "an .npz file of recordings")
     return motion_from_arrays(data, name=path.stem, where=str(path))
 
 
@@ -72,6 +70,10 @@ def motion_from_arrays(
             "markers are needed"
         )
     rate, gravity = (_scalar(data, key, where) for key in ("rate_hz", "gravity"))
+    if not _RATES[0] <= rate <= _RATES[1]:
+        raise DataError(
+            f"{where}: rate_hz is {rate:g}; give frames per second, {_RATES[0]:g} to {_RATES[1]:g}"
+        )
     if gravity > _HEAVY:
         raise DataError(f"{where}: gravity is {gravity:g}; it must be in m/s^2")
     held = np.asarray(data["held"]).ravel()
@@ -84,11 +86,14 @@ def motion_from_arrays(
     if np.shape(names) != (recordings,):
         raise DataError(f"{where}: file_ids has shape {np.shape(names)}; give ({recordings},)")
     names = tuple(str(n) for n in names)
+    x, filled = gaps_filled(x)
     check_positions(x, names, rate, where)
     x, repaired = sorted_grips(x)
     gap = np.stack([frame_gaps(recording[:, [0, 1, -2, -1]]) for recording in x])
     fit, validation, test = split_evenly(recordings)
-    return MotionMeasurements(name, x, rate, gravity, names, gap, repaired, fit, validation, test)
+    return MotionMeasurements(
+        name, x, rate, gravity, names, gap, repaired, fit, validation, test, int(filled.sum())
+    )
 
 
 def _scalar(data, key: str, where: str) -> float:

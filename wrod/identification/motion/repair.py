@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 # A grip's step over this many times its neighbours' mean is checked for lost frames, and is one
 # where multiplying the time explains it to this share of the step.
@@ -10,6 +11,8 @@ _LOST_RATIO = 1.6
 _LOST_MISFIT = 0.35
 _LOST_LEAST = 2e-3
 _MOST_LOST = 24
+# Frames of one marker that are filled from so many seen ones on either side.
+_SHORT_GAP, _AROUND = 6, 6
 
 
 def sorted_grips(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -28,6 +31,26 @@ def sorted_grips(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         )
         wrong |= swap
     return x, wrong.sum(axis=1)
+
+
+def gaps_filled(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Recordings (R, T, M, 3) with short gaps of single markers filled from their own paths, and
+    (R,) how many places those were. Longer gaps, and such at the ends, stay."""
+    lost = ~np.isfinite(x).all(axis=3)
+    count = np.zeros(len(x), dtype=int)
+    if not lost.any():
+        return x, count
+    x, frames = x.copy(), np.arange(x.shape[1])
+    for r, m in np.argwhere(lost.any(axis=1)):
+        edges = np.flatnonzero(np.diff(np.pad(lost[r, :, m].astype(int), 1)))
+        for a, b in zip(edges[::2], edges[1::2], strict=True):
+            near = np.arange(max(a - _AROUND, 0), min(b + _AROUND, len(frames)))
+            near = near[~lost[r, near, m]]
+            if b - a <= _SHORT_GAP and (near < a).sum() >= 2 and (near >= b).sum() >= 2:
+                path = CubicSpline(near, x[r, near, m])
+                x[r, a:b, m] = path(frames[a:b])
+                count[r] += b - a
+    return x, count
 
 
 def frame_gaps(held: np.ndarray) -> np.ndarray:

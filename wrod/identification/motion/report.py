@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import write_atomically
 from wrod.identification.effect import Effect, Estimate, Model, effects
@@ -71,6 +72,8 @@ class MotionReport:
         effects: what was added, in order.
         candidates: every effect in the first round.
         selection, residual, trace: the whole evidence.
+        failed: (before, after) (W,) test recordings whose steps did not converge; they are scored
+            with the last shape that did.
         windows: the test recordings; predicted_before, predicted_after: (W, F, M, 3) [m].
     """
 
@@ -87,6 +90,7 @@ class MotionReport:
     selection: MotionSelection
     residual: Residual
     trace: MotionTrace | None
+    failed: tuple[np.ndarray, np.ndarray]
     windows: Windows
     predicted_before: np.ndarray
     predicted_after: np.ndarray
@@ -133,12 +137,17 @@ class MotionReport:
                 for r in s.rounds
             ],
             "residual": self.residual.to_dict(),
+            "steps_failed": {
+                when: [m.names[r] for r in self.windows.recording[failed]]
+                for when, failed in (("before", self.failed[0]), ("after", self.failed[1]))
+            },
             "trace": None if self.trace is None else self.trace.to_dict(),
             "recordings": {
                 "fit": [m.names[r] for r in m.fit],
                 "validation": [m.names[r] for r in m.validation],
                 "test": [m.names[r] for r in m.test],
                 "lost_frames": m.lost_frames,
+                "markers_filled": m.filled,
                 "gaps": int((m.gap > 1).sum()),
                 "frames_with_grip_markers_exchanged": int(m.repaired.sum()),
             },
@@ -175,6 +184,18 @@ class MotionReport:
         return with_effects(rod, s.model, s.values, m)
 
 
+@arguments.checked(
+    DataError,
+    measurements=arguments.either(arguments.path, arguments.like("recordings", "positions")),
+    test=arguments.optional(
+        arguments.either(arguments.path, arguments.like("recordings", "positions"))
+    ),
+    candidates=arguments.optional(
+        arguments.several(arguments.either(arguments.text, arguments.like("an Effect", "name")))
+    ),
+    device=arguments.optional(arguments.text),
+    progress=arguments.optional(arguments.callback),
+)
 def identify_motion(
     measurements: MotionMeasurements | str | os.PathLike[str],
     *,
@@ -229,14 +250,20 @@ def _report(
     m = laboratory.measurements
     windows = laboratory.windows(m.test)
     base = Model(selection.model.effects[: len(BASE)])
-    before = laboratory.predict(windows, base, selection.base_values)
-    after = laboratory.predict(windows, selection.model, selection.values)
+    setups = [
+        base.setup(laboratory.base, selection.base_values),
+        selection.model.setup(laboratory.base, selection.values),
+    ]
+    (before, _, lost_before), (after, _, lost_after) = (laboratory.run(windows, s) for s in setups)
     few = laboratory.windows(m.test[:2])
     fine = laboratory.finer().predict(few, selection.model, selection.values)
     numerical = laboratory.error_between(few, fine, after[: len(few.recording)])
     # The halved step of a second-order scheme shows three quarters of the error.
     numerical *= 4.0 / 3.0
     verdict, reason = verdict_of(selection, float(np.hypot(m.noise_floor, numerical)))
+    if lost_after.any():
+        names = ", ".join(m.names[r] for r in windows.recording[lost_after])
+        reason += f"; the steps of {names} fail, which are scored with their last shape"
     described = _described(selection, m)
     return MotionReport(
         measurements=m,
@@ -252,6 +279,7 @@ def _report(
         selection=selection,
         residual=residual_of(laboratory, windows, before, after),
         trace=evidence,
+        failed=(lost_before, lost_after),
         windows=windows,
         predicted_before=before,
         predicted_after=after,

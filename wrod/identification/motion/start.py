@@ -5,23 +5,12 @@ All functions are analytic, so that complex setups carry a parameter's derivativ
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from wrod.identification.motion.curves import through_markers
 from wrod.identification.motion.setup import MotionSetup
-
-if TYPE_CHECKING:
-    from wrod.identification.motion.windows import Windows
-
-
-def transport(v, t, u):
-    """Turn (..., 3) vectors by the smallest rotation from t to u; analytic."""
-    axis = np.cross(t, u)
-    cosine = np.sum(t * u, axis=-1, keepdims=True)
-    along = np.sum(axis * v, axis=-1, keepdims=True) / (1.0 + cosine)
-    return cosine * v + np.cross(axis, v) + along * axis
+from wrod.identification.motion.windows import Windows
+from wrod.rods.rotation import transport
 
 
 def unit(v):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.motion.data import MotionMeasurements
-from wrod.identification.motion.start import transport
+from wrod.rods.rotation import transport
 
 
 @dataclass(frozen=True)

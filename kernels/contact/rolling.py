@@ -1,0 +1,140 @@
+"""Rolling friction: what touches a shape holds its roll up to a torque of mu_r N R.
+
+Friction of the centreline (`wrod.kernels.contact.planes`) does not know of the rod's turning about
+its axis, which decides where a naturally curved rod bends. A bristle between the angle of the rod
+and the shape holds it as one of the tangential stiffness at the rod's surface would, k R^2, and
+slides on where its torque exceeds the bound: below it the rod does not creep however long it is
+loaded, above it it rolls, whatever the time step. Turning about the normal, where the rod lies
+along a shape, is held by the friction of its nodes.
+"""
+
+import warp as wp
+from wrod.kernels.contact.planes import Shape, damped_force, mean_angle, touch
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def held_turn(turn: wp.float64, stiffness: wp.float64, limit: wp.float64) -> wp.vec2d:
+    """Torque of a bristle that is turned so far, and its stiffness: none where it slides."""
+    torque = stiffness * turn
+    if wp.abs(torque) > limit:
+        return wp.vec2d(wp.sign(turn) * limit, ZERO)
+    return wp.vec2d(torque, stiffness)
+
+
+@wp.func
+def node_turn(
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle: wp.float64,
+    r: int,
+    i: int,
+) -> wp.float64:
+    return bristle + mean_angle(dof, r, i) - mean_angle(dof_before, r, i)
+
+
+@wp.kernel
+def hold_roll(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    stiffness: wp.array2d(dtype=wp.float64),
+    skin: wp.array2d(dtype=wp.float64),
+    relaxation: wp.array2d(dtype=wp.float64),
+    roll_friction: wp.array2d(dtype=wp.float64),
+    # State in:
+    step: wp.array(dtype=wp.float64),
+    active: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    turned: wp.array3d(dtype=wp.float64),
+    # State in and out:
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+):
+    """Add the torques on the angles of the edges around nodes in contact: half each, all at an end.
+
+    A coefficient below 0 is that of a rod which rolls freely.
+    """
+    r, i = wp.tid()
+    if active[r] == 0:
+        return
+    last = gradient.shape[1] // 4
+    for k in range(shapes.shape[1]):
+        if roll_friction[r, k] < ZERO:
+            continue
+        c = touch(
+            shapes[r, k], radius[r, i], ZERO, stiffness[r, i], skin[r, i], dof,
+            dof_before, wp.vec3d(ZERO, ZERO, ZERO), r, i,
+        )  # fmt: skip
+        if c.force > ZERO:
+            law = damped_force(
+                c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
+            )
+            arm = radius[r, i]
+            turn = node_turn(dof, dof_before, turned[r, k, i], r, i)
+            held = held_turn(turn, stiffness[r, i] * arm * arm, roll_friction[r, k] * law[0] * arm)
+            inner = i > 0 and i < last
+            share = wp.where(inner, HALF, ONE)
+            for side in range(2):
+                a = 4 * i - 1 + 4 * side
+                if a > 0 and i + side <= last:
+                    wp.atomic_add(gradient, r, a, share * held[0])
+                    wp.atomic_add(hessian, r, a, 0, share * share * held[1])
+            if inner:
+                wp.atomic_add(hessian, r, 4 * i + 3, 4, share * share * held[1])
+
+
+@wp.kernel
+def settle_roll(
+    # Model:
+    shapes: wp.array2d(dtype=Shape),
+    radius: wp.array2d(dtype=wp.float64),
+    stiffness: wp.array2d(dtype=wp.float64),
+    skin: wp.array2d(dtype=wp.float64),
+    relaxation: wp.array2d(dtype=wp.float64),
+    roll_friction: wp.array2d(dtype=wp.float64),
+    # State in:
+    step: wp.array(dtype=wp.float64),
+    accepted: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    turned: wp.array3d(dtype=wp.float64),
+):
+    """After an accepted step: let overloaded bristles slide."""
+    r, i = wp.tid()
+    if accepted[r] == 0:
+        return
+    for k in range(shapes.shape[1]):
+        if roll_friction[r, k] < ZERO or shapes[r, k].kind != 0:
+            continue
+        c = touch(
+            shapes[r, k], radius[r, i], ZERO, stiffness[r, i], skin[r, i], dof,
+            dof_before, wp.vec3d(ZERO, ZERO, ZERO), r, i,
+        )  # fmt: skip
+        turn = wp.float64(0.0)
+        if c.force > ZERO:
+            law = damped_force(
+                c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
+            )
+            arm = radius[r, i]
+            k_r = stiffness[r, i] * arm * arm
+            turn = node_turn(dof, dof_before, turned[r, k, i], r, i)
+            turn = held_turn(turn, k_r, roll_friction[r, k] * law[0] * arm)[0] / k_r
+        turned[r, k, i] = turn
+
+
+@wp.kernel
+def forget_roll(
+    # In:
+    chosen: wp.array(dtype=wp.int32),
+    # State out:
+    turned_out: wp.array3d(dtype=wp.float64),
+):
+    """Unload the bristles of the chosen rods."""
+    r, k, i = wp.tid()
+    if chosen[r] != 0:
+        turned_out[r, k, i] = ZERO

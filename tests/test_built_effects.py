@@ -1,0 +1,75 @@
+"""Effects that are built from profiles along the rod: exact derivatives, right places and sizes."""
+
+import numpy as np
+import pytest
+from test_identification import synthetic
+
+from wrod.bench.hidden_effects import BUILT, hidden_set
+from wrod.identification import identify
+from wrod.identification.clamped.described import Attraction, LocalBend, LocalLoad, Stretch
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.loading import measurements_from_arrays
+from wrod.identification.clamped.profiles import ProfileEffect, _linearised, profiles_of
+from wrod.identification.effect import Model
+
+BASIS = np.random.default_rng(3).normal(size=(21, 2, 3))
+PROBES = {
+    "local_bend": (LocalBend, [0.3, -0.2, 0.22, np.log(0.02)]),
+    "stretch": (Stretch, [-0.6, 0.8, 0.2, np.log(0.06)]),
+    "local_load": (LocalLoad, [0.02, -0.03, 0.01, 0.2, np.log(0.15)]),
+    "attraction": (Attraction, [0.05, 0.5, -0.1, 0.4, np.log(0.05)]),
+    "profile": (lambda starts: ProfileEffect("curvature", BASIS), [0.4, -0.3, 0.2]),
+}
+
+
+@pytest.fixture(scope="module")
+def laboratory():
+    return Laboratory(measurements_from_arrays(synthetic(trials=6)), edge_count=40)
+
+
+@pytest.mark.parametrize("name", PROBES)
+def test_derivatives_are_exact(laboratory, name):
+    make, values = PROBES[name]
+    model, values = Model((make([]),)), np.array(values)
+    _, rates = laboratory.jacobian(model, values)
+    for j in range(len(values)):
+        step = np.zeros(len(values))
+        step[j] = h = 1e-3 * max(abs(values[j]), 0.02)
+        ahead = [laboratory.observe(model, values + k * step) for k in (1, -1, 2, -2)]
+        numeric = (8 * (ahead[0] - ahead[1]) - (ahead[2] - ahead[3])) / (12 * h)
+        markers = slice(0, 63)
+        size = np.abs(numeric[:, markers]).max()
+        assert size > 0.0
+        assert np.abs(numeric[:, markers] - rates[:, markers, j]).max() <= 2e-4 * size
+
+
+def test_the_scan_finds_the_kind_and_the_place():
+    def bend(setup):
+        bump = np.exp(-0.5 * ((setup.arc_length - 0.31) / 0.01) ** 2) / (0.01 * np.sqrt(2 * np.pi))
+        setup.natural_curvature = setup.natural_curvature + bump[:, None] * np.array([0.15, -0.1])
+
+    laboratory = Laboratory(measurements_from_arrays(synthetic(bend, seed=3, trials=8)))
+    linear = _linearised(laboratory)
+    found = profiles_of(linear)
+    assert found[0].kind == "curvature"
+    assert found[0].effective < 0.8 * found[0].value.size
+    taken, values, knot, _ = linear.scan(("curvature",), [(i, i) for i in range(1, 20)])[0]
+    assert abs(knot * 0.025 - 0.31) < 0.02
+    assert np.allclose(values * 0.025, [0.1, 0.15], atol=0.02)
+    windows = [(i, j) for i in range(21) for j in range(i + 1, 21)]
+    assert taken > linear.scan(("force",), windows)[0][0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BUILT)
+def test_an_effect_without_a_plug_in_is_built(name):
+    data, hidden = hidden_set(name, seed=11)
+    report = identify(measurements_from_arrays(data, name=name))
+    assert report.verdict == "explained"
+    assert [e.name for e in report.effects] == list(hidden.truth)
+    found = report.effects[0].parameters
+    for keys, values in next(iter(hidden.truth.values())).items():
+        away = [found[key].value - value for key, value in zip(keys, values, strict=True)]
+        is_place = keys[0] in ("arc_length", "start", "x")
+        limit = 0.01 if is_place else 0.15 * np.linalg.norm(values)
+        assert np.linalg.norm(away) < limit * (np.sqrt(len(keys)) if is_place else 1.0)

@@ -1,0 +1,128 @@
+"""How commands end: in one sentence, with the right code, and alone on their output."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from wrod.commands import LazyGroup, main
+from wrod.commands.running import FAULT, INTERRUPTED, REFUSED, holding_output
+from wrod.errors import DataError, RodError
+from wrod.files import write_atomically
+from wrod.files.locking import locked
+
+
+def ends(error, *words, write=None):
+    """Output and exit code of a command that ends with an error, after it wrote a file."""
+
+    @click.command()
+    @click.option("--out", type=click.Path(path_type=Path))
+    def command(out):
+        if write is not None:
+            write_atomically(write, lambda file: file.write("whole"))
+        raise error
+
+    group = LazyGroup("wrod", package="wrod.commands", names=("x",))
+    group.loaded["x"] = holding_output(command)
+    result = CliRunner().invoke(group, ["x", *words])
+    return result.output.strip(), result.exit_code
+
+
+@pytest.mark.parametrize(
+    ("error", "says", "code"),
+    [
+        (RodError("no rod given"), "wrod: no rod given", REFUSED),
+        (KeyboardInterrupt(), "wrod: interrupted", INTERRUPTED),
+        (MemoryError(), "out of memory", REFUSED),
+        (RuntimeError("Failed to allocate 99 bytes on device 'cpu'"), "out of memory", REFUSED),
+        (OSError(errno.ENOSPC, "No space left on device", "a.npz"), "a.npz: .*make room", REFUSED),
+        (FileNotFoundError(errno.ENOENT, "No such file", "out/a"), "out/a: .*again", REFUSED),
+        (ModuleNotFoundError("no", name="pxr"), r"pip install 'wrod\[scene\]'", REFUSED),
+        (ModuleNotFoundError("no", name="torch.nn"), r"pip install 'wrod\[train\]'", REFUSED),
+        (ZeroDivisionError("x"), "a fault of wrod's own", FAULT),
+    ],
+)
+def test_every_end_is_one_sentence(error, says, code, tmp_path):
+    import re
+
+    said, found = ends(error, "--out", str(tmp_path / "out"))
+    assert found == code and re.search(says, said) and len(said.splitlines()) == 1
+
+
+def test_what_is_complete_is_said(tmp_path):
+    said, code = ends(RodError("bad robot"), write=tmp_path / "plan.npz")
+    assert code == REFUSED and f"(complete: {tmp_path / 'plan.npz'}" in said
+
+
+def test_nothing_is_left_where_nothing_was_finished(tmp_path):
+    out = tmp_path / "out"
+
+    @click.command()
+    @click.option("--out", type=click.Path(path_type=Path))
+    def command(out):
+        out.mkdir()
+        raise RodError("no")
+
+    with pytest.raises(RodError):
+        holding_output(command).callback(out=out)
+    assert not out.exists()
+
+
+def test_a_second_process_is_told_so(tmp_path):
+    code = (
+        "import sys, time; from wrod.files.locking import locked\n"
+        "with locked(sys.argv[1]): print('held', flush=True); time.sleep(60)"
+    )
+    call = [sys.executable, "-c", code, str(tmp_path / "out")]
+    with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as first:
+        assert first.stdout.readline() == "held\n"
+        says = rf"another wrod process \({first.pid}\)"
+        with pytest.raises(DataError, match=says), locked(tmp_path / "x" / ".." / "out"):
+            pass
+        with locked(tmp_path / "other"), locked(tmp_path / "out", "1"):
+            pass
+        first.send_signal(signal.SIGKILL)
+        first.wait()
+    with locked(tmp_path / "out"):
+        pass  # the lock ended with its process
+
+
+def test_an_interrupted_command_says_so(tmp_path):
+    words = "dataset --size 100000 --no-sensitivities --device cpu --out"
+    call = [sys.executable, "-m", "wrod", *words.split(), str(tmp_path / "out")]
+    with subprocess.Popen(call, stderr=subprocess.PIPE, text=True) as run:
+        deadline = time.monotonic() + 120
+        while not (tmp_path / "out" / "manifest.json").exists():
+            assert time.monotonic() < deadline and run.poll() is None
+            time.sleep(0.1)
+        run.send_signal(signal.SIGINT)
+        _, said = run.communicate(timeout=120)
+    assert run.returncode == INTERRUPTED and "Traceback" not in said
+    assert "wrod: interrupted" in said and (tmp_path / "out" / "manifest.json").exists()
+
+
+def test_an_output_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").write_text("x")
+    for out in ("/proc/none/out", tmp_path / "file" / "out", tmp_path / ("n" * 300)):
+        words = ["dataset", "--size", "10", "--device", "cpu", "--out", str(out)]
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == REFUSED and "Traceback" not in result.output, result.output
+
+
+def test_a_full_disk_is_said_and_leaves_no_half_file(tmp_path):
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def write(file):
+        file.write("half")
+        raise full
+
+    with pytest.raises(OSError, match="No space"):
+        write_atomically(tmp_path / "a.txt", write)
+    assert list(tmp_path.iterdir()) == []

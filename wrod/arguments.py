@@ -1,0 +1,188 @@
+"""Checks of the arguments of public functions: a wrong one is named, in a typed exception."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import math
+import numbers
+import os
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from wrod.errors import WrodError
+
+F = TypeVar("F", bound=Callable)
+# Says what is wrong with a value ("must be ..."), or None if nothing is.
+Check = Callable[[Any], str | None]
+
+
+def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
+    """Decorator: the named arguments are checked before the function runs.
+
+    Arguments that are left out, or given as their default, pass.
+
+    Args:
+        error: what a wrong argument raises; its sentence names function and argument.
+        checks: of the arguments by name.
+    """
+
+    def decorate(function: F) -> F:
+        signature = inspect.signature(function)
+        unknown = set(checks) - set(signature.parameters)
+        if unknown:
+            raise TypeError(f"{function.__qualname__} has no argument {min(unknown)!r}")
+
+        @functools.wraps(function)
+        def guarded(*args, **kwargs):
+            try:
+                given = signature.bind(*args, **kwargs).arguments
+            except TypeError as reason:
+                raise TypeError(f"{function.__qualname__}: {reason}") from None
+            for name, check in checks.items():
+                if name not in given or given[name] is signature.parameters[name].default:
+                    continue
+                wrong = check(given[name])
+                if wrong is not None:
+                    raise error(
+                        f"{function.__qualname__}: {name} is {_shown(given[name])}; it {wrong}"
+                    )
+            return function(*args, **kwargs)
+
+        return guarded  # type: ignore[return-value]
+
+    return decorate
+
+
+def number(low: float = -math.inf, high: float = math.inf, above: float | None = None) -> Check:
+    """A finite real number from `low` to `high`, and more than `above`."""
+    least = low if above is None else above
+    bounds = "" if (low, high, above) == (-math.inf, math.inf, None) else _range(low, high, above)
+
+    def check(value: Any) -> str | None:
+        real = isinstance(value, (numbers.Real, np.floating, np.integer)) or (
+            isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiu"
+        )
+        fits = real and not isinstance(value, (bool, np.bool_)) and abs(value) < math.inf
+        if fits and least <= value <= high and (above is None or value > above):
+            return None
+        return f"must be a finite number{bounds}"
+
+    return check
+
+
+def whole(low: int = 0, high: int = 2**53) -> Check:
+    """A whole number from `low` to `high`."""
+
+    def check(value: Any) -> str | None:
+        fits = isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.bool_))
+        return (
+            None if fits and low <= value <= high else f"must be a whole number{_range(low, high)}"
+        )
+
+    return check
+
+
+def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
+    """Numbers of one of these shapes; None stands for any length."""
+    said = " or ".join(str(shape).replace("None", "n") for shape in shapes)
+
+    def check(value: Any) -> str | None:
+        try:
+            found = np.asarray(value)
+        except Exception:  # whatever an object does that is asked to be an array
+            return f"must be an array of shape {said}"
+        if found.dtype.kind not in "fiu":
+            return f"must be an array of numbers of shape {said}"
+        fits = [
+            len(shape) == found.ndim
+            and all(a in (None, b) for a, b in zip(shape, found.shape, strict=True))
+            for shape in shapes
+        ]
+        if shapes and not any(fits):
+            return f"has shape {found.shape} and must have {said}"
+        if finite and not np.isfinite(found).all():
+            return "must hold finite numbers only"
+        return None
+
+    return check
+
+
+def text(value: Any) -> str | None:
+    """A string."""
+    return None if isinstance(value, str) else "must be a string"
+
+
+def path(value: Any) -> str | None:
+    """The name of a file."""
+    good = isinstance(value, (str, os.PathLike)) and "\0" not in str(value)
+    return None if good else "must be the path of a file"
+
+
+def flag(value: Any) -> str | None:
+    """True or False."""
+    return None if isinstance(value, (bool, np.bool_)) else "must be True or False"
+
+
+def like(what: str, *names: str) -> Check:
+    """An object that has these attributes; `what` says of which type it should be."""
+
+    def check(value: Any) -> str | None:
+        # A class of that name has them too, and is not meant.
+        good = not isinstance(value, type) and all(hasattr(value, name) for name in names)
+        return None if good else f"must be {what}"
+
+    return check
+
+
+def optional(check: Check) -> Check:
+    """None, or what `check` lets pass."""
+    return lambda value: None if value is None else check(value)
+
+
+def either(*checks: Check) -> Check:
+    """What one of the checks lets pass."""
+
+    def check(value: Any) -> str | None:
+        wrong = [one(value) for one in checks]
+        return None if None in wrong else " or ".join(str(word) for word in wrong)
+
+    return check
+
+
+def several(one: Check, least: int = 1) -> Check:
+    """A list or tuple of what `one` lets pass."""
+
+    def check(value: Any) -> str | None:
+        if not isinstance(value, (list, tuple)) or len(value) < least:
+            return f"must be a list of {least} or more"
+        for k, item in enumerate(value):
+            wrong = one(item)
+            if wrong is not None:
+                return f"holds at place {k} {_shown(item)}, which {wrong}"
+        return None
+
+    return check
+
+
+callback = like("a function", "__call__")
+
+
+def _range(low: float, high: float, above: float | None = None) -> str:
+    if above is not None:
+        return f" above {above:g}" + ("" if high == math.inf else f", at most {high:g}")
+    if high == math.inf:
+        return f" of at least {low:g}"
+    return f" from {low:g} to {high:g}"
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, np.ndarray) and value.size > 8:
+        return f"an array of shape {value.shape}"
+    if isinstance(value, str | numbers.Number | np.ndarray | list | tuple | dict | None):
+        said = repr(value)
+    else:
+        said = f"of type {type(value).__name__}"
+    return said if len(said) <= 60 else f"{said[:59]}…"

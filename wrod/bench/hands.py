@@ -1,0 +1,184 @@
+"""`wrod bench hands`: real cables clamped in a robot's hand, explained and predicted."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import numpy as np
+
+CABLES = ("black-short", "orange-long")
+LOADS = ("unweighted", "weighted")
+# What is asked of the same two cables at other lengths: length [m] and mass [kg].
+OTHERS = {"black-long": ("black-short", 0.6, 0.6), "orange-short": ("orange-long", 0.45, 0.25)}
+ANGLES = np.radians(np.arange(-165.0, 166.0, 15.0))
+# An 80 % interval of a normal distribution, in standard deviations.
+_EIGHTY = 1.2816
+
+
+@click.command(name="hands")
+@click.option(
+    "--data",
+    required=True,
+    type=click.Path(file_okay=False, exists=True, path_type=Path),
+    help="Folder with a folder `swing` of SET-static.npz.",
+)
+@click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+@click.option("--folds", default=4, show_default=True, help="Folds of angles left out.")
+@click.option("--quick", is_flag=True, help="One cable, no folds, no predictions.")
+@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json: bool) -> None:
+    """Explain where cables hang at each angle of the hand; predict other angles, other lengths.
+
+    A straight cable of one stiffness first, then with natural curvature, with what the last turn
+    left of it (lag), and with a tilted clamp, each fitted to both loads of a cable together. Angles
+    are left out in folds, every FOLDS-th of each set; intervals come from other folds.
+    """
+    from wrod.errors import DataError
+    from wrod.files import write_atomically
+    from wrod.identification.held.measurements import load_held
+    from wrod.machine import machine_line
+
+    if folds < 2:
+        raise DataError(f"folds is {folds}; give 2 or more")
+    out.mkdir(parents=True, exist_ok=True)
+    figures: dict = {"machine": machine_line(device), "cables": {}}
+    predictions = {}
+    for cable in CABLES[: 1 if quick else None]:
+        sets = [load_held(data / "swing" / f"{cable}-{load}-static.npz") for load in LOADS]
+        figures["cables"][cable], fit = _explain(sets, None if quick else folds, device)
+        if not quick:
+            spread = figures["cables"][cable]["left_out"]["sigma_mm"]
+            predictions |= _predict(cable, sets, fit, spread, device)
+    written = [out / "hands.json"]
+    if not quick:
+        written.append(out / "hands-prediction.json")
+        text = json.dumps(predictions, indent=1) + "\n"
+        write_atomically(written[-1], lambda file: file.write(text))
+    write_atomically(written[0], lambda file: file.write(json.dumps(figures, indent=2) + "\n"))
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return
+    click.echo(_table(figures["cables"]))
+    click.echo(figures["machine"])
+    for path in written:
+        click.echo(f"wrote {path}")
+
+
+_STAGES = ((), ("curvature",), ("curvature", "lag"), ("curvature", "lag", "tilt"))
+
+
+def _explain(sets, folds, device):
+    from wrod.identification.held.fit import fit_held
+
+    stages, fit = [], None
+    for effects in _STAGES:
+        fit = fit_held(sets, effects, device=device)
+        stages.append({"effects": list(effects), **_errors(fit.residual, fit.snapped, sets)})
+    figures = {
+        "stages": stages,
+        "parameters": {
+            name: {"value": float(v), "stderr": float(e)}
+            for name, v, e in zip(
+                fit.names, fit.values, np.sqrt(np.diag(fit.covariance)), strict=True
+            )
+        },
+    }
+    if folds is not None:
+        figures["left_out"] = _left_out(sets, folds, device)
+    return figures, fit
+
+
+def _left_out(sets, folds, device) -> dict:
+    """Every angle predicted by fits that have not seen it, in the same place of both sets."""
+    from wrod.identification.held.fit import fit_held
+
+    fold = np.concatenate([np.arange(len(one.angle)) % folds for one in sets])
+    residual = np.zeros((len(fold), 2, 2))
+    for k in range(folds):
+        fit = fit_held(sets, _STAGES[-1], use=fold != k, device=device)
+        residual[fold == k] = fit.residual[fold == k]
+    snapped = np.linalg.norm(residual, axis=-1).max(axis=-1) > 0.1
+    inside = []
+    for k in range(folds):
+        others = residual[(fold != k) & ~snapped]
+        inside.append(np.abs(residual[fold == k]) <= _EIGHTY * _sigma(others))
+    sigma = 1e3 * _sigma(residual[~snapped])
+    return {
+        **_errors(residual, snapped, sets),
+        "inside_80_percent": float(np.concatenate(inside).mean()),
+        "sigma_mm": sigma.tolist(),
+    }
+
+
+def _sigma(residual: np.ndarray) -> np.ndarray:
+    """(2, 2) standard deviation of every marker's coordinates [m]."""
+    return np.sqrt((residual**2).mean(axis=0))
+
+
+def _errors(residual, snapped, sets) -> dict:
+    """RMS distances [mm] by set, of the cases that the model has not snapped in."""
+    which = np.repeat(np.arange(len(sets)), [len(one.angle) for one in sets])
+    square = (residual**2).sum(axis=-1).mean(axis=-1)
+    return {
+        "rms_mm": {
+            one.name: 1e3 * float(np.sqrt(square[(which == k) & ~snapped].mean()))
+            for k, one in enumerate(sets)
+        },
+        "snapped": int(snapped.sum()),
+        "cases": len(snapped),
+    }
+
+
+def _predict(cable, sets, fit, sigma_mm, device) -> dict:
+    """Markers [m] with standard deviations at all angles of the sets, and of other lengths."""
+    from wrod.identification.held.equilibria import markers
+
+    wanted = [(one.name, one, (which,)) for which, one in enumerate(sets)]
+    for name, (source, length, mass) in OTHERS.items():
+        if source == cable:
+            # Which bend another piece of the cable has is not known: both that were found.
+            wanted += [
+                (f"{name}-{load}", replace(one, length=length, cable_mass=mass), (0, 1))
+                for load, one in zip(LOADS, sets, strict=True)
+            ]
+    out = {}
+    for name, one, bends in wanted:
+        cases = [(one, a, fit.model(which, a)) for which in bends for a in ANGLES]
+        places, good = markers(cases, device)
+        places = places.reshape(len(bends), len(ANGLES), 2, 2)
+        # Errors of curvature grow with the square of the length, those of the clamp with it.
+        grown = (one.length / sets[0].length) ** 2
+        sigma = np.hypot(grown * 1e-3 * np.array(sigma_mm), places.std(axis=0, ddof=0))
+        out[name] = {
+            "base_angle_deg": np.degrees(ANGLES).round(1).tolist(),
+            "mid": places.mean(axis=0)[:, 0].round(5).tolist(),
+            "end": places.mean(axis=0)[:, 1].round(5).tolist(),
+            "mid_sigma": sigma[:, 0].round(5).tolist(),
+            "end_sigma": sigma[:, 1].round(5).tolist(),
+            "converged": good.reshape(len(bends), -1).all(axis=0).tolist(),
+        }
+    return out
+
+
+def _table(cables: dict) -> str:
+    lines = [
+        "RMS distance of middle and end [mm] (angles where the model snapped are left out)",
+        "",
+    ]
+    for cable, figures in cables.items():
+        rows = [(", ".join(s["effects"]) or "straight", s) for s in figures["stages"]]
+        if "left_out" in figures:
+            rows.append(("left out", figures["left_out"]))
+        for label, row in rows:
+            said = ", ".join(f"{name} {value:.1f}" for name, value in row["rms_mm"].items())
+            lines.append(f"{cable}: {label}: {said}; snapped {row['snapped']} of {row['cases']}")
+        for name, estimate in figures["parameters"].items():
+            lines.append(f"  {name}: {estimate['value']:.3f} ± {estimate['stderr']:.3f}")
+        if "left_out" in figures:
+            share = figures["left_out"]["inside_80_percent"]
+            lines.append(f"  80 % intervals hold {100.0 * share:.0f} % of what is left out")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,32 @@
+"""One set of measurements identified, as a row of the tables of `wrod bench identify`."""
+
+from __future__ import annotations
+
+import time
+
+
+def row(data, device: str) -> dict:
+    """One set, a file or measurements: what `wrod identify` says of it, and what that cost."""
+    from wrod.identification import identify
+
+    clock, cpu = time.perf_counter(), time.process_time()
+    report = identify(data, device=device)
+    content = report.to_dict()
+    left_out = ("reference", "title")
+    return {
+        "set": report.measurements.name,
+        "verdict": report.verdict,
+        "reason": report.reason,
+        "before_mm": content["before_mm"],
+        "after_mm": content["after_mm"],
+        "noise_floor_mm": content["noise_floor_mm"],
+        "likeliest_print": report.prints[0].name,
+        "effects": [
+            {key: value for key, value in effect.items() if key not in left_out}
+            for effect in content["effects"]
+        ],
+        "confounded": content["confounded"],
+        "selection": content["selection"],
+        "seconds": time.perf_counter() - clock,
+        "cpu_seconds": time.process_time() - cpu,
+    }

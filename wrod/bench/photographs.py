@@ -1,0 +1,92 @@
+"""`wrod bench photographs`: real rods laid by a robot, against simulated ones. Restartable."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command(name="photographs")
+@click.option(
+    "--data",
+    required=True,
+    type=click.Path(file_okay=False, exists=True, path_type=Path),
+    help="Folder of photographs (ROD-PATTERN-int.npz).",
+)
+@click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path))
+@click.option("--quick", is_flag=True, help="One rod, two patterns, no predictions.")
+@click.option("--spacing", default=0.01, show_default=True, help="Length of the edges [m].")
+@click.option("--step", default=0.025, show_default=True, help="Largest time step [s].")
+@click.option("--camera", default=0.6, show_default=True, help="Height of the camera [m].")
+@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--threads", type=click.IntRange(min=1), help="CPU threads; default: one per core.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    data: Path,
+    out: Path,
+    quick: bool,
+    spacing: float,
+    step: float,
+    camera: float,
+    device: str,
+    threads: int | None,
+    as_json: bool,
+) -> None:
+    """Find the world in which photographed rods were laid; predict what other grips would lay.
+
+    Every rod is laid by the intuitive path in a set of worlds (friction, L_gb, natural curvature,
+    too much rod below the grip, the free end held or let go). A picture is predicted by the world
+    that the rod's other pictures choose, and judged after one rigid motion. With the worlds found,
+    the optimal path's deployment is predicted for every rod and pattern. Finished deployments are
+    kept in OUT/laid.jsonl: a run that was stopped goes on from there.
+    """
+    from wrod.bench.photographs_report import draw, draw_lines, left_out_table, write_predictions
+    from wrod.bench.photographs_table3 import table3
+    from wrod.bench.photographs_worlds import Deployments, judge
+    from wrod.errors import DataError
+    from wrod.files import write_atomically
+    from wrod.identification.laid.photographs import load_photographs
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
+
+    if not camera > 0.0:
+        raise DataError(f"camera is {camera!r} m; give the height of the camera above the table")
+    photographs = load_photographs(data)
+    if quick:
+        first = photographs[0].rod
+        photographs = [p for p in photographs if p.rod == first][:2]
+    out.mkdir(parents=True, exist_ok=True)
+    device = resolve_device(device)
+    laid = Deployments(
+        out / "laid.jsonl",
+        {"spacing": spacing, "step": step, "data": data.name},
+        device=device,
+        threads=threads,
+        quiet=as_json,
+    )
+    verdicts = judge(photographs, laid, camera)
+    figures = {
+        "machine": machine_line(device),
+        "left_out": [row.as_dict() for verdict in verdicts for row in verdict.rows],
+    }
+    written = []
+    if not quick:
+        predicted, files = write_predictions(out, photographs, verdicts, laid, camera, data)
+        figures["predictions"], figures["table3"] = predicted, table3(photographs, laid)
+        written = [*files, *draw(out, photographs, verdicts, camera)]
+        written += draw_lines(out, photographs, laid, camera)
+    summary = out / "photographs.json"
+    write_atomically(summary, lambda file: file.write(json.dumps(figures, indent=2) + "\n"))
+    figures["written"] = [str(path) for path in (*written, summary, laid.path)]
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return
+    click.echo(left_out_table(verdicts))
+    if not quick:
+        click.echo(figures["table3"]["text"])
+        click.echo(f"practice (green VPS, letter L, optimal path): {predicted['practice']}")
+    click.echo(figures["machine"])
+    for path in figures["written"]:
+        click.echo(f"wrote {path}")

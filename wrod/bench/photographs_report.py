@@ -1,0 +1,225 @@
+"""What `wrod bench photographs` prints and writes: table, predictions, a picture per rod."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from wrod.bench.photographs_worlds import Deployments, Verdict, worlds_for_optimal, worlds_of
+from wrod.deployment.result import deployment_error
+from wrod.files import write_atomically
+from wrod.identification.laid.photographs import LaidPhotograph, load_photograph
+from wrod.identification.laid.placement import raw, rigid, seen_from
+
+TARGET = 2.5e-3
+_PRACTICE = ("green-vps", "letterL")
+_POINTS = 400
+
+
+def left_out_table(verdicts: list[Verdict]) -> str:
+    """One line a picture [mm], and how many are within the target."""
+    lines = [
+        "Mean distance of the points seen from the predicted rod [mm]: raw, after a rigid motion",
+        "",
+        "| rod | pattern | nothing fitted | left out by pattern | best world |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    rows = [row for verdict in verdicts for row in verdict.rows]
+    for r in rows:
+        lines.append(
+            f"| {r.rod} | {r.pattern} | {1e3 * r.believed_raw:.1f}, {1e3 * r.believed:.1f} | "
+            f"{1e3 * r.left_out_raw:.1f}, {1e3 * r.left_out:.1f} | "
+            f"{1e3 * r.best:.1f} ({r.best_world}) |"
+        )
+
+    def within(name):
+        return sum(getattr(row, name) <= TARGET for row in rows)
+
+    lines += [
+        "",
+        f"within {1e3 * TARGET:g} mm after one rigid motion: nothing fitted {within('believed')}, "
+        f"left out by pattern {within('left_out')}, best world of each {within('best')} of "
+        f"{len(rows)}; median {1e3 * np.median([r.believed for r in rows]):.1f}, "
+        f"{1e3 * np.median([r.left_out for r in rows]):.1f} and "
+        f"{1e3 * np.median([r.best for r in rows]):.1f} mm; the pictures' own uncertainty "
+        f"{1e3 * np.median([r.uncertainty for r in rows]):.1f} mm",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def write_predictions(
+    out: Path,
+    photographs: list[LaidPhotograph],
+    verdicts: list[Verdict],
+    laid: Deployments,
+    camera: float,
+    data: Path,
+) -> tuple[dict, list[Path]]:
+    """Predict the optimal path's deployments: `prediction.json` and one NPZ per rod and pattern.
+
+    Arrays: `centerline` (n, 2) [m on the table], `centerline_file` [m of the pattern's file],
+    `arc_length` (n,) [m], `sigma` (n,) spread across worlds and what the intuitive pictures leave
+    unexplained [m], `as_seen` (m, 2) the same with the hanging part as the camera shows it [m].
+    """
+    found, files = {}, []
+    for verdict in verdicts:
+        left = float(np.median([row.left_out for row in verdict.rows]))
+        chosen = worlds_for_optimal(verdict)
+        worlds = {name: world for name, (world, _) in chosen.items()}
+        weights = np.array([weight for _, weight in chosen.values()])
+        for photograph in (p for p in photographs if p.rod == verdict.rod):
+            rods = list(laid.of(photograph, "opt", worlds).values())
+            good = np.array([one.reached for one in rods])
+            if not good.any():
+                continue
+            share = weights[good] / weights[good].sum()
+            rods = [one for one, ok in zip(rods, good, strict=True) if ok]
+            arrays, figures = _prediction(photograph, rods, share, camera)
+            name = f"{photograph.rod}-{photograph.pattern_name}-opt"
+            path = out / f"{name}.npz"
+            arrays["sigma"] = np.hypot(arrays["sigma"], left)
+
+            def write(file, arrays=arrays):
+                np.savez_compressed(file, **arrays)
+
+            files.append(write_atomically(path, write, "wb"))
+            found[name] = figures | {
+                "worlds": list(worlds), "weights": weights.tolist(),
+                "expected_distance_mm": 1e3 * left,
+            }  # fmt: skip
+    found = {"cases": found, "practice": _practice(out, data)}
+    path = out / "prediction.json"
+    text = json.dumps(found, indent=2) + "\n"
+    return found, [*files, write_atomically(path, lambda file: file.write(text))]
+
+
+def _prediction(photograph, rods, share, camera):
+    """Arrays and figures of one case; worlds are averaged at equal arc length."""
+    length = min(one.arc_length[-1] for one in rods)
+    s = np.linspace(0.0, length, _POINTS)
+    lines = np.stack([[np.interp(s, one.arc_length, c) for c in one.nodes.T] for one in rods])
+    mean = np.einsum("w,wcn->nc", share, lines)
+    off = lines[:, :2].transpose(0, 2, 1) - mean[:, :2]
+    spread = np.sqrt(0.5 * np.einsum("w,wnc->n", share, off**2))
+    errors = [deployment_error(photograph.pattern, one.arc_length, one.nodes) for one in rods]
+    on_pattern = photograph.pattern.sample(np.linspace(0.0, photograph.pattern.length, 50))[0]
+    nearest = [
+        np.linalg.norm(on_pattern[:, None, :2] - line[None, :2].transpose(0, 2, 1), axis=2)
+        .min(axis=1).mean()
+        for line in lines
+    ]  # fmt: skip
+    e = 100.0 * np.array([error[0] for error in errors])
+    arrays = {
+        "arc_length": s,
+        "centerline": mean[:, :2],
+        "centerline_file": mean[:, :2] / photograph.size_factor,
+        "height": mean[:, 2],
+        "sigma": spread,
+        "as_seen": seen_from(s, mean, photograph.middle, camera),
+    }
+    return arrays, {
+        "e_mean_cm": float(share @ e),
+        "e_mean_spread_cm": float(np.sqrt(share @ (e - share @ e) ** 2)),
+        "e_nearest_cm": 100.0 * float(share @ nearest),
+    }
+
+
+def _practice(out: Path, data: Path) -> str:
+    """The one optimal photograph that is not held back, against its prediction."""
+    path = data / "-".join([*_PRACTICE, "opt.npz"])
+    prediction = out / "-".join([*_PRACTICE, "opt.npz"])
+    if not path.exists() or not prediction.exists():
+        return "no practice photograph"
+    photograph = load_photograph(path)
+    with np.load(prediction) as file:
+        curve = file["as_seen"]
+    fine = np.linspace(0, len(curve) - 1, 20 * len(curve))
+    curve = np.column_stack([np.interp(fine, np.arange(len(curve)), c) for c in curve.T])
+    return (
+        f"{1e3 * raw(photograph, curve).mean:.1f} mm raw, {1e3 * rigid(photograph, curve).mean:.1f}"
+        f" mm after one rigid motion, over {int(photograph.seen.sum())} points seen"
+    )
+
+
+def draw(
+    out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict], camera: float
+) -> list[Path]:
+    """A picture per rod: above the photographs and what the other pictures predict of them, below
+    the predicted optimal deployments."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    written = []
+    for verdict in verdicts:
+        own = [p for p in photographs if p.rod == verdict.rod]
+        figure, axes = plt.subplots(2, len(own), figsize=(3.2 * len(own), 7.0), squeeze=False)
+        for (above, below), p, one in zip(axes.T, own, verdict.predicted, strict=True):
+            curve = seen_from(one.arc_length, one.nodes, p.middle, camera)
+            place = rigid(p, curve)
+            target = p.pattern.sample(np.linspace(0.0, p.pattern.length, 400))[0]
+            box = np.concatenate([p.points, target[:, :2]])
+            low, high = box.min(axis=0) - 0.02, box.max(axis=0) + 0.02
+            for axis in (above, below):
+                axis.plot(*target[:, :2].T, color="0.75", lw=1.0)
+                axis.set_aspect("equal")
+                axis.set_xlim(low[0], high[0])
+                axis.set_ylim(low[1], high[1])
+                axis.tick_params(labelsize=6)
+            above.plot(*place.curve.T, color="tab:blue", lw=1.2)
+            above.plot(*p.points.T, ".", color="tab:red", ms=1.5)
+            above.set_title(f"{p.pattern_name}: {1e3 * place.mean:.1f} mm", fontsize=8)
+            prediction = out / f"{p.rod}-{p.pattern_name}-opt.npz"
+            if prediction.exists():
+                with np.load(prediction) as file:
+                    below.plot(*file["as_seen"].T, color="tab:green", lw=1.2)
+            below.set_title("optimal path, predicted", fontsize=8)
+        figure.suptitle(
+            f"{verdict.rod}: red seen, blue predicted from the rod's other pictures [m]", fontsize=9
+        )
+        figure.tight_layout()
+        path = out / f"{verdict.rod}.png"
+        figure.savefig(path, dpi=110)
+        plt.close(figure)
+        written.append(path)
+    return written
+
+
+def draw_lines(
+    out: Path, photographs: list[LaidPhotograph], laid: Deployments, camera: float
+) -> list[Path]:
+    """The straight lines, stretched across: seen, and in worlds where the rod was hung over the
+    line with little and with more excess."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    lines = [p for p in photographs if p.pattern_name == "line"]
+    if not lines:
+        return []
+    shown = ("held, friction 0.4", "hung, less excess", "hung", "hung, more excess")
+    figure, axes = plt.subplots(len(lines), 1, figsize=(8.0, 2.2 * len(lines)), squeeze=False)
+    for axis, p in zip(axes[:, 0], lines, strict=True):
+        worlds = worlds_of(p.rod)
+        rods = laid.of(p, "int", {name: worlds[name] for name in shown})
+        for name, shade in zip(shown, ("0.7", "tab:cyan", "tab:blue", "tab:purple"), strict=True):
+            curve = seen_from(rods[name].arc_length, rods[name].nodes, p.middle, camera)
+            place = rigid(p, curve)
+            label = f"{name} ({1e3 * worlds[name].excess:g} mm): {1e3 * place.mean:.1f} mm"
+            axis.plot(-place.curve[:, 1], 1e3 * place.curve[:, 0], color=shade, lw=1.2, label=label)
+        axis.plot(-p.points[:, 1], 1e3 * p.points[:, 0], ".", color="tab:red", ms=2)
+        low, high = -p.points[:, 1].max() - 0.03, -p.points[:, 1].min() + 0.03
+        axis.set_xlim(low, high)
+        axis.set_ylabel(f"{p.rod} [mm]", fontsize=8)
+        axis.legend(fontsize=6, ncols=2, loc="upper center")
+        axis.tick_params(labelsize=7)
+    axes[-1, 0].set_xlabel("along the line [m]", fontsize=8)
+    figure.tight_layout()
+    path = out / "lines.png"
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+    return [path]

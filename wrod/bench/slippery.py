@@ -1,0 +1,239 @@
+"""`wrod bench slippery`: how well do plans lie on slippery tables? Restartable."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import click
+import numpy as np
+
+from wrod.bench import campaign
+from wrod.bench.ledger import Ledger
+
+KEYS = ("rod", "pattern", "friction", "method", "trial")
+PUT_DOWN = "put_down"
+METHODS = ("intuitive", "zero_tension", "min_friction", "optimised", PUT_DOWN)
+# Seeds of disturbances that no plan was fitted to or judged by.
+_FIRST_SEED = 9_000
+_PLAN_SPACING = 0.005
+
+
+@click.command(name="slippery")
+@click.option("--frictions", default="0.2,0.3,0.6", show_default=True, help="Of the tables.")
+@click.option("--rods", default="green-vps", show_default=True, help="With commas between them.")
+@click.option("--names", default="letter-U", show_default=True, help="Patterns.")
+@click.option("--methods", default=",".join(METHODS), show_default=True, help="What lays them.")
+@click.option("--trials", default=2, show_default=True, help="Disturbed trials a cell.")
+@campaign.options(speed=0.04, step=0.01, spacing=0.005)
+def command(
+    frictions: str,
+    rods: str,
+    names: str,
+    methods: str,
+    trials: int,
+    out: Path,
+    patterns: Path | None,
+    release: float,
+    speed: float,
+    step: float,
+    spacing: float,
+    batch: int | None,
+    device: str,
+    as_json: bool,
+) -> None:
+    """Lay patterns by plans that do not know their table and by plans that do.
+
+    Plans are kept in OUT/plans and finished trials in OUT/trials.jsonl: a run that was stopped goes
+    on from there.
+    """
+    from wrod.bench.closures import _numbers
+    from wrod.errors import RodError
+    from wrod.rods.batch import resolve_device
+
+    if trials < 1:
+        raise RodError(f"trials is {trials}; give 1 or more")
+    chosen = methods.split(",")
+    if unknown := [name for name in chosen if name not in METHODS]:
+        raise RodError(f"unknown method {unknown[0]!r}; use some of {', '.join(METHODS)}")
+    device = resolve_device(device)
+    shelf = Shelf(out / "plans", patterns, device)
+    mus = _numbers(frictions, "frictions", 0.01, 10.0)
+    settings = {
+        "speed": speed, "step": step, "spacing": spacing, "release": release,
+        "patterns": "built-in" if patterns is None else patterns.name,
+    }  # fmt: skip
+    out.mkdir(parents=True, exist_ok=True)
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery")
+    cells = list(product(rods.split(","), names.split(","), mus, chosen))
+    keys = [
+        (*cell, trial)
+        for trial in range(trials)
+        for cell in cells
+        if trial == 0 or cell[3] != PUT_DOWN
+    ]
+    how = dict(release=release, speed=speed, step=step)
+
+    def simulate(part, progress):
+        rows = []
+        for key in part:
+            s, place, steps, diverged = _laid(shelf, key, spacing, device, how)
+            rows.append(dict(zip(KEYS, key, strict=True)) | _figures(shelf, key, s, place))
+            rows[-1] |= {"steps": steps, "diverged": diverged}
+            progress(1.0 / len(part))
+        return rows
+
+    campaign.run(ledger, keys, simulate, device=device, batch=batch or 1, quiet=as_json)
+    rows = ledger.of(keys)
+    written = [write_csv(out / "slippery.csv", rows), ledger.path]
+    written.append(draw(out / "slippery.png", rows, shelf))
+    table = summary(rows)
+    if as_json:
+        click.echo(json.dumps({"cells": table, "written": [str(p) for p in written]}, indent=2))
+        return
+    for line in table:
+        click.echo(
+            f"{line['rod']}, {line['pattern']}, friction {line['friction']:g}: "
+            + ", ".join(f"{name} {value:.3f}" for name, value in line["error_mean"].items())
+            + " cm"
+        )
+    for path in written:
+        click.echo(f"wrote {path}")
+
+
+@dataclass
+class Shelf:
+    """Plans, made when first asked for and kept in a folder."""
+
+    folder: Path
+    patterns: Path | None
+    device: str
+
+    def course(self, rod_name: str, name: str):
+        """The pattern as `plan` lays it, and the rod."""
+        from wrod.bench.table3_paper import read_pattern
+        from wrod.planning.plan import prepare
+        from wrod.rods.material import rod
+
+        material = rod(rod_name)
+        return prepare(read_pattern(name, self.patterns), material, None), material
+
+    def plan(self, rod_name: str, name: str, friction: float, method: str):
+        """The trajectory of that method; friction counts for the optimised alone."""
+        from wrod.planning.plan import plan
+        from wrod.planning.trajectory import Trajectory
+
+        table = f"-{friction:g}" if method == "optimised" else ""
+        path = self.folder / f"{rod_name}-{name}-{method}{table}.npz"
+        if path.exists():
+            return Trajectory.load(path)
+        led, material = self.course(rod_name, name)
+        how = {
+            "intuitive": {"method": "intuitive"},
+            "optimised": {"method": "auto", "friction": friction},
+        }.get(method, {"method": "numeric", "closure": method})
+        made = plan(
+            led, material, spacing=_PLAN_SPACING, remainder=False, device=self.device, **how
+        )
+        made.save(path)
+        return made
+
+
+def _laid(shelf: Shelf, key: tuple, spacing: float, device: str, how: dict):
+    """Arc length (node,) and place (node, 3) [m] of what lies, steps taken, whether it diverged."""
+    from wrod.bench.put_down import put_down
+    from wrod.deployment.setup import Disturbance
+    from wrod.deployment.simulate import Trial
+    from wrod.deployment.tangents import lay
+    from wrod.solvers.contact import Friction
+
+    rod_name, name, mu, method, trial = key
+    led, material = shelf.course(rod_name, name)
+    if method == PUT_DOWN:
+        nodes = int((led.length + led.remainder_length) / spacing) + 2
+        job = (led, material, Friction(mu))
+        s, place, diverged, steps = put_down([job], node_count=nodes, step=0.02, device=device)[0]
+        return s, place, steps, diverged
+    trajectory = shelf.plan(rod_name, name, mu, method)
+    disturbance = Disturbance.random(_FIRST_SEED + trial)
+    (one,) = lay(
+        [Trial(led, material, trajectory, Friction(mu), disturbance)],
+        spacing=spacing, device=device, **how,
+    )  # fmt: skip
+    return one.arc_length, one.centerline, one.steps, one.diverged
+
+
+def _figures(shelf: Shelf, key: tuple, s: np.ndarray, place: np.ndarray) -> dict:
+    from wrod.deployment.result import errors_along
+
+    led, _ = shelf.course(*key[:2])
+    error = 100.0 * errors_along(led, s, place)[1]
+    along = np.linspace(0.0, led.length, 60) + led.remainder_length
+    curve = np.column_stack([np.interp(along, s, place[:, c]) for c in range(2)])
+    return {
+        "error_mean": float(error.mean()),
+        "error_std": float(error.std()),
+        "curve": np.round(curve, 5).tolist(),
+    }
+
+
+def summary(rows: list[dict]) -> list[dict]:
+    """Mean error [cm] by method of each rod, pattern and friction."""
+    out: dict[tuple, dict] = {}
+    for row in rows:
+        cell = out.setdefault((row["rod"], row["pattern"], row["friction"]), {})
+        cell.setdefault(row["method"], []).append(row["error_mean"])
+    return [
+        dict(zip(KEYS[:3], key, strict=True))
+        | {"error_mean": {name: float(np.mean(values)) for name, values in cell.items()}}
+        for key, cell in out.items()
+    ]
+
+
+def write_csv(path: Path, rows: list[dict]) -> Path:
+    """One trial a line."""
+    from wrod.files import write_atomically
+
+    names = [*KEYS, "error_mean", "error_std", "diverged"]
+
+    def write(file):
+        writer = csv.writer(file)
+        writer.writerow([f"{n} [cm]" if n.startswith("error") else n for n in names])
+        writer.writerows([[row[n] for n in names] for row in rows])
+
+    return write_atomically(path, write)
+
+
+def draw(path: Path, rows: list[dict], shelf: Shelf) -> Path:
+    """What lies, one panel for each pattern and friction, one colour for each method."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from wrod.files import write_atomically
+
+    places = list(dict.fromkeys((r["rod"], r["pattern"]) for r in rows))
+    mus = sorted({r["friction"] for r in rows})
+    figure = Figure(figsize=(3.6 * len(mus), 3.4 * len(places) + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(places), len(mus), squeeze=False)
+    lines = {}
+    for i, place in enumerate(places):
+        led, _ = shelf.course(*place)
+        target = 100.0 * led.sample(np.linspace(0.0, led.length, 300))[0]
+        for j, mu in enumerate(mus):
+            axis = axes[i, j]
+            lines["pattern"] = axis.plot(*target[:, :2].T, color="0.8", lw=4)[0]
+            for row in rows:
+                if ((row["rod"], row["pattern"]), row["friction"]) == (place, mu):
+                    colour = f"C{METHODS.index(row['method'])}"
+                    curve = 100.0 * np.array(row["curve"])
+                    label = row["method"].replace("_", " ")
+                    lines[label] = axis.plot(*curve.T, color=colour, lw=1)[0]
+            axis.set_aspect("equal")
+            axis.set_title(f"{place[0]}, {place[1]}, friction {mu:g}", fontsize=9)
+            axis.set_xlabel("x [cm]")
+    figure.legend(lines.values(), lines.keys(), loc="outside lower center", ncols=6, fontsize=8)
+    return write_atomically(path, lambda file: figure.savefig(file, dpi=130, format="png"), "wb")

@@ -1,0 +1,108 @@
+"""What the numbers of every command may be: a range for each option, in one table.
+
+Options are declared where their commands are; here they get their limits, so that a number that
+no rod, table or machine has is refused with its option's name before anything is done.
+"""
+
+from __future__ import annotations
+
+import math
+
+import click
+
+# (lowest, highest) by option, or by command and option where they differ. Lengths are in m, times
+# in s. The lowest of what must not be 0 is the least that makes sense.
+_SEED = (0, 2**53)
+BOUNDS: dict[str, tuple[float, float]] = {
+    "--radius": (1e-6, 1.0),
+    "--lgb": (1e-4, 100.0),
+    "--length": (1e-3, 1e3),
+    "--height": (1e-4, 100.0),
+    "--density": (1e-2, 1e5),
+    "--poisson": (-0.999, 0.5),
+    "--friction": (0.0, 100.0),
+    "--kinetic": (0.0, 100.0),
+    "--spacing": (2e-4, 1.0),
+    "--scale": (1e-7, 1.0),
+    "--trials": (1, 10_000),
+    "--speed": (5e-4, 10.0),
+    "--release": (0.0, 100.0),
+    "--step": (1e-4, 1.0),
+    "--batch": (1, 100_000),
+    "--noise": (1e-9, 1.0),
+    "--iterations": (0, 100),
+    "--seed": _SEED,
+    "--workers": (1, 1024),
+    "--threads": (0, 1024),
+    "--count": (1, 1_000_000),
+    "plan --stroke": (1, 100_000),
+    "plan --resize": (1e-6, 1e6),
+    "plan --tolerance": (1e-6, 1.0),
+    "plan --hold": (0.0, 1e3),
+    "plan --table-height": (-10.0, 10.0),
+    "plan --gripper-length": (1e-3, 10.0),
+    "deploy --frames": (1e-3, 1e4),
+    "render --frames": (1, 10_000),
+    "manifold --length": (0.1, 1e3),
+    "manifold --stretch-ratio": (1.0, 1e9),
+    "manifold --rays": (5, 2_000),
+    "manifold --nudge": (1e-6, 1e3),
+    "dataset --size": (1, 2**30),
+    "dataset --shard-size": (1, 2**20),
+    "train --generate": (100, 2**29),
+    "train --steps": (1, 10**8),
+    "train --batch": (1, 2**20),
+    "train --width": (1, 4096),
+    "train --sensitivity-weight": (0.0, 1e6),
+    "train --minutes": (1e-3, 1e5),
+    "train --rows": (100, 2**30),
+    "train --test": (1, 10**6),
+    "bench manifold --lengths": (2, 10_000),
+    "bench perception --repeats": (1, 10_000),
+    "bench deploy --levels": (1, 8),
+    "bench knot-force --loosest": (1.0, 1e4),
+    "bench knot-force --tightest": (1.0, 1e4),
+    "bench bends --load": (1e-6, 1e3),
+    "bench newton --length": (1e-3, 100.0),
+    "bench newton --scale": (1e-3, 1e6),
+    "bench newton --rods": (1, 100_000),
+    "bench newton --periods": (1e-2, 1e3),
+    "bench identify --hidden": _SEED,
+    "bench cables --folds": (2, 1_000),
+    "bench loop --curvature": (-200.0, 200.0),
+    "bench loop --lgb-error": (-0.9, 10.0),
+    "bench loop --grasps": (100, 2**24),
+    "bench loop --steps": (1, 10**8),
+    "bench applications --first": (0, 10**9),
+}
+# Of an option that has no row.
+_ANY = (-1e9, 1e9)
+
+
+class Real(click.FloatRange):
+    """A finite number of a range."""
+
+    def convert(self, value, param, ctx):
+        found = super().convert(value, param, ctx)
+        if not math.isfinite(found):  # NaN is in every range, as no comparison with it holds
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return found
+
+
+def bounded(command: click.Command, path: str) -> click.Command:
+    """The command, with a range for each of its numbers.
+
+    Args:
+        path: name of the command with its group's, such as "bench table3".
+    """
+    for option in command.params:
+        if not isinstance(option, click.Option):
+            continue
+        name = max(option.opts, key=len)
+        low, high = BOUNDS.get(f"{path} {name}", BOUNDS.get(name, _ANY))
+        kind = option.type
+        if isinstance(kind, (click.types.FloatParamType, click.FloatRange)):
+            option.type = Real(low, high)
+        elif isinstance(kind, (click.types.IntParamType, click.IntRange)):
+            option.type = click.IntRange(math.ceil(low), math.floor(high))
+    return command

@@ -1,0 +1,108 @@
+"""What every command has around it: one sentence for what goes wrong, and a lock on its output."""
+
+from __future__ import annotations
+
+import errno
+import functools
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from wrod.errors import WrodError
+
+# Exit codes: of input that cannot be used, of an interruption, and of a fault of ours.
+REFUSED, INTERRUPTED, FAULT = 2, 130, 70
+# Set it to see where a fault of ours is.
+TRACEBACK = "WROD_TRACEBACK"
+# Modules that a base install lacks, and the extra that brings each.
+_EXTRAS = {
+    "torch": "train",
+    "pyarrow": "train",
+    "pytorch_kinematics": "robot",
+    "ruckig": "robot",
+    "trimesh": "robot",
+    "pxr": "scene",
+    "newton": "newton",
+    "viser": "view",
+    "cv2": "perception",
+    "PIL": "perception",
+    "skimage": "perception",
+    "elastica": "peers",
+}
+
+
+def sentence(error: BaseException) -> tuple[str, int] | None:
+    """What to say of an error, and the exit code; None if it is a fault of ours."""
+    if isinstance(error, WrodError):
+        return str(error), REFUSED
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted; what was finished is kept, and the same command goes on", INTERRUPTED
+    if isinstance(error, ModuleNotFoundError):
+        module = (error.name or "").partition(".")[0]
+        extra = _EXTRAS.get(module)
+        if extra is not None:
+            return f"this needs {module}; install it with: pip install 'wrod[{extra}]'", REFUSED
+        return None
+    if isinstance(error, MemoryError) or ("allocat" in str(error) and "bytes" in str(error)):
+        return "out of memory; ask for less at once (fewer trials, a smaller batch)", REFUSED
+    if isinstance(error, OSError):
+        where = error.filename if error.filename is not None else "the output"
+        remedy = "make room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
+        said = error.strerror or str(error)
+        return f"{where}: {said}; {remedy} or choose another, then run the same command again", 2
+    if isinstance(error, RecursionError):
+        return "the input is nested too deeply", REFUSED
+    return None
+
+
+def stop(ctx: click.Context, error: BaseException) -> None:
+    """Say in one sentence why the command ends, and which of its outputs are whole; then exit."""
+    from wrod.files.writing import finished
+
+    if isinstance(error, BrokenPipeError):
+        os._exit(1)  # nobody reads any more what would be said
+    said = sentence(error)
+    if said is None:
+        if os.environ.get(TRACEBACK):
+            raise error
+        kind = type(error).__name__
+        said = (
+            f"a fault of wrod's own ({kind}: {error}); please report it with what {TRACEBACK}=1 "
+            "shows",
+            FAULT,
+        )
+    text, code = said
+    whole = [str(path) for path in finished() if path.exists()]
+    if whole:
+        more = f" and {len(whole) - 3} more" if len(whole) > 3 else ""
+        text += f" (complete: {', '.join(whole[-3:])}{more}; the rest was not written)"
+    click.echo(f"wrod: {text}", err=True)
+    ctx.exit(code)
+
+
+def holding_output(command: click.Command) -> click.Command:
+    """The command, which now holds its --out against other processes while it runs."""
+    run: Callable | None = command.callback
+    if run is None or not any(option.name == "out" for option in command.params):
+        return command
+
+    @functools.wraps(run)
+    def guarded(*args, **kwargs):
+        from wrod.files.locking import locked
+
+        out = kwargs.get("out")
+        if out is None:
+            return run(*args, **kwargs)
+        existing = Path(out).exists()
+        try:
+            with locked(out, os.environ.get("RANK", "")):
+                return run(*args, **kwargs)
+        except BaseException:
+            if not existing and Path(out).is_dir() and not any(Path(out).iterdir()):
+                Path(out).rmdir()  # nothing was finished: leave nothing
+            raise
+
+    command.callback = guarded
+    return command

@@ -1,0 +1,111 @@
+"""`wrod show PATTERN`: the pattern as it is read, before anything is planned."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from wrod.commands.options import DRAWING, PICTURE, ROD, UNITS, options, read_pattern, read_rod
+
+
+@click.command(name="show")
+@click.argument("pattern")
+@options(ROD, UNITS, DRAWING, PICTURE)
+@click.option("--resize", type=float, help="Draw the pattern this many times as large.")
+@click.option("--tolerance", default=0.01, show_default=True, help="Of rounded corners [m].")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="A picture (PNG).")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    pattern: str,
+    rod_name: str | None,
+    radius: float | None,
+    lgb: float | None,
+    length: float | None,
+    units: str | None,
+    layer: str | None,
+    stroke: int | None,
+    markers: Path | None,
+    sheet: str | None,
+    scale: float | None,
+    camera: Path | None,
+    start: str | None,
+    resize: float | None,
+    tolerance: float,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Say what PATTERN is: length, size, curvature, how far it leaves its points.
+
+    With a rod also whether it is long enough and what is rounded for it; see `wrod plan`.
+    """
+    import numpy as np
+
+    from wrod.commands.plan_pattern import fit, too_long
+    from wrod.errors import DataError
+
+    reading = {
+        "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
+    }  # fmt: skip
+    first = read_pattern(pattern, units, reading, layer, stroke)
+    curve, notes = first, []
+    if (rod_name, radius, lgb, length) != (None,) * 4:
+        rod = read_rod(rod_name, radius, lgb, length)
+        fitted = fit(first, rod, resize, tolerance, None)
+        curve, notes = fitted.pattern, list(fitted.notes)
+        remedy = too_long(curve, rod)
+        if remedy is not None:
+            notes.append(f"too long for a rod of {rod.length:g} m: {remedy}")
+    elif resize is not None:
+        curve = first.scaled(resize)
+    position, _, curvature = curve.sample(np.linspace(0.0, curve.length, 2000))
+    figures = {
+        "pattern": curve.name,
+        "length": curve.length,
+        "size": np.ptp(position[:, :2], axis=0).tolist(),
+        "largest_curvature": float(np.abs(curvature).max()),
+        "departure_from_points": curve.departure()[0],
+        "noise": curve.noise,
+        "notes": notes,
+    }
+    if out is not None:
+        try:
+            _draw(out, curve, position, figures)
+        except OSError as error:
+            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return
+    width, height = figures["size"]
+    click.echo(
+        f"{curve.name}: {curve.length:.3f} m long, {width:.3f} x {height:.3f} m, largest curvature "
+        f"{figures['largest_curvature']:.1f} 1/m; leaves its points by "
+        f"{1e3 * figures['departure_from_points']:.1f} mm at most"
+    )
+    for note in notes:
+        click.echo(f"note: {note}")
+    if out is not None:
+        click.echo(f"wrote {out}")
+
+
+def _draw(out: Path, curve, position, figures: dict) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from wrod.files import write_atomically
+
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    if curve.points is not None:
+        axes.plot(curve.points[:, 0], curve.points[:, 1], "o-", color="0.7", ms=2, lw=0.8,
+                  label="points given")  # fmt: skip
+    axes.plot(position[:, 0], position[:, 1], color="tab:blue", lw=2, label="pattern")
+    axes.plot(*position[0, :2], "o", color="tab:green", label="start")
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.set_title(f"{curve.name}: {figures['length']:.3f} m", fontsize=10)
+    axes.legend(fontsize=8)
+    write_atomically(out, lambda file: figure.savefig(file, dpi=110), "wb")

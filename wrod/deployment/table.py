@@ -1,0 +1,67 @@
+"""The table that laid rods have told of: its friction, in a small file that plans can read."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wrod.errors import DataError
+from wrod.files import write_atomically
+
+_FORMAT = "wrod-table-1"
+
+
+@dataclass(frozen=True)
+class Table:
+    """What is known of a table.
+
+    Attributes:
+        friction: Coulomb coefficient [-].
+        log_error: standard error of its logarithm [-].
+        correlation: largest correlation with what was found beside it; near 1 in size, rods told
+            only a combination.
+    """
+
+    friction: float
+    log_error: float
+    correlation: float = 0.0
+
+    def __post_init__(self) -> None:
+        values = (self.friction, self.log_error, self.correlation)
+        if not (np.isfinite(values).all() and self.friction > 0.0 <= self.log_error):
+            raise DataError(
+                f"table has friction {self.friction!r} with log error {self.log_error!r}; give a "
+                "positive number and an error of 0 or more"
+            )
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Friction one standard error down and up [-]."""
+        grow = float(np.exp(self.log_error))
+        return self.friction / grow, self.friction * grow
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the table as JSON."""
+        content = {"format": _FORMAT, **asdict(self)}
+        return write_atomically(path, lambda file: file.write(json.dumps(content, indent=2) + "\n"))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Table:
+        """Read what `save` or `wrod laid --table` wrote.
+
+        Raises:
+            DataError: the file is missing, not a table, or holds unusable values.
+        """
+        try:
+            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            if content.pop("format", None) != _FORMAT:
+                raise DataError(f"{path}: is not a table; give the file of `wrod laid --table`")
+            return cls(**{name: float(value) for name, value in content.items()})
+        except DataError as error:
+            raise DataError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
+        except (OSError, ValueError, TypeError, AttributeError) as error:
+            raise DataError(f"{path}: not a readable table ({error})") from None

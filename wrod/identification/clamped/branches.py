@@ -1,0 +1,154 @@
+"""Which equilibrium a clamped rod is in: a stable one, and of several the one that was measured.
+
+A rod that is led to its poses from straight may arrive at an equilibrium that no rod keeps (an arch
+that stands upright in its own plane falls to one side), or nowhere. Each trial is therefore relaxed
+from more shapes: the measured one, and, where it stands on a saddle, what it falls to on either
+side. Stable ones come before unstable ones; among those the nearest to the markers is the rod's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+# Shapes whose RMS distance is below this share of the free length are one equilibrium.
+_SAME = 1e-3
+# A stable equilibrium this near to the measured shape is the rod's.
+_NEAR = 0.05
+# Size of the push off a saddle, over the free length.
+_PUSH = 0.02
+# What falls off one saddle may land on another.
+_FALLS = 4
+
+
+@dataclass(frozen=True)
+class Branch:
+    """What is known of the equilibria of one trial.
+
+    Attributes:
+        negative: eigenvalues below zero of the chosen one: 0 is stable.
+        found: distinct stable equilibria that were found.
+        start: where the chosen one was reached from: the "measured" shape, "straight", "saddle".
+    """
+
+    negative: int
+    found: int
+    start: str
+
+
+class _Tried:
+    """States of every rod from one start, with what came of it."""
+
+    def __init__(self, solver, reached: np.ndarray, shape: np.ndarray | None, start: str):
+        self.state, self.start = solver.saved(), start
+        self.position = solver.batch.positions()[:, 1:-1]
+        self.negative = solver.negative.copy()
+        self.finite = np.isfinite(self.position).all(axis=(1, 2))
+        self.reached = reached & self.finite
+        self.away = np.zeros(len(reached))
+        if shape is not None:
+            off = np.sqrt(((self.position - shape) ** 2).sum(axis=2).mean(axis=1))
+            self.away = np.where(np.isfinite(off), off, np.inf)
+
+
+def from_measured(solver, setups, shape: np.ndarray) -> tuple[_Tried, np.ndarray]:
+    """What every rod relaxes to from its measured shape (rod, node, 3), and (rod,) whether that
+    leaves no doubt: stable, near that shape, and not twisted by half a turn, which may go both
+    ways."""
+    tried = _Tried(solver, _relaxed(solver, setups, shape), shape, "measured")
+    near = tried.away < _NEAR * float(np.real(setups[0].length))
+    twist = np.abs(solver.total_twist()) < 0.9 * np.pi
+    return tried, tried.reached & (tried.negative == 0) & near & twist
+
+
+def settle(
+    solver, setups, walked: np.ndarray, shape: np.ndarray | None, measured: _Tried | None
+) -> list[Branch]:
+    """Put every rod of a `ClampedSolver` that was led to its poses on its branch.
+
+    Args:
+        walked: (rod,) whether it arrived.
+        shape: (rod, node, 3) measured positions of the nodes between the clamps, if there are any;
+            measured: what they relax to.
+
+    Returns:
+        one entry per rod; `found` is 0 where a rod has no equilibrium.
+    """
+    tried = [_Tried(solver, walked, shape, "straight")]
+    first = tried[0]
+    if measured is not None:
+        tried.append(measured)
+    saddle = np.logical_and.reduce([~t.reached | (t.negative > 0) for t in tried])
+    if saddle.any():
+        size = _PUSH * float(np.real(setups[0].length))
+        for side in (-1.0, 1.0):
+            last = first
+            for _ in range(_FALLS):
+                modes = softest_mode(solver, last)
+                pushed = last.position + side * size * modes
+                reached = _relaxed(solver, setups, pushed, last.state)
+                last = _Tried(solver, reached, shape, "saddle")
+                tried.append(last)
+                if not (saddle & (~last.reached | (last.negative > 0))).any():
+                    break
+    return _chosen(solver, tried, float(np.real(setups[0].length)))
+
+
+def _chosen(solver, tried: list[_Tried], length: float) -> list[Branch]:
+    out = []
+    picks = np.zeros(len(tried[0].reached), dtype=int)
+    for r in range(len(picks)):
+        ranked = [k for k, t in enumerate(tried) if t.reached[r]]
+        stable = [k for k in ranked if tried[k].negative[r] == 0]
+        distinct: list[int] = []
+        for k in stable:
+            apart = [
+                np.sqrt(((tried[k].position[r] - tried[j].position[r]) ** 2).sum(axis=1).mean())
+                for j in distinct
+            ]
+            if all(a > _SAME * length for a in apart):
+                distinct.append(k)
+        pool = distinct or ranked or [0]
+        # Where the rod was led to is preferred unless another one is clearly nearer.
+        best = min(pool, key=lambda k: (tried[k].away[r] + _SAME * length * (k > 0), k))
+        picks[r] = best
+        out.append(
+            Branch(int(tried[best].negative[r]), len(distinct) or len(ranked), tried[best].start)
+        )
+    for k, t in enumerate(tried):
+        if (picks == k).any():
+            solver.restore(t.state, picks == k)
+    solver.negative = np.array([b.negative for b in out])
+    return out
+
+
+def _relaxed(solver, setups, shape: np.ndarray, state=None) -> np.ndarray:
+    """Bring every rod to equilibrium from a shape; (rod,) whether it got there."""
+    solver.shape_to(setups, shape, state)
+    return solver.relax(setups)
+
+
+def softest_mode(solver, at: _Tried) -> np.ndarray:
+    """(rod, node, 3) displacement of the lowest eigenvector of every unstable rod, of largest size
+    1; zero for the others."""
+    solver.restore(at.state)
+    batch = solver.batch
+    batch.evaluate(order=2)
+    band = batch.derivatives.hessian.numpy()
+    free = batch.free.numpy() != 0
+    out = np.zeros((len(band), batch.node_count, 3))
+    dofs, width = band.shape[1:]
+    for r in np.flatnonzero(at.finite & (~at.reached | (at.negative > 0))):
+        full = np.zeros((dofs, dofs))
+        for k in range(width):
+            row = np.arange(k, dofs)
+            full[row, row - k] = full[row - k, row] = band[r, row, k]
+        own = np.flatnonzero(free[r])
+        _, vectors = eigh(full[np.ix_(own, own)], subset_by_index=[0, 0])
+        vector = np.zeros(dofs + 1)
+        vector[own] = vectors[:, 0]
+        move = vector.reshape(-1, 4)[:, :3]
+        out[r] = move / max(np.linalg.norm(move, axis=1).max(), 1e-300)
+    return out[:, 1:-1]

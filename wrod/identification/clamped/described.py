@@ -1,0 +1,175 @@
+"""Effects that are built from a print: what is missing, where, how much, in a few numbers.
+
+None of them is a candidate of its own accord: each is built where the non-parametric profiles of
+`wrod.identification.clamped.profiles` say that something is there, and fits start from that place.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
+
+# Width of the soft edges of a stretch [m]: what markers centimetres apart cannot tell from sharp.
+_EDGE = 4e-3
+
+
+def _window(setup, start, stop):
+    """(n + 1,) 1 between two arc lengths, 0 outside, analytic."""
+    s = setup.arc_length
+
+    def step(x):
+        return 0.5 * (1.0 + np.tanh(0.5 * x / _EDGE))
+
+    return step(s - start) * step(stop - s)
+
+
+class Described(Effect):
+    """An effect with starts of its own, from a print.
+
+    Args:
+        first: parameter vectors to start fits from.
+    """
+
+    def __init__(self, first: list[np.ndarray]):
+        self.first = [np.asarray(v, dtype=float) for v in first]
+
+    def starts(self, measurements):
+        return self.first
+
+
+class LocalBend(Described):
+    name = "local_bend"
+    title = "a bend at one place"
+    reference = (
+        "natural curvature of a Gaussian over arc length, its integral the angle of the bend"
+    )
+    parameters = (
+        Parameter("angle_1", "rad", 1.0),
+        Parameter("angle_2", "rad", 1.0),
+        Parameter("arc_length", "m", 0.5, anywhere=True),
+        Parameter("log_width", "", 0.7, lower=np.log(1e-3), anywhere=True),
+    )
+
+    def apply(self, setup, values):
+        width = np.exp(values[3])
+        x = (setup.arc_length - values[2]) / width
+        bump = np.exp(-0.5 * x * x) / (width * np.sqrt(2.0 * np.pi))
+        vector = np.array([values[1], -values[0]])
+        setup.natural_curvature = setup.natural_curvature + bump[:, None] * vector
+
+    def describe(self, values, covariance, measurements):
+        size, direction = magnitude_and_angle(*values[:2], covariance[:2, :2])
+        width = float(np.exp(values[3]))
+        own = super().describe(values, covariance, measurements)
+        return {
+            "bend": Estimate(*np.degrees(size).tolist(), "deg"),
+            "direction": Estimate(*direction, "deg"),
+            "arc_length": own["arc_length"],
+            "width": Estimate(width, width * float(np.sqrt(covariance[3, 3])), "m"),
+            "angle_1": own["angle_1"],
+            "angle_2": own["angle_2"],
+        }
+
+
+class Stretch(Described):
+    name = "stretch"
+    title = "a stretch of rod that is otherwise stiff and otherwise heavy"
+    reference = "stiffness times a factor and mass per length times another between two places"
+    parameters = (
+        Parameter("log_stiffness_ratio", "", 2.0),
+        Parameter("mass_gain", "", 2.0, lower=-0.95),
+        Parameter("start", "m", 0.5, anywhere=True),
+        Parameter("log_length", "", 1.0, lower=np.log(2e-3), anywhere=True),
+    )
+
+    def apply(self, setup, values):
+        window = _window(setup, values[2], values[2] + np.exp(values[3]))
+        # Compliances add up, so a short stretch acts by the integral of its own.
+        factor = 1.0 / (1.0 + (np.exp(-values[0]) - 1.0) * window)
+        setup.bending = setup.bending * factor[:, None]
+        setup.twisting = setup.twisting * factor
+        setup.stretching = setup.stretching * 0.5 * (factor[1:] + factor[:-1])
+        setup.line_mass = setup.line_mass * (1.0 + values[1] * window)
+
+    def describe(self, values, covariance, measurements):
+        rod = measurements.material
+        error = np.sqrt(np.diag(covariance))
+        ratio, length = float(np.exp(values[0])), float(np.exp(values[3]))
+        mass = rod.weight / rod.gravity * length
+
+        def estimate(value, slopes, unit):
+            slopes = np.asarray(slopes)
+            return Estimate(float(value), float(np.sqrt(slopes @ covariance @ slopes)), unit)
+
+        soft = 1.0 / ratio
+        return {
+            "start": Estimate(float(values[2]), float(error[2]), "m"),
+            "stop": estimate(values[2] + length, [0.0, 0.0, 1.0, length], "m"),
+            "stiffness_ratio": Estimate(ratio, ratio * float(error[0]), ""),
+            "mass_ratio": Estimate(1.0 + float(values[1]), float(error[1]), ""),
+            "extra_compliance": estimate(
+                (soft - 1.0) * length, [-soft * length, 0.0, 0.0, (soft - 1.0) * length], "m"
+            ),
+            "extra_mass": estimate(
+                values[1] * mass, [0.0, mass, 0.0, float(values[1]) * mass], "kg"
+            ),
+        }
+
+
+class LocalLoad(Described):
+    name = "local_load"
+    title = "a force along a stretch of the rod, fixed in the laboratory"
+    reference = "dead force per length between two places"
+    parameters = (
+        *(Parameter(f"force_{axis}", "N/m", 0.1) for axis in "xyz"),
+        Parameter("start", "m", 0.5, anywhere=True),
+        Parameter("log_length", "", 1.0, lower=np.log(2e-3), anywhere=True),
+    )
+
+    def apply(self, setup, values):
+        window = _window(setup, values[3], values[3] + np.exp(values[4]))
+        cell = setup.length / (len(setup.fraction) - 1) * np.ones(len(setup.fraction))
+        cell[[0, -1]] *= 0.5
+        setup.force = setup.force + (window * cell)[:, None] * np.asarray(values[:3])
+
+    def describe(self, values, covariance, measurements):
+        own = super().describe(values, covariance, measurements)
+        length = float(np.exp(values[4]))
+        slopes = np.array([1.0, length])
+        error = float(np.sqrt(slopes @ covariance[3:, 3:] @ slopes))
+        found = {k: v for k, v in own.items() if k != "log_length"}
+        return found | {"stop": Estimate(float(values[3]) + length, error, "m")}
+
+
+class Attraction(Described):
+    """A pull towards one point. Its place along the force is that of the measured shape, which is
+    the rod's to within the noise: much less than the reach."""
+
+    name = "attraction"
+    title = "a pull towards one point of the laboratory"
+    reference = (
+        "dead force per length strength * d^2 * r / (r^2 + reach^2)^(3/2) towards a point at the "
+        "vector r from the rod, d = 0.1 m"
+    )
+    distance = 0.1
+    parameters = (
+        Parameter("strength", "N/m", 0.2),
+        *(Parameter(axis, "m", 1.0, anywhere=True) for axis in "xyz"),
+        Parameter("log_reach", "", 0.7, lower=np.log(5e-3), anywhere=True),
+    )
+
+    def apply(self, setup, values):
+        away = np.asarray(values[1:4]) - setup.measured
+        square = np.sum(away * away, axis=2, keepdims=True) + np.exp(2.0 * values[4])
+        cell = setup.length / (len(setup.fraction) - 1) * np.ones(len(setup.fraction))
+        cell[[0, -1]] *= 0.5
+        pull = values[0] * self.distance**2 * away / (square * np.sqrt(square))
+        setup.force = setup.force + cell[:, None] * pull
+
+    def describe(self, values, covariance, measurements):
+        own = super().describe(values, covariance, measurements)
+        reach = float(np.exp(values[4]))
+        found = {k: v for k, v in own.items() if k != "log_reach"}
+        error = reach * float(np.sqrt(covariance[4, 4]))
+        return found | {"reach": Estimate(reach, error, "m")}

@@ -1,0 +1,293 @@
+"""Non-parametric profiles along a clamped rod, and the effects that are built from them.
+
+Where no known effect reaches the noise, what is missing is read off the residual as a profile on
+`KNOTS` knots: natural curvature, stiffness, weight, force in the laboratory. Its prior is a
+Gaussian process whose size and correlation length are those of most evidence, so that only as many
+of its numbers count as the data ask for. A profile is simplified to a described effect
+(`described`) where that has the better information criterion, and stays a profile where it has not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.identification.clamped.described import (
+    Attraction,
+    LocalBend,
+    LocalLoad,
+    Stretch,
+)
+from wrod.identification.effect import Effect, Estimate, Model, Parameter
+
+KNOTS = 21
+# Correlation lengths to choose from, over the free length.
+_SMOOTH = (0.06, 0.12, 0.25, 0.5)
+_AMPLITUDES = np.logspace(-3, 3, 25)
+# Components of a profile that explain less than this of its prior variance are left out.
+_LEAST = 0.01
+_PLACES = 3
+
+
+def hats(fraction: np.ndarray) -> np.ndarray:
+    """(n, KNOTS) linear interpolation between equidistant knots."""
+    return np.maximum(1.0 - np.abs(fraction[:, None] * (KNOTS - 1) - np.arange(KNOTS)), 0.0)
+
+
+def _curvature(setup, profile):
+    vector = np.stack([profile[:, 1], -profile[:, 0]], axis=1)
+    setup.natural_curvature = setup.natural_curvature + vector
+
+
+def _stiffness(setup, profile):
+    factor = np.exp(profile[:, 0])
+    setup.bending = setup.bending * factor[:, None]
+    setup.twisting = setup.twisting * factor
+
+
+def _weight(setup, profile):
+    setup.line_mass = setup.line_mass * (1.0 + profile[:, 0])
+
+
+def _force(setup, profile):
+    cell = setup.length / (len(setup.fraction) - 1) * np.ones(len(setup.fraction))
+    cell[[0, -1]] *= 0.5
+    setup.force = setup.force + cell[:, None] * profile
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What a profile may be of: how it changes a setup, how many components, their unit."""
+
+    apply: object
+    width: int
+    unit: str
+    title: str
+
+
+KINDS = {
+    "curvature": _Kind(_curvature, 2, "1/m", "natural curvature"),
+    "stiffness": _Kind(_stiffness, 1, "", "logarithm of the relative stiffness"),
+    "weight": _Kind(_weight, 1, "", "relative extra weight"),
+    "force": _Kind(_force, 3, "N/m", "force in the laboratory"),
+}
+
+
+class ProfileEffect(Effect):
+    """A profile as an effect: numbers that are 1 large by the prior, times its components.
+
+    Args:
+        kind: of `KINDS`; basis: (KNOTS, width, P) its components.
+    """
+
+    reference = "Gaussian process along the rod, size and smoothness of most evidence"
+
+    def __init__(self, kind: str, basis: np.ndarray):
+        self.kind, self.basis = kind, basis
+        self.name = f"profile_of_{kind}"
+        self.title = f"{KINDS[kind].title}, a profile along the rod"
+        self.parameters = tuple(Parameter(f"component_{k}", "", 1.0) for k in range(basis.shape[2]))
+
+    def profile(self, fraction, values):
+        """(n, width) values along the rod."""
+        return hats(fraction) @ (self.basis @ np.asarray(values))
+
+    def apply(self, setup, values):
+        KINDS[self.kind].apply(setup, self.profile(setup.fraction, values))
+
+    def describe(self, values, covariance, measurements):
+        unit = KINDS[self.kind].unit
+        places = np.linspace(0.0, measurements.material.length, KNOTS)
+        found = self.basis @ values
+        error = np.sqrt(np.einsum("kwp,pq,kwq->kw", self.basis, covariance, self.basis))
+        return {
+            f"{self.kind}_{w + 1}_at_{1e3 * places[k]:.0f}_mm": Estimate(
+                float(found[k, w]), float(error[k, w]), unit
+            )
+            for w in range(found.shape[1])
+            for k in range(KNOTS)
+        }
+
+
+@dataclass(frozen=True)
+class Found:
+    """The likeliest profile of one kind.
+
+    Attributes:
+        evidence: log evidence over none [nats]; effective: numbers that the data determine.
+        value: (KNOTS, width); basis: (KNOTS, width, P) components of the prior, by size.
+    """
+
+    kind: str
+    evidence: float
+    effective: float
+    value: np.ndarray
+    basis: np.ndarray
+
+
+class _Everything(Effect):
+    """Every knot of every kind as a parameter, for one linearisation."""
+
+    def __init__(self):
+        self.parameters = tuple(
+            Parameter(f"{kind}_{w}_{k}", "", 1.0)
+            for kind, own in KINDS.items()
+            for w in range(own.width)
+            for k in range(KNOTS)
+        )
+
+    def apply(self, setup, values):
+        first, weights = 0, hats(setup.fraction)
+        for own in KINDS.values():
+            count = own.width * KNOTS
+            part = np.asarray(values[first : first + count]).reshape(own.width, KNOTS)
+            own.apply(setup, weights @ part.T)
+            first += count
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """The residual of the train trials about the base model, linear in every knot of every kind.
+
+    Attributes:
+        gram: (K, K), towards: (K,) of the whitened rates and with the residual.
+        first: the first column of each kind; forces: (T, R, 3, KNOTS) rates of forces.
+    """
+
+    gram: np.ndarray
+    towards: np.ndarray
+    first: dict[str, int]
+    forces: np.ndarray
+
+    def scan(self, kinds: tuple[str, ...], windows) -> list[tuple[float, np.ndarray, int, int]]:
+        """[(squares taken, values, first knot, last knot)] of constant values on each window of
+        knots, best first; windows that overlap a better one are left out."""
+        found = []
+        for i, j in windows:
+            columns = [
+                self.first[kind] + w * KNOTS + np.arange(i, j + 1)
+                for kind in kinds
+                for w in range(KINDS[kind].width)
+            ]
+            towards = np.array([self.towards[c].sum() for c in columns])
+            gram = np.array([[self.gram[np.ix_(a, b)].sum() for b in columns] for a in columns])
+            values = np.linalg.solve(gram + 1e-9 * np.diag(np.diag(gram)), towards)
+            found.append((float(towards @ values), values, i, j))
+        found.sort(key=lambda f: -f[0])
+        chosen: list[tuple[float, np.ndarray, int, int]] = []
+        for one in found:
+            if all(one[2] > c[3] + 1 or one[3] < c[2] - 1 for c in chosen):
+                chosen.append(one)
+            if len(chosen) == _PLACES:
+                break
+        return chosen
+
+
+def _linearised(laboratory) -> _Linear:
+    trials = laboratory.measurements.train
+    model = Model((_Everything(),))
+    seen, rates = laboratory.jacobian(model, np.zeros(len(model.parameters)))
+    residual = laboratory.whiten((laboratory.target - seen)[trials], trials).ravel()
+    columns = laboratory.whiten(rates[trials], trials).reshape(residual.size, -1)
+    first, place = {}, 0
+    for kind, own in KINDS.items():
+        first[kind], place = place, place + own.width * KNOTS
+    forces = rates[:, :, first["force"] :].reshape(*rates.shape[:2], 3, KNOTS)
+    return _Linear(columns.T @ columns, columns.T @ residual, first, forces)
+
+
+def profiles_of(linear: _Linear) -> list[Found]:
+    """The likeliest profile of every kind, best first."""
+    found = []
+    for kind, own in KINDS.items():
+        part = slice(linear.first[kind], linear.first[kind] + own.width * KNOTS)
+        found.append(_likeliest(kind, own.width, linear.gram[part, part], linear.towards[part]))
+    return sorted(found, key=lambda f: -f.evidence)
+
+
+def _likeliest(kind, width, gram, projected) -> Found:
+    place = np.linspace(0.0, 1.0, KNOTS)
+    best: tuple[float, Found] | None = None
+    for smooth in _SMOOTH:
+        like = np.exp(-0.5 * ((place[:, None] - place) / smooth) ** 2)
+        sizes, vectors = np.linalg.eigh(like)
+        keep = sizes > _LEAST * sizes.sum() / KNOTS
+        root = np.kron(np.eye(width), vectors[:, keep] * np.sqrt(sizes[keep]))
+        small, modes = np.linalg.eigh(root.T @ gram @ root)
+        small = np.maximum(small, 0.0)
+        towards = modes.T @ (root.T @ projected)
+        for amplitude in _AMPLITUDES**2:
+            shrunk = amplitude / (1.0 + amplitude * small)
+            gain = 0.5 * (towards**2 * shrunk).sum() - 0.5 * np.log1p(amplitude * small).sum()
+            if best is None or gain > best[0]:
+                value = (root @ (modes @ (shrunk * towards))).reshape(width, KNOTS).T
+                basis = np.sqrt(amplitude) * np.moveaxis(root.reshape(width, KNOTS, -1), 0, 1)
+                effective = float((amplitude * small / (1.0 + amplitude * small)).sum())
+                best = (gain, Found(kind, float(gain), effective, value, basis))
+    return best[1]
+
+
+def built_effects(laboratory) -> tuple[list[Effect], list[Found]]:
+    """The effects that the profiles ask for, each with its starts, and the profiles."""
+    linear = _linearised(laboratory)
+    found = profiles_of(linear)
+    gap = laboratory.measurements.material.length / (KNOTS - 1)
+    inner = range(1, KNOTS - 1)
+    bends = [
+        [*(values * gap), i * gap, np.log(width)]
+        for _, values, i, _ in linear.scan(("curvature",), [(i, i) for i in inner])
+        for width in (0.008, 0.04)
+    ]
+    narrow = [(i, j) for i in inner for j in inner if i <= j < i + 7]
+    stretches = [
+        [np.clip(stiff, -2.0, 1.5), np.clip(heavy, -0.8, 4.0), *_span(i, j, gap)]
+        for _, (stiff, heavy), i, j in linear.scan(("stiffness", "weight"), narrow)
+    ]
+    # A short stretch that is much softer acts like a longer one that is a little so.
+    stretches += [[3.0 * v[0], v[1], v[2], v[3]] for v in stretches if v[0] < 0.0]
+    wide = [(i, j) for i in range(KNOTS) for j in range(i + 1, KNOTS)]
+    loads = [[*values, *_span(i, j, gap)] for _, values, i, j in linear.scan(("force",), wide)]
+    effects: list[Effect] = [
+        LocalBend(bends),
+        Stretch(stretches),
+        LocalLoad(loads),
+        Attraction(_points(laboratory, linear.forces)),
+    ]
+    effects += [ProfileEffect(f.kind, f.basis) for f in found[:2] if f.evidence > 10.0]
+    return effects, found
+
+
+def _span(i: int, j: int, gap: float) -> tuple[float, float]:
+    """(start, log of the length) of the stretch that knots stand for [m]."""
+    return (i - 0.5) * gap, float(np.log((j - i + 1) * gap))
+
+
+def _points(laboratory, forces, reach: float = 0.05) -> list[np.ndarray]:
+    """Starts of an attraction: the points of a grid whose pull explains most, to first order."""
+    m = laboratory.measurements
+    trials = m.train
+    knots = m.node_positions(KNOTS - 1)[trials]
+    residual = laboratory.target[trials] - laboratory.observe(Model(), np.zeros(0), trials=trials)
+    residual = laboratory.whiten(residual, trials).ravel()
+    low, high = knots.min(axis=(0, 1)) - 0.1, knots.max(axis=(0, 1)) + 0.1
+    axes = [np.linspace(a, b, max(int((b - a) / 0.05), 2)) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    ranked = []
+    for point in grid:
+        away = point - knots
+        square = (away**2).sum(axis=2, keepdims=True) + reach**2
+        pull = Attraction.distance**2 * away / square**1.5
+        response = np.einsum("trck,tkc->tr", forces[trials], pull)
+        response = laboratory.whiten(response, trials).ravel()
+        size = response @ response
+        along = response @ residual
+        ranked.append((along**2 / max(size, 1e-300), along / max(size, 1e-300), point))
+    ranked.sort(key=lambda r: -r[0])
+    chosen: list[np.ndarray] = []
+    for _, strength, point in ranked:
+        if all(np.linalg.norm(point - c[1:4]) > 0.08 for c in chosen):
+            chosen.append(np.array([strength, *point, np.log(reach)]))
+        if len(chosen) == 3:
+            break
+    return chosen

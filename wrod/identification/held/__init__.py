@@ -1,0 +1,1 @@
+"""Identification of cables held in a hand or hung between two clamps."""

@@ -1,0 +1,275 @@
+"""A deployment as one HTML page: arm, rod and table in true time, drawn by Viser without Newton.
+
+The page holds everything (no outside links) and plays in any browser with WebGL: drag to turn,
+slider and pause below. The rod has its true radius, and a line of a few pixels along it wherever
+that would be thinner.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import socket
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from wrod.errors import SceneError
+from wrod.files import write_atomically
+from wrod.robot.mesh import read_mesh
+from wrod.robot.urdf import LinkShape
+from wrod.scene.rod_shapes import whole_rod
+from wrod.scene.workplace import BASE_HEIGHT, TABLE_THICKNESS, table_under
+
+_FRAMES = 400  # at most: a page of a few MB whatever the path's duration
+_LINE = 4.0  # [px] of the rod's line
+_ROD_POINTS = 121
+_GREY = (115, 115, 122)
+_WOOD, _LEG, _FLOOR = (128, 97, 66), (77, 79, 84), (165, 170, 176)
+_INK, _ROD = (26, 56, 140), (20, 150, 60)
+
+
+def write_deployment_page(
+    out: str | os.PathLike[str],
+    trajectory,
+    joint_path=None,
+    *,
+    pattern=None,
+    rod=None,
+    shapes: np.ndarray | None = None,
+    errors: np.ndarray | None = None,
+    time: np.ndarray | None = None,
+    captions: list[str] | None = None,
+) -> Path:
+    """Write a deployment as one page.
+
+    Args:
+        trajectory: `Trajectory`.
+        joint_path: `JointPath` of it, for the arm and for true time; without it the grip alone.
+        pattern: `Pattern` drawn on the table; by default the contact points.
+        rod: `RodMaterial`, for its radius.
+        shapes: (T, M, 3) centrelines of the rod [m]; by default from the trajectory.
+        errors: (T, M) distance of its points from where they should lie [m], shown as colours.
+        time: (T,) when each shape is reached [s]; by default the joint path's, else 2 cm/s.
+        captions: lines above the table.
+
+    Raises:
+        SceneError: Viser is missing.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise SceneError("pages need Viser; install wrod[view]") from error
+    radius = 0.002 if rod is None else float(rod.radius)
+    if shapes is None:
+        shapes = whole_rod(trajectory, pattern, _ROD_POINTS)
+    if time is None:
+        time = (
+            (trajectory.arc_length - trajectory.arc_length[0]) / 0.02
+            if joint_path is None
+            else joint_path.node_time
+        )
+    duration = float(time[-1])
+    count = int(np.clip(np.ceil(duration * 10.0) + 1, 2, _FRAMES))
+    at = np.linspace(0.0, duration, count)
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
+    try:
+        placement = None if joint_path is None else joint_path.placement
+        _workplace(server, trajectory, placement, pattern, radius)
+        arm = None if joint_path is None else _Arm(server, joint_path, at)
+        nodes = np.interp(at, time, np.arange(len(time)))
+        line = _rod_line(server, shapes, errors, nodes[0], radius)
+        contact = trajectory.contact.mean(0)
+        label = _captions(server, trajectory, joint_path, captions, contact)
+        first = server.initial_camera
+        back = np.array([1.1, -1.1, 0.8]) if placement is None else _front(placement)
+        first.position, first.look_at = tuple(contact + back), tuple(contact + [0, 0, 0.22])
+        first.up = (0.0, 0.0, 1.0)
+        recording = server.get_scene_serializer()
+        for k, node in enumerate(nodes):
+            if arm is not None:
+                arm.pose(k)
+            _move_rod(line, shapes, errors, node)
+            if k % 5 == 0 or k == count - 1:
+                laid = np.interp(node, np.arange(len(time)), trajectory.arc_length)
+                label.text = f"{at[k]:.1f} s of {duration:.0f} s, {100 * laid:.1f} cm laid"
+            recording.insert_sleep(duration / max(count - 1, 1))
+        page = recording.as_html(dark_mode=False)
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+    return write_atomically(out, lambda file: file.write(page))
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _front(placement) -> np.ndarray:
+    """From the table to the eye: opposite the arm, to one side, above [m]."""
+    away = -placement.world_from_base[:2, 3]
+    away = away / max(np.linalg.norm(away), 1e-9)
+    side = np.array([-away[1], away[0]])
+    return np.append(1.0 * away + 1.0 * side, 0.75)
+
+
+def _pose(matrix: np.ndarray) -> dict:
+    x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
+    return {"wxyz": (w, x, y, z), "position": tuple(map(float, matrix[:3, 3]))}
+
+
+def _workplace(server, trajectory, placement, pattern, radius: float) -> None:
+    table = table_under(trajectory.contact, placement, radius)
+    middle, size = (table.low + table.high) / 2, table.high - table.low
+    frame = np.array(table.pose)
+
+    def box(name: str, at, dimensions, color) -> None:
+        matrix = frame.copy()
+        matrix[:3, 3] = frame[:3, :3] @ np.asarray(at, float) + frame[:3, 3]
+        server.scene.add_box(name, color=color, dimensions=tuple(dimensions), **_pose(matrix))
+
+    top = table.top - TABLE_THICKNESS / 2
+    box("/table/top", (*middle, top), (*size, TABLE_THICKNESS), _WOOD)
+    height = table.top - TABLE_THICKNESS - table.floor
+    if height > 0.01:
+        for number, (x, y) in enumerate(((-1, -1), (1, -1), (1, 1), (-1, 1))):
+            at = middle + np.array([x, y]) * (size / 2 - 0.05)
+            box(
+                f"/table/leg_{number}",
+                (*at, table.floor + height / 2),
+                (0.045, 0.045, height),
+                _LEG,
+            )
+    box("/floor", (*middle, table.floor - 0.01), (*(size + 2.0), 0.02), _FLOOR)
+    points = trajectory.contact
+    if hasattr(pattern, "sample"):
+        points = pattern.sample(np.linspace(-pattern.remainder_length, pattern.length, 300))[0]
+    points = points * [1, 1, 0] + [0, 0, trajectory.contact[0, 2] - radius + 5e-4]
+    _segments(server, "/pattern", points, _INK, 3.0)
+
+
+def _segments(server, name: str, points: np.ndarray, color, width: float):
+    pairs = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+    colors = np.broadcast_to(np.asarray(color, dtype=np.uint8), pairs.shape)
+    return server.scene.add_line_segments(name, points=pairs, colors=colors, line_width=width)
+
+
+def _rod_at(shapes: np.ndarray, node: float) -> np.ndarray:
+    low = min(int(node), len(shapes) - 2)
+    share = node - low
+    return (1 - share) * shapes[low] + share * shapes[low + 1]
+
+
+def _colours(errors: np.ndarray | None, node: float, count: int) -> np.ndarray:
+    """(count, 3) green where the rod lies as it should, to red at a centimetre."""
+    if errors is None:
+        return np.broadcast_to(np.array(_ROD, np.uint8), (count, 3))
+    share = np.clip(_rod_at(errors, node) / 0.01, 0.0, 1.0)[:, None]
+    good, bad = np.array(_ROD, float), np.array([215.0, 30.0, 30.0])
+    return ((1 - share) * good + share * bad).astype(np.uint8)
+
+
+def _rod_line(server, shapes, errors, node: float, radius: float) -> dict:
+    points = _rod_at(shapes, node)
+    line = _segments(server, "/rod/line", points, _ROD, _LINE)
+    balls = server.scene.add_point_cloud(
+        "/rod/body",
+        points=points.astype(np.float32),
+        colors=_colours(errors, node, len(points)),
+        point_size=2.0 * radius,
+        point_shape="circle",
+    )
+    return {"line": line, "body": balls}
+
+
+def _move_rod(rod: dict, shapes, errors, node: float) -> None:
+    points = _rod_at(shapes, node).astype(np.float32)
+    rod["line"].points = np.stack([points[:-1], points[1:]], axis=1)
+    rod["body"].points = points
+    if errors is not None:
+        colors = _colours(errors, node, len(points))
+        rod["line"].colors = np.stack([colors[:-1], colors[1:]], axis=1)
+        rod["body"].colors = colors
+
+
+class _Arm:
+    """The arm's links as meshes that move, on a stand."""
+
+    def __init__(self, server, joint_path, at: np.ndarray):
+        robot = joint_path.robot
+        if robot is None:
+            raise SceneError(
+                "the joint path has no robot; load it with JointPath.load(path, robot)"
+            )
+        positions = np.column_stack(
+            [np.interp(at, joint_path.time, q) for q in joint_path.positions.T]
+        )
+        base = joint_path.placement.world_from_base
+        poses = robot.link_poses(positions)
+        self._links = []
+        shown: dict[str, list[LinkShape]] = {}
+        for shape in robot.shapes("visual") or robot.shapes("collision"):
+            shown.setdefault(shape.link, []).append(shape)
+        for link, shapes in shown.items():
+            local = base @ poses[link]
+            frame = server.scene.add_frame(f"/arm/{link}", show_axes=False, **_pose(local[0]))
+            for number, shape in enumerate(shapes):
+                _add_shape(server, f"/arm/{link}/{number}", shape)
+            turns = Rotation.from_matrix(local[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+            moves = bool(np.ptp(local, axis=0).max() > 1e-9)
+            self._links.append((frame, turns, local[:, :3, 3], moves))
+        if robot.name != "sawyer":  # Sawyer brings its pedestal
+            below = base.copy()
+            below[:3, 3] = base[:3, 3] - base[:3, 2] * (BASE_HEIGHT / 2)
+            server.scene.add_cylinder(
+                "/stand", radius=0.09, height=BASE_HEIGHT, color=_LEG, **_pose(below)
+            )
+
+    def pose(self, k: int) -> None:
+        for frame, turns, places, moves in self._links:
+            if moves or k == 0:
+                frame.wxyz, frame.position = turns[k], places[k]
+
+
+def _add_shape(server, name: str, shape: LinkShape) -> None:
+    color = _GREY if shape.color is None else tuple(int(255 * c) for c in shape.color)
+    placed = _pose(shape.pose)
+    scene = server.scene
+    if shape.kind == "sphere":
+        scene.add_icosphere(name, radius=shape.size[0], color=color, subdivisions=3, **placed)
+    elif shape.kind == "cylinder":
+        scene.add_cylinder(
+            name, radius=shape.size[0], height=max(shape.size[1], 1e-4), color=color, **placed
+        )
+    elif shape.kind == "box":
+        scene.add_box(name, color=color, dimensions=tuple(shape.size), **placed)
+    else:
+        vertices, faces = read_mesh(shape.mesh)
+        scene.add_mesh_simple(
+            name,
+            vertices=(vertices * np.array(shape.size)).astype(np.float32),
+            faces=faces.astype(np.uint32),
+            color=color,
+            **placed,
+        )
+
+
+def _captions(server, trajectory, joint_path, captions, contact: np.ndarray):
+    said = [
+        f"{trajectory.metadata.get('pattern', 'pattern')}: "
+        f"{trajectory.arc_length[-1]:.3f} m of rod laid"
+        + ("" if joint_path is None else f" by {joint_path.robot.name}"),
+        *(captions or []),
+    ]
+    far = float(np.ptp(trajectory.contact[:, 1])) / 2 + 0.1
+    for number, text in enumerate(said):
+        place = tuple(contact + [0.0, far, 0.30 - 0.05 * number])
+        server.scene.add_label(f"/captions/{number}", text, position=place)
+    return server.scene.add_label(
+        "/captions/time", "0.0 s", position=tuple(contact + [0.0, far, 0.36])
+    )
