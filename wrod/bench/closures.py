@@ -88,13 +88,24 @@ def command(
     device = resolve_device(device)
     given = _FULL if full else _SMALL
     axes = {
-        "frictions": _numbers(frictions or given["frictions"], "frictions", 0.0, 10.0),
-        "curvatures": _numbers(curvatures or given["curvatures"], "curvatures", 0.0, 3.5),
+        "frictions": _numbers(
+            given["frictions"] if frictions is None else frictions, "frictions", 0.0, 10.0
+        ),
+        "curvatures": _numbers(
+            given["curvatures"] if curvatures is None else curvatures, "curvatures", 0.0, 3.5
+        ),
         "stretch_ratios": _numbers(
-            stretch_ratios or given["stretch_ratios"], "stretch-ratios", 50.0, 1e5
+            given["stretch_ratios"] if stretch_ratios is None else stretch_ratios,
+            "stretch-ratios",
+            50.0,
+            1e5,
         ),
     }
-    curves = _drawn(rods or given["rods"], names or given["names"], patterns)
+    curves = _drawn(
+        given["rods"] if rods is None else rods,
+        given["names"] if names is None else names,
+        patterns,
+    )
     curves += _arcs(axes["curvatures"], axes["stretch_ratios"])
     nodes = _nodes(curves, spacing)
     settings = {

@@ -80,13 +80,17 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
 
 
 def read_friction(text: str) -> float | tuple[float, float]:
-    """0.3, or (0.2, 0.6) of "0.2:0.6".
+    """0.3, (0.2, 0.6) of "0.2:0.6", or one standard error down and up of a table's file (.json).
 
     Raises:
-        PatternError: it is neither.
+        PatternError: it is none of these.
+        DataError: the file is no table's.
     """
+    from wrod.deployment.table import Table
     from wrod.errors import PatternError
 
+    if text.lower().endswith(".json"):
+        return Table.load(text).interval
     try:
         values = [float(word) for word in text.split(":")]
     except ValueError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -181,10 +182,22 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
     )
 
 
-def _neural(inputs: GraspInputs) -> GraspPoses:
-    """Optimal grasps from the trained controller; out of its range it warns."""
+@cache
+def _of_closure(closure: str) -> Controller:
     from wrod.controller.controller import Controller
 
+    return Controller.load(closure=closure)
+
+
+def _shipped(default: str, closure: str) -> Controller:
+    """The controller of a closure that ships, or that of `default`; read once."""
+    from wrod.controller.controller import SHIPPED
+
+    return _of_closure(closure if closure in SHIPPED else default)
+
+
+def _neural(inputs: GraspInputs) -> GraspPoses:
+    """Optimal grasps from the trained controller; out of its range it warns."""
     _refuse_varying(inputs)
     if inputs.controller is None and not inputs.is_straight:
         raise GraspError(
@@ -192,7 +205,7 @@ def _neural(inputs: GraspInputs) -> GraspPoses:
             "at rest; train one for it with `wrod dataset --rod` and `wrod train`, or use method "
             "'numeric' or 'auto'"
         )
-    controller = inputs.controller or Controller.load()
+    controller = inputs.controller or _shipped("zero_tension", inputs.closure)
     if inputs.closure != controller.closure:
         raise GraspError(
             f"the controller knows closure {controller.closure!r} only, not {inputs.closure!r}; "
@@ -212,12 +225,11 @@ def _refuse_varying(inputs: GraspInputs) -> None:
 
 def _auto(inputs: GraspInputs) -> GraspPoses:
     """The controller where it was trained for closure and inputs, elsewhere the rod solver."""
-    from wrod.controller.controller import Controller
-
     if inputs.rod is not None:
         _refuse_varying(inputs)
         return _numeric(inputs)
-    controller = inputs.controller or Controller.load()
+    # Others do not know the thrust, and with it what a plan asks of the table.
+    controller = inputs.controller or _of_closure("zero_tension")
     known = ~controller.out_of_range(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     )
@@ -254,7 +266,8 @@ def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
     position, rotation, force, twist = controller.predict_with_twist(
         inputs.suspended_length, side * inputs.curvature, inputs.stretch_ratio
     )
-    if force is None:
+    # The chain that controllers learn has no thrust at the contact.
+    if force is None or controller.closure != "zero_tension":
         force = np.full_like(position, np.nan)
     if side < 0.0:
         position, rotation, force = MIRROR * position, MIRROR_ROTATION * rotation, MIRROR * force
