@@ -192,7 +192,7 @@ def test_plan_of_a_curved_rod(plans, tmp_path):
 def test_knowing_the_curvature_lays_the_rod_better(plans):
     pattern, new, old = plans
     upright = wrod.plan(pattern, ROD, "numeric", device="cpu")
-    upright.metadata["roll"] = roll_angle("up", pattern, CURVED)
+    upright = replace(upright, roll=roll_angle("up", pattern, CURVED))
     known, unknown, up = simulate_deployments(
         [
             Trial(pattern, CURVED, path, wrod.Friction(0.8), tail=tail(pattern, rod, path))
@@ -210,7 +210,7 @@ def test_knowing_the_curvature_lays_the_rod_better(plans):
 def test_deployment_bends_the_rod_the_way_that_it_is_held(plans):
     """Held upside down, the same rod drifts to the other side."""
     pattern, _, old = plans
-    turned = replace(old, metadata={**old.metadata, "roll": old.metadata["roll"] + np.pi})
+    turned = replace(old, roll=old.roll + np.pi)
     trials = [
         Trial(pattern, CURVED, path, wrod.Friction(0.8), tail=tail(pattern, ROD, path))
         for path in (old, turned)

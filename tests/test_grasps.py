@@ -158,7 +158,7 @@ def test_force_jacobian_against_differences():
         np.array([8.0]), np.array([1.0]), np.array([900.0]), edge_count=64, closure=0, device="cpu"
     ).run()
     jacobian = solver.solution().force_jacobian[0]
-    batch = solver.batch
+    batch = solver.batch()
     dof = batch.state.dof.numpy().copy()
     h = 1e-4
     numeric = np.empty((3, 3))

@@ -227,9 +227,8 @@ def test_two_effects_are_found_together(tmp_path):
     assert report["verdict"] == "explained"
     found = {e["name"]: e["parameters"] for e in report["effects"]}
     assert set(found) == {"natural_curvature", "stiffness"}
-    # In (m1, m2), dt/ds = (2, -3) is the axis (3, 2).
-    assert found["natural_curvature"]["curvature_1"]["value"] == pytest.approx(3.0, rel=0.05)
-    assert found["natural_curvature"]["curvature_2"]["value"] == pytest.approx(2.0, rel=0.05)
+    assert found["natural_curvature"]["curvature_1"]["value"] == pytest.approx(2.0, rel=0.05)
+    assert found["natural_curvature"]["curvature_2"]["value"] == pytest.approx(-3.0, rel=0.05)
     assert found["stiffness"]["stiffness_ratio"]["value"] == pytest.approx(1.3, rel=0.05)
     assert report["after_mm"] < 1.1 * report["noise_floor_mm"] < report["before_mm"]
     page = (tmp_path / "out" / "report.html").read_text()
@@ -423,7 +422,8 @@ def test_files_that_are_not_measurements(tmp_path):
 @pytest.mark.parametrize(
     ("name", "effect", "expected"),
     [
-        ("natural-curvature", "natural_curvature", {"curvature": 5.0, "direction": -60.0}),
+        # Given as the axis that the tangent turns about, at -60 degrees.
+        ("natural-curvature", "natural_curvature", {"curvature": 5.0, "direction": -150.0}),
         ("gravity-tilt", "gravity_tilt", {"tilt": 2.2, "axis_azimuth": 35.0}),
         ("point-mass", "point_mass", {"mass": 0.9e-3, "arc_length": 0.36}),
     ],

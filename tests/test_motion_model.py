@@ -15,7 +15,7 @@ from wrod.identification.effect import effects
 from wrod.identification.motion.report import identify_motion
 from wrod.identification.motion.setup import START_L_GB
 
-CURVATURE = np.array([1.5, -1.0])
+CURVATURE = np.array([-1.0, -1.5])
 L_GB = START_L_GB * np.exp(STIFFNESS / 3)
 
 
@@ -46,27 +46,30 @@ def test_the_report_has_the_evidence(folder):
 def test_the_model_is_a_rod_with_what_motion_tells(folder):
     path = folder / "model.json"
     with pytest.warns(WrodWarning) as said:
-        rod = wrod.RodMaterial.load(path)
+        model = wrod.RodModel.load(path)
     (sentence,) = (str(w.message) for w in said)
-    assert "air_damping, internal_damping set aside" in sentence
-    assert "radius" in sentence and "density" in sentence and "assumed" in sentence
+    assert "set aside" not in sentence
+    assert "radius" in sentence and "line_mass" in sentence and "assumed" in sentence
+    assert model.air_damping > 0.0
+    assert model.internal_damping == pytest.approx(VISCOUS, rel=0.2)
+    with pytest.warns(WrodWarning, match="cannot carry this one's internal_damping, air_damping"):
+        rod = wrod.RodMaterial.load(path)
     # The mesh of fits is half as fine.
     assert rod.gravito_bending_length == pytest.approx(L_GB, rel=0.1)
-    # dt/ds at rest along (m1, m2): the curvature vector, turned by a quarter. Its size hardly
-    # shows: between two clamps a uniform bend leaves no force while the rod stays in its plane.
+    # Its size hardly shows: between two clamps a uniform bend leaves no force while the rod stays
+    # in its plane.
     direction = np.array(rod.natural_curvature) / np.linalg.norm(rod.natural_curvature)
-    true = np.array([CURVATURE[1], -CURVATURE[0]]) / np.linalg.norm(CURVATURE)
-    assert direction @ true > 0.95
+    assert direction @ CURVATURE / np.linalg.norm(CURVATURE) > 0.95
     assert rod.gravity == 9.81
-    raw = json.loads(path.read_text())["effects"]
+    raw = json.loads(path.read_text())["found"]["effects"]
     found = {e["name"]: e["parameters"] for e in raw}
     natural = found["natural_curvature"]
-    assert rod.natural_curvature == (natural["curvature_2"], -natural["curvature_1"])
+    assert rod.natural_curvature == (natural["curvature_1"], natural["curvature_2"])
     report = json.loads((folder / "report.json").read_text())
     lgb = report["base"]["stiffness"]["L_gb"]["value"]
     assert rod.gravito_bending_length == pytest.approx(lgb, rel=1e-12)
     assert set(found) == {"stiffness", "air_damping", "internal_damping", "natural_curvature"}
-    with pytest.warns(WrodWarning, match=r"density 1180\.0 assumed") as said:
+    with pytest.warns(WrodWarning, match=r"line_mass .* assumed") as said:
         measured = wrod.RodMaterial.load(path, radius=0.004)
     assert measured.radius == 0.004 and "radius" not in str(said[0].message)
 
@@ -77,10 +80,12 @@ def test_commands_take_the_model(folder, tmp_path):
     args += ["--spacing", "0.1", "--device", "cpu", "--json"]
     result = CliRunner().invoke(main, args)
     assert result.exit_code == 0, result.output
-    assert "internal_damping set aside" in result.stderr
+    assert "line_mass" in result.stderr and "set aside" not in result.stderr
     figures = json.loads(result.stdout)
     assert figures["rod"]["radius"] == 0.003
-    assert np.linalg.norm(figures["rod"]["natural_curvature"]) > 1.0
+    model = json.loads((folder / "model.json").read_text())
+    assert figures["rod"]["natural_curvature"] == model["natural_curvature"] != [0.0, 0.0]
+    assert figures["rod"]["internal_damping"] == model["internal_damping"] > 0.0
     args = ["dataset", "--size", "2", *rod, "--out", str(tmp_path / "grasps"), "--device", "cpu"]
     result = CliRunner().invoke(main, args)
     assert result.exit_code == 0, result.output

@@ -17,7 +17,7 @@ def test_summary_is_the_mean_over_trials():
     "options, says",
     [
         (("--methods", "guess"), "unknown method 'guess'"),
-        (("--trials", "0"), "trials is 0"),
+        (("--trials", "0"), "--trials"),
         (("--frictions", "slippery"), "frictions is 'slippery'"),
     ],
 )

@@ -21,7 +21,7 @@ from wrod.rods.material import RodMaterial
 
 SHARD_SIZE = 2048
 # Samples solved at once on a GPU, as far as whole shards go; a CPU takes one shard at a time.
-_CUDA_BATCH = 32768
+_CUDA_BATCH = 65536
 
 
 @dataclass(frozen=True)

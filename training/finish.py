@@ -55,7 +55,7 @@ def finished(
         low, high = controller.range["curvature"]
         high = largest_curvature(folder, high)
         controller = controller.within("curvature", low, high)
-    fresh = held_out(test, seed=10_000 + seed, device=device, rod=rod)
+    fresh = held_out(test, seed=10_000 + seed, device=device, rod=rod, closure=manifest.closure)
     controller.metadata["held_out"] = score(controller, *fresh)
     return controller
 

@@ -7,7 +7,7 @@ turns are mirror images of left turns.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,6 +15,7 @@ from scipy.stats import qmc
 
 from wrod.errors import DataError
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 INPUTS = ("suspended_length", "curvature", "stretch_ratio")
 # What the controller is made for (Sec. Training the Neural Controller covers the same rods).
@@ -54,9 +55,13 @@ class RodInputs:
     poisson: float = 0.5
 
     @classmethod
-    def of(cls, rod: RodMaterial, roll: float | str = "plane") -> RodInputs:
-        """A rod laid with this roll of its first director from left to up [rad]; "plane" and
-        "up" turn its natural curvature to the left or upwards."""
+    def of(cls, rod: RodModel | RodMaterial, roll: float | str = "plane") -> RodInputs:
+        """A rod (of a `RodModel` its means) laid with this roll of its first director from left to
+        up [rad]; "plane" and "up" turn its natural curvature to the left or upwards."""
+        if isinstance(rod, RodModel):
+            # How a rod is damped does not change its grasps.
+            still = {"internal_damping": 0.0, "air_damping": 0.0, "quadratic_drag": 0.0}
+            rod = replace(rod, **still).material()
         lgb, size = rod.gravito_bending_length, math.hypot(*rod.natural_curvature)
         words = {"up": (0.0, size), "plane": (size, 0.0)}
         held = words[roll] if roll in words else rod.curvature_held(roll)

@@ -28,7 +28,12 @@ def figures(error: np.ndarray) -> dict:
 
 
 def held_out(
-    count: int, *, seed: int, device: str = "cpu", rod: RodInputs | None = None
+    count: int,
+    *,
+    seed: int,
+    device: str = "cpu",
+    rod: RodInputs | None = None,
+    closure: str = "zero_tension",
 ) -> tuple[np.ndarray, Grasps]:
     """(3, count) random inputs of the whole range, or of one rod's, and their numeric grasps.
 
@@ -36,7 +41,7 @@ def held_out(
     """
     if rod is None:
         inputs = np.stack(whole_range(count, seed))
-        return inputs, solve_grasps(*inputs, device=device, shapes=False)
+        return inputs, solve_grasps(*inputs, device=device, shapes=False, closure=closure)
     rng = np.random.default_rng(seed)
     low, high = rod.range["suspended_length"]
     ls = np.where(
@@ -47,7 +52,7 @@ def held_out(
     most = rod.range["curvature"][1]
     inputs = np.stack([ls, rng.uniform(-most, most, count), np.full(count, rod.stretch_ratio)])
     own = {"natural_curvature": rod.natural_curvature, "poisson": rod.poisson}
-    return inputs, solve_grasps(*inputs, device=device, shapes=False, **own)
+    return inputs, solve_grasps(*inputs, device=device, shapes=False, closure=closure, **own)
 
 
 def score(controller: Controller, inputs: np.ndarray, grasps: Grasps) -> dict:

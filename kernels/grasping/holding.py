@@ -9,7 +9,7 @@ at both ends stays taut on the way.
 import warp as wp
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
-from wrod.kernels.grasping.straight import CONVERGED, FAILED
+from wrod.kernels.grasping.closures import CONVERGED, FAILED
 from wrod.kernels.linear.banded import banded_entry
 from wrod.kernels.linear.border import worst_imbalance
 from wrod.kernels.stepping.newton_iteration import largest_safe_fraction

@@ -21,7 +21,9 @@ from wrod.errors import DataError
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.setup import Setup
+from wrod.rods.law import Linear
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 
 def constant(*values: float) -> Callable:
@@ -46,9 +48,11 @@ class World:
     Profiles take arc lengths (K,) and give (..., K).
 
     Attributes:
-        bending: factors of (B1, B2), about directions turned from (m1, m2) by `principal` [rad].
+        bending: factors of (B1, B2), about directions turned from (m1, m2) by `principal` [rad];
+            of what resists turning about them, not bending towards them.
         twisting, stretching: factors of GJ and EA; twist_profile: a factor of GJ along the rod.
-        curvature, twist: at rest, in the material frame [1/m], [rad/m].
+        curvature, twist: at rest, in the material frame [1/m], [rad/m]. Curvature is that of
+            rotation vectors, the axis k that the tangent turns about: see `tangent_turn`.
         force: dead force per length beside the weight [N/m].
         drag: (q, t, s) -> force per length that follows the shape [N/m].
         mass: extra mass per length [kg/m].
@@ -80,6 +84,41 @@ class World:
     see: Callable = as_they_are
 
 
+def tangent_turn(axis) -> np.ndarray:
+    """(2, ...) dt/ds along (m1, m2), as `wrod.RodModel` has it, of a curvature given as the axis k
+    of dt/ds = k x t along (m1, m2)."""
+    return np.stack([axis[1], -np.asarray(axis[0])])
+
+
+def turn_axis(curvature) -> np.ndarray:
+    """The inverse of `tangent_turn`."""
+    return np.stack([-np.asarray(curvature[1]), curvature[0]])
+
+
+def world_of(rod: RodModel, base: RodMaterial) -> World:
+    """The laboratory in which a piece of `rod` is clamped, seen from the base model."""
+    first, second = rod.bending_stiffness
+    line_mass = base.weight / base.gravity
+    c, r = rod.law.softening
+
+    def law(e):
+        x = 1.0 + c * e * e
+        return e * (r + (1.0 - r) / x), r + (1.0 - r) * (2.0 - x) / (x * x)
+
+    return World(
+        # What resists bending towards one direction is about the other.
+        bending=lambda s: np.stack([second(s), first(s)]) / base.bending_stiffness,
+        principal=rod.principal_angle,
+        twist_profile=lambda s: rod.twisting_stiffness(s) / base.twisting_stiffness,
+        stretching=float(rod.stretching_stiffness.mean(0.0, base.length))
+        / base.stretching_stiffness,
+        curvature=lambda s: turn_axis([k(s) for k in rod.natural_curvature]),
+        twist=float(rod.natural_twist.mean(0.0, base.length)),
+        mass=lambda s: (rod.line_mass(s) - line_mass)[None],
+        law=None if isinstance(rod.law, Linear) else law,
+    )
+
+
 def frames_of(q: np.ndarray) -> np.ndarray:
     """(3, 3, K) rotation matrices of (4, K) quaternions (w, x, y, z), normalised."""
     w, x, y, z = q / np.sqrt((q * q).sum(axis=0))
@@ -100,11 +139,13 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def excess_of(moment: np.ndarray, stiffness: np.ndarray, law: Callable | None, share: float):
     """(2, K) curvatures beyond those at rest that carry (2, K) moments; Newton's method on
-    (1 - share) e + share law(e) = size of moment over stiffness."""
+    (1 - share) e + share law(e) = size of moment over stiffness, sizes weighted by the stiffness as
+    in the energy."""
     excess = moment / stiffness
     if law is None:
         return excess
-    size = np.sqrt((excess**2).sum(axis=0)) + 1e-300
+    weight = stiffness / np.mean(stiffness, axis=0)
+    size = np.sqrt((weight * excess**2).sum(axis=0)) + 1e-300
     e = size.copy()
     for _ in range(60):
         value, slope = law(e)

@@ -27,22 +27,28 @@ _COLD = (
 def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_json: bool) -> None:
     """Compare controllers with the numeric solver on the same random inputs.
 
-    WEIGHTS are controller files; without any, the one that ships. The inputs cover the whole
+    WEIGHTS are controller files; without any, those that ship. The inputs cover the whole
     range; no training has seen them. Times are those of a trajectory of 200 nodes: warm, and in a
     new process with all imports.
     """
-    from wrod.controller.controller import Controller
+    from wrod.controller.controller import SHIPPED, Controller
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
     from wrod.training.score import held_out, score
 
     device = resolve_device(device)
     controllers = {str(path): Controller.load(path) for path in weights}
-    controllers = controllers or {"default": Controller.load()}
-    inputs, grasps = held_out(count, seed=seed, device=device)
+    shipped = not controllers
+    if shipped:
+        controllers = {name: Controller.load(closure=closure) for closure, name in SHIPPED.items()}
+    solved = {}
     rows = []
     for name, controller in controllers.items():
-        cold = [] if name == "default" else [name]
+        closure = controller.closure
+        if closure not in solved:
+            solved[closure] = held_out(count, seed=seed, device=device, closure=closure)
+        inputs, grasps = solved[closure]
+        cold = [] if shipped else [name]
         rows.append(
             {
                 "controller": name,

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.bench.continuous_rod import World, constant, labels, measured
+from wrod.bench.continuous_rod import World, constant, labels, measured, tangent_turn
 from wrod.bench.hidden_noise import with_noise
 from wrod.errors import DataError
 from wrod.rods.material import RodMaterial
@@ -69,7 +69,7 @@ def none(rng, rod):
 
 def natural_curvature(rng, rod):
     k = _in_plane(rng, 0.3, 0.55) / rod.gravito_bending_length
-    truth = _vector("natural_curvature", ("curvature_1", "curvature_2"), k)
+    truth = _vector("natural_curvature", ("curvature_1", "curvature_2"), tangent_turn(k))
     return Hidden(World(curvature=constant(*k)), truth)
 
 
@@ -83,7 +83,7 @@ def natural_helix(rng, rod):
 
     truth = {
         "natural_helix": {
-            ("curvature_1", "curvature_2"): (float(k[0]), float(k[1])),
+            ("curvature_1", "curvature_2"): tuple(map(float, tangent_turn(k))),
             ("turn_rate",): (rate,),
         }
     }

@@ -14,13 +14,13 @@ import click
 from wrod.bench.loop_trials import CONTROLLERS
 from wrod.commands.options import read_roll
 
-EFFECTS = ("natural_curvature", "stiffness")
+EFFECTS = ("natural_curvature", "stiffness", "varied")
 
 
 @click.command(name="loop")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option(
-    "--effect", "effects", multiple=True, type=click.Choice(EFFECTS), help="Default: both."
+    "--effect", "effects", multiple=True, type=click.Choice(EFFECTS), help="Default: all."
 )
 @click.option("--pattern", "names", multiple=True, help="Pattern (repeatable); default: seven.")
 @click.option(
@@ -98,7 +98,15 @@ def command(
     from tqdm import tqdm
 
     from wrod.bench.loop_report import draw, markdown, summary, write_csv
-    from wrod.bench.loop_trials import Case, identified, network_for, row, trials_along, with_length
+    from wrod.bench.loop_trials import (
+        Case,
+        identified,
+        network_for,
+        row,
+        trials_along,
+        varied_rod,
+        with_length,
+    )
     from wrod.bench.table3_paper import PATTERNS, read_pattern
     from wrod.deployment.simulate import simulate_deployments
     from wrod.files import write_atomically
@@ -114,6 +122,7 @@ def command(
         "stiffness": replace(
             believed, gravito_bending_length=(1.0 + lgb_error) * believed.gravito_bending_length
         ),
+        "varied": varied_rod(believed),
     }
     controllers = controllers or ("network", "default")
     seconds, cases, written = {}, {}, []
@@ -125,7 +134,7 @@ def command(
         }
     for effect, report in reports.items():
         written += report.save(out / effect)
-        model, network = with_length(report.material, believed), None
+        model, network = with_length(report.model, believed), None
         roll = read_roll(roll_text, model)
         if "network" in controllers:
             with (
@@ -214,8 +223,10 @@ def _found(case) -> dict:
             e.name: {key: asdict(value) for key, value in e.parameters.items()}
             for e in report.effects
         },
+        "set_aside": list(report.found.set_aside),
+        "rod_has": list(report.model.not_uniform()),
         "true": {
-            "natural_curvature": list(true.natural_curvature),
+            "natural_curvature": list(true.curvature_held(0.0)),
             "gravito_bending_length": true.gravito_bending_length,
         },
         "model": {

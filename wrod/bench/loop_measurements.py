@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from wrod.bench.continuous_rod import World, constant, labels, measured
+from wrod.bench.continuous_rod import labels, measured, world_of
 from wrod.errors import DataError
 from wrod.identification.clamped.setup import rotation_of
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 
 def clamped_experiment(
-    rod: RodMaterial,
+    rod: RodModel | RodMaterial,
     believed: RodMaterial,
     *,
     free_length: float = 0.30,
@@ -33,7 +34,7 @@ def clamped_experiment(
     that what turns with the material is seen from every side.
 
     Args:
-        rod: the rod that is measured, natural curvature included.
+        rod: the rod that is measured: its first `free_length`.
         believed: the rod that its user takes it for: the numbers that the data come with.
         free_length: between the clamps [m].
         trials, test_trials: shapes in all, and how many of them are kept for scoring.
@@ -70,10 +71,8 @@ def clamped_experiment(
         "train_idx": np.arange(trials - test_trials),
         "test_idx": np.arange(trials - test_trials, trials),
         "noise_std": noise,
-        **labels(replace(rod, length=free_length)),
+        **labels(replace(believed, length=free_length)),
     }
-    # A rod that bends towards its first director turns about its second.
-    first, second = rod.natural_curvature
-    world = World(curvature=constant(-second, first))
+    world = world_of(RodModel.of(rod), replace(believed, length=free_length))
     seen = measured(data, world, seed=1_000_000 + seed, noise=noise)
     return {**seen, **labels(replace(believed, length=free_length))}

@@ -12,6 +12,7 @@ from wrod.files import write_atomically
 TITLES = {
     "natural_curvature": "rod with natural curvature",
     "stiffness": "rod with a wrong L_gb",
+    "varied": "anisotropic, tapering, softening rod",
     "none": "rod without the effect",
 }
 COLORS = {"old": "#c2533c", "new": "#2f8f5b"}
@@ -84,6 +85,8 @@ def _told(told: dict) -> str:
         f"{100 * model['gravito_bending_length']:.2f} "
         f"(true {100 * true['gravito_bending_length']:.2f}) cm"
     )
+    if told["rod_has"]:
+        return text + f"; planned with its {', '.join(told['rod_has'])}"
     if network is None:
         return text + "; the network that ships knows it"
     held_out = network["held_out"]

@@ -7,7 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from wrod.rods.law import Softening
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+from wrod.rods.profile import Profile
 
 # Who makes the plan: the trained network, the rod solver with the same closure, or what `wrod plan`
 # does when nothing else is said.
@@ -19,9 +22,9 @@ class Case:
     """A rod with an effect: as it is, as it was identified, the network for the latter (None where
     the one that ships knows it), and the roll that plans hold it at (see `wrod.plan`)."""
 
-    true: RodMaterial
+    true: RodModel | RodMaterial
     report: Any
-    model: RodMaterial
+    model: RodModel | RodMaterial
     network: Any
     roll: float | str
 
@@ -38,7 +41,7 @@ def identified(true, believed, trials, noise, seed, candidates, device):
 
 
 def network_for(
-    model: RodMaterial,
+    model: RodModel | RodMaterial,
     folder: Path,
     *,
     roll: float | str,
@@ -49,8 +52,8 @@ def network_for(
     progress: Callable[[float], object],
 ):
     """A controller trained for a naturally curved rod, written to `folder`; None for a straight
-    rod, which the one that ships knows."""
-    if model.is_straight:
+    rod, which the one that ships knows, and for one that varies, which none does."""
+    if model.is_straight or isinstance(model, RodModel):
         return None
     from wrod.training.finish import controller_for
 
@@ -89,7 +92,7 @@ def trials_along(
         jobs["none", controller, name, "old"] = trial(believed, believed, controller)
         for effect, case in cases.items():
             new = trial(case.true, case.model, controller, case.network, case.roll)
-            roll = new.trajectory.metadata["roll"]
+            roll = new.trajectory.roll
             jobs[effect, controller, name, "old"] = trial(
                 case.true, believed, controller, roll=roll
             )
@@ -118,6 +121,21 @@ def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
     }
 
 
-def with_length(material: RodMaterial, believed: RodMaterial) -> RodMaterial:
-    """The identified rod at the length of the one that is laid: the clamps held a piece of it."""
-    return replace(material, length=believed.length)
+def with_length(found: RodModel, believed: RodMaterial) -> RodModel | RodMaterial:
+    """The identified rod at the length of the one that is laid: the clamps held its first piece."""
+    longer = replace(found, length=believed.length)
+    return longer if longer.not_uniform() else longer.material()
+
+
+def varied_rod(believed: RodMaterial) -> RodModel:
+    """Half as stiff after 30 cm as at the first, a third softer across than along the section's
+    stiffer direction, and softening from 20 /m on."""
+    model = believed.model()
+    stiffness = Profile([1.3, 0.7], [0.0, 0.30]) * model.mean_bending_stiffness
+    return replace(
+        model,
+        bending_stiffness=(stiffness * 1.2, stiffness * 0.8),
+        twisting_stiffness=stiffness * (1.0 / (1.0 + believed.poisson)),
+        principal_angle=0.4,
+        law=Softening(20.0, 0.5),
+    )

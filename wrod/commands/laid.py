@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from wrod.commands.options import DEVICE, ROD, UNITS, options, read_pattern, read_rod
+from wrod.rods.model_file import rod_as_json
 
 
 @click.command(name="laid")
@@ -99,7 +100,7 @@ def command(
             "after_mm": 1e3 * fit.after,
             "alone_mm": {name: 1e3 * value for name, value in fit.alone.items()},
             "parameters": {name: asdict(value) for name, value in fit.estimates.items()},
-            "rod": asdict(fit.rod),
+            "rod": rod_as_json(fit.rod),
             "friction": fit.friction,
             "correlation": fit.correlation,
         }

@@ -81,26 +81,27 @@ def options(*groups: tuple) -> Callable:
 
 
 def read_rod(name: str | None, radius: float | None, lgb: float | None, length: float | None):
-    """The `RodMaterial` that `ROD`'s options name.
+    """The `RodMaterial`, or `RodModel`, that `ROD`'s options name.
 
     Raises:
         RodError: none, or more than one is named.
     """
     from wrod.errors import RodError
     from wrod.rods.material import RodMaterial, rod
+    from wrod.rods.model_file import load_rod
 
     own = {"--radius": radius, "--lgb": lgb, "--length": length}
     given = [option for option, value in own.items() if value is not None]
     from_file = name is not None and name.endswith(".json")
     if from_file and "--lgb" not in given:
         # Measurements between clamps know the stretch between them only, those of motion no radius.
-        return RodMaterial.load(name, radius=radius, length=length)
+        return load_rod(name, radius=radius, length=length)
     if name is not None and given:
         raise RodError(
             f"--rod {name} and {', '.join(given)} were both given; give one or the other"
         )
     if name is not None:
-        return RodMaterial.load(name) if from_file else rod(name)
+        return load_rod(name) if from_file else rod(name)
     missing = [option for option in own if option not in given]
     if missing == list(own):
         raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")

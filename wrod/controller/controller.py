@@ -30,6 +30,10 @@ _SLACK = 1e-9
 _SAME_CURVATURE, _SAME_POISSON = 5e-4, 1e-3
 
 
+# Closures whose networks ship, and their files' names.
+SHIPPED = {"zero_tension": "default", "min_friction": "min-friction"}
+
+
 class Controller:
     """A trained map from (l_s, kappa, k_s) to the optimal grasp, of all straight rods or of one
     naturally curved rod.
@@ -57,14 +61,24 @@ class Controller:
         self._on_device: dict = {}
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str] | None = None) -> Controller:
-        """Read a controller that `wrod train` wrote; None is the one that ships with the package.
+    def load(
+        cls, path: str | os.PathLike[str] | None = None, *, closure: str = "zero_tension"
+    ) -> Controller:
+        """Read a controller that `wrod train` wrote; None is the one of a closure that ships with
+        the package, for `SHIPPED` closures.
 
         Raises:
-            DataError: the file is missing, truncated or not a controller.
+            DataError: the file is missing, truncated or not a controller, or none ships for that
+                closure.
         """
         if path is None:
-            path = resources.files("wrod.scenes") / "controller" / "default.safetensors"
+            if closure not in SHIPPED:
+                raise DataError(
+                    f"no controller ships for closure {closure!r}, only for "
+                    f"{' and '.join(SHIPPED)}; train one with `wrod dataset --closure` and "
+                    "`wrod train`"
+                )
+            path = resources.files("wrod.scenes") / "controller" / f"{SHIPPED[closure]}.safetensors"
         what = "a controller that `wrod train` wrote"
         label, parameters = read_tensors(path, what)
         metadata = decode_labels(label, schemas.Controller, str(path), what)

@@ -119,9 +119,15 @@ class GripSchedule:
 
 
 class GripMotion:
-    """Carries the last edge of every rod of a batch (a `wrod.solvers.dynamics.Motion`)."""
+    """Carries the last edge of every rod of a batch (a `wrod.solvers.dynamics.Motion`).
 
-    def __init__(self, batch: RodBatch, schedules: list[GripSchedule]):
+    Args:
+        batch: the rods.
+        schedules: one for each.
+        angle: for each rod, from the grip's y axis to the rod's first director in the batch [rad].
+    """
+
+    def __init__(self, batch: RodBatch, schedules: list[GripSchedule], angle=None):
         self.batch, device = batch, batch.device
         keys = max(len(s.position) for s in schedules)
 
@@ -136,7 +142,12 @@ class GripMotion:
             return wp.array(values, dtype=wp.float64, device=device)
 
         self.position = wp.array(padded("position"), dtype=wp.vec3d, device=device)
-        self.rotation = wp.array(padded("rotation"), dtype=wp.quatd, device=device)
+        rotation = padded("rotation")
+        if np.any(angle):
+            turns = Rotation.from_euler("x", np.repeat(angle, keys)[:, None])
+            whole = (Rotation.from_quat(rotation.reshape(-1, 4)) * turns).as_quat(canonical=False)
+            rotation = whole.reshape(rotation.shape)
+        self.rotation = wp.array(rotation, dtype=wp.quatd, device=device)
         held = [s.held_nodes for s in schedules]
         self.held_nodes = wp.array(held, dtype=wp.int32, device=device)
         self.release_time, self.let_go_time = floats("release_time"), floats("let_go_time")

@@ -16,6 +16,7 @@ from wrod.patterns.pattern import Pattern
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 # The mesh stays fine for this long beyond what is laid, in L_gb: the boundary layer at the contact.
 _FINE_BEYOND = 4.0
@@ -84,7 +85,7 @@ class Disturbance:
         )
 
 
-def mesh(rod: RodMaterial, laid: float, spacing: float, node_count: int | None = None):
+def mesh(rod: RodModel | RodMaterial, laid: float, spacing: float, node_count: int | None = None):
     """(node,) rest arc lengths: fine where the rod is laid or about to be, coarse beyond.
 
     With `node_count` the spacing is what gives that many nodes.
@@ -109,7 +110,7 @@ class Tail:
     rotation: np.ndarray
 
 
-def tail(pattern: Pattern, rod: RodMaterial, trajectory: Trajectory) -> Tail:
+def tail(pattern: Pattern, rod: RodModel | RodMaterial, trajectory: Trajectory) -> Tail:
     """The tail is laid by the same method along the pattern's end tangent, after a bend that
     straightens out."""
     lgb = rod.gravito_bending_length
@@ -134,7 +135,7 @@ def tail(pattern: Pattern, rod: RodMaterial, trajectory: Trajectory) -> Tail:
             rod,
             rod.length - start - s,
             curvature,
-            roll=float(trajectory.metadata.get("roll", 0.0)),
+            roll=trajectory.roll,
             closure=trajectory.metadata.get("closure") or "zero_tension",
             device="cpu",
         )
@@ -190,7 +191,7 @@ class Setup:
 
 def prepare_deployment(
     pattern: Pattern,
-    rod: RodMaterial,
+    rod: RodModel | RodMaterial,
     trajectory: Trajectory,
     arc_length: np.ndarray,
     tail: Tail,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
@@ -48,7 +48,7 @@ class Trial:
     """One deployment to simulate; see `simulate_deployment`."""
 
     pattern: Pattern
-    rod: RodMaterial
+    rod: RodModel | RodMaterial
     trajectory: Trajectory
     friction: Friction
     disturbance: Disturbance = field(default_factory=Disturbance)
@@ -69,7 +69,7 @@ class Trial:
 )
 def simulate_deployment(
     pattern: Pattern,
-    rod: RodMaterial,
+    rod: RodModel | RodMaterial,
     trajectory: Trajectory,
     friction: Friction | float = 0.6,
     *,
@@ -86,7 +86,7 @@ def simulate_deployment(
 
     Args:
         pattern: the pattern of the plan; its remainder is added if the trajectory has one.
-        rod: what is laid; it may differ from the rod of the plan.
+        rod: what is laid, a `RodMaterial` or a `RodModel`; it may differ from the plan's.
         trajectory: of the grip, as `wrod.plan` returns it; the rod is held at its roll.
         friction: a `Friction`, or the coefficient of both kinds.
         disturbance: what makes this trial differ from the ideal.
@@ -119,8 +119,8 @@ def simulate_deployment(
     node_count=arguments.optional(arguments.whole(4, 100_000)),
     step=arguments.number(1e-6, 1.0),
     scheme=arguments.text,
-    air_damping=arguments.number(0.0, 1e6),
-    internal_damping=arguments.number(0.0, 1e6),
+    air_damping=arguments.optional(arguments.number(0.0, 1e6)),
+    internal_damping=arguments.optional(arguments.number(0.0, 1e6)),
     tolerance=arguments.number(1e-15, 1.0),
     frame_interval=arguments.optional(arguments.number(1e-5, 1e6)),
     device=arguments.optional(arguments.text),
@@ -137,8 +137,8 @@ def simulate_deployments(
     node_count: int | None = None,
     step: float = 0.01,
     scheme: str = "euler",
-    air_damping: float = 1.0,
-    internal_damping: float = 0.0,
+    air_damping: float | None = None,
+    internal_damping: float | None = None,
     tolerance: float = 1e-5,
     frame_interval: float | None = None,
     device: str | None = "cpu",
@@ -160,8 +160,9 @@ def simulate_deployments(
             simulated together; default: what the longest needs.
         step: largest time step [s].
         scheme: "euler", "bdf2" or "midpoint".
-        air_damping: drag per mass and velocity [1/s].
-        internal_damping: Kelvin-Voigt time of the material [s].
+        air_damping: drag per mass and velocity [1/s]; default: the rod's own, or 1 where it says
+            nothing.
+        internal_damping: Kelvin-Voigt time of the material [s]; default: the rod's own.
         tolerance: of a step's residual forces, over the weight of one L_gb of rod.
         frame_interval: keep the rod's states at its multiples [s].
         device: "cpu", "cuda:0", "auto".
@@ -368,8 +369,8 @@ def assemble(
     setups: list[Setup],
     *,
     scheme: str = "euler",
-    air_damping: float = 1.0,
-    internal_damping: float = 0.0,
+    air_damping: float | None = None,
+    internal_damping: float | None = None,
     tolerance: float = 1e-5,
     device: str = "cpu",
     keeps_recording: bool = False,
@@ -385,16 +386,22 @@ def assemble(
         _stiffness(rods, [t.fixtures for t in trials]),
         [t.friction for t in trials],
         [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
-        keeps_roll=np.array([not t.rod.is_straight for t in trials]),
+        keeps_roll=np.array([RodModel.of(t.rod).has_sides for t in trials]),
     )
     dynamics = Dynamics(
         batch,
         scheme=scheme,
         radius=radius,
-        air_damping=air_damping,
-        internal_damping=internal_damping,
+        air_damping=np.array([_damping(air_damping, rod.air_damping or 1.0) for rod in rods]),
+        internal_damping=np.array(
+            [_damping(internal_damping, rod.internal_damping) for rod in rods]
+        ),
         contact=contact,
-        motion=GripMotion(batch, [setup.schedule for setup in setups]),
+        motion=GripMotion(
+            batch,
+            [setup.schedule for setup in setups],
+            [rod.principal_angle for rod in rods],
+        ),
         force_scale=load,
         tolerance=tolerance,
         keeps_recording=keeps_recording,
@@ -402,7 +409,7 @@ def assemble(
     return batch, contact, dynamics
 
 
-def _stiffness(rods: list[RodMaterial], fixtures: list[Fixtures | None]) -> np.ndarray:
+def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndarray:
     """(rod,) contact stiffness per length [Pa].
 
     Fixtures carry the rod's bending, not its weight: a post presses with about k_b / L_gb^2, some
@@ -414,22 +421,18 @@ def _stiffness(rods: list[RodMaterial], fixtures: list[Fixtures | None]) -> np.n
     )
 
 
-def _batch(trials, setups, device) -> tuple[RodBatch, list[RodMaterial]]:
+def _damping(asked: float | None, own: float) -> float:
+    return own if asked is None else asked
+
+
+def _batch(trials, setups, device) -> tuple[RodBatch, list[RodModel]]:
     """The rods as they are: with the L_gb that they have, not the one that the plan believed, and
-    in the directors of the batch, the first to the left of the laid rod, the second above it."""
-    rods = [
-        replace(
-            t.rod,
-            gravito_bending_length=t.rod.gravito_bending_length * (1.0 + t.disturbance.lgb_error),
-        )
-        for t in trials
-    ]
+    described in the directors of the laid rod, the first to its left, the second above it."""
     held = []
-    for trial, rod in zip(trials, rods, strict=True):
-        model = RodModel.of(rod).turned(trial.trajectory.metadata.get("roll", 0.0))
-        left, up = model.natural_curvature
-        bent = trial.disturbance.natural_curvature
-        held.append(replace(model, natural_curvature=(left + bent, up)))
+    for trial in trials:
+        rod, bent = RodModel.of(trial.rod), trial.disturbance
+        rod = rod.stiffened((1.0 + bent.lgb_error) ** 3)
+        held.append(rod.turned(trial.trajectory.roll).bent(bent.natural_curvature))
     batch = RodBatch.of(
         held,
         np.stack([setup.arc_length for setup in setups]),
@@ -437,4 +440,4 @@ def _batch(trials, setups, device) -> tuple[RodBatch, list[RodMaterial]]:
         director=np.stack([setup.director for setup in setups]),
         device=device,
     )
-    return batch, rods
+    return batch, held

@@ -6,9 +6,9 @@ NaN or infinity, and numbers that no float64 holds are refused, so every number 
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
 # A table, and everything on it or beside it, lies within 100 m.
 Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0, description="[m]")]
@@ -230,6 +230,39 @@ class RodFile(_File, frozen=True):
     natural_curvature: tuple[Fraction, Fraction] = (0.0, 0.0)
 
 
+class RodProfile(_File, frozen=True):
+    """A property along a rod: linear between knots (arc lengths), constant beyond them."""
+
+    knots: Annotated[list[Fraction], Meta(min_length=1, max_length=20_000, description="[m]")]
+    values: Annotated[list[Fraction], Meta(min_length=1, max_length=20_000)]
+
+
+Along = float | RodProfile
+
+
+class RodModelFile(_File, frozen=True):
+    """A rod that may vary along its length (`--rod`), as `wrod identify` writes it; SI units."""
+
+    format: Literal["wrod-rod-model-2"]
+    length: Positive
+    bending_stiffness: tuple[Along, Along]
+    twisting_stiffness: Along
+    stretching_stiffness: Along
+    line_mass: Along
+    radius: Positive
+    principal_angle: Fraction = 0.0
+    natural_curvature: tuple[Along, Along] = (0.0, 0.0)
+    natural_twist: Along = 0.0
+    point_masses: Annotated[list[tuple[Fraction, Fraction]], Meta(max_length=1000)] = []
+    law: dict[str, str | float] = field(default_factory=lambda: {"name": "linear"})
+    internal_damping: Fraction = 0.0
+    air_damping: Fraction = 0.0
+    quadratic_drag: Fraction = 0.0
+    gravity: Positive = 9.81
+    assumed: Annotated[list[Name], Meta(max_length=100)] = []
+    found: dict[str, Any] = field(default_factory=dict)
+
+
 class TrajectoryMetadata(_Open, frozen=True):
     """What a trajectory says of itself (text "metadata" of its .npz file)."""
 
@@ -239,7 +272,7 @@ class TrajectoryMetadata(_Open, frozen=True):
     pattern_length: Annotated[float, Meta(ge=0.0, le=1e6, description="[m]")] = 0.0
     remainder_length: Annotated[float, Meta(ge=0.0, le=1e6, description="[m]")] = 0.0
     roll: Annotated[float, Meta(ge=-1e6, le=1e6, description="[rad]")] = 0.0
-    rod: Rod | None = None
+    rod: dict[str, Any] | None = None
     warnings: Annotated[list[str], Meta(max_length=1000)] = []
 
 

@@ -24,6 +24,7 @@ from wrod.grasps.levels import (
     MeshLevel,
     make_scratch,
     per_rod,
+    put,
 )
 from wrod.grasps.mesh import node_weights, two_sided_rest_lengths
 from wrod.grasps.results import empty_results
@@ -174,12 +175,12 @@ class _GeneralLevel:
         self.rods, self.roll, self.device = rods, roll, device
         self.straight = level = MeshLevel(n, edges, device, ladder.iterations)
         # The straight rod's Newton iteration hardly has to move on the new mesh.
-        level.rest.assign(rods.rest_length)
+        put(level.rest, rods.rest_length)
         shortest = rods.rest_length.min(axis=1)
         length = rods.rest_length.sum(axis=1)
         rounding = rods.stretching.max(axis=1) / shortest * length
         rounding += 4.0 / shortest**3 * np.minimum(length, 5.0)
-        level.tolerance.assign(np.maximum(1e-9, 8 * np.finfo(float).eps * rounding))
+        put(level.tolerance, np.maximum(1e-9, 8 * np.finfo(float).eps * rounding))
 
         def array(value, dtype=wp.float64):
             return wp.array(np.ascontiguousarray(value), dtype=dtype, device=device)
@@ -267,7 +268,7 @@ class _GeneralLevel:
 
     def eigenvalue(self) -> np.ndarray:
         """(n,) smallest eigenvalues of the rods as they are held."""
-        rods, state = self.rods, self.state.numpy()
+        rods, state = self.rods, self.state.contiguous().numpy()
         shape, director = state[:, :, :3], state[:, :-1, 3:6]
         rest = rods.rest_length
         half = np.arctan(0.5 * self.straight.curvature.numpy() * rest[:, 0])

@@ -7,8 +7,8 @@ import warp as wp
 
 from wrod.grasps.mesh import WEIGHT, node_weights, rest_lengths
 from wrod.kernels.contact.table import table
+from wrod.kernels.grasping import closures as grasping
 from wrod.kernels.grasping import holding
-from wrod.kernels.grasping import straight as grasping
 from wrod.rods.batch import Derivatives, RodBatch
 from wrod.solvers.banded import BorderedSystem
 from wrod.solvers.stability import smallest_eigenvalue

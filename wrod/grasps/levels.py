@@ -5,6 +5,7 @@ Nothing here asks the device anything: every method launches and returns. Dimens
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
 from wrod.kernels.grasping import iteration, mesh, reading, sensitivity
@@ -30,6 +31,12 @@ def per_rod(device: str, rods: int, *shape: int) -> wp.array:
         return wp.empty((rods, *shape), dtype=wp.float64, device=device)
     array = wp.empty((*shape, rods), dtype=wp.float64, device=device)
     return array.transpose((len(shape), *range(len(shape))))
+
+
+def put(array: wp.array, value) -> None:
+    """Fill an array of `per_rod` from NumPy."""
+    value = np.array(np.broadcast_to(value, array.shape), dtype=np.float64)
+    wp.copy(array, wp.array(value, device=array.device))
 
 
 def make_scratch(slots: int, edges: int, device: str, size: int = 3) -> iteration.Scratch:

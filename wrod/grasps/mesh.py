@@ -1,4 +1,4 @@
-"""Meshes of the suspended rod and the shapes that its solver starts from. Dimensionless."""
+"""Meshes of the suspended rod. Dimensionless."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import numpy as np
 WEIGHT = 0.5  # per length in k_b / L_gb^2 per L_gb, by the definition of L_gb
 # What the mirror y -> -y of the contact frame does to vectors, and to rotation vectors.
 MIRROR, MIRROR_ROTATION = np.array([1.0, -1.0, 1.0]), np.array([-1.0, 1.0, -1.0])
-# Vertical force at the contact of a long rod on a straight pattern.
-_LONG_FORCE = 0.7577
 # Length over which edges stay short: a fraction of the boundary layer at the contact.
 _GRADING = 0.3
 # Share of a mesh's edges that a naturally curved rod's grip gets, against the contact's.
@@ -49,42 +47,9 @@ def two_sided_rest_lengths(suspended_length: np.ndarray, edge_count: int) -> np.
     return np.diff(nodes, axis=1)
 
 
-def rest_length_rates(suspended_length: np.ndarray, edge_count: int) -> np.ndarray:
-    """(n, edge_count) derivative of `rest_lengths` by the suspended length."""
-    length = np.asarray(suspended_length, dtype=np.float64)[:, None]
-    xi = np.linspace(0.0, 1.0, edge_count + 1)
-    return np.diff(xi * np.exp((xi - 1.0) * np.log1p(length / _GRADING)), axis=1)
-
-
 def node_weights(rest: np.ndarray) -> np.ndarray:
     """(n, edge + 1) weight of every node: half that of the edges around it."""
     weights = np.zeros((rest.shape[0], rest.shape[1] + 1))
     weights[:, :-1] += WEIGHT * rest / 2
     weights[:, 1:] += WEIGHT * rest / 2
     return weights
-
-
-def straight_pattern_guess(rest: np.ndarray) -> np.ndarray:
-    """(n, edge + 1, 3) shape near the grasp of a straight pattern, for Newton to start from.
-
-    Integrates theta'' = (F - w s) cos(theta) from the flat contact with the force that a long (or a
-    short) rod has, and lets the rod hang straight from where it first stands upright.
-    """
-    n, edge_count = rest.shape
-    force = np.minimum(_LONG_FORCE, WEIGHT * rest.sum(axis=1) / 2)
-    theta, rate, s = np.zeros(n), np.zeros(n), np.zeros(n)
-    upright = np.zeros(n, dtype=bool)
-    position = np.zeros((n, edge_count + 1, 3))
-    position[:, 1, 0] = rest[:, 0]  # the first edge leaves the contact flat
-    for i in range(edge_count):
-        h = rest[:, i]
-        theta = theta + 0.5 * h * rate  # now that of the middle of the edge
-        upright |= theta >= np.pi / 2
-        theta = np.where(upright, np.pi / 2, theta)
-        rate = np.where(upright, 0.0, rate + h * (force - WEIGHT * (s + h / 2)) * np.cos(theta))
-        if i > 0:
-            position[:, i + 1, 0] = position[:, i, 0] + h * np.cos(theta)
-            position[:, i + 1, 2] = position[:, i, 2] + h * np.sin(theta)
-        theta = theta + 0.5 * h * rate
-        s = s + h
-    return position

@@ -21,9 +21,9 @@ from wrod.grasps.general import curved_rods, solve_general
 from wrod.grasps.inputs import LIMITS, GraspArrays
 from wrod.grasps.levels import Ladder
 from wrod.grasps.results import SENSITIVITIES, empty_results
+from wrod.grasps.solver import held_batch
 from wrod.kernels.grasping import closures
 from wrod.kernels.grasping.reading import Results
-from wrod.rods.batch import RodBatch
 from wrod.solvers.stability import smallest_eigenvalue
 
 CLOSURES = {
@@ -282,22 +282,6 @@ def _eigenvalues(inputs: GraspArrays, out: Results, edge_count: int):
     """(n,) smallest eigenvalue of the Hessian of every rod, held at the contact and at the grip."""
     _, kappa, ks = inputs.numpy()
     shape, arc_length = out.shape.numpy(), out.arc_length.numpy()
-    rest = np.diff(arc_length, axis=1)
-    half = np.arctan(0.5 * kappa * rest[:, 0])
-    ghost = -rest[:, :1] * np.stack([np.cos(half), -np.sin(half), np.zeros_like(half)], axis=1)
-    batch = RodBatch(
-        np.concatenate([ghost[:, None], shape], axis=1),
-        rest_length=np.concatenate([rest[:, :1], rest], axis=1),
-        stretching_stiffness=ks[:, None],
-        bending_stiffness=1.0,
-        # Without twist in the rod any positive value will do.
-        twisting_stiffness=2.0 / 3.0,
-        director=(0.0, 0.0, 1.0),
-        device=inputs.device,
-    )
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[:11] = False
-    free[-3:] = False
-    batch.set_free(free)
+    batch = held_batch(kappa, ks, np.diff(arc_length, axis=1), shape, inputs.device)
     value = smallest_eigenvalue(batch)
     return inputs.result(wp.array(value, dtype=wp.float64, device=inputs.device))

@@ -6,7 +6,6 @@ length of the contact, not on the suspended length alone.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +70,7 @@ def solve_rod_grasps(
     curvature,
     *,
     closure: str = "zero_tension",
-    roll: float = 0.0,
+    roll: np.ndarray | float = 0.0,
     device: str | None = None,
     edge_count: int = EDGE_COUNT,
     extrapolate: bool = True,
@@ -84,8 +83,8 @@ def solve_rod_grasps(
         arc_length: (n,) arc length of the contacts, from the end that is laid first [m].
         curvature: signed curvature of the pattern there [1/m], (n,) or one for all.
         closure: "zero_tension", "min_force" or "min_friction".
-        roll: angle of the laid rod about its tangent, from up to its first material director m_1
-            [rad]; positive leans to the right.
+        roll: angle of the laid rod about its tangent at the contact, from up to its first material
+            director m_1, (n,) or one for all [rad]; positive leans to the right.
         device, edge_count, extrapolate, threads: see `wrod.solve_grasps`.
 
     Raises:
@@ -96,7 +95,7 @@ def solve_rod_grasps(
         raise GraspError(f"unknown closure {closure!r}; use one of {', '.join(CLOSURES)}")
     if edge_count < 16 or edge_count % 4:
         raise GraspError(f"edge_count is {edge_count}; use a multiple of four from 16")
-    if not math.isfinite(roll):
+    if not np.isfinite(roll).all():
         raise GraspError(f"roll is {roll!r}; give an angle in radians")
     model = models_of(rod)[0]
     contact = np.atleast_1d(np.asarray(arc_length, dtype=np.float64))
@@ -117,7 +116,7 @@ def solve_rod_grasps(
         kappa,
         ratio,
         rods,
-        roll=np.full(len(length), roll + model.principal_angle),
+        roll=np.broadcast_to(roll + model.principal_angle, length.shape).copy(),
         closure=CLOSURES[closure],
         device=resolve_device(device),
         edge_count=edge_count,
@@ -169,6 +168,11 @@ def _on_meshes(
     nodes = np.concatenate([-rest[:, :1], np.zeros_like(rest[:, :1]), np.cumsum(rest, axis=1)], 1)
     arrays = mesh_arrays(model, contact[:, None] + lgb * nodes)
     force = bending / lgb**2
+    twist = arrays["natural_twist"][:, 1:] * lgb
+    # The laid rod lies with the twist that it has at rest: nothing twists it at the contact. What
+    # half of the first edge has of it is the next node's.
+    twist[:, 1] += twist[:, 0] * rest[:, 0] / (rest[:, 0] + rest[:, 1])
+    twist[:, 0] = 0.0
     softening = arrays["softening"][:, 1:].copy()
     softening[..., 0] /= lgb**2
     # What lies before the contact rests on the table.
@@ -180,7 +184,7 @@ def _on_meshes(
         bending=arrays["bending_stiffness"][:, 1:] / bending,
         twisting=arrays["twisting_stiffness"][:, 1:] / bending,
         natural_curvature=arrays["natural_curvature"][:, 1:] * lgb,
-        natural_twist=arrays["natural_twist"][:, 1:] * lgb,
+        natural_twist=twist,
         softening=softening,
         weight=weight,
     )

@@ -10,6 +10,7 @@ from wrod import arguments
 from wrod.errors import PatternError, RodError
 from wrod.patterns.pattern import Pattern
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 
 @dataclass(frozen=True)
@@ -48,15 +49,19 @@ class FrictionBound:
     spacing=arguments.number(1e-5, 10.0),
 )
 def friction_bound(
-    pattern: Pattern, rod: RodMaterial, friction: float | None = None, spacing: float = 0.001
+    pattern: Pattern,
+    rod: RodModel | RodMaterial,
+    friction: float | None = None,
+    spacing: float = 0.001,
 ) -> FrictionBound:
     """Static friction that holds the pattern: mu_s >= k_b ``|kappa''|`` / (rho A g).
 
-    In the paper's L_gb this is 2 L_gb^3 ``|kappa''|``, whatever the density.
+    In the paper's L_gb this is 2 L_gb^3 ``|kappa''|``, whatever the density. Of a rod that varies,
+    k_b (the mean of both directions) and weight are those of the place.
 
     Args:
         pattern: with its remainder, if it has one.
-        rod: the rod that is laid.
+        rod: the `RodMaterial` or `RodModel` that is laid.
         friction: static friction coefficient mu_s of the substrate [-].
         spacing: distance between the points looked at [m].
 
@@ -70,5 +75,7 @@ def friction_bound(
     count = max(int(np.ceil((pattern.length - first) / spacing)), 2) + 1
     s = np.linspace(first, pattern.length, count)
     acceleration = pattern.curvature_derivative(s, 2)
-    required = rod.bending_stiffness * np.abs(acceleration) / rod.weight
+    model, laid = RodModel.of(rod), s - first
+    stiffness = 0.5 * sum(b(laid) for b in model.bending_stiffness)
+    required = stiffness * np.abs(acceleration) / (model.line_mass(laid) * model.gravity)
     return FrictionBound(s, required, friction)

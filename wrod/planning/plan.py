@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +19,8 @@ from wrod.planning.friction import friction_bound
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs, GraspPoses
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+from wrod.rods.model_file import rod_as_json
 
 if TYPE_CHECKING:
     from wrod.controller.controller import Controller
@@ -64,7 +66,7 @@ _SAME_GRASP = 0.06
 )
 def plan(
     pattern: Pattern,
-    rod: RodMaterial,
+    rod: RodModel | RodMaterial,
     method: str = "auto",
     *,
     closure: str | None = None,
@@ -80,7 +82,8 @@ def plan(
 
     Args:
         pattern: where the rod is to lie.
-        rod: its material and length.
+        rod: what is laid: a `RodMaterial`, or a `RodModel` whose properties may vary along it.
+            Of the second every grasp is that of the piece that hangs there, from the rod solver.
         method: "neural" (optimal grasps from the trained controller; of a naturally curved rod
             without a controller of its own, from the rod solver), "numeric" (from the rod solver),
             "auto" (neural where the controller was trained, numeric elsewhere) or "intuitive"
@@ -161,11 +164,12 @@ def plan(
     )  # fmt: skip
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
-        if method == "neural" and controller is None and not rod.is_straight:
+        if method == "neural" and controller is None and not inputs.is_straight:
             method = "numeric"
+            own = "curved at rest" if inputs.rod is None else "not uniform, isotropic and linear"
             warnings.warn(
                 "the controller that ships knows naturally straight rods only and this one is "
-                "curved at rest, so its grasps come from the rod solver",
+                f"{own}, so its grasps come from the rod solver",
                 WrodWarning,
                 stacklevel=2,
             )
@@ -176,7 +180,7 @@ def plan(
         warnings.warn(reservation.message, reservation.category, stacklevel=2)
 
     frame = _contact_frame(tangent)
-    force_unit = rod.bending_stiffness / lgb**2
+    force_unit = 2.0 * rod.weight * lgb
     shape = None if poses.shape is None else _placed(poses.shape, contact, frame, lgb)
     return Trajectory(
         arc_length=laid,
@@ -190,7 +194,7 @@ def plan(
             "pattern": pattern.name,
             "pattern_length": pattern.length,
             "remainder_length": pattern.remainder_length,
-            "rod": {**asdict(rod), "natural_curvature": list(rod.natural_curvature)},
+            "rod": rod_as_json(rod),
             "roll": roll,
             "required_friction": float(np.max(friction_bound(pattern, rod).required)),
             "contact_friction": _contact_friction(poses.force),
@@ -203,10 +207,11 @@ def plan(
         },
         shape=shape,
         twist=poses.twist,
+        roll=roll,
     )
 
 
-def favoured_closure(pattern: Pattern, rod: RodMaterial) -> str:
+def favoured_closure(pattern: Pattern, rod: RodModel | RodMaterial) -> str:
     """The closure that lays such a pattern most accurately, whatever the table.
 
     "min_friction" where the pattern's largest curvature is over 0.4 / L_gb, "zero_tension"
@@ -220,7 +225,7 @@ def favoured_closure(pattern: Pattern, rod: RodMaterial) -> str:
     s = np.linspace(-pattern.remainder_length, pattern.length, _COURSE_POINTS)
     lgb = rod.gravito_bending_length
     sharpest = np.max(np.abs(pattern.sample(s)[2])) * lgb
-    natural = np.hypot(*rod.natural_curvature) * lgb
+    natural = np.hypot(*rod.curvature_held(0.0)) * lgb
     tight = _TIGHT if rod.is_straight else _TIGHT_CURVED
     return "min_friction" if _GENTLE < sharpest <= tight and natural <= _MILD else "zero_tension"
 
@@ -249,16 +254,16 @@ def with_shapes(
         WrodWarning: the solver gives no shapes, or has its grips elsewhere; the trajectory comes
             back without.
     """
-    closure, rod = trajectory.metadata.get("closure"), trajectory.metadata.get("rod")
+    closure, rod = trajectory.metadata.get("closure"), trajectory.rod
     corrected = "optimised" in trajectory.metadata  # its grips are not those of grasps
     if trajectory.shape is not None or closure is None or rod is None or corrected:
         return trajectory
-    rod, s = RodMaterial(**rod), trajectory.pattern_arc_length
+    s = trajectory.pattern_arc_length
     tangent, curvature = _course(trajectory, pattern)
     lgb = rod.gravito_bending_length
     inputs = GraspInputs.of(
         rod, rod.length - trajectory.arc_length, curvature,
-        roll=float(trajectory.metadata.get("roll", 0.0)),
+        roll=trajectory.roll,
         closure=closure, device=device, progress=progress,
     )  # fmt: skip
     try:
@@ -305,8 +310,9 @@ def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray
     return tuple(course) if laid else own
 
 
-def roll_angle(roll: float | str, pattern: Pattern, rod: RodMaterial) -> float:
-    """The roll [rad] that `plan`'s words "up" and "plane" mean; 0 for a straight rod.
+def roll_angle(roll: float | str, pattern: Pattern, rod: RodModel | RodMaterial) -> float:
+    """The roll [rad] that `plan`'s words "up" and "plane" mean. A rod that is straight at rest gets
+    the softer of its principal directions upwards, or 0 where it has none.
 
     Raises:
         GraspError: the roll is neither these nor a finite number.
@@ -316,14 +322,25 @@ def roll_angle(roll: float | str, pattern: Pattern, rod: RodMaterial) -> float:
             raise GraspError(f"roll is {roll!r}; give a finite angle in radians, 'plane' or 'up'")
         return float(roll)
     if rod.is_straight:
-        return 0.0
-    left = -float(np.arctan2(*rod.natural_curvature[::-1]))
+        return _softer_upwards(rod)
+    left = -float(np.arctan2(*rod.curvature_held(0.0)[::-1]))
     if roll == "up":
         return left + 0.5 * np.pi
     s = np.linspace(-pattern.remainder_length, pattern.length, 1000)
     turning = float(np.mean(pattern.sample(s)[2])) * (s[-1] - s[0])
     # A pattern that turns by nothing but rounding has no side.
     return left + np.pi if turning < -1e-3 else left
+
+
+def _softer_upwards(rod: RodModel | RodMaterial) -> float:
+    """The roll that turns a straight rod's softer principal direction upwards, where it bends most;
+    the other way round the suspended rod rolls towards it and takes the laid one along."""
+    model = RodModel.of(rod)
+    if model.is_isotropic:
+        return 0.0
+    first, second = (float(b.mean(0.0, model.length)) for b in model.bending_stiffness)
+    softer = model.principal_angle + (0.5 * np.pi if second < first else 0.0)
+    return float((0.5 * np.pi - softer + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
 
 
 def _contact_frame(tangent: np.ndarray) -> np.ndarray:
@@ -337,7 +354,9 @@ def _placed(points: np.ndarray, contact: np.ndarray, frame: np.ndarray, lgb: flo
     return contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, points)
 
 
-def prepare(pattern: Pattern, rod: RodMaterial, remainder: bool | float | None) -> Pattern:
+def prepare(
+    pattern: Pattern, rod: RodModel | RodMaterial, remainder: bool | float | None
+) -> Pattern:
     """The pattern with the remainder that `plan` lays before it, checked against the rod's length.
 
     Raises:
@@ -364,7 +383,7 @@ def prepare(pattern: Pattern, rod: RodMaterial, remainder: bool | float | None) 
     return led
 
 
-def _remainder_length(curvature: float, rod: RodMaterial) -> float:
+def _remainder_length(curvature: float, rod: RodModel | RodMaterial) -> float:
     """Length [m] over which the curvature grows from zero with little friction.
 
     The quintic smoothstep has |kappa''| <= 10 / sqrt(3) kappa / length^2, and mu_s = 2 L_gb^3
@@ -375,7 +394,7 @@ def _remainder_length(curvature: float, rod: RodMaterial) -> float:
     return float(min(gentle, 2.0 * _REMAINDER_TURN / curvature))
 
 
-def _refuse_long(pattern: Pattern, rod: RodMaterial, spare: float) -> None:
+def _refuse_long(pattern: Pattern, rod: RodModel | RodMaterial, spare: float) -> None:
     total = pattern.length + pattern.remainder_length
     # The tolerance lets a remainder fill the spare length exactly.
     if total <= spare * (1.0 + 1e-9):
@@ -396,7 +415,7 @@ def _refuse_long(pattern: Pattern, rod: RodMaterial, spare: float) -> None:
 
 
 def _refuse_tight_bends(
-    pattern: Pattern, rod: RodMaterial, s: np.ndarray, curvature: np.ndarray
+    pattern: Pattern, rod: RodModel | RodMaterial, s: np.ndarray, curvature: np.ndarray
 ) -> None:
     worst = int(np.argmax(np.abs(curvature)))
     if abs(curvature[worst]) * rod.radius >= 1.0:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from wrod.errors import GraspError
 from wrod.grasps.mesh import MIRROR, MIRROR_ROTATION
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 if TYPE_CHECKING:
     from wrod.controller.controller import Controller
@@ -24,7 +27,8 @@ MIN_SUSPENDED_LENGTH = 1.0
 class GraspInputs:
     """What a grasp source is given: (T,) dimensionless lengths and curvatures of all nodes, the
     natural curvature (left, up) of the rod as it is held [1/L_gb], and the controller to ask; None
-    is the one that ships, which knows straight rods."""
+    is the one that ships, which knows straight rods. A rod that is more than uniform, isotropic and
+    linear comes along with its roll [rad]."""
 
     suspended_length: np.ndarray
     curvature: np.ndarray
@@ -35,11 +39,13 @@ class GraspInputs:
     natural_curvature: tuple[float, float] = (0.0, 0.0)
     poisson: float = 0.5
     controller: Controller | None = None
+    rod: RodModel | None = None
+    roll: float = 0.0
 
     @classmethod
     def of(
         cls,
-        rod: RodMaterial,
+        rod: RodModel | RodMaterial,
         suspended: np.ndarray,
         curvature: np.ndarray,
         *,
@@ -53,6 +59,7 @@ class GraspInputs:
         the roll that it is held at [rad] (see `RodMaterial.curvature_held`)."""
         lgb = rod.gravito_bending_length
         left, up = rod.curvature_held(roll)
+        model = RodModel.of(rod)
         return cls(
             # The maximum removes the rounding of a pattern that fills the rod.
             np.maximum(suspended / lgb, MIN_SUSPENDED_LENGTH),
@@ -64,12 +71,14 @@ class GraspInputs:
             (left * lgb, up * lgb),
             rod.poisson,
             controller,
+            None if model.is_uniform and -1.0 < rod.poisson <= 0.5 + 1e-9 else model,
+            roll,
         )
 
     @property
     def is_straight(self) -> bool:
         """Whether the rod is straight at rest."""
-        return self.natural_curvature == (0.0, 0.0)
+        return self.natural_curvature == (0.0, 0.0) and self.rod is None
 
     def at(self, nodes: np.ndarray) -> GraspInputs:
         """The inputs of some nodes."""
@@ -105,9 +114,46 @@ def _intuitive(inputs: GraspInputs) -> GraspPoses:
     return GraspPoses(position, rotation, np.full((count, 3), np.nan))
 
 
+def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
+    """Optimal grasps of a rod whose properties depend on where it touches the table."""
+    from wrod.grasps.rod_grasps import solve_rod_grasps
+
+    model, watch, count = inputs.rod, inputs.progress, len(inputs.suspended_length)
+    lgb = model.gravito_bending_length
+    force = model.mean_bending_stiffness / lgb**2
+    at = np.maximum(model.length - inputs.suspended_length * lgb, 0.0)
+    # Where the rod is twisted at rest its first director turns along the laid part.
+    rolled = model.rolled(at)
+    grasps = solve_rod_grasps(
+        model,
+        at,
+        inputs.curvature / lgb,
+        closure=inputs.closure,
+        roll=inputs.roll + rolled - 0.5 * np.pi,
+        device=inputs.device,
+    )
+    if watch is not None:
+        watch(count, count)
+    # The grip holds the rod at one roll: its y axis is what was to the left where the rod begins.
+    turn = Rotation.from_rotvec(rolled[:, None] * [1.0, 0.0, 0.0])
+    return GraspPoses(
+        grasps.position / lgb,
+        (Rotation.from_rotvec(grasps.rotation) * turn).as_rotvec(),
+        grasps.force / force,
+        grasps.converged,
+        grasps.stable,
+        grasps.shape / lgb,
+        grasps.eigenvalue * lgb**2 / force,
+        grasps.twist + rolled,
+    )
+
+
 def _numeric(inputs: GraspInputs) -> GraspPoses:
     """Optimal grasps from the rod solver."""
     from wrod.grasps.optimal import solve_grasps
+
+    if inputs.rod is not None:
+        return _of_varying_rod(inputs)
 
     count = len(inputs.suspended_length)
     watch = inputs.progress
@@ -136,17 +182,30 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
     )
 
 
-def _neural(inputs: GraspInputs) -> GraspPoses:
-    """Optimal grasps from the trained controller; out of its range it warns."""
+@cache
+def _of_closure(closure: str) -> Controller:
     from wrod.controller.controller import Controller
 
+    return Controller.load(closure=closure)
+
+
+def _shipped(default: str, closure: str) -> Controller:
+    """The controller of a closure that ships, or that of `default`; read once."""
+    from wrod.controller.controller import SHIPPED
+
+    return _of_closure(closure if closure in SHIPPED else default)
+
+
+def _neural(inputs: GraspInputs) -> GraspPoses:
+    """Optimal grasps from the trained controller; out of its range it warns."""
+    _refuse_varying(inputs)
     if inputs.controller is None and not inputs.is_straight:
         raise GraspError(
             "the controller that ships knows naturally straight rods only, and this one is curved "
             "at rest; train one for it with `wrod dataset --rod` and `wrod train`, or use method "
             "'numeric' or 'auto'"
         )
-    controller = inputs.controller or Controller.load()
+    controller = inputs.controller or _shipped("zero_tension", inputs.closure)
     if inputs.closure != controller.closure:
         raise GraspError(
             f"the controller knows closure {controller.closure!r} only, not {inputs.closure!r}; "
@@ -155,11 +214,22 @@ def _neural(inputs: GraspInputs) -> GraspPoses:
     return _predicted(controller, inputs)
 
 
+def _refuse_varying(inputs: GraspInputs) -> None:
+    if inputs.rod is not None and inputs.controller is not None:
+        raise GraspError(
+            "controllers know uniform, isotropic, linear rods only, and this one has "
+            f"{', '.join(inputs.rod.not_uniform())} of its own; use method 'numeric' or 'auto' "
+            "without a controller"
+        )
+
+
 def _auto(inputs: GraspInputs) -> GraspPoses:
     """The controller where it was trained for closure and inputs, elsewhere the rod solver."""
-    from wrod.controller.controller import Controller
-
-    controller = inputs.controller or Controller.load()
+    if inputs.rod is not None:
+        _refuse_varying(inputs)
+        return _numeric(inputs)
+    # Others do not know the thrust, and with it what a plan asks of the table.
+    controller = inputs.controller or _of_closure("zero_tension")
     known = ~controller.out_of_range(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     )
@@ -196,7 +266,8 @@ def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
     position, rotation, force, twist = controller.predict_with_twist(
         inputs.suspended_length, side * inputs.curvature, inputs.stretch_ratio
     )
-    if force is None:
+    # The chain that controllers learn has no thrust at the contact.
+    if force is None or controller.closure != "zero_tension":
         force = np.full_like(position, np.nan)
     if side < 0.0:
         position, rotation, force = MIRROR * position, MIRROR_ROTATION * rotation, MIRROR * force

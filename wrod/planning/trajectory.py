@@ -10,8 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import DataError
+from wrod.errors import DataError, RodError
 from wrod.files import decode_labels, read_arrays, schemas, write_atomically
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+from wrod.rods.model_file import rod_of_json
 
 _FORMAT = "wrod-trajectory-1"
 # Axes of each array after the contact nodes; any number of nodes of a shape.
@@ -46,6 +49,8 @@ class Trajectory:
             where the method does not compute them; saved in the NPZ file only.
         twist: (T,) angle by which the rod is twisted between contact and grip [rad], or None where
             it is not; whole turns count, which `rotation` cannot tell. In the NPZ file only.
+        roll: that the rod is put into the grip at: of its first material director where it begins,
+            from left towards up [rad].
     """
 
     arc_length: np.ndarray
@@ -56,9 +61,16 @@ class Trajectory:
     metadata: dict = field(default_factory=dict)
     shape: np.ndarray | None = None
     twist: np.ndarray | None = None
+    roll: float = 0.0
 
     def __len__(self) -> int:
         return len(self.arc_length)
+
+    @property
+    def rod(self) -> RodModel | RodMaterial | None:
+        """The rod that was planned for; None where `metadata` does not say."""
+        content = self.metadata.get("rod")
+        return rod_of_json(content) if isinstance(content, dict) else None
 
     @property
     def pattern_arc_length(self) -> np.ndarray:
@@ -98,6 +110,7 @@ class Trajectory:
                 rotation=self.rotation,
                 force=self.force,
                 units="SI: m, N",
+                roll=self.roll,
                 metadata=json.dumps(self.metadata, sort_keys=True),
                 **{
                     name: getattr(self, name)
@@ -129,7 +142,16 @@ class Trajectory:
             raise DataError(f"{path}: lacks the array {missing[0]}; give {what}")
         arrays = {name: data[name] for name in _SHAPES if name in data}
         check_arrays(arrays, str(path))
-        return cls(**arrays, metadata=metadata)
+        # Earlier versions kept the roll in the metadata.
+        roll = data.get("roll", np.asarray(metadata.get("roll", 0.0)))
+        if roll.size != 1 or roll.dtype.kind not in "fiu" or not np.isfinite(roll).all():
+            raise DataError(f"{path}: roll is no finite angle; give {what}")
+        loaded = cls(**arrays, metadata=metadata, roll=float(roll.item()))
+        try:
+            _ = loaded.rod
+        except RodError as reason:
+            raise DataError(f"{path}: metadata: rod: {reason}; plan it again") from None
+        return loaded
 
 
 def check_arrays(arrays: dict[str, np.ndarray], where: str) -> None:

@@ -215,7 +215,8 @@ class RodModel:
     @property
     def poisson(self) -> float:
         """k_b / k_t - 1 of the means, Poisson's ratio of a round section [-]."""
-        return self.mean_bending_stiffness / self._mean(self.twisting_stiffness) - 1.0
+        ratio = self.mean_bending_stiffness / self._mean(self.twisting_stiffness) - 1.0
+        return 0.5 if abs(ratio - 0.5) < _ROUND else ratio  # no more than 0.5 but for rounding
 
     @property
     def is_straight(self) -> bool:
@@ -223,12 +224,69 @@ class RodModel:
         return all(c == _NONE for c in self.natural_curvature)
 
     @property
+    def varies(self) -> bool:
+        """Whether any property changes along the rod."""
+        profiles = (*self.bending_stiffness, *self.natural_curvature, self.twisting_stiffness,
+                    self.stretching_stiffness, self.line_mass, self.natural_twist)  # fmt: skip
+        return not all(p.is_constant for p in profiles)
+
+    @property
+    def has_sides(self) -> bool:
+        """Whether it matters how the rod is rolled about its tangent."""
+        return not (self.is_straight and self.is_isotropic)
+
+    @property
     def is_isotropic(self) -> bool:
         """Whether the rod bends as easily in every direction."""
         first, second = self.bending_stiffness
         return first == second
 
+    def rolled(self, s) -> np.ndarray:
+        """Angle by which m_1 has turned at arc lengths `s` [m] where the rod lies with the twist
+        that it has at rest [rad]."""
+        return self.natural_twist.integral(0.0, s)
+
+    def curvature_held(self, roll: float) -> tuple[float, float]:
+        """(to the left, upwards) mean curvature at rest [1/m] of the rod laid straight, m_1 at its
+        beginning turned by `roll` [rad] from left towards up."""
+        s = np.linspace(0.0, self.length, 1 if not self.varies and self._untwisted else 401)
+        first, second = (c(s) for c in self.natural_curvature)
+        mean = np.mean((first + 1j * second) * np.exp(1j * (roll + self.rolled(s))))
+        return float(mean.real), float(mean.imag)
+
+    @property
+    def _untwisted(self) -> bool:
+        return self.natural_twist == _NONE
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether it is uniform, isotropic, linear and untwisted at rest: what the shipped
+        controllers and `solve_grasps` know. Damping, and what it stretches and twists by, are its
+        own."""
+        plain = isinstance(self.law, Linear) and not self.point_masses and self._untwisted
+        return plain and self.is_isotropic and not self.varies
+
     # ---- the same rod otherwise ---------------------------------------------------------------
+
+    def bent(self, left: float, up: float = 0.0, roll: float = 0.0) -> RodModel:
+        """A rod with more natural curvature [1/m]: `left` towards the direction that m_1 is turned
+        from by `roll` [rad], `up` a quarter turn from there."""
+        held = self.turned(roll)
+        first, second = held.natural_curvature
+        return replace(held, natural_curvature=(first + left, second + up)).turned(-roll)
+
+    def stiffened(self, factor: float) -> RodModel:
+        """A rod of which every stiffness is `factor` times as large."""
+
+        def more(profile):
+            return profile.scaled(factor)
+
+        return replace(
+            self,
+            bending_stiffness=tuple(map(more, self.bending_stiffness)),
+            twisting_stiffness=more(self.twisting_stiffness),
+            stretching_stiffness=more(self.stretching_stiffness),
+        )
 
     def piece(self, start: float, stop: float) -> RodModel:
         """What lies between two arc lengths [m], counted from the first.

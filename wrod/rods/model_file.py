@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from wrod.errors import RodError, WrodWarning
-from wrod.files import read_json, schemas, write_atomically
+from wrod.files import decode_labels, read_json, schemas, write_atomically
 from wrod.files.reading import entry_message
 from wrod.rods.law import law_as_json, law_of
 from wrod.rods.material import RodMaterial
@@ -24,7 +24,7 @@ MATERIAL_FORMAT = "wrod-rod-1"
 # A uniform rod, and a list of effects of which its numbers carry the first three.
 _OLD_FORMAT = "wrod-rod-model-1"
 _CARRIED = ("stiffness", "density", "natural_curvature")
-_MOST_BYTES = 16_000_000
+_WHAT = "a rod file, as `wrod loop --out` or `wrod identify` writes it"
 
 
 def save_material(material: RodMaterial, path: str | os.PathLike[str]) -> Path:
@@ -73,6 +73,41 @@ def model_of(content: dict) -> RodModel:
         raise RodError(str(error).replace("RodModel.__init__() ", "")) from None
 
 
+def rod_as_json(rod: RodModel | RodMaterial) -> dict:
+    """A rod as plain JSON values: a uniform one by the numbers of `RodMaterial`."""
+    if isinstance(rod, RodMaterial):
+        return {**asdict(rod), "natural_curvature": list(rod.natural_curvature)}
+    return {**model_as_json(rod), "gravito_bending_length": rod.gravito_bending_length}
+
+
+def rod_of_json(content) -> RodModel | RodMaterial:
+    """The rod that `rod_as_json` wrote.
+
+    Raises:
+        RodError: it is not one.
+    """
+    if not isinstance(content, dict):
+        raise RodError(f"{content!r:.80} is no rod")
+    if "bending_stiffness" in content:
+        return model_of({k: v for k, v in content.items() if k != "gravito_bending_length"})
+    try:
+        return RodMaterial(**content)
+    except TypeError as error:
+        raise RodError(str(error).replace("RodMaterial.__init__() ", "")) from None
+
+
+def load_rod(path, *, radius: float | None = None, length: float | None = None):
+    """A `RodMaterial` where the file holds no more than that, else the `RodModel`.
+
+    Raises:
+        RodError: as `RodModel.load`.
+    """
+    if _read(path).get("format") != MODEL_FORMAT:
+        return load_material(path, radius=radius, length=length)
+    model = load_model(path, radius=radius, length=length)
+    return model if model.not_uniform() else model.material()
+
+
 def load_model(path, *, radius: float | None = None, length: float | None = None) -> RodModel:
     """See `RodModel.load`."""
     instead = {"radius": radius, "length": length}
@@ -102,11 +137,20 @@ def load_material(path, *, radius: float | None = None, length: float | None = N
 
 
 def _new(path, content: dict, instead: dict) -> RodModel:
+    found = content.get("found")
     content = {k: v for k, v in content.items() if k not in ("format", "found")}
-    _warn(path, _assumed(content, content.pop("assumed", []), instead))
+    assumed = content.pop("assumed", [])
     model = model_of(content)
+    aside = found.get("set_aside") if isinstance(found, dict) else None
+    aside = [name for name in aside if isinstance(name, str)] if isinstance(aside, list) else []
+    said = [f"{', '.join(aside)!s:.200} set aside, as it belongs to the measurement"] * bool(aside)
+    said += _assumed(content, assumed, instead)
     if "length" in instead:
+        longest = model.length
         model = with_length(model, instead.pop("length"))
+        if model.length > longest * (1.0 + 1e-9) and model.varies:
+            said.append(f"beyond the measured {longest:g} m it goes on as it is there")
+    _warn(path, said)
     return replace(model, **instead)
 
 
@@ -166,8 +210,12 @@ def _warn(path, said: list[str]) -> None:
 
 
 def _read(path) -> dict:
-    what = "a rod file; write one with `wrod loop --out`"
-    return read_json(path, dict[str, Any], what, error=RodError, limit=_MOST_BYTES)
+    content = read_json(path, dict[str, Any], _WHAT, error=RodError)
+    if content.get("format") == MODEL_FORMAT:
+        # Every entry of the right kind, named if not; what they mean is for `RodModel`.
+        text = json.dumps(content)
+        return decode_labels(text, schemas.RodModelFile, str(path), _WHAT, error=RodError)
+    return content
 
 
 def _write(path, content: dict) -> Path:

@@ -62,7 +62,7 @@ def find_optima(
     for i in np.flatnonzero(good)[np.argsort(size[good], kind="stable")]:
         if all(np.linalg.norm(coarse.position[i] - coarse.position[j]) > 1e-3 for j in chosen):
             chosen.append(int(i))
-    _, fine = polish(solver.refined().numpy()[chosen], coarse.thrust[chosen])
+    _, fine = polish(solver.refined()[chosen], coarse.thrust[chosen])
     rods = HeldRods(
         np.full(len(chosen), length), np.full(len(chosen), ratio), fine.shape, device=device
     )

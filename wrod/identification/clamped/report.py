@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import DataError
+from wrod.errors import DataError, WrodWarning
 from wrod.files import write_atomically
 from wrod.identification.clamped.branches import Branch
 from wrod.identification.clamped.fit import Fit, fit_models
@@ -20,12 +21,14 @@ from wrod.identification.clamped.loading import load_measurements
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.noise import NoiseModel
 from wrod.identification.clamped.selection import select
+from wrod.identification.clamped.setup import Setup
 from wrod.identification.clamped.trace import Print, trace
 from wrod.identification.effect import Effect, Estimate, Model, effects
-from wrod.identification.model_file import with_effects, write_model
+from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.verdict import Selection
 from wrod.rods.batch import resolve_device
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 METRIC = "RMS over test trials and markers of the 3-D distance [mm]"
 _FORMAT = "wrod-identification-1"
@@ -64,7 +67,7 @@ class IdentificationReport:
         candidates: every effect tried alone: its name, BIC gain and test error.
         selection, prints: the whole evidence.
         predicted_before, predicted_after: (T, M, 3) marker positions [m].
-        material: the rod with what a `RodMaterial` can carry of the effects.
+        found: the rod with all that was found of it, and what belongs to the set-up instead.
         noise: as the selection found it; missing: markers without a position; outliers: (T, M)
             markers that were set aside; branches: (T,) equilibrium of the base model in each trial.
     """
@@ -81,11 +84,23 @@ class IdentificationReport:
     prints: tuple[Print, ...]
     predicted_before: np.ndarray
     predicted_after: np.ndarray
-    material: RodMaterial
+    found: FoundRod
     noise: NoiseModel
     missing: int
     outliers: np.ndarray
     branches: tuple[Branch, ...]
+
+    @property
+    def model(self) -> RodModel:
+        """The rod with every effect that belongs to it."""
+        return self.found.rod
+
+    @property
+    def material(self) -> RodMaterial:
+        """The rod with what a `RodMaterial` can carry of it."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", WrodWarning)
+            return self.model.material()
 
     def to_dict(self) -> dict:
         """The content of `report.json`; lengths of errors in mm, everything else SI."""
@@ -122,6 +137,7 @@ class IdentificationReport:
                 "final": s.fit.chi_squared,
                 "residuals": s.fit.residual_count,
             },
+            "set_aside": list(self.found.set_aside),
             "noise": self.noise.to_dict() | {"said": self.noise.described()},
             "readings_set_aside": {
                 "missing_markers": self.missing,
@@ -150,11 +166,10 @@ class IdentificationReport:
 
         out = Path(out)
         content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        fit = self.selection.fit
         return [
             write_atomically(out / "report.json", lambda file: file.write(content)),
             write_page(out / "report.html", self),
-            write_model(out / "model.json", self.material, fit.model, fit.values),
+            self.found.save(out / "model.json"),
             self.material.save(out / "rod.json"),
         ]
 
@@ -222,12 +237,24 @@ def identify_clamped(
         prints=tuple(prints),
         predicted_before=before,
         predicted_after=after,
-        material=with_effects(m.material, fit.model, fit.values, m),
+        found=_found_rod(m, laboratory, fit),
         noise=laboratory.noise,
         missing=laboratory.missing,
         outliers=laboratory.outliers,
         branches=tuple(laboratory.branches),
     )
+
+
+def _found_rod(m: ClampedMeasurements, laboratory: Laboratory, fit: Fit) -> FoundRod:
+    """The free part of the rod between the clamps, arc length from clamp A."""
+    base = Setup.base(m, m.test[:1], laboratory.edge_count)
+    like = RodModel.of(m.material)
+
+    def read(setup: Setup) -> RodModel:
+        # What slipped into or out of a clamp is still the same rod.
+        return rod_of(setup, setup.arc_length, like=like)
+
+    return found_rod(base, fit.model, fit.values, read)
 
 
 def _effect(candidate: Effect | str) -> Effect:

@@ -93,14 +93,12 @@ class _Force(Profile):
 
 
 class _Curvature(Profile):
-    """A moment fixed in the material: a curvature vector at rest."""
+    """A moment fixed in the material: a curvature dt/ds at rest along m1 and m2."""
 
     width = 2
 
     def apply(self, setup, values):
-        k = self.profile(setup, values)
-        bent = np.stack([k[:, 1], -k[:, 0]], axis=1)
-        setup.natural_curvature = setup.natural_curvature + bent
+        setup.natural_curvature = setup.natural_curvature + self.profile(setup, values)
 
 
 class _Stiffness(Profile):
@@ -144,7 +142,7 @@ def trace(laboratory: Laboratory) -> list[Print]:
         ),
         (
             "moment_in_material",
-            "moment that turns with the material, as a curvature vector at rest",
+            "moment that turns with the material, as a curvature dt/ds at rest",
             "1/m",
             ("natural_curvature", "natural_helix"),
             Model((_Curvature(1.0),)),

@@ -8,10 +8,7 @@ from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_an
 class NaturalCurvature(Effect):
     name = "natural_curvature"
     title = "uniform natural curvature in the material frame"
-    reference = (
-        "curvature vector at rest, the axis that the tangent turns about per length: "
-        "t' = k x t with k = curvature_1 m1 + curvature_2 m2"
-    )
+    reference = "dt/ds = curvature_1 m1 + curvature_2 m2 at rest, t the tangent"
     kinds = ("clamped", "motion")
     parameters = (
         Parameter("curvature_1", "1/m", 20.0),
@@ -19,7 +16,7 @@ class NaturalCurvature(Effect):
     )
 
     def apply(self, setup, values):
-        setup.natural_curvature = setup.natural_curvature + np.array([values[1], -values[0]])
+        setup.natural_curvature = setup.natural_curvature + np.asarray(values)
 
     def describe(self, values, covariance, measurements):
         size, angle = magnitude_and_angle(*values, covariance)

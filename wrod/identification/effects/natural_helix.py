@@ -9,7 +9,7 @@ class NaturalHelix(Effect):
     name = "natural_helix"
     title = "natural curvature whose direction turns uniformly in the material frame"
     reference = (
-        "as natural_curvature, its vector turned about the tangent by turn_rate times arc length"
+        "as natural_curvature, its dt/ds turned about the tangent by turn_rate times arc length"
     )
     parameters = (
         Parameter("curvature_1", "1/m", 20.0),
@@ -26,7 +26,7 @@ class NaturalHelix(Effect):
         angle = values[2] * setup.arc_length
         c, s = np.cos(angle), np.sin(angle)
         first, second = c * values[0] - s * values[1], s * values[0] + c * values[1]
-        setup.natural_curvature = setup.natural_curvature + np.stack([second, -first], axis=1)
+        setup.natural_curvature = setup.natural_curvature + np.stack([first, second], axis=1)
 
     def describe(self, values, covariance, measurements):
         size, angle = magnitude_and_angle(*values[:2], covariance[:2, :2])

@@ -21,6 +21,7 @@ from wrod.identification.effect import Estimate
 from wrod.identification.laid.measurements import LaidMeasurements
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
 
 PARAMETERS = ("natural_curvature", "log_L_gb", "log_friction")
@@ -58,7 +59,7 @@ class LaidFit:
     """
 
     estimates: dict[str, Estimate]
-    rod: RodMaterial
+    rod: RodModel | RodMaterial
     before: float
     after: float
     noise_floor: float
@@ -71,7 +72,7 @@ class LaidFit:
 
 def fit_laid(
     measurements: LaidMeasurements,
-    rod: RodMaterial,
+    rod: RodModel | RodMaterial,
     trajectory: Trajectory,
     friction: Friction | float = 0.6,
     *,
@@ -101,7 +102,7 @@ def fit_laid(
     if iterations < 1:
         raise DataError(f"iterations is {iterations}; give at least 1")
     law = friction if isinstance(friction, Friction) else Friction(friction)
-    roll = float(trajectory.metadata.get("roll", 0.0))
+    roll = trajectory.roll
     active = list(range(len(PARAMETERS) if fit_friction else len(_OF_ROD)))
     after_plan = tail(measurements.pattern, _planned(rod, trajectory), trajectory)
 
@@ -181,9 +182,13 @@ def scaled(law: Friction, log_ratio: float) -> Friction:
     return replace(law, static=law.static * ratio, kinetic=kinetic)
 
 
-def with_parameters(rod: RodMaterial, values: np.ndarray, roll: float = 0.0) -> RodMaterial:
+def with_parameters(
+    rod: RodModel | RodMaterial, values: np.ndarray, roll: float = 0.0
+) -> RodModel | RodMaterial:
     """`rod` with more natural curvature to the left as held at `roll`, and another L_gb."""
     more = float(values[0])
+    if isinstance(rod, RodModel):
+        return rod.bent(more, roll=roll).stiffened(float(np.exp(3.0 * values[1])))
     first, second = rod.natural_curvature
     return replace(
         rod,
@@ -192,10 +197,9 @@ def with_parameters(rod: RodMaterial, values: np.ndarray, roll: float = 0.0) -> 
     )
 
 
-def _planned(rod: RodMaterial, trajectory: Trajectory) -> RodMaterial:
+def _planned(rod, trajectory: Trajectory) -> RodModel | RodMaterial:
     """The rod of the plan, whose tail the grip laid."""
-    planned = trajectory.metadata.get("rod")
-    return RodMaterial(**planned) if isinstance(planned, dict) else rod
+    return trajectory.rod or rod
 
 
 def _chosen(measurements, here, rates, off, alone) -> list[int]:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import DataError
+from wrod.errors import DataError, WrodWarning
 from wrod.files import write_atomically
 from wrod.identification.effect import Effect, Estimate, Model, effects
-from wrod.identification.model_file import with_effects, write_model
+from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.fit import MotionLaboratory
 from wrod.identification.motion.loading import load_motion
@@ -25,11 +27,12 @@ from wrod.identification.motion.selection import (
     select_motion,
     verdict_of,
 )
-from wrod.identification.motion.setup import START_L_GB
+from wrod.identification.motion.setup import START_L_GB, MotionSetup
 from wrod.identification.motion.trace import MotionTrace, trace_motion
 from wrod.identification.motion.windows import Windows
 from wrod.rods.batch import resolve_device
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 METRIC = (
     "mean |difference| over coordinates and all markers, held ones as zero, from frame 2 to the "
@@ -38,6 +41,8 @@ METRIC = (
 _FORMAT = "wrod-motion-identification-1"
 # Radius over gravito-bending length of the USB cable of the paper's Table 2.
 _SLENDER = 0.0018 / 0.0801
+# Edges between neighbouring free markers of the mesh that the found rod is read off.
+_SUBDIVISIONS = 4
 
 
 @dataclass(frozen=True)
@@ -136,6 +141,7 @@ class MotionReport:
                 }
                 for r in s.rounds
             ],
+            "set_aside": list(self.found.set_aside),
             "residual": self.residual.to_dict(),
             "steps_failed": {
                 when: [m.names[r] for r in self.windows.recording[failed]]
@@ -159,29 +165,51 @@ class MotionReport:
 
         out = Path(out)
         content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        s = self.selection
         return [
             write_atomically(out / "report.json", lambda file: file.write(content)),
             write_motion_page(out / "report.html", self),
-            write_model(
-                out / "model.json", self.material, s.model, s.values, ("radius", "density")
-            ),
+            self.found.save(out / "model.json"),
         ]
+
+    @cached_property
+    def found(self) -> FoundRod:
+        """The rod with every effect that belongs to it, arc length from the first marker.
+
+        Its length is that from the first marker to the last. Motion tells ratios to the mass, and
+        next to nothing of how the rod stretches: radius, mass per length and stretching stiffness
+        are those of a common cable of its stiffness, radius L_gb / 45.
+        """
+        m, s = self.measurements, self.selection
+        radius = _SLENDER * self.base["stiffness"]["L_gb"].value
+        like = RodModel.of(
+            RodMaterial(radius, START_L_GB, float(m.marker_arc_length[-1]), gravity=m.gravity)
+        )
+        line_mass = like.line_mass.values[0]
+        stretches = "axial_stiffness" in s.model.names
+
+        def read(setup: MotionSetup) -> RodModel:
+            arc_length = np.concatenate([[0.0], np.cumsum(np.real(setup.rest_length))])
+            whole = replace(like, length=float(arc_length[-1]))
+            rod = rod_of(setup, arc_length, like=whole, line_mass=line_mass)
+            if stretches:
+                return rod
+            return replace(rod, stretching_stiffness=4.0 * rod.mean_bending_stiffness / radius**2)
+
+        assumed = ("radius", "line_mass") + ("stretching_stiffness",) * (not stretches)
+        base = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
+        return found_rod(base, s.model, s.values, read, assumed)
+
+    @property
+    def model(self) -> RodModel:
+        """The rod with every effect that belongs to it; see `found`."""
+        return self.found.rod
 
     @property
     def material(self) -> RodMaterial:
-        """The rod with what its own numbers can carry of the model.
-
-        Its length is that from the first marker to the last. Radius and density cannot be seen in
-        motion: density drops out of every plan, and the radius is that of a common cable of its
-        stiffness, L_gb / 45.
-        """
-        m, s = self.measurements, self.selection
-        lgb = self.base["stiffness"]["L_gb"].value
-        rod = RodMaterial(
-            _SLENDER * lgb, START_L_GB, float(m.marker_arc_length[-1]), gravity=m.gravity
-        )
-        return with_effects(rod, s.model, s.values, m)
+        """The rod with what a `RodMaterial` can carry of it."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", WrodWarning)
+            return self.model.material()
 
 
 @arguments.checked(

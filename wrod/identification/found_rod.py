@@ -1,0 +1,120 @@
+"""The rod that a fitted model describes, read off its set-up: one description, nothing twice.
+
+Whatever effects did to stiffnesses, masses, rest shape, law or damping is in the set-up's arrays,
+and so in the rod. Effects that leave the rod as it is (cameras, clamps, grips, gravity's direction,
+a draught) belong to the set-up of the measurement and are set aside, by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from wrod.identification.effect import Model
+from wrod.rods.law import Law, Linear, Softening
+from wrod.rods.model import RodModel
+from wrod.rods.model_file import save_model
+from wrod.rods.profile import Profile
+
+# Values that agree to this, relative to the largest, are one number.
+_SAME = 1e-12
+
+
+@dataclass(frozen=True)
+class FoundRod:
+    """A rod, and what it took to find it.
+
+    Attributes:
+        rod: with everything that belongs to it.
+        set_aside: names of the effects that belong to the set-up of the measurement.
+        assumed: names of the rod's numbers that nobody measured.
+        effects: every effect's raw parameters, by name.
+    """
+
+    rod: RodModel
+    set_aside: tuple[str, ...]
+    assumed: tuple[str, ...]
+    effects: dict[str, dict[str, float]]
+
+    def save(self, path: Path) -> Path:
+        """Write `model.json`, which `RodModel.load` and `RodMaterial.load` read."""
+        effects = [{"name": n, "parameters": p} for n, p in self.effects.items()]
+        found = {"effects": effects, "set_aside": list(self.set_aside)}
+        return save_model(self.rod, path, assumed=self.assumed, found=found)
+
+
+def found_rod(
+    base, model: Model, values: np.ndarray, read: Callable, assumed: tuple[str, ...] = ()
+) -> FoundRod:
+    """The rod of a model with fitted values.
+
+    Args:
+        base: the set-up without effects.
+        model: the effects.
+        values: their parameters.
+        read: from a set-up to its `RodModel`.
+        assumed: names of the rod's numbers that `read` had to assume.
+    """
+    plain = read(base)
+    parts = list(zip(model.effects, model.split(values), strict=True))
+    aside = [e.name for e, v in parts if read(Model((e,)).setup(base, v)) == plain]
+    effects = {
+        e.name: dict(zip((p.key for p in e.parameters), v.tolist(), strict=True)) for e, v in parts
+    }
+    return FoundRod(read(model.setup(base, values)), tuple(aside), assumed, effects)
+
+
+def rod_of(setup, arc_length: np.ndarray, *, like: RodModel, line_mass: float = 1.0) -> RodModel:
+    """The rod in a set-up of either kind.
+
+    Args:
+        setup: its arrays hold one value per node, of the stretching stiffness one per edge.
+        arc_length: (node,) unstretched, from the end that is laid first [m].
+        like: what the set-up does not know: length, radius, gravity.
+        line_mass: of set-ups per line mass [kg/m].
+    """
+    s = np.real(arc_length)
+    middle = 0.5 * (s[1:] + s[:-1])
+
+    def along(values, factor=1.0, at=s) -> Profile:
+        values = factor * np.real(values)
+        if np.ptp(values) <= _SAME * np.abs(values).max():
+            return Profile((float(values[0]),))
+        return Profile(values, at)
+
+    def mean(values) -> float:
+        return float(np.mean(np.real(values)))
+
+    first, second = np.real(setup.bending).T
+    return replace(
+        like,
+        bending_stiffness=(along(first, line_mass), along(second, line_mass)),
+        twisting_stiffness=along(setup.twisting, line_mass),
+        stretching_stiffness=along(setup.stretching, line_mass, middle),
+        line_mass=along(setup.line_mass, line_mass),
+        principal_angle=float(np.real(setup.principal_angle)),
+        natural_curvature=tuple(along(c) for c in setup.natural_curvature.T),
+        natural_twist=along(setup.natural_twist),
+        point_masses=_lumps(s, line_mass * np.real(setup.node_mass), like.length),
+        law=_law(np.real(setup.softening)),
+        internal_damping=mean(getattr(setup, "viscous_time", 0.0)),
+        air_damping=mean(getattr(setup, "linear_drag", 0.0)),
+        quadratic_drag=mean(getattr(setup, "quadratic_drag", 0.0)),
+    )
+
+
+def _law(softening: np.ndarray) -> Law:
+    c, r = softening.mean(axis=0)
+    return Softening(float(c**-0.5), float(r)) if c > 0.0 else Linear()
+
+
+def _lumps(s: np.ndarray, mass: np.ndarray, length: float) -> tuple[tuple[float, float], ...]:
+    """Masses spread over neighbouring nodes, each run of nodes as one at its centre."""
+    heavy = mass > 0.0
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], heavy, [False]])))
+    runs = [slice(a, b) for a, b in ends.reshape(-1, 2)]
+    lumps = [(float(mass[r] @ s[r] / mass[r].sum()), float(mass[r].sum())) for r in runs]
+    return tuple((min(max(at, 0.0), length), m) for at, m in lumps)
