@@ -141,13 +141,17 @@ def run_case(
                 curve = wrod.Pattern.load(folder / f"{pattern.replace('-', '')}.txt")
             trajectory = wrod.plan(curve, wrod.rod(rod_name), method=method)
         started = time.process_time()
-        path = wrod.solve_joint_path(trajectory)
+        path = wrod.solve_joint_path(trajectory, robot)
         row |= {"cpu": time.process_time() - started}
+        if scene:
+            row |= {"scene_faults": _scene_faults(trajectory, path, curve, wrod.rod(rod_name))}
         if finer:
             row |= against_finer(path, curve, wrod.rod(rod_name), method, trajectory)
     except WrodError as error:
         return row | {"cpu": time.process_time() - started, "error": str(error)}
     figures = path.metadata
+    if figures["robot"] != robot:
+        raise RuntimeError(f"asked for a path of {robot} and solved one of {figures['robot']}")
     return row | {
         "position_mm": 1e3 * figures["position_error"],
         "rotation_deg": float(np.degrees(figures["rotation_error"])),
