@@ -43,6 +43,7 @@ def test_rows_come_in_the_order_of_the_trials(tmp_path):
     assert [row["course"] for row in ledger.of([("a", 0), ("b", 0), ("d", 0)])] == ["a", "b"]
 
 
+@pytest.mark.slow
 def test_comparison_of_closures_is_resumed_to_the_same_files(tmp_path, monkeypatch):
     """Laid on coarse meshes; the second run is stopped after two of its eight deployments."""
     import wrod.deployment.simulate

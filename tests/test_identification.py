@@ -262,6 +262,7 @@ def test_what_contains_the_chosen_effect_is_no_rival():
     assert report.selection.confounded == []
 
 
+@pytest.mark.slow
 def test_an_effect_that_no_plug_in_covers_is_not_named_explained():
     """A knock against the rod, another one in every trial: not one of the candidates."""
 

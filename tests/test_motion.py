@@ -153,6 +153,7 @@ TRUTH = {
 NAMES = ("internal_damping", "natural_curvature", "mass_gradient")
 
 
+@pytest.mark.slow
 def test_damping_and_natural_curvature_are_found(recorded):
     """In motions of the same rod on a mesh twice as fine with a third of the time step."""
     m = motion_from_arrays(recorded)
