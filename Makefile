@@ -22,7 +22,7 @@ demo: $(STAMP)
 	$(BIN)/wrod plan letter-A --rod green-vps --out out/letter-A
 
 test: lint types
-	$(BIN)/python -m pytest -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow

@@ -21,7 +21,7 @@ import click
 @click.option("--step", default=0.025, show_default=True, help="Largest time step [s].")
 @click.option("--camera", default=0.6, show_default=True, help="Height of the camera [m].")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--threads", type=click.IntRange(min=1), help="CPU threads; default: one per core.")
+@click.option("--threads", type=int, help="CPU threads; default: one per core.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     data: Path,
