@@ -201,7 +201,7 @@ def test_memory_stays_flat(tmp_path, monkeypatch):
     [
         (["--closure", "none"], "unknown closure"),
         (["--device", "cuda:99"], "not on this machine"),
-        (["--size", str(2**31)], "the sampling sequence ends at"),
+        (["--size", str(2**31)], "is not in the range 1<=x<=1073741824"),
     ],
 )
 def test_bad_options_are_one_sentence(tmp_path, arguments, says):

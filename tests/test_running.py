@@ -94,6 +94,7 @@ def test_a_second_process_is_told_so(tmp_path):
         pass  # the lock ended with its process
 
 
+@pytest.mark.slow
 def test_an_interrupted_command_says_so(tmp_path):
     words = "dataset --size 100000 --no-sensitivities --device cpu --out"
     call = [sys.executable, "-m", "wrod", *words.split(), str(tmp_path / "out")]

@@ -269,7 +269,7 @@ def test_out_that_cannot_be_written_is_said_before_training(tmp_path, monkeypatc
     "arguments, says",
     [
         ([], "either --dataset DIR or --generate N"),
-        (["--dataset", "nowhere"], "make one with `wrod dataset`"),
+        (["--dataset", "nowhere"], "give the manifest that `wrod dataset` writes"),
         (["--generate", "200", "--recipe", "best"], "use one of default, curved, paper"),
     ],
 )

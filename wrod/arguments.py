@@ -56,6 +56,19 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
     return decorate
 
 
+def each(check: Check, *instead: str) -> Check:
+    """One, or a list of, what passes the check or has the attributes `instead`."""
+
+    def wrong(value):
+        for one in value if isinstance(value, (list, tuple)) else [value]:
+            said = check(one)
+            if said is not None and not (instead and all(hasattr(one, name) for name in instead)):
+                return said
+        return None
+
+    return wrong
+
+
 def number(low: float = -math.inf, high: float = math.inf, above: float | None = None) -> Check:
     """A finite real number from `low` to `high`, and more than `above`."""
     least = low if above is None else above

@@ -45,7 +45,8 @@ def gates(pattern: Pattern) -> Fixtures:
 
     scene = design_gates(pattern, believed(rod("cable")), pitch=PITCH)
     note = (
-        "Pairs of posts by wrod.deployment.gates for rod 'cable', OPT's plan: where the cable "
+        "Pairs of posts by wrod.deployment.gates.design_gates for rod 'cable', OPT's plan: "
+        "where the cable "
         f"comes down with the least sideways motion, {1e3 * PITCH:g} mm apart if possible, each "
         "post 3 standard deviations of the sideways error clear of the cable's middle, and on the "
         "side from which it comes as much farther as it still is to that side when it is as low "

@@ -66,6 +66,8 @@ def command(
         "speed": speed, "step": step, "spacing": spacing, "release": release,
         "patterns": "built-in" if patterns is None else patterns.name,
     }  # fmt: skip
+    for rod_name, name in product(rods.split(","), names.split(",")):
+        shelf.course(rod_name, name)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery")
     cells = list(product(rods.split(","), names.split(","), mus, chosen))

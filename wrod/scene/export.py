@@ -38,9 +38,15 @@ _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
 @arguments.checked(
     SceneError,
     path=arguments.path,
-    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
-    joint_path=arguments.optional(arguments.like("a wrod.JointPath", "names", "positions")),
-    pattern=arguments.optional(arguments.like("a wrod.Pattern", "sample", "length")),
+    trajectory=arguments.each(
+        arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation")
+    ),
+    joint_path=arguments.optional(
+        arguments.each(arguments.optional(arguments.like("a wrod.JointPath", "names", "positions")))
+    ),
+    pattern=arguments.optional(
+        arguments.each(arguments.like("a wrod.Pattern or its points", "shape"), "sample")
+    ),
 )
 def export_usd(
     path: str | os.PathLike[str],
