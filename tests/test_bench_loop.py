@@ -30,7 +30,6 @@ def test_synthetic_measurements_show_the_true_rod():
         clamped_experiment(stiff, believed, trials=3, test_trials=3)
 
 
-@pytest.mark.xfail(reason="0.14 of 0.21 cm is left, not half, since curved rods may roll")
 def test_loop_is_closed(tmp_path):
     args = ["bench", "loop", "--out", str(tmp_path), "--json", "--trials", "6"]
     args += ["--pattern", "letter-U", "--effect", "natural_curvature", "--curvature", "5"]
@@ -47,10 +46,12 @@ def test_loop_is_closed(tmp_path):
     assert list(model.natural_curvature) == found["model"]["natural_curvature"]
     rows = {(row["effect"], row["controller"], row["plan"]): row for row in figures["rows"]}
     assert len(rows) == 6 and not any(row["diverged"] for row in rows.values())
+    halved = []
     for controller in ("network", "default"):
         before = rows["natural_curvature", controller, "old"]["error_mean"]
         after = rows["natural_curvature", controller, "new"]["error_mean"]
-        assert after < 0.5 * before
+        assert after < before
+        halved.append(after < 0.5 * before)
     # The network was trained for the rod that was found, and is what laid it.
     made = wrod.Controller.load(tmp_path / "natural_curvature" / "controller.safetensors")
     size = np.hypot(*model.natural_curvature) * model.gravito_bending_length
@@ -64,3 +65,6 @@ def test_loop_is_closed(tmp_path):
     assert (
         "| rod with natural curvature | network | **new** |" in (tmp_path / "loop.md").read_text()
     )
+    # Everything else holds; the error was halved by earlier code, why not any more is not traced.
+    if not all(halved):
+        pytest.xfail("0.14 of 0.21 cm is left, not half; the cause is not traced")

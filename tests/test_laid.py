@@ -113,7 +113,7 @@ def test_bad_centrelines_are_named(tmp_path, plan):
             replace(ROD, gravito_bending_length=1.12 * ROD.gravito_bending_length),
             "log_L_gb",
             np.log(1.12),
-            marks=pytest.mark.xfail(reason="0.137 is found since contacts are viscous; not traced"),
+            marks=pytest.mark.xfail(reason="0.137 is found; the cause is not traced"),
         ),
     ],
 )
