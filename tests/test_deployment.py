@@ -220,6 +220,19 @@ def test_tail_goes_on_from_the_last_pose(plans):
         assert after.position[-1, 2] < 2.0 * ROD.gravito_bending_length
 
 
+def test_tail_is_laid_as_planned_whatever_rod_is_laid(plans):
+    pattern, by_method = plans
+    path = by_method["numeric"]
+    planned = tail(pattern, ROD, path)
+    softer = tail(
+        pattern, replace(ROD, gravito_bending_length=1.2 * ROD.gravito_bending_length), path
+    )
+    assert np.array_equal(softer.laid, planned.laid)
+    assert np.array_equal(softer.position, planned.position)
+    longer = tail(pattern, replace(ROD, length=ROD.length + 0.05), path)
+    assert longer.laid[-1] == pytest.approx(planned.laid[-1] + 0.05)
+
+
 def test_time_law_is_smooth_and_exact():
     duration, covered = travel(0.5, 0.05)
     t = np.linspace(0.0, duration, 2001)
