@@ -1,4 +1,4 @@
-"""The sheet of markers that gives a photograph its scale: to print, with the layout to read it by."""
+"""The sheet of markers that gives a photograph its scale, and the layout to read it by."""
 
 from __future__ import annotations
 
