@@ -148,11 +148,11 @@ class Dynamics:
         self.mass = wp.array(_masses(batch, radius), dtype=wp.float64, device=device)
         self.refuses_saddles = int(refuses_saddles)
         self.air_damping = floats(air_damping)
-        self._drag = None
+        self.drag = None
         if drag is not None:
             shape = (rods, batch.node_count, 2)
             drag = np.ascontiguousarray(np.broadcast_to(np.asarray(drag, dtype=float), shape))
-            self._drag = wp.array(drag, dtype=wp.vec2d, device=device)
+            self.drag = wp.array(drag, dtype=wp.vec2d, device=device)
         # The last change of velocity tells Newton's start, but for what hits something.
         self._growth = 0.0 if self.contacts else 0.5
         self.viscosity = Viscosity(batch, internal_damping)
@@ -416,11 +416,11 @@ class Dynamics:
             ],
             [out.gradient, out.hessian],
         )
-        if self._drag is not None:
+        if self.drag is not None:
             wp.launch(
                 kernels.add_drag,
                 dim=(batch.rod_count, batch.node_count),
-                inputs=[self._drag, self.active, self.span, self.coefficient, dof, start.dof]
+                inputs=[self.drag, self.active, self.span, self.coefficient, dof, start.dof]
                 + [self.dof_older],
                 outputs=[out.gradient, out.hessian],
                 device=batch.device,
