@@ -5,11 +5,11 @@ import pytest
 import warp as wp
 from scipy.integrate import solve_ivp
 from test_kernels import deformed_rods, displaced, fourth_order
+from wrod.kernels.elastic import inelastic as kernels
+from wrod.kernels.elastic.bend_twist import bend_twist_energy
 
 import wrod
 from wrod.errors import GraspError, RodError
-from wrod.kernels.elastic import inelastic as kernels
-from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.rods.batch import RodBatch, full_hessian
 from wrod.rods.law import Dahl, Plastic, StandardLinearSolid, law_as_json, law_of
 from wrod.rods.model import RodModel

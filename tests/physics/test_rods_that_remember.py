@@ -1,4 +1,4 @@
-"""Rods whose bending remembers: loops, relaxation, what stays bent, and energy that is only lost."""
+"""Rods whose bending remembers: loops, relaxation, springback, and energy that is only lost."""
 
 import numpy as np
 import pytest
@@ -34,8 +34,13 @@ def bent_at_both_ends(laws, times, curvature, **options) -> Dynamics:
     position = np.zeros((len(laws), len(s), 3))
     position[:, :, 0] = s
     batch = RodBatch.of(
-        [rod(law) for law in laws], s, position, clamped=(True, True), director=[0, 0, 1], gravity=[0, 0, 0]
-    )  # fmt: skip
+        [rod(law) for law in laws],
+        s,
+        position,
+        clamped=(True, True),
+        director=[0, 0, 1],
+        gravity=[0, 0, 0],
+    )
     angle = 0.5 * LENGTH * np.asarray(curvature)
     ends = np.zeros((2, len(times), 3))
     ends[1, :, 0] = LENGTH
