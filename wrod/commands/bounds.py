@@ -35,6 +35,8 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "--workers": (1, 1024),
     "--threads": (0, 1024),
     "--count": (1, 1_000_000),
+    "markers --side": (1e-3, 10.0),
+    "markers --margin": (1e-4, 10.0),
     "plan --stroke": (1, 100_000),
     "plan --resize": (1e-6, 1e6),
     "plan --tolerance": (1e-6, 1.0),
