@@ -9,7 +9,8 @@ import wrod
 from wrod.deployment.grip_path import smooth_noise, travel
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import mesh, tail
-from wrod.deployment.simulate import Trial, simulate_deployments
+from wrod.deployment.simulate import Trial, assemble, prepare_trials, simulate_deployments
+from wrod.deployment.tangents import Directions, lay
 from wrod.errors import DataError, PatternError, RodError
 
 # A soft rod of 30 cm along an eased quarter turn: short tails and a coarse mesh keep it quick.
@@ -218,6 +219,32 @@ def test_tail_goes_on_from_the_last_pose(plans):
         steps = np.linalg.norm(np.diff(after.position, axis=0), axis=1)
         assert steps.max() < 0.03
         assert after.position[-1, 2] < 2.0 * ROD.gravito_bending_length
+
+
+def test_tail_is_laid_as_planned_whatever_rod_is_laid(plans):
+    pattern, by_method = plans
+    path = by_method["numeric"]
+    planned = tail(pattern, ROD, path)
+    softer = tail(
+        pattern, replace(ROD, gravito_bending_length=1.2 * ROD.gravito_bending_length), path
+    )
+    assert np.array_equal(softer.laid, planned.laid)
+    assert np.array_equal(softer.position, planned.position)
+    longer = tail(pattern, replace(ROD, length=ROD.length + 0.05), path)
+    assert longer.laid[-1] == pytest.approx(planned.laid[-1] + 0.05)
+
+
+def test_a_rod_brings_its_drag(plans):
+    pattern, by_method = plans
+    path, drag = by_method["numeric"], 3.0
+    airy = replace(ROD.model(), quadratic_drag=drag)
+    trials = [Trial(pattern, rod, path, wrod.Friction(0.8)) for rod in (airy, ROD)]
+    setups = prepare_trials(trials, 0.05, 0.05, 0.03, 0.02, None)
+    dynamics = assemble(trials, setups)[2]
+    mass = ROD.weight / ROD.gravity * ROD.length
+    assert dynamics.drag.numpy().sum(axis=1) == pytest.approx(np.array([[0, drag * mass], [0, 0]]))
+    with pytest.raises(RodError, match="quadratic_drag"):
+        lay(trials[:1], [Directions.of_path(np.zeros((1, len(path), 6)))])
 
 
 def test_time_law_is_smooth_and_exact():

@@ -109,11 +109,10 @@ def test_bad_centrelines_are_named(tmp_path, plan):
     "true, name, value",
     [
         (replace(ROD, natural_curvature=(3.0, 0.0)), "natural_curvature", 3.0),
-        pytest.param(
+        (
             replace(ROD, gravito_bending_length=1.12 * ROD.gravito_bending_length),
             "log_L_gb",
             np.log(1.12),
-            marks=pytest.mark.xfail(reason="0.137 is found; the cause is not traced"),
         ),
     ],
 )

@@ -21,6 +21,7 @@ COMMANDS = (
     "deploy",
     "loop",
     "scan",
+    "markers",
     "manifold",
     "identify",
     "laid",

@@ -12,14 +12,24 @@ _SHOWN = 8
 
 
 @click.command(name="identify")
-@click.argument("data", type=click.Path(path_type=Path))
+@click.argument("data", required=False, type=click.Path(path_type=Path))
 @click.option("--test", type=click.Path(path_type=Path), help="More data of the rod to score on.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--effect", "names", multiple=True, help="Try this effect only (repeatable).")
+@click.option(
+    "--template",
+    help="Write an example file of measurements into OUT instead: clamped or motion.",
+)
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report for machines.")
 def command(
-    data: Path, test: Path | None, out: Path, names: tuple[str, ...], device: str, as_json: bool
+    data: Path | None,
+    test: Path | None,
+    out: Path,
+    names: tuple[str, ...],
+    template: str | None,
+    device: str,
+    as_json: bool,
 ) -> None:
     """Find what the base model of the rod in DATA lacks, and prove it on data not fitted.
 
@@ -28,6 +38,15 @@ def command(
     """
     from tqdm import tqdm
 
+    from wrod.errors import DataError
+
+    if template is not None:
+        if data is not None:
+            raise DataError(f"{data} and --template were both given; give one or the other")
+        _write_template(template, out, as_json)
+        return
+    if data is None:
+        raise DataError("no measurements given; name an .npz file, or --template to write one")
     from wrod.identification import identify
 
     with tqdm(total=4, disable=None, leave=False, bar_format="{desc}: {elapsed}") as bar:
@@ -59,3 +78,23 @@ def command(
     for pair in report.selection.confounded:
         click.echo(f"  {' and '.join(pair['effects'])} are confounded: {pair['evidence']}")
     click.echo("wrote " + ", ".join(str(p) for p in written))
+
+
+def _write_template(kind: str, out: Path, as_json: bool) -> None:
+    import numpy as np
+
+    from wrod.errors import DataError
+    from wrod.identification.template import write_template
+
+    try:
+        path = write_template(kind, out / f"{kind}.npz")
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    with np.load(path) as data:
+        fields = {name: list(data[name].shape) for name in data.files}
+    if as_json:
+        click.echo(json.dumps({"fields": fields, "written": [str(path)]}, indent=2))
+        return
+    for name, shape in fields.items():
+        click.echo(f"{name:16s} {tuple(shape) if shape else 'one number'}")
+    click.echo(f"wrote {path}")

@@ -112,7 +112,13 @@ class Tail:
 
 def tail(pattern: Pattern, rod: RodModel | RodMaterial, trajectory: Trajectory) -> Tail:
     """The tail is laid by the same method along the pattern's end tangent, after a bend that
-    straightens out."""
+    straightens out.
+
+    A grip goes on as it was planned: by grasps of the rod that the trajectory was planned for, of
+    the length that `rod` has, whatever else `rod` is. Where the trajectory does not say its rod,
+    by those of `rod`.
+    """
+    rod = replace(trajectory.rod or rod, length=rod.length)
     lgb = rod.gravito_bending_length
     start = float(trajectory.arc_length[-1])
     length = rod.length - MIN_SUSPENDED_LENGTH * lgb - start

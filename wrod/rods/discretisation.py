@@ -90,6 +90,21 @@ def end_to_end(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return out
 
 
+def quadratic_drag(rods: Rod | Sequence[Rod], arc_length: np.ndarray) -> np.ndarray | None:
+    """(rod, node) drag of each node per velocity squared [kg/m], of rods on meshes as `mesh_arrays`
+    takes them; None where no rod has any.
+
+    Air does not feel what the rod weighs where: the drag per mean line mass is that of every piece.
+    """
+    models = models_of(rods)
+    drag = np.array([m.quadratic_drag * m.weight / m.gravity for m in models])
+    if not drag.any():
+        return None
+    edge = np.diff(np.atleast_2d(np.asarray(arc_length, dtype=np.float64)), axis=1)
+    around = 0.5 * (np.pad(edge, ((0, 0), (1, 0))) + np.pad(edge, ((0, 0), (0, 1))))
+    return drag[:, None] * around
+
+
 def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict[str, np.ndarray]:
     rods, nodes = s.shape
     middle = 0.5 * (s[:, 1:] + s[:, :-1])

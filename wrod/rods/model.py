@@ -51,7 +51,7 @@ class RodModel:
         law: of bending; `wrod.rods.law`.
         internal_damping: Kelvin-Voigt time of the material [s].
         air_damping: drag per mass and velocity [1/s].
-        quadratic_drag: drag per mass and velocity squared [1/m].
+        quadratic_drag: drag per length of rod, mean line mass and velocity squared [1/m].
         gravity: gravitational acceleration [m/s^2].
 
     Raises:

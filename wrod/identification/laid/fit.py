@@ -104,7 +104,7 @@ def fit_laid(
     law = friction if isinstance(friction, Friction) else Friction(friction)
     roll = trajectory.roll
     active = list(range(len(PARAMETERS) if fit_friction else len(_OF_ROD)))
-    after_plan = tail(measurements.pattern, _planned(rod, trajectory), trajectory)
+    after_plan = tail(measurements.pattern, rod, trajectory)
 
     def predict(many: list[np.ndarray]) -> np.ndarray:
         """(k, 50, 2) where rods with these parameters come to lie."""
@@ -195,11 +195,6 @@ def with_parameters(
         natural_curvature=(first + more * np.cos(roll), second - more * np.sin(roll)),
         gravito_bending_length=rod.gravito_bending_length * float(np.exp(values[1])),
     )
-
-
-def _planned(rod, trajectory: Trajectory) -> RodModel | RodMaterial:
-    """The rod of the plan, whose tail the grip laid."""
-    return trajectory.rod or rod
 
 
 def _chosen(measurements, here, rates, off, alone) -> list[int]:

@@ -1,0 +1,46 @@
+"""`wrod markers`: the sheet of markers to print, which gives photographs their scale."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+@click.command(name="markers")
+@click.option(
+    "--paper", default="a4", show_default=True, help="a4, a3, letter, or WIDTHxHEIGHT [m]."
+)
+@click.option("--side", default=0.024, show_default=True, help="Of a marker [m].")
+@click.option("--margin", default=0.008, show_default=True, help="White edge of the sheet [m].")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(paper: str, side: float, margin: float, out: Path, as_json: bool) -> None:
+    """Write a sheet of four ArUco markers to print, and the layout that photographs are read by.
+
+    Draw on the printed sheet, or lay it beside what is photographed; then
+    `wrod plan photo.jpg --markers OUT/layout.json` knows the picture's scale.
+    """
+    from wrod.commands.scan import parse_numbers
+    from wrod.errors import DataError
+    from wrod.perception.sheet import PAPERS, MarkerSheet
+
+    known = PAPERS.get(paper.lower())
+    size = known if known is not None else tuple(parse_numbers(paper, 2, "--paper", "x"))
+    sheet = MarkerSheet(size, side, margin)
+    try:
+        written = sheet.save(out)
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    if as_json:
+        figures = sheet.layout() | {"span": sheet.span, "written": [str(path) for path in written]}
+        click.echo(json.dumps(figures, indent=2))
+        return
+    click.echo(
+        f"four markers of {1e3 * side:g} mm on {1e3 * size[0]:g} x {1e3 * size[1]:g} mm; print "
+        "markers.pdf at 100 %: outer edges of two markers side by side are then "
+        f"{1e3 * sheet.span:.1f} mm apart"
+    )
+    for path in written:
+        click.echo(f"wrote {path}")
