@@ -70,7 +70,8 @@ DOORS = {
 }  # fmt: skip
 # Of files in a folder: what they are called there.
 NAMES = {
-    "shards": "grasps-00000.safetensors", "manifest": "manifest.json", "checkpoint": "checkpoint.pt",
+    "shards": "grasps-00000.safetensors",
+    "manifest": "manifest.json", "checkpoint": "checkpoint.pt",
     "ledger": "trials.jsonl", "patterns": "letterA.txt", "sets": "a.npz",
 }  # fmt: skip
 
