@@ -71,7 +71,7 @@ def write_deployment_page(
             if joint_path is None
             else joint_path.node_time
         )
-    duration = float(time[-1])
+    duration = float(time[-1]) if joint_path is None else float(joint_path.time[-1])
     count = int(np.clip(np.ceil(duration * 10.0) + 1, 2, _FRAMES))
     at = np.linspace(0.0, duration, count)
     with contextlib.redirect_stdout(io.StringIO()):
@@ -95,7 +95,8 @@ def write_deployment_page(
             _move_rod(line, shapes, errors, node)
             if k % 5 == 0 or k == count - 1:
                 laid = np.interp(node, np.arange(len(time)), trajectory.arc_length)
-                label.text = f"{at[k]:.1f} s of {duration:.0f} s, {100 * laid:.1f} cm laid"
+                doing = "" if joint_path is None else f"{joint_path.phase_at(at[k])}: "
+                label.text = f"{doing}{at[k]:.1f} s of {duration:.0f} s, {100 * laid:.1f} cm laid"
             recording.insert_sleep(duration / max(count - 1, 1))
         page = recording.as_html(dark_mode=False)
     finally:
