@@ -9,7 +9,6 @@ from wrod.robot.attempt import hanging_rod
 from wrod.robot.job import GRASP_TIME, PHASES
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import grasp_poses
-from wrod.robot.transfer import BACK
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +73,7 @@ def test_hand_comes_and_goes_along_its_fingers(job):
         away = poses[:, :3, 3] - poses[0, :3, 3]
         along = -away @ poses[0, :3, 2]
         beside = np.linalg.norm(away + along[:, None] * poses[0, :3, 2], axis=1)
-        first = np.argmax(along > 0.99 * BACK)
+        first = np.argmax(along > 0.99 * 0.03)
         assert first > 0 and beside[:first].max() < 1e-3
         assert (np.diff(along[:first]) > -1e-6).all()
 

@@ -60,7 +60,7 @@ ROBOT = (
 )
 _NEEDED = {
     "torch": "robot", "pytorch_kinematics": "robot", "ruckig": "robot", "trimesh": "robot",
-    "pxr": "scene", "newton": "newton",
+    "pxr": "scene",
 }  # fmt: skip
 
 

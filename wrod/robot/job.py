@@ -20,7 +20,7 @@ from wrod.robot.arm import ARM_ROOM, LINK_ROOM, Arm, gap_between
 from wrod.robot.attempt import Task, hanging_rod
 from wrod.robot.holds import Hand
 from wrod.robot.joint_path import JointPath
-from wrod.robot.kinematics import solve_poses
+from wrod.robot.kinematics import refine, solve_poses
 from wrod.robot.placement import contact_in_base, reach
 from wrod.robot.timing import schedule
 from wrod.robot.transfer import Leg, Way, find_way
@@ -126,8 +126,12 @@ def neutral_poses(arm: Arm, task: Task, first, last, around: list) -> np.ndarray
         poses.append(pose)
     lower, upper = np.maximum(arm.robot.lower, -np.pi), np.minimum(arm.robot.upper, np.pi)
     seeds = np.random.default_rng(3).uniform(0.8 * lower, 0.8 * upper, (_SEEDS, len(lower)))
-    found, reached = solve_poses(arm.robot, np.array(poses), np.vstack([first, last, seeds]))
-    q = found[reached]
+    starts = np.vstack([first, last, seeds])
+    found, _ = solve_poses(arm.robot, np.array(poses), starts)
+    found, missed = refine(
+        arm.robot, found.reshape(-1, len(lower)), np.repeat(poses, len(starts), axis=0)
+    )
+    q = found[np.abs(missed).max(1) < 1e-4]
     # Whole turns bring a joint nearer to where the path begins, where its limits allow them.
     turned = q + 2 * np.pi * np.round((first - q) / (2 * np.pi))
     q = np.where((turned > arm.robot.lower) & (turned < arm.robot.upper), turned, q)
