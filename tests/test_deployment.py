@@ -9,7 +9,8 @@ import wrod
 from wrod.deployment.grip_path import smooth_noise, travel
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import mesh, tail
-from wrod.deployment.simulate import Trial, simulate_deployments
+from wrod.deployment.simulate import Trial, assemble, prepare_trials, simulate_deployments
+from wrod.deployment.tangents import Directions, lay
 from wrod.errors import DataError, PatternError, RodError
 
 # A soft rod of 30 cm along an eased quarter turn: short tails and a coarse mesh keep it quick.
@@ -233,6 +234,19 @@ def test_tail_is_laid_as_planned_whatever_rod_is_laid(plans):
     assert longer.laid[-1] == pytest.approx(planned.laid[-1] + 0.05)
 
 
+def test_a_rod_brings_its_drag(plans):
+    pattern, by_method = plans
+    path, drag = by_method["numeric"], 3.0
+    airy = replace(ROD.model(), quadratic_drag=drag)
+    trials = [Trial(pattern, rod, path, wrod.Friction(0.8)) for rod in (airy, ROD)]
+    setups = prepare_trials(trials, 0.05, 0.05, 0.03, 0.02, None)
+    dynamics = assemble(trials, setups)[2]
+    mass = ROD.weight / ROD.gravity * ROD.length
+    assert dynamics.drag.numpy().sum(axis=1) == pytest.approx(np.array([[0, drag * mass], [0, 0]]))
+    with pytest.raises(RodError, match="quadratic_drag"):
+        lay(trials[:1], [Directions.of_path(np.zeros((1, len(path), 6)))])
+
+
 def test_time_law_is_smooth_and_exact():
     duration, covered = travel(0.5, 0.05)
     t = np.linspace(0.0, duration, 2001)
@@ -293,3 +307,19 @@ def test_a_disturbance_moves_the_robot_as_a_whole(plans):
     assert (jitter[0] == 0).all() and 0.0005 < jitter[len(jitter) // 4 :].std() < 0.002
     assert (shaking.position == moved.position).all()
     assert still.measure_time == moved.measure_time == shaking.measure_time
+
+
+def test_rods_that_remember_are_laid(plans):
+    """A wire that never yields is laid like an elastic rod; one that yields on the way is not, and
+    what relaxes faster than it is laid nearly is."""
+    from wrod.rods.law import Plastic, StandardLinearSolid
+
+    pattern, by_method = plans
+    laws = [Plastic(1e4, 0.1), Plastic(10.0, 0.0), StandardLinearSolid(0.5, 0.3)]
+    rods = [ROD, *(replace(ROD.model(), law=law) for law in laws)]
+    jobs = [Trial(pattern, rod, by_method["numeric"], wrod.Friction(0.8)) for rod in rods]
+    elastic, stiff, soft, relaxing = simulate_deployments(jobs, **QUICK)
+    assert not any(d.diverged for d in (elastic, stiff, soft, relaxing))
+    assert stiff.error_mean == pytest.approx(elastic.error_mean, rel=1e-3)
+    assert soft.error_mean > 10 * elastic.error_mean
+    assert relaxing.error_mean < 3 * elastic.error_mean

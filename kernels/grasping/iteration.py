@@ -41,7 +41,7 @@ AT_TARGET = wp.constant(wp.float64(5.0e-3))
 # How much better balanced two grasps are than they are apart, for their slopes to be compared.
 SHARP = wp.constant(wp.float64(2.0e-2))
 # Change of the force that no longer matters.
-FORCE_DONE = wp.constant(wp.float64(1.0e-9))
+FORCE_DONE = wp.constant(wp.float64(1.0e-11))
 
 
 @wp.struct

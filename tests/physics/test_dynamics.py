@@ -1,6 +1,7 @@
 """Motion of rods against closed forms and conservation laws."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ from scipy.linalg import eigh
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch, full_hessian
+from wrod.rods.discretisation import quadratic_drag
+from wrod.rods.model import RodModel
 from wrod.solvers.dynamics import SCHEMES, Dynamics
 from wrod.solvers.statics import prescribe, solve_equilibria
 
@@ -193,6 +196,28 @@ def test_free_fall_with_air():
     mean = (mass[:, None] * dynamics.velocities()[0]).sum(axis=0) / mass.sum()
     assert mean[2] == pytest.approx(-9.81 / 2.0 * (1.0 - np.exp(-2.0)), rel=1e-4)
     assert np.abs(mean[:2]).max() < 1e-6
+
+
+def test_free_fall_with_quadratic_drag():
+    """v = v_t tanh(g t / v_t) with v_t^2 = g / q, of a rod whose model has the drag q."""
+    g, q, length = 9.81, 1.5, 0.6
+    rod = RodModel(
+        length=length, bending_stiffness=1e-3, twisting_stiffness=1e-3, stretching_stiffness=500.0,
+        line_mass=0.02, radius=0.002, gravity=g, quadratic_drag=q,
+    )  # fmt: skip
+    s = np.array([0.0, 0.1, 0.25, 0.4, 0.6])
+    line = np.zeros((1, 5, 3))
+    line[0, :, 0] = s
+    batch = RodBatch.of(rod, s, line)
+    drag = quadratic_drag(rod, s)
+    assert drag.sum() == pytest.approx(q * 0.02 * length)
+    drag = np.stack([np.zeros_like(drag), drag], axis=2)
+    dynamics = Dynamics(batch, scheme="bdf2", radius=0.002, drag=drag)
+    dynamics.advance(0.4, 0.002)
+    terminal = np.sqrt(g / q)
+    expected = -terminal * np.tanh(g * 0.4 / terminal)
+    assert dynamics.velocities()[0, :, 2] == pytest.approx(np.full(5, expected), rel=1e-4)
+    assert quadratic_drag(replace(rod, quadratic_drag=0.0), s) is None
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from wrod.bench import side_by_side
+
 
 def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -> dict:
     """One fold of one rod: the whole selection without it, and the errors on it [mm]."""
@@ -136,9 +138,7 @@ def command(
     Every recording is predicted by a model that has not seen it: neither its fit nor the choice of
     its effects.
     """
-    import multiprocessing
     import sys
-    from concurrent.futures import ProcessPoolExecutor, as_completed
 
     from tqdm import tqdm
 
@@ -160,14 +160,10 @@ def command(
             )
     device = resolve_device(device)
     rows: dict[Path, list[dict]] = {p: [] for p in paths}
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        jobs = {
-            pool.submit(fold_row, str(p), k, number, contiguous, device): p
-            for k in range(number)
-            for p in paths
-        }
-        for job in tqdm(as_completed(jobs), total=len(jobs), disable=None, file=sys.stderr):
-            rows[jobs[job]].append(job.result())
+    jobs = [(str(p), k, number, contiguous, device) for k in range(number) for p in paths]
+    ended = side_by_side.run(fold_row, jobs, workers)
+    for job, row in tqdm(ended, total=len(jobs), disable=None, file=sys.stderr):
+        rows[Path(job[0])].append(row)
     done = [sorted(rows[p], key=lambda r: r["fold"]) for p in paths]
     found = [summary(r) for r in done]
     content = {

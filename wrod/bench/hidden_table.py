@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+
+from wrod.bench import side_by_side
 
 # A direction is right within the same 5 %, of a radian.
 WITHIN = 0.05
@@ -103,14 +102,9 @@ def examine_all(
     jobs: Sequence[tuple[str, int, str]], workers: int, device: str, done, progress
 ) -> None:
     """Examine every (case, seed, noise) in processes side by side; `done` gets each row."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    # A fresh interpreter for each worker: Warp's threads do not survive a fork.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(examine, *job, device) for job in jobs]
-        for future in as_completed(futures):
-            done(future.result())
-            progress()
+    for _, row in side_by_side.run(examine, [(*job, device) for job in jobs], workers):
+        done(row)
+        progress()
 
 
 def lines(rows: Sequence[dict]) -> list[str]:

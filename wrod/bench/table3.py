@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from wrod.bench import campaign
+from wrod.bench import campaign, side_by_side
 from wrod.bench.ledger import Ledger
 
 
@@ -22,12 +22,20 @@ from wrod.bench.ledger import Ledger
     is_flag=True,
     help="Plan OPT for the friction of each substrate; plans are kept in OUT/plans.",
 )
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Known table: processes that plan side by side.",
+)
 @campaign.options(speed=0.02, step=0.01, spacing=0.005)
 def command(
     out: Path,
     trials: int,
     closure: str | None,
     known_table: bool,
+    workers: int,
     patterns: Path | None,
     release: float,
     speed: float,
@@ -69,7 +77,7 @@ def command(
     start = time.perf_counter()
     plans = _plans(curves, closure, device, as_json)
     if known_table:
-        plans |= _corrected_plans(plans, out / "plans", device, as_json)
+        plans |= _corrected_plans(plans, out / "plans", device, workers, as_json)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
         (rod, substrate, name, method, trial)
@@ -156,29 +164,37 @@ def _plans(curves: dict, closure: str | None, device: str, quiet: bool) -> dict:
     return plans
 
 
-def _corrected_plans(plans: dict, folder: Path, device: str, quiet: bool) -> dict:
+def _corrected_plans(plans: dict, folder: Path, device: str, workers: int, quiet: bool) -> dict:
     """(rod, substrate, pattern, "numeric") -> the same as `_plans`, corrected for the table."""
     from tqdm import tqdm
 
     from wrod.bench.table3_paper import SUBSTRATES, friction
-    from wrod.deployment.optimise import optimise
     from wrod.deployment.setup import tail
     from wrod.planning.trajectory import Trajectory
 
+    paths, jobs = {}, []
+    for key, substrate in product([key for key in plans if key[2] == "numeric"], SUBSTRATES):
+        name, curve, method = key
+        led, material, trajectory, _ = plans[key]
+        path = paths[name, substrate, curve, method] = folder / f"{name}-{substrate}-{curve}.npz"
+        if not path.exists():
+            jobs.append((path, led, material, trajectory, friction(name, substrate), device))
+    ended = side_by_side.run(_correct, jobs, workers)
+    for _ in tqdm(ended, total=len(jobs), desc="corrections", disable=quiet):
+        pass
     corrected = {}
-    jobs = [(key, s) for key in plans if key[2] == "numeric" for s in SUBSTRATES]
-    for (name, curve, method), substrate in tqdm(jobs, desc="corrections", disable=quiet):
-        led, material, trajectory, _ = plans[name, curve, method]
-        path = folder / f"{name}-{substrate}-{curve}.npz"
-        if path.exists():
-            trajectory = Trajectory.load(path)
-        else:
-            mu = friction(name, substrate)
-            trajectory = optimise(led, material, trajectory, mu, device=device)
-            trajectory.save(path)
-        rest = tail(led, material, trajectory)
-        corrected[name, substrate, curve, method] = (led, material, trajectory, rest)
+    for cell, path in paths.items():
+        led, material, *_ = plans[cell[0], cell[2], cell[3]]
+        trajectory = Trajectory.load(path)
+        corrected[cell] = (led, material, trajectory, tail(led, material, trajectory))
     return corrected
+
+
+def _correct(path: Path, led, material, trajectory, mu: float, device: str) -> None:
+    """Keep a trajectory that is corrected for a table of friction `mu`."""
+    from wrod.deployment.optimise import optimise
+
+    optimise(led, material, trajectory, mu, device=device).save(path)
 
 
 def _plan_of(key: tuple, plans: dict) -> tuple:

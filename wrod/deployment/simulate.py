@@ -28,6 +28,7 @@ from wrod.machine import require_memory
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.batch import RodBatch, node_positions, resolve_device
+from wrod.rods.discretisation import quadratic_drag
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Contact, Friction, Plane
@@ -388,10 +389,12 @@ def assemble(
         [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
         keeps_roll=np.array([RodModel.of(t.rod).has_sides for t in trials]),
     )
+    drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
     dynamics = Dynamics(
         batch,
         scheme=scheme,
         radius=radius,
+        drag=None if drag is None else np.stack([np.zeros_like(drag), drag], axis=2),
         air_damping=np.array([_damping(air_damping, rod.air_damping or 1.0) for rod in rods]),
         internal_damping=np.array(
             [_damping(internal_damping, rod.internal_damping) for rod in rods]

@@ -15,6 +15,7 @@ from wrod.deployment.simulate import Trial, assemble, prepare_trials, with_remai
 from wrod.errors import RodError
 from wrod.kernels.stepping import deployment_tangents as kernels
 from wrod.rods.batch import RodBatch, resolve_device
+from wrod.rods.model import RodModel
 from wrod.solvers.contact import Contact
 from wrod.solvers.dynamics import Dynamics
 
@@ -173,6 +174,11 @@ def _check(trials: list[Trial], directions: list[Directions]) -> None:
             raise RodError(
                 "derivatives of a deployment know the table alone, with friction that does not "
                 "roll; leave fixtures and rolling out"
+            )
+        if RodModel.of(trial.rod).quadratic_drag > 0.0:
+            raise RodError(
+                "derivatives of a deployment know drag that grows with the velocity alone; give a "
+                "rod without quadratic_drag, which slow deployments do not feel"
             )
         if columns.path.shape[1] != len(trial.trajectory):
             raise RodError(

@@ -84,7 +84,8 @@ class Task:
                 torch.from_numpy(branch.positions.copy()),
                 self.surroundings(branch.placement, self.travel),
             )
-        least = min(float(gap.min()) for gap in near.values())
+        # A robot without shapes comes near to nothing.
+        least = min((float(gap.min()) for gap in near.values() if gap.numel()), default=math.inf)
         return branch.cost + 10.0 * max(0.0, GAP_ROOM - least)
 
     def best(self, branches: list[Branch], count: int = _TRIED) -> Solution | None:

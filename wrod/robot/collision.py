@@ -211,7 +211,7 @@ class CollisionModel:
             positions: (K, n) joint positions [rad].
             around: `Surroundings` at the same samples.
         """
-        if self.exact is None or min(float(gap.min()) for gap in gaps.values()) >= clearance:
+        if self.exact is None or min(g.min(initial=np.inf) for g in gaps.values()) >= clearance:
             return gaps
         poses = self.robot.link_poses(positions)
         gaps = {**gaps, "links": self.settled_links(gaps["links"], poses, clearance)}
