@@ -78,6 +78,7 @@ def limit_motion(
     x: wp.array3d(dtype=wp.float64),
     # State out:
     sticking_out: wp.array(dtype=wp.int32),
+    shortened_out: wp.array(dtype=wp.float64),
 ):
     """Shorten a Newton step that moves some node by more than `limit`."""
     r, lane = wp.tid()
@@ -93,6 +94,8 @@ def limit_motion(
     fraction = wp.min(ONE, limit[r] / wp.max(largest, limit[r]))
     if overflow[r] != 0:
         fraction = ZERO  # nothing was solved
+    if lane == 0:
+        shortened_out[r] = fraction
     if fraction < ONE:
         for a in range(lane, x.shape[2], wp.block_dim()):
             x[r, 0, a] = x[r, 0, a] * fraction

@@ -161,6 +161,65 @@ def pair_block(
     return out
 
 
+@wp.struct
+class PairMatrix:
+    """A touching pair, the force that its matrix turns with, and the inverse of the 2 x 2 matrix of
+    its closest points."""
+
+    pair: Pair
+    held: wp.float64
+    inverse_ss: wp.float64
+    inverse_st: wp.float64
+    inverse_tt: wp.float64
+
+
+@wp.func
+def pair_matrix(
+    law: Law,
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    smoothing: wp.float64,
+    dt: wp.float64,
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle: wp.vec2d,
+    load: wp.float64,
+    sliding: int,
+    sticks: int,
+    r: int,
+    i: int,
+    j: int,
+) -> PairMatrix:
+    """It turns with at most the force of the last step: that of a predictor which is deep inside
+    would make the matrix indefinite and lead Newton astray."""
+    out = PairMatrix()
+    c = pair_contact(
+        law, radius, rest_length, dt, dof, dof_before, bristle, load, sliding, sticks, r, i, j
+    )
+    out.pair = c
+    out.held = wp.min(c.force, load)
+    e = c.near.first
+    f = c.near.second
+    ss = wp.dot(e, e) + smoothing * rest_length[r, i] * rest_length[r, i]
+    tt = wp.dot(f, f) + smoothing * rest_length[r, j] * rest_length[r, j]
+    st = c.near.free_s * c.near.free_t * wp.dot(e, f)
+    det = ss * tt - st * st
+    out.inverse_ss = tt / det
+    out.inverse_st = st / det
+    out.inverse_tt = ss / det
+    return out
+
+
+@wp.func
+def block_of(
+    m: PairMatrix, radius_first: wp.float64, radius_second: wp.float64, k: int
+) -> wp.mat44d:
+    """Block k // 4, k % 4 of a pair's matrix."""
+    a = share(m.pair, radius_first, radius_second, k // 4)
+    b = share(m.pair, radius_first, radius_second, k % 4)
+    return pair_block(m.pair, m.held, a, b, m.inverse_ss, m.inverse_st, m.inverse_tt)
+
+
 @wp.kernel
 def add_pairs(
     # Model:
@@ -186,11 +245,7 @@ def add_pairs(
     # State in and out:
     block: wp.array2d(dtype=wp.mat44d),
 ):
-    """Add the matrices of all touching pairs of a rod. Launched over (rod, lane).
-
-    They turn with at most the force of the last step: that of a predictor which is deep inside
-    would make the matrix indefinite and lead Newton astray.
-    """
+    """Add the matrices of all touching pairs of a rod. Launched over (rod, lane)."""
     r, lane = wp.tid()
     if coupled[r] == 0 or overflow[r] != 0:
         return
@@ -201,27 +256,70 @@ def add_pairs(
         i = pair[0]
         j = pair[1]
         slot = pair[2]
-        c = pair_contact(
-            law[r], radius, rest_length, step[r], dof, dof_before, bristle[r, i, slot],
+        m = pair_matrix(
+            law[r], radius, rest_length, smoothing, step[r], dof, dof_before, bristle[r, i, slot],
             load[r, i, slot], sliding[r, i, slot], sticking[r], r, i, j,
         )  # fmt: skip
-        held = wp.min(c.force, load[r, i, slot])
-        e = c.near.first
-        f = c.near.second
-        ss = wp.dot(e, e) + smoothing * rest_length[r, i] * rest_length[r, i]
-        tt = wp.dot(f, f) + smoothing * rest_length[r, j] * rest_length[r, j]
-        st = c.near.free_s * c.near.free_t * wp.dot(e, f)
-        det = ss * tt - st * st
         for k in range(lane % parts, 16, parts):
             v = pair[k // 8] + k // 4 % 2
             u = pair[k % 4 // 2] + k % 2
             p = rank[r, v]
             q = rank[r, u]
             if q <= p:
-                a = share(c, radius[r, i], radius[r, j], k // 4)
-                b = share(c, radius[r, i], radius[r, j], k % 4)
-                new = pair_block(c, held, a, b, tt / det, st / det, ss / det)
+                new = block_of(m, radius[r, i], radius[r, j], k)
                 for x in range(4):
                     for y in range(4):
                         new[x, y] = new[x, y] * free_of(free, r, v, x) * free_of(free, r, u, y)
                 wp.atomic_add(block, r, row[r, p] + q, new)
+
+
+@wp.kernel
+def multiply_pairs(
+    # Model:
+    law: wp.array(dtype=Law),
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    smoothing: wp.float64,
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    coupled: wp.array(dtype=wp.int32),
+    overflow: wp.array(dtype=wp.int32),
+    step: wp.array(dtype=wp.float64),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    bristle: wp.array3d(dtype=wp.vec2d),
+    load: wp.array3d(dtype=wp.float64),
+    sliding: wp.array3d(dtype=wp.int32),
+    sticking: wp.array(dtype=wp.int32),
+    count: wp.array(dtype=wp.int32),
+    touching: wp.array2d(dtype=wp.vec3i),
+    vector: wp.array3d(dtype=wp.float64),
+    # State in and out:
+    product: wp.array3d(dtype=wp.float64),
+):
+    """Add the product of the matrices of all touching pairs with every vector [rod, j, :]."""
+    r, lane = wp.tid()
+    if active[r] == 0 or coupled[r] == 0 or overflow[r] != 0:
+        return
+    parts = wp.min(wp.block_dim(), 16)
+    for n in range(lane // parts, count[r], wp.block_dim() // parts):
+        pair = touching[r, n]
+        i = pair[0]
+        j = pair[1]
+        slot = pair[2]
+        m = pair_matrix(
+            law[r], radius, rest_length, smoothing, step[r], dof, dof_before, bristle[r, i, slot],
+            load[r, i, slot], sliding[r, i, slot], sticking[r], r, i, j,
+        )  # fmt: skip
+        for k in range(lane % parts, 16, parts):
+            v = pair[k // 8] + k // 4 % 2
+            u = pair[k % 4 // 2] + k % 2
+            block = block_of(m, radius[r, i], radius[r, j], k)
+            for w in range(vector.shape[1]):
+                for x in range(4):
+                    value = wp.float64(0.0)
+                    for y in range(4):
+                        if 4 * u + y < vector.shape[2]:
+                            value += block[x, y] * vector[r, w, 4 * u + y]
+                    if value != ZERO:
+                        wp.atomic_add(product, r, w, 4 * v + x, value)

@@ -7,38 +7,15 @@ meets them on the way.
 import warp as wp
 from wrod.kernels.contact.planes import Shape
 from wrod.kernels.elastic.frames import ONE, ZERO, angle_towards, node, rotate
-from wrod.kernels.stepping.exchange import Span
+from wrod.kernels.stepping.bodies import Hold
 
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.struct
-class Hold:
-    """What holds an end: nothing (0), a pin (1) or a clamp (2) on `body` (-1: the world), and the
-    end's place and frame (tangent, director, their cross product) in that body's frame."""
-
-    kind: int
-    body: int
-    position: wp.vec3d
-    rotation: wp.quatd
-
-
-@wp.func
-def end_node(s: Span, side: int) -> int:
-    return s.lead + side * (s.count - 1)
-
-
-@wp.func
-def end_edge(s: Span, side: int) -> int:
-    """The edge inside a clamp."""
-    return s.lead - 1 + side * s.count
-
-
 @wp.kernel
-def note_ends(
+def note_held(
     # Model:
     hold: wp.array2d(dtype=Hold),
-    span: wp.array(dtype=Span),
     # State in:
     dof: wp.array2d(dtype=wp.float64),
     tangent: wp.array2d(dtype=wp.vec3d),
@@ -47,16 +24,16 @@ def note_ends(
     position_out: wp.array2d(dtype=wp.vec3d),
     rotation_out: wp.array2d(dtype=wp.quatd),
 ):
-    """Where held ends are at the start of a step."""
-    r, side = wp.tid()
-    if hold[r, side].kind == 0:
+    """Where what is held is at the start of a step."""
+    r, k = wp.tid()
+    h = hold[r, k]
+    if h.kind == 0 or h.slot >= 0:
         return
-    position_out[r, side] = node(dof, r, end_node(span[r], side))
-    if hold[r, side].kind == 2:
-        e = end_edge(span[r], side)
-        t = tangent[r, e]
-        d = rotate(director[r, e], t, dof[r, 4 * e + 3])
-        rotation_out[r, side] = wp.quat_from_matrix(wp.matrix_from_cols(t, d, wp.cross(t, d)))
+    position_out[r, k] = node(dof, r, h.node)
+    if h.kind == 2:
+        t = tangent[r, h.edge]
+        d = rotate(director[r, h.edge], t, dof[r, 4 * h.edge + 3])
+        rotation_out[r, k] = wp.quat_from_matrix(wp.matrix_from_cols(t, d, wp.cross(t, d)))
 
 
 @wp.struct
@@ -134,11 +111,9 @@ def carry_shapes(
 
 
 @wp.kernel
-def carry_ends(
+def carry_held(
     # Model:
     hold: wp.array2d(dtype=Hold),
-    span: wp.array(dtype=Span),
-    rest_length: wp.array2d(dtype=wp.float64),
     duration: wp.float64,
     # State in:
     running: wp.array(dtype=wp.int32),
@@ -154,10 +129,10 @@ def carry_ends(
     # State in and out:
     dof: wp.array2d(dtype=wp.float64),
 ):
-    """Move held ends on their way to where their bodies are when the rod's time is `until`."""
-    r, side = wp.tid()
-    h = hold[r, side]
-    if running[r] == 0 or h.kind == 0:
+    """Move what is held on its way to where its body is when the row's time is `until`."""
+    r, k = wp.tid()
+    h = hold[r, k]
+    if running[r] == 0 or h.kind == 0 or h.slot >= 0:
         return
     place = h.position
     turn = h.rotation
@@ -166,24 +141,74 @@ def carry_ends(
         place = body.position + wp.quat_rotate(body.rotation, h.position)
         turn = body.rotation * h.rotation
     left = wp.clamp((until[r] - time[r] - step[r]) / duration, ZERO, ONE)
-    place = place - left * (place - position_before[r, side])
-    end = end_node(span[r], side)
+    place = place - left * (place - position_before[r, k])
     for c in range(3):
-        dof[r, 4 * end + c] = place[c]
+        dof[r, 4 * h.node + c] = place[c]
     if h.kind == 1:
         return
     # A state from outside does not tell the direction of the clamp.
     if changed[r] == 0 and left > ZERO:
-        turn = turn_back(turn, rotation_before[r, side], left)
+        turn = turn_back(turn, rotation_before[r, k], left)
     tangent = wp.quat_rotate(turn, wp.vec3d(ONE, ZERO, ZERO))
     aim = wp.quat_rotate(turn, wp.vec3d(ZERO, ONE, ZERO))
-    e = end_edge(span[r], side)
+    e = h.edge
     dof[r, 4 * e + 3] = angle_towards(
         aim, tangent, dof[r, 4 * e + 3], tangent_before[r, e], director_before[r, e]
     )
-    beyond = place - rest_length[r, e] * tangent
-    if side == 1:
-        beyond = place + rest_length[r, e] * tangent
-    other = end - 1 + 2 * side
     for c in range(3):
-        dof[r, 4 * other + c] = beyond[c]
+        dof[r, 4 * h.other + c] = place[c] + h.reach * tangent[c]
+
+
+@wp.kernel
+def measure_loads(
+    # Model:
+    hold: wp.array2d(dtype=Hold),
+    body_com: wp.array(dtype=wp.vec3),
+    # State in:
+    dof: wp.array2d(dtype=wp.float64),
+    tangent: wp.array2d(dtype=wp.vec3d),
+    reaction: wp.array2d(dtype=wp.float64),
+    body_q: wp.array(dtype=wp.transform),
+    # State in and out:
+    force: wp.array(dtype=wp.vec3d),
+    torque: wp.array(dtype=wp.vec3d),
+):
+    """Add what rods did at the end of the last step to the bodies that hold them and are moved by
+    others: force, and torque about the centre of mass."""
+    r, k = wp.tid()
+    h = hold[r, k]
+    if h.kind == 0 or h.slot >= 0 or h.body < 0:
+        return
+    pose = as_pose(body_q[h.body])
+    com = body_com[h.body]
+    centre = wp.vec3d(wp.float64(com[0]), wp.float64(com[1]), wp.float64(com[2]))
+    centre = pose.position + wp.quat_rotate(pose.rotation, centre)
+    f = wp.vec3d(ZERO, ZERO, ZERO)
+    t = wp.vec3d(ZERO, ZERO, ZERO)
+    for n in range(h.kind):
+        i = wp.where(n == 0, h.node, h.other)
+        a = 4 * i
+        g = wp.vec3d(reaction[r, a], reaction[r, a + 1], reaction[r, a + 2])
+        f = f - g
+        t = t - wp.cross(node(dof, r, i) - centre, g)
+    if h.kind == 2:
+        t = t - reaction[r, 4 * h.edge + 3] * tangent[r, h.edge]
+    wp.atomic_add(force, h.body, f)
+    wp.atomic_add(torque, h.body, t)
+
+
+@wp.kernel
+def add_wrenches(
+    # In:
+    force: wp.array(dtype=wp.vec3d),
+    torque: wp.array(dtype=wp.vec3d),
+    # In and out:
+    body_f: wp.array(dtype=wp.spatial_vector),
+):
+    """Add forces and torques, in the simulator's precision."""
+    b = wp.tid()
+    f = force[b]
+    t = torque[b]
+    body_f[b] = body_f[b] + wp.spatial_vector(
+        float(f[0]), float(f[1]), float(f[2]), float(t[0]), float(t[1]), float(t[2])
+    )

@@ -215,6 +215,8 @@ def take_newton_step(
     solution: wp.array3d(dtype=wp.float64),
     # State in and out:
     dof: wp.array2d(dtype=wp.float64),
+    # State out:
+    taken_out: wp.array(dtype=wp.float64),
 ):
     """Subtract the solution, or as much of it as leaves every edge recognisable.
 
@@ -224,6 +226,8 @@ def take_newton_step(
     if active[r] == 0:
         return
     fraction = largest_safe_fraction_of_lanes(dof, solution, r, limit, lane)
+    if lane == 0:
+        taken_out[r] = fraction
     for a in range(lane, dof.shape[1], wp.block_dim()):
         dof[r, a] = dof[r, a] - fraction * solution[r, 0, a]
 
@@ -335,7 +339,7 @@ def shift_history(
     # State in:
     accepted: wp.array(dtype=wp.int32),
     residual: wp.array2d(dtype=wp.float64),
-    free: wp.array2d(dtype=wp.int32),
+    carried: wp.array2d(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
     span: wp.array(dtype=wp.float64),
     coefficient: wp.array(dtype=wp.vec3d),
@@ -353,7 +357,7 @@ def shift_history(
     if accepted[r] == 0:
         return
     v = difference(coefficient[r], step[r], dof[r, a], dof_before[r, a], dof_older[r, a])
-    if span[r] < step[r] and free[r, a] != 0:
+    if span[r] < step[r] and carried[r, a] != 0:
         v = TWO * v - velocity[r, a]
     velocity_older[r, a] = velocity[r, a]
     velocity[r, a] = v

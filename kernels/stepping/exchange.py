@@ -2,7 +2,8 @@
 
 A clamped end has one node more in the batch than outside: the rod is thought to go on into the
 clamp by an edge, whose direction is the clamp's, which places the clamp at the first node with an
-error of second order in the edge.
+error of second order in the edge. A row may hold several rods, end to end, with an edge between
+them that is cut.
 """
 
 import warp as wp
@@ -12,20 +13,23 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
-class Span:
-    """Where a rod of a batch stands outside: first node and edge, their numbers, and how many nodes
-    of the batch come before (0 or 1)."""
+class Place:
+    """What a node of a row is outside: node `node`. The edge after it has the frame of edge `edge`
+    (-1: of none), and is that edge where `owns` is 1. A node in a clamp (`ghost` is not 0) stands
+    for the one that the clamp holds: it lies `ghost` rest lengths from it, in the direction of the
+    edge that begins at node `along`."""
 
     node: int
     edge: int
-    count: int
-    lead: int
+    owns: int
+    along: int
+    ghost: int
 
 
 @wp.kernel
 def find_changes(
     # Model:
-    span: wp.array(dtype=Span),
+    place: wp.array2d(dtype=Place),
     # State in:
     node_q: wp.array(dtype=wp.vec3d),
     node_qd: wp.array(dtype=wp.vec3d),
@@ -37,16 +41,15 @@ def find_changes(
     # State out:
     changed_out: wp.array(dtype=wp.int32),
 ):
-    """Say of which rods the state is not what `write_state` last gave out."""
-    r, i = wp.tid()
-    s = span[r]
-    if i >= s.count:
+    """Say of which rows the state is not what `write_state` last gave out."""
+    r, b = wp.tid()
+    p = place[r, b]
+    if p.ghost != 0:
         return
-    b = s.lead + i
-    same = node_q[s.node + i] == node(dof, r, b) and node_qd[s.node + i] == node(velocity, r, b)
-    if same and i < s.count - 1:
-        e = s.edge + i
-        same = edge_spin[e] == velocity[r, 4 * b + 3] and edge_director[e] == written_director[r, b]
+    same = node_q[p.node] == node(dof, r, b) and node_qd[p.node] == node(velocity, r, b)
+    if same and p.owns != 0:
+        same = edge_spin[p.edge] == velocity[r, 4 * b + 3]
+        same = same and edge_director[p.edge] == written_director[r, b]
     if not same:
         changed_out[r] = 1
 
@@ -54,7 +57,7 @@ def find_changes(
 @wp.kernel
 def read_state(
     # Model:
-    span: wp.array(dtype=Span),
+    place: wp.array2d(dtype=Place),
     rest_length: wp.array2d(dtype=wp.float64),
     # State in:
     chosen: wp.array(dtype=wp.int32),
@@ -65,40 +68,63 @@ def read_state(
     # State out:
     dof_out: wp.array2d(dtype=wp.float64),
     velocity_out: wp.array2d(dtype=wp.float64),
+):
+    """Configuration and velocity of the chosen rows; `read_frames` follows."""
+    r, b = wp.tid()
+    if chosen[r] == 0:
+        return
+    p = place[r, b]
+    q = node_q[p.node]
+    v = node_qd[p.node]
+    if p.ghost != 0:
+        t = wp.normalize(node_q[p.along + 1] - node_q[p.along])
+        edge = wp.where(p.ghost < 0, b, b - 1)
+        q = q + (wp.float64(p.ghost) * rest_length[r, edge]) * t
+    for c in range(3):
+        dof_out[r, 4 * b + c] = q[c]
+        velocity_out[r, 4 * b + c] = v[c]
+    if b < rest_length.shape[1]:
+        dof_out[r, 4 * b + 3] = ZERO
+        velocity_out[r, 4 * b + 3] = ZERO
+        if p.edge >= 0:
+            velocity_out[r, 4 * b + 3] = edge_spin[p.edge]
+
+
+@wp.kernel
+def read_frames(
+    # Model:
+    place: wp.array2d(dtype=Place),
+    # State in:
+    chosen: wp.array(dtype=wp.int32),
+    edge_director: wp.array(dtype=wp.vec3d),
+    dof: wp.array2d(dtype=wp.float64),
+    # State out:
     tangent_out: wp.array2d(dtype=wp.vec3d),
     director_out: wp.array2d(dtype=wp.vec3d),
     twist_out: wp.array2d(dtype=wp.float64),
 ):
-    """Configuration and velocity of the chosen rods; reference frames are the material ones."""
+    """Reference frames of the chosen rows: the material ones. Launched over (row, node)."""
     r, b = wp.tid()
     if chosen[r] == 0:
         return
-    s = span[r]
-    i = wp.clamp(b - s.lead, 0, s.count - 1)
-    e = wp.clamp(b - s.lead, 0, s.count - 2)
-    t = wp.normalize(node_q[s.node + e + 1] - node_q[s.node + e])
-    q = node_q[s.node + i]
-    v = node_qd[s.node + i]
-    if b < s.lead:
-        q = q - rest_length[r, 0] * t
-    if b - s.lead >= s.count:
-        q = q + rest_length[r, b - 1] * t
-    for c in range(3):
-        dof_out[r, 4 * b + c] = q[c]
-        velocity_out[r, 4 * b + c] = v[c]
     twist_out[r, b] = ZERO
-    if b < tangent_out.shape[1]:
-        d = edge_director[s.edge + e]
-        dof_out[r, 4 * b + 3] = ZERO
-        velocity_out[r, 4 * b + 3] = edge_spin[s.edge + e]
-        tangent_out[r, b] = t
-        director_out[r, b] = wp.normalize(d - wp.dot(d, t) * t)
+    if b == tangent_out.shape[1]:
+        return
+    t = wp.normalize(node(dof, r, b + 1) - node(dof, r, b))
+    d = wp.vec3d(t[1], t[2], t[0])
+    if place[r, b].edge >= 0:
+        d = edge_director[place[r, b].edge]
+    d = d - wp.dot(d, t) * t
+    if wp.length(d) < wp.float64(1.0e-9):
+        d = wp.cross(t, wp.vec3d(t[2], -t[0], t[1]))
+    tangent_out[r, b] = t
+    director_out[r, b] = wp.normalize(d)
 
 
 @wp.kernel
 def write_state(
     # Model:
-    span: wp.array(dtype=Span),
+    place: wp.array2d(dtype=Place),
     # State in:
     dof: wp.array2d(dtype=wp.float64),
     velocity: wp.array2d(dtype=wp.float64),
@@ -114,45 +140,45 @@ def write_state(
     edge_spin_out: wp.array(dtype=wp.float64),
     written_director_out: wp.array2d(dtype=wp.vec3d),
 ):
-    r, i = wp.tid()
-    s = span[r]
-    if i >= s.count:
+    r, b = wp.tid()
+    p = place[r, b]
+    if p.ghost != 0:
         return
-    b = s.lead + i
-    node_q_out[s.node + i] = node(dof, r, b)
-    node_qd_out[s.node + i] = node(velocity, r, b)
-    node_contact_f_out[s.node + i] = shape_force[r, b] + rod_force[r, b]
-    if i < s.count - 1:
+    node_q_out[p.node] = node(dof, r, b)
+    node_qd_out[p.node] = node(velocity, r, b)
+    node_contact_f_out[p.node] = shape_force[r, b] + rod_force[r, b]
+    if p.owns != 0:
         d = rotate(director[r, b], tangent[r, b], dof[r, 4 * b + 3])
-        edge_director_out[s.edge + i] = d
-        edge_spin_out[s.edge + i] = velocity[r, 4 * b + 3]
+        edge_director_out[p.edge] = d
+        edge_spin_out[p.edge] = velocity[r, 4 * b + 3]
         written_director_out[r, b] = d
 
 
 @wp.kernel
 def place_capsules(
     # Model:
-    span: wp.array(dtype=Span),
-    first_body: wp.array(dtype=wp.int32),
+    place: wp.array2d(dtype=Place),
+    body: wp.array2d(dtype=wp.int32),
     # State in:
     node_q: wp.array(dtype=wp.vec3d),
     edge_director: wp.array(dtype=wp.vec3d),
     # State out:
     body_q_out: wp.array(dtype=wp.transform),
 ):
-    """Put a body at the middle of every edge, x along the director and z along the edge."""
-    r, i = wp.tid()
-    s = span[r]
-    if first_body[r] < 0 or i >= s.count - 1:
+    """Put a body at the middle of every edge that has one, x along the director and z along the
+    edge."""
+    r, b = wp.tid()
+    if body[r, b] < 0:
         return
-    a = node_q[s.node + i]
-    b = node_q[s.node + i + 1]
-    z = wp.normalize(b - a)
-    d = edge_director[s.edge + i]
+    p = place[r, b]
+    q = node_q[p.node]
+    u = node_q[p.node + 1]
+    z = wp.normalize(u - q)
+    d = edge_director[p.edge]
     x = wp.normalize(d - wp.dot(d, z) * z)
     turn = wp.quat_from_matrix(wp.matrix_from_cols(x, wp.cross(z, x), z))
-    middle = wp.float64(0.5) * (a + b)
-    body_q_out[first_body[r] + i] = wp.transform(
+    middle = wp.float64(0.5) * (q + u)
+    body_q_out[body[r, b]] = wp.transform(
         wp.vec3(float(middle[0]), float(middle[1]), float(middle[2])),
         wp.quat(float(turn[0]), float(turn[1]), float(turn[2]), float(turn[3])),
     )

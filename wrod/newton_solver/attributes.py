@@ -15,7 +15,7 @@ from wrod.rods.model import RodModel
 FREE, PINNED, CLAMPED = 0, 1, 2
 HOLDS = {"free": FREE, "pinned": PINNED, "clamped": CLAMPED}
 NAMESPACE = "der"
-ROD, NODE, EDGE = "der:rod", "der:node", "der:edge"
+ROD, NODE, EDGE, HOLD = "der:rod", "der:node", "der:edge", "der:hold"
 _COLOR = (0.16, 0.42, 0.62)
 
 
@@ -58,8 +58,9 @@ _TURN_EDGES = _moved("edge", turn_only=True)
 
 
 def register(builder: ModelBuilder) -> None:
-    """Declare the frequencies der:rod, der:node, der:edge and their attributes; repeat at will."""
-    for name in ("rod", "node", "edge"):
+    """Declare the frequencies der:rod, der:node, der:edge, der:hold and their attributes; repeat at
+    will."""
+    for name in ("rod", "node", "edge", "hold"):
         builder.add_custom_frequency(ModelBuilder.CustomFrequency(name=name, namespace=NAMESPACE))
     model, state = Model.AttributeAssignment.MODEL, Model.AttributeAssignment.STATE
 
@@ -83,6 +84,7 @@ def register(builder: ModelBuilder) -> None:
     add(ROD, "rod_node_count", wp.int32)
     add(ROD, "rod_body", wp.int32, default=-1, references="body")
     add(ROD, "rod_visible", wp.int32)
+    add(ROD, "rod_touches_rods", wp.int32, default=1)
     for end in ("start", "end"):
         add(ROD, f"rod_{end}_hold", wp.int32)
         add(ROD, f"rod_{end}_body", wp.int32, default=-1, references="body")
@@ -90,12 +92,17 @@ def register(builder: ModelBuilder) -> None:
         add(ROD, f"rod_{name}", wp.float64)
     for name in ("rest_length", "stretching_stiffness"):
         add(EDGE, f"edge_{name}", wp.float64)
+    add(HOLD, "hold_rod", wp.int32, references=ROD)
+    add(HOLD, "hold_node", wp.int32)
+    add(HOLD, "hold_kind", wp.int32)
+    add(HOLD, "hold_body", wp.int32, default=-1, references="body")
     add(NODE, "node_mass", wp.float64)
     add(NODE, "node_bending_stiffness", wp.vec2d)
     add(NODE, "node_twisting_stiffness", wp.float64)
     add(NODE, "node_natural_curvature", wp.vec2d)
     add(NODE, "node_natural_twist", wp.float64)
     add(NODE, "node_softening", wp.vec2d)
+    add(NODE, "node_inelastic", wp.vec4d)
     add(NODE, "node_q", wp.vec3d, assignment=state, move=_MOVE_POINTS)
     add(NODE, "node_qd", wp.vec3d, assignment=state, move=_TURN_NODES)
     add(NODE, "node_contact_f", wp.vec3d, assignment=state)
@@ -116,6 +123,8 @@ def add_rod(
     velocity,
     natural_curvature,
     natural_twist,
+    rest_length,
+    touches_rods: bool,
     air_damping: float | None,
     internal_damping: float | None,
     visible: bool,
@@ -164,12 +173,14 @@ def add_rod(
         natural_curvature = per_node("natural_curvature", natural_curvature, (2,))
     if natural_twist is not None:
         natural_twist = per_node("natural_twist", natural_twist)
+    if rest_length is not None:
+        rest = _rest_length(rest_length, count)
     nodes = _per_node(model, rest, natural_curvature, natural_twist)
 
     first_node = builder._custom_frequency_counts.get(NODE, 0)
     first_edge = builder._custom_frequency_counts.get(EDGE, 0)
     label = label or f"rod_{builder._custom_frequency_counts.get(ROD, 0)}"
-    body = _add_bodies(builder, points, directors, rest, model.radius, visible, color, label)
+    body = _add_bodies(builder, points, directors, model.radius, visible, color, label)
     builder.add_custom_values_batch(
         {
             "der:node_mass": float(nodes["node_mass"][i]),
@@ -178,6 +189,7 @@ def add_rod(
             "der:node_natural_curvature": wp.vec2d(*nodes["natural_curvature"][i]),
             "der:node_natural_twist": float(nodes["natural_twist"][i]),
             "der:node_softening": wp.vec2d(*nodes["softening"][i]),
+            "der:node_inelastic": wp.vec4d(*nodes["inelastic"][i]),
             "der:node_q": points[i],
             "der:node_qd": velocity[i],
         }
@@ -198,6 +210,7 @@ def add_rod(
             "der:rod_node_count": count,
             "der:rod_body": body,
             "der:rod_visible": int(visible),
+            "der:rod_touches_rods": int(touches_rods),
             "der:rod_start_hold": HOLDS[start],
             "der:rod_start_body": start_body,
             "der:rod_end_hold": HOLDS[end],
@@ -208,6 +221,66 @@ def add_rod(
         }
     )
     return added["der:rod_node_count"]
+
+
+def attach(builder: ModelBuilder, rod: int, body: int, node: int, kind: str) -> None:
+    """`SolverDER.attach`, which documents the arguments."""
+    count = builder._custom_frequency_counts.get(ROD, 0)
+    if not (isinstance(rod, (int, np.integer)) and 0 <= rod < count):
+        raise RodError(f"rod is {rod!r}; give the index of one of the builder's {count} rods")
+    nodes = builder.custom_attributes["der:rod_node_count"].values[rod]
+    last = nodes - 1 if kind == "pinned" else nodes - 2
+    if kind not in ("pinned", "clamped"):
+        raise RodError(f"kind is {kind!r}; use pinned or clamped")
+    if not (isinstance(node, (int, np.integer)) and 0 <= node <= last):
+        raise RodError(f"node is {node!r}; rod {rod} has nodes 0 to {last} that can be {kind}")
+    if not -1 <= body < builder.body_count:
+        raise RodError(
+            f"body is {body}; give a body of the builder (it has {builder.body_count}), or -1 for "
+            "the world"
+        )
+    held = _held_nodes(builder, rod)
+    new = {node} if kind == "pinned" else {node, node + 1}
+    if held & new:
+        raise RodError(f"node {min(held & new)} of rod {rod} is held already; give another one")
+    builder.add_custom_values(
+        **{
+            "der:hold_rod": int(rod),
+            "der:hold_node": int(node),
+            "der:hold_kind": HOLDS[kind],
+            "der:hold_body": int(body),
+        }
+    )
+
+
+def _held_nodes(builder: ModelBuilder, rod: int) -> set[int]:
+    """Nodes of a rod of the builder that something holds."""
+
+    def values(name):
+        return builder.custom_attributes[f"der:{name}"].values or {}
+
+    out = set()
+    if values("rod_start_hold")[rod] != FREE:
+        out.add(0)
+    if values("rod_end_hold")[rod] != FREE:
+        out.add(values("rod_node_count")[rod] - 1)
+    for k in range(builder._custom_frequency_counts.get(HOLD, 0)):
+        if values("hold_rod")[k] == rod:
+            node = values("hold_node")[k]
+            out |= {node, node + values("hold_kind")[k] - 1}
+    return out
+
+
+def _rest_length(rest_length, count: int) -> np.ndarray:
+    try:
+        out = np.array(np.broadcast_to(np.asarray(rest_length, dtype=float), (count - 1,)))
+    except ValueError:
+        raise RodError(
+            f"rest_length has shape {np.shape(rest_length)}; give one or ({count - 1},)"
+        ) from None
+    if not (np.isfinite(out) & (out > 0)).all():
+        raise RodError("rest_length must be positive and finite")
+    return out
 
 
 def _per_node(model: RodModel, rest, natural_curvature, natural_twist) -> dict[str, np.ndarray]:
@@ -258,12 +331,13 @@ def _directors(points: np.ndarray, rest: np.ndarray, director) -> np.ndarray:
     return out
 
 
-def _add_bodies(builder, points, directors, rest, radius, visible, color, label) -> int:
+def _add_bodies(builder, points, directors, radius, visible, color, label) -> int:
     """A kinematic capsule on every edge, or one body without shape; the first one's index."""
     config = ModelBuilder.ShapeConfig(
         density=0.0, has_shape_collision=False, has_particle_collision=False, collision_group=0
     )
     first = builder.body_count
+    rest = np.linalg.norm(np.diff(points, axis=0), axis=1)
     for i in range(len(rest) if visible else 1):
         z = (points[i + 1] - points[i]) / rest[i]
         frame = np.column_stack([directors[i], np.cross(z, directors[i]), z])

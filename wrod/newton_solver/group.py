@@ -1,4 +1,4 @@
-"""The rods of one node count: a batch, its dynamics, and the way to a Newton state and back."""
+"""Rows of rods alike: a batch, its dynamics, and the way to a Newton state and back."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ import warp as wp
 from newton import Model, State
 
 from wrod.kernels.stepping import carrying, exchange
+from wrod.newton_solver.holds import Holds
 from wrod.newton_solver.layout import Layout
+from wrod.newton_solver.owned import find_owned
 from wrod.newton_solver.shapes import ModelShapes
 from wrod.rods.batch import RodState
+from wrod.solvers.bodies import Bodies
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics, Progress
 from wrod.solvers.rod_contact import RodContact
@@ -20,79 +23,94 @@ _STANDARD_GRAVITY = 9.81
 
 
 class RodGroup:
-    """Rods that share a batch (a `wrod.solvers.dynamics.Motion`: it carries their held ends).
+    """Rows that share a batch (a `wrod.solvers.dynamics.Motion`: it carries what is held).
 
     Args:
         model: the Newton model.
-        rods: indices of the rods into the model's.
+        rows: (row, rod) indices of the rods into the model's.
         shapes: what they touch.
-        bodies: arrays of the bodies' poses at the start and at the end of a step.
-        holds: (rod, 2) records of what holds their ends; see `find_holds`.
+        poses: arrays of the bodies' poses at the start and at the end of a step.
+        holds: what holds the rods.
+        own: (body,) whether a body moves with the rods that it holds.
         contact_stiffness: normal and tangential stiffness per length of rod [N/m^2], or None.
-        self_contact: friction coefficient of a rod with itself, or None.
+        rod_friction: friction coefficient of rods with themselves and each other, or None.
         options: of `Dynamics`.
     """
 
     def __init__(
         self,
         model: Model,
-        rods: np.ndarray,
+        rows: np.ndarray,
         shapes: ModelShapes,
-        bodies: tuple[wp.array, wp.array],
-        holds: np.ndarray,
+        poses: tuple[wp.array, wp.array],
+        holds: Holds,
+        own: np.ndarray,
         contact_stiffness: float | None,
-        self_contact: float | None,
+        rod_friction: float | None,
         options: dict,
     ):
-        self.model, self.rods, self.shapes = model, rods, shapes
-        self.device, der = str(model.device), model.der
-        self.worlds = der.rod_world.numpy()[rods]
-        self.layout = layout = Layout(model, rods, holds["kind"])
-        self.count = layout.count
-        body = np.where(der.rod_visible.numpy()[rods] != 0, der.rod_body.numpy()[rods], -1)
-
-        device = self.device
-        self.span = wp.array(layout.spans(), dtype=exchange.Span, device=device)
-        self.body = wp.array(body, dtype=wp.int32, device=device)
-        self.hold = wp.array(holds, dtype=carrying.Hold, device=device)
+        self.model, self.rows, self.shapes = model, rows, shapes
+        self.device = device = str(model.device)
+        self.worlds = model.der.rod_world.numpy()[rows[:, 0]]
+        self.layout = layout = Layout(model, rows, holds)
+        self.place = wp.array(layout.places, dtype=exchange.Place, device=device)
+        self.capsules = wp.array(layout.capsules(), dtype=wp.int32, device=device)
         self.batch = layout.make_batch(self._gravity())
+        owned, slots = find_owned(model, rows, holds, own)
+        records = layout.hold_records(slots)
+        self.batch.set_free(layout.free(records))
+        self.hold = wp.array(records, dtype=carrying.Hold, device=device)
+        self.bodies = None if owned is None else Bodies(self.batch, owned, records)
         self.contact = self._make_contact(contact_stiffness) if len(shapes.rows) else None
-        radius = der.rod_radius.numpy()[rods]
-        self.self_contact = None
-        if self_contact is not None:
-            self.self_contact = RodContact(self.batch, radius, Friction(self_contact))
-        contacts = [c for c in (self.contact, self.self_contact) if c is not None]
+        self.rod_contact = self._make_rod_contact(rod_friction, records)
+        contacts = [c for c in (self.contact, self.rod_contact) if c is not None]
         self.dynamics = Dynamics(
             self.batch,
-            radius=radius,
-            air_damping=der.rod_air_damping.numpy()[rods],
-            internal_damping=der.rod_internal_damping.numpy()[rods],
+            radius=self._edge_values("radius"),
             contact=contacts,
             motion=self,
+            bodies=self.bodies,
             keeps_recording=True,
+            **self._damping(),
             **options,
         )
-        count, nodes = len(rods), self.batch.node_count
+        count, nodes = self.place.shape
         self.changed = wp.zeros(count, dtype=wp.int32, device=device)
         self.until = wp.zeros(count, dtype=wp.float64, device=device)
-        edges = (count, nodes - 1)
-        self.written_director = wp.zeros(edges, dtype=wp.vec3d, device=device)
+        self.written_director = wp.zeros((count, nodes - 1), dtype=wp.vec3d, device=device)
         self.no_force = wp.zeros((count, nodes), dtype=wp.vec3d, device=device)
-        ends = (count, 2)
-        self.end_position = wp.zeros(ends, dtype=wp.vec3d, device=device)
-        self.end_rotation = wp.zeros(ends, dtype=wp.quatd, device=device)
-        self.duration, self.body_before, self.body_q = 1.0, *bodies
+        self.held_position = wp.zeros(self.hold.shape, dtype=wp.vec3d, device=device)
+        self.held_rotation = wp.zeros(self.hold.shape, dtype=wp.quatd, device=device)
+        self.duration, self.body_before, self.body_q = 1.0, *poses
 
     def _gravity(self) -> np.ndarray:
         gravity = self.model.gravity.numpy().astype(float)
         return gravity[np.clip(self.worlds, -1, len(gravity) - 1)]
 
+    def _edge_values(self, name: str) -> np.ndarray:
+        """(row, edge) of an attribute of rods."""
+        return self.layout.node_values(name)[:, :-1]
+
+    def _damping(self) -> dict:
+        """Damping of `Dynamics`: what the rods of a row have in common, and the rest by nodes."""
+        air = self.layout.node_values("air_damping")
+        common = air.min(axis=1)
+        out = {"air_damping": common}
+        if (air != common[:, None]).any():
+            extra = (air - common[:, None]) * self.batch.node_mass.numpy()
+            out["drag"] = np.stack([extra, np.zeros_like(extra)], axis=2)
+        internal = self.layout.node_values("internal_damping")
+        if (internal == internal[:, :1]).all():
+            out["internal_damping"] = internal[:, 0]
+        else:
+            out["internal_damping"] = np.repeat(internal[:, :, None], 4, axis=2)
+        return out
+
     def _make_contact(self, stiffness: float | None) -> Contact:
-        der, batch = self.model.der, self.batch
-        radius = der.rod_radius.numpy()[self.rods]
-        density = batch.node_mass.numpy().sum(axis=1) / batch.rest_length.numpy().sum(axis=1)
+        layout, batch = self.layout, self.batch
+        radius = layout.node_values("radius")
         if stiffness is None:
-            stiffness = density * _STANDARD_GRAVITY / (_SINKING * radius)
+            stiffness = layout.line_density() * _STANDARD_GRAVITY / (_SINKING * radius)
         shapes, friction = self.shapes.of(self.worlds)
         carrier, place, turn = self.shapes.carriers(self.worlds)
         self.carrier = wp.array(carrier, dtype=wp.int32, device=self.device)
@@ -100,7 +118,17 @@ class RodGroup:
         self.shape_turn = wp.array(turn, dtype=wp.quatd, device=self.device)
         self._shapes_move = bool((carrier >= 0).any())
         curved = (batch.natural_curvature.numpy() != 0).any(axis=(1, 2))
-        return Contact(batch, radius, stiffness, friction, shapes, keeps_roll=curved)
+        return Contact(
+            batch, radius, stiffness, friction, shapes, keeps_roll=curved, passive=layout.ghost
+        )
+
+    def _make_rod_contact(self, friction: float | None, holds: np.ndarray) -> RodContact | None:
+        touches = self._edge_values("touches_rods") != 0
+        if friction is None or not touches.any():
+            return None
+        radius = self._edge_values("radius")
+        passive = ~touches | self.layout.near_clamps(holds, radius)
+        return RodContact(self.batch, radius, Friction(friction), passive=passive)
 
     def refresh_gravity(self) -> None:
         self.batch.gravity.assign(self._gravity())
@@ -114,90 +142,99 @@ class RodGroup:
 
     def step(self, state_in: State, duration: float, step: float) -> Progress:
         """Take up what changed in `state_in`, and move on by `duration` [s]."""
-        batch, dynamics, der = self.batch, self.dynamics, state_in.der
-        rods, nodes = len(self.rods), batch.node_count
+        batch, dynamics = self.batch, self.dynamics
         now = dynamics.time.numpy() + duration
         self.until.assign(now)
         if duration != self.duration:
             self.duration = duration
             dynamics.forget_recording()
-        self.changed.zero_()
+        self._take_up(state_in)
         wp.launch(
-            exchange.find_changes,
-            dim=(rods, self.count),
-            inputs=[
-                self.span,
-                der.node_q,
-                der.node_qd,
-                der.edge_director,
-                der.edge_spin,
-                batch.state.dof,
-                dynamics.velocity,
-                self.written_director,
-            ],
-            outputs=[self.changed],
-            device=self.device,
-        )
-        state = batch.state
-        wp.launch(
-            exchange.read_state,
-            dim=(rods, nodes),
-            inputs=[
-                self.span,
-                batch.rest_length,
-                self.changed,
-                der.node_q,
-                der.node_qd,
-                der.edge_director,
-                der.edge_spin,
-            ],
-            outputs=[
-                state.dof,
-                dynamics.velocity,
-                state.tangent,
-                state.director,
-                state.reference_twist,
-            ],
-            device=self.device,
-        )
-        batch.find_reference_twist(self.changed)
-        dynamics.restart(self.changed)
-        wp.launch(
-            carrying.note_ends,
-            dim=(rods, 2),
-            inputs=[self.hold, self.span, state.dof, state.tangent, state.director],
-            outputs=[self.end_position, self.end_rotation],
+            carrying.note_held,
+            dim=self.hold.shape,
+            inputs=[self.hold, batch.state.dof, batch.state.tangent, batch.state.director],
+            outputs=[self.held_position, self.held_rotation],
             device=self.device,
         )
         return dynamics.advance(now, step)
 
+    def _take_up(self, state_in: State) -> None:
+        """Read rows of which the state is not what was written last; they start anew."""
+        batch, dynamics, der = self.batch, self.dynamics, state_in.der
+        state, shape = batch.state, self.place.shape
+        self.changed.zero_()
+        source = [der.node_q, der.node_qd, der.edge_director, der.edge_spin]
+        wp.launch(
+            exchange.find_changes,
+            dim=shape,
+            inputs=[self.place, *source, state.dof, dynamics.velocity, self.written_director],
+            outputs=[self.changed],
+            device=self.device,
+        )
+        if self.bodies is not None:
+            self.bodies.find_changes(state_in.body_q, state_in.body_qd, self.changed)
+        wp.launch(
+            exchange.read_state,
+            dim=shape,
+            inputs=[self.place, batch.rest_length, self.changed, *source],
+            outputs=[state.dof, dynamics.velocity],
+            device=self.device,
+        )
+        self._read_frames(der)
+        if self.bodies is not None:
+            self.bodies.read(
+                self.changed, state_in.body_q, state_in.body_qd, state_in.body_f, state,
+                dynamics.velocity,
+            )  # fmt: skip
+            batch.transport_frames(state, state, self.changed)
+        dynamics.restart(self.changed)
+
+    def _read_frames(self, der) -> None:
+        state = self.batch.state
+        wp.launch(
+            exchange.read_frames,
+            dim=self.place.shape,
+            inputs=[self.place, self.changed, der.edge_director, state.dof],
+            outputs=[state.tangent, state.director, state.reference_twist],
+            device=self.device,
+        )
+        self.batch.find_reference_twist(self.changed)
+
     def reset(self, state: State, initial: dict[str, wp.array], chosen: np.ndarray) -> None:
-        """Put the chosen rods (rod,) of a state back to `initial`, arrays of all rods' nodes and
+        """Put the chosen rows (row,) of a state back to `initial`, arrays of all rods' nodes and
         edges by name."""
+        der = self.model.der
+        counts = der.rod_node_count.numpy()
         for name, source in initial.items():
-            first = self.layout.first_node if name.startswith("node") else self.layout.first_edge
-            count = self.count - (not name.startswith("node"))
-            for row in np.flatnonzero(chosen):
-                at = int(first[row])
-                wp.copy(getattr(state.der, name), source, at, at, count)
+            of_nodes = name.startswith("node")
+            first = (der.rod_first_node if of_nodes else der.rod_first_edge).numpy()
+            for rod in self.rows[chosen].ravel():
+                at = int(first[rod])
+                wp.copy(getattr(state.der, name), source, at, at, int(counts[rod]) - (not of_nodes))
+        if self.bodies is not None:
+            at = np.unique(self.bodies.body.numpy()["index"][chosen])
+            for name in ("body_q", "body_qd"):
+                values = getattr(state, name).numpy().copy()
+                values[at] = getattr(self.model, name).numpy()[at]
+                getattr(state, name).assign(values)
         self.dynamics.restart(wp.array(chosen, dtype=wp.int32, device=self.device))
 
     def write(self, state_out: State) -> None:
-        """Give out what the rods do now, and put their capsules there."""
+        """Give out what rods and their bodies do now, and put the rods' capsules there."""
         batch, dynamics, der = self.batch, self.dynamics, state_out.der
-        rods, state = len(self.rods), batch.state
+        state = batch.state
         wp.launch(
             exchange.write_state,
-            dim=(rods, self.count),
+            dim=self.place.shape,
             inputs=[
-                self.span,
+                self.place,
                 state.dof,
                 dynamics.velocity,
                 state.tangent,
                 state.director,
                 *(
                     self.no_force if contact is None else contact.force
-                    for contact in (self.contact, self.self_contact)
+                    for contact in (self.contact, self.rod_contact)
                 ),
             ],
             outputs=[
@@ -212,22 +249,34 @@ class RodGroup:
         )
         wp.launch(
             exchange.place_capsules,
-            dim=(rods, self.count - 1),
-            inputs=[self.span, self.body, der.node_q, der.edge_director],
+            dim=self.capsules.shape,
+            inputs=[self.place, self.capsules, der.node_q, der.edge_director],
             outputs=[state_out.body_q],
+            device=self.device,
+        )
+        if self.bodies is not None:
+            self.bodies.write(state_out.body_q, state_out.body_qd)
+
+    def add_loads(self, force: wp.array, torque: wp.array) -> None:
+        """Add what rods do to bodies that others move: (body,) force, and torque about the centre
+        of mass."""
+        batch = self.batch
+        wp.launch(
+            carrying.measure_loads,
+            dim=self.hold.shape,
+            inputs=[self.hold, self.model.body_com, batch.state.dof, batch.state.tangent]
+            + [self.dynamics.reaction, self.body_before],
+            outputs=[force, torque],
             device=self.device,
         )
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
-        """Carry held ends and shapes to where their bodies are at the end of the step."""
-        batch = self.batch
+        """Carry what is held, and shapes, to where their bodies are at the end of the step."""
         wp.launch(
-            carrying.carry_ends,
-            dim=(len(self.rods), 2),
+            carrying.carry_held,
+            dim=self.hold.shape,
             inputs=[
                 self.hold,
-                self.span,
-                batch.rest_length,
                 wp.float64(self.duration),
                 running,
                 self.changed,
@@ -235,12 +284,12 @@ class RodGroup:
                 time,
                 step,
                 self.body_q,
-                self.end_position,
-                self.end_rotation,
+                self.held_position,
+                self.held_rotation,
                 start.tangent,
                 start.director,
             ],
-            outputs=[batch.state.dof],
+            outputs=[self.batch.state.dof],
             device=self.device,
         )
         if self.contact is not None and self._shapes_move:

@@ -1,40 +1,109 @@
-"""What holds the ends of a model's rods, in the frames of the bodies that do."""
+"""What holds a model's rods, in the frames of the bodies that do."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import newton
 import numpy as np
+from newton import BodyFlags, JointType
 from scipy.spatial.transform import Rotation
 
-from wrod.kernels.stepping.carrying import Hold
-from wrod.newton_solver.attributes import FREE
+from wrod.newton_solver.attributes import CLAMPED, FREE
 
 
-def find_holds(model: newton.Model) -> np.ndarray:
-    """(rod, 2) records of `wrod.kernels.stepping.carrying.Hold`, start and end of every rod."""
-    der = model.der
-    first_node, first_edge, count = (
-        getattr(der, f"rod_{name}").numpy() for name in ("first_node", "first_edge", "node_count")
-    )
-    q, director = der.node_q.numpy(), der.edge_director.numpy()
-    bodies = model.body_q.numpy().astype(float)
-    out = np.zeros((len(count), 2), dtype=Hold.numpy_dtype())
-    out["rotation"][..., 3] = 1.0
-    for side, name in enumerate(("start", "end")):
-        kinds = getattr(der, f"rod_{name}_hold").numpy()
-        carriers = getattr(der, f"rod_{name}_body").numpy()
-        for r in np.flatnonzero(kinds != FREE):
-            body = carriers[r]
-            edge = side * (count[r] - 2)
-            tangent = q[first_node[r] + edge + 1] - q[first_node[r] + edge]
-            tangent = tangent / np.linalg.norm(tangent)
-            side_way = director[first_edge[r] + edge]
-            frame = np.column_stack([tangent, side_way, np.cross(tangent, side_way)])
-            place = q[first_node[r] + side * (count[r] - 1)]
-            turn = Rotation.from_matrix(frame)
-            if body >= 0:
-                carrier = Rotation.from_quat(bodies[body, 3:])
-                place = carrier.inv().apply(place - bodies[body, :3])
-                turn = carrier.inv() * turn
-            out[r, side] = (kinds[r], body, place, turn.as_quat())
-    return out
+@dataclass(frozen=True)
+class Held:
+    """A node, or an edge from there on, that a body holds.
+
+    Attributes:
+        rod, node: which.
+        kind: PINNED (a node) or CLAMPED (an edge).
+        body: what holds it; -1: the world.
+        ghost: 0 of an edge of the rod; -1 or 1 where a clamp at an end goes on before or behind it.
+        reach: signed distance to the edge's other node [m].
+        position, rotation: (3,), (4,) of the node and of the edge's frame (tangent, director,
+            their cross product; xyzw) in the body's.
+    """
+
+    rod: int
+    node: int
+    kind: int
+    body: int
+    ghost: int
+    reach: float
+    position: np.ndarray
+    rotation: np.ndarray
+
+
+class Holds:
+    """What holds the rods of a model.
+
+    Attributes:
+        ends: (rod, 2) FREE, PINNED or CLAMPED: start and end of every rod.
+    """
+
+    def __init__(self, model: newton.Model):
+        der = model.der
+        names = ("first_node", "first_edge", "node_count")
+        self._span = [getattr(der, f"rod_{name}").numpy() for name in names]
+        self._q, self._director = der.node_q.numpy(), der.edge_director.numpy()
+        self._rest = der.edge_rest_length.numpy()
+        self._bodies = model.body_q.numpy().astype(float)
+        sides = ("start", "end")
+        self.ends = np.stack([getattr(der, f"rod_{s}_hold").numpy() for s in sides], axis=1)
+        carriers = np.stack([getattr(der, f"rod_{s}_body").numpy() for s in sides], axis=1)
+        self._of: dict[int, list[Held]] = {r: [] for r in range(len(self.ends))}
+        for rod, side in zip(*np.nonzero(self.ends != FREE), strict=True):
+            rod, node = int(rod), int(side * (self._span[2][rod] - 1))
+            kind, body = int(self.ends[rod, side]), int(carriers[rod, side])
+            self._add(rod, node, kind, body, ghost=2 * int(side) - 1)
+        for rod, node, kind, body in _attachments(der):
+            self._add(rod, node, kind, body, ghost=0)
+        self.bodies = sorted({h.body for held in self._of.values() for h in held if h.body >= 0})
+
+    def of(self, rod: int) -> list[Held]:
+        """What is held of a rod."""
+        return self._of[rod]
+
+    def _add(self, rod: int, node: int, kind: int, body: int, ghost: int) -> None:
+        first_node, first_edge, count = (int(a[rod]) for a in self._span)
+        edge = min(node, count - 2)
+        way = self._q[first_node + edge + 1] - self._q[first_node + edge]
+        length = float(np.linalg.norm(way))
+        tangent, director = way / length, self._director[first_edge + edge]
+        turn = Rotation.from_matrix(
+            np.column_stack([tangent, director, np.cross(tangent, director)])
+        )
+        place = self._q[first_node + node]
+        if body >= 0:
+            carrier = Rotation.from_quat(self._bodies[body, 3:])
+            place = carrier.inv().apply(place - self._bodies[body, :3])
+            turn = carrier.inv() * turn
+        ghost = ghost if kind == CLAMPED else 0
+        reach = ghost * float(self._rest[first_edge + edge]) if ghost else length
+        self._of[rod].append(Held(rod, node, kind, body, ghost, reach, place, turn.as_quat()))
+
+
+def _attachments(der) -> list[tuple[int, int, int, int]]:
+    """Rod, node, kind and body of what `SolverDER.attach` has added."""
+    if getattr(der, "hold_rod", None) is None:
+        return []
+    names = ("rod", "node", "kind", "body")
+    columns = (getattr(der, f"hold_{name}").numpy() for name in names)
+    return [tuple(map(int, row)) for row in zip(*columns, strict=True)]
+
+
+def free_bodies(model: newton.Model) -> np.ndarray:
+    """(body,) whether a body has mass, is not kinematic, and no joint but a free one."""
+    if model.body_count == 0:
+        return np.zeros(0, dtype=bool)
+    free = model.body_flags.numpy() & int(BodyFlags.DYNAMIC) != 0
+    free &= model.body_mass.numpy() > 0
+    if model.joint_count:
+        kinds = model.joint_type.numpy()
+        for name in ("joint_parent", "joint_child"):
+            ends = getattr(model, name).numpy()
+            bound = ends[(kinds != JointType.FREE) & (ends >= 0)]
+            free[bound] = False
+    return free

@@ -5,87 +5,207 @@ from __future__ import annotations
 import numpy as np
 from newton import Model
 
-from wrod.kernels.stepping.exchange import Span
+from wrod.errors import RodError
+from wrod.kernels.stepping.bodies import Hold
+from wrod.kernels.stepping.exchange import Place
 from wrod.newton_solver.attributes import CLAMPED, FREE
+from wrod.newton_solver.holds import Holds
 from wrod.rods.batch import RodBatch
 
 
 class Layout:
-    """Rods with as many nodes, and as many clamps, as each other.
+    """Rows of rods, end to end with cut edges between them; every row has as many rods, with as
+    many nodes and clamps, as the others.
 
     A clamped end has one node more in the batch than in the model: the rod goes on into the clamp
-    by an edge, whose direction is the clamp's.
+    by an edge, whose direction is the clamp's. That node has no mass.
 
     Args:
         model: the Newton model.
-        rods: indices of the rods into the model's.
-        holds: (rod, 2) what holds their starts and ends: FREE, PINNED or CLAMPED.
+        rows: (row, rod) indices of the rods into the model's.
+        holds: what holds them.
 
     Attributes:
-        count: nodes of each rod in the model.
-        first_node, first_edge: (rod,) where they begin in the model.
-        lead: (rod,) nodes in the batch before them, 0 or 1.
+        places: (row, node) records of `wrod.kernels.stepping.exchange.Place`.
+        rod: (row, node) the rod of each node.
+        ghost: (row, node) whether a node is inside a clamp.
+        cuts: indices of the cut edges.
     """
 
-    def __init__(self, model: Model, rods: np.ndarray, holds: np.ndarray):
+    def __init__(self, model: Model, rows: np.ndarray, holds: Holds):
+        self.model, self.rows, self.holds = model, rows, holds
         der = model.der
-        self.model, self.holds = model, holds
-        self.count = int(der.rod_node_count.numpy()[rods[0]])
-        self.first_node = der.rod_first_node.numpy()[rods]
-        self.first_edge = der.rod_first_edge.numpy()[rods]
-        self.lead = (holds[:, 0] == CLAMPED).astype(int)
-        nodes = self.count + int((holds[0] == CLAMPED).sum())
-        # Nodes and edges of the model for those of the batch; what a clamp adds repeats the last.
-        at = np.arange(nodes) - self.lead[:, None]
-        self._nodes = self.first_node[:, None] + np.clip(at, 0, self.count - 1)
-        self._edges = self.first_edge[:, None] + np.clip(at[:, :-1], 0, self.count - 2)
-        self._at_start = (at == 0) & (holds[:, :1] == CLAMPED)
-        self._at_end = (at == self.count - 1) & (holds[:, 1:] == CLAMPED)
+        firsts = der.rod_first_node.numpy(), der.rod_first_edge.numpy()
+        counts = der.rod_node_count.numpy()
+        self._start = {}
+        columns = []
+        for row, rods in enumerate(rows):
+            places, ends = [], []
+            for rod in rods:
+                node, edge, count = int(firsts[0][rod]), int(firsts[1][rod]), int(counts[rod])
+                lead, tail = (kind == CLAMPED for kind in holds.ends[rod])
+                self._start[row, int(rod)] = len(places) + lead
+                last = count - 2
+                if lead:
+                    places.append((node, edge, 0, node, -1, rod))
+                for i in range(count):
+                    owns = i <= last
+                    after = edge + i if owns else (edge + last if tail else -1)
+                    places.append((node + i, after, owns, 0, 0, rod))
+                if tail:
+                    places.append((node + count - 1, -1, 0, node + last, 1, rod))
+                ends.append(len(places) - 1)
+            columns.append(places)
+            self.cuts = tuple(ends[:-1])
+        table = np.array(columns, dtype=np.int64)
+        self.places = np.zeros(table.shape[:2], dtype=Place.numpy_dtype())
+        for k, name in enumerate(("node", "edge", "owns", "along", "ghost")):
+            self.places[name] = table[..., k]
+        self.rod, self.ghost = table[..., 5], table[..., 4] != 0
+        self.node_count = table.shape[1]
 
-    def spans(self) -> np.ndarray:
-        """(rod,) records of `wrod.kernels.stepping.exchange.Span`."""
-        out = np.zeros(len(self.lead), dtype=Span.numpy_dtype())
-        out["node"], out["edge"], out["lead"] = self.first_node, self.first_edge, self.lead
-        out["count"] = self.count
+    def capsules(self) -> np.ndarray:
+        """(row, node - 1) body that shows each edge, or -1."""
+        der = self.model.der
+        visible, first = der.rod_visible.numpy() != 0, der.rod_body.numpy()
+        rod, edge = self.rod[:, :-1], self.places["edge"][:, :-1]
+        shown = visible[rod] & (self.places["owns"][:, :-1] != 0)
+        return np.where(shown, first[rod] + edge - der.rod_first_edge.numpy()[rod], -1).astype(int)
+
+    def node_values(self, name: str) -> np.ndarray:
+        """(row, node, ...) of an attribute of rods, for every node."""
+        return getattr(self.model.der, f"rod_{name}").numpy()[self.rod]
+
+    def line_density(self) -> np.ndarray:
+        """(row, node) mass per length of the rod of each node [kg/m]."""
+        der = self.model.der
+        firsts = der.rod_first_node.numpy(), der.rod_first_edge.numpy()
+        mass, rest = der.node_mass.numpy(), der.edge_rest_length.numpy()
+        density = {}
+        for rod in np.unique(self.rod):
+            node, edge = firsts[0][rod], firsts[1][rod]
+            count = der.rod_node_count.numpy()[rod]
+            total = mass[node : node + count].sum()
+            density[rod] = total / rest[edge : edge + count - 1].sum()
+        return np.vectorize(density.__getitem__)(self.rod)
+
+    def near_clamps(self, holds: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        """(row, edge) edges inside clamps, and those of rods that a body holds together with others
+        which are nearer to it along the rod than half a turn of their tightest bend."""
+        rest = self.model.der.edge_rest_length.numpy()
+        out = self.ghost[:, :-1] | self.ghost[:, 1:]
+        for row, records in enumerate(holds):
+            records = records[records["kind"] > 0]
+            bodies, counts = np.unique(records["body"], return_counts=True)
+            for h in records[np.isin(records["body"], bodies[(counts > 1) & (bodies >= 0)])]:
+                for way in (-1, 1):
+                    edge, walked = h["node"] - (way < 0), 0.0
+                    while 0 <= edge < out.shape[1] and self.places["owns"][row, edge]:
+                        if walked > np.pi * radius[row, edge]:
+                            break
+                        out[row, edge] = True
+                        walked += rest[self.places["edge"][row, edge]]
+                        edge += way
         return out
 
     def make_batch(self, gravity: np.ndarray) -> RodBatch:
-        """The rods in their first shapes under `gravity` (rod, 3), with held ends not free."""
-        der, n, e = self.model.der, self._nodes, self._edges
+        """The rods in their first shapes under `gravity` (row, 3), with what is held not free."""
+        der = self.model.der
+        n = self.places["node"]
+        # What is cut takes the properties of the edge before.
+        edges = self.places["edge"][:, :-1].copy()
+        for cut in self.cuts:
+            edges[:, cut] = edges[:, cut - 1]
         # A clamp holds from the first node on: only the half of that node's length which is free
         # bends and twists, so it is twice as stiff, and turns by half as much at rest.
-        stiffer = np.where(self._at_start | self._at_end, 2.0, 1.0)
+        stiffer = np.where(self._in_clamp(), 2.0, 1.0)
         position = der.node_q.numpy()[n]
-        starts, ends = self._at_start.any(axis=1), self._at_end.any(axis=1)
-        position[starts, 0] -= position[starts, 2] - position[starts, 1]
-        position[ends, -1] += position[ends, -2] - position[ends, -3]
+        rest = der.edge_rest_length.numpy()[edges]
+        for row, i in zip(*np.nonzero(self.ghost), strict=True):
+            way = self.places["ghost"][row, i]
+            held, beyond = position[row, i - way], position[row, i - 2 * way]
+            away = (held - beyond) / np.linalg.norm(held - beyond)
+            position[row, i] = held + rest[row, i if way < 0 else i - 1] * away
+        self._refuse_coincidence(position)
+        directors = der.edge_director.numpy()[edges]
+        for cut in self.cuts:
+            gap = position[:, cut + 1] - position[:, cut]
+            axis = np.eye(3)[np.abs(gap).argmin(axis=1)]
+            across = np.cross(gap, axis)
+            directors[:, cut] = across / np.linalg.norm(across, axis=1, keepdims=True)
         batch = RodBatch(
             position,
-            rest_length=der.edge_rest_length.numpy()[e],
-            stretching_stiffness=der.edge_stretching_stiffness.numpy()[e],
+            rest_length=rest,
+            stretching_stiffness=der.edge_stretching_stiffness.numpy()[edges],
             bending_stiffness=der.node_bending_stiffness.numpy()[n] * stiffer[:, :, None],
             twisting_stiffness=der.node_twisting_stiffness.numpy()[n] * stiffer,
             natural_curvature=der.node_natural_curvature.numpy()[n] / stiffer[:, :, None],
             natural_twist=der.node_natural_twist.numpy()[n] / stiffer,
             softening=der.node_softening.numpy()[n] * stiffer[:, :, None] ** [-2.0, 0.0],
-            node_mass=der.node_mass.numpy()[n],
+            inelastic=der.node_inelastic.numpy()[n] * stiffer[:, :, None] ** [0.0, 0.0, -1.0, 0.0],
+            node_mass=np.where(self.ghost, 0.0, der.node_mass.numpy()[n]),
             gravity=gravity,
-            director=der.edge_director.numpy()[e],
+            director=directors,
             device=str(self.model.device),
         )
-        batch.set_free(self._free(batch.dof_count))
+        batch.cut(self.cuts)
         return batch
 
-    def _free(self, dof_count: int) -> np.ndarray:
-        free = np.ones((len(self.lead), dof_count), dtype=bool)
-        for row, lead in enumerate(self.lead):
-            for side, kind in enumerate(self.holds[row]):
-                if kind == FREE:
+    def _refuse_coincidence(self, position: np.ndarray) -> None:
+        for cut in self.cuts:
+            apart = np.linalg.norm(position[:, cut + 1] - position[:, cut], axis=1)
+            if not (apart > 0).all():
+                row = int(np.argmin(apart))
+                a, b = self.rod[row, cut], self.rod[row, cut + 1]
+                raise RodError(
+                    f"rod {a} ends at the very point at which rod {b} begins; clamp one of them, "
+                    "or let one run the other way"
+                )
+
+    def _in_clamp(self) -> np.ndarray:
+        """(row, node) whether a node is the one that a clamp at an end holds."""
+        out = np.zeros(self.ghost.shape, dtype=bool)
+        for row, i in zip(*np.nonzero(self.ghost), strict=True):
+            out[row, i - self.places["ghost"][row, i]] = True
+        return out
+
+    def hold_records(self, slots: list[dict[int, int]]) -> np.ndarray:
+        """(row, hold) records of `wrod.kernels.stepping.bodies.Hold`, with the slots of bodies that
+        move with the rods, by row."""
+        rows = []
+        for row, rods in enumerate(self.rows):
+            held = [h for rod in rods for h in self.holds.of(int(rod))]
+            rows.append([self._record(row, h, slots[row]) for h in held])
+        width = max(1, max(map(len, rows)))
+        out = np.zeros((len(rows), width), dtype=Hold.numpy_dtype())
+        out["rotation"][..., 3] = 1.0
+        out["slot"] = -1
+        for row, records in enumerate(rows):
+            for k, record in enumerate(records):
+                out[row, k] = record
+        return out
+
+    def _record(self, row: int, h, slots: dict[int, int]):
+        first = self._start[row, h.rod]
+        node = first + h.node
+        other, edge = node + 1, node
+        if h.ghost:
+            other = node + h.ghost
+            edge = min(node, other)
+        return (
+            2 if h.kind == CLAMPED else 1, h.body, slots.get(h.body, -1), node, other, edge,
+            h.reach, h.position, h.rotation,
+        )  # fmt: skip
+
+    def free(self, holds: np.ndarray) -> np.ndarray:
+        """(row, dof) which degrees of freedom nothing holds."""
+        out = np.ones((len(self.rows), 4 * self.node_count - 1), dtype=bool)
+        for row, records in enumerate(holds):
+            for h in records:
+                if h["kind"] == FREE:
                     continue
-                # First column of the end's node, and of the clamp's angle and node beyond it.
-                end = 4 * (lead + side * (self.count - 1))
-                free[row, end : end + 3] = False
-                if kind == CLAMPED:
-                    inside = slice(end - 4, end) if side == 0 else slice(end + 3, end + 7)
-                    free[row, inside] = False
-        return free
+                for i in (h["node"], h["other"])[: h["kind"]]:
+                    out[row, 4 * i : 4 * i + 3] = False
+                if h["kind"] == 2:
+                    out[row, 4 * h["edge"] + 3] = False
+        return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
@@ -17,15 +18,19 @@ except ImportError as error:
 
 from newton.solvers import SolverBase
 
+from wrod.kernels.stepping.carrying import add_wrenches
 from wrod.newton_solver import attributes
 from wrod.newton_solver.group import RodGroup
-from wrod.newton_solver.holds import find_holds
+from wrod.newton_solver.holds import Holds, free_bodies
+from wrod.newton_solver.rows import find_rows
 from wrod.newton_solver.shapes import ModelShapes
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.solvers.dynamics import SCHEMES
 
 _STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
+# Steps after which a body that does not get its rods' forces is spoken of.
+_PATIENCE = 3
 _PASSED_ON = ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd")
 
 
@@ -34,14 +39,22 @@ class SolverDER(SolverBase):
 
     Rods are no bodies of Newton's: their state is in `state.der` (`node_q` [m], `node_qd` [m/s],
     `node_contact_f` [N], `edge_director`, `edge_spin` [rad/s]), their properties in `model.der`.
-    They touch the model's planes, boxes and cylinders with the friction of the shape (`mu`) and, if
-    asked, themselves, but not each other; their ends may be held by bodies. Bodies and particles
-    pass through a step unchanged and do not feel the rods: kinematic ones are moved by the caller,
-    others by another solver before.
+    They touch the model's shapes with the friction of the shape (`mu`) and, if asked, themselves
+    and each other.
 
-    The pose that `state_in.body_q` gives a body is the one that it has at the end of the step. A
-    state that is not the one this solver wrote last is taken up as it is (the rod then starts anew
-    from it, with one step of first order), so states may be changed, copied and set back at will.
+    Bodies hold rods, by their ends (`add_rod`) or anywhere (`attach`):
+
+    - A free body (mass, not kinematic, no joint but a free one) is moved by this solver, with its
+      rods, in one implicit step that conserves momentum; `state_in.body_f` acts on it. It touches
+      nothing but rods.
+    - Kinematic bodies are moved by the caller.
+    - Bodies of articulations, and what `bodies` leaves out, are moved by another solver before:
+      call `add_body_forces(state)` on the state that it steps from.
+
+    The pose that `state_in.body_q` gives a body that others move is the one that it has at the end
+    of the step. A state that is not the one this solver wrote last is taken up as it is (the rod
+    then starts anew from it, with one step of first order), so states may be changed, copied and
+    set back at will.
 
     Example
     -------
@@ -74,6 +87,8 @@ class SolverDER(SolverBase):
         max_iterations: int = 12,
         contact_stiffness: float | None = None,
         self_contact: float | None = None,
+        rod_contact: float | None = None,
+        bodies: str | Sequence[int] = "free",
     ):
         """
         Args:
@@ -90,45 +105,84 @@ class SolverDER(SolverBase):
                 weight on Earth.
             self_contact: Friction coefficient of a rod that touches itself. Defaults to None: it
                 passes through itself, which costs less.
+            rod_contact: Friction coefficient of rods that touch each other, and themselves, but
+                for those added with `touches_rods=False`. All rods of a world then share their
+                steps. Defaults to None: they pass through each other.
+            bodies: Which of the bodies that hold rods this solver moves: "free", "none" or some of
+                the free ones.
 
         Raises:
-            RodError: The model has no rods, or an option is none.
+            RodError: The model has no rods, requires gradients, or an option is none.
         """
         super().__init__(model=model)
         der = attributes.require(model)
+        if model.requires_grad:
+            raise RodError(
+                "SolverDER gives no gradients to a wp.Tape; finalize the model with "
+                "requires_grad=False, and see wrod's tangents of deployments for derivatives"
+            )
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
         for name, value in (("max_step", max_step), ("contact_stiffness", contact_stiffness)):
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise RodError(f"{name} is {value!r}; give a positive finite number")
+        if rod_contact is not None and self_contact is not None:
+            raise RodError("give rod_contact or self_contact: the first one covers the second")
         self.max_step = max_step
         self.rod_count = len(der.rod_node_count)
         self._options = dict(scheme=scheme, tolerance=tolerance, max_iterations=max_iterations)
-        self._contact_stiffness, self._self_contact = contact_stiffness, self_contact
-        self._holds = find_holds(model)
+        self._contact_stiffness = contact_stiffness
+        self._rod_friction = self_contact if rod_contact is None else rod_contact
+        self._rods_meet = rod_contact is not None
+        self._bodies = bodies
+        self._holds = Holds(model)
+        self._own = self._choose_bodies(bodies)
         self._initial = {name: wp.clone(getattr(der, name)) for name in _STATE}
         self._diverged = np.zeros(self.rod_count, dtype=bool)
-        self._bodies = wp.clone(model.body_q), wp.clone(model.body_q)
+        self._poses = wp.clone(model.body_q), wp.clone(model.body_q)
+        self._force, self._torque = (
+            wp.zeros(model.body_count, dtype=wp.vec3d, device=model.device) for _ in range(2)
+        )
+        self._loads_taken, self._steps = False, 0
         self._build()
 
+    def _choose_bodies(self, chosen) -> np.ndarray:
+        """(body,) which bodies this solver moves."""
+        own = np.zeros(self.model.body_count, dtype=bool)
+        own[self._holds.bodies] = free_bodies(self.model)[self._holds.bodies]
+        if isinstance(chosen, str):
+            if chosen not in ("free", "none"):
+                raise RodError(f"bodies is {chosen!r}; use free, none or indices of bodies")
+            return own & (chosen == "free")
+        for body in chosen:
+            if not (0 <= body < len(own) and own[body]):
+                raise RodError(
+                    f"bodies holds {body!r}, which is no free body that holds a rod; those are "
+                    f"{np.flatnonzero(own).tolist()}"
+                )
+        return own & np.isin(np.arange(len(own)), chosen)
+
     def _build(self) -> None:
-        model, der = self.model, self.model.der
+        model = self.model
         shapes = ModelShapes(model)
-        clamps = (self._holds["kind"] == attributes.CLAMPED).sum(axis=1)
-        sizes = np.stack([der.rod_node_count.numpy(), clamps], axis=1)
         self._groups = [
             RodGroup(
                 model,
-                rods := np.flatnonzero((sizes == size).all(axis=1)),
+                rows,
                 shapes,
-                self._bodies,
-                self._holds[rods],
+                self._poses,
+                self._holds,
+                self._own,
                 self._contact_stiffness,
-                self._self_contact,
+                self._rod_friction,
                 self._options,
             )
-            for size in np.unique(sizes, axis=0)
+            for rows in find_rows(model, self._holds, self._own, self._rods_meet)
         ]
+        held = [b for b in self._holds.bodies if not self._own[b]]
+        moved = model.body_flags.numpy()[held] & int(newton.BodyFlags.DYNAMIC) != 0
+        massive = model.body_mass.numpy()[held] > 0
+        self._others = [b for b, m in zip(held, moved & massive, strict=True) if m]
 
     @property
     def diverged(self) -> np.ndarray:
@@ -172,20 +226,54 @@ class SolverDER(SolverBase):
                 if source is not None and len(source):
                     wp.copy(getattr(state_out, name), source)
         parts = 1 if self.max_step is None else int(np.ceil(dt / self.max_step * (1 - 1e-9)))
-        before, after = self._bodies
+        before, after = self._poses
         wp.copy(after, state_in.body_q)
         for group in self._groups:
             progress = group.step(state_in, dt, dt / parts)
             self._note_diverged(group, progress)
         wp.copy(before, after)
+        self._force.zero_()
+        self._torque.zero_()
         for group in self._groups:
             group.write(state_out)
+            group.add_loads(self._force, self._torque)
+        self._steps += 1
+        if self._others and self._steps == _PATIENCE and not self._loads_taken:
+            names = ", ".join(repr(self.model.body_label[b]) for b in self._others[:3])
+            warnings.warn(
+                f"rods pull at bodies that another solver moves ({names}), which does not feel "
+                "them; call add_body_forces(state) on the state that it steps from",
+                WrodWarning,
+                stacklevel=2,
+            )
+
+    def body_wrenches(self) -> np.ndarray:
+        """(body, 6) what rods did at the end of the last step to the bodies that hold or touch them
+        and that others move: force [N], and torque about the centre of mass [N m]."""
+        self._loads_taken = True
+        return np.concatenate([self._force.numpy(), self._torque.numpy()], axis=1)
+
+    def add_body_forces(self, state: newton.State) -> None:
+        """Add `body_wrenches` to `state.body_f`, for the solver that moves these bodies next.
+
+        Args:
+            state: The state that the other solver steps from.
+        """
+        self._loads_taken = True
+        wp.launch(
+            add_wrenches,
+            dim=self.model.body_count,
+            inputs=[self._force, self._torque],
+            outputs=[state.body_f],
+            device=self.model.device,
+        )
 
     def _note_diverged(self, group: RodGroup, progress) -> None:
-        new = progress.diverged & ~self._diverged[group.rods]
-        self._diverged[group.rods] = progress.diverged
+        rods = group.rows
+        new = progress.diverged[:, None] & ~self._diverged[rods]
+        self._diverged[rods] = progress.diverged[:, None]
         if new.any():
-            rods = ", ".join(map(str, group.rods[new]))
+            rods = ", ".join(map(str, rods[new]))
             warnings.warn(
                 f"rods cut out because no time step converged: {rods}; the others go on. Take "
                 "a shorter dt, or reset(state) them",
@@ -217,11 +305,11 @@ class SolverDER(SolverBase):
         mask = self._normalize_reset_world_mask(world_mask)
         for group in self._groups:
             if mask is None:
-                chosen = np.ones(len(group.rods), dtype=bool)
+                chosen = np.ones(len(group.rows), dtype=bool)
             else:
                 chosen = mask.numpy()[group.worlds].astype(bool)
             group.reset(state, self._initial, chosen)
-            self._diverged[group.rods[chosen]] = False
+            self._diverged[group.rows[chosen]] = False
 
     @classmethod
     def register_custom_attributes(cls, builder: newton.ModelBuilder) -> None:
@@ -247,6 +335,8 @@ class SolverDER(SolverBase):
         velocity: np.ndarray | float = 0.0,
         natural_curvature: np.ndarray | None = None,
         natural_twist: np.ndarray | float | None = None,
+        rest_length: np.ndarray | float | None = None,
+        touches_rods: bool = True,
         air_damping: float | None = None,
         internal_damping: float | None = None,
         visible: bool = True,
@@ -255,7 +345,7 @@ class SolverDER(SolverBase):
     ) -> int:
         """Add a rod to a builder that knows rods (`register_custom_attributes`).
 
-        Its edges are unstretched as given; its weight acts with the model's gravity.
+        Its weight acts with the model's gravity.
 
         Args:
             builder: The model builder.
@@ -274,6 +364,9 @@ class SolverDER(SolverBase):
                 dt/ds = c_1 m_1 + c_2 m_2 in the material frame [1/m]. Defaults to the rod's;
                 the first shape does not count.
             natural_twist: (node,) twist at rest [rad/m]. Defaults to the rod's.
+            rest_length: (node - 1,) unstretched lengths of the edges [m]. Defaults to those given.
+            touches_rods: Whether it touches itself and others, where the solver's `rod_contact`
+                lets rods do so.
             air_damping: Drag per mass and velocity [1/s]. Defaults to the rod's.
             internal_damping: Kelvin-Voigt time of the material [s]. Defaults to the rod's.
             visible: Show the rod by a kinematic capsule on every edge, which the solver moves.
@@ -298,9 +391,30 @@ class SolverDER(SolverBase):
             velocity=velocity,
             natural_curvature=natural_curvature,
             natural_twist=natural_twist,
+            rest_length=rest_length,
+            touches_rods=touches_rods,
             air_damping=air_damping,
             internal_damping=internal_damping,
             visible=visible,
             color=color,
             label=label,
         )
+
+    @staticmethod
+    def attach(
+        builder: newton.ModelBuilder, rod: int, body: int, *, node: int, kind: str = "clamped"
+    ) -> None:
+        """Let a body hold a rod somewhere along it, as the rod lies to the body now.
+
+        Args:
+            builder: The model builder.
+            rod: Index that `add_rod` returned.
+            body: What holds it: a body, or -1 for the world.
+            node: Which node, from 0 on.
+            kind: "pinned" (the node's place, a ball joint) or "clamped" (place, direction and
+                twist of the edge after the node).
+
+        Raises:
+            RodError: There is no such rod, body or node, or something holds it already.
+        """
+        attributes.attach(builder, rod, body, node, kind)

@@ -26,6 +26,7 @@ class BandedSystem:
         shift: (rod,) multiple of the identity that `factorise` adds to the Hessian.
         negative_pivots: (rod,) negative eigenvalues of what was factorised.
         x: (rod, right-hand side, dof) right-hand sides, then solutions.
+        shortened: (rod,) part of the first solution that `shorten` left.
     """
 
     def __init__(self, batch: RodBatch, right_hand_sides: int = 1):
@@ -35,6 +36,17 @@ class BandedSystem:
         self.shift = wp.zeros(rods, dtype=wp.float64, device=device)
         self.negative_pivots = wp.zeros(rods, dtype=wp.int32, device=device)
         self.x = wp.zeros((rods, right_hand_sides, dofs), dtype=wp.float64, device=device)
+        self.shortened = wp.ones(rods, dtype=wp.float64, device=device)
+
+    def widen(self, right_hand_sides: int) -> None:
+        """Make room for at least that many right-hand sides."""
+        rods, columns, dofs = self.x.shape
+        if right_hand_sides > columns:
+            shape = (rods, right_hand_sides, dofs)
+            self.x = wp.zeros(shape, dtype=wp.float64, device=self.batch.device)
+
+    def shorten(self, active: wp.array) -> None:
+        """Shorten the first solution to what a Newton iteration may take of it: all."""
 
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
         """Factorise the free blocks of `hessian` (rod, dof, 11), which is contiguous."""

@@ -124,6 +124,8 @@ class Friction:
 
 # Normal forces rise over this part of the radius: thin against the penetration that is allowed.
 _SKIN = 0.01
+# Radius that keeps a node apart from everything, negative [length].
+_FAR = 1e100
 # Damping ratio of contacts without restitution: 1 / (4 zeta^2) of the speed is left.
 _MOST_DAMPING = 5.0
 
@@ -151,6 +153,8 @@ class Contact:
         friction_field: how the friction of planes varies over x and y; default: it does not.
         keeps_roll: (rod,) whether what touches a shape keeps its roll, unless its friction says
             that it rolls. That counts for naturally curved rods, whose roll says where they bend.
+        passive: (rod, node) nodes that touch nothing, as nothing does of the edges beside them;
+            default: none.
 
     Attributes:
         time_step: (rod,) duration of the present step, for what depends on rates; a `Dynamics` says
@@ -171,6 +175,7 @@ class Contact:
     restitution: np.ndarray | float = 0.0
     friction_field: FrictionField | None = None
     keeps_roll: np.ndarray | bool = False
+    passive: np.ndarray | None = None
     force: wp.array = field(init=False)
     slip: wp.array = field(init=False)
 
@@ -184,9 +189,10 @@ class Contact:
             return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
 
         shapes, static, kinetic, rolling, roll = self._table()
+        idle = np.zeros((rods, nodes), dtype=bool) if self.passive is None else self.passive
         self._model = [
             shapes,
-            floats(radius),
+            floats(np.where(idle, -_FAR, radius)),
             floats(stiffness * _node_lengths(batch)),
             floats(_SKIN * radius),
             floats(static),
@@ -204,8 +210,9 @@ class Contact:
             wp.vec4d(*((0.0, 0.0, 1.0, 1.0) if field is None else map(float, field._place()))),
         ]
         self._edges = EdgeContact(
-            batch, radius, stiffness, _SKIN, shapes, self._model[4:], damping, self._roll
-        )
+            batch, np.where(idle, np.nan, radius), stiffness, _SKIN, shapes, self._model[4:],
+            damping, self._roll,
+        )  # fmt: skip
         self._note_fixtures()
         per_shape = (rods, self._model[0].shape[1], nodes)
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)

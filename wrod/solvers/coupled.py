@@ -146,18 +146,50 @@ class CoupledSystem(BandedSystem):
             self._together(skyline_lanes.factorise, inputs, [self._lines, self.negative_pivots])
 
     def solve(self, active: wp.array, columns: int | None = None) -> None:
-        """Overwrite `x` with its solution, shortened to what contacts allow in one iteration."""
+        """Overwrite the first (default: all) right-hand sides in `x` with their solutions."""
         super().solve(self.banded, columns)
         batch, contact = self.batch, self.contact
         chosen = [self.coupled, contact.overflow, batch.free, self._order]
-        if lanes(batch.device) == 1:
+        on_cpu = lanes(batch.device) == 1
+        if on_cpu:
             inputs = [*chosen, self._first, self._row, self._block, self._y]
-            self._together(skyline.solve, inputs, [self.x])
         else:
             inputs = [*chosen, self._first, self._last, self._row, self._lines, self._y]
-            self._together(skyline_lanes.solve, inputs, [self.x])
-        batch.walk(
+        kernel = skyline.solve if on_cpu else skyline_lanes.solve
+        for j in range(columns or self.x.shape[1]):
+            self._together(kernel, inputs, [self.x[:, j : j + 1]])
+
+    def multiply_pairs(self, active: wp.array, vector: wp.array, product: wp.array) -> None:
+        """Add the touching pairs' part of matrix times `vector` (rod, j, dof) to `product`."""
+        contact = self.contact
+        self._together(
+            coupling.multiply_pairs,
+            [
+                contact.law,
+                contact.edge_radius,
+                self.batch.rest_length,
+                SMOOTHING,
+                active,
+                self.coupled,
+                contact.overflow,
+                contact.time_step,
+                *contact.configuration,
+                contact.bristle,
+                contact.load,
+                contact.sliding,
+                contact.sticking,
+                self.pair_count,
+                self.touching,
+                vector,
+            ],
+            [product],
+        )
+
+    def shorten(self, active: wp.array) -> None:
+        """Shorten the first solution to what contacts allow in one iteration."""
+        contact = self.contact
+        self.batch.walk(
             touching.limit_motion,
             [contact.reach, contact.overflow, active],
-            [self.x, contact.sticking],
+            [self.x, contact.sticking, self.shortened],
         )

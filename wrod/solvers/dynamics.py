@@ -16,7 +16,9 @@ from wrod.kernels.stepping import dynamics as kernels
 from wrod.kernels.stepping import newton_iteration as newton
 from wrod.rods.batch import RodBatch, RodState, node_positions
 from wrod.solvers.banded import BandedSystem
+from wrod.solvers.bodies import Bodies
 from wrod.solvers.contact import Contact
+from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.viscosity import Viscosity
 
@@ -88,6 +90,7 @@ class Dynamics:
         contact: what the rods touch, one or several, or None; at most one `RodContact`.
         motion: what moves prescribed degrees of freedom, or None.
         follower: what is carried along with the steps, or None.
+        bodies: rigid bodies that hold rods and move with them, or None.
         force_scale: (rod,) what residuals are measured against; default: the rod's weight, or
             k_b / L^2 if that is larger.
         tolerance: largest residual of a step over the force scale.
@@ -114,6 +117,7 @@ class Dynamics:
         contact: Contact | RodContact | Sequence[Contact | RodContact] | None = None,
         motion: Motion | None = None,
         follower: Follower | None = None,
+        bodies: Bodies | None = None,
         force_scale: np.ndarray | float | None = None,
         tolerance: float = 1e-6,
         max_iterations: int = 12,
@@ -123,7 +127,7 @@ class Dynamics:
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
         self.batch, self.contact, self.motion = batch, contact, motion
-        self.follower = follower
+        self.follower, self.bodies = follower, bodies
         self._scheme, self.max_iterations = SCHEMES.index(scheme), max_iterations
         rods, device = batch.rod_count, batch.device
         if contact is None:
@@ -133,7 +137,9 @@ class Dynamics:
         if len(coupling) > 1:
             raise RodError("two RodContact for one batch; one covers all pairs of its edges")
         self.rod_contact = coupling[0] if coupling else None
-        self.system = coupling[0].system if coupling else BandedSystem(batch)
+        columns = 1 if bodies is None else 1 + bodies.columns
+        self.system = coupling[0].system if coupling else BandedSystem(batch, columns)
+        self.system.widen(columns)
         self.start = RodState.zeros(rods, batch.node_count, device)
         self.start.assign(batch.state)
 
@@ -155,6 +161,7 @@ class Dynamics:
         # The last change of velocity tells Newton's start, but for what hits something.
         self._growth = 0.0 if self.contacts else 0.5
         self.viscosity = Viscosity(batch, internal_damping)
+        self.internal = InternalVariables(batch)
         self.force_scale = floats(_force_scale(batch) if force_scale is None else force_scale)
         self.length_scale = floats(batch.rest_length.numpy().sum(axis=1))
         self.tolerance, self.step_tolerance, self.residual = tolerance, floats(), floats()
@@ -164,6 +171,8 @@ class Dynamics:
         self.span, self._no_step = floats(), floats()
         self.leaves, self.touching = ints(), ints()
         self.wanted_step = floats()
+        # Part of the last Newton step that was taken.
+        self.taken = floats(1.0)
         self.coefficient = wp.zeros(rods, dtype=wp.vec3d, device=device)
         self.running, self.starting, self.active, self.converged = (ints() for _ in range(4))
         self.iteration, self.iteration_count = ints(), ints()
@@ -204,6 +213,7 @@ class Dynamics:
             [self.step_before, self.wanted_step, self.diverged, self.leaves],
         )
         self._copy(chosen, self.batch.state, self.start)
+        self.internal.restart(chosen)
         for contact in self.contacts:
             contact.restart(chosen)
 
@@ -372,10 +382,13 @@ class Dynamics:
             ],
         )
         self.viscosity.begin(self.starting, self.coefficient, self.span)
+        self.internal.begin(self.starting, self.span)
         if self.rod_contact is not None:
             self.rod_contact.prepare(self.starting, self.rejected, self.start.dof)
         if self.motion is not None:
             self.motion.prescribe(self.starting, self.time, self.span, self.start)
+        if self.bodies is not None:
+            self.bodies.begin(self.starting, self.span, self.start)
         self._per_dof(
             kernels.predict,
             [
@@ -435,6 +448,8 @@ class Dynamics:
             ],
             [self.residual, self.converged],
         )
+        if self.bodies is not None:
+            self.bodies.balance(self)
         for contact in self.contacts:
             contact.refuse(self.converged, self.active, dof, start.dof)
         if self._scheme and self.contacts:
@@ -481,15 +496,23 @@ class Dynamics:
 
     def _correct(self) -> None:
         """The step of a Newton iteration."""
-        batch, out = self.batch, self.batch.derivatives
+        batch, out, bodies = self.batch, self.batch.derivatives, self.bodies
         self.system.factorise(out.hessian, self.active)
-        wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
+        if bodies is None:
+            wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
+        else:
+            bodies.load(self)
         self.system.solve(self.active)
+        if bodies is not None:
+            bodies.solve(self)
+        self.system.shorten(self.active)
         batch.walk(
             kernels.take_newton_step,
             [wp.float64(_STEP_LIMIT), self.active, self.system.x],
-            [batch.state.dof],
+            [batch.state.dof, self.taken],
         )
+        if bodies is not None:
+            bodies.move(self)
 
     def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
         """Carry accepted steps over to the next, and take failed ones back."""
@@ -499,8 +522,11 @@ class Dynamics:
         self.viscosity.finish(self.accepted)
         for contact in self.contacts:
             contact.settle(self.accepted, dof, start.dof)
+        if self.bodies is not None:
+            self.bodies.finish(self)
         if SCHEMES[self._scheme] == "midpoint":
             self._complete()
+        self.internal.finish(self.accepted, self.step)
         if frames is not None:
             self._per_dof(
                 kernels.record_frames,
@@ -512,7 +538,7 @@ class Dynamics:
             [
                 self.accepted,
                 batch.derivatives.gradient,
-                batch.free,
+                batch.free if self.bodies is None else self.bodies.carried,
                 self.step,
                 self.span,
                 self.coefficient,
@@ -521,6 +547,10 @@ class Dynamics:
             ],
             [self.dof_older, self.velocity, self.velocity_older, self.reaction],
         )
+        if self.bodies is not None and SCHEMES[self._scheme] == "midpoint":
+            # Velocities are of points that went straight on; on a body they turn.
+            self.bodies.put(self.accepted, start)
+            batch.transport_frames(start, batch.state, self.accepted)
         self._copy(self.accepted, batch.state, start)
         self._copy(self.rejected, start, batch.state)
 
@@ -547,7 +577,9 @@ class Dynamics:
 def _masses(batch: RodBatch, radius) -> np.ndarray:
     """(rod, dof) lumped masses of the nodes, and of the edges m h^2 / 2 about their axis."""
     mass = batch.node_mass.numpy()
-    if not (mass > 0).all():
+    # What is held, like a ghost node beyond a clamp, needs none.
+    held = np.pad(batch.free.numpy(), ((0, 0), (0, 1))).reshape(*mass.shape, 4)[:, :, :3] == 0
+    if not ((mass > 0) | held.any(axis=2)).all():
         raise RodError("node_mass holds a node without mass, which cannot be moved in time")
     rest = batch.rest_length.numpy()
     radius = np.asarray(radius, dtype=float)
@@ -555,11 +587,27 @@ def _masses(batch: RodBatch, radius) -> np.ndarray:
         radius = np.broadcast_to(radius, (batch.rod_count,))[:, None]
     if not (np.isfinite(radius) & (radius > 0)).all():
         raise RodError("radius must be positive and finite")
-    line_density = mass.sum(axis=1) / rest.sum(axis=1)
     out = np.empty((batch.rod_count, batch.node_count, 4))
     out[:, :, :3] = mass[:, :, None]
-    out[:, :-1, 3] = 0.5 * radius**2 * line_density[:, None] * rest
+    out[:, :-1, 3] = 0.5 * radius**2 * _line_density(batch, mass, rest) * rest
     return np.ascontiguousarray(out.reshape(batch.rod_count, -1)[:, :-1])
+
+
+def _line_density(batch: RodBatch, mass: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """(rod, edge) mean mass per length of the rods of each row; none of what goes on in a clamp."""
+    out = np.zeros_like(rest)
+    ends = [*batch.cut_edges, batch.node_count - 1]
+    first = 0
+    for last in ends:
+        nodes = mass[:, first : last + 1]
+        real = (nodes[:, 1:] > 0) & (nodes[:, :-1] > 0)
+        length = np.where(real, rest[:, first:last], 0.0).sum(axis=1)
+        density = (nodes.sum(axis=1) / length)[:, None]
+        out[:, first:last] = np.where(real, density, 0.0)
+        # A cut has an angle, which must have some inertia.
+        out[:, last : last + 1] = density
+        first = last + 1
+    return out
 
 
 def _force_scale(batch: RodBatch) -> np.ndarray:

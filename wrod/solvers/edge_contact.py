@@ -14,7 +14,7 @@ class EdgeContact:
 
     Args:
         batch: the rods; their cut edges touch nothing.
-        radius: (rod, node) of the section [length].
+        radius: (rod, node) of the section [length]; not a number where nothing is touched.
         stiffness: (rod, node) per length of rod [force/length^2].
         skin: thickness over which the force rises, over the radius.
         table: (rod, shape) `wrod.kernels.contact.planes.Shape`.
@@ -33,7 +33,7 @@ class EdgeContact:
         def floats(values):
             return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=device)
 
-        radius = (radius[:, 1:] + radius[:, :-1]) / 2
+        radius = np.nan_to_num((radius[:, 1:] + radius[:, :-1]) / 2)
         radius[:, list(batch.cut_edges)] = 0.0
         stiffness = (stiffness[:, 1:] + stiffness[:, :-1]) / 2 * batch.rest_length.numpy()
         self.radius = floats(radius)

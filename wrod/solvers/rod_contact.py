@@ -42,6 +42,7 @@ class RodContact:
             10 EA / radius.
         restitution: (rod,) speed after an impact over that before; see `Contact`.
         partners: most edges that one edge can be near to and that come after it.
+        passive: (rod, node - 1) edges that touch nothing; default: none.
 
     Attributes:
         time_step: (rod,) duration of the present step; see `Contact`.
@@ -63,6 +64,7 @@ class RodContact:
         stiffness: np.ndarray | float | None = None,
         restitution: np.ndarray | float = 0.0,
         partners: int = 32,
+        passive: np.ndarray | None = None,
     ):
         self.batch, device = batch, batch.device
         rods, nodes = batch.rod_count, batch.node_count
@@ -70,6 +72,7 @@ class RodContact:
         cut = np.zeros((rods, edges), dtype=bool)
         cut[:, list(batch.cut_edges)] = True
         radius = _per_edge(radius, rods, edges)
+        idle = cut if passive is None else cut | passive
         mean_radius = np.where(cut, 0.0, radius).sum(axis=1) / (~cut).sum(axis=1)
         if stiffness is None:
             stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
@@ -102,7 +105,7 @@ class RodContact:
             law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
             laws.append(law)
         self.law = wp.array(laws, dtype=kernels.Law, device=device)
-        self.edge_radius = floats(np.where(cut, 0.0, radius))
+        self.edge_radius = floats(np.where(idle, 0.0, radius))
         self.cut = wp.array(cut.astype(np.int32), dtype=wp.int32, device=device)
         self.reach = floats(0.5 * np.where(cut, np.inf, radius).min(axis=1))
         self._largest_radius = floats(np.where(cut, 0.0, radius).max(axis=1))

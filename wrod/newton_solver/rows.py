@@ -1,0 +1,48 @@
+"""Which rods of a Newton model are solved together: those that a free body or contact may join."""
+
+from __future__ import annotations
+
+import numpy as np
+from newton import Model
+
+from wrod.newton_solver.attributes import CLAMPED
+from wrod.newton_solver.holds import Holds
+
+
+def find_rows(model: Model, holds: Holds, own: np.ndarray, touching: bool) -> list[np.ndarray]:
+    """Rods that step together, (row, rod) arrays of rows with rods alike.
+
+    Args:
+        model: the Newton model.
+        holds: what holds its rods.
+        own: (body,) whether a body moves with the rods that it holds.
+        touching: whether rods touch each other: then those of a world share a row.
+    """
+    der = model.der
+    count = len(holds.ends)
+    leader = list(range(count))
+
+    def find(rod: int) -> int:
+        while leader[rod] != rod:
+            rod = leader[rod]
+        return rod
+
+    by_body: dict[int, int] = {}
+    by_world: dict[int, int] = {}
+    worlds, joins = der.rod_world.numpy(), der.rod_touches_rods.numpy() != 0
+    for rod in range(count):
+        partners = [by_body.setdefault(h.body, rod) for h in holds.of(rod) if own[h.body]]
+        if touching and joins[rod]:
+            partners.append(by_world.setdefault(int(worlds[rod]), rod))
+        for partner in partners:
+            a, b = sorted((find(partner), find(rod)))
+            leader[b] = a
+    rows: dict[int, list[int]] = {}
+    for rod in range(count):
+        rows.setdefault(find(rod), []).append(rod)
+    nodes, clamped = der.rod_node_count.numpy(), holds.ends == CLAMPED
+    alike: dict[tuple, list[list[int]]] = {}
+    for rods in rows.values():
+        kind = tuple((int(nodes[r]), *map(bool, clamped[r])) for r in rods)
+        alike.setdefault(kind, []).append(rods)
+    return [np.array(group) for group in alike.values()]

@@ -1,0 +1,259 @@
+"""Rigid bodies that hold rods and move with them, in one implicit step."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from wrod.kernels.linear.banded import multiply
+from wrod.kernels.stepping import bodies as kernels
+from wrod.rods.batch import RodBatch, RodState
+
+if TYPE_CHECKING:
+    from wrod.solvers.dynamics import Dynamics
+
+
+class Bodies:
+    """Free rigid bodies of every row of a batch, and what they hold of its rods.
+
+    Rods are eliminated from the Newton step of rods and bodies together: see
+    `wrod.kernels.stepping.bodies`. A step of `Dynamics` with them conserves momentum to rounding,
+    whatever the ratio of masses.
+
+    Args:
+        batch: the rods; what is held is not free in it.
+        body: (row, slot) records of `wrod.kernels.stepping.bodies.Body`.
+        hold: (row, hold) records of `wrod.kernels.stepping.bodies.Hold`; those whose `slot` is
+            negative are left to others.
+
+    Attributes:
+        place, turn: (row, slot) centres of mass [length] and rotations.
+        velocity, momentum: (row, slot) velocity of the centre of mass, angular momentum about it.
+        force, torque: (row, slot) forces on the bodies from elsewhere, constant in a step.
+        carried: (row, dof) whether a degree of freedom moves: it is free, or held by a body.
+        push: (row, slot, 42) what contact adds to residual (6) and matrix (36) of each body.
+    """
+
+    def __init__(self, batch: RodBatch, body: np.ndarray, hold: np.ndarray):
+        self.batch, device = batch, batch.device
+        self.body = wp.array(body, dtype=kernels.Body, device=device)
+        self.hold = wp.array(hold, dtype=kernels.Hold, device=device)
+        shape = self.body.shape
+        motions, dofs = 6 * shape[1], batch.dof_count
+        self.columns = motions
+
+        def vectors():
+            return wp.zeros(shape, dtype=wp.vec3d, device=device)
+
+        def turns():
+            return wp.full(shape, wp.quatd(0.0, 0.0, 0.0, 1.0), dtype=wp.quatd, device=device)
+
+        def floats(*size):
+            return wp.zeros((shape[0], *size), dtype=wp.float64, device=device)
+
+        self.place, self._place_before, self._place_older = (vectors() for _ in range(3))
+        self.turn, self._turn_before, self._turn_older = (turns() for _ in range(3))
+        self.velocity, self._velocity_now, self._velocity_older = (vectors() for _ in range(3))
+        self.momentum, self._momentum_now, self._momentum_older = (vectors() for _ in range(3))
+        self.force, self.torque = vectors(), vectors()
+        self._motion, self._column = floats(motions, dofs), floats(motions, dofs)
+        self._residual, self._matrix = floats(shape[1], 6), floats(shape[1], 36)
+        self.push = floats(shape[1], 42)
+        self._small, self._step = floats(motions, motions + 1), floats(motions)
+        self._fraction = wp.ones(shape[0], dtype=wp.float64, device=device)
+        self.carried = wp.array(self._carried(hold), dtype=wp.int32, device=device)
+        self._written_q = wp.zeros(shape, dtype=wp.transform, device=device)
+        self._written_qd = wp.zeros(shape, dtype=wp.spatial_vector, device=device)
+
+    def _carried(self, hold: np.ndarray) -> np.ndarray:
+        out = self.batch.free.numpy().copy()
+        for row, holds in enumerate(hold):
+            for h in holds:
+                if h["kind"] > 0 and h["slot"] >= 0:
+                    nodes = [h["node"], h["other"]][: h["kind"]]
+                    for i in nodes:
+                        out[row, 4 * i : 4 * i + 3] = 1
+                    if h["kind"] == 2:
+                        out[row, 4 * h["edge"] + 3] = 1
+        return out
+
+    def _launch(self, kernel, dim, inputs, outputs=()) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.batch.device)
+
+    @property
+    def _poses(self) -> list[wp.array]:
+        return [
+            self.place,
+            self.turn,
+            self._place_before,
+            self._turn_before,
+            self._place_older,
+            self._turn_older,
+        ]
+
+    def begin(self, starting: wp.array, span: wp.array, start: RodState) -> None:
+        """Predict where bodies are at the end of a step, and put there what they hold."""
+        self._launch(
+            kernels.predict_bodies,
+            self.body.shape,
+            [self.body, starting, span, self._place_before, self._turn_before]
+            + [self.velocity, self.momentum],
+            [self.place, self.turn],
+        )
+        self.put(starting, start)
+
+    def put(self, chosen: wp.array, start: RodState) -> None:
+        """Put what the bodies of the chosen rows hold to where they are."""
+        self._launch(
+            kernels.place_held,
+            self.hold.shape,
+            [self.body, self.hold, chosen, self.place, self.turn, start.tangent, start.director],
+            [self.batch.state.dof],
+        )
+
+    def balance(self, dynamics: Dynamics) -> None:
+        """Residuals of the bodies, which take back the convergence of rows they are large in."""
+        self._launch(
+            kernels.body_balance,
+            self.body.shape,
+            [
+                self.body,
+                self.hold,
+                self.batch.gravity,
+                self.force,
+                self.torque,
+                dynamics.active,
+                dynamics.converged,
+                dynamics.span,
+                dynamics.coefficient,
+                self.batch.state.dof,
+                self.batch.derivatives.gradient,
+                *self._poses,
+                self.velocity,
+                self._velocity_older,
+                self.momentum,
+                self._momentum_older,
+                self.push,
+            ],
+            [self._velocity_now, self._momentum_now, self._residual, self._matrix],
+        )
+        self._launch(
+            kernels.refuse_unbalanced,
+            self.batch.rod_count,
+            [
+                self.body,
+                self.batch.gravity,
+                dynamics.force_scale,
+                dynamics.length_scale,
+                dynamics.step_tolerance,
+                self._residual,
+            ],
+            [dynamics.converged, dynamics.active],
+        )
+
+    def load(self, dynamics: Dynamics) -> None:
+        """Right-hand sides of the rods' system: the residual, and one for each motion."""
+        out, active, x = self.batch.derivatives, dynamics.active, dynamics.system.x
+        self._launch(
+            kernels.spread_motion,
+            self.hold.shape,
+            [self.hold, active, self.place, self.turn, self.batch.state.dof],
+            [self._motion],
+        )
+        self._launch(
+            multiply,
+            self._motion.shape,
+            [active, out.hessian, self._motion],
+            [self._column],
+        )
+        if dynamics.rod_contact is not None:
+            dynamics.system.multiply_pairs(active, self._motion, self._column)
+        self._launch(kernels.load_bodies, x.shape, [active, out.gradient, self._column], [x])
+
+    def solve(self, dynamics: Dynamics) -> None:
+        """The bodies' part of the Newton step out of the solutions of `load`; the rods' then."""
+        active, free, x = dynamics.active, self.batch.free, dynamics.system.x
+        self._launch(
+            kernels.condense,
+            self._small.shape,
+            [active, free, self._motion, self._column, x, self._residual, self._matrix],
+            [self._small],
+        )
+        self._launch(
+            kernels.solve_bodies,
+            self.batch.rod_count,
+            [self.body, active],
+            [self._small, self._step, self._fraction],
+        )
+        self._launch(
+            kernels.combine,
+            (x.shape[0], x.shape[2]),
+            [active, free, self._motion, self._step, self._fraction],
+            [x],
+        )
+
+    def move(self, dynamics: Dynamics) -> None:
+        """Take the step that the rods have taken."""
+        self._launch(
+            kernels.move_bodies,
+            self.body.shape,
+            [self.body, dynamics.active, self._step, self._fraction]
+            + [dynamics.system.shortened, dynamics.taken],
+            [self.place, self.turn],
+        )
+        self.put(dynamics.active, dynamics.start)
+
+    def finish(self, dynamics: Dynamics) -> None:
+        """Carry accepted steps over to the next, and take rejected ones back."""
+        self._launch(
+            kernels.finish_bodies,
+            self.body.shape,
+            [dynamics.accepted, dynamics.rejected, dynamics.step, dynamics.span]
+            + [self._velocity_now, self._momentum_now],
+            [
+                *self._poses,
+                self.velocity,
+                self._velocity_older,
+                self.momentum,
+                self._momentum_older,
+            ],
+        )
+
+    def find_changes(self, body_q: wp.array, body_qd: wp.array, changed: wp.array) -> None:
+        """Raise `changed` (row,) where a simulator's bodies are not as `write` left them."""
+        self._launch(
+            kernels.find_moved_bodies,
+            self.body.shape,
+            [self.body, body_q, body_qd, self._written_q, self._written_qd],
+            [changed],
+        )
+
+    def read(self, chosen: wp.array, body_q, body_qd, body_f, start: RodState, velocity) -> None:
+        """Take a simulator's bodies up in the chosen rows, what they hold with them, and the
+        forces on all."""
+        self._launch(
+            kernels.read_bodies,
+            self.body.shape,
+            [self.body, chosen, body_q, body_qd, body_f],
+            [self.place, self.turn, self._place_before, self._turn_before]
+            + [self.velocity, self.momentum, self.force, self.torque],
+        )
+        self.put(chosen, start)
+        self._launch(
+            kernels.carry_velocity,
+            self.hold.shape,
+            [self.body, self.hold, chosen, self.place, self.turn, self.velocity, self.momentum]
+            + [self.batch.state.dof],
+            [velocity],
+        )
+
+    def write(self, body_q: wp.array, body_qd: wp.array) -> None:
+        """Give a simulator its bodies back, in its precision."""
+        self._launch(
+            kernels.write_bodies,
+            self.body.shape,
+            [self.body, self.place, self.turn, self.velocity, self.momentum],
+            [body_q, body_qd, self._written_q, self._written_qd],
+        )
