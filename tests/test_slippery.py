@@ -8,7 +8,7 @@ from wrod.commands import main
 
 
 def test_summary_is_the_mean_over_trials():
-    base = {"rod": "rope", "pattern": "line", "friction": 0.3}
+    base = {"rod": "rope", "pattern": "line", "friction": 0.3, "engine": "wrod"}
     rows = [base | {"method": m, "error_mean": e} for m, e in (("a", 1.0), ("b", 2.0), ("a", 3.0))]
     assert summary(rows) == [base | {"error_mean": {"a": 2.0, "b": 2.0}}]
 
@@ -17,6 +17,7 @@ def test_summary_is_the_mean_over_trials():
     "options, says",
     [
         (("--methods", "guess"), "unknown method 'guess'"),
+        (("--engines", "wrod,bullet"), "unknown engine 'bullet'"),
         (("--trials", "0"), "--trials"),
         (("--frictions", "slippery"), "frictions is 'slippery'"),
     ],

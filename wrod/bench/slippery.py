@@ -14,7 +14,8 @@ import numpy as np
 from wrod.bench import campaign
 from wrod.bench.ledger import Ledger
 
-KEYS = ("rod", "pattern", "friction", "method", "trial")
+KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
+ENGINES = ("wrod", "mujoco")
 PUT_DOWN = "put_down"
 METHODS = ("intuitive", "zero_tension", "min_friction", "optimised", PUT_DOWN)
 # Seeds of disturbances that no plan was fitted to or judged by.
@@ -28,6 +29,11 @@ _PLAN_SPACING = 0.005
 @click.option("--names", default="letter-U", show_default=True, help="Patterns.")
 @click.option("--methods", default=",".join(METHODS), show_default=True, help="What lays them.")
 @click.option("--trials", default=2, show_default=True, help="Disturbed trials a cell.")
+@click.option(
+    "--engines", default="wrod", show_default=True,
+    help="What simulates: wrod, and mujoco, a chain of segments that shares nothing with it.",
+)  # fmt: skip
+@click.option("--undisturbed", is_flag=True, help="Lay the planned rod, placed as planned.")
 @campaign.options(speed=0.04, step=0.01, spacing=0.005)
 def command(
     frictions: str,
@@ -35,6 +41,8 @@ def command(
     names: str,
     methods: str,
     trials: int,
+    engines: str,
+    undisturbed: bool,
     out: Path,
     patterns: Path | None,
     release: float,
@@ -51,33 +59,39 @@ def command(
     on from there.
     """
     from wrod.bench.closures import _numbers
+    from wrod.bench.mujoco_chain import require_mujoco
     from wrod.errors import RodError
     from wrod.rods.batch import resolve_device
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
     chosen = methods.split(",")
-    if unknown := [name for name in chosen if name not in METHODS]:
-        raise RodError(f"unknown method {unknown[0]!r}; use some of {', '.join(METHODS)}")
+    played = engines.split(",")
+    for what, given, known in (("method", chosen, METHODS), ("engine", played, ENGINES)):
+        if unknown := [name for name in given if name not in known]:
+            raise RodError(f"unknown {what} {unknown[0]!r}; use some of {', '.join(known)}")
+    if "mujoco" in played:
+        require_mujoco()
     device = resolve_device(device)
     shelf = Shelf(out / "plans", patterns, device)
     mus = _numbers(frictions, "frictions", 0.01, 10.0)
     settings = {
         "speed": speed, "step": step, "spacing": spacing, "release": release,
         "patterns": "built-in" if patterns is None else patterns.name,
+        "undisturbed": undisturbed,
     }  # fmt: skip
     for rod_name, name in product(rods.split(","), names.split(",")):
         shelf.course(rod_name, name)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery")
-    cells = list(product(rods.split(","), names.split(","), mus, chosen))
+    cells = list(product(rods.split(","), names.split(","), mus, chosen, played))
     keys = [
         (*cell, trial)
         for trial in range(trials)
         for cell in cells
         if trial == 0 or cell[3] != PUT_DOWN
     ]
-    how = dict(release=release, speed=speed, step=step)
+    how = dict(release=release, speed=speed, step=step, undisturbed=undisturbed)
 
     def simulate(part, progress):
         rows = []
@@ -100,7 +114,7 @@ def command(
         click.echo(
             f"{line['rod']}, {line['pattern']}, friction {line['friction']:g}: "
             + ", ".join(f"{name} {value:.3f}" for name, value in line["error_mean"].items())
-            + " cm"
+            + f" cm ({line['engine']})"
         )
     for path in written:
         click.echo(f"wrote {path}")
@@ -146,26 +160,31 @@ class Shelf:
 
 def _laid(shelf: Shelf, key: tuple, spacing: float, device: str, how: dict):
     """Arc length (node,) and place (node, 3) [m] of what lies, steps taken, whether it diverged."""
+    from wrod.bench.mujoco_chain import lay_in_mujoco, put_down_in_mujoco
     from wrod.bench.put_down import put_down
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial
     from wrod.deployment.tangents import lay
     from wrod.solvers.contact import Friction
 
-    rod_name, name, mu, method, trial = key
+    rod_name, name, mu, method, engine, trial = key
     led, material = shelf.course(rod_name, name)
     if method == PUT_DOWN:
+        if engine == "mujoco":
+            return *put_down_in_mujoco(led, material, mu), 0, False
         nodes = int((led.length + led.remainder_length) / spacing) + 2
         job = (led, material, Friction(mu))
         s, place, diverged, steps = put_down([job], node_count=nodes, step=0.02, device=device)[0]
         return s, place, steps, diverged
     trajectory = shelf.plan(rod_name, name, mu, method)
-    disturbance = Disturbance.random(_FIRST_SEED + trial)
-    (one,) = lay(
-        [Trial(led, material, trajectory, Friction(mu), disturbance)],
-        spacing=spacing, device=device, **how,
-    )  # fmt: skip
-    return one.arc_length, one.centerline, one.steps, one.diverged
+    how = dict(how)
+    bare = how.pop("undisturbed")
+    disturbance = Disturbance() if bare else Disturbance.random(_FIRST_SEED + trial)
+    one = Trial(led, material, trajectory, Friction(mu), disturbance)
+    if engine == "mujoco":
+        return *lay_in_mujoco(one, release=how["release"], speed=how["speed"]), 0, False
+    (laid,) = lay([one], spacing=spacing, device=device, **how)
+    return laid.arc_length, laid.centerline, laid.steps, laid.diverged
 
 
 def _figures(shelf: Shelf, key: tuple, s: np.ndarray, place: np.ndarray) -> dict:
@@ -183,13 +202,14 @@ def _figures(shelf: Shelf, key: tuple, s: np.ndarray, place: np.ndarray) -> dict
 
 
 def summary(rows: list[dict]) -> list[dict]:
-    """Mean error [cm] by method of each rod, pattern and friction."""
+    """Mean error [cm] by method of each rod, pattern, friction and engine."""
     out: dict[tuple, dict] = {}
+    place = (*KEYS[:3], "engine")
     for row in rows:
-        cell = out.setdefault((row["rod"], row["pattern"], row["friction"]), {})
+        cell = out.setdefault(tuple(row[name] for name in place), {})
         cell.setdefault(row["method"], []).append(row["error_mean"])
     return [
-        dict(zip(KEYS[:3], key, strict=True))
+        dict(zip(place, key, strict=True))
         | {"error_mean": {name: float(np.mean(values)) for name, values in cell.items()}}
         for key, cell in out.items()
     ]
@@ -233,7 +253,10 @@ def draw(path: Path, rows: list[dict], shelf: Shelf) -> Path:
                     colour = f"C{METHODS.index(row['method'])}"
                     curve = 100.0 * np.array(row["curve"])
                     label = row["method"].replace("_", " ")
-                    lines[label] = axis.plot(*curve.T, color=colour, lw=1)[0]
+                    other = row["engine"] != "wrod"
+                    label += f" ({row['engine']})" if other else ""
+                    style = "--" if other else "-"
+                    lines[label] = axis.plot(*curve.T, color=colour, lw=1, ls=style)[0]
             axis.set_aspect("equal")
             axis.set_title(f"{place[0]}, {place[1]}, friction {mu:g}", fontsize=9)
             axis.set_xlabel("x [cm]")
