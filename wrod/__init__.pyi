@@ -46,6 +46,7 @@ from .solvers.contact import Cylinder as Cylinder
 from .solvers.contact import Friction as Friction
 from .solvers.contact import Plane as Plane
 from .solvers.dynamics import Dynamics as Dynamics
+from .solvers.prescribed import PrescribedMotion as PrescribedMotion
 from .solvers.rod_contact import RodContact as RodContact
 from .solvers.statics import prescribe as prescribe
 from .solvers.statics import solve_equilibria as solve_equilibria

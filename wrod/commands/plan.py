@@ -119,7 +119,7 @@ def command(
         try:
             curve = prepare(fitted.pattern, fitted.rod, remainder)
         except PatternError as error:
-            remedy = too_long(fitted.pattern, fitted.rod)
+            remedy = too_long(fitted.pattern, fitted.rod, arm=not request.no_robot)
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json, method=method, closure=closure, spacing=spacing,
