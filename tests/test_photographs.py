@@ -1,13 +1,16 @@
 """Photographs of laid rods: read, placed in the picture, and laid in worlds."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import wrod
+from wrod.bench.photographs_worlds import believed_world, worlds_of
 from wrod.errors import DataError, RodError
-from wrod.identification.laid.choice import average, choose
+from wrod.identification.laid.camera import Camera, find_camera
+from wrod.identification.laid.choice import average, shrinkage, weigh
 from wrod.identification.laid.photographs import load_photograph, load_photographs
 from wrod.identification.laid.placement import raw, rigid, seen_from
 from wrod.identification.laid.world import LaidRod, World, lay, plan_without_lead_in
@@ -130,17 +133,78 @@ def test_reads_all_photographs():
         assert off.mean < 0.03, one.name
 
 
-def test_worlds_are_weighed_by_the_other_pictures():
+def test_worlds_are_weighed_by_the_pictures_they_are_near_to():
     near, far = 1e-3, 5e-3
     # Two worlds, three pictures: the third alone speaks for the second world.
-    choice = choose(np.array([[near, near, far], [far, far, near]]))
-    assert choice.weights.sum() == pytest.approx(1.0)
-    assert choice.weights[0] > choice.weights[1]
-    # Without the third picture the first world is all the more likely; without the first, neither.
-    assert choice.left_out[2, 0] > choice.weights[0]
-    assert choice.left_out[0] == pytest.approx([0.5, 0.5])
+    weights = weigh(np.array([[near, near, far], [far, far, near]]))
+    assert weights.sum() == pytest.approx(1.0)
+    assert weights[0] / weights[1] == pytest.approx(np.exp((far - near) / 3e-3))
+    assert weigh(np.array([[near, far], [far, near]])) == pytest.approx([0.5, 0.5])
+    # A world whose simulation diverged is worse than any that misses by 6 mm, but no more.
+    assert weigh(np.array([[6e-3], [np.inf]])) == pytest.approx([0.5, 0.5])
     with pytest.raises(DataError, match="two or more"):
-        choose(np.array([[near], [far]]))
+        weigh(np.zeros((3, 0)))
+
+
+def test_what_was_fitted_is_taken_as_far_as_unseen_pictures_gain():
+    nothing = np.full(8, 2e-3)
+    better = nothing - 0.5e-3 * np.array([1.0, 0.8, 1.2, 1.0, 0.9, 1.1, 1.0, 1.0])
+    assert shrinkage(np.column_stack([nothing, 0.5 * (nothing + better), better])) == 2
+    # Half gain and half lose: what is gained on average is luck.
+    lucky = nothing + 0.5e-3 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 0.9, -1.0])
+    assert shrinkage(np.column_stack([nothing, lucky])) == 0
+    assert shrinkage(np.column_stack([nothing, nothing + 1e-3])) == 0
+    assert shrinkage(np.zeros((1, 3))) == 0
+
+
+def test_drawn_worlds_are_the_same_for_every_count():
+    assert len(worlds_of("rope")) == 11 and believed_world("rope") in worlds_of("rope")
+    some, more = worlds_of("rope", 8), worlds_of("rope", 16)
+    assert some.items() <= more.items() and len(more) == 27
+    drawn = [world for name, world in more.items() if name.startswith("drawn")]
+    assert all(0.2 <= one.friction <= 0.7 and one.curvature <= 3.0 for one in drawn)
+    assert sum(one.held for one in drawn) == 8
+    assert all(one.excess == 0.0 for one in drawn if one.held)
+
+
+def test_the_camera_is_found_from_what_hangs(tmp_path):
+    """Three rods that rise from the table each way, as a camera off the middle shows them."""
+    camera = Camera(0.06, -0.05, 0.7)
+    s = np.linspace(0.0, 0.5, 60)
+    photographs, rods = [], []
+    for k, turn in enumerate((0.3, 2.2, 4.4)):
+        path = write(tmp_path / f"rope-p{k}-int.npz", size=1.0)
+        photograph = load_photograph(path)
+        up = np.maximum(s - 0.35, 0.0)
+        along = np.minimum(s, 0.35) + 0.02 * np.tanh(up / 0.02)
+        line = np.column_stack([along, 0.03 * np.sin(14.0 * along)])
+        c, t = np.cos(turn), np.sin(turn)
+        nodes = np.column_stack([line @ np.array([[c, t], [-t, c]]) + photograph.middle, up])
+        rod = LaidRod(s, nodes, True)
+        shown = camera.view(photograph, s, nodes)[::6]
+        shown = shown[: int(0.8 * len(shown))]
+        count = len(shown)
+        photographs.append(
+            replace(
+                photograph,
+                centerline=shown,
+                seen=np.ones(count, dtype=bool),
+                sigma=np.full(count, 5e-4),
+            )
+        )
+        rods.append(rod)
+    found = find_camera(photographs, rods)
+    assert found.height == pytest.approx(0.7, rel=0.05)
+    assert [found.right, found.up] == pytest.approx([0.06, -0.05], abs=5e-3)
+    for photograph, rod in zip(photographs, rods, strict=True):
+        before = rigid(photograph, Camera().view(photograph, s, rod.nodes)).mean
+        after = rigid(photograph, found.view(photograph, s, rod.nodes)).mean
+        assert after < 0.3e-3 and before > 3.0 * after
+    flat = [LaidRod(s, one.nodes * [1.0, 1.0, 0.0], True) for one in rods]
+    with pytest.raises(DataError, match="nothing hangs"):
+        find_camera(photographs, flat)
+    with pytest.raises(DataError, match="one rod each"):
+        find_camera(photographs, rods[:2])
 
 
 def test_worlds_are_averaged_at_equal_distance_from_the_grip():

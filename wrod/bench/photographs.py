@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -19,9 +20,10 @@ import click
 @click.option("--quick", is_flag=True, help="One rod, two patterns, no predictions.")
 @click.option("--spacing", default=0.01, show_default=True, help="Length of the edges [m].")
 @click.option("--step", default=0.025, show_default=True, help="Largest time step [s].")
-@click.option("--camera", default=0.6, show_default=True, help="Height of the camera [m].")
+@click.option("--worlds", default=64, show_default=True, help="Drawn worlds a rod, beside 11.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--threads", type=int, help="CPU threads; default: one per core.")
+@click.option("--workers", default=1, show_default=True, help="Processes side by side.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     data: Path,
@@ -29,30 +31,35 @@ def command(
     quick: bool,
     spacing: float,
     step: float,
-    camera: float,
+    worlds: int,
     device: str,
     threads: int | None,
+    workers: int,
     as_json: bool,
 ) -> None:
     """Find the world in which photographed rods were laid; predict what other grips would lay.
 
     Every rod is laid by the intuitive path in a set of worlds (friction, L_gb, natural curvature,
-    too much rod below the grip, the free end held or let go). A picture is predicted by the world
-    that the rod's other pictures choose, and judged after one rigid motion. With the worlds found,
-    the optimal path's deployment is predicted for every rod and pattern. Finished deployments are
-    kept in OUT/laid.jsonl: a run that was stopped goes on from there.
+    too much rod below the grip, the free end held or let go). A picture is predicted by the worlds
+    that pictures of other patterns choose, as far as such predictions gain, seen by the camera
+    that those pictures tell of, and judged after one rigid motion. With the worlds found, the
+    optimal path's deployment is predicted for every rod and pattern, and default plans made with
+    what was found are laid there. Finished deployments are kept in OUT/laid.jsonl: a run that was
+    stopped goes on from there.
     """
+    from wrod.bench.photographs_deployments import Deployments
+    from wrod.bench.photographs_judge import judge
+    from wrod.bench.photographs_plans import plans_in_worlds_found
     from wrod.bench.photographs_report import draw, draw_lines, left_out_table, write_predictions
     from wrod.bench.photographs_table3 import table3
-    from wrod.bench.photographs_worlds import Deployments, judge
     from wrod.errors import DataError
     from wrod.files import write_atomically
     from wrod.identification.laid.photographs import load_photographs
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
-    if not camera > 0.0:
-        raise DataError(f"camera is {camera!r} m; give the height of the camera above the table")
+    if worlds < 0 or workers < 1:
+        raise DataError(f"worlds is {worlds} and workers {workers}; give 0 or more, and 1 or more")
     photographs = load_photographs(data)
     if quick:
         first = photographs[0].rod
@@ -65,18 +72,25 @@ def command(
         device=device,
         threads=threads,
         quiet=as_json,
+        workers=workers,
     )
-    verdicts = judge(photographs, laid, camera)
+    verdicts = judge(photographs, laid, 0 if quick else worlds)
     figures = {
         "machine": machine_line(device),
         "left_out": [row.as_dict() for verdict in verdicts for row in verdict.rows],
+        "camera": asdict(verdicts[0].camera),
+        "cameras": {
+            row.pattern: asdict(camera)
+            for row, camera in zip(verdicts[0].rows, verdicts[0].cameras, strict=True)
+        },
     }
     written = []
     if not quick:
-        predicted, files = write_predictions(out, photographs, verdicts, laid, camera, data)
+        predicted, files = write_predictions(out, photographs, verdicts, laid, data)
         figures["predictions"], figures["table3"] = predicted, table3(photographs, laid)
-        written = [*files, *draw(out, photographs, verdicts, camera)]
-        written += draw_lines(out, photographs, laid, camera)
+        figures["plans"] = plans_in_worlds_found(photographs, verdicts, laid)
+        written = [*files, *draw(out, photographs, verdicts)]
+        written += draw_lines(out, photographs, verdicts, laid)
     summary = out / "photographs.json"
     write_atomically(summary, lambda file: file.write(json.dumps(figures, indent=2) + "\n"))
     figures["written"] = [str(path) for path in (*written, summary, laid.path)]
@@ -86,6 +100,7 @@ def command(
     click.echo(left_out_table(verdicts))
     if not quick:
         click.echo(figures["table3"]["text"])
+        click.echo(figures["plans"]["text"])
         click.echo(f"practice (green VPS, letter L, optimal path): {predicted['practice']}")
     click.echo(figures["machine"])
     for path in figures["written"]:

@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.bench.photographs_worlds import Deployments, Verdict, worlds_for_optimal, worlds_of
+from wrod.bench.photographs_deployments import Deployments
+from wrod.bench.photographs_judge import Verdict, worlds_for_optimal
+from wrod.bench.photographs_worlds import worlds_of
 from wrod.deployment.result import deployment_error
 from wrod.files import write_atomically
+from wrod.identification.laid.camera import Camera
 from wrod.identification.laid.photographs import LaidPhotograph, load_photograph
-from wrod.identification.laid.placement import raw, rigid, seen_from
+from wrod.identification.laid.placement import raw, rigid
 
 TARGET = 2.5e-3
 _PRACTICE = ("green-vps", "letterL")
@@ -23,15 +26,16 @@ def left_out_table(verdicts: list[Verdict]) -> str:
     lines = [
         "Mean distance of the points seen from the predicted rod [mm]: raw, after a rigid motion",
         "",
-        "| rod | pattern | nothing fitted | left out by pattern | best world |",
-        "| --- | --- | --- | --- | --- |",
+        "| rod | pattern | nothing fitted | left out by pattern (share of the fit) | "
+        "the fit in full | best world |",
+        "| --- | --- | --- | --- | --- | --- |",
     ]
     rows = [row for verdict in verdicts for row in verdict.rows]
     for r in rows:
         lines.append(
             f"| {r.rod} | {r.pattern} | {1e3 * r.believed_raw:.1f}, {1e3 * r.believed:.1f} | "
-            f"{1e3 * r.left_out_raw:.1f}, {1e3 * r.left_out:.1f} | "
-            f"{1e3 * r.best:.1f} ({r.best_world}) |"
+            f"{1e3 * r.left_out_raw:.1f}, {1e3 * r.left_out:.1f} ({r.share:g}) | "
+            f"{1e3 * r.averaged:.1f} | {1e3 * r.best:.1f} ({r.best_world}) |"
         )
 
     def within(name):
@@ -40,13 +44,23 @@ def left_out_table(verdicts: list[Verdict]) -> str:
     lines += [
         "",
         f"within {1e3 * TARGET:g} mm after one rigid motion: nothing fitted {within('believed')}, "
-        f"left out by pattern {within('left_out')}, best world of each {within('best')} of "
+        f"left out by pattern {within('left_out')}, the fit in full {within('averaged')}, "
+        f"best of each {within('best')} of "
         f"{len(rows)}; median {1e3 * np.median([r.believed for r in rows]):.1f}, "
         f"{1e3 * np.median([r.left_out for r in rows]):.1f} and "
         f"{1e3 * np.median([r.best for r in rows]):.1f} mm; the pictures' own uncertainty "
         f"{1e3 * np.median([r.uncertainty for r in rows]):.1f} mm",
+        f"camera: {_said(verdicts[0].camera)}; without the pattern: "
+        + "; ".join(
+            f"{row.pattern} {_said(camera)}"
+            for row, camera in zip(verdicts[0].rows, verdicts[0].cameras, strict=True)
+        ),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _said(camera: Camera) -> str:
+    return f"{camera.right:+.3f}, {camera.up:+.3f} m off the middle, {camera.height:.2f} m high"
 
 
 def write_predictions(
@@ -54,7 +68,6 @@ def write_predictions(
     photographs: list[LaidPhotograph],
     verdicts: list[Verdict],
     laid: Deployments,
-    camera: float,
     data: Path,
 ) -> tuple[dict, list[Path]]:
     """Predict the optimal path's deployments: `prediction.json` and one NPZ per rod and pattern.
@@ -66,17 +79,22 @@ def write_predictions(
     found, files = {}, []
     for verdict in verdicts:
         left = float(np.median([row.left_out for row in verdict.rows]))
-        chosen = worlds_for_optimal(verdict)
-        worlds = {name: world for name, (world, _) in chosen.items()}
-        weights = np.array([weight for _, weight in chosen.values()])
-        for photograph in (p for p in photographs if p.rod == verdict.rod):
+        # The model with nothing fitted comes first.
+        worlds = worlds_for_optimal(verdict)
+        weights = np.append(1.0 - verdict.share, np.full(len(worlds) - 1, verdict.share))
+        weights[1:] /= len(worlds) - 1
+        own = [p for p in photographs if p.rod == verdict.rod]
+        laid.prepare([(p, "opt", worlds) for p in own])
+        for photograph in own:
             rods = list(laid.of(photograph, "opt", worlds).values())
             good = np.array([one.reached for one in rods])
             if not good.any():
                 continue
-            share = weights[good] / weights[good].sum()
+            share = weights[good] / weights[good].sum() if weights[good].any() else None
             rods = [one for one, ok in zip(rods, good, strict=True) if ok]
-            arrays, figures = _prediction(photograph, rods, share, camera)
+            if share is None:
+                share = np.full(len(rods), 1.0 / len(rods))
+            arrays, figures = _prediction(photograph, rods, share, verdict.camera)
             name = f"{photograph.rod}-{photograph.pattern_name}-opt"
             path = out / f"{name}.npz"
             arrays["sigma"] = np.hypot(arrays["sigma"], left)
@@ -95,14 +113,15 @@ def write_predictions(
     return found, [*files, write_atomically(path, lambda file: file.write(text))]
 
 
-def _prediction(photograph, rods, share, camera):
+def _prediction(photograph, rods, share, camera: Camera):
     """Arrays and figures of one case; worlds are averaged at equal arc length."""
     length = min(one.arc_length[-1] for one in rods)
     s = np.linspace(0.0, length, _POINTS)
     lines = np.stack([[np.interp(s, one.arc_length, c) for c in one.nodes.T] for one in rods])
     mean = np.einsum("w,wcn->nc", share, lines)
     off = lines[:, :2].transpose(0, 2, 1) - mean[:, :2]
-    spread = np.sqrt(0.5 * np.einsum("w,wnc->n", share, off**2))
+    # All worlds that the pictures allow, however little they move the mean.
+    spread = np.sqrt(0.5 * (off**2).sum(axis=2).mean(axis=0))
     errors = [deployment_error(photograph.pattern, one.arc_length, one.nodes) for one in rods]
     on_pattern = photograph.pattern.sample(np.linspace(0.0, photograph.pattern.length, 50))[0]
     nearest = [
@@ -117,11 +136,11 @@ def _prediction(photograph, rods, share, camera):
         "centerline_file": mean[:, :2] / photograph.size_factor,
         "height": mean[:, 2],
         "sigma": spread,
-        "as_seen": seen_from(s, mean, photograph.middle, camera),
+        "as_seen": camera.view(photograph, s, mean),
     }
     return arrays, {
         "e_mean_cm": float(share @ e),
-        "e_mean_spread_cm": float(np.sqrt(share @ (e - share @ e) ** 2)),
+        "e_mean_spread_cm": float(np.sqrt(np.mean((e - share @ e) ** 2))),
         "e_nearest_cm": 100.0 * float(share @ nearest),
     }
 
@@ -143,9 +162,7 @@ def _practice(out: Path, data: Path) -> str:
     )
 
 
-def draw(
-    out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict], camera: float
-) -> list[Path]:
+def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) -> list[Path]:
     """A picture per rod: above the photographs and what the other pictures predict of them, below
     the predicted optimal deployments."""
     import matplotlib
@@ -157,8 +174,10 @@ def draw(
     for verdict in verdicts:
         own = [p for p in photographs if p.rod == verdict.rod]
         figure, axes = plt.subplots(2, len(own), figsize=(3.2 * len(own), 7.0), squeeze=False)
-        for (above, below), p, one in zip(axes.T, own, verdict.predicted, strict=True):
-            curve = seen_from(one.arc_length, one.nodes, p.middle, camera)
+        for (above, below), p, one, camera in zip(
+            axes.T, own, verdict.predicted, verdict.cameras, strict=True
+        ):
+            curve = camera.view(p, one.arc_length, one.nodes)
             place = rigid(p, curve)
             target = p.pattern.sample(np.linspace(0.0, p.pattern.length, 400))[0]
             box = np.concatenate([p.points, target[:, :2]])
@@ -189,7 +208,7 @@ def draw(
 
 
 def draw_lines(
-    out: Path, photographs: list[LaidPhotograph], laid: Deployments, camera: float
+    out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict], laid: Deployments
 ) -> list[Path]:
     """The straight lines, stretched across: seen, and in worlds where the rod was hung over the
     line with little and with more excess."""
@@ -201,13 +220,14 @@ def draw_lines(
     lines = [p for p in photographs if p.pattern_name == "line"]
     if not lines:
         return []
+    camera = verdicts[0].camera
     shown = ("held, friction 0.4", "hung, less excess", "hung", "hung, more excess")
     figure, axes = plt.subplots(len(lines), 1, figsize=(8.0, 2.2 * len(lines)), squeeze=False)
     for axis, p in zip(axes[:, 0], lines, strict=True):
         worlds = worlds_of(p.rod)
         rods = laid.of(p, "int", {name: worlds[name] for name in shown})
         for name, shade in zip(shown, ("0.7", "tab:cyan", "tab:blue", "tab:purple"), strict=True):
-            curve = seen_from(rods[name].arc_length, rods[name].nodes, p.middle, camera)
+            curve = camera.view(p, rods[name].arc_length, rods[name].nodes)
             place = rigid(p, curve)
             label = f"{name} ({1e3 * worlds[name].excess:g} mm): {1e3 * place.mean:.1f} mm"
             axis.plot(-place.curve[:, 1], 1e3 * place.curve[:, 0], color=shade, lw=1.2, label=label)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrod.bench.photographs_worlds import HELD_FRICTIONS, Deployments, straight_held
+from wrod.bench.photographs_deployments import Deployments
+from wrod.bench.photographs_worlds import HELD_FRICTIONS, straight_held
 from wrod.bench.table3_paper import PATTERNS, RODS, SUBSTRATES, measured
 from wrod.deployment.result import deployment_error
 from wrod.identification.laid.photographs import LaidPhotograph

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from wrod import arguments
-from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
+from wrod.errors import GraspError, PatternError, RodError, StabilityWarning, WrodWarning
 from wrod.grasps.mesh import WEIGHT
 from wrod.patterns.pattern import Pattern
 from wrod.planning.friction import friction_bound
@@ -334,6 +334,27 @@ def roll_angle(roll: float | str, pattern: Pattern, rod: RodModel | RodMaterial)
     turning = float(np.mean(pattern.sample(s)[2])) * (s[-1] - s[0])
     # A pattern that turns by nothing but rounding has no side.
     return left + np.pi if turning < -1e-3 else left
+
+
+def read_roll(text: str | None, rod) -> float | str:
+    """What `plan` takes as roll for what a command's --roll says of this rod.
+
+    Raises:
+        RodError: it is none, or there is no rod.
+    """
+    if text is None:
+        return "plane"
+    if rod is None:
+        raise RodError("--roll belongs to one rod; name it with --rod")
+    if text in ("plane", "up"):
+        return text
+    try:
+        roll = float(np.radians(float(text)))
+    except ValueError:
+        roll = float("nan")
+    if not np.isfinite(roll):
+        raise RodError(f"--roll {text} is no roll; use plane, up or a finite number of degrees")
+    return roll
 
 
 def _softer_upwards(rod: RodModel | RodMaterial) -> float:

@@ -366,7 +366,7 @@ class RodModel:
             natural_curvature=tuple(map(curvature, self.natural_curvature)),
             natural_twist=curvature(self.natural_twist),
             point_masses=tuple((s / length, m / mass) for s, m in self.point_masses),
-            law=self.law.scaled(length),
+            law=self.law.scaled(length, time),
             internal_damping=self.internal_damping / time,
             air_damping=self.air_damping * time,
             quadratic_drag=self.quadratic_drag * length,

@@ -1,14 +1,14 @@
-"""Which worlds explain the photographs of a rod, judged on photographs that no choice has seen.
+"""Which worlds explain the photographs of a rod, and how far to trust what they say of others.
 
 Every picture is another trial: another grip, another excess, another free end. One best world would
 follow the accidents of the pictures that it was chosen by, so worlds are averaged instead, each
-with a weight that falls by e for every millimetre by which it is farther from the pictures.
+with a weight that falls by e for every millimetre by which it is farther from the pictures. And
+their mean replaces the model with nothing fitted only as far as pictures that it has not seen gain.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,54 +23,54 @@ _SOFT = 1e-3
 _POINTS = 600
 
 
-@dataclass(frozen=True)
-class Choice:
-    """What a table of distances says.
-
-    Attributes:
-        weights: (world,) of every world by all pictures, summing to 1.
-        left_out: (picture, world) the same without each picture.
-    """
-
-    weights: np.ndarray
-    left_out: np.ndarray
-
-
-def choose(distances: np.ndarray) -> Choice:
-    """Weigh worlds by all pictures of a rod, and without each picture in turn.
+def weigh(distances: np.ndarray) -> np.ndarray:
+    """(world,) weights, summing to 1.
 
     Args:
         distances: (world, picture) mean distances [m]; infinite where a simulation diverged.
 
     Raises:
-        DataError: fewer than two pictures.
+        DataError: no picture.
     """
     heard = np.minimum(np.asarray(distances, dtype=float), _CAP)
-    pictures = heard.shape[1]
-    if pictures < 2:
-        raise DataError("one photograph of a rod; leaving one out takes two or more")
-    without = (heard.sum(axis=1, keepdims=True) - heard) / (pictures - 1)
-    return Choice(_weights(heard.mean(axis=1)), np.array([_weights(w) for w in without.T]))
-
-
-def _weights(mean: np.ndarray) -> np.ndarray:
+    if heard.ndim != 2 or heard.shape[1] < 1:
+        raise DataError("no photograph to weigh worlds by; leaving one out takes two or more")
+    mean = heard.mean(axis=1)
     weights = np.exp(-(mean - mean.min()) / _SOFT)
     return weights / weights.sum()
+
+
+def shrinkage(costs: np.ndarray) -> int:
+    """Which share of the fitted prediction to take, the first column being none of it.
+
+    The least share whose cost is within one standard error, over pictures, of the least cost: what
+    gains on average by the luck of a few pictures is not taken.
+
+    Args:
+        costs: (picture, share) distances [m] of unseen pictures; cut at 6 mm.
+    """
+    heard = np.minimum(np.asarray(costs, dtype=float), _CAP)
+    if len(heard) < 2:
+        return 0
+    best = int(heard.mean(axis=0).argmin())
+    more = heard - heard[:, best : best + 1]
+    error = more.std(axis=0, ddof=1) / np.sqrt(len(heard))
+    return int(np.argmax(more.mean(axis=0) <= error))
 
 
 def average(rods: Sequence[LaidRod], worlds: Sequence[World], weights: np.ndarray) -> LaidRod:
     """The mean of one rod in many worlds, at equal distance from the grip.
 
-    Those whose simulation did not get there are left out.
+    Those whose simulation did not get there are left out, and those of hardly any weight.
 
     Raises:
         DataError: none did.
     """
-    kept = [k for k, one in enumerate(rods) if one.reached]
+    share = np.asarray(weights, dtype=float)
+    kept = [k for k, one in enumerate(rods) if one.reached and share[k] > 1e-6 * share.max()]
     if not kept:
         raise DataError("no world's simulation reached the end of the pattern")
-    share = np.asarray(weights, dtype=float)[kept]
-    share = share / share.sum()
+    share = share[kept] / share[kept].sum()
     longest = min(rods[k].arc_length[-1] - worlds[k].excess for k in kept)
     s = np.linspace(0.0, longest, _POINTS)
     nodes = np.zeros((_POINTS, 3))

@@ -1,0 +1,107 @@
+"""Deployments of `wrod bench photographs`: each simulated once, kept in a file, over processes."""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from wrod.bench.ledger import Ledger
+from wrod.identification.laid.photographs import LaidPhotograph
+from wrod.identification.laid.world import LaidRod, World, lay, plan_without_lead_in
+from wrod.rods.material import rod as preset
+
+KEYS = ("method", "rod", "pattern", "world")
+_PLANS = {"int": "intuitive", "opt": "numeric"}
+# Worlds laid together by one process.
+_TOGETHER = 16
+
+
+class Deployments:
+    """Simulated deployments, each computed once and kept in a file."""
+
+    def __init__(self, path: Path, settings: dict, *, device, threads, quiet, workers=1):
+        self.path, self.workers = path, workers
+        self._ledger = Ledger(path, settings, KEYS, "photographs")
+        self._options = {k: settings[k] for k in ("spacing", "step")}
+        self._options |= {"device": device, "threads": threads if workers == 1 else 1}
+        self._quiet = quiet
+
+    def of(
+        self, photograph: LaidPhotograph, method: str, worlds: dict[str, World]
+    ) -> dict[str, LaidRod]:
+        """{world's name: LaidRod} along a photograph's pattern."""
+        self.prepare([(photograph, method, worlds)])
+        head = (method, photograph.rod, photograph.pattern_name)
+        return {
+            row["world"]: LaidRod(
+                np.array(row["arc_length"]), np.array(row["nodes"]), row["reached"]
+            )
+            for row in self._ledger.of([(*head, name) for name in worlds])
+        }
+
+    def prepare(self, wanted: list[tuple[LaidPhotograph, str, dict[str, World]]]) -> None:
+        """Lay what is not in the file yet of (photograph, method, worlds), over the processes;
+        worlds that begin alike are laid together."""
+        done = self._ledger.done()
+        jobs = []
+        for photograph, method, worlds in wanted:
+            head = (method, photograph.rod, photograph.pattern_name)
+            for held in (True, False):
+                batch = [
+                    (name, world)
+                    for name, world in worlds.items()
+                    if world.held is held and (*head, name) not in done
+                ]
+                jobs += [
+                    (photograph, method, dict(batch[k : k + _TOGETHER]), self._options)
+                    for k in range(0, len(batch), _TOGETHER)
+                ]
+        if not jobs:
+            return
+        from tqdm import tqdm
+
+        with tqdm(total=len(jobs), leave=False, desc="deployments", disable=self._quiet) as bar:
+            if self.workers == 1:
+                for job in jobs:
+                    self._ledger.add(_lay(*job))
+                    bar.update()
+                return
+            with ProcessPoolExecutor(
+                min(self.workers, len(jobs)), mp_context=get_context("spawn")
+            ) as pool:
+                for one in as_completed([pool.submit(_lay, *job) for job in jobs]):
+                    self._ledger.add(one.result())
+                    bar.update()
+
+    def map(self, function, jobs: list[tuple]) -> list:
+        """`function(*job)` of every job in order, over the processes."""
+        if self.workers == 1 or len(jobs) < 2:
+            return [function(*job) for job in jobs]
+        with ProcessPoolExecutor(
+            min(self.workers, len(jobs)), mp_context=get_context("spawn")
+        ) as pool:
+            return list(pool.map(function, *zip(*jobs, strict=True)))
+
+
+def _lay(photograph: LaidPhotograph, method: str, worlds: dict[str, World], options) -> list[dict]:
+    """Rows of the file."""
+    believed = preset(photograph.rod)
+    plan = plan_without_lead_in(photograph.pattern, believed, _PLANS[method])
+    laid = lay(photograph.pattern, believed, plan, list(worlds.values()), **options)
+    return [
+        {
+            "method": method,
+            "rod": photograph.rod,
+            "pattern": photograph.pattern_name,
+            "world": name,
+            "parameters": asdict(world),
+            "arc_length": np.round(one.arc_length, 7).tolist(),
+            "nodes": np.round(one.nodes, 7).tolist(),
+            "reached": bool(one.reached),
+        }
+        for (name, world), one in zip(worlds.items(), laid, strict=True)
+    ]

@@ -1,0 +1,163 @@
+"""Where the camera stood that took the photographs of laid rods, found from what hangs.
+
+All photographs are taken to be by one camera that looked straight down, off the middle of the
+pictures by the same distance. The pattern's dots fix the table's plane; how far what hangs from
+the grip is shown from where it hangs tells the three numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.spatial.distance import cdist
+
+from wrod.errors import DataError
+from wrod.identification.laid.photographs import LaidPhotograph
+from wrod.identification.laid.placement import rigid, seen_from
+from wrod.identification.laid.world import LaidRod
+
+# Points that are nearest to a place so high above the table tell of the camera [m].
+_HANGING = 4e-3
+# A point farther than this from the predicted rod says no more [m]: that tail hangs otherwise.
+_CAP = 15e-3
+# A picture with fewer hanging points counts for less.
+_FULL = 30
+# Prior: standard deviations of the place about the pictures' middle [m] and of the logarithm of
+# the height about 0.7 m, and what one of them is worth against a picture's distance [m].
+_PLACE, _HEIGHT, _LOG_HEIGHT, _WORTH = 0.1, 0.7, 0.3, 1e-3
+# Placing and finding are repeated until the camera moves less than so far, in its priors' units.
+_ROUNDS, _STILL = 8, 0.02
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera that looks straight down on a table.
+
+    Attributes:
+        right, up: place of the point below it from the middle of the picture, in the pattern's
+            frame [m].
+        height: above the table [m]; infinite: no perspective.
+    """
+
+    right: float = 0.0
+    up: float = 0.0
+    height: float = np.inf
+
+    def below(self, photograph: LaidPhotograph) -> np.ndarray:
+        """(2,) the point of the table below the camera [m]."""
+        return photograph.middle + np.array([self.right, self.up])
+
+    def view(
+        self, photograph: LaidPhotograph, arc_length: np.ndarray, nodes: np.ndarray
+    ) -> np.ndarray:
+        """(n, 2) what it shows of a rod, on the table's plane [m]; see `seen_from`."""
+        return seen_from(arc_length, nodes, self.below(photograph), self.height)
+
+
+def find_camera(
+    photographs: Sequence[LaidPhotograph], rods: Sequence[LaidRod], start: Camera | None = None
+) -> Camera:
+    """The camera that brings predicted rods nearest to what is seen hanging.
+
+    Every picture is first placed by one rigid motion, then the sum over pictures of the mean
+    distance of the hanging points, each cut at 15 mm, is made least; until the camera stays.
+
+    Args:
+        photographs: of laid rods; rods: where a simulation lays each.
+        start: first guess; default: above the middle, 1 m high.
+
+    Raises:
+        DataError: photographs and rods differ in number, or no point hangs in any picture.
+    """
+    if len(photographs) != len(rods):
+        raise DataError(f"{len(photographs)} photographs and {len(rods)} rods; give one rod each")
+    camera = start or Camera(height=1.0)
+    for _ in range(_ROUNDS):
+        tails = [
+            tail
+            for p, one in zip(photographs, rods, strict=True)
+            if one.reached and (tail := _Tail.of(p, one, camera)) is not None
+        ]
+        if not tails:
+            raise DataError("nothing hangs in any photograph, so nothing tells of the camera")
+
+        def cost(x, tails=tails):
+            far = sum(t.weight * t.miss(Camera(x[0], x[1], float(np.exp(x[2])))) for t in tails)
+            off = x / [_PLACE, _PLACE, _LOG_HEIGHT] - [0.0, 0.0, np.log(_HEIGHT) / _LOG_HEIGHT]
+            return far + _WORTH * float(off @ off)
+
+        # Which place of the rod is nearest changes by jumps: no derivatives.
+        found = minimize(
+            cost,
+            _vector(camera),
+            method="Nelder-Mead",
+            options={"xatol": 1e-3, "fatol": 1e-6, "maxfev": 200,
+                     "initial_simplex": _simplex(camera)},
+        ).x  # fmt: skip
+        moved = (found - _vector(camera)) / [_PLACE, _PLACE, _LOG_HEIGHT]
+        camera = Camera(float(found[0]), float(found[1]), float(np.exp(found[2])))
+        if np.abs(moved).max() < _STILL:
+            break
+    return camera
+
+
+def _vector(camera: Camera) -> np.ndarray:
+    return np.array([camera.right, camera.up, np.log(camera.height)])
+
+
+def _simplex(camera: Camera) -> np.ndarray:
+    first = _vector(camera)
+    return np.vstack([first, first + np.diag([0.08, 0.08, -0.3])])
+
+
+@dataclass(frozen=True)
+class _Tail:
+    """A picture's hanging points, moved to where the prediction is, and the rod above the table."""
+
+    points: np.ndarray
+    nodes: np.ndarray
+    middle: np.ndarray
+    centre: np.ndarray
+    turn: float
+    shift: np.ndarray
+
+    @classmethod
+    def of(cls, photograph: LaidPhotograph, rod: LaidRod, camera: Camera) -> _Tail | None:
+        placed = rigid(photograph, camera.view(photograph, rod.arc_length, rod.nodes))
+        count = int(np.ptp(rod.arc_length) / 1e-3) + 2
+        s = np.linspace(rod.arc_length[0], rod.arc_length[-1], count)
+        fine = np.column_stack([np.interp(s, rod.arc_length, c) for c in rod.nodes.T])
+        one = cls(
+            photograph.points, fine, photograph.middle, photograph.points.mean(axis=0),
+            placed.turn, placed.shift,
+        )  # fmt: skip
+        curve = one._shown(camera)
+        near = cdist(one.points, curve).argmin(axis=1)
+        hanging = fine[near, 2] > _HANGING
+        if not hanging.any():
+            return None
+        # What lies is seen where it is, whatever the camera; the neighbours above it are kept.
+        above = fine[:, 2] > 0.25 * _HANGING
+        return cls(
+            one.points[hanging], fine[above], one.middle, one.centre, one.turn, one.shift
+        )  # fmt: skip
+
+    @property
+    def weight(self) -> float:
+        return min(len(self.points) / _FULL, 1.0)
+
+    def miss(self, camera: Camera) -> float:
+        """Mean distance of the points from the rod as the camera shows it [m], each cut."""
+        near = cdist(self.points, self._shown(camera)).min(axis=1)
+        return float(np.minimum(near, _CAP).mean())
+
+    def _shown(self, camera: Camera) -> np.ndarray:
+        below = self.middle + np.array([camera.right, camera.up])
+        high = np.minimum(np.maximum(self.nodes[:, 2], 0.0), 0.7 * camera.height)
+        ratio = 1.0 / (1.0 - high / camera.height) if np.isfinite(camera.height) else 1.0 + 0 * high
+        curve = below + (self.nodes[:, :2] - below) * ratio[:, None]
+        c, s = np.cos(self.turn), np.sin(self.turn)
+        return (curve - self.centre) @ np.array([[c, s], [-s, c]]) + self.centre + self.shift
