@@ -39,6 +39,7 @@ from .rods.material import rod as rod
 from .rods.material import rod_names as rod_names
 from .rods.model import RodModel as RodModel
 from .rods.profile import Profile as Profile
+from .rods.rows import join_rods as join_rods
 from .scene.export import export_usd as export_usd
 from .solvers.contact import Box as Box
 from .solvers.contact import Contact as Contact
