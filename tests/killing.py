@@ -1,16 +1,18 @@
 """Kill commands at random moments, run them again until they end, and compare what they leave.
 
-    python tests/killing.py --kills 100 --only train
+    python tests/killing.py --kills 100 --workers 30
 
-Each command is run once to its end, then again in another folder where it is killed (SIGKILL) at
-random moments and started anew, as a user would. What both leave must be the same bytes, but for
-times, machine and paths in JSON.
+Each command is run once to its end, then again in other folders where it is killed (SIGKILL, or
+with --interrupt SIGINT) at random moments and started anew, as a user would. What both leave must
+be the same bytes, but for times, machine and paths in JSON. An interrupted command has to say so
+in one line and end with 130.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import random
 import re
 import signal
@@ -18,20 +20,21 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import click
 
 COMMANDS = {
     "dataset": "dataset --size 1500 --shard-size 128 --no-sensitivities --device cpu --out {out}",
-    "train": "train --dataset {data} --out {out} --steps 1500 --width 32 --batch 256 --test 50 "
+    "train": "train --dataset {data} --out {out} --steps 3000 --width 32 --batch 256 --test 50 "
     "--device cpu",
     "deploy": "deploy line --rod green-vps --method intuitive --trials 2 --speed 0.1 --device cpu "
     "--out {out}",
     "table3": "bench table3 --trials 1 --spacing 0.03 --step 0.05 --speed 0.2 --batch 6 "
     "--closure zero_tension --device cpu --out {out}",
-    "identify": "bench identify --hidden 1 --only straight --out {out}",
-    "applications": "bench applications --case U-cable --trials 1 --batch 1 --device cpu "
+    "identify": "bench identify --hidden 1 --only none --out {out}",
+    "applications": "bench applications --case trefoil --trials 2 --batch 1 --device cpu "
     "--out {out}",
 }
 # What differs from run to run without any kill.
@@ -41,7 +44,7 @@ _TIMES = re.compile(
 
 
 def same(folder: Path) -> dict[str, str]:
-    """Digest of every file, without times."""
+    """Digest of every file, without times; pictures and checkpoints hold them."""
     found = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file() and not path.name.endswith((".png", "checkpoint.pt")):
@@ -70,54 +73,104 @@ def _tensors(path: Path) -> bytes:
 
 def start(words: str) -> subprocess.Popen:
     call = [sys.executable, "-m", "wrod", *words.split()]
-    return subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    single = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    return subprocess.Popen(
+        call, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        env=os.environ | single, preexec_fn=_hear_interruptions,
+    )  # fmt: skip
 
 
-def killed(name: str, words: str, folder: Path, kills: int, draw: random.Random) -> bool:
-    """Whether a run with that many kills ends as one without."""
-    whole, parts = folder / f"{name}-whole", folder / f"{name}-parts"
-    data = folder / "dataset-whole"
+def _hear_interruptions() -> None:
+    """What runs in the background of a shell inherits that SIGINT is ignored, and keeps to it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def whole(name: str, folder: Path) -> float:
+    """Seconds that the command takes where nothing ends it."""
     begin = time.monotonic()
-    run = start(words.format(out=whole, data=data))
+    run = start(words(name, folder, folder / f"{name}-whole"))
     _, said = run.communicate()
     if run.returncode != 0:
         raise click.ClickException(f"{name} ended with {run.returncode}: {said[-500:]}")
-    took, done = time.monotonic() - begin, 0
+    return time.monotonic() - begin
+
+
+def words(name: str, folder: Path, out: Path) -> str:
+    return COMMANDS[name].format(out=out, data=folder / "dataset-whole")
+
+
+def series(
+    name: str, number: int, folder: Path, took: float, kills: int, seed: int, interrupt: bool
+) -> tuple[int, list[str]]:
+    """Kills that were done in one folder, and what is wrong with what is left in the end."""
+    draw = random.Random(f"{seed} {name} {number}")
+    parts, done, wrong = folder / f"{name}-{number}", 0, []
+    call = words(name, folder, parts)
     for _ in range(kills):
-        run = start(words.format(out=parts, data=data))
+        run = start(call)
         try:
             run.wait(draw.uniform(0.05, 1.0) * took)
             break  # it was faster than the kill
         except subprocess.TimeoutExpired:
-            run.send_signal(signal.SIGKILL)
-            run.communicate()
+            run.send_signal(signal.SIGINT if interrupt else signal.SIGKILL)
+            _, said = run.communicate()
             done += 1
-    run = start(words.format(out=parts, data=data))
+        last = said.replace("\r", "\n").strip().splitlines()[-1:]
+        if interrupt and (run.returncode != 130 or "Traceback" in said or "inter" not in str(last)):
+            wrong.append(f"interrupted, it ended with {run.returncode}: {said[-300:]}")
+    run = start(call)
     _, said = run.communicate()
-    a, b = same(whole), same(parts)
+    if run.returncode != 0:
+        wrong.append(f"exit {run.returncode}: {said[-300:]}")
+    a, b = same(folder / f"{name}-whole"), same(parts)
     differ = sorted(k for k in a.keys() | b.keys() if a.get(k) != b.get(k))
-    good = run.returncode == 0 and not differ
-    click.echo(
-        f"{name}: {took:.0f} s whole, {done} kills, "
-        + ("same bytes" if good else f"exit {run.returncode}, differ: {differ} {said[-300:]}")
-    )
-    return good
+    return done, wrong + ([f"differ: {differ}"] if differ else [])
 
 
 @click.command()
 @click.option("--kills", default=100, show_default=True, help="In all.")
+@click.option("--each", default=3, show_default=True, help="Most kills in one folder.")
 @click.option("--seed", default=0, show_default=True)
+@click.option("--workers", default=1, show_default=True, help="Commands side by side.")
+@click.option("--interrupt", is_flag=True, help="SIGINT instead of SIGKILL.")
 @click.option("--only", multiple=True, type=click.Choice(list(COMMANDS)))
-def main(kills: int, seed: int, only: tuple[str, ...]) -> None:
+def main(
+    kills: int, each: int, seed: int, workers: int, interrupt: bool, only: tuple[str, ...]
+) -> None:
     """Kill, resume, compare."""
-    names = only or tuple(COMMANDS)
-    if "train" in names and "dataset" not in names:
-        names = ("dataset", *names)
-    draw = random.Random(seed)
-    each = -(-kills // len(names))
-    with tempfile.TemporaryDirectory() as folder:
-        good = [killed(n, COMMANDS[n], Path(folder), each, draw) for n in names]
-    sys.exit(not all(good))
+    names = list(only or COMMANDS)
+    first = ["dataset"] * ("train" in names and "dataset" not in names)
+    per_name = -(-kills // len(names))
+    with (
+        tempfile.TemporaryDirectory() as place,
+        ThreadPoolExecutor(workers) as pool,
+    ):
+        folder = Path(place)
+        took = {}
+        if first or "dataset" in names:  # training reads it
+            took["dataset"] = whole("dataset", folder)
+        others = [name for name in names if name not in took]
+        took |= zip(others, pool.map(lambda n: whole(n, folder), others), strict=True)
+        good, total = True, 0
+        for name in names:
+            done, number, wrong = 0, 0, []
+            while done < per_name:
+                wave = range(number, number + max(1, min(workers, -(-(per_name - done) // each))))
+                jobs = [
+                    pool.submit(series, name, k, folder, took[name], each, seed, interrupt)
+                    for k in wave
+                ]
+                for job in jobs:
+                    kills_done, said = job.result()
+                    done, wrong = done + kills_done, wrong + said
+                number = wave.stop
+            total, good = total + done, good and not wrong
+            click.echo(
+                f"{name}: {took[name]:.0f} s whole, {done} kills in {number} folders, "
+                + ("same bytes" if not wrong else "; ".join(sorted(set(wrong)))[:3000])
+            )
+        click.echo(f"{total} kills")
+    sys.exit(not good)
 
 
 if __name__ == "__main__":

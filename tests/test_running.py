@@ -94,11 +94,18 @@ def test_a_second_process_is_told_so(tmp_path):
         pass  # the lock ended with its process
 
 
+def hear_interruptions():
+    """What runs in the background of a shell inherits that SIGINT is ignored, and keeps to it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.slow
 def test_an_interrupted_command_says_so(tmp_path):
     words = "dataset --size 100000 --no-sensitivities --device cpu --out"
     call = [sys.executable, "-m", "wrod", *words.split(), str(tmp_path / "out")]
-    with subprocess.Popen(call, stderr=subprocess.PIPE, text=True) as run:
+    with subprocess.Popen(
+        call, stderr=subprocess.PIPE, text=True, preexec_fn=hear_interruptions
+    ) as run:
         deadline = time.monotonic() + 120
         while not (tmp_path / "out" / "manifest.json").exists():
             assert time.monotonic() < deadline and run.poll() is None

@@ -52,7 +52,7 @@ def checked_path(
         name = os.fspath(path)
         found = os.stat(name)
     except FileNotFoundError:
-        raise error(f"{path}: no such file; give {what}") from None
+        raise error(f"{shown(path, 300)}: no such file; give {what}") from None
     except (OSError, ValueError, TypeError) as reason:  # names with a null byte, or endless ones
         raise error(f"{shown(path)}: cannot be read ({_reason(reason)}); give {what}") from None
     if stat.S_ISDIR(found.st_mode):

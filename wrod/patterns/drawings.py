@@ -7,6 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import PatternError
+from wrod.files import checked_path
+from wrod.files.reading import shown
+from wrod.patterns.drawing_checks import (
+    MOST_STROKES,
+    chained,
+    check_dxf,
+    check_stroke,
+    check_svg,
+    count_points,
+)
 from wrod.patterns.files import RawPoints
 
 SUFFIXES = (".svg", ".dxf")
@@ -14,6 +24,7 @@ _SPACING = 0.001  # [m] between points on bent parts
 EXACT = 2e-5  # [m] noise that a drawing's points are taken to have
 _JOINED = 1e-4  # [m] strokes whose ends are nearer than this are one
 _INCH = 0.0254
+_MOST_BYTES = 16 * 2**20
 # DXF $INSUNITS -> metres.
 _DXF_UNITS = {
     1: _INCH,
@@ -43,15 +54,19 @@ def read_drawing(
         PatternError: not a readable drawing, no stroke, several, no units, or no such layer.
     """
     path = Path(path)
-    if not path.is_file():
-        raise PatternError(f"{path}: no such file")
+    checked_path(path, "an SVG or DXF drawing", error=PatternError, limit=_MOST_BYTES)
     if path.suffix.lower() == ".svg":
         if units is not None:
             raise PatternError(f"{path}: an SVG file has units of its own; drop --units")
         strokes = _svg(path, layer)
     else:
         strokes = _dxf(path, units, layer)
-    strokes = _chained([s for s in strokes if len(s) > 1])
+    if len(strokes) > MOST_STROKES:
+        raise PatternError(
+            f"{path}: holds {len(strokes)} strokes; at most {MOST_STROKES} are read, so choose a "
+            "--layer with fewer"
+        )
+    strokes = chained([check_stroke(s, path) for s in strokes if len(s) > 1], _JOINED)
     if not strokes:
         raise PatternError(f"{path}: holds no stroke; draw one curve, as a path or polyline")
     if stroke is not None:
@@ -92,11 +107,12 @@ def _svg(path: Path, layer: str | None) -> list[np.ndarray]:
         import svgelements
     except ImportError as error:
         raise PatternError(f"{path}: SVG files need svgelements; install wrod[drawings]") from error
+    check_svg(path)
     try:
         # 96 pixels an inch, as CSS has it; width, height and viewBox are applied.
         drawing = svgelements.SVG.parse(str(path), reify=True, ppi=96.0)
     except Exception as error:
-        raise PatternError(f"{path}: not a readable SVG file ({error})") from None
+        raise PatternError(f"{path}: not a readable SVG file ({shown(error, 200)})") from None
     metre = _INCH / 96.0
     names = _layers(drawing, svgelements)
     if layer is not None and layer not in names:
@@ -108,10 +124,12 @@ def _svg(path: Path, layer: str | None) -> list[np.ndarray]:
         try:
             whole = svgelements.Path(element)
             whole.reify()
+            parts = [svgelements.Path(sub) for sub in whole.as_subpaths()]
+            strokes += [_flattened(part, metre, path, svgelements) for part in parts]
+        except PatternError:
+            raise
         except Exception as error:
-            raise PatternError(f"{path}: a shape cannot be read ({error})") from None
-        for sub in whole.as_subpaths():
-            strokes.append(_flattened(svgelements.Path(sub), metre, svgelements))
+            raise PatternError(f"{path}: a shape cannot be read ({shown(error, 200)})") from None
     for points in strokes:
         points[:, 1] *= -1.0  # y of a screen runs down
     low = min((s[:, 1].min() for s in strokes if len(s)), default=0.0)
@@ -151,18 +169,16 @@ def _visible(root, svgelements):
             yield element
 
 
-def _flattened(whole, metre: float, svgelements) -> np.ndarray:
+def _flattened(whole, metre: float, path: Path, svgelements) -> np.ndarray:
     points: list[np.ndarray] = []
     for segment in whole:
         if isinstance(segment, svgelements.Move) or segment.start is None:
             continue
-        straight = isinstance(segment, (svgelements.Line, svgelements.Close))
-        length = 0.0 if straight else float(segment.length(error=1e-3)) * metre
-        count = 2 if straight else max(9, int(np.ceil(length / _SPACING)) + 1)
-        part = np.array(
-            [(p.x, p.y) for p in (segment.point(t) for t in np.linspace(0.0, 1.0, count))]
-        )
-        points.append(part * metre)
+        count = 2
+        if not isinstance(segment, (svgelements.Line, svgelements.Close)):
+            coarse = segment.npoint(np.linspace(0.0, 1.0, 65)) * metre
+            count = count_points(_length(check_stroke(coarse, path)), _SPACING, path)
+        points.append(segment.npoint(np.linspace(0.0, 1.0, count)) * metre)
     return _without_repeats(np.concatenate(points)) if points else np.zeros((0, 2))
 
 
@@ -177,9 +193,9 @@ def _dxf(path: Path, units: str | None, layer: str | None) -> list[np.ndarray]:
         raise PatternError(f"{path}: DXF files need ezdxf; install wrod[drawings]") from error
     try:
         document = ezdxf.readfile(path)
+        named = _DXF_UNITS.get(int(document.header.get("$INSUNITS", 0)))
     except Exception as error:
-        raise PatternError(f"{path}: not a readable DXF file ({error})") from None
-    named = _DXF_UNITS.get(int(document.header.get("$INSUNITS", 0)))
+        raise PatternError(f"{path}: not a readable DXF file ({shown(error, 200)})") from None
     if named is None and units is None:
         raise PatternError(f"{path}: names no units; say them with --units (mm for most drawings)")
     scale = unit_scale(units, str(path)) if units is not None else named
@@ -190,23 +206,28 @@ def _dxf(path: Path, units: str | None, layer: str | None) -> list[np.ndarray]:
     names = {entry.dxf.name: entry for entry in document.layers}
     if layer is not None and layer not in names:
         raise PatternError(f"{path}: has no layer {layer!r}; its layers are {', '.join(names)}")
-    strokes = []
-    for entity in disassemble.recursive_decompose(document.modelspace()):
-        on = entity.dxf.layer
-        if (layer is not None and on != layer) or (
-            layer is None and on in names and (names[on].is_off() or names[on].is_frozen())
-        ):
-            continue
-        try:
-            whole = dxf_path.make_path(entity)
-        except TypeError:  # text, dimensions: nothing to lay
-            continue
-        for sub in whole.sub_paths():
-            strokes.append(_dxf_points(sub, scale))
+    strokes: list[np.ndarray] = []
+    try:
+        check_dxf(document, path)
+        for entity in disassemble.recursive_decompose(document.modelspace()):
+            on = entity.dxf.layer
+            if (layer is not None and on != layer) or (
+                layer is None and on in names and (names[on].is_off() or names[on].is_frozen())
+            ):
+                continue
+            try:
+                whole = dxf_path.make_path(entity)
+            except TypeError:  # text, dimensions: nothing to lay
+                continue
+            strokes += [_dxf_points(sub, scale, path) for sub in whole.sub_paths()]
+    except PatternError:
+        raise
+    except Exception as error:  # of whichever of its entities
+        raise PatternError(f"{path}: a shape cannot be read ({shown(error, 200)})") from None
     return strokes
 
 
-def _dxf_points(sub, scale: float) -> np.ndarray:
+def _dxf_points(sub, scale: float, path: Path) -> np.ndarray:
     from ezdxf.path import Command
 
     points = [np.array([[sub.start.x, sub.start.y]]) * scale]
@@ -222,7 +243,7 @@ def _dxf_points(sub, scale: float) -> np.ndarray:
             else:
                 curve = Bezier4P([start, command.ctrl1, command.ctrl2, command.end])
             length = curve.approximated_length(64) * scale
-            count = max(9, int(np.ceil(length / _SPACING)) + 1)
+            count = count_points(length, _SPACING, path)
             part = [curve.point(t) for t in np.linspace(0.0, 1.0, count)[1:]]
             points.append(np.array([[p.x, p.y] for p in part]) * scale)
         start = command.end
@@ -233,27 +254,3 @@ def _without_repeats(points: np.ndarray) -> np.ndarray:
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     keep = np.concatenate([[True], steps > 1e-9])
     return points[keep]
-
-
-def _chained(strokes: list[np.ndarray]) -> list[np.ndarray]:
-    """Strokes that meet end to end, as CAD programs write them, joined to one."""
-    left = list(strokes)
-    done = []
-    while left:
-        chain = left.pop(0)
-        grown = True
-        while grown:
-            grown = False
-            for k, other in enumerate(left):
-                for first, second in (
-                    (chain, other), (chain, other[::-1]), (other, chain), (other[::-1], chain),
-                ):  # fmt: skip
-                    if np.linalg.norm(first[-1] - second[0]) < _JOINED:
-                        chain = np.concatenate([first, second[1:]])
-                        left.pop(k)
-                        grown = True
-                        break
-                if grown:
-                    break
-        done.append(chain)
-    return done

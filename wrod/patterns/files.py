@@ -27,6 +27,8 @@ _MAX_POINTS = 20_000
 _MAX_BYTES = 16 * 2**20
 # A table lies within so much [m].
 _FARTHEST = 100.0
+# Nor is a rod laid along less than its own radius [m].
+_SHORTEST = 1e-4
 _DECIMAL_COMMA = re.compile(r"^[+-]?\d+(,\d+)?([eE][+-]?\d+)?$")
 _COMMAS_ONLY = re.compile(r"^\s*[+-]?\d+(\s*,\s*[+-]?\d+)+\s*$")
 
@@ -237,6 +239,11 @@ def checked_points(raw: RawPoints, units: str | None) -> np.ndarray:
             f"{raw.source}: has {len(np.unique(points, axis=0))} distinct points; give at least 3"
         )
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if steps.sum() < _SHORTEST:
+        raise PatternError(
+            f"{raw.source}: is {steps.sum():.3g} m long in all; no rod is so thin, so check the "
+            "units"
+        )
     repeated = np.flatnonzero(steps <= 1e-9 * np.sum(steps))
     if len(repeated):
         raise PatternError(

@@ -190,14 +190,15 @@ def centerline_from_usd(
     Raises:
         PerceptionError: no such file or curve, or several to choose from.
     """
-    from pxr import Tf, Usd, UsdGeom
+    from pxr import Usd, UsdGeom
 
+    from wrod.files import checked_path
+
+    checked_path(path, "a USD scene", error=PerceptionError, limit=512 * 2**20)
     try:
         stage = Usd.Stage.Open(os.fspath(path))
-    except Tf.ErrorException:
-        stage = None
-    if stage is None:
-        raise PerceptionError(f"{path}: not a USD scene that can be opened")
+    except Exception:  # of OpenUSD's own, which is no class of Python's
+        raise PerceptionError(f"{path}: not a USD scene that can be opened") from None
     if prim is None:
         curves = [p for p in stage.Traverse() if p.IsA(UsdGeom.BasisCurves)]
         named = [p for p in curves if p.GetName().lower() == "rod"]

@@ -13,6 +13,8 @@ from wrod.files import checked_path
 # Most pixels of a picture: three times those of a phone; tracing them needs 2 GiB.
 LARGEST = 36_000_000
 _MOST_BYTES = 256 * 2**20
+# Pillow's other readers run other programs, or are as old as they are unwatched.
+_FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "GIF", "PPM")
 SMALLEST = 16  # shorter side below which no stroke can be told from noise [px]
 
 
@@ -29,7 +31,7 @@ def read_image(path: str | os.PathLike[str]) -> np.ndarray:
 
     checked_path(path, "a JPEG or PNG", error=PerceptionError, limit=_MOST_BYTES)
     try:
-        with warnings.catch_warnings(), Image.open(path) as picture:
+        with warnings.catch_warnings(), Image.open(path, formats=_FORMATS) as picture:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # refused below
             width, height = picture.size
             if width * height > LARGEST:

@@ -41,7 +41,7 @@ class PathReport:
     @property
     def quality(self) -> float:
         """Least of the margins, each over a comfortable value."""
-        gap = min(self.gap.values())
+        gap = min(self.gap.values(), default=float("inf"))
         return min(self.limit_margin / 0.4, gap / 0.04, self.manipulability / 0.08)
 
 
@@ -78,7 +78,9 @@ def inspect(
     missed = np.maximum(off / POSITION_TOLERANCE, turned / ROTATION_TOLERANCE)
     passed = room.min(1) < limit_margin
     jumps = np.abs(np.diff(positions, axis=0)).max(1)
-    touching = np.minimum.reduce([gap.min(1) for gap in distances.values()]) < clearance
+    touching = (
+        np.minimum.reduce([gap.min(1, initial=np.inf) for gap in distances.values()]) < clearance
+    )
     if missed.max() > 1:
         k = int(missed.argmax())
         shortfall = 100.0 + off[k] + turned[k]
@@ -104,21 +106,21 @@ def inspect(
         joint = robot.joint_names[int(np.abs(positions[k + 1] - positions[k]).argmax())]
         problem = f"joint {joint} jumps by {jumps[k]:.2f} rad {where(k)}, near a singularity"
     elif touching.any():
-        kind = min(distances, key=lambda name: distances[name].min())
+        kind = min(distances, key=lambda name: distances[name].min(initial=np.inf))
         k, column = np.unravel_index(distances[kind].argmin(), distances[kind].shape)
         gap = distances[kind][k, column]
         shortfall = 1.0 + clearance - gap
         if kind == "links":
             first, second = (model.links[i] for i in model.pairs[column])
         else:
-            first, second = model.links[model.low[column]], f"the {kind}"
+            first, second = model.links[model.columns(kind)[column]], f"the {kind}"
         how = f"overlap by {-1e3 * gap:.1f} mm" if gap < 0 else f"come within {1e3 * gap:.1f} mm"
         problem = f"{first} and {second} {how} {where(k)}"
     return PathReport(
         float(off.max()),
         float(turned.max()),
         float(room.min()),
-        {kind: float(gap.min()) for kind, gap in distances.items()},
+        {kind: float(gap.min()) for kind, gap in distances.items() if gap.size},
         float(measure.min()),
         problem,
         float(shortfall),

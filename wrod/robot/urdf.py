@@ -11,7 +11,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError
-from wrod.robot.urdf_checks import check_urdf, parse_xml, root_of
+from wrod.files.markup import parse_markup, read_markup
+from wrod.files.reading import shown
+from wrod.robot.expansion import expanded
+from wrod.robot.urdf_checks import check_urdf
 
 # Usual names of the link that a gripper is screwed to, whole or as the end of one.
 _FLANGES = (
@@ -182,7 +185,7 @@ class UrdfFile:
             )
         elif name.startswith(("http://", "https://")):
             raise RobotError(
-                f"{self.path}: mesh {name!r} is on the net; download it and name the file"
+                f"{self.path}: mesh {shown(name)!r} is on the net; download it and name the file"
             )
         else:
             candidates = [self.path.parent / name.removeprefix("file://")]
@@ -190,7 +193,8 @@ class UrdfFile:
             if candidate.is_file():
                 return candidate
         raise RobotError(
-            f"{self.path}: mesh {name!r} is missing (looked at {candidates[0]}); {hint}"
+            f"{self.path}: mesh {shown(name)!r} is missing (looked at {shown(candidates[0])}); "
+            f"{shown(hint, 200)}"
         )
 
 
@@ -209,7 +213,11 @@ def read_urdf(path: str | os.PathLike[str]) -> UrdfFile:
             have, or names a mesh file that does not exist.
     """
     path = Path(path)
-    root = root_of(_expanded(path), path) if path.suffix == ".xacro" else parse_xml(path)
+    what = "a URDF file"
+    if path.suffix == ".xacro":
+        root = parse_markup(expanded(path), path, what, error=RobotError)
+    else:
+        root = read_markup(path, what, error=RobotError)
     check_urdf(root, path)
     urdf = UrdfFile(path, root)
     for mesh in root.iter("mesh"):
@@ -217,29 +225,8 @@ def read_urdf(path: str | os.PathLike[str]) -> UrdfFile:
     return urdf
 
 
-def _expanded(path: Path) -> str:
-    """Text of the URDF that a xacro file makes."""
-    try:
-        import xacro
-    except ImportError as error:
-        raise RobotError(
-            f"{path}: is a xacro file, which needs the package xacro; install wrod[meshes], or "
-            "write the URDF with `xacro FILE > arm.urdf`"
-        ) from error
-    try:
-        return xacro.process_file(str(path)).toxml()
-    except Exception as error:
-        raise RobotError(
-            f"{path}: xacro cannot expand it ({error}); write the URDF where its packages are "
-            "installed, with `xacro FILE > arm.urdf`"
-        ) from error
-
-
 def _disabled_pairs(path: Path) -> set[frozenset[str]]:
-    try:
-        root = ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError) as error:
-        raise RobotError(f"{path}: not a readable SRDF file ({error})") from error
+    root = read_markup(path, "an SRDF file", error=RobotError)
     return {
         frozenset((pair.get("link1", ""), pair.get("link2", "")))
         for pair in root.iter("disable_collisions")

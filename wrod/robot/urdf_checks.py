@@ -10,56 +10,15 @@ from xml.etree import ElementTree
 import numpy as np
 
 from wrod.errors import RobotError
-from wrod.files import read_bytes
-from wrod.files.reading import MIB, shown
+from wrod.files.reading import shown
 
 MOVING = ("revolute", "continuous", "prismatic")
 _KINDS = (*MOVING, "fixed", "floating", "planar")
 # Arms have tens of links; a hand with sensors, a hundred.
-_MOST_ELEMENTS, _MOST_LINKS, _DEEPEST = 50_000, 500, 24
+_MOST_LINKS = 500
 # Of lengths [m], of angles [rad] and of joint speeds [rad/s].
 _FARTHEST, _MOST_TURN, _SLOWEST, _FASTEST = 100.0, 1e3, 1e-3, 1e3
 _REMEDY = "correct the file"
-
-
-def parse_xml(path: Path, what: str = "a URDF file") -> ElementTree.Element:
-    """Root of an XML file of bounded size and depth, without entities.
-
-    Raises:
-        RobotError: it cannot be read, is no XML, or too large; names the line.
-    """
-    return root_of(read_bytes(path, what, error=RobotError, limit=16 * MIB), path)
-
-
-def root_of(content: bytes | str, path: Path) -> ElementTree.Element:
-    """As `parse_xml`, of text that a file holds or expands to."""
-    mark: bytes | str = b"<!ENTITY" if isinstance(content, bytes) else "<!ENTITY"
-    if mark in content:  # type: ignore[operator]
-        raise RobotError(f"{path}: declares XML entities, which no robot needs; remove them")
-    depth = count = 0
-    root: ElementTree.Element | None = None
-    parser = ElementTree.XMLPullParser(("start", "end"))
-    try:
-        step = MIB // 4
-        for begin in range(0, len(content), step):
-            parser.feed(content[begin : begin + step])
-            for event, element in parser.read_events():
-                root = element if root is None else root
-                depth += 1 if event == "start" else -1
-                count += event == "start"
-                if depth > _DEEPEST or count > _MOST_ELEMENTS:
-                    raise RobotError(
-                        f"{path}: has more than {_MOST_ELEMENTS} elements, or nests them more than "
-                        f"{_DEEPEST} deep; that is no robot"
-                    )
-        parser.close()
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        if isinstance(error, RobotError):
-            raise
-        raise RobotError(f"{path}: not readable as XML ({error}); {_REMEDY}") from None
-    if root is None:
-        raise RobotError(f"{path}: is empty; give a URDF file")
-    return root
 
 
 def check_urdf(root: ElementTree.Element, path: Path) -> None:

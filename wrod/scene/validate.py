@@ -5,6 +5,10 @@ from __future__ import annotations
 import os
 
 from wrod.errors import SceneError
+from wrod.files import checked_path
+from wrod.files.reading import MIB, shown
+
+_MOST_BYTES = 512 * MIB
 
 
 def open_stage(path: str | os.PathLike[str]):
@@ -15,13 +19,13 @@ def open_stage(path: str | os.PathLike[str]):
     """
     from pxr import Tf, Usd
 
-    if not os.path.isfile(path):
-        raise SceneError(f"{path}: no such file; give a .usdc, .usda or .usd stage")
+    checked_path(path, "a .usdc, .usda or .usd stage", error=SceneError, limit=_MOST_BYTES)
     try:
         return Usd.Stage.Open(os.fspath(path))
     except Tf.ErrorException as error:
-        reason = str(error).strip().splitlines()[-1].strip()
-        raise SceneError(f"{path}: not a readable USD stage ({reason})") from error
+        # Its last line is "Error in ... at line ... in file ... : 'what went wrong'".
+        reason = str(error).strip().splitlines()[-1].rpartition(" : ")[2].strip("')\" ")
+        raise SceneError(f"{path}: not a readable USD stage ({shown(reason, 200)})") from None
 
 
 def validation_errors(path: str | os.PathLike[str]) -> list[str]:

@@ -1,0 +1,96 @@
+"""XML that users hand over: bounded in size, depth and count, without entities that grow."""
+
+from __future__ import annotations
+
+import os
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+from wrod.errors import DataError, WrodError
+from wrod.files.reading import MIB, read_bytes, shown
+
+MAX_MARKUP = 16 * MIB
+# Robots and drawings have thousands of elements.
+MAX_ELEMENTS = 50_000
+# Illustrator declares the addresses of its namespaces as entities.
+_LONGEST_ENTITY = 200
+
+
+class _Refused(Exception):
+    """Ends the parser from within its callbacks; says why."""
+
+
+def read_markup(
+    path: str | os.PathLike[str],
+    what: str,
+    *,
+    error: type[WrodError] = DataError,
+    deepest: int = 24,
+    entities: bool = False,
+) -> ElementTree.Element:
+    """Root of an XML file.
+
+    Args:
+        path: the file.
+        what: what it should be, for messages: "a URDF file".
+        error: type of the refusal.
+        deepest: most elements within each other.
+        entities: let short entities without others in them be declared.
+
+    Raises:
+        WrodError: of type `error`: it cannot be read, is no XML, or is larger, deeper or has more
+            elements than any file of its kind, or declares entities; names the line.
+    """
+    content = read_bytes(path, what, error=error, limit=MAX_MARKUP)
+    return parse_markup(content, path, what, error=error, deepest=deepest, entities=entities)
+
+
+def parse_markup(
+    content: bytes,
+    path: str | os.PathLike[str],
+    what: str,
+    *,
+    error: type[WrodError] = DataError,
+    deepest: int = 24,
+    entities: bool = False,
+) -> ElementTree.Element:
+    """As `read_markup`, of what a file holds or expands to."""
+    if not content.strip():
+        raise error(f"{path}: is empty; give {what}")
+    parser = expat.ParserCreate()
+    _bound(parser, deepest, entities)
+    try:
+        parser.Parse(content, True)
+        return ElementTree.fromstring(content)
+    except _Refused as reason:
+        raise error(f"{path}, line {parser.CurrentLineNumber}: {reason}; give {what}") from None
+    except (expat.ExpatError, ElementTree.ParseError, ValueError, LookupError) as reason:
+        raise error(
+            f"{path}: not readable as XML ({shown(reason, 200)}); correct the file or give {what}"
+        ) from None
+
+
+def _bound(parser, deepest: int, entities: bool) -> None:
+    """Let the parser stop at what no file of ours has, before it costs anything."""
+    depth = count = 0
+
+    def start(name: str, attributes: dict) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
+        if depth > deepest or count > MAX_ELEMENTS:
+            raise _Refused(
+                f"has more than {MAX_ELEMENTS} elements, or more than {deepest} in each other"
+            )
+
+    def end(name: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def entity(name, parameter, value, base, system, public, notation) -> None:
+        short = value is not None and "&" not in value and len(value) <= _LONGEST_ENTITY
+        if not (entities and short) or parameter:
+            raise _Refused(f"declares the XML entity {shown(name)}, which could stand for anything")
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.EntityDeclHandler = entity
