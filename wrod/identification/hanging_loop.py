@@ -16,11 +16,11 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.model import RodModel
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
-_EDGES = 60
+_EDGES = 80
 _FEWEST, _MOST = 20, 400  # points of the curve that are fitted
-_TRIES, _ITERATIONS = 5, 25
+_TRIES, _ITERATIONS = 5, 15
 # Of the loop's size: first guesses of L_gb.
-_GUESSES = (0.05, 0.1, 0.2, 0.4, 0.8)
+_GUESSES = (0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7)
 _STRETCH_RATIO = 1e4
 _STEPS = np.array([1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-3])  # of the differences
 
@@ -52,14 +52,10 @@ def measure_hanging_loop(points: np.ndarray) -> MeasuredLength:
         points = CubicSpline(arc, points)(np.linspace(0.0, arc[-1], _MOST))
         arc = np.linspace(0.0, arc[-1], _MOST)
     fit = _Fit(points, arc)
-    best = None
-    for guess in _GUESSES:
-        found = fit.run(guess)
-        if found is not None and (best is None or found[0] < best[0]):
-            best = found
-    if best is None:
+    found = fit.run()
+    if found is None:
         raise DataError("no hanging rod fits these points; is y up, and is it one rod in a plane?")
-    _, values, residual, jacobian = best
+    _, values, residual, jacobian = found
     scatter = float(np.sqrt((residual**2).sum() / max(len(residual) - len(values), 1)))
     if scatter > 0.02 * fit.size:
         raise DataError(
@@ -102,17 +98,25 @@ class _Fit:
         self.first = points[count] - points[0]
         self.last = points[-1] - points[-1 - count]
 
-    def start(self, guess: float) -> np.ndarray:
+    def start(self) -> np.ndarray | None:
+        """Values of the best of the first guesses, or None where there is none."""
+        rows = np.stack([self.guessed(guess) for guess in _GUESSES])
+        lines = self.equilibria(rows)
+        if lines is None:
+            return None
+        return rows[int(np.argmin([(self.distance(line) ** 2).sum() for line in lines]))]
+
+    def guessed(self, guess: float) -> np.ndarray:
         ends = [
             np.append(end / self.size, np.arctan2(along[1], along[0]))
             for end, along in ((self.points[0], self.first), (self.points[-1], self.last))
         ]
         return np.concatenate([[np.log(guess * self.size), 1.0], *ends])
 
-    def run(self, guess: float):
+    def run(self):
         """(cost, values, residual, jacobian), or None where no equilibrium is found."""
-        values, damping = self.start(guess), 1e-3
-        state = self.linearised(values)
+        values, damping = self.start(), 1e-3
+        state = None if values is None else self.linearised(values)
         if state is None:
             return None
         cost = float((state[0] ** 2).sum())
@@ -133,7 +137,7 @@ class _Fit:
                 break
             before, cost = cost, float((tried[0] ** 2).sum())
             values, state, damping = values + step, tried, max(damping / 8.0, 1e-9)
-            if before - cost < 1e-6 * before:
+            if before - cost < 1e-5 * before:
                 break
         return cost, values, *state
 
