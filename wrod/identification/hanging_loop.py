@@ -7,6 +7,7 @@ not asked: ends and tangents there are fitted with the stiffness.
 from __future__ import annotations
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicSpline
 
 from wrod.errors import DataError
@@ -18,7 +19,8 @@ from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _EDGES = 80
 _FEWEST, _MOST = 20, 400  # points of the curve that are fitted
-_TRIES, _ITERATIONS = 5, 15
+_TRIES, _ITERATIONS = 4, 12
+_DEGREE = 9  # of the curve from which equilibria are first sought
 # Of the loop's size: first guesses of L_gb.
 _GUESSES = (0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7)
 _STRETCH_RATIO = 1e4
@@ -94,6 +96,10 @@ class _Fit:
     def __init__(self, points: np.ndarray, arc: np.ndarray):
         self.points, self.arc = points, arc
         self.size = float(np.ptp(points, axis=0).max())
+        # Equilibria are sought from a smooth curve, then from the last one found.
+        smooth = [Polynomial.fit(arc, column, _DEGREE) for column in points.T]
+        even = np.linspace(0.0, arc[-1], _EDGES + 1)
+        self.shape = np.column_stack([line(even) for line in smooth])
         count = max(3, len(points) // 15)
         self.first = points[count] - points[0]
         self.last = points[-1] - points[-1 - count]
@@ -137,7 +143,7 @@ class _Fit:
                 break
             before, cost = cost, float((tried[0] ** 2).sum())
             values, state, damping = values + step, tried, max(damping / 8.0, 1e-9)
-            if before - cost < 1e-5 * before:
+            if before - cost < 1e-3 * before:
                 break
         return cost, values, *state
 
@@ -171,7 +177,7 @@ class _Fit:
         share = np.arange(-1, _EDGES + 2) / _EDGES
         lengths = rows[:, 1] * self.arc[-1]
         edge = lengths / _EDGES
-        inner = CubicSpline(self.arc / self.arc[-1], self.points)(np.clip(share, 0.0, 1.0))
+        inner = self.shape[np.clip(np.arange(-1, _EDGES + 2), 0, _EDGES)]
         plane = np.repeat(inner[None], len(rows), axis=0)
         for end, k in ((0, 2), (-1, 5)):
             place = rows[:, k : k + 2] * self.size
@@ -202,4 +208,6 @@ class _Fit:
         prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
         if not EquilibriumSolver(batch).solve(tolerance=1e-8).converged.all():
             return None
-        return batch.positions()[:, 1:-1, [0, 2]]
+        lines = batch.positions()[:, 1:-1, [0, 2]]
+        self.shape = lines[0]
+        return lines
