@@ -156,12 +156,12 @@ def test_boxes_and_cylinders_and_their_friction():
     builder.add_shape_cylinder(
         -1, xform=wp.transform((0.08, 0, 0.015), turned), radius=0.005, half_height=0.05
     )
-    builder.add_shape_sphere(-1, xform=wp.transform((0.5, 0, 0), wp.quat_identity()), radius=0.1)
+    builder.add_shape_plane(plane=(0.0, 0.0, 1.0, 1.0), width=0.1, length=0.1)
     SolverDER.add_rod(
         builder, straight(21, 0.1, 0.023), ROD, internal_damping=0.05, air_damping=5.0
     )
     model = builder.finalize(device="cpu")
-    with pytest.warns(WrodWarning, match=r"pass through 1 shapes: .*sphere"):
+    with pytest.warns(WrodWarning, match=r"pass through 1 shapes: .*plane"):
         _, state = simulate(model, 80, 5e-3, scheme="euler")
     q, force = nodes(state), state.der.node_contact_f.numpy()
     assert force.sum(axis=0)[2] == pytest.approx(ROD.weight * 0.1, rel=0.01)

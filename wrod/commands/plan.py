@@ -18,7 +18,6 @@ from wrod.commands.options import (
     options,
     read_pattern,
     read_rod,
-    read_roll,
 )
 from wrod.commands.plan_pattern import SHAPE, fit, too_long
 from wrod.commands.plan_steps import NO_JOINT_PATH, arm_steps, save_plan, solve_grasps_of
@@ -100,7 +99,7 @@ def command(
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
     from wrod.controller.controller import Controller
-    from wrod.planning.plan import prepare
+    from wrod.planning.plan import prepare, read_roll
 
     request = RobotRequest(**arm)
     request.check()
