@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass, replace
 from itertools import product
@@ -50,17 +49,8 @@ def command(as_json: bool, **given) -> None:
     Every method meets the same disturbances: jitter, error in L_gb, natural curvature. Finished
     trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
     """
-    figures, cost = _compared(quiet=as_json, **given)
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-        return
-    click.echo(figures["machine"])
-    planned = figures["planning_seconds"]
-    click.echo(f"{cost} of {figures['nodes']} nodes on {figures['device']} (plans {planned:.1f} s)")
-    for line in figures["summary"]:
-        click.echo(line)
-    for path in figures["written"]:
-        click.echo(f"wrote {path}")
+    told, spent = _compared(quiet=as_json, **given)
+    campaign.say(told, spent, as_json)
 
 
 def _compared(
@@ -76,11 +66,10 @@ def _compared(
     quiet: bool,
     **given,
 ) -> tuple[dict[str, Any], campaign.Spent]:
-    """The command's figures, and what the trials cost."""
+    """What the command tells, and what the trials cost."""
     from wrod.bench.closures_report import KEYS, METHODS, PUT_DOWN
     from wrod.errors import RodError
     from wrod.files import schemas
-    from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
     if trials < 1:
@@ -124,19 +113,11 @@ def _compared(
         f"{release:g} m, patterns {settings['patterns']}."
     )
     words, written = _reported(out, ledger.of(lying + keys), head, lacking)
-    figures = {
-        "machine": machine_line(device),
-        "device": device,
-        "trials": len(keys),
-        "simulated_now": cost.trials,
-        "planning_seconds": planned,
-        "simulation_seconds": cost.seconds,
-        "rod_steps_per_second": cost.rate,
-        "nodes": nodes,
-        "summary": words,
-        "written": [str(path) for path in (*written, ledger.path)],
-    }
-    return figures, cost
+    told = campaign.figures(
+        cost, device=device, trials=len(keys), planned=planned, nodes=nodes, summary=words,
+        written=[*written, ledger.path],
+    )  # fmt: skip
+    return told, cost
 
 
 def _asked_for(

@@ -17,7 +17,7 @@ from wrod.kernels.stepping import deployment_tangents as kernels
 from wrod.rods.batch import RodBatch, resolve_device
 from wrod.rods.model import RodModel
 from wrod.rods.rotation import left_jacobian
-from wrod.solvers.contact import Contact
+from wrod.solvers.contact import Contact, FrictionField
 from wrod.solvers.dynamics import Dynamics
 
 _PACK = kernels.PACK
@@ -97,6 +97,7 @@ def lay(
     step: float = 0.01,
     scheme: str = "euler",
     tolerance: float = 1e-5,
+    friction_field: FrictionField | None = None,
     device: str | None = "cpu",
 ) -> list[Laid]:
     """Lay rods until the end of their patterns, with the derivatives of what lies.
@@ -111,8 +112,8 @@ def lay(
         directions: of each trial, all with the same number of columns; None: no derivatives.
         displacements: (T, 6) of each trial: displacement [m] and rotation vector [rad] of the
             trajectory's poses, their time law unchanged.
-        hold, release, speed, spacing, node_count, step, scheme, tolerance, device: see
-            `simulate_deployments`.
+        hold, release, speed, spacing, node_count, step, scheme, tolerance, friction_field, device:
+            see `simulate_deployments`.
 
     Raises:
         RodError: a trial has fixtures or lets the rod roll while derivatives are wanted, or the
@@ -139,6 +140,7 @@ def lay(
         tolerance=tolerance,
         device=device,
         keeps_recording=device == "cpu",
+        friction_field=friction_field,
     )
     if columns is not None:
         dynamics.follower = Tangents(batch, contact, *columns)
