@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from wrod import cost
 from wrod.bench import campaign, side_by_side
 from wrod.bench.ledger import Ledger
 
@@ -30,6 +31,7 @@ from wrod.bench.ledger import Ledger
     help="Known table: processes that plan side by side.",
 )
 @campaign.options(speed=0.02, step=0.01, spacing=0.005)
+@cost.force_option
 def command(
     out: Path,
     trials: int,
@@ -44,6 +46,7 @@ def command(
     batch: int | None,
     device: str,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Rods 1-3 x fabric, steel, foam x seven patterns x {INT, OPT} x ten trials.
 
@@ -57,6 +60,7 @@ def command(
     from wrod.grasps.optimal import CLOSURES
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
+    from wrod.rods.material import rod
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
@@ -85,6 +89,15 @@ def command(
             range(trials), RODS, SUBSTRATES, PATTERNS, METHODS
         )
     ]
+    pending = len(keys) - len(set(keys) & ledger.done())
+    longest = max(rod(name).length for name in RODS)
+    cost.settle(
+        cost.deployments(
+            pending, longest, speed=speed, step=step, spacing=spacing, device=device
+        ),
+        f"{pending} deployments", out, "ask for fewer --trials, or a larger --spacing or --step",
+        force=force, quiet=as_json,
+    )  # fmt: skip
     nodes = nodes_needed([_trial(key, plans) for key in keys[: len(keys) // trials]], spacing)
     planned = time.perf_counter() - start
 

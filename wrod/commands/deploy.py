@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_pattern, read_rod
 
 # How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
@@ -45,6 +46,7 @@ _SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
 )
 @click.option("--frames", type=float, help="Keep the rod's states at this interval [s].")
 @options(DEVICE)
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     pattern: str,
@@ -68,14 +70,13 @@ def command(
     frames: float | None,
     device: str,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Lay a rod along PATTERN in simulation, and measure it.
 
     The free end's first 5 cm are held at first. The rod is measured at the end of the pattern with
     the grip holding, and again after the grip laid the tail straight ahead and let go.
     """
-    from tqdm import tqdm
-
     from wrod.deployment.fixtures import Fixtures
     from wrod.deployment.picture import draw_deployments
     from wrod.deployment.setup import Disturbance, tail
@@ -102,6 +103,13 @@ def command(
         _refuse_idle_options("--method intuitive", "closure")
     curve = with_remainder_of(curve, path)
     rest = tail(curve, rod, path)
+    cost.settle(
+        cost.deployments(
+            trials, rod.length, speed=speed, step=0.01, spacing=0.005, device=device
+        ),
+        f"{trials} deployments", out, "ask for fewer --trials or a larger --speed", force=force,
+        quiet=as_json,
+    )  # fmt: skip
     jobs = [
         Trial(
             curve,
@@ -115,9 +123,7 @@ def command(
         for seed in range(trials)
     ]
     shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-    with tqdm(
-        total=100, leave=False, delay=1.0, desc="laid", disable=as_json, bar_format=shown
-    ) as bar:
+    with cost.progress_bar(total=100, desc="laid", quiet=as_json, bar_format=shown) as bar:
         deployments = simulate_deployments(
             jobs,
             speed=speed,

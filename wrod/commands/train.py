@@ -9,6 +9,8 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
+
 
 @click.command(name="train")
 @click.option(
@@ -44,6 +46,7 @@ import click
     help="Fresh random inputs that the result is scored on.",
 )
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     dataset: Path | None,
@@ -60,6 +63,7 @@ def command(
     test: int,
     device: str,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Train the neural controller and score it against the numeric solver.
 
@@ -71,17 +75,14 @@ def command(
     """
     from dataclasses import replace
 
-    from tqdm import tqdm
-
     from wrod.errors import DataError
     from wrod.files import write_atomically
-    from wrod.machine import require_memory
     from wrod.rods.batch import resolve_device
     from wrod.training.dataset import GraspTable, load
     from wrod.training.finish import finished
     from wrod.training.loop import Training
     from wrod.training.recipes import recipe as find
-    from wrod.training.store import read_manifest
+    from wrod.training.store import read_manifest, row_bytes
 
     if (dataset is None) == (generate is None):
         raise DataError("give either --dataset DIR or --generate N")
@@ -103,12 +104,24 @@ def command(
     recipe = replace(recipe, **{k: v for k, v in changes.items() if v is not None})
     recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
     device = resolve_device(device)
-    # Values of every layer, their gradients and tangents, and the optimiser's matrices.
-    require_memory(
-        recipe.width * 8.0 * (recipe.depth + 1) * (8.0 * recipe.batch + 12.0 * recipe.width),
-        f"batches of {recipe.batch} in a network {recipe.width} wide",
-        "give a smaller --batch or --width",
+    known_rows = generate if known is None else min(known.size, rows or known.size)
+    expected = cost.training(
+        recipe.steps, recipe.batch, recipe.width, recipe.depth, known_rows, device=device
     )
+    if minutes is not None:
+        expected = replace(expected, seconds=min(expected.seconds, 60.0 * minutes))
+    if generate is not None:
+        solved = cost.grasps(
+            generate, row_bytes(True), 2048, sensitivities=True, device=device, ranks=1
+        )
+        expected = replace(
+            expected, seconds=expected.seconds + solved.seconds, disk=expected.disk + solved.disk
+        )
+    cost.settle(
+        expected, f"{recipe.steps} steps of {recipe.batch} grasps", out,
+        "give fewer --steps, a smaller --batch or --width, or --minutes", force=force,
+        quiet=as_json,
+    )  # fmt: skip
     refine = 0
     if generate is not None:
         refine = generate // 5
@@ -126,7 +139,9 @@ def command(
         rod=rod,
     )
     resumed = training.resume()
-    with tqdm(unit="step", initial=training.step, total=recipe.steps, disable=as_json) as bar:
+    with cost.progress_bar(
+        unit="step", initial=training.step, total=recipe.steps, quiet=as_json
+    ) as bar:
 
         def progress(done: int, total: int, error: float) -> None:
             bar.set_postfix(validation_mae=f"{error:.2e}")
@@ -183,11 +198,9 @@ def _writing(out: Path):
 
 
 def _generate(folder: Path, size: int, seed: int, device: str, quiet: bool) -> Path:
-    from tqdm import tqdm
-
     from wrod.training.dataset import generate
 
-    with tqdm(unit="grasp", desc="grasps", disable=quiet) as bar:
+    with cost.progress_bar(unit="grasp", desc="grasps", total=size, quiet=quiet) as bar:
 
         def progress(count: int, total: int) -> None:
             bar.total = total

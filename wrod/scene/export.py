@@ -32,6 +32,11 @@ from wrod.scene.workplace import (
 )
 
 SUFFIXES = (".usdc", ".usda", ".usd")
+# Rods at the nodes of one deployment, or of several.
+_shapes = arguments.either(
+    arguments.array(finite=False),
+    arguments.several(arguments.optional(arguments.array(finite=False))),
+)
 _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
 
 
@@ -43,6 +48,10 @@ _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
     ),
     joint_path=arguments.optional(
         arguments.each(arguments.optional(arguments.like("a wrod.JointPath", "names", "positions")))
+    ),
+    shapes=arguments.optional(_shapes),
+    rod=arguments.optional(
+        arguments.each(arguments.like("a wrod.RodMaterial or wrod.RodModel", "radius", "length"))
     ),
     pattern=arguments.optional(
         arguments.each(arguments.like("a wrod.Pattern or its points", "shape"), "sample")
