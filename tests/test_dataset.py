@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 import tracemalloc
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,10 +12,13 @@ import pytest
 from click.testing import CliRunner
 from wrod.training import dataset, store
 from wrod.training.dataset import Rank, generate, load
-from wrod.training.sampling import RANGE, sample, sample_worst
+from wrod.training.sampling import RANGE, RodInputs, sample, sample_worst
 
+import wrod
 from wrod.commands import main
-from wrod.errors import DataError
+from wrod.errors import DataError, RodError
+from wrod.rods.law import Softening
+from wrod.rods.profile import Profile
 
 SIZE, SHARD = 72, 8
 OPTIONS = ["--size", str(SIZE), "--shard-size", str(SHARD), "--seed", "3", "--device", "cpu"]
@@ -209,6 +213,21 @@ def test_bad_options_are_one_sentence(tmp_path, arguments, says):
     result = CliRunner().invoke(main, ["dataset", "--size", "5", "--out", str(out), *arguments])
     assert result.exit_code == 2 and says in result.stderr
     assert not out.exists()
+
+
+def test_a_rod_that_varies_is_refused_and_one_that_is_damped_is_not():
+    one = wrod.rod("green-vps").model()
+    damped = replace(one, internal_damping=0.1, stretching_stiffness=50.0)
+    asked = RodInputs.of(damped)
+    assert asked.stretch_ratio == damped.stretch_ratio != RodInputs.of(one).stretch_ratio
+    first = one.bending_stiffness[0]
+    tapering = replace(
+        one, bending_stiffness=(Profile([1.0, 0.5], [0.0, 0.8]) * first.values[0],) * 2
+    )
+    with pytest.raises(RodError, match="has its own bending_stiffness; `wrod plan` solves"):
+        RodInputs.of(tapering)
+    with pytest.raises(RodError, match="its own law"):
+        RodInputs.of(replace(one, law=Softening(20.0, 0.4)))
 
 
 def test_manifest_names_solver_and_command(whole, tmp_path):

@@ -307,3 +307,19 @@ def test_a_disturbance_moves_the_robot_as_a_whole(plans):
     assert (jitter[0] == 0).all() and 0.0005 < jitter[len(jitter) // 4 :].std() < 0.002
     assert (shaking.position == moved.position).all()
     assert still.measure_time == moved.measure_time == shaking.measure_time
+
+
+def test_rods_that_remember_are_laid(plans):
+    """A wire that never yields is laid like an elastic rod; one that yields on the way is not, and
+    what relaxes faster than it is laid nearly is."""
+    from wrod.rods.law import Plastic, StandardLinearSolid
+
+    pattern, by_method = plans
+    laws = [Plastic(1e4, 0.1), Plastic(10.0, 0.0), StandardLinearSolid(0.5, 0.3)]
+    rods = [ROD, *(replace(ROD.model(), law=law) for law in laws)]
+    jobs = [Trial(pattern, rod, by_method["numeric"], wrod.Friction(0.8)) for rod in rods]
+    elastic, stiff, soft, relaxing = simulate_deployments(jobs, **QUICK)
+    assert not any(d.diverged for d in (elastic, stiff, soft, relaxing))
+    assert stiff.error_mean == pytest.approx(elastic.error_mean, rel=1e-3)
+    assert soft.error_mean > 10 * elastic.error_mean
+    assert relaxing.error_mean < 3 * elastic.error_mean

@@ -1,20 +1,26 @@
 """Cables held in a hand: read, hung, and explained."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from wrod.errors import DataError
 from wrod.identification.held.equilibria import CableModel, markers
 from wrod.identification.held.fit import fit_held
+from wrod.identification.held.loops import LoopModel, TwistedLoops, critical_twist, fit_loops
 from wrod.identification.held.measurements import (
+    HangingLoops,
     HeldCable,
+    HeldPoses,
     load_hanging,
     load_held,
     load_poses,
     load_swing,
 )
+from wrod.identification.held.poses import pose_shapes, rigid_rms
 
 MEASURED = Path(__file__).parents[2] / "shared" / "measured"
 ANGLES = np.radians([-120.0, -60.0, -20.0, 20.0, 60.0, 120.0])
@@ -114,3 +120,58 @@ def test_reads_all_cables():
         assert load_held(path).markers.shape == (12, 2, 2)
     for path in sorted((MEASURED / "swing").glob("*-swing.npz")):
         assert len(load_swing(path).time) == len(load_swing(path).cable.angle)
+
+
+def ring(length=1.0, gravity=1e-6):
+    s = np.linspace(0.0, length, 60)
+    turn = 2.0 * np.pi * s / length
+    radius = length / (2.0 * np.pi)
+    shape = radius * np.column_stack([np.sin(turn), np.cos(turn) - 1.0])
+    return HangingLoops("ring", shape[None], s, length, 0.02, gravity)
+
+
+def test_a_twisted_ring_buckles_at_michells_angle():
+    """A closed ring without weight leaves its plane at a twist of 2 pi sqrt(3) B / C."""
+    ratios = np.array([1.0, 1.5])
+    models = [LoopModel(1e-3, twist_ratio=r) for r in ratios]
+    angle, shape = critical_twist(ring(), models, step=np.radians(5.0), most=4.0 * np.pi)
+    assert angle == pytest.approx(2.0 * np.pi * np.sqrt(3.0) / ratios, rel=0.02)
+    assert np.abs(shape[:, :, 1]).max() < 5e-3
+
+
+def test_a_loops_stiffness_is_found_from_its_shape():
+    true = LoopModel(4e-4, right=-0.2, left=-0.3)
+    loops = ring(1.5, 9.81)
+    # Straight sides: any shape to begin with, of the right length.
+    hung = TwistedLoops(loops, [true] * 3, [[-0.12, 0.0], [-0.125, 0.002], [-0.118, 0.0]])
+    assert hung.solve().converged.all()
+    seen = hung.at(loops.arc_length)[..., [0, 2]]
+    rng = np.random.default_rng(1)
+    seen = seen + 3e-4 * rng.standard_normal(seen.shape) * (np.arange(60) % 59 != 0)[:, None]
+    found = fit_loops(replace(loops, shape=seen))
+    assert found.model.stiffness == pytest.approx(4e-4, rel=0.05)
+    assert [found.model.right, found.model.left] == pytest.approx([-0.2, -0.3], abs=0.03)
+    assert found.rms == pytest.approx(np.sqrt(2.0) * 3e-4, rel=0.3)
+    level = fit_loops(replace(loops, shape=seen), ())
+    assert level.rms > 2.0 * found.rms
+    with pytest.raises(DataError, match="unknown effect 'bend'"):
+        fit_loops(loops, ("bend",))
+    with pytest.raises(DataError, match="no mounting"):
+        fit_loops(loops, use=np.zeros(1, dtype=bool))
+
+
+def test_a_cable_between_hand_and_table_ends_where_the_arm_went():
+    """The gripper's pose, and the twist of a straight cable that is only turned about itself."""
+    still = HeldPoses(
+        ("one",), np.zeros((1, 2, 3, 3)), np.array([0.0, 0.2, 0.4]), 0.4, np.array([1e-6]),
+        np.array([[0.0, 0.0, 0.0], [0.1, -0.05, 0.05]]),
+        np.array([[0.0, 0.0, 0.0], [0.0, 0.3, 0.2]]), np.array([1.0, 0.5]),
+    )  # fmt: skip
+    places, good = pose_shapes(still, [(0, 0, 1e-3, 0.7, 1.0), (0, 1, 1e-3, 0.7, -1.0)])
+    assert good.all()
+    # Far below the twist at which it would buckle a straight cable stays straight.
+    assert places[0, :, 1:] == pytest.approx(np.zeros((3, 2)), abs=1e-6)
+    assert places[1, -1] == pytest.approx([0.1, -0.05, 0.05], abs=2e-4)
+    assert places[1, 0] == pytest.approx([0.4, 0.0, 0.0], abs=2e-4)
+    turned = places[1] @ Rotation.from_rotvec([0.3, 0.2, -0.1]).as_matrix().T + 0.3
+    assert rigid_rms(turned, places[1]) < 1e-9

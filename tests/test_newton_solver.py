@@ -156,12 +156,12 @@ def test_boxes_and_cylinders_and_their_friction():
     builder.add_shape_cylinder(
         -1, xform=wp.transform((0.08, 0, 0.015), turned), radius=0.005, half_height=0.05
     )
-    builder.add_shape_sphere(-1, xform=wp.transform((0.5, 0, 0), wp.quat_identity()), radius=0.1)
+    builder.add_shape_plane(plane=(0.0, 0.0, 1.0, 1.0), width=0.1, length=0.1)
     SolverDER.add_rod(
         builder, straight(21, 0.1, 0.023), ROD, internal_damping=0.05, air_damping=5.0
     )
     model = builder.finalize(device="cpu")
-    with pytest.warns(WrodWarning, match=r"pass through 1 shapes: .*sphere"):
+    with pytest.warns(WrodWarning, match=r"pass through 1 shapes: .*plane"):
         _, state = simulate(model, 80, 5e-3, scheme="euler")
     q, force = nodes(state), state.der.node_contact_f.numpy()
     assert force.sum(axis=0)[2] == pytest.approx(ROD.weight * 0.1, rel=0.01)
@@ -520,6 +520,26 @@ def test_natural_curvature_bends_a_rod_to_its_circle():
         q = nodes(state, (model, rod))
         assert np.abs(q[-1, [0, axis]] - tip).max() < length * (angle / count) ** 2
         assert np.abs(q[:, 3 - axis]).max() < 1e-9
+
+
+def test_a_bent_wire_keeps_its_curvature():
+    """A plastic cable in an arc of curvature k springs back to (1 - r) (k - k_y)."""
+    from dataclasses import replace
+
+    from wrod.rods.law import Plastic
+
+    bent, yields, hardening, count = 20.0, 5.0, 0.2, 21
+    wire = replace(ROD.model(), law=Plastic(yields, hardening))
+    angle = bent * np.linspace(0.0, 0.1, count)
+    arc = np.column_stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)]) / bent
+    builder = scene(gravity=0.0)
+    SolverDER.add_rod(builder, arc, wire, start="clamped", air_damping=40.0)
+    _, state = simulate(builder.finalize(device="cpu"), 60, 0.1, scheme="euler")
+    turn = np.diff(nodes(state), axis=0)[[0, -1]]
+    turn = np.arccos(turn[0] @ turn[1] / np.linalg.norm(turn, axis=1).prod())
+    kept = (1 - hardening) * (bent - yields)
+    # The clamp's own node keeps half of what the others do.
+    assert turn == pytest.approx(kept * 0.1 * (1 - 1 / (count - 1)), rel=0.01)
 
 
 def test_changed_properties_are_taken_up():

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import re
 
@@ -108,3 +109,30 @@ def test_a_format_for_another_arm_is_refused_and_nothing_written(ur, tmp_path):
     assert not list(tmp_path.iterdir())
     assert "urscript" in suited(ur) and "libfranka" not in suited(ur)
     assert set(suited(ur)) <= set(FORMATS)
+
+
+def test_phases_are_told_to_the_gripper_at_the_times_of_the_path(ur, tmp_path):
+    whole = [
+        {"name": name, "start": k * 0.4, "end": (k + 1) * 0.4}
+        for k, name in enumerate(("approach", "grasp", "lay", "release", "retreat"))
+    ]
+    path = dataclasses.replace(ur, metadata={"phases": whole})
+    phases, script, mcap = export(path, tmp_path, ["phases", "urscript", "mcap"])
+    told = json.loads(phases.read_text())
+    assert told["phases"] == whole
+    assert told["gripper"] == [
+        {"time": 0.4, "command": "close"}, {"time": pytest.approx(1.2), "command": "open"},
+    ]  # fmt: skip
+    lines = script.read_text().splitlines()
+    body = lines[lines.index("def wrod_path():") :]
+    for call, time in (("  wrod_close()", 0.4), ("  wrod_open()", 1.2)):
+        assert sum(line.startswith("  servoj") for line in body[: body.index(call)]) == time / 0.008
+    reader = pytest.importorskip("mcap.reader")
+    with mcap.open("rb") as stream:
+        said = [
+            (message.log_time / 1e9, json.loads(message.data)["data"])
+            for _, channel, message in reader.make_reader(stream).iter_messages()
+            if channel.topic == "/phase"
+        ]
+    assert said == [(pytest.approx(p["start"]), p["name"]) for p in whole]
+    assert path.phase_at(0.0) == "approach" and path.phase_at(0.9) == "lay"

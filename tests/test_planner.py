@@ -15,6 +15,7 @@ from wrod.errors import (
     StabilityWarning,
     WrodWarning,
 )
+from wrod.planning.plan import free_end, prepare
 from wrod.planning.trajectory import Trajectory
 
 ROD = wrod.rod("green-vps")
@@ -121,6 +122,28 @@ def test_remainder_is_left_out_where_not_asked_for_or_not_needed():
         assert plan.metadata["remainder_length"] == 0.0
     plan = wrod.plan(wrod.pattern("circle"), ROD, "intuitive", remainder=0.2)
     assert plan.metadata["remainder_length"] == pytest.approx(0.2)
+
+
+def test_a_beginning_that_bends_soon_gets_a_remainder_too():
+    """As the paper's letter C does: nearly straight where it begins, bent within 2 L_gb."""
+    lgb = ROD.gravito_bending_length
+
+    def bends_after(start):
+        s = np.linspace(0.0, 12.0 * lgb, 400)
+        curvature = 0.4 / lgb * np.clip(s / (start * lgb), 0.0, 1.0) ** 2
+        heading = np.concatenate([[0.0], np.cumsum(0.5 * (curvature[1:] + curvature[:-1]))])
+        heading *= s[1]
+        steps = s[1] * np.column_stack([np.cos(heading), np.sin(heading)])
+        return wrod.Pattern.from_points(np.cumsum(steps, axis=0), smoothing=0.0)
+
+    soon, late = bends_after(1.5), bends_after(6.0)
+    off, curvature = free_end(soon, ROD)
+    # Friction 0.3 holds 0.4 / L_gb from a length of sqrt(4 0.4 / 0.3) = 2.31 L_gb on.
+    assert off == pytest.approx(0.4 * (1.5**2 / 4 + (2.31**2 - 1.5**2) / 2), rel=0.03)
+    assert curvature == pytest.approx(0.4 / lgb, rel=0.01)
+    assert prepare(soon, ROD, None).remainder_length > 0.05
+    assert free_end(late, ROD)[0] < 0.05
+    assert prepare(late, ROD, None).remainder_length == 0.0
 
 
 def test_default_remainder_asks_for_little_friction_or_turns_little():

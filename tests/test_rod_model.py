@@ -81,6 +81,13 @@ def test_bad_profiles_and_models_are_refused():
             varied(**wrong)
 
 
+@pytest.mark.parametrize("name", ["radius", "principal_angle", "internal_damping"])
+def test_what_is_one_number_is_no_profile(name):
+    for profile in (Profile([0.1, 0.2], [0.0, 0.3]), {"knots": [0.0, 0.3], "values": [0.1, 0.2]}):
+        with pytest.raises(RodError, match=f"{name} is a profile and can only be one number"):
+            varied(**{name: profile})
+
+
 def test_a_uniform_rod_comes_back():
     rod = wrod.RodMaterial(0.0016, 0.032, 0.885, 0.4, natural_curvature=(1.0, -2.0))
     model = RodModel.of(rod)

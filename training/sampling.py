@@ -7,13 +7,14 @@ turns are mirror images of left turns.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+import warnings
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from wrod.errors import DataError
+from wrod.errors import DataError, RodError, WrodWarning
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
@@ -35,6 +36,8 @@ _SAMPLED = {
 # How far beyond a rod's own lengths its samples reach.
 _BEYOND = 1.06
 _LOG_SHARE = 0.7
+# What a rod may have of its own and still be known to a controller.
+_OF_NO_MATTER = ("internal_damping", "air_damping", "quadratic_drag", "stretching_stiffness")
 MAX_INDEX = 2**30
 
 
@@ -56,17 +59,32 @@ class RodInputs:
 
     @classmethod
     def of(cls, rod: RodModel | RodMaterial, roll: float | str = "plane") -> RodInputs:
-        """A rod (of a `RodModel` its means) laid with this roll of its first director from left to
-        up [rad]; "plane" and "up" turn its natural curvature to the left or upwards."""
+        """A rod laid with this roll of its first director from left to up [rad]; "plane" and "up"
+        turn its natural curvature to the left or upwards.
+
+        Raises:
+            RodError: its grasps depend on more than these inputs.
+        """
         if isinstance(rod, RodModel):
-            # How a rod is damped does not change its grasps.
-            still = {"internal_damping": 0.0, "air_damping": 0.0, "quadratic_drag": 0.0}
-            rod = replace(rod, **still).material()
+            # How a rod is damped does not change its grasps, how it stretches is an input.
+            aside = [n for n in rod.not_uniform() if n not in _OF_NO_MATTER]
+            if aside or not rod.stretching_stiffness.is_constant:
+                raise RodError(
+                    "a controller learns the grasps of a uniform, isotropic, linear rod, and this "
+                    f"one has its own {', '.join(aside or ['stretching_stiffness'])}; `wrod plan` "
+                    "solves such a rod's grasps without a controller"
+                )
+            stretch_ratio = rod.stretch_ratio
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", WrodWarning)
+                rod = rod.material()
+        else:
+            stretch_ratio = rod.stretch_ratio
         lgb, size = rod.gravito_bending_length, math.hypot(*rod.natural_curvature)
         words = {"up": (0.0, size), "plane": (size, 0.0)}
         held = words[roll] if roll in words else rod.curvature_held(roll)
         own = (float(lgb * held[0]), float(lgb * held[1]))
-        return cls(rod.length / lgb, rod.stretch_ratio, own, rod.poisson)
+        return cls(rod.length / lgb, stretch_ratio, own, rod.poisson)
 
     @property
     def range(self) -> dict[str, tuple[float, float]]:

@@ -39,6 +39,7 @@ from .rods.material import rod as rod
 from .rods.material import rod_names as rod_names
 from .rods.model import RodModel as RodModel
 from .rods.profile import Profile as Profile
+from .rods.rows import join_rods as join_rods
 from .scene.export import export_usd as export_usd
 from .solvers.contact import Box as Box
 from .solvers.contact import Contact as Contact
@@ -46,6 +47,7 @@ from .solvers.contact import Cylinder as Cylinder
 from .solvers.contact import Friction as Friction
 from .solvers.contact import Plane as Plane
 from .solvers.dynamics import Dynamics as Dynamics
+from .solvers.prescribed import PrescribedMotion as PrescribedMotion
 from .solvers.rod_contact import RodContact as RodContact
 from .solvers.statics import prescribe as prescribe
 from .solvers.statics import solve_equilibria as solve_equilibria

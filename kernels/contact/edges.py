@@ -1,7 +1,8 @@
-"""Contact of a rod's edges with boxes and cylinders: true thickness, and Coulomb friction.
+"""Contact of a rod's edges with solids: true thickness, and Coulomb friction.
 
 An edge is a capsule and a fixture f is a convex solid, whose signed distance d is convex along the
-edge. It touches at the point q + s e where
+edge (of a hollow mesh, an edge finds one of the places where it is nearest). It touches at the
+point q + s e where
 
     D = min over s in [0, 1] of d(q + s e) + (c / 2) (s - 1/2)^2,    c = 0.01 h,
 
@@ -16,8 +17,6 @@ envelope theorem the gradient of D is that of d at fixed s, and the normal force
 
 import warp as wp
 from wrod.kernels.contact.planes import (
-    BOX,
-    CYLINDER,
     NOTHING,
     PLANE,
     Shape,
@@ -26,9 +25,9 @@ from wrod.kernels.contact.planes import (
     normal_force,
     note_touch,
     shape_displacement,
-    shape_distance,
 )
 from wrod.kernels.contact.rolling import held_turn
+from wrod.kernels.contact.solids import Surface, extent, solid_surface
 from wrod.kernels.elastic.assembly import (
     add_block,
     add_column,
@@ -46,55 +45,14 @@ SEARCHES = wp.constant(60)
 
 
 @wp.func
-def box_bend(p: wp.vec3d, half: wp.vec3d) -> wp.mat33d:
-    """Second derivative of a box's signed distance: only its edges and corners bend."""
-    out = wp.mat33d()
-    way = wp.vec3d(ZERO, ZERO, ZERO)
-    for c in range(3):
-        over = wp.abs(p[c]) - half[c]
-        if over > ZERO:
-            way[c] = wp.where(p[c] < ZERO, -over, over)
-            out[c, c] = ONE
-    size = wp.length(way)
-    if size == ZERO:
-        return wp.mat33d()
-    return (out - wp.outer(way, way) / (size * size)) / size
-
-
-@wp.func
-def cylinder_bend(p: wp.vec3d, radius: wp.float64, half: wp.float64) -> wp.mat33d:
-    """Second derivative of an upright cylinder's signed distance: its mantle bends, and its rim."""
-    across = wp.sqrt(p[0] * p[0] + p[1] * p[1])
-    if across == ZERO:
-        return wp.mat33d()
-    radial = wp.vec3d(p[0] / across, p[1] / across, ZERO)
-    around = wp.vec3d(-radial[1], radial[0], ZERO)
-    out = wp.max(across - radius, ZERO)
-    up = wp.max(wp.abs(p[2]) - half, ZERO)
-    size = wp.sqrt(out * out + up * up)
-    if size == ZERO:
-        # Inside: the nearer of mantle and lids.
-        if across - radius < wp.abs(p[2]) - half:
-            return wp.mat33d()
-        return wp.outer(around, around) / across
-    bend = (out / (size * across)) * wp.outer(around, around)
-    if out > ZERO and up > ZERO:
-        along = (up / size) * radial - wp.vec3d(ZERO, ZERO, (out / size) * wp.sign(p[2]))
-        bend = bend + wp.outer(along, along) / size
-    return bend
-
-
-@wp.func
-def shape_bend(shape: Shape, q: wp.vec3d) -> wp.mat33d:
-    """Second derivative of `shape_distance`."""
+def shape_surface(shape: Shape, q: wp.vec3d) -> Surface:
+    """Signed distance, normal and the distance's second derivative, in the world frame."""
     turn = wp.quat_to_matrix(shape.rotation)
     p = wp.transpose(turn) * (q - shape.position)
-    local = wp.mat33d()
-    if shape.kind == BOX:
-        local = box_bend(p, shape.size)
-    elif shape.kind == CYLINDER:
-        local = cylinder_bend(p, shape.size[0], shape.size[1])
-    return turn * local * wp.transpose(turn)
+    s = solid_surface(shape.kind, shape.size, shape.mesh, p)
+    s.normal = turn * s.normal
+    s.bend = turn * s.bend * wp.transpose(turn)
+    return s
 
 
 @wp.struct
@@ -110,45 +68,43 @@ class Closest:
 
 
 @wp.func
-def slope_along(shape: Shape, q: wp.vec3d, e: wp.vec3d, c: wp.float64, s: wp.float64) -> wp.float64:
-    d = shape_distance(shape, q + s * e)
-    return wp.dot(wp.vec3d(d[1], d[2], d[3]), e) + c * (s - HALF)
+def slope_along(s: Surface, e: wp.vec3d, c: wp.float64, x: wp.float64) -> wp.float64:
+    return wp.dot(s.normal, e) + c * (x - HALF)
 
 
 @wp.func
 def closest_on_edge(shape: Shape, q: wp.vec3d, e: wp.vec3d, c: wp.float64) -> Closest:
     out = Closest()
-    out.free = ONE
-    s = wp.float64(0.5)
-    if slope_along(shape, q, e, c, ZERO) >= ZERO:
-        s = ZERO
-        out.free = ZERO
-    elif slope_along(shape, q, e, c, ONE) <= ZERO:
+    s = wp.float64(0.0)
+    found = shape_surface(shape, q)
+    if slope_along(found, e, c, ZERO) < ZERO:
         s = ONE
-        out.free = ZERO
-    else:
-        low = wp.float64(0.0)
-        high = wp.float64(1.0)
-        done = bool(False)
-        for k in range(SEARCHES):
-            if not done:
-                slope = slope_along(shape, q, e, c, s)
-                if slope > ZERO:
-                    high = s
-                else:
-                    low = s
-                rate = wp.dot(e, shape_bend(shape, q + s * e) * e) + c
-                next = s - slope / rate
-                if next <= low or next >= high or k >= SEARCHES // 3:
-                    next = HALF * (low + high)
-                done = wp.abs(next - s) < wp.float64(1.0e-14)
-                s = next
-    point = q + s * e
-    d = shape_distance(shape, point)
+        found = shape_surface(shape, q + e)
+        if slope_along(found, e, c, ONE) > ZERO:
+            out.free = ONE
+            s = HALF
+            low = wp.float64(0.0)
+            high = wp.float64(1.0)
+            done = bool(False)
+            for k in range(SEARCHES):
+                if not done:
+                    found = shape_surface(shape, q + s * e)
+                    slope = slope_along(found, e, c, s)
+                    if slope > ZERO:
+                        high = s
+                    else:
+                        low = s
+                    rate = wp.dot(e, found.bend * e) + c
+                    next = s - slope / rate
+                    if next <= low or next >= high or k >= SEARCHES // 3:
+                        next = HALF * (low + high)
+                    done = wp.abs(next - s) < wp.float64(1.0e-14)
+                    s = next
+            found = shape_surface(shape, q + s * e)
     out.s = s
-    out.distance = d[0] + HALF * c * (s - HALF) * (s - HALF)
-    out.normal = wp.vec3d(d[1], d[2], d[3])
-    out.bend = shape_bend(shape, point)
+    out.distance = found.distance + HALF * c * (s - HALF) * (s - HALF)
+    out.normal = found.normal
+    out.bend = found.bend
     return out
 
 
@@ -163,10 +119,9 @@ def within_reach(shape: Shape, q: wp.vec3d, e: wp.vec3d, reach: wp.float64) -> b
     if not is_fixture(shape):
         return False
     far = reach + wp.length(e)
-    if wp.length(q - shape.position) > far + wp.length(shape.size):
+    if wp.length(q - shape.position) > far + extent(shape.kind, shape.size):
         return False
-    d = shape_distance(shape, q)
-    return d[0] <= far
+    return shape_surface(shape, q).distance <= far
 
 
 @wp.struct
@@ -405,6 +360,18 @@ def find_touching(
 
 
 @wp.kernel
+def clear_pushes(
+    accepted: wp.array(dtype=wp.int32),
+    push_out: wp.array2d(dtype=wp.vec3d),
+    moment_out: wp.array2d(dtype=wp.vec3d),
+):
+    r, k = wp.tid()
+    if accepted[r] != 0:
+        push_out[r, k] = wp.vec3d(ZERO, ZERO, ZERO)
+        moment_out[r, k] = wp.vec3d(ZERO, ZERO, ZERO)
+
+
+@wp.kernel
 def settle_edges(
     # Model:
     shapes: wp.array2d(dtype=Shape),
@@ -428,9 +395,11 @@ def settle_edges(
     turned: wp.array3d(dtype=wp.float64),
     slip: wp.array2d(dtype=wp.float64),
     force: wp.array2d(dtype=wp.vec3d),
+    push: wp.array2d(dtype=wp.vec3d),
+    moment: wp.array2d(dtype=wp.vec3d),
 ):
     """After an accepted step: let overloaded bristles slide, and add forces and slip to those of
-    the nodes."""
+    the nodes, and forces, and their moments about the origin, to those of the shapes."""
     r, i = wp.tid()
     if accepted[r] == 0 or radius[r, i] == ZERO:
         return
@@ -461,6 +430,8 @@ def settle_edges(
             total = law[0] * c.near.normal - held.pull
             wp.atomic_add(force, r, i, (ONE - c.near.s) * total)
             wp.atomic_add(force, r, i + 1, c.near.s * total)
+            wp.atomic_add(push, r, k, -total)
+            wp.atomic_add(moment, r, k, -wp.cross(node(dof, r, i) + c.near.s * c.edge, total))
         bristle[r, k, i] = b
         turned[r, k, i] = turn
 

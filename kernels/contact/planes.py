@@ -21,9 +21,6 @@ wp.set_module_options({"enable_backward": False})
 
 NOTHING = wp.constant(-1)
 PLANE = wp.constant(0)
-BOX = wp.constant(1)
-CYLINDER = wp.constant(2)
-FAR = wp.constant(wp.float64(1.0e300))
 # Way on which a rod meets something in a step of which two-step differences may still reach over
 # it, over the radius: what they throw back then is lost in the contact's own give.
 IMPACT_WAY = wp.constant(wp.float64(0.1))
@@ -31,67 +28,27 @@ IMPACT_WAY = wp.constant(wp.float64(0.1))
 
 @wp.struct
 class Shape:
-    """An obstacle in its own frame: the half-space z < 0; a box of half sizes `size`; a cylinder
-    about z of radius size[0] and half height size[1]; or nothing, which fills a row. One that moves
-    has come from the pose before in this step."""
+    """An obstacle in its own frame: the half-space z < 0, a solid of
+    `wrod.kernels.contact.solids` with its sizes, or nothing, which fills a row. A box has half
+    sizes `size`; cylinder, capsule and cone, about z, have radius size[0] and half height size[1];
+    a mesh lies within size[0] of its origin. One that moves has come from the pose before in this
+    step."""
 
     kind: int
     position: wp.vec3d
     rotation: wp.quatd
     size: wp.vec3d
+    mesh: wp.uint64
     moves: int
     position_before: wp.vec3d
     rotation_before: wp.quatd
 
 
 @wp.func
-def step_sign(x: wp.float64) -> wp.float64:
-    return wp.where(x < ZERO, -ONE, ONE)
-
-
-@wp.func
-def box_distance(p: wp.vec3d, half: wp.vec3d) -> wp.vec4d:
-    """Signed distance and outward normal (last three components)."""
-    d = wp.vec3d(wp.abs(p[0]) - half[0], wp.abs(p[1]) - half[1], wp.abs(p[2]) - half[2])
-    side = wp.vec3d(step_sign(p[0]), step_sign(p[1]), step_sign(p[2]))
-    out = wp.vec3d(wp.max(d[0], ZERO), wp.max(d[1], ZERO), wp.max(d[2], ZERO))
-    distance = wp.length(out)
-    if distance > ZERO:
-        n = wp.cw_mul(out, side) / distance
-        return wp.vec4d(distance, n[0], n[1], n[2])
-    if d[0] >= d[1] and d[0] >= d[2]:
-        return wp.vec4d(d[0], side[0], ZERO, ZERO)
-    if d[1] >= d[2]:
-        return wp.vec4d(d[1], ZERO, side[1], ZERO)
-    return wp.vec4d(d[2], ZERO, ZERO, side[2])
-
-
-@wp.func
-def cylinder_distance(p: wp.vec3d, radius: wp.float64, half: wp.float64) -> wp.vec4d:
-    across = wp.sqrt(p[0] * p[0] + p[1] * p[1])
-    x = ONE
-    y = ZERO
-    if across > ZERO:
-        x = p[0] / across
-        y = p[1] / across
-    # In the half-plane through the axis it is a box.
-    flat = box_distance(wp.vec3d(across, ZERO, p[2]), wp.vec3d(radius, radius, half))
-    return wp.vec4d(flat[0], flat[1] * x, flat[1] * y, flat[3])
-
-
-@wp.func
-def shape_distance(shape: Shape, q: wp.vec3d) -> wp.vec4d:
-    """Signed distance from the shape's surface and its outward normal, in the world frame."""
-    if shape.kind == NOTHING:
-        return wp.vec4d(FAR, ZERO, ZERO, ONE)
-    p = wp.quat_rotate_inv(shape.rotation, q - shape.position)
-    local = wp.vec4d(p[2], ZERO, ZERO, ONE)
-    if shape.kind == BOX:
-        local = box_distance(p, shape.size)
-    elif shape.kind == CYLINDER:
-        local = cylinder_distance(p, shape.size[0], shape.size[1])
-    n = wp.quat_rotate(shape.rotation, wp.vec3d(local[1], local[2], local[3]))
-    return wp.vec4d(local[0], n[0], n[1], n[2])
+def plane_distance(shape: Shape, q: wp.vec3d) -> wp.vec4d:
+    """Signed distance from a plane and its outward normal, in the world frame."""
+    n = wp.quat_rotate(shape.rotation, wp.vec3d(ZERO, ZERO, ONE))
+    return wp.vec4d(wp.dot(q - shape.position, n), n[0], n[1], n[2])
 
 
 @wp.func
@@ -169,7 +126,7 @@ def touch(
         # Edges touch all else: `wrod.kernels.contact.edges`.
         return out
     q = node(dof, r, i)
-    distance = shape_distance(shape, q)
+    distance = plane_distance(shape, q)
     out.depth = radius - distance[0]
     law = normal_force(out.depth, stiffness, skin)
     out.force = law[0]
@@ -408,7 +365,7 @@ def find_touching(
     for k in range(shapes.shape[1]):
         if shapes[r, k].kind == PLANE:
             q = node(dof, r, i)
-            d = shape_distance(shapes[r, k], q)
+            d = plane_distance(shapes[r, k], q)
             if d[0] < radius[r, i]:
                 moved = q - node(dof_before, r, i) - shape_displacement(shapes[r, k], q)
                 closing = -wp.dot(moved, wp.vec3d(d[1], d[2], d[3]))

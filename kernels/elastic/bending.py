@@ -19,6 +19,7 @@ as much as computing.
 import warp as wp
 from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_gradient, add_edge_hessian
 from wrod.kernels.elastic.curvature import (
+    Component,
     Stencil,
     add_component_rate,
     add_invariant_rate,
@@ -31,7 +32,7 @@ from wrod.kernels.elastic.curvature import (
 )
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 from wrod.kernels.elastic.stretching import add_stretching, stretching
-from wrod.kernels.elastic.twisting import twisting, twisting_hessian
+from wrod.kernels.elastic.twisting import Twisting, twisting, twisting_hessian
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,15 +41,12 @@ FOUR = wp.constant(wp.float64(4.0))
 
 @wp.struct
 class Law:
-    """How a moment-curvature law departs from the linear one, at the excess curvature e.
+    """What a moment-curvature law says at an excess curvature: energy per length, the moments along
+    the two principal directions, and their derivatives by the excess curvatures."""
 
-    The moments are `secant` B_k e_k, the energy is `energy` l sum_k B_k e_k^2 / 2, and the secant
-    changes by `coupling` sum_k B_k e_k de_k.
-    """
-
-    secant: wp.float64
     energy: wp.float64
-    coupling: wp.float64
+    moment: wp.vec2d
+    tangent: wp.mat22d
 
 
 @wp.struct
@@ -76,7 +74,7 @@ class Bending:
     tf_tf: wp.float64
 
 
-def make_bending(law: wp.Function | None = None) -> wp.Function:
+def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp.Function:
     """Bending at a node by the linear law, or by a `law` (excess, stiffness, its numbers) -> `Law`.
 
     What only a law needs is left out of the linear one when it is built.
@@ -88,7 +86,7 @@ def make_bending(law: wp.Function | None = None) -> wp.Function:
         rest: wp.float64,
         principal: wp.vec2d,
         natural: wp.vec2d,
-        parameter: wp.vec2d,
+        parameter: numbers,
         invariant: wp.vec2d,
         order: int,
     ) -> Bending:
@@ -118,11 +116,8 @@ def make_bending(law: wp.Function | None = None) -> wp.Function:
         if wp.static(law is not None):
             excesses = excess_curvature(s, rest, natural)
             here = law(excesses, principal, parameter)
-            # Gradient of sum_k B_k e_k^2 / 2, times l.
-            q_e = wp.vec3d(ZERO, ZERO, ZERO)
-            q_f = wp.vec3d(ZERO, ZERO, ZERO)
-            q_te = ZERO
-            q_tf = ZERO
+            energy = rest * here.energy
+            first = Component()
 
         average = HALF * (invariant[0] + invariant[1])
         mean = average / rest
@@ -137,13 +132,9 @@ def make_bending(law: wp.Function | None = None) -> wp.Function:
                 moment = stiffness * excess
                 work = HALF * moment * excess * rest
                 if wp.static(law is not None):
-                    q_e += moment * c.e
-                    q_f += moment * c.f
-                    q_te += moment * c.te
-                    q_tf += moment * c.tf
-                    stiffness = stiffness * here.secant
-                    moment = moment * here.secant
-                    work = work * here.energy
+                    stiffness = here.tangent[k, k]
+                    moment = here.moment[k]
+                    work = ZERO
                 b = stiffness / rest - mean
                 moment = moment - mean * c.kappa
                 energy += work - HALF * mean * c.kappa * c.kappa
@@ -178,6 +169,23 @@ def make_bending(law: wp.Function | None = None) -> wp.Function:
                     te_tf += b * c.te * c.tf
                     tf_tf += b * c.tf * c.tf + m * f_t
 
+                    if wp.static(law is not None):
+                        if k == 0:
+                            first = c
+                        else:
+                            # A law of both curvatures couples them.
+                            b = here.tangent[0, 1] / rest
+                            ee += b * symmetric(first.e, c.e)
+                            ef += b * (wp.outer(first.e, c.f) + wp.outer(c.e, first.f))
+                            ff += b * symmetric(first.f, c.f)
+                            e_te += b * (first.te * c.e + c.te * first.e)
+                            f_te += b * (first.te * c.f + c.te * first.f)
+                            e_tf += b * (first.tf * c.e + c.tf * first.e)
+                            f_tf += b * (first.tf * c.f + c.tf * first.f)
+                            te_te += TWO * b * first.te * c.te
+                            te_tf += b * (first.te * c.tf + c.te * first.tf)
+                            tf_tf += TWO * b * first.tf * c.tf
+
         # The invariant: K = 8 / chi - 4.
         energy += mean * (FOUR / chi - TWO)
         slope = -FOUR * mean / (chi * chi)
@@ -192,21 +200,6 @@ def make_bending(law: wp.Function | None = None) -> wp.Function:
                 symmetric(grad_chi_f, s.u) + cosine * (eye - wp.outer(s.u, s.u))
             )
             ef += b * wp.outer(grad_chi_e, grad_chi_f) + slope * project(eye, s.t, s.u)
-
-        if wp.static(law is not None):  # noqa: SIM102 (the outer test is made at build time)
-            if order == 2:
-                # A law of both curvatures couples them.
-                b = here.coupling / rest
-                ee += b * wp.outer(q_e, q_e)
-                ef += b * wp.outer(q_e, q_f)
-                ff += b * wp.outer(q_f, q_f)
-                e_te += b * q_te * q_e
-                f_te += b * q_te * q_f
-                e_tf += b * q_tf * q_e
-                f_tf += b * q_tf * q_f
-                te_te += b * q_te * q_te
-                te_tf += b * q_te * q_tf
-                tf_tf += b * q_tf * q_tf
 
         out = Bending()
         out.energy = energy
@@ -227,6 +220,55 @@ def make_bending(law: wp.Function | None = None) -> wp.Function:
         return out
 
     return bending
+
+
+@wp.func
+def add_stencil(
+    r: int,
+    i: int,
+    s: Stencil,
+    bend: Bending,
+    twist: Twisting,
+    # Beside them, by the edges before (e) and after (f) the node:
+    energy: wp.float64,
+    e: wp.vec3d,
+    f: wp.vec3d,
+    e_e: wp.mat33d,
+    f_f: wp.mat33d,
+    order: int,
+    # Out:
+    energy_out: wp.array(dtype=wp.float64),
+    gradient_out: wp.array2d(dtype=wp.float64),
+    hessian_out: wp.array3d(dtype=wp.float64),
+):
+    """Add bending and twisting at node i to the rod's energy and its derivatives."""
+    inv_e = ONE / s.length_e
+    inv_f = ONE / s.length_f
+    wp.atomic_add(energy_out, r, bend.energy + energy + twist.energy)
+    g_e = inv_e * bend.g_e + twist.moment * twist.e + e
+    g_f = inv_f * bend.g_f + twist.moment * twist.f + f
+    add_edge_gradient(gradient_out, r, i, g_e, g_f)
+    wp.atomic_add(gradient_out, r, 4 * i - 1, bend.g_te - twist.moment)
+    wp.atomic_add(gradient_out, r, 4 * i + 3, bend.g_tf + twist.moment)
+    if order == 2:
+        b = twist.stiffness
+        twist_ee, twist_ef, twist_ff = twisting_hessian(s, twist)
+        ee = (inv_e * inv_e) * bend.ee + e_e
+        ef = (inv_e * inv_f) * bend.ef
+        ff = (inv_f * inv_f) * bend.ff + f_f
+        add_edge_hessian(hessian_out, r, i, ee + twist_ee, ef + twist_ef, ff + twist_ff)
+        add_angle_hessian(
+            hessian_out,
+            r,
+            i,
+            inv_e * bend.e_te - b * twist.e,
+            inv_f * bend.f_te - b * twist.f,
+            inv_e * bend.e_tf + b * twist.e,
+            inv_f * bend.f_tf + b * twist.f,
+            bend.te_te + b,
+            bend.te_tf - b,
+            bend.tf_tf + b,
+        )
 
 
 def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
@@ -289,42 +331,21 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
             invariant_stiffness[r, i],
             order,
         )
-        inv_e = ONE / s.length_e
-        inv_f = ONE / s.length_f
         tau = dof_in[r, 4 * i + 3] - dof_in[r, 4 * i - 1] + reference_twist_in[r, i]
         twist = twisting(twisting_stiffness[r, i], natural_twist[r, i], rest, s, tau)
         before = stretching(stretching_stiffness[r, i - 1], rest_length[r, i - 1], s.length_e, s.t)
-        energy = bend.energy + before.energy + twist.energy
-        g_e = inv_e * bend.g_e + twist.moment * twist.e + before.gradient
-        g_f = inv_f * bend.g_f + twist.moment * twist.f
-        ee = (inv_e * inv_e) * bend.ee + before.hessian
-        ff = (inv_f * inv_f) * bend.ff
+        energy = before.energy
+        g_f = wp.vec3d(ZERO, ZERO, ZERO)
+        ff = wp.mat33d()
         if last:
             after = stretching(stretching_stiffness[r, i], rest_length[r, i], s.length_f, s.u)
             energy += after.energy
             g_f += after.gradient
             ff += after.hessian
-        wp.atomic_add(energy_out, r, energy)
-        add_edge_gradient(gradient_out, r, i, g_e, g_f)
-        wp.atomic_add(gradient_out, r, 4 * i - 1, bend.g_te - twist.moment)
-        wp.atomic_add(gradient_out, r, 4 * i + 3, bend.g_tf + twist.moment)
-        if order == 2:
-            b = twist.stiffness
-            twist_ee, twist_ef, twist_ff = twisting_hessian(s, twist)
-            ef = (inv_e * inv_f) * bend.ef
-            add_edge_hessian(hessian_out, r, i, ee + twist_ee, ef + twist_ef, ff + twist_ff)
-            add_angle_hessian(
-                hessian_out,
-                r,
-                i,
-                inv_e * bend.e_te - b * twist.e,
-                inv_f * bend.f_te - b * twist.f,
-                inv_e * bend.e_tf + b * twist.e,
-                inv_f * bend.f_tf + b * twist.f,
-                bend.te_te + b,
-                bend.te_tf - b,
-                bend.tf_tf + b,
-            )
+        add_stencil(
+            r, i, s, bend, twist, energy, before.gradient, g_f, before.hessian, ff, order,
+            energy_out, gradient_out, hessian_out,
+        )  # fmt: skip
 
     return elasticity
 

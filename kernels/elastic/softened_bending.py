@@ -30,14 +30,17 @@ def softening_law(excess: wp.vec2d, stiffness: wp.vec2d, softening: wp.vec2d) ->
     squares = stiffness[0] * excess[0] * excess[0] + stiffness[1] * excess[1] * excess[1]
     kept = softening[1]
     x = softening[0] * squares / mean
-    law = Law()
-    law.secant = kept + (ONE - kept) / (ONE + x)
+    secant = kept + (ONE - kept) / (ONE + x)
     # ln(1 + x) / x loses its digits near 0.
     logarithm = ONE - HALF * x + x * x / THREE
     if x > SMALL:
         logarithm = wp.log(ONE + x) / x
-    law.energy = kept + (ONE - kept) * logarithm
-    law.coupling = -TWO * (ONE - kept) * softening[0] / (mean * (ONE + x) * (ONE + x))
+    slope = -TWO * (ONE - kept) * softening[0] / (mean * (ONE + x) * (ONE + x))
+    linear = wp.vec2d(stiffness[0] * excess[0], stiffness[1] * excess[1])
+    law = Law()
+    law.energy = HALF * squares * (kept + (ONE - kept) * logarithm)
+    law.moment = secant * linear
+    law.tangent = secant * wp.diag(stiffness) + slope * wp.outer(linear, linear)
     return law
 
 

@@ -40,12 +40,21 @@ def twisting(
 ) -> Twisting:
     """At the twist `tau` across the node [rad]."""
     excess = tau / rest - natural_twist
+    moment = stiffness * excess
+    return twisting_moment(HALF * moment * excess * rest, moment, stiffness / rest, s)
+
+
+@wp.func
+def twisting_moment(
+    energy: wp.float64, moment: wp.float64, stiffness: wp.float64, s: Stencil
+) -> Twisting:
+    """What has this energy, moment, and derivative of the moment by the twist across the node."""
     # Half the curvature binormal.
     turn = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
     out = Twisting()
-    out.moment = stiffness * excess
-    out.energy = HALF * out.moment * excess * rest
-    out.stiffness = stiffness / rest
+    out.energy = energy
+    out.moment = moment
+    out.stiffness = stiffness
     out.e = turn / s.length_e
     out.f = turn / s.length_f
     return out

@@ -40,8 +40,9 @@ ON_THE_WAY = wp.constant(wp.float64(5.0e-2))
 AT_TARGET = wp.constant(wp.float64(5.0e-3))
 # How much better balanced two grasps are than they are apart, for their slopes to be compared.
 SHARP = wp.constant(wp.float64(2.0e-2))
-# Change of the force that no longer matters.
+# Change of the force that no longer matters, and its part of what rounding leaves out of balance.
 FORCE_DONE = wp.constant(wp.float64(1.0e-11))
+FORCE_ROUNDING = wp.constant(wp.float64(0.01))
 
 
 @wp.struct
@@ -176,6 +177,7 @@ def make_solver(size: int):
         r = work[thread]
         slot = thread % scratch.condensed.shape[0]
         h0 = rod.rest[r, 0]
+        force_done = wp.max(FORCE_DONE, FORCE_ROUNDING * tolerance[r])
         kappa = curvature[r]
         # How far the continuation has come: in curvature, or from the uniform rod to the rod.
         place = wp.float64(kappa)
@@ -279,7 +281,7 @@ def make_solver(size: int):
                 slope_before = slope
                 worst_before = worst
 
-            if balanced and worst <= tolerance[r] and at_target and wp.abs(change) <= FORCE_DONE:
+            if balanced and worst <= tolerance[r] and at_target and wp.abs(change) <= force_done:
                 status = CONVERGED
             elif not wp.isfinite(worst) or waited > patience or iterations >= most_iterations:
                 increment = HALF * HALF * increment
@@ -305,7 +307,7 @@ def make_solver(size: int):
                     pull_saved = pull
                     along_saved = vector(along)
                     saved = 1
-                    if not at_target or wp.abs(change) > FORCE_DONE:
+                    if not at_target or wp.abs(change) > force_done:
                         if waited <= 3:
                             reach = wp.float64(1.5) * reach
                         waited = 0

@@ -198,6 +198,32 @@ def measure_loads(
 
 
 @wp.kernel
+def measure_pushes(
+    # Model:
+    carrier: wp.array2d(dtype=wp.int32),
+    body_com: wp.array(dtype=wp.vec3),
+    # State in:
+    push: wp.array2d(dtype=wp.vec3d),
+    moment: wp.array2d(dtype=wp.vec3d),
+    body_q: wp.array(dtype=wp.transform),
+    # State in and out:
+    force: wp.array(dtype=wp.vec3d),
+    torque: wp.array(dtype=wp.vec3d),
+):
+    """Add what rods did to the bodies whose shapes they touch, likewise."""
+    r, k = wp.tid()
+    body = carrier[r, k]
+    if body < 0:
+        return
+    pose = as_pose(body_q[body])
+    com = body_com[body]
+    centre = wp.vec3d(wp.float64(com[0]), wp.float64(com[1]), wp.float64(com[2]))
+    centre = pose.position + wp.quat_rotate(pose.rotation, centre)
+    wp.atomic_add(force, body, push[r, k])
+    wp.atomic_add(torque, body, moment[r, k] - wp.cross(centre, push[r, k]))
+
+
+@wp.kernel
 def add_wrenches(
     # In:
     force: wp.array(dtype=wp.vec3d),

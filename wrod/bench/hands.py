@@ -23,7 +23,7 @@ _EIGHTY = 1.2816
     "--data",
     required=True,
     type=click.Path(file_okay=False, exists=True, path_type=Path),
-    help="Folder with a folder `swing` of SET-static.npz.",
+    help="Folder with folders `swing` (SET-static.npz) and `hanging` (CABLE-hanging.npz, poses).",
 )
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path))
 @click.option("--folds", default=4, show_default=True, help="Folds of angles left out.")
@@ -32,11 +32,14 @@ _EIGHTY = 1.2816
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json: bool) -> None:
     """Explain where cables hang at each angle of the hand; predict other angles, other lengths.
+    Thin cables hung as loops follow: their stiffness, an arm's poses, the twist at which they
+    buckle.
 
     A straight cable of one stiffness first, then with natural curvature, with what the last turn
     left of it (lag), and with a tilted clamp, each fitted to both loads of a cable together. Angles
     are left out in folds, every FOLDS-th of each set; intervals come from other folds.
     """
+    from wrod.bench import hands_loops
     from wrod.errors import DataError
     from wrod.files import write_atomically
     from wrod.identification.held.measurements import load_held
@@ -53,6 +56,9 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
         if not quick:
             spread = figures["cables"][cable]["left_out"]["sigma_mm"]
             predictions |= _predict(cable, sets, fit, spread, device)
+    hanging = data / "hanging"
+    if hanging.is_dir() and not quick:
+        figures["loops"], predictions["loops"] = hands_loops.explain(hanging, device)
     written = [out / "hands.json"]
     if not quick:
         written.append(out / "hands-prediction.json")
@@ -63,6 +69,8 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
         click.echo(json.dumps(figures, indent=2))
         return
     click.echo(_table(figures["cables"]))
+    if "loops" in figures:
+        click.echo(hands_loops.table(figures["loops"], predictions["loops"]))
     click.echo(figures["machine"])
     for path in written:
         click.echo(f"wrote {path}")
@@ -173,9 +181,20 @@ def _table(cables: dict) -> str:
         rows = [(", ".join(s["effects"]) or "straight", s) for s in figures["stages"]]
         if "left_out" in figures:
             rows.append(("left out", figures["left_out"]))
+        first, before = rows[0][1]["rms_mm"], None
         for label, row in rows:
             said = ", ".join(f"{name} {value:.1f}" for name, value in row["rms_mm"].items())
-            lines.append(f"{cable}: {label}: {said}; snapped {row['snapped']} of {row['cases']}")
+            share = ""
+            if before is not None and label != "left out":
+                # Of the squares that the straight cable leaves, what this effect takes more.
+                share = "; takes " + ", ".join(
+                    f"{100.0 * (before[name] ** 2 - value**2) / first[name] ** 2:.0f} %"
+                    for name, value in row["rms_mm"].items()
+                )
+            before = row["rms_mm"]
+            lines.append(
+                f"{cable}: {label}: {said}{share}; snapped {row['snapped']} of {row['cases']}"
+            )
         for name, estimate in figures["parameters"].items():
             lines.append(f"  {name}: {estimate['value']:.3f} ± {estimate['stderr']:.3f}")
         if "left_out" in figures:

@@ -16,6 +16,13 @@ TITLES = {
     "none": "rod without the effect",
 }
 COLORS = {"old": "#c2533c", "new": "#2f8f5b"}
+
+
+def _title(effect: str) -> str:
+    """Of a recorded cable its name."""
+    return TITLES.get(effect, effect)
+
+
 _INK, _GREY = "#22262b", "#59616b"
 _COLUMNS = {
     "error_mean": "e_mean [cm]",
@@ -47,7 +54,7 @@ def markdown(rows: list[dict], found: dict, head: str) -> str:
     cell = _cells(rows)
     lines = [head, ""]
     for effect, told in found.items():
-        lines += [f"{TITLES[effect]}: {_told(told)}", ""]
+        lines += [f"{_title(effect)}: {_told(told)}", ""]
     lines.append("| rod | controller | plan | " + " | ".join(patterns) + " | mean |")
     lines.append("|" + " --- |" * (4 + len(patterns)))
     kinds = [("none", controller, "old", "old") for controller in controllers]
@@ -57,7 +64,7 @@ def markdown(rows: list[dict], found: dict, head: str) -> str:
     for effect, controller, plan, shown in kinds:
         texts = [_cell(cell[effect, controller, name, plan]) for name in patterns]
         texts.append(f"{mean_error(rows, effect, controller, plan):.3f}")
-        lines.append(f"| {TITLES[effect]} | {controller} | {shown} | " + " | ".join(texts) + " |")
+        lines.append(f"| {_title(effect)} | {controller} | {shown} | " + " | ".join(texts) + " |")
     return "\n".join([*lines, "", *summary(rows), ""])
 
 
@@ -77,14 +84,21 @@ def _cell(row: dict) -> str:
 def _told(told: dict) -> str:
     names = ", ".join(told["effects"]) or "nothing"
     true, model, network = told["true"], told["model"], told["network"]
-    curved, found = (np.hypot(*m["natural_curvature"]) for m in (true, model))
+
+    def beside(value: float) -> str:
+        return "" if true is None else f" (true {value:.2f})"
+
+    found = np.hypot(*model["natural_curvature"])
+    curved = 0.0 if true is None else np.hypot(*true["natural_curvature"])
+    stiff = 0.0 if true is None else 100 * true["gravito_bending_length"]
     text = (
-        f"{told['verdict']}, found {names}; clamped shapes off by {told['before_mm']:.2f} mm "
+        f"{told['verdict']}, found {names}; measured shapes off by {told['before_mm']:.2f} mm "
         f"before, {told['after_mm']:.2f} mm after, noise {told['noise_floor_mm']:.2f} mm; "
-        f"natural curvature {found:.2f} (true {curved:.2f}) 1/m, L_gb "
-        f"{100 * model['gravito_bending_length']:.2f} "
-        f"(true {100 * true['gravito_bending_length']:.2f}) cm"
+        f"natural curvature {found:.2f}{beside(curved)} 1/m, L_gb "
+        f"{100 * model['gravito_bending_length']:.2f}{beside(stiff)} cm"
     )
+    if told["set_aside"]:
+        text += f"; of the measurement, not of the rod: {', '.join(told['set_aside'])}"
     if told["rod_has"]:
         return text + f"; planned with its {', '.join(told['rod_has'])}"
     if network is None:
@@ -106,13 +120,13 @@ def summary(rows: list[dict]) -> list[str]:
             old, new = (mean_error(rows, effect, controller, plan) for plan in ("old", "new"))
             ideal = mean_error(rows, "none", controller, "old")
             lines.append(
-                f"{TITLES[effect]}, {controller}: mean e_mean {old:.3f} cm with the old plan, "
+                f"{_title(effect)}, {controller}: mean e_mean {old:.3f} cm with the old plan, "
                 f"{new:.3f} cm with the new one ({old / new:.1f} times less); {ideal:.3f} cm "
                 "without the effect."
             )
     cell = _cells(rows)
     worse = [
-        f"{row['pattern']} ({TITLES[row['effect']]}, {row['controller']}: {before:.3f} to "
+        f"{row['pattern']} ({_title(row['effect'])}, {row['controller']}: {before:.3f} to "
         f"{row['error_mean']:.3f} cm; the new plan asks for friction {row['contact_friction']:.2f})"
         for (effect, controller, name, plan), row in cell.items()
         if plan == "new"
@@ -146,12 +160,16 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
     effects = [effect for effect in _values(rows, "effect") if effect != "none"]
     cell, count = _cells(rows), len(patterns)
     shown = _values(rows, "controller")[-1]
-    figure = Figure(figsize=(2.0 * max(count, 3), 3.6 * len(effects) + 0.6), facecolor="white")
+    # Above the panels room for a legend, in two lines where the figure is narrow.
+    top, columns = (0.62, 5) if count > 5 else (0.85, 3)
+    size = max(2.0 * count, 7.5), 3.6 * len(effects) + top
+    figure = Figure(figsize=size, facecolor="white")
     FigureCanvasAgg(figure)
     height = figure.get_figheight()
     grid = figure.add_gridspec(
         2 * len(effects), count, height_ratios=[1.0, 0.75] * len(effects),
-        left=0.06, right=0.99, top=1 - 0.62 / height, bottom=0.035, hspace=0.2, wspace=0.12,
+        left=0.45 / size[0] + 0.03, right=0.99, top=1 - top / height, bottom=0.035,
+        hspace=0.2, wspace=0.12,
     )  # fmt: skip
     for k, effect in enumerate(effects):
         highest = max(row["error_mean"] for row in rows if row["effect"] == effect)
@@ -173,12 +191,12 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
                 bars.set_ylabel("e_mean [mm]", fontsize=9, color=_GREY)
             else:
                 bars.set_yticklabels([])
-        middle = 1 - (0.62 + (height - 0.9) * (k + 0.5) / len(effects)) / height
+        middle = 1 - (top + (height - 0.28 - top) * (k + 0.5) / len(effects)) / height
         figure.text(
-            0.012, middle, TITLES[effect], fontsize=11, color=_INK, rotation=90, ha="center",
+            0.012, middle, _title(effect), fontsize=11, color=_INK, rotation=90, ha="center",
             va="center",
         )  # fmt: skip
-    _draw_legend(figure, shown)
+    _draw_legend(figure, shown, columns)
 
     def write(file):
         figure.savefig(file, format="png", dpi=90)
@@ -206,7 +224,7 @@ def _draw_bars(axes, cell: dict, effect: str, name: str, highest: float) -> None
     axes.tick_params(axis="y", labelsize=8, colors=_GREY)
 
 
-def _draw_legend(figure, shown: str) -> None:
+def _draw_legend(figure, shown: str, columns: int) -> None:
     from matplotlib.lines import Line2D
 
     figure.legend(
@@ -217,5 +235,5 @@ def _draw_legend(figure, shown: str) -> None:
             Line2D([], [], color=_GREY, lw=1.0, ls=":", label="without the effect"),
             Line2D([], [], color="none", label=f"curves: {shown} controller"),
         ],
-        loc="upper right", ncol=5, fontsize=9, frameon=False,
+        loc="upper right", ncol=columns, fontsize=9, frameon=False,
     )  # fmt: skip

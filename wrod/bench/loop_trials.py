@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from wrod.errors import DataError
 from wrod.rods.law import Softening
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -15,14 +16,17 @@ from wrod.rods.profile import Profile
 # Who makes the plan: the trained network, the rod solver with the same closure, or what `wrod plan`
 # does when nothing else is said.
 CONTROLLERS = ("network", "numeric", "default")
+EFFECTS = ("natural_curvature", "stiffness", "varied")
 
 
 @dataclass(frozen=True)
 class Case:
-    """A rod with an effect: as it is, as it was identified, the network for the latter (None where
-    the one that ships knows it), and the roll that plans hold it at (see `wrod.plan`)."""
+    """A rod with an effect: as it is, as it is believed to be, as it was identified, the network
+    for the latter (None where the one that ships knows it), and the roll that plans hold it at
+    (see `wrod.plan`)."""
 
     true: RodModel | RodMaterial
+    believed: RodModel | RodMaterial
     report: Any
     model: RodModel | RodMaterial
     network: Any
@@ -38,6 +42,34 @@ def identified(true, believed, trials, noise, seed, candidates, device):
     data = clamped_experiment(true, believed, trials=trials, noise=noise, seed=seed)
     measurements = measurements_from_arrays(data, name="synthetic")
     return identify(measurements, candidates=candidates or None, device=device)
+
+
+def identified_cable(recording: Path, candidates, device):
+    """Report of an identification of a cable from recordings of it in motion."""
+    from wrod.identification import identify
+    from wrod.identification.motion.loading import load_motion
+
+    return identify(load_motion(recording), candidates=candidates or None, device=device)
+
+
+def own_bend(cable: RodModel | RodMaterial):
+    """A pattern that a cable can be laid along which is a few L_gb long: as much as leaves 1.5 L_gb
+    hanging, straight for 1.25 L_gb, then bent by up to 0.2 / L_gb, which the friction of so little
+    of it holds."""
+    from wrod.patterns.pattern import Pattern
+    from wrod.patterns.shapes import straight, strokes
+
+    lgb = cable.gravito_bending_length
+    first, bend = 1.25 * lgb, 0.2 / lgb
+    rest = cable.length - 1.5 * lgb - first
+    if rest < lgb:
+        raise DataError(
+            f"the cable is {cable.length / lgb:.1f} L_gb long, too short to be laid in a bend; "
+            "give --pattern"
+        )
+    ease = rest / 3.0
+    parts = [(ease, 0.0, bend), (ease, bend, bend), (ease, bend, 0.0)]
+    return Pattern(*strokes(0.0, straight(first), parts), name="bend")
 
 
 def network_for(
@@ -66,13 +98,13 @@ def network_for(
 
 
 def trials_along(
-    name: str, curve, believed: RodMaterial, cases: dict[str, Case], controllers, law
+    name: str, curve, cases: dict[str, Case], controllers: tuple[str, ...], law
 ) -> dict:
     """Deployments along one pattern by (effect, controller, pattern, plan): old, new, and of a rod
     without any effect.
 
     Old and new plan hold the rod at the same roll, so that only the model behind the grasps
-    differs. `law` is the table's `Friction`.
+    differs. `law` is the table's `Friction`. All cases believe in one rod.
     """
     from wrod.deployment.setup import tail
     from wrod.deployment.simulate import Trial, with_remainder_of
@@ -88,6 +120,7 @@ def trials_along(
         return Trial(led, rod, path, law, tail=tail(led, model, path))
 
     jobs = {}
+    believed = next(iter(cases.values())).believed
     for controller in controllers:
         jobs["none", controller, name, "old"] = trial(believed, believed, controller)
         for effect, case in cases.items():

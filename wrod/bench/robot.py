@@ -18,6 +18,7 @@ RODS = ("pink-vps", "green-vps", "rope")
 @click.option(
     "--robots", default="sawyer", show_default=True, help="Arms, separated by commas, or all."
 )
+@click.option("--rods", default=",".join(RODS), show_default=True, help="Separated by commas.")
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
@@ -26,22 +27,36 @@ RODS = ("pink-vps", "green-vps", "rope")
 @click.option("--finer", is_flag=True, help="Compare with plans at a tenth of the node distance.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
-    method: str, patterns: str | None, robots: str, out: Path | None, finer: bool, as_json: bool
+    method: str,
+    patterns: str | None,
+    robots: str,
+    rods: str,
+    out: Path | None,
+    finer: bool,
+    as_json: bool,
 ) -> None:
-    """Solve 21 joint paths an arm with automatic placement and print what they keep."""
+    """Solve 21 joint paths an arm with automatic placement and print what they keep.
+
+    Cases of one run may be shared out by --robots and --rods to processes with folders of their
+    own; lines of their arms.jsonl below the first may be put into one file.
+    """
     from tqdm import tqdm
 
     from wrod.bench.ledger import Ledger
     from wrod.errors import RobotError
     from wrod.machine import machine_line
     from wrod.robot.model import ROBOTS
+    from wrod.rods.material import rod_names
 
     names = list(ROBOTS) if robots == "all" else robots.split(",")
     unknown = [name for name in names if name not in ROBOTS]
     if unknown:
         raise RobotError(f"unknown robot {unknown[0]!r}; known robots: {', '.join(ROBOTS)}, all")
+    unknown = [name for name in rods.split(",") if name not in rod_names()]
+    if unknown:
+        raise RobotError(f"unknown rod {unknown[0]!r}; known rods: {', '.join(rod_names())}")
     folder = None if patterns is None else Path(patterns)
-    cases = [(name, p, r) for name in names for r in RODS for p in PATTERNS]
+    cases = [(name, p, r) for name in names for r in rods.split(",") for p in PATTERNS]
     ledger = None
     if out is not None:
         settings = {"method": method, "patterns": patterns, "finer": finer}
@@ -58,6 +73,7 @@ def command(
                 ledger.add([row])
         rows.append(row)
     solved = sum("error" not in row for row in rows)
+    whole = sum("error" not in row and not row["no_approach"] for row in rows)
     if as_json:
         click.echo(json.dumps({"machine": machine_line(), "paths": rows, "solved": solved}))
         return
@@ -80,9 +96,12 @@ def command(
             f" {row['gap_mm']:7.1f} {row['turn']:6.3f} {row['step']:6.3f} {row['beyond']:6.3f}"
             f" {row['duration'] / 60:8.2f}"
             + (f" {row['finer_mm']:9.3f} {row['finer_deg']:9.4f}" if finer else "")
+            + (" without approach" if row["no_approach"] else "")
+            + (" scene: " + "; ".join(row["scene_faults"]) if row.get("scene_faults") else "")
         )
     click.echo(
-        f"{solved} of {len(rows)} solved; limit: least distance from a joint limit [rad]; turn and "
+        f"{solved} of {len(rows)} solved, {whole} of them from and to a neutral pose; limit: least "
+        "distance from a joint limit [rad]; turn and "
         "step: most that the rod's frame and a joint turn between nodes [rad]; beyond: most that a "
         "joint turns more than the rod's frame [rad per 5 mm of the grip's way]"
     )
@@ -141,7 +160,9 @@ def run_case(
                 curve = wrod.Pattern.load(folder / f"{pattern.replace('-', '')}.txt")
             trajectory = wrod.plan(curve, wrod.rod(rod_name), method=method)
         started = time.process_time()
-        path = wrod.solve_joint_path(trajectory, robot)
+        path = wrod.solve_joint_path(
+            trajectory, robot, whole_job=True, rod_radius=wrod.rod(rod_name).radius
+        )
         row |= {"cpu": time.process_time() - started}
         if scene:
             row |= {"scene_faults": _scene_faults(trajectory, path, curve, wrod.rod(rod_name))}
@@ -163,6 +184,7 @@ def run_case(
         "beyond": figures["step_beyond_turn"],
         "grip_angle": figures["grip_angle"],
         "duration": figures["duration"],
+        "no_approach": figures.get("no_approach"),
     }
 
 

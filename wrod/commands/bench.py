@@ -17,6 +17,7 @@ BENCHMARKS = (
     "knot-force",
     "bends",
     "newton",
+    "cosserat",
     "identify",
     "cables",
     "loop",

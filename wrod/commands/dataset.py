@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, options, read_rod, read_roll
+from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, options, read_rod
 
 
 @click.command(name="dataset")
@@ -56,6 +56,7 @@ def command(
     """
     from wrod.errors import DataError
     from wrod.machine import machine_line
+    from wrod.planning.plan import read_roll
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
     from wrod.training.store import row_bytes
 

@@ -12,6 +12,7 @@ from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_patt
 
 # How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
 _SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
+_PAGE_INTERVAL = 0.25  # [s] between the states that the page shows
 
 
 @click.command(name="deploy")
@@ -77,6 +78,9 @@ def command(
     The free end's first 5 cm are held at first. The rod is measured at the end of the pattern with
     the grip holding, and again after the grip laid the tail straight ahead and let go.
     """
+    from dataclasses import replace
+    from importlib.util import find_spec
+
     from wrod.deployment.fixtures import Fixtures
     from wrod.deployment.picture import draw_deployments
     from wrod.deployment.setup import Disturbance, tail
@@ -86,6 +90,8 @@ def command(
     from wrod.planning.trajectory import Trajectory
     from wrod.solvers.contact import Friction
 
+    paged = find_spec("viser") is not None and trials == 1
+    interval = _PAGE_INTERVAL if frames is None and paged else frames
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
     rod, curve = read_rod(rod_name, radius, lgb, length), read_pattern(pattern, units)
@@ -128,16 +134,24 @@ def command(
             jobs,
             speed=speed,
             release=release,
-            frame_interval=frames,
+            frame_interval=interval,
             device=device,
             progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
         )
     title = f"{curve.name} · {path.metadata.get('method', '')} · friction {friction:g}"
+    seen = deployments[0]
+    if frames is None:  # they were for the page alone
+        deployments = [replace(d, frames=None, hand=None) for d in deployments]
     try:
         names = ["deployment"] if trials == 1 else [f"deployment-{k}" for k in range(trials)]
         written = [d.save(out / name) for d, name in zip(deployments, names, strict=True)]
         picture = draw_deployments(out / "deployment.png", curve, deployments, title, fixtures)
         written.append(picture)
+        if paged:
+            from wrod.scene.page import write_laying_page
+
+            page = out / "deployment.html"
+            written.append(write_laying_page(page, seen, path, curve, rod, interval))
     except OSError as error:
         raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
     placed = (

@@ -110,31 +110,6 @@ def read_rod(name: str | None, radius: float | None, lgb: float | None, length: 
     return RodMaterial(radius, lgb, length)
 
 
-def read_roll(text: str | None, rod) -> float | str:
-    """What `wrod.plan` takes as roll for `ROLL`'s option and this `RodMaterial`.
-
-    Raises:
-        RodError: it is none, or there is no rod.
-    """
-    from math import isfinite, radians
-
-    from wrod.errors import RodError
-
-    if text is None:
-        return "plane"
-    if rod is None:
-        raise RodError("--roll belongs to one rod; name it with --rod")
-    if text in ("plane", "up"):
-        return text
-    try:
-        roll = radians(float(text))
-    except ValueError:
-        roll = float("nan")
-    if not isfinite(roll):
-        raise RodError(f"--roll {text} is no roll; use plane, up or a finite number of degrees")
-    return roll
-
-
 def read_pattern(
     name: str,
     units: str | None,

@@ -18,7 +18,6 @@ from wrod.commands.options import (
     options,
     read_pattern,
     read_rod,
-    read_roll,
 )
 from wrod.commands.plan_pattern import SHAPE, fit, too_long
 from wrod.commands.plan_steps import NO_JOINT_PATH, arm_steps, save_plan, solve_grasps_of
@@ -100,7 +99,7 @@ def command(
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
     from wrod.controller.controller import Controller
-    from wrod.planning.plan import prepare
+    from wrod.planning.plan import prepare, read_roll
 
     request = RobotRequest(**arm)
     request.check()
@@ -120,7 +119,7 @@ def command(
         try:
             curve = prepare(fitted.pattern, fitted.rod, remainder)
         except PatternError as error:
-            remedy = too_long(fitted.pattern, fitted.rod)
+            remedy = too_long(fitted.pattern, fitted.rod, arm=not request.no_robot)
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json, method=method, closure=closure, spacing=spacing,

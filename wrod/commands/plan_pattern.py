@@ -86,15 +86,24 @@ def fit(curve, rod, resize: float | None, tolerance: float, hold: float | None) 
     return Prepared(curve, rod, tuple(notes), figures)
 
 
-def too_long(curve, rod) -> str | None:
-    """The remedies for a pattern that the rod cannot lay, or None where it can."""
+def too_long(curve, rod, arm: bool = False) -> str | None:
+    """The remedies for a pattern that the rod cannot lay, or None where it can.
+
+    With an `arm` what they leave suspended keeps its fingers off the table.
+    """
     from wrod.planning.sources import MIN_SUSPENDED_LENGTH
 
-    spare = rod.length - MIN_SUSPENDED_LENGTH * rod.gravito_bending_length
-    if curve.length <= spare or spare <= 0:
+    kept = MIN_SUSPENDED_LENGTH * rod.gravito_bending_length
+    if curve.length <= rod.length - kept or rod.length <= kept:
         return None
+    if arm:
+        from wrod.robot.remedy import least_suspended
+
+        kept = max(kept, least_suspended(rod))
+    spare, needed = rod.length - kept, curve.length + kept
     factor = int(1e3 * spare / curve.length - 5) / 1e3
-    needed = curve.length + MIN_SUSPENDED_LENGTH * rod.gravito_bending_length
+    if factor <= 0:
+        return None
     return (
         f"`--resize {factor:g}` draws it smaller; a rod as stiff of {needed + 0.005:.3f} m "
         "lays it as it is"

@@ -43,6 +43,10 @@ def summary(figures: dict) -> str:
             f"y {place['y']:.3f}, z {place['z']:.3f} m, yaw {degrees(place['yaw']):.0f} degrees "
             "from the robot's base"
         )
+        if "phases" in path:
+            lines.append(
+                ", ".join(f"{p['name']} {p['end'] - p['start']:.0f} s" for p in path["phases"])
+            )
     return "\n".join(lines)
 
 

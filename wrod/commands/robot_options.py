@@ -40,6 +40,11 @@ ROBOT = (
         help="JSON list of boxes, cylinders, spheres and meshes that stand in the way.",
     ),
     click.option(
+        "--lay-only",
+        is_flag=True,
+        help="Leave out approach, grasp, release and retreat: begin and end at the rod.",
+    ),
+    click.option(
         "--remedy/--no-remedy",
         default=True,
         help="Where no joint path exists, look for what would help (default).",
@@ -48,14 +53,14 @@ ROBOT = (
         "--export",
         "exports",
         multiple=True,
-        help="Also write ros-yaml, ros-json, mcap, urscript, libfranka, intera or poses; all that "
-        "suit the arm: all.",
+        help="Also write ros-yaml, ros-json, mcap, urscript, libfranka, intera, poses or phases; "
+        "all that suit the arm: all.",
     ),
     click.option("--view", is_flag=True, help="Then play the scene in a browser on this machine."),
 )
 _NEEDED = {
     "torch": "robot", "pytorch_kinematics": "robot", "ruckig": "robot", "trimesh": "robot",
-    "pxr": "scene", "newton": "newton",
+    "pxr": "scene",
 }  # fmt: skip
 
 
@@ -72,6 +77,7 @@ class RobotRequest:
     gripper_length: float | None
     speed: float | None
     obstacles: Path | None
+    lay_only: bool
     remedy: bool
     exports: tuple[str, ...]
     view: bool
@@ -141,6 +147,7 @@ class RobotRequest:
             ["--export"] * bool(self.exports)
             + ["--view"] * self.view
             + ["--placement"] * (self.placement != "auto")
+            + ["--lay-only"] * self.lay_only
         )
         if given:
             raise RobotError(f"{', '.join(given)} belong to an arm; drop them or --no-robot")
@@ -165,6 +172,7 @@ class RobotRequest:
             "obstacles": None if self.obstacles is None else Obstacles.load(self.obstacles),
             "placement": self.placement,
             "rod_radius": rod.radius,
+            "whole_job": not self.lay_only,
         }
         if self.speed is not None:
             options["grip_speed"] = self.speed

@@ -6,7 +6,7 @@ length of the contact, not on the suspended length alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -102,7 +102,7 @@ def solve_rod_grasps(
 
     Raises:
         GraspError: a contact is not on the rod, a value is not finite or, in L_gb, outside what can
-            be solved, or an unknown closure.
+            be solved, an unknown closure, or the rod's shape depends on how it was bent before.
     """
     if closure not in CLOSURES:
         raise GraspError(f"unknown closure {closure!r}; use one of {', '.join(CLOSURES)}")
@@ -111,7 +111,7 @@ def solve_rod_grasps(
     roll = np.asarray(roll, dtype=np.float64)
     if not np.isfinite(roll).all() or roll.shape not in ((), (1,), np.shape(arc_length)):
         raise GraspError(f"roll is {roll!r:.80}; give an angle in radians, or one for each contact")
-    model = models_of(rod)[0]
+    model = _at_rest(models_of(rod)[0])
     contact = np.atleast_1d(np.asarray(arc_length, dtype=np.float64))
     if contact.ndim != 1 or not ((contact >= 0.0) & (contact < model.length)).all():
         raise GraspError(f"arc_length must be (n,) from 0 to below the rod's {model.length:g} m")
@@ -158,6 +158,16 @@ def solve_rod_grasps(
         length_unit=lgb,
         force_unit=force,
     )
+
+
+def _at_rest(model: RodModel) -> RodModel:
+    if model.law.at_rest is None:
+        raise GraspError(
+            f"a grasp is an equilibrium, and a rod with the law {model.law.name} remembers how it "
+            "came there; take grasps and plans of the rod with law wrod.rods.law.Linear(), and lay "
+            "the rod itself"
+        )
+    return replace(model, law=model.law.at_rest)
 
 
 def _units(model: RodModel) -> tuple[float, float]:

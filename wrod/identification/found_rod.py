@@ -60,7 +60,8 @@ def found_rod(
     """
     plain = read(base)
     parts = list(zip(model.effects, model.split(values), strict=True))
-    aside = [e.name for e, v in parts if read(Model((e,)).setup(base, v)) == plain]
+    # Of what came out as nothing there is nothing to set aside.
+    aside = [e.name for e, v in parts if np.any(v) and read(Model((e,)).setup(base, v)) == plain]
     effects = {
         e.name: dict(zip((p.key for p in e.parameters), v.tolist(), strict=True)) for e, v in parts
     }

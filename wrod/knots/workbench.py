@@ -41,8 +41,10 @@ class Hands:
         self._still = np.zeros_like(self._movable)
         shape = (scenes, count)
         self._edge = wp.array(self.edge, dtype=wp.int32, device=device)
-        self._position = [wp.zeros(shape, dtype=wp.vec3d, device=device) for _ in range(2)]
-        self._rotation = [wp.zeros(shape, dtype=wp.quatd, device=device) for _ in range(2)]
+        # A hand's point is the middle of its edge.
+        self._part = wp.full(shape, wp.float64(0.5), dtype=wp.float64, device=device)
+        self._position = wp.zeros((*shape, 2), dtype=wp.vec3d, device=device)
+        self._rotation = wp.zeros((*shape, 2), dtype=wp.quatd, device=device)
         self._times = wp.array([0.0, 1.0], dtype=wp.float64, device=device)
         # Of the held edge in the hand.
         self._offset = np.zeros((scenes, count, 3))
@@ -88,20 +90,14 @@ class Hands:
     def move(self, times: tuple[float, float], first: list[Poses], last: list[Poses]) -> None:
         """From one pose of every hand to another."""
         self._times.assign(times)
-        for k, poses in enumerate((first, last)):
-            position = np.stack([p.position for p in poses], axis=1)
-            position = position + np.stack(
-                [p.rotation.apply(self._offset[:, h]) for h, p in enumerate(poses)], axis=1
-            )
-            rotation = np.stack(
-                [
-                    (p.rotation * Rotation.from_quat(self._turn[:, h])).as_quat()
-                    for h, p in enumerate(poses)
-                ],
-                axis=1,
-            )
-            self._position[k].assign(position)
-            self._rotation[k].assign(rotation)
+        positions, rotations = [], []
+        for poses in (first, last):
+            for h, p in enumerate(poses):
+                positions.append(p.position + p.rotation.apply(self._offset[:, h]))
+                rotations.append((p.rotation * Rotation.from_quat(self._turn[:, h])).as_quat())
+        for target, keys in ((self._position, positions), (self._rotation, rotations)):
+            keys = np.stack(keys).reshape(2, self.count, *keys[0].shape)
+            target.assign(np.ascontiguousarray(keys.transpose(2, 1, 0, 3)))
 
     def load(self, reaction: np.ndarray) -> np.ndarray:
         """(scene, hand) force with which each hand holds its edge against slipping out [N]; a hand
@@ -122,9 +118,11 @@ class Hands:
             inputs=[
                 batch.rest_length,
                 self._edge,
+                self._part,
                 self._times,
-                *self._position,
-                *self._rotation,
+                self._position,
+                self._rotation,
+                batch.free,
                 running,
                 time,
                 step,

@@ -102,6 +102,7 @@ def register(builder: ModelBuilder) -> None:
     add(NODE, "node_natural_curvature", wp.vec2d)
     add(NODE, "node_natural_twist", wp.float64)
     add(NODE, "node_softening", wp.vec2d)
+    add(NODE, "node_inelastic", wp.vec4d)
     add(NODE, "node_q", wp.vec3d, assignment=state, move=_MOVE_POINTS)
     add(NODE, "node_qd", wp.vec3d, assignment=state, move=_TURN_NODES)
     add(NODE, "node_contact_f", wp.vec3d, assignment=state)
@@ -188,6 +189,7 @@ def add_rod(
             "der:node_natural_curvature": wp.vec2d(*nodes["natural_curvature"][i]),
             "der:node_natural_twist": float(nodes["natural_twist"][i]),
             "der:node_softening": wp.vec2d(*nodes["softening"][i]),
+            "der:node_inelastic": wp.vec4d(*nodes["inelastic"][i]),
             "der:node_q": points[i],
             "der:node_qd": velocity[i],
         }

@@ -269,6 +269,14 @@ class RodGroup:
             outputs=[force, torque],
             device=self.device,
         )
+        if self.contact is not None and self._shapes_move:
+            wp.launch(
+                carrying.measure_pushes,
+                dim=self.carrier.shape,
+                inputs=[self.carrier, self.model.body_com, *self.contact.pushes, self.body_before],
+                outputs=[force, torque],
+                device=self.device,
+            )
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
         """Carry what is held, and shapes, to where their bodies are at the end of the step."""

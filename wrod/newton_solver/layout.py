@@ -142,6 +142,7 @@ class Layout:
             natural_curvature=der.node_natural_curvature.numpy()[n] / stiffer[:, :, None],
             natural_twist=der.node_natural_twist.numpy()[n] / stiffer,
             softening=der.node_softening.numpy()[n] * stiffer[:, :, None] ** [-2.0, 0.0],
+            inelastic=der.node_inelastic.numpy()[n] * stiffer[:, :, None] ** [0.0, 0.0, -1.0, 0.0],
             node_mass=np.where(self.ghost, 0.0, der.node_mass.numpy()[n]),
             gravity=gravity,
             director=directors,

@@ -1,4 +1,4 @@
-"""The shapes of a Newton model that rods touch, as `wrod.solvers.contact` knows them."""
+"""The shapes of a Newton model that rods touch, as `wrod.solvers.solids` knows them."""
 
 from __future__ import annotations
 
@@ -6,30 +6,62 @@ import warnings
 
 import numpy as np
 from newton import GeoType, Model, ShapeFlags
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import WrodWarning
-from wrod.solvers.contact import Box, Cylinder, Friction, Plane
+from wrod.solvers.contact import Friction
+from wrod.solvers.solids import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Ellipsoid,
+    Mesh,
+    Plane,
+    Shape,
+    Sphere,
+)
+
+_SOLIDS = (
+    GeoType.BOX,
+    GeoType.SPHERE,
+    GeoType.CAPSULE,
+    GeoType.CYLINDER,
+    GeoType.CONE,
+    GeoType.ELLIPSOID,
+    GeoType.MESH,
+    GeoType.CONVEX_MESH,
+    GeoType.HFIELD,
+)
 
 
 class ModelShapes:
-    """Planes, boxes and cylinders that collide with shapes, with the friction of their `mu`.
+    """Endless planes and solids that collide with shapes, with the friction of their `mu`.
 
     A shape of world -1 touches the rods of every world, any other those of its own. A shape that
     no rod can touch is named in a warning.
+
+    Args:
+        model: the Newton model.
+        own: (body,) bodies that move with the rods that they hold, whose shapes rods pass through.
 
     Attributes:
         rows: indices of the shapes into the model's.
     """
 
-    def __init__(self, model: Model):
+    def __init__(self, model: Model, own: np.ndarray):
         self.model = model
         kinds, flags, scale = (self._read(n) for n in ("type", "flags", "scale"))
         collide = flags & int(ShapeFlags.COLLIDE_SHAPES) != 0
         endless = (kinds == GeoType.PLANE) & (scale[:, :2] == 0).all(axis=1)
-        known = endless | (kinds == GeoType.BOX) | (kinds == GeoType.CYLINDER)
+        body = self._read("body")
+        owned = np.zeros(len(kinds), dtype=bool)
+        owned[body >= 0] = own[body[body >= 0]]
+        known = (endless | np.isin(kinds, [int(k) for k in _SOLIDS])) & ~owned
         self.rows = np.flatnonzero(collide & known)
         self._worlds = self._read("world")[self.rows]
+        self._meshes: dict[int, Mesh] = {}
         unknown = np.flatnonzero(collide & ~known)
         if len(unknown):
             names = [
@@ -37,8 +69,8 @@ class ModelShapes:
             ]
             warnings.warn(
                 f"rods pass through {len(unknown)} shapes: {', '.join(names)}"
-                f"{' and others' if len(unknown) > 3 else ''}; they touch endless planes, boxes "
-                "and cylinders only",
+                f"{' and others' if len(unknown) > 3 else ''}; they touch no planes with ends, and "
+                "nothing on free bodies that hold rods and move with them",
                 WrodWarning,
                 stacklevel=4,
             )
@@ -75,11 +107,12 @@ class ModelShapes:
     def _touched(self, world: int) -> np.ndarray:
         return np.flatnonzero((self._worlds == -1) | (self._worlds == world))
 
-    def _describe(self) -> list[Plane | Box | Cylinder]:
+    def _describe(self) -> list[Shape]:
         """The shapes where the model has them."""
         bodies = self.model.body_q.numpy().astype(float)
         out = []
-        for kind, carrier, pose, size in zip(
+        for shape, kind, carrier, pose, size in zip(
+            self.rows,
             self._read("type")[self.rows],
             self._read("body")[self.rows],
             self._read("transform")[self.rows].astype(float),
@@ -90,11 +123,60 @@ class ModelShapes:
             if carrier >= 0:
                 holder = Rotation.from_quat(bodies[carrier, 3:])
                 place, turn = bodies[carrier, :3] + holder.apply(place), holder * turn
-            axis = tuple(turn.as_matrix()[:, 2])
-            if kind == GeoType.PLANE:
-                out.append(Plane(tuple(place), axis))
-            elif kind == GeoType.BOX:
-                out.append(Box(tuple(place), tuple(size), tuple(turn.as_quat())))
-            else:
-                out.append(Cylinder(tuple(place), size[0], size[1], axis))
+            out.append(self._solid(int(shape), GeoType(kind), tuple(place), turn, size))
         return out
+
+    def _solid(self, shape: int, kind: GeoType, place: tuple, turn: Rotation, size) -> Shape:
+        axis, quaternion = tuple(turn.as_matrix()[:, 2]), tuple(turn.as_quat())
+        if kind == GeoType.PLANE:
+            return Plane(place, axis)
+        if kind == GeoType.SPHERE:
+            return Sphere(place, size[0])
+        if kind in (GeoType.BOX, GeoType.ELLIPSOID):
+            return (Box if kind == GeoType.BOX else Ellipsoid)(place, tuple(size), quaternion)
+        if kind in (GeoType.CYLINDER, GeoType.CAPSULE, GeoType.CONE):
+            solid = {GeoType.CYLINDER: Cylinder, GeoType.CAPSULE: Capsule, GeoType.CONE: Cone}[kind]
+            return solid(place, size[0], size[1], axis)
+        if shape not in self._meshes:
+            source = self.model.shape_source[shape]
+            device = str(self.model.device)
+            self._meshes[shape] = Mesh(*_triangles(source, kind, size), device=device)
+        return self._meshes[shape].moved(place, quaternion)
+
+
+def _triangles(source, kind: GeoType, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a mesh, a convex hull or a height field, scaled."""
+    if kind == GeoType.HFIELD:
+        return _ground(source, scale)
+    vertices = np.asarray(source.vertices, dtype=float) * scale
+    triangles = np.asarray(source.indices).reshape(-1, 3)
+    if kind == GeoType.CONVEX_MESH:
+        hull = ConvexHull(vertices)
+        triangles = hull.simplices.copy()
+        a, b, c = (vertices[triangles[:, k]] for k in range(3))
+        inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+        triangles[inward] = triangles[inward][:, ::-1]
+    elif np.prod(scale) < 0:
+        triangles = triangles[:, ::-1]
+    return vertices, triangles
+
+
+def _ground(field, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A height field as the surface of the ground beneath it, as deep as it is wide."""
+    rows, columns = field.nrow, field.ncol
+    x, y = np.meshgrid(
+        np.linspace(-field.hx, field.hx, columns), np.linspace(-field.hy, field.hy, rows)
+    )
+    top = field.min_z + np.asarray(field.data, dtype=float) * (field.max_z - field.min_z)
+    bottom = np.full_like(top, field.min_z - min(field.hx, field.hy))
+    vertices = np.concatenate([np.stack([x, y, z], axis=2).reshape(-1, 3) for z in (top, bottom)])
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    upper = np.concatenate([np.stack(t, axis=2).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    below = rows * columns
+    border = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
+    u, v = border[:-1], border[1:]
+    walls = np.concatenate(
+        [np.column_stack([u, u + below, v + below]), np.column_stack([u, v + below, v])]
+    )
+    return vertices * scale, np.concatenate([upper, upper[:, ::-1] + below, walls])

@@ -175,7 +175,7 @@ class SolverDER(SolverBase):
 
     def _build(self) -> None:
         model = self.model
-        shapes = ModelShapes(model)
+        shapes = ModelShapes(model, self._own)
         self._groups = [
             RodGroup(
                 model,

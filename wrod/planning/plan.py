@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from wrod import arguments
-from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
+from wrod.errors import GraspError, PatternError, RodError, StabilityWarning, WrodWarning
 from wrod.grasps.mesh import WEIGHT
 from wrod.patterns.pattern import Pattern
 from wrod.planning.friction import friction_bound
@@ -25,9 +25,12 @@ from wrod.rods.model_file import rod_as_json
 if TYPE_CHECKING:
     from wrod.controller.controller import Controller
 
-# A dimensionless start curvature above this gets a remainder unless the caller decides. The paper's
-# circle and sine start above it; its letters, laid without a remainder, start below 0.11.
-CONSIDERABLE_CURVATURE = 0.15
+# A pattern whose beginning would spring off by more than this [L_gb], once let go on a table of
+# this friction, gets a remainder unless the caller decides: one that begins with a curvature of
+# 0.15 / L_gb, or the paper's letter C, which bends soon after; its others stay below 0.04.
+_SPRINGS_OFF, _SLIPPERY = 0.15, 0.3
+# The beginning that is looked at [L_gb].
+_BEGINNING, _BEGINNING_POINTS = 6.0, 400
 # A default remainder is long enough to ask for this static friction at most...
 _REMAINDER_FRICTION = 0.25
 # ... but turns by no more than this [rad], which binds for stiff rods.
@@ -96,8 +99,9 @@ def plan(
             one, what lays the pattern most accurately for "auto" (see `favoured_closure`), and
             "zero_tension", which is the paper's, for the others.
         spacing: largest distance between the contact nodes [m].
-        remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the start
-            curvature is considerable (over 0.15 / L_gb), True, False, or its length [m].
+        remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the free
+            end is expected to spring off by more than 0.15 L_gb on a table of friction 0.3
+            (`free_end`), True, False, or its length [m].
         roll: how the rod is put into the grip: the laid rod's first material director is turned
             by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
             into the table's plane to the side to which the pattern turns in all, or upwards. In
@@ -335,6 +339,27 @@ def roll_angle(roll: float | str, pattern: Pattern, rod: RodModel | RodMaterial)
     return left + np.pi if turning < -1e-3 else left
 
 
+def read_roll(text: str | None, rod) -> float | str:
+    """What `plan` takes as roll for what a command's --roll says of this rod.
+
+    Raises:
+        RodError: it is none, or there is no rod.
+    """
+    if text is None:
+        return "plane"
+    if rod is None:
+        raise RodError("--roll belongs to one rod; name it with --rod")
+    if text in ("plane", "up"):
+        return text
+    try:
+        roll = float(np.radians(float(text)))
+    except ValueError:
+        roll = float("nan")
+    if not np.isfinite(roll):
+        raise RodError(f"--roll {text} is no roll; use plane, up or a finite number of degrees")
+    return roll
+
+
 def _softer_upwards(rod: RodModel | RodMaterial) -> float:
     """The roll that turns a straight rod's softer principal direction upwards, where it bends most;
     the other way round the suspended rod rolls towards it and takes the laid one along."""
@@ -369,9 +394,9 @@ def prepare(
     _refuse_long(pattern, rod, spare)
     if remainder is False or pattern.remainder_length > 0.0:
         return pattern
-    start = abs(float(pattern.sample(0.0)[2][0]))
+    off, start = free_end(pattern, rod)
     if remainder is None:
-        if start * rod.gravito_bending_length < CONSIDERABLE_CURVATURE:
+        if off < _SPRINGS_OFF * (1.0 - 1e-3):
             return pattern
         # A shorter remainder asks for more friction, which the metadata says; one much shorter
         # asks for more than it saves.
@@ -384,6 +409,27 @@ def prepare(
     led = pattern.with_remainder(float(remainder))
     _refuse_long(led, rod, spare)
     return led
+
+
+def free_end(pattern: Pattern, rod: RodModel | RodMaterial) -> tuple[float, float]:
+    """How far the pattern's first point is expected to spring off once it is let go on a table of
+    friction 0.3 [L_gb], and the largest curvature of the stretch that does [1/m].
+
+    Friction over a length s from the free end supplies at most the moment mu w s^2 / 2, and the
+    rod, k_b = 2 w L_gb^3, asks for k_b kappa(s): where it asks for more, it straightens.
+    """
+    lgb = rod.gravito_bending_length
+    s = np.linspace(0.0, min(_BEGINNING * lgb, pattern.length), _BEGINNING_POINTS)
+    bend = np.abs(pattern.sample(s)[2])
+    held = bend * lgb <= 0.25 * _SLIPPERY * (s / lgb) ** 2
+    held[0] = bend[0] == 0.0
+    # What straightens begins at the free end, or where the rod, straight until then, bends.
+    last = int(np.flatnonzero(~held)[-1]) if not held.all() else 0
+    if last == 0:
+        return 0.0, float(bend[0])
+    turns = bend[: last + 1] * s[: last + 1]
+    off = float(np.sum(0.5 * (turns[1:] + turns[:-1]) * np.diff(s[: last + 1])))
+    return off / lgb, float(bend[: last + 1].max())
 
 
 def _remainder_length(curvature: float, rod: RodModel | RodMaterial) -> float:

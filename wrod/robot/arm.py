@@ -56,7 +56,11 @@ class Arm:
     def rooms(self, positions: np.ndarray) -> dict[str, np.ndarray]:
         """Gaps (K,) [m] between "links", to the "table", and of the fingers' "tips" to it."""
         start, end = self._points(positions)
-        links = self.model.self_distances(start, end).amin(-1).numpy()
+        links = self.model.self_distances(start, end).numpy()
+        if self.model.exact is not None and links.size and links.min() < LINK_ROOM:
+            poses = self.robot.link_poses(positions)
+            links = self.model.settled_links(links, poses, LINK_ROOM)
+        links = links.min(-1, initial=np.inf)
         low = self._lifted
         heights = np.minimum(start[:, low, 2].numpy(), end[:, low, 2].numpy())
         table = (heights - self.model.radius[low]).min(1) - self.placement.z

@@ -20,6 +20,7 @@ from wrod.robot.search import Branch, find_branches, follow_from
 
 _COARSE = 0.025  # [m] of travel between the samples that are searched and improved
 _LAID = 0.004  # [m] between the points of the laid rod that gaps are measured to
+_HANGING, _HELD = 25, 0.06  # points of the hanging rod; [m] of it that are in the gripper's reach
 _RANKED = 24  # different branches whose obstacles are looked at
 _TRIED = 4  # branches that are improved and compared
 _ROUNDS, _AROUND = 4, 24  # of the search near a branch, and choices in each
@@ -56,6 +57,7 @@ class Task:
     free_height: bool = False
 
     def __post_init__(self):
+        self._hanging = hanging_rod(self.trajectory)
         count = max(24, math.ceil(self.path.travel[-1] / _COARSE))
         self.travel = np.linspace(0.0, self.path.travel[-1], count)
 
@@ -141,7 +143,15 @@ class Task:
                 np.broadcast_to(end, (count, *end.shape)).copy(),
                 radius,
             )
-        return Surroundings(placement.z, contact, laid, self.rod_radius, other)
+        hanging = None
+        if self._hanging is not None:
+            node = np.interp(travel, self.path.travel, np.arange(len(self.path)))
+            low = np.minimum(node.astype(int), len(self.path) - 2)
+            share = (node - low)[:, None, None]
+            points = (1 - share) * self._hanging[low] + share * self._hanging[low + 1]
+            pose = placement.base_from_world
+            hanging = points @ pose[:3, :3].T + pose[:3, 3]
+        return Surroundings(placement.z, contact, laid, self.rod_radius, other, "obstacle", hanging)
 
     def finish(self, branch: Branch) -> Solution:
         """Improve a branch, fill it in between the samples, and check it."""
@@ -171,6 +181,21 @@ class Task:
             self.clearance,
         )
         return Solution(branch, spline, report)
+
+
+def hanging_rod(trajectory: Trajectory) -> np.ndarray | None:
+    """(T, points, 3) of the suspended rod in the trajectory's frame [m], None where no shapes are
+    known; without the last centimetres, which are the gripper's."""
+    if trajectory.shape is None or not np.isfinite(trajectory.shape).all():
+        return None
+    steps = np.linalg.norm(np.diff(trajectory.shape, axis=1), axis=2)
+    arc = np.concatenate([np.zeros((len(steps), 1)), np.cumsum(steps, axis=1)], axis=1)
+    share = np.linspace(0.0, 1.0, _HANGING)
+    points = np.empty((len(steps), _HANGING, 3))
+    for k, shape in enumerate(trajectory.shape):
+        wanted = share * max(arc[k, -1] - _HELD, 0.2 * arc[k, -1])
+        points[k] = np.column_stack([np.interp(wanted, arc[k], c) for c in shape.T])
+    return points
 
 
 def _distinct(branches: list[Branch], count: int) -> list[Branch]:

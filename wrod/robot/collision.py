@@ -34,7 +34,8 @@ class CollisionModel:
         shapes: collision shapes; `shape_of` (C,) is that of each capsule.
         links: (C,) link of each capsule; `radius` (C,) [m]; `depth` (C,) joints below it.
         pairs: (P, 2) capsules that could meet.
-        low: capsules that may reach down to the table.
+        low: capsules that may reach down to the table; `moving` all that a joint moves, and
+            `before_hand` those of `low` that do not move with the grasp.
         exact: the true shapes, or None where capsules are all there is.
     """
 
@@ -75,6 +76,8 @@ class CollisionModel:
         self.pairs = self._pairs()
         # The first two moving links stay over the pedestal; whatever comes after may reach down.
         self.low = np.flatnonzero(self.depth >= 2)
+        self.moving = np.flatnonzero(self.depth >= 1)
+        self.before_hand = np.flatnonzero((self.depth >= 2) & (self.depth < len(robot.joint_names)))
 
     def _parents(self) -> dict[str, tuple[str, object]]:
         return {
@@ -194,6 +197,12 @@ class CollisionModel:
         gap = gap.masked_fill(later[:, None], _NOTHING).amin(-1)
         return gap - torch.from_numpy(self.radius[low]) - rod_radius
 
+    def columns(self, kind: str) -> np.ndarray:
+        """Which capsule each column of a kind of `gaps` is of; not of "links"."""
+        if kind in ("table", "laid rod"):
+            return self.low
+        return self.before_hand if kind == "hanging rod" else self.moving
+
     def settle(self, gaps: dict, positions: np.ndarray, around, clearance: float) -> dict:
         """The gaps with those of the true shapes where capsules come nearer than `clearance`.
 
@@ -205,7 +214,7 @@ class CollisionModel:
         if self.exact is None or min(g.min(initial=np.inf) for g in gaps.values()) >= clearance:
             return gaps
         poses = self.robot.link_poses(positions)
-        gaps = {**gaps, "links": self._settled_links(gaps["links"], poses, clearance)}
+        gaps = {**gaps, "links": self.settled_links(gaps["links"], poses, clearance)}
         for kind, top in (("table", 0.0), ("laid rod", 2.0 * around.rod_radius)):
             gap = gaps[kind].copy()
             for column in np.flatnonzero((gap < clearance).any(0)):
@@ -217,7 +226,12 @@ class CollisionModel:
             gaps[kind] = gap
         return gaps
 
-    def _settled_links(self, gap: np.ndarray, poses: dict, clearance: float) -> np.ndarray:
+    def settled_links(self, gap: np.ndarray, poses: dict, clearance: float) -> np.ndarray:
+        """Gaps (K, pairs) of capsules [m] with those of true shapes where below `clearance`.
+
+        Args:
+            poses: of every link, (K, 4, 4) in the base frame [m].
+        """
         gap = gap.copy()
         names = self.shape_of[self.pairs] if len(self.pairs) else np.zeros((0, 2), int)
         left = _MOST_EXACT

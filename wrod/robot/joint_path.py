@@ -57,6 +57,18 @@ class JointPath:
     def __len__(self) -> int:
         return len(self.time)
 
+    @property
+    def phases(self) -> list[dict]:
+        """What the arm does when, in order: {"name", "start" [s], "end" [s]}; names are those of
+        `wrod.robot.job.PHASES`. The hand closes in "grasp" and opens in "release"."""
+        whole = [{"name": "lay", "start": 0.0, "end": float(self.time[-1])}]
+        return self.metadata.get("phases", whole)
+
+    def phase_at(self, time: float) -> str:
+        """Name of the phase at a time [s]."""
+        late = [p["name"] for p in self.phases if p["start"] <= time + 1e-9]
+        return late[-1] if late else self.phases[0]["name"]
+
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write `path` as CSV (fixed rate) and NPZ (also the nodes). Returns both paths."""
         path = Path(path)
@@ -154,6 +166,7 @@ def solve_joint_path(
     limit_margin: float = 0.02,
     clearance: float = 0.005,
     rod_radius: float = 0.004,
+    whole_job: bool = False,
 ) -> JointPath:
     """Joint path of an arm that moves the grip along a trajectory.
 
@@ -179,6 +192,9 @@ def solve_joint_path(
         limit_margin: least distance from the joint limits [rad].
         clearance: least gap between links, table, pedestal and laid rod [m].
         rod_radius: [m] of the laid rod.
+        whole_job: begin and end in a neutral pose, with approach, grasp, release and retreat around
+            the laying (see `JointPath.phases`); where there is no way, a warning says why and the
+            path begins and ends at the rod.
 
     Raises:
         RobotError: the robot cannot be loaded, or no joint path was found: the sentence names the
@@ -201,4 +217,5 @@ def solve_joint_path(
         limit_margin=limit_margin,
         clearance=clearance,
         rod_radius=rod_radius,
+        whole_job=whole_job,
     )

@@ -25,6 +25,7 @@ FORMATS = {
     "libfranka": "libfranka.csv",
     "intera": "intera.csv",
     "poses": "poses.csv",
+    "phases": "phases.json",
 }
 _UR_STEP = 0.008  # [s] of servoj: the arm's own rate is a multiple of 125 / s
 
@@ -58,6 +59,7 @@ def export(path: JointPath, folder: str | os.PathLike[str], formats: list[str]) 
         "libfranka": lambda p: _table(p, "libfranka").encode(),
         "intera": lambda p: _table(p, "intera").encode(),
         "poses": lambda p: _poses(p).encode(),
+        "phases": lambda p: (json.dumps(phases(p), indent=1) + "\n").encode(),
     }
     # All are made before any is written: nothing is left behind half.
     made = [(Path(folder) / FORMATS[name], writers[name](path)) for name in formats]
@@ -70,12 +72,26 @@ def suited(path: JointPath) -> list[str]:
     """The formats that suit a joint path's arm, of those whose libraries are there."""
     from importlib.util import find_spec
 
-    names = ["ros-yaml", "ros-json", "poses"]
+    names = ["ros-yaml", "ros-json", "poses", "phases"]
     names += ["mcap"] * (find_spec("mcap") is not None)
     names += ["urscript"] * (len(path.names) == 6)
     names += ["libfranka"] * (len(path.names) == 7)
     names += ["intera"] * (path.names[0] == "right_j0")
     return names
+
+
+def phases(path: JointPath) -> dict:
+    """What the arm does when, and when its gripper closes and opens [s]; plain values.
+
+    Times are those of every other format of the same path.
+    """
+    found = {p["name"]: p for p in path.phases}
+    gripper = [
+        {"time": found[name]["start"], "command": command}
+        for name, command in (("grasp", "close"), ("release", "open"))
+        if name in found
+    ]
+    return {"format": "wrod-phases-1", "phases": path.phases, "gripper": gripper, "units": "s"}
 
 
 def ros_message(path: JointPath) -> dict:
@@ -127,7 +143,8 @@ def _row(values) -> str:
 
 
 def _mcap(path: JointPath) -> bytes:
-    """One JSON message of the ROS type on the topic /joint_trajectory."""
+    """One JSON message of the ROS type on the topic /joint_trajectory, and the name of every phase
+    when it begins on /phase."""
     try:
         from mcap.writer import Writer
     except ImportError as error:
@@ -154,6 +171,12 @@ def _mcap(path: JointPath) -> bytes:
     )
     channel = writer.register_channel("/joint_trajectory", "json", kind)
     writer.add_message(channel, 0, json.dumps(ros_message(path)).encode(), 0)
+    text = {"type": "object", "properties": {"data": {"type": "string"}}}
+    word = writer.register_schema("std_msgs/String", "jsonschema", json.dumps(text).encode())
+    topic = writer.register_channel("/phase", "json", word)
+    for phase in path.phases if len(path.phases) > 1 else ():
+        at = round(1e9 * phase["start"])
+        writer.add_message(topic, at, json.dumps({"data": phase["name"]}).encode(), at)
     writer.finish()
     return buffer.getvalue()
 
@@ -171,13 +194,34 @@ def urscript(path: JointPath) -> str:
         )
     time = np.arange(0.0, path.time[-1] + _UR_STEP / 2, _UR_STEP)
     rows = np.column_stack([np.interp(time, path.time, q) for q in path.positions.T])
-    lines = [
+    starts = [phase["start"] for phase in path.phases]
+    calls = {"grasp": "  wrod_close()", "release": "  wrod_open()"}
+    lines = []
+    if len(starts) > 1:
+        # The gripper's own commands differ from maker to maker.
+        lines += [
+            "def wrod_close():",
+            '  textmsg("close the gripper")  # put its command here; it has a second',
+            "end",
+            "def wrod_open():",
+            '  textmsg("open the gripper")  # put its command here; it has a second',
+            "end",
+        ]
+    lines += [
         "def wrod_path():",
         "  # Written by wrod: check it at reduced speed first. Units: rad, s.",
         f"  movej([{_row(rows[0])}], a=0.5, v=0.3)",
         f"  # {len(rows)} points, {_UR_STEP} s apart",
     ]
-    lines += [f"  servoj([{_row(q)}], t={_UR_STEP}, lookahead_time=0.1, gain=300)" for q in rows]
+    number = 0
+    for at, q in zip(time, rows, strict=True):
+        while number < len(starts) and at >= starts[number] - 1e-9:
+            name = path.phases[number]["name"]
+            lines.append(f"  # {name}")
+            if name in calls:
+                lines.append(calls[name])
+            number += 1
+        lines.append(f"  servoj([{_row(q)}], t={_UR_STEP}, lookahead_time=0.1, gain=300)")
     return "\n".join([*lines, "  stopj(1.0)", "end", ""])
 
 

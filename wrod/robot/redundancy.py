@@ -34,7 +34,11 @@ class Surroundings:
         contact: (N, 3) points of the laid rod, in laying order [m].
         laid: (K,) how many of them lie at each sample of the path.
         rod_radius: [m].
-        other: another arm's capsules at each sample: (K, C, 3) starts, (K, C, 3) ends, (C,) radii.
+        other: another arm's capsules, or obstacles, at each sample: (K, C, 3) starts, (K, C, 3)
+            ends, (C,) radii [m].
+        other_name: what they are called.
+        hanging: (K, P, 3) points of the suspended rod at each sample, without what is between the
+            fingers [m].
     """
 
     table_height: float
@@ -42,11 +46,14 @@ class Surroundings:
     laid: np.ndarray
     rod_radius: float
     other: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    other_name: str = "other arm"
+    hanging: np.ndarray | None = None
 
 
 def gaps(model: CollisionModel, positions, around: Surroundings) -> dict:
     """Gaps [m] at joint positions (K, n), as torch tensors: "links" (K, pairs), "table" and
-    "laid rod" (K, low capsules), and "other arm" (K, pairs) where there is one.
+    "laid rod" (K, low capsules), and where they are there "hanging rod" (K, capsules before the
+    hand) and the other arm or obstacles (K, moving capsules).
 
     The laid rod lies on the table: poses that keep `GAP_ROOM` above it need no closer look, and
     get the height above the rod for their gap.
@@ -68,7 +75,17 @@ def gaps(model: CollisionModel, positions, around: Surroundings) -> dict:
         laid = laid.index_copy(0, close, near)
     found = {"links": model.self_distances(start, end), "table": table, "laid rod": laid}
     if around.other is not None:
-        found["other arm"] = between(start, end, model.radius, *around.other).flatten(1)
+        mine = model.moving
+        gap = between(start[:, mine], end[:, mine], model.radius[mine], *around.other)
+        found[around.other_name] = gap.amin(-1)
+    if around.hanging is not None and len(model.before_hand):
+        mine = model.before_hand
+        points = around.hanging
+        thick = np.full(points.shape[1] - 1, around.rod_radius)
+        gap = between(
+            start[:, mine], end[:, mine], model.radius[mine], points[:, :-1], points[:, 1:], thick
+        )
+        found["hanging rod"] = gap.amin(-1)
     return found
 
 

@@ -13,6 +13,23 @@ FINGERS = 0.012  # [m] from the grasp point to the outside of the gripper's fing
 _STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
 
 
+def least_suspended(rod, clearance: float = 0.005) -> float:
+    """Length [m] of suspended rod from which on upright fingers clear the table, on a straight
+    pattern; a length of which they do not is not laid by an arm.
+
+    Args:
+        rod: a `RodMaterial` or `RodModel`.
+        clearance: of the fingers [m].
+    """
+    from wrod.grasps.solver import solve_grasps
+
+    lgb = rod.gravito_bending_length
+    lengths = np.linspace(1.0, 8.0, 57)
+    height = lgb * solve_grasps(lengths, 0.0, rod.stretch_ratio).position[:, 2]
+    high = np.flatnonzero(height > FINGERS + clearance)
+    return float(lengths[high[0] if len(high) else -1] * lgb)
+
+
 def low_end(trajectory, clearance: float) -> float | None:
     """Share of the laid length at which the fingers come down to the table; None if they do not."""
     low = trajectory.position[:, 2] < FINGERS + clearance
@@ -104,7 +121,10 @@ def remedies(failed: UnreachedError, rod, pattern_length: float, candidates) -> 
     share = low_end(failed.task.trajectory, failed.task.clearance)
     if share is not None:
         # Not as short as possible: the next millimetres are as low.
-        yield {"resize": float(np.floor(100 * share - 1.0) / 100)}
+        least = float(np.floor(100 * share - 1.0) / 100)
+        yield {"resize": least}
+        yield {"resize": round(0.8 * least, 2)}
+        yield {"resize": round(0.6 * least, 2)}
         return
     needed = pattern_length + 1.5 * rod.gravito_bending_length
     if needed < 0.9 * rod.length:

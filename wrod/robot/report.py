@@ -113,7 +113,7 @@ def inspect(
         if kind == "links":
             first, second = (model.links[i] for i in model.pairs[column])
         else:
-            first, second = model.links[model.low[column]], f"the {kind}"
+            first, second = model.links[model.columns(kind)[column]], f"the {kind}"
         how = f"overlap by {-1e3 * gap:.1f} mm" if gap < 0 else f"come within {1e3 * gap:.1f} mm"
         problem = f"{first} and {second} {how} {where(k)}"
     return PathReport(

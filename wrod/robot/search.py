@@ -106,9 +106,16 @@ def follow_from(
     return [(way, positions[way], miss[way], excess[way]) for way in range(len(targets))]
 
 
+def _ranges(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Width and middle of each joint's range (n,) [rad]; very wide about 0 for continuous ones."""
+    turns = np.isfinite(robot.lower) & np.isfinite(robot.upper)
+    lower, upper = np.where(turns, robot.lower, -500.0), np.where(turns, robot.upper, 500.0)
+    return upper - lower, (upper + lower) / 2
+
+
 def _wrap(robot: Robot, positions: np.ndarray) -> np.ndarray:
     """Turn each joint by whole turns to where it is nearest the middle of its range."""
-    middle = np.where(np.isfinite(robot.lower + robot.upper), (robot.lower + robot.upper) / 2, 0.0)
+    _, middle = _ranges(robot)
     return middle + (positions - middle + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -126,9 +133,7 @@ def _follow(robot: Robot, start: np.ndarray, targets: np.ndarray, middle: int):
 
     goals = torch.from_numpy(np.ascontiguousarray(targets))
     first = torch.from_numpy(np.array(start))
-    span = np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, 1e3)
-    centre = np.where(span < 1e3, (robot.upper + robot.lower) / 2, 0.0)
-    span, centre = torch.from_numpy(span), torch.from_numpy(centre)
+    span, centre = map(torch.from_numpy, _ranges(robot))
     batch, count = goals.shape[:2]
     positions = torch.empty((batch, count, first.shape[1]), dtype=torch.float64)
     miss = torch.empty((batch, count), dtype=torch.float64)

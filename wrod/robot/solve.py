@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import time as clock
+import warnings
+from dataclasses import replace
 
 import numpy as np
 
-from wrod.errors import RobotError
+from wrod.errors import RobotError, WrodWarning
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.attempt import Solution, Task
 from wrod.robot.collision import CollisionModel
@@ -53,6 +55,7 @@ def solve(
     limit_margin,
     clearance,
     rod_radius,
+    whole_job,
 ) -> JointPath:
     """See `wrod.robot.joint_path.solve_joint_path`."""
     started = clock.perf_counter()
@@ -85,7 +88,21 @@ def solve(
         best = attempt(task, places, angles, fixed is not None)
         if best.report.problem is not None:
             raise UnreachedError(_failure(best, fixed), task, best, places)
-        return _timed(arm, task.path, best, grip_speed, rate, clock.perf_counter() - started)
+        path = _timed(arm, task.path, best, grip_speed, rate, clock.perf_counter() - started)
+        return _with_job(path, task) if whole_job else path
+
+
+def _with_job(path: JointPath, task: Task) -> JointPath:
+    """The path with approach and retreat; as it is, with a warning, where there is no way."""
+    from wrod.robot.job import with_job
+
+    try:
+        return with_job(path, task)
+    except RobotError as error:
+        warnings.warn(
+            WrodWarning(f"the joint path begins and ends at the rod: {error}"), stacklevel=4
+        )
+        return replace(path, metadata={**path.metadata, "no_approach": str(error)})
 
 
 def attempt(task: Task, places: list[Placement], angles, fixed: bool) -> Solution:

@@ -20,6 +20,7 @@ from wrod.kernels.elastic.frames import (
     set_reference_frames,
     transport_reference_frames,
 )
+from wrod.kernels.elastic.inelastic import Inelastic, inelastic_energy, set_inelastic_laws
 from wrod.kernels.elastic.loads import dead_loads
 from wrod.kernels.elastic.softened_bending import softened_elasticity
 from wrod.kernels.lanes import lanes
@@ -114,6 +115,8 @@ class RodBatch:
         natural_twist: (rod, node) twist at rest [rad/length].
         softening: (rod, node, 2) c >= 0 [length^2] and r of the moment
             B e (r + (1 - r) / (1 + c e^2)) that belongs to a curvature e; c = 0 is linear.
+        inelastic: (rod, node, 4) law of bending that remembers: its number in
+            `wrod.kernels.elastic.inelastic` (0: none), share, scale [1/length] and time [time].
         node_mass: (rod, node) lumped masses.
         gravity: (rod, 3) acceleration.
         point_load: (rod, node, 3) dead force at each node [force].
@@ -142,6 +145,7 @@ class RodBatch:
         natural_curvature=0.0,
         natural_twist=0.0,
         softening=0.0,
+        inelastic=0.0,
         node_mass=0.0,
         gravity=0.0,
         point_load=0.0,
@@ -186,6 +190,8 @@ class RodBatch:
         )
         self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
         self.set_softening(softening)
+        self.energies: list[tuple[wp.Kernel, wp.array]] = []
+        self.inelastic = self._inelastic(inelastic)
         self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
         self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)
         self.point_load = self._array("point_load", point_load, (rods, nodes, 3), wp.vec3d)
@@ -288,6 +294,36 @@ class RodBatch:
             raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
         self.softening = array
         self.softens = bool(value[..., 0].any())
+
+    def _inelastic(self, number) -> wp.array | None:
+        """The rods' laws that remember, and what they remember; None where there are none."""
+        number = np.asarray(number, dtype=np.float64)
+        if not number.any():
+            return None
+        shape = (self.rod_count, self.node_count)
+        number = self._array("inelastic", number, (*shape, 4), wp.vec4d)
+        node = wp.zeros(shape, dtype=Inelastic, device=self.device)
+        wp.launch(set_inelastic_laws, shape, [number], [node], device=self.device)
+        self.add_energy(inelastic_energy, node)
+        return node
+
+    def add_energy(self, kernel: wp.Kernel, number) -> None:
+        """Let the rods have another energy of bending and twisting, in all that they do.
+
+        Args:
+            kernel: of `wrod.kernels.elastic.section.make_section_energy`.
+            number: what the energy has at each node: a Warp array (rod, node) of the energy's
+                type, or numbers that broadcast to (rod, node) and the type's length.
+
+        Raises:
+            RodError: the numbers do not broadcast, or are not finite.
+        """
+        if not isinstance(number, wp.array):
+            kind = next(a.type.dtype for a in kernel.adj.args if a.label == "number")
+            size = () if kind is wp.float64 else (kind._length_,)
+            shape = (self.rod_count, self.node_count, *size)
+            number = self._array("energy", number, shape, kind)
+        self.energies.append((kernel, number))
 
     def set_configuration(self, position, *, angle=0.0, director=None) -> None:
         """Put the rods into a configuration.
@@ -479,6 +515,24 @@ class RodBatch:
                 order,
             ],
         )
+        for kernel, number in self.energies:
+            launch(
+                kernel,
+                nodes - 2,
+                [
+                    self.rest_length,
+                    self.bending_stiffness,
+                    self.natural_curvature,
+                    self.twisting_stiffness,
+                    self.natural_twist,
+                    number,
+                    active,
+                    state.dof,
+                    state.director,
+                    state.reference_twist,
+                    order,
+                ],
+            )
         launch(
             dead_loads,
             nodes,

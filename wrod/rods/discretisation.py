@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wrod.errors import RodError
-from wrod.rods.law import Linear
+from wrod.rods.law import Softening
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
@@ -49,7 +49,7 @@ def mesh_arrays(
     Returns:
         rest_length, stretching_stiffness (rod, node - 1); twisting_stiffness, natural_twist,
         node_mass (rod, node); bending_stiffness, natural_curvature, softening (rod, node, 2);
-        gravity (rod, 3), downwards.
+        inelastic (rod, node, 4); gravity (rod, 3), downwards.
 
     Raises:
         RodError: there are not as many rods as meshes, or the nodes do not ascend.
@@ -129,10 +129,12 @@ def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict
 
     model = model.turned(-model.principal_angle) if model.principal_angle else model
     cell = share[:, :, None]
-    c, r = model.law.softening
-    softening = np.zeros((rods, nodes, 2))
-    if not isinstance(model.law, Linear):
+    softening, inelastic = np.zeros((rods, nodes, 2)), np.zeros((rods, nodes, 4))
+    if isinstance(model.law, Softening):
+        c, r = model.law.softening
         softening[:, :, 0], softening[:, :, 1] = c / share**2, r
+    inelastic[:] = model.law.inelastic
+    inelastic[:, :, 2] *= share
     mass = np.where(mass_share, model.line_mass.mean(low, high) * (high - low), 0.0)
     for place, extra in model.point_masses:
         _hang(mass, s, place, extra, clamped)
@@ -146,6 +148,7 @@ def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict
         "natural_curvature": np.stack([mean(k) for k in model.natural_curvature], axis=2) * cell,
         "natural_twist": mean(model.natural_twist) * share,
         "softening": softening,
+        "inelastic": inelastic,
         "node_mass": mass,
         "gravity": gravity,
     }

@@ -3,30 +3,57 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import ClassVar
 
 from wrod.errors import RodError
 
+# The numbers that `wrod.kernels.elastic.inelastic` has for laws that remember.
+_ELASTIC, _PLASTIC, _STANDARD_LINEAR_SOLID, _DAHL = range(4)
+
 
 @dataclass(frozen=True)
-class Linear:
+class _Law:
+    """What every law is: linear, but for what it overrides."""
+
+    name: ClassVar[str]
+    # Whether the moment depends on how the rod was bent before.
+    remembers: ClassVar[bool] = False
+
+    @property
+    def at_rest(self) -> Law | None:
+        """The law of a rod that has had its time, or None where that depends on the way there."""
+        return self if not self.remembers else None
+
+    @property
+    def softening(self) -> tuple[float, float]:
+        """(c [m^2], r) that `RodBatch` takes."""
+        return 0.0, 1.0
+
+    @property
+    def inelastic(self) -> tuple[int, float, float, float]:
+        """(law, share, scale [1/m], time [s]) that `RodBatch` takes."""
+        return _ELASTIC, 0.0, 0.0, 1.0
+
+    def scaled(self, length_unit: float, time_unit: float) -> _Law:
+        """The law with lengths [m] and times [s] in other units."""
+        return self
+
+    def _check(self, wanted: str, good: bool) -> None:
+        if not good:
+            said = ", ".join(f"{f.name} {getattr(self, f.name)!r:.40}" for f in fields(self))
+            raise RodError(f"law {self.name} has {said}; {wanted}")
+
+
+@dataclass(frozen=True)
+class Linear(_Law):
     """M = B e, e the curvature less the natural one."""
 
     name: ClassVar[str] = "linear"
 
-    @property
-    def softening(self) -> tuple[float, float]:
-        """(c [m^2], r) that `RodBatch` takes: none."""
-        return 0.0, 1.0
-
-    def scaled(self, length_unit: float) -> Linear:
-        """The law with lengths in another unit [m]."""
-        return self
-
 
 @dataclass(frozen=True)
-class Softening:
+class Softening(_Law):
     """M = B e (r + (1 - r) / (1 + (e / k_c)^2)): a cable whose strands begin to slip.
 
     A smooth form of the stick-slip law of stranded cables (Papailiou 1997).
@@ -45,24 +72,123 @@ class Softening:
 
     def __post_init__(self) -> None:
         critical, kept = _number(self.critical_curvature), _number(self.kept_stiffness)
-        if not (critical > 0.0 and kept >= 0.0):
-            raise RodError(
-                f"softening has critical_curvature {self.critical_curvature!r} and kept_stiffness "
-                f"{self.kept_stiffness!r}; the first must be positive [1/m], the second at least 0"
-            )
+        wanted = "the first must be positive [1/m], the second at least 0"
+        self._check(wanted, critical > 0.0 and kept >= 0.0)
 
     @property
     def softening(self) -> tuple[float, float]:
-        """(c [m^2], r) that `RodBatch` takes."""
         return self.critical_curvature**-2.0, self.kept_stiffness
 
-    def scaled(self, length_unit: float) -> Softening:
-        """The law with lengths in another unit [m]."""
-        return Softening(self.critical_curvature * length_unit, self.kept_stiffness)
+    def scaled(self, length_unit: float, time_unit: float) -> Softening:
+        return replace(self, critical_curvature=self.critical_curvature * length_unit)
 
 
-Law = Linear | Softening
-LAWS = {law.name: law for law in (Linear, Softening)}
+@dataclass(frozen=True)
+class Plastic(_Law):
+    """A wire that stays bent: linear kinematic hardening beyond a yield curvature.
+
+    Bent from its natural shape, M = B e up to e = k_y and B k_y + r B (e - k_y) from there on;
+    unloading and bending back have B again, over 2 k_y. Let go after a curvature e it keeps
+    (1 - r) (e - k_y).
+
+    Args:
+        yield_curvature: k_y [1/m].
+        hardening: r, the share of the stiffness that is left beyond it; from 0 to 1.
+
+    Raises:
+        RodError: a number is not finite, or out of its range.
+    """
+
+    name: ClassVar[str] = "plastic"
+    remembers: ClassVar[bool] = True
+    yield_curvature: float
+    hardening: float
+
+    def __post_init__(self) -> None:
+        curvature, kept = _number(self.yield_curvature), _number(self.hardening)
+        wanted = "the first must be positive [1/m], the second from 0 to 1"
+        self._check(wanted, curvature > 0.0 and 0.0 <= kept <= 1.0)
+
+    @property
+    def inelastic(self) -> tuple[int, float, float, float]:
+        return _PLASTIC, 1.0 - self.hardening, self.yield_curvature, 1.0
+
+    def scaled(self, length_unit: float, time_unit: float) -> Plastic:
+        return replace(self, yield_curvature=self.yield_curvature * length_unit)
+
+
+@dataclass(frozen=True)
+class StandardLinearSolid(_Law):
+    """A rubber or polymer whose moment relaxes: M = B (e + g z), dz/dt = de/dt - z / T.
+
+    B, the bending stiffness, is that of a rod that has had its time; g B is a second spring in
+    series with a dashpot. Bent at once and held, M / (B e) falls from 1 + g to 1 as exp(-t / T).
+
+    Args:
+        added_stiffness: g, at least 0.
+        relaxation_time: T [s].
+
+    Raises:
+        RodError: a number is not finite, or out of its range.
+    """
+
+    name: ClassVar[str] = "standard-linear-solid"
+    remembers: ClassVar[bool] = True
+    added_stiffness: float
+    relaxation_time: float
+
+    def __post_init__(self) -> None:
+        added, time = _number(self.added_stiffness), _number(self.relaxation_time)
+        wanted = "the first must be at least 0, the second positive [s]"
+        self._check(wanted, added >= 0.0 and time > 0.0)
+
+    @property
+    def at_rest(self) -> Linear:
+        return Linear()
+
+    @property
+    def inelastic(self) -> tuple[int, float, float, float]:
+        return _STANDARD_LINEAR_SOLID, self.added_stiffness, 0.0, self.relaxation_time
+
+    def scaled(self, length_unit: float, time_unit: float) -> StandardLinearSolid:
+        return replace(self, relaxation_time=self.relaxation_time / time_unit)
+
+
+@dataclass(frozen=True)
+class Dahl(_Law):
+    """A cable whose strands rub: M = B (r e + (1 - r) z), dz = de - (z / k_s) |de| (Dahl 1968).
+
+    Its loop in a cycle does not depend on the rate. After a turn it is as stiff as 1 + (1 - r)
+    times B at most, and r B once it has slipped.
+
+    Args:
+        slip_curvature: k_s, the way over which friction builds up, and its limit over B [1/m].
+        kept_stiffness: r, the share of the stiffness without friction; from 0 to 1.
+
+    Raises:
+        RodError: a number is not finite, or out of its range.
+    """
+
+    name: ClassVar[str] = "dahl"
+    remembers: ClassVar[bool] = True
+    slip_curvature: float
+    kept_stiffness: float
+
+    def __post_init__(self) -> None:
+        curvature, kept = _number(self.slip_curvature), _number(self.kept_stiffness)
+        wanted = "the first must be positive [1/m], the second from 0 to 1"
+        self._check(wanted, curvature > 0.0 and 0.0 <= kept <= 1.0)
+
+    @property
+    def inelastic(self) -> tuple[int, float, float, float]:
+        return _DAHL, 1.0 - self.kept_stiffness, self.slip_curvature, 1.0
+
+    def scaled(self, length_unit: float, time_unit: float) -> Dahl:
+        return replace(self, slip_curvature=self.slip_curvature * length_unit)
+
+
+Law = Linear | Softening | Plastic | StandardLinearSolid | Dahl
+LAWS = {law.name: law for law in (Linear, Softening, Plastic, StandardLinearSolid, Dahl)}
 
 
 def law_as_json(law: Law) -> dict:

@@ -377,7 +377,7 @@ class RodModel:
             natural_curvature=tuple(map(curvature, self.natural_curvature)),
             natural_twist=curvature(self.natural_twist),
             point_masses=tuple((s / length, m / mass) for s, m in self.point_masses),
-            law=self.law.scaled(length),
+            law=self.law.scaled(length, time),
             internal_damping=self.internal_damping / time,
             air_damping=self.air_damping * time,
             quadratic_drag=self.quadratic_drag * length,
@@ -435,7 +435,19 @@ def _names(laws: dict) -> str:
     return ", ".join(law.__name__ for law in laws.values())
 
 
+# What stands in for a profile of what is one number for the whole rod.
+_INSTEAD = {
+    "radius": "the largest one, which touches",
+    "principal_angle": "that at the beginning, and how it turns from there as natural_twist",
+}
+
+
 def _number(name: str, value, *, positive: bool = False, least: float = -math.inf) -> float:
+    if isinstance(value, (Profile, dict)):
+        raise RodError(
+            f"rod {name} is a profile and can only be one number for the whole rod; give "
+            f"{_INSTEAD.get(name, 'its mean')}"
+        )
     is_number = isinstance(value, (int, float, np.floating, np.integer))
     if (
         not is_number

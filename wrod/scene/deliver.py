@@ -24,7 +24,7 @@ def deliver(
     rod,
     progress: Callable[[str], object] = lambda what: None,
 ) -> list[Path]:
-    """Write joint_path.csv/.npz, scene.usdc, scene.png and, with Viser, scene.html into a folder.
+    """Write joint_path.csv/.npz, scene.usdc and, with Newton, scene.png, with Viser, scene.html.
 
     Args:
         out: the folder.
@@ -51,8 +51,10 @@ def deliver(
         written.append(
             write_deployment_page(page, trajectory, joint_path, pattern=pattern, rod=rod)
         )
-    progress("picture")
-    return [*written, draw_scene(scene, out / "scene.png")]
+    if find_spec("newton") is not None:
+        progress("picture")
+        written.append(draw_scene(scene, out / "scene.png"))
+    return written
 
 
 def draw_scene(scene: Path, path: Path) -> Path:

@@ -71,7 +71,7 @@ def write_deployment_page(
             if joint_path is None
             else joint_path.node_time
         )
-    duration = float(time[-1])
+    duration = float(time[-1]) if joint_path is None else float(joint_path.time[-1])
     count = int(np.clip(np.ceil(duration * 10.0) + 1, 2, _FRAMES))
     at = np.linspace(0.0, duration, count)
     with contextlib.redirect_stdout(io.StringIO()):
@@ -94,14 +94,58 @@ def write_deployment_page(
                 arm.pose(k)
             _move_rod(line, shapes, errors, node)
             if k % 5 == 0 or k == count - 1:
-                laid = np.interp(node, np.arange(len(time)), trajectory.arc_length)
-                label.text = f"{at[k]:.1f} s of {duration:.0f} s, {100 * laid:.1f} cm laid"
+                doing = "" if joint_path is None else f"{joint_path.phase_at(at[k])}: "
+                label.text = f"{doing}{at[k]:.1f} s of {duration:.0f} s"
+                if len(time) == len(trajectory):
+                    laid = np.interp(node, np.arange(len(time)), trajectory.arc_length)
+                    label.text += f", {100 * laid:.1f} cm laid"
             recording.insert_sleep(duration / max(count - 1, 1))
         page = recording.as_html(dark_mode=False)
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
     return write_atomically(out, lambda file: file.write(page))
+
+
+def write_laying_page(
+    out: str | os.PathLike[str], deployment, trajectory, pattern, rod, interval: float
+) -> Path:
+    """Write a simulated deployment as one page, the rod coloured by how far what lies is from where
+    it should: green on the pattern, red from a centimetre on.
+
+    Args:
+        deployment: `wrod.Deployment` with its frames.
+        trajectory: that was followed.
+        pattern: `Pattern` with its remainder; `rod`: for its radius.
+        interval: of the frames [s].
+
+    Raises:
+        SceneError: the deployment has no frames, or Viser is missing.
+    """
+    frames = deployment.frames
+    if frames is None or len(frames) < 2:
+        raise SceneError("the deployment has no frames; simulate it with a frame interval")
+    on_pattern = np.clip(
+        deployment.arc_length - pattern.remainder_length, -pattern.remainder_length, pattern.length
+    )
+    target = pattern.sample(on_pattern)[0]
+    apart = np.linalg.norm((frames - target)[..., :2], axis=2)
+    beyond = deployment.arc_length > pattern.remainder_length + pattern.length
+    lies = (frames[..., 2] - target[:, 2] < 2.0 * rod.radius) & ~beyond
+    return write_deployment_page(
+        out,
+        trajectory,
+        pattern=pattern,
+        rod=rod,
+        shapes=frames,
+        errors=np.where(lies, apart, 0.0),
+        time=interval * np.arange(len(frames)),
+        captions=[
+            f"{100 * deployment.error_mean:.2f} cm from the pattern with the grip holding, "
+            f"{100 * deployment.released_error_mean:.2f} cm let go",
+            "green: on the pattern; red: a centimetre off",
+        ],
+    )
 
 
 def _free_port() -> int:

@@ -15,62 +15,39 @@ from wrod.kernels.contact import planes as kernels
 from wrod.kernels.contact import rolling as rolls
 from wrod.rods.batch import RodBatch
 from wrod.solvers.edge_contact import EdgeContact
+from wrod.solvers.solids import (
+    Box,
+    Capsule,
+    Cone,
+    Cylinder,
+    Ellipsoid,
+    Mesh,
+    Plane,
+    Sphere,
+    shape_record,
+)
 
-_VECTOR = arguments.array((3,))
 
-
-def _check(shape, **checks) -> None:
+def _check(shape: object, **checks: arguments.Check) -> None:
     for name, check in checks.items():
         wrong = check(getattr(shape, name))
         if wrong is not None:
             raise RodError(f"{type(shape).__name__}: {name} {wrong}")
 
 
-@dataclass(frozen=True)
-class Plane:
-    """A half-space: everything below `point`, against `normal`."""
-
-    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
-
-    def __post_init__(self) -> None:
-        _check(self, point=_VECTOR, normal=_VECTOR)
-
-    def _describe(self):
-        return int(kernels.PLANE), self.point, _turn_up_to(self.normal), (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Box:
-    """A box of half sizes `half_size` (3) [length] around `center`, turned by a quaternion xyzw."""
-
-    center: tuple[float, float, float]
-    half_size: tuple[float, float, float]
-    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-
-    def __post_init__(self) -> None:
-        _check(self, center=_VECTOR, half_size=_VECTOR, rotation=arguments.array((4,)))
-
-    def _describe(self):
-        return int(kernels.BOX), self.center, self.rotation, self.half_size
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """A cylinder around `center` with its axis along `axis`."""
-
-    center: tuple[float, float, float]
-    radius: float
-    half_height: float
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-
-    def __post_init__(self) -> None:
-        size = arguments.number()
-        _check(self, center=_VECTOR, radius=size, half_height=size, axis=_VECTOR)
-
-    def _describe(self):
-        size = (self.radius, self.half_height, 0.0)
-        return int(kernels.CYLINDER), self.center, _turn_up_to(self.axis), size
+__all__ = [
+    "Box",
+    "Capsule",
+    "Cone",
+    "Contact",
+    "Cylinder",
+    "Ellipsoid",
+    "Friction",
+    "FrictionField",
+    "Mesh",
+    "Plane",
+    "Sphere",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,8 +145,8 @@ _MOST_DAMPING = 5.0
 class Contact:
     """Contact of every rod of a batch with shapes; arrays live on the batch's device.
 
-    A rod's nodes touch planes, its edges boxes and cylinders, wherever between their nodes these
-    stand (`wrod.kernels.contact.edges`). A step of `Dynamics` in which a centreline could have
+    A rod's nodes touch planes, its edges solids, wherever between their nodes these stand
+    (`wrod.kernels.contact.edges`). A step of `Dynamics` in which a centreline could have
     met a fixture on the way is refused and halved, so that nothing tunnels however thin it is.
 
     Args:
@@ -180,8 +157,8 @@ class Contact:
             of rod [force/length^2]: under its weight w per length a rod sinks in by about
             w / stiffness.
         friction: one for all rods, one per rod, or for every rod a list of one per shape.
-        shapes: planes, boxes and cylinders that every rod touches, or for every rod a list of its
-            own; default: the table z = 0.
+        shapes: planes and solids (`wrod.solvers.solids`) that every rod touches, or for every rod a
+            list of its own; default: the table z = 0.
         restitution: (rod,) speed after an impact over that before, of a rod that lands flat, below
             1; 0 is as little as a viscous contact leaves, a hundredth.
         friction_field: how the friction of planes varies over x and y; default: it does not.
@@ -310,7 +287,7 @@ class Contact:
                 )
             for shape in row:
                 if id(shape) not in described:
-                    described[id(shape)] = _shape(shape)
+                    described[id(shape)] = shape_record(shape)
             table += [described[id(s)] for s in row] + [nothing] * (width - len(row))
             static[r, : len(row)] = [law.static for law in laws]
             kinetic[r, : len(row)] = [
@@ -333,6 +310,12 @@ class Contact:
     def table(self) -> wp.array:
         """(rod, shape) `wrod.kernels.contact.planes.Shape`, for kernels that move them."""
         return self._model[0]
+
+    @property
+    def pushes(self) -> tuple[wp.array, wp.array]:
+        """(rod, shape) force on each solid at the end of the last step, and its moment about the
+        origin."""
+        return self._edges.push, self._edges.moment
 
     @arguments.checked(
         RodError,
@@ -522,29 +505,3 @@ def _node_lengths(batch: RodBatch) -> np.ndarray:
     lengths[:, :-1] += rest / 2
     lengths[:, 1:] += rest / 2
     return lengths
-
-
-def _shape(shape: Plane | Box | Cylinder) -> kernels.Shape:
-    kind, position, rotation, size = shape._describe()
-    values = np.concatenate([position, rotation, size]).astype(float)
-    if not np.isfinite(values).all() or (kind != int(kernels.PLANE) and np.min(size[:2]) <= 0):
-        raise RodError(f"{shape}: sizes must be positive and finite")
-    out = kernels.Shape()
-    out.kind = kind
-    out.position = wp.vec3d(*map(float, position))
-    out.rotation = wp.normalize(wp.quatd(*map(float, rotation)))
-    out.size = wp.vec3d(*map(float, size))
-    return out
-
-
-def _turn_up_to(direction) -> tuple[float, float, float, float]:
-    """Quaternion xyzw that turns z to `direction`."""
-    d = np.asarray(direction, dtype=float)
-    size = np.linalg.norm(d)
-    if not (np.isfinite(size) and size > 0):
-        raise RodError(f"direction {direction!r} has no length; give a normal or an axis")
-    d = d / size
-    q = np.array([-d[1], d[0], 0.0, 1.0 + d[2]])
-    if np.linalg.norm(q) < 1e-9:
-        return (1.0, 0.0, 0.0, 0.0)
-    return tuple(q / np.linalg.norm(q))

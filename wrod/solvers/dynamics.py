@@ -19,6 +19,7 @@ from wrod.rods.batch import RodBatch, RodState, node_positions
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.contact import Contact
+from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.viscosity import Viscosity
 
@@ -184,6 +185,7 @@ class Dynamics:
         # The last change of velocity tells Newton's start, but for what hits something.
         self._growth = 0.0 if self.contacts else 0.5
         self.viscosity = Viscosity(batch, internal_damping)
+        self.internal = InternalVariables(batch)
         scale = _force_scale(batch) if force_scale is None else force_scale
         self.force_scale = floats(scale, "force_scale")
         self.length_scale = floats(batch.rest_length.numpy().sum(axis=1))
@@ -239,6 +241,7 @@ class Dynamics:
             [self.step_before, self.wanted_step, self.diverged, self.leaves],
         )
         self._copy(chosen, self.batch.state, self.start)
+        self.internal.restart(chosen)
         for contact in self.contacts:
             contact.restart(chosen)
 
@@ -418,6 +421,7 @@ class Dynamics:
             ],
         )
         self.viscosity.begin(self.starting, self.coefficient, self.span)
+        self.internal.begin(self.starting, self.span)
         if self.rod_contact is not None:
             self.rod_contact.prepare(self.starting, self.rejected, self.start.dof)
         if self.motion is not None:
@@ -561,6 +565,7 @@ class Dynamics:
             self.bodies.finish(self)
         if SCHEMES[self._scheme] == "midpoint":
             self._complete()
+        self.internal.finish(self.accepted, self.step)
         if frames is not None:
             self._per_dof(
                 kernels.record_frames,
@@ -611,9 +616,9 @@ class Dynamics:
 def _masses(batch: RodBatch, radius) -> np.ndarray:
     """(rod, dof) lumped masses of the nodes, and of the edges m h^2 / 2 about their axis."""
     mass = batch.node_mass.numpy()
-    free = batch.free.numpy()
-    held = np.stack([free[:, k::4] == 0 for k in range(3)], axis=2).all(axis=2)
-    if not ((mass > 0) | held & (mass == 0)).all():
+    # What is held, like a ghost node beyond a clamp, needs none.
+    held = np.pad(batch.free.numpy(), ((0, 0), (0, 1))).reshape(*mass.shape, 4)[:, :, :3] == 0
+    if not ((mass > 0) | held.any(axis=2)).all():
         raise RodError("node_mass holds a node without mass, which cannot be moved in time")
     rest = batch.rest_length.numpy()
     radius = np.asarray(radius, dtype=float)

@@ -1,4 +1,4 @@
-"""The part of `Contact` that deals with boxes and cylinders: contact of edges."""
+"""The part of `Contact` that deals with solids: contact of edges."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from wrod.rods.batch import RodBatch
 
 
 class EdgeContact:
-    """Contact of a batch's edges with the boxes and cylinders of a table of shapes.
+    """Contact of a batch's edges with the solids of a table of shapes.
 
     Args:
         batch: the rods; their cut edges touch nothing.
@@ -22,6 +22,10 @@ class EdgeContact:
         damping: relaxation time of the contact times sqrt(stiffness / mass), (rod,).
         roll_friction: (rod, shape) bound of the torque that keeps the roll, over normal force and
             radius; below 0 where it rolls.
+
+    Attributes:
+        push, moment: (rod, shape) force on each shape at the end of the last step, and its moment
+            about the origin.
     """
 
     def __init__(
@@ -46,6 +50,8 @@ class EdgeContact:
         shape = (batch.rod_count, table.shape[1], edges)
         self.bristle = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self.sliding = wp.zeros(shape, dtype=wp.int32, device=device)
+        self.push = wp.zeros(table.shape, dtype=wp.vec3d, device=device)
+        self.moment = wp.zeros(table.shape, dtype=wp.vec3d, device=device)
         self.turned = wp.zeros(shape, dtype=wp.float64, device=device)
 
     @property
@@ -74,7 +80,15 @@ class EdgeContact:
 
     def settle(self, step, accepted, dof, dof_before, slip: wp.array, force: wp.array) -> None:
         inputs = [*self._model, self._relaxation, self._roll, step, accepted, dof, dof_before]
-        outputs = [self.bristle, self.sliding, self.turned, slip, force]
+        pushes = [self.push, self.moment]
+        wp.launch(
+            kernels.clear_pushes,
+            dim=self.push.shape,
+            inputs=[accepted],
+            outputs=pushes,
+            device=self.batch.device,
+        )
+        outputs = [self.bristle, self.sliding, self.turned, slip, force, *pushes]
         self._launch(kernels.settle_edges, inputs, outputs)
 
     def penetration(self, dof: wp.array) -> np.ndarray:

@@ -179,13 +179,23 @@ class MotionReport:
         next to nothing of how the rod stretches: radius, mass per length and stretching stiffness
         are those of a common cable of its stiffness, radius L_gb / 45.
         """
-        m, s = self.measurements, self.selection
+        s = self.selection
+        return self._rod(s.model, s.values)
+
+    @property
+    def base_rod(self) -> RodModel:
+        """The rod of the base model: straight and uniform, as stiff and damped as fits best."""
+        s = self.selection
+        return self._rod(Model(s.model.effects[: len(BASE)]), s.base_values).rod
+
+    def _rod(self, model: Model, values: np.ndarray) -> FoundRod:
+        m = self.measurements
         radius = _SLENDER * self.base["stiffness"]["L_gb"].value
         like = RodModel.of(
             RodMaterial(radius, START_L_GB, float(m.marker_arc_length[-1]), gravity=m.gravity)
         )
         line_mass = like.line_mass.values[0]
-        stretches = "axial_stiffness" in s.model.names
+        stretches = "axial_stiffness" in model.names
 
         def read(setup: MotionSetup) -> RodModel:
             arc_length = np.concatenate([[0.0], np.cumsum(np.real(setup.rest_length))])
@@ -197,7 +207,7 @@ class MotionReport:
 
         assumed = ("radius", "line_mass") + ("stretching_stiffness",) * (not stretches)
         base = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
-        return found_rod(base, s.model, s.values, read, assumed)
+        return found_rod(base, model, values, read, assumed)
 
     @property
     def model(self) -> RodModel:

@@ -1,0 +1,117 @@
+"""The whole job: from a neutral pose to the rod, laid, and back."""
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+import wrod
+from wrod.robot.attempt import hanging_rod
+from wrod.robot.job import GRASP_TIME, PHASES
+from wrod.robot.joint_path import JointPath
+from wrod.robot.kinematics import grasp_poses
+
+
+@pytest.fixture(scope="module")
+def line():
+    return wrod.plan(wrod.pattern("line"), wrod.rod("green-vps"), method="numeric", device="cpu")
+
+
+@pytest.fixture(scope="module")
+def job(line):
+    import torch
+
+    torch.set_num_threads(1)
+    return wrod.solve_joint_path(line, "ur5e", whole_job=True, rod_radius=0.0016)
+
+
+def part(job, name):
+    (phase,) = [p for p in job.phases if p["name"] == name]
+    return (job.time > phase["start"] - 1e-6) & (job.time < phase["end"] + 1e-6)
+
+
+def test_phases_follow_each_other_from_rest_to_rest(job):
+    assert [p["name"] for p in job.phases] == list(PHASES)
+    edges = [p["start"] for p in job.phases] + [job.phases[-1]["end"]]
+    assert edges[0] == 0.0 and edges[-1] == pytest.approx(job.time[-1])
+    assert all(a["end"] == b["start"] for a, b in zip(job.phases, job.phases[1:], strict=False))
+    for edge in edges:
+        assert np.abs(job.velocities[round(edge * 100)]).max() < 1e-6
+    for name in ("grasp", "release"):
+        still = job.positions[part(job, name)]
+        assert len(still) == 100 * GRASP_TIME + 1 and np.ptp(still, axis=0).max() == 0.0
+    np.testing.assert_allclose(job.positions[0], job.metadata["neutral"], atol=1e-12)
+    np.testing.assert_allclose(job.positions[-1], job.metadata["neutral"], atol=1e-12)
+    assert (np.diff(job.arc_length[part(job, "lay")]) >= -1e-12).all()
+    assert np.ptp(job.arc_length[part(job, "approach")]) == 0.0
+
+
+def test_limits_of_every_joint_hold_throughout(job):
+    robot = job.robot
+    step = np.diff(job.time)[:, None]
+    speed = np.diff(job.positions, axis=0) / step
+    assert np.abs(speed - (job.velocities[1:] + job.velocities[:-1]) / 2).max() < 2e-3
+    assert (np.abs(speed) < robot.velocity).all()
+    gain = np.diff(job.velocities, axis=0) / step
+    assert (np.abs(gain) < 1.01 * robot.acceleration).all()
+    # Jerk jumps within a sample; differences of differences average it.
+    assert (np.abs(np.diff(gain, axis=0) / step[1:]) < 1.05 * robot.jerk).all()
+    assert ((job.positions > robot.lower) & (job.positions < robot.upper)).all()
+
+
+def test_laying_is_where_the_plan_is(job, line):
+    at = np.column_stack([np.interp(job.node_time, job.time, q) for q in job.positions.T])
+    poses = job.placement.world_from_base @ grasp_poses(job.robot, at)
+    assert np.linalg.norm(poses[:, :3, 3] - line.position, axis=1).max() < 2e-4
+    laying = job.phases[2]
+    assert job.node_time[0] == pytest.approx(laying["start"])
+    assert job.node_time[-1] <= laying["end"] + 1e-9
+
+
+def test_hand_comes_and_goes_along_its_fingers(job):
+    for name, order in (("approach", slice(None, None, -1)), ("retreat", slice(None))):
+        poses = grasp_poses(job.robot, job.positions[part(job, name)][order])
+        away = poses[:, :3, 3] - poses[0, :3, 3]
+        along = -away @ poses[0, :3, 2]
+        beside = np.linalg.norm(away + along[:, None] * poses[0, :3, 2], axis=1)
+        first = np.argmax(along > 0.99 * 0.03)
+        assert first > 0 and beside[:first].max() < 1e-3
+        assert (np.diff(along[:first]) > -1e-6).all()
+
+
+def test_arm_keeps_off_table_and_hanging_rod(job, line):
+    """By points on the shapes, not by the distances that the path was found with."""
+    base = job.placement.world_from_base
+    rng = np.random.default_rng(0)
+    rods = hanging_rod(line)
+    for name, node in (("approach", 0), ("retreat", -1)):
+        rod = KDTree(rods[node])
+        positions = job.positions[part(job, name)][::10]
+        poses = job.robot.link_poses(positions)
+        for shape in job.robot.shapes("collision"):
+            if shape.kind != "cylinder" or shape.link in ("base_link", "shoulder_link"):
+                continue
+            turn = rng.normal(size=(60, 2))
+            turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+            high = rng.uniform(-0.5, 0.5, 60) * shape.size[1]
+            skin = np.column_stack([turn * shape.size[0], high, np.ones(60)])
+            world = (base @ poses[shape.link] @ shape.pose @ skin.T)[:, :3].swapaxes(1, 2)
+            assert world[..., 2].min() > 0.0
+            if shape.link != "gripper":
+                assert rod.query(world.reshape(-1, 3))[0].min() > 0.015
+
+
+def test_phases_are_saved(job, tmp_path):
+    job.save(tmp_path / "joint_path")
+    again = JointPath.load(tmp_path / "joint_path.npz")
+    assert again.phases == job.phases
+    assert '"phases"' in (tmp_path / "joint_path.csv").read_text().splitlines()[0]
+
+
+def test_where_there_is_no_way_the_path_stays_and_says_so(line, monkeypatch):
+    from wrod.errors import WrodWarning
+    from wrod.robot import job as module
+
+    monkeypatch.setattr(module, "find_way", lambda *a, **k: None)
+    with pytest.warns(WrodWarning, match="begins and ends at the rod: no way between"):
+        path = wrod.solve_joint_path(line, "ur5e", whole_job=True)
+    assert [p["name"] for p in path.phases] == ["lay"] and "no way" in path.metadata["no_approach"]

@@ -1,0 +1,230 @@
+"""What `wrod bench loop` does, step by step: identify, train, plan, lay, report."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from wrod.bench.loop_report import draw, markdown, summary, write_csv
+from wrod.bench.loop_trials import (
+    EFFECTS,
+    Case,
+    identified,
+    identified_cable,
+    network_for,
+    own_bend,
+    row,
+    trials_along,
+    varied_rod,
+    with_length,
+)
+from wrod.bench.table3_paper import PATTERNS, read_pattern
+from wrod.deployment.simulate import simulate_deployments
+from wrod.files import write_atomically
+from wrod.machine import machine_line
+from wrod.planning.plan import read_roll
+from wrod.rods.batch import resolve_device
+from wrod.rods.material import RodMaterial, rod
+from wrod.rods.model import RodModel
+from wrod.solvers.contact import Friction
+
+_BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+# The free end is held for so much of a cable's L_gb; a green VPS rod's 5 cm are 1.6 of them.
+_HELD = 1.5
+
+
+@dataclass
+class Loop:
+    """What is asked for, by the names of the command's options, and how long its parts took [s]."""
+
+    out: Path
+    effects: tuple[str, ...]
+    recording: Path | None
+    names: tuple[str, ...]
+    patterns: Path | None
+    rod_name: str
+    curvature: float
+    lgb_error: float
+    trials: int
+    noise: float
+    candidates: tuple[str, ...]
+    controllers: tuple[str, ...]
+    grasps: int
+    steps: int | None
+    friction: float
+    rolling: bool
+    roll_text: str
+    speed: float
+    step: float
+    spacing: float
+    seed: int
+    device: str
+    quiet: bool = False
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.device = resolve_device(self.device)
+        self.controllers = self.controllers or ("network", "default")
+        if self.recording is not None:
+            # Which network would know a cable that nobody has described?
+            self.controllers = ("default",)
+
+    @property
+    def head(self) -> str:
+        """What was simulated, in a sentence."""
+        curves = "built-in patterns" if self.patterns is None else "patterns of a folder"
+        what = self.rod_name
+        if self.recording is not None:
+            what = f"the cable found in {self.recording.name}"
+            curves = curves if self.names else "a bend of the cable's own size"
+        return (
+            f"Simulated deployments of {what}, e_mean ± sigma [cm] (N = 50); friction "
+            f"{self.friction:g}{', rolling freely' if self.rolling else ''}, roll "
+            f"{self.roll_text}, contact speed {self.speed:g} m/s, step {self.step:g} s, edges "
+            f"{self.spacing:g} m, {curves}."
+        )
+
+    @contextmanager
+    def timed(self, what: str):
+        """Add how long something took."""
+        clock = time.perf_counter()
+        yield
+        self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - clock
+
+    def bar(self, what: str):
+        """A bar of 100 per cent; `progress_of` feeds it."""
+        from tqdm import tqdm
+
+        return tqdm(total=100, leave=False, desc=what, disable=self.quiet, bar_format=_BAR)
+
+    def along(self, many, what: str):
+        from tqdm import tqdm
+
+        return tqdm(many, desc=what, leave=False, disable=self.quiet)
+
+
+def run(loop: Loop) -> dict[str, Any]:
+    """All of it; plain figures, the laid curves in files only."""
+    cases, written = (_recorded if loop.recording else _hidden)(loop)
+    curves = {name: read_pattern(name, loop.patterns) for name in loop.names or PATTERNS}
+    if loop.recording and not loop.names:
+        (case,) = cases.values()
+        curves = {"bend": own_bend(case.model)}
+    rows = _laid(loop, cases, curves)
+    found = {effect: _found(case) for effect, case in cases.items()}
+    text = markdown(rows, found, loop.head)
+    write_atomically(loop.out / "loop.md", lambda file: file.write(text))
+    written += [
+        write_csv(loop.out / "loop.csv", rows),
+        loop.out / "loop.md",
+        draw(loop.out / "loop.png", rows, curves),
+    ]
+    return {
+        "machine": machine_line(loop.device),
+        "device": loop.device,
+        "found": found,
+        "summary": summary(rows),
+        "seconds": loop.seconds,
+        "rows": [{k: v for k, v in one.items() if k != "curve"} for one in rows],
+        "written": [str(path) for path in written],
+    }
+
+
+def _hidden(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
+    """A case for each effect that is hidden in synthetic measurements, and the files written."""
+    believed = rod(loop.rod_name)
+    true: dict[str, RodModel | RodMaterial] = {
+        "natural_curvature": replace(believed, natural_curvature=(loop.curvature, 0.0)),
+        "stiffness": replace(
+            believed,
+            gravito_bending_length=(1.0 + loop.lgb_error) * believed.gravito_bending_length,
+        ),
+        "varied": varied_rod(believed),
+    }
+    cases, written = {}, []
+    for effect in loop.along(loop.effects or EFFECTS, "identify"):
+        with loop.timed("identification"):
+            report = identified(
+                true[effect], believed, loop.trials, loop.noise, loop.seed, loop.candidates,
+                loop.device,
+            )  # fmt: skip
+        written += report.save(loop.out / effect)
+        model = with_length(report.model, believed)
+        roll, network = read_roll(loop.roll_text, model), None
+        if "network" in loop.controllers:
+            network = _trained(loop, model, loop.out / effect, roll)
+        if network is not None:
+            written.append(loop.out / effect / "controller.safetensors")
+        cases[effect] = Case(true[effect], believed, report, model, network, roll)
+    return cases, written
+
+
+def _recorded(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
+    """The one case of a recorded cable: what was found in it is the best that is known of it."""
+    with loop.timed("identification"):
+        report = identified_cable(loop.recording, loop.candidates, loop.device)
+    name = loop.recording.stem
+    written, model = report.save(loop.out / name), report.model
+    roll = read_roll(loop.roll_text, model)
+    return {name: Case(model, report.base_rod, report, model, None, roll)}, written
+
+
+def _trained(loop: Loop, model, folder: Path, roll):
+    with loop.timed("training"), loop.bar("train") as bar:
+        return network_for(
+            model, folder, roll=roll, grasps=loop.grasps, steps=loop.steps, seed=loop.seed,
+            device=loop.device, progress=lambda share: bar.update(100 * share - bar.n),
+        )  # fmt: skip
+
+
+def _laid(loop: Loop, cases: dict[str, Case], curves: dict) -> list[dict]:
+    """A row for each deployment."""
+    jobs, law = {}, Friction(loop.friction, rolling=loop.rolling)
+    with loop.timed("plans"):
+        for name, curve in loop.along(curves.items(), "plans"):
+            jobs |= trials_along(name, curve, cases, loop.controllers, law)
+    more = {}
+    if loop.recording:
+        more["hold"] = _HELD * max(t.rod.gravito_bending_length for t in jobs.values())
+    with loop.timed("deployments"), loop.bar("laid") as bar:
+        laid = simulate_deployments(
+            list(jobs.values()), speed=loop.speed, step=loop.step, spacing=loop.spacing,
+            device=loop.device, **more,
+            progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
+        )  # fmt: skip
+    return [row(key, jobs[key], d) for key, d in zip(jobs, laid, strict=True)]
+
+
+def _found(case: Case) -> dict:
+    """What the identification said, beside the truth, and how well its network learnt."""
+    true, report = case.true, case.report
+    learnt = None
+    if case.network is not None:
+        metadata = case.network.metadata
+        learnt = {key: metadata[key] for key in ("samples", "steps", "seconds", "held_out")}
+    return {
+        "network": learnt,
+        "verdict": report.verdict,
+        "before_mm": 1e3 * report.before,
+        "after_mm": 1e3 * report.after,
+        "noise_floor_mm": 1e3 * report.noise_floor,
+        "effects": {
+            e.name: {key: asdict(value) for key, value in e.parameters.items()}
+            for e in report.effects
+        },
+        "set_aside": list(report.found.set_aside),
+        "rod_has": list(report.model.not_uniform()),
+        "true": None
+        if case.true is case.model
+        else {
+            "natural_curvature": list(true.curvature_held(0.0)),
+            "gravito_bending_length": true.gravito_bending_length,
+        },
+        "model": {
+            "natural_curvature": list(report.material.natural_curvature),
+            "gravito_bending_length": report.material.gravito_bending_length,
+        },
+    }

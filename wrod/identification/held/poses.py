@@ -1,0 +1,93 @@
+"""Cables between a fixed end and a robot's gripper, moved and twisted from straight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from wrod.identification.held.measurements import HeldPoses
+from wrod.rods.batch import RodBatch, node_positions
+from wrod.rods.rotation import transport
+from wrod.solvers.statics import EquilibriumSolver, prescribe
+
+_EDGES = 40
+# A cable hardly stretches: EA over B / L^2.
+_STRETCH = 3e4
+_WAYPOINTS = 24
+
+
+def pose_shapes(
+    poses: HeldPoses,
+    cases: Sequence[tuple[int, int, float, float, float]],
+    device: str = "cpu",
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where cables come to rest whose gripper goes from the straight start to its pose.
+
+    Robot's frame, z up, the gripper's start at the origin and the fixed end at (length, 0, 0). The
+    gripper shifts, turns, and twists the cable all at once and slowly, the cable following.
+
+    Args:
+        poses: lengths, weights and what the gripper did.
+        cases: (cable, pose, B [N m^2], twisting over bending stiffness, sense of the end's turn:
+            1 or -1) each.
+
+    Returns:
+        (case, point, 3) places of `poses.arc_length` from the fixed end [m], and (case,) whether
+        every step of the way converged.
+    """
+    count, length = len(cases), poses.length
+    cable, pose = np.array([c[:2] for c in cases], dtype=int).T
+    bend, ratio, sense = np.array([c[2:] for c in cases], dtype=float).T
+    h = length / _EDGES
+    # Nodes half an edge beside the ends: the clamped edges have them in their middle.
+    s = h * (np.arange(_EDGES + 2) - 0.5)
+    straight = np.zeros((count, len(s), 3))
+    straight[:, :, 0] = length - s
+    batch = RodBatch(
+        straight,
+        stretching_stiffness=(_STRETCH * bend / length**2)[:, None],
+        bending_stiffness=bend[:, None],
+        twisting_stiffness=(bend * ratio)[:, None],
+        node_mass=(poses.mass_per_length[cable] * h)[:, None],
+        gravity=np.tile([0.0, 0.0, -9.81], (count, 1)),
+        director=np.array([0.0, 1.0, 0.0]),
+        device=device,
+    )
+    prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
+    solver = EquilibriumSolver(batch)
+    good = np.ones(count, dtype=bool)
+    for step in range(_WAYPOINTS + 1):
+        part = step / _WAYPOINTS
+        frame = Rotation.from_rotvec(part * poses.gripper_turn[pose])
+        tangent = frame.apply([-1.0, 0.0, 0.0])
+        roll = Rotation.from_rotvec(
+            (part * sense * poses.end_turn[pose])[:, None] * tangent
+        )  # fmt: skip
+        director = roll.apply(frame.apply([0.0, 1.0, 0.0]))
+        at = part * poses.gripper_shift[pose]
+        target = batch.state.dof.numpy().copy()
+        target[:, -7:-4], target[:, -3:] = at - 0.5 * h * tangent, at + 0.5 * h * tangent
+        carried = transport(
+            batch.state.director.numpy()[:, -1], batch.state.tangent.numpy()[:, -1], tangent
+        )
+        angle = np.arctan2(
+            np.einsum("ri,ri->r", np.cross(tangent, carried), director),
+            np.einsum("ri,ri->r", carried, director),
+        )
+        before = target[:, -4]
+        target[:, -4] = angle + 2.0 * np.pi * np.rint((before - angle) / (2.0 * np.pi))
+        good &= solver.solve(
+            prescribed=target, ramp_loads=step == 0, tolerance=1e-7, max_iterations=60
+        ).converged
+    nodes = node_positions(batch.state.dof.numpy())
+    return CubicSpline(s, nodes, axis=1)(poses.arc_length), good
+
+
+def rigid_rms(measured: np.ndarray, predicted: np.ndarray) -> float:
+    """RMS distance [m] of (point, 3) from (point, 3) after the rigid motion that makes it least."""
+    a, b = measured - measured.mean(axis=0), predicted - predicted.mean(axis=0)
+    turn = Rotation.align_vectors(a, b)[0]
+    return float(np.sqrt(((a - turn.apply(b)) ** 2).sum(axis=1).mean()))

@@ -1,0 +1,240 @@
+"""The whole job of an arm: from a neutral pose to the rod, grasp, lay, release, and back again.
+
+The rod is presented as the plan begins: it hangs from its end at the first pose of the grip. The
+hand comes to it along its fingers, closes, lays the rod, opens, moves back along its fingers and
+returns. What the hand does not hold is kept clear of: the arm's links, the table, the obstacles,
+and the rod as it hangs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from wrod.errors import RobotError
+from wrod.robot.arm import ARM_ROOM, LINK_ROOM, Arm, gap_between
+from wrod.robot.attempt import Task, hanging_rod
+from wrod.robot.holds import Hand
+from wrod.robot.joint_path import JointPath
+from wrod.robot.kinematics import refine, solve_poses
+from wrod.robot.placement import contact_in_base, reach
+from wrod.robot.timing import schedule
+from wrod.robot.transfer import Leg, Way, find_way
+
+# Where the hand may wait: distance from the arm's axis and height over the base as shares of the
+# arm's reach, bearing off the pattern [degrees].
+_OUT, _UP = (0.4, 0.5), (0.15, 0.3, 0.45)
+_BEARINGS = (45, -45, 75, -75, 110, -110, 0)
+_SEEDS = 8
+_LIMIT_ROOM = 0.1  # [rad] of a neutral pose from the joints' limits
+_LOOKED_AT, _NEUTRALS = 120, 6  # neutral poses that are checked, and from which ways are sought
+GRASP_TIME = 1.0  # [s] the hand stands still while it closes, and while it opens
+_BESIDE_ROD, _IN_AIR = 0.08, 0.25  # [m/s] of the hand
+PHASES = ("approach", "grasp", "lay", "release", "retreat")
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Joint positions (T, n) [rad] and velocities (T, n) [rad/s] at a fixed rate."""
+
+    phase: str
+    positions: np.ndarray
+    velocities: np.ndarray
+
+
+def with_job(path: JointPath, task: Task) -> JointPath:
+    """A joint path with approach, grasp, release and retreat around its laying.
+
+    Args:
+        path: of the laying alone.
+        task: that it solves.
+
+    Returns:
+        The path from and to a neutral pose. `metadata["phases"]` lists name, start and end [s] of
+        `PHASES`, `metadata["neutral"]` the joint positions of that pose [rad]. Its nodes' times are
+        later by what comes before.
+
+    Raises:
+        RobotError: there is no neutral pose, or no way between it and the rod.
+    """
+    arm = Arm(task.robot, task.model, Hand.of(task.model), path.placement)
+    rate = float(path.metadata["rate"])
+    neutral, there, back = _ways(arm, task, path.positions[0], path.positions[-1])
+    still = np.zeros_like(path.positions[:1])
+    wait = max(1, round(GRASP_TIME * rate))
+    pieces = [
+        *_played("approach", task.robot, there, rate),
+        _Piece("grasp", np.repeat(path.positions[:1], wait + 1, axis=0), still.repeat(wait + 1, 0)),
+        _Piece("lay", path.positions, path.velocities),
+        _Piece(
+            "release", np.repeat(path.positions[-1:], wait + 1, axis=0), still.repeat(wait + 1, 0)
+        ),
+        *_played("retreat", task.robot, back, rate),
+    ]
+    return _joined(path, pieces, rate, neutral)
+
+
+def _ways(arm: Arm, task: Task, first, last) -> tuple[np.ndarray, Way, Way]:
+    """Neutral pose (n,) [rad], way from it to the first pose, and from the last pose to it.
+
+    Raises:
+        RobotError: there is no such pose, or none with a way.
+    """
+    before, after = (_around(arm, task, node) for node in (0, -1))
+    poses = neutral_poses(arm, task, first, last, [o for o in (before, after) if o is not None])
+    if len(poses) == 0:
+        raise RobotError(
+            f"an arm at {arm.placement} has no neutral pose beside the table; place it nearer"
+        )
+    where = "first"
+    for neutral in poses[:_NEUTRALS]:
+        there = find_way(arm, neutral, first, leave=False, arrive=True, other=before)
+        if there is None:
+            continue
+        where = "last"
+        back = find_way(arm, last, neutral, leave=True, arrive=False, other=after)
+        if back is not None:
+            return neutral, there, back
+    raise RobotError(
+        f"no way between a neutral pose and the {where} pose of the grip keeps clear of the arm, "
+        "the table, the obstacles and the hanging rod; move the pattern with placement, or the "
+        "obstacles"
+    )
+
+
+def neutral_poses(arm: Arm, task: Task, first, last, around: list) -> np.ndarray:
+    """Joint positions (m, n) [rad] with the hand down, clear of everything, the nearest to the
+    first and the last pose of the path first.
+
+    Args:
+        first, last: (n,) joint positions [rad].
+        around: capsules in the table's frame that they keep clear of.
+    """
+    _, far = reach(task.robot)
+    contact = contact_in_base(task.trajectory, arm.placement).mean(0)
+    ahead = np.append(contact[:2] / max(np.linalg.norm(contact[:2]), 1e-9), 0.0)
+    poses = []
+    for out, up, bearing in product(_OUT, _UP, _BEARINGS):
+        along = Rotation.from_euler("z", bearing, degrees=True).apply(ahead)
+        pose = np.eye(4)
+        pose[:3, :3] = np.column_stack([np.cross(along, [0, 0, -1.0]), along, [0, 0, -1.0]])
+        pose[:3, 3] = out * far * along + [0.0, 0.0, max(up * far, arm.placement.z + 0.2)]
+        poses.append(pose)
+    lower, upper = np.maximum(arm.robot.lower, -np.pi), np.minimum(arm.robot.upper, np.pi)
+    seeds = np.random.default_rng(3).uniform(0.8 * lower, 0.8 * upper, (_SEEDS, len(lower)))
+    starts = np.vstack([first, last, seeds])
+    found, _ = solve_poses(arm.robot, np.array(poses), starts)
+    found, missed = refine(
+        arm.robot, found.reshape(-1, len(lower)), np.repeat(poses, len(starts), axis=0)
+    )
+    q = found[np.abs(missed).max(1) < 1e-4]
+    # Whole turns bring a joint nearer to where the path begins, where its limits allow them.
+    turned = q + 2 * np.pi * np.round((first - q) / (2 * np.pi))
+    q = np.where((turned > arm.robot.lower) & (turned < arm.robot.upper), turned, q)
+    room = np.minimum(q - arm.robot.lower, arm.robot.upper - q).min(-1)
+    q = q[room > _LIMIT_ROOM]
+    if len(q) == 0:
+        return q
+    q = q[np.argsort(np.abs(q - first).max(1) + np.abs(q - last).max(1))][:_LOOKED_AT]
+    rooms = arm.rooms(q)
+    clear = (rooms["links"] > LINK_ROOM) & (rooms["table"] > 0.05)
+    capsules = arm.capsules(q)
+    for other in around:
+        clear &= gap_between(capsules, other) > 2 * ARM_ROOM
+    return q[clear]
+
+
+def _around(arm: Arm, task: Task, node: int):
+    """Capsules (1, C, 3), (1, C, 3), (C,) in the table's frame of what stands in the way, or
+    None."""
+    starts, ends, radii = [], [], []
+    hanging = hanging_rod(task.trajectory)
+    if hanging is not None:
+        points = hanging[node]
+        starts.append(points[:-1])
+        ends.append(points[1:])
+        radii.append(np.full(len(points) - 1, task.rod_radius))
+    if task.obstacles is not None:
+        base = arm.base
+        start, end, radius = task.obstacles
+        starts.append(start @ base[:3, :3].T + base[:3, 3])
+        ends.append(end @ base[:3, :3].T + base[:3, 3])
+        radii.append(radius)
+    if not starts:
+        return None
+    return np.concatenate(starts)[None], np.concatenate(ends)[None], np.concatenate(radii)
+
+
+def _played(phase: str, robot, way: Way, rate: float) -> list[_Piece]:
+    """The legs of a way, each from rest to rest within the limits of every joint."""
+    return [_Piece(phase, *_timed(robot, leg, rate)) for leg in way.legs]
+
+
+def _timed(robot, leg: Leg, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    import torch
+
+    from wrod.robot.kinematics import grasp_poses
+
+    straight = len(leg.knots) == 2
+    places = np.linspace(0.0, 1.0, len(leg.knots))
+    curve = make_interp_spline(places, leg.knots, k=1) if straight else None
+    curve = CubicSpline(places, leg.knots) if curve is None else curve
+    with torch.no_grad():
+        hand = grasp_poses(robot, curve(np.linspace(0.0, 1.0, 20)))[:, :3, 3]
+    length = float(np.linalg.norm(np.diff(hand, axis=0), axis=1).sum())
+    # A turn on the spot takes its time too: a radian of a joint counts for 10 cm.
+    length = max(length, 0.1 * float(np.abs(np.diff(leg.knots, axis=0)).sum(0).max()), 1e-4)
+    speed = _BESIDE_ROD if not straight else _IN_AIR
+    x = places * length
+    spline = make_interp_spline(x, leg.knots, k=1) if straight else CubicSpline(x, leg.knots)
+    timing = schedule(robot, spline, length, speed)
+    time = np.arange(np.ceil(timing.duration * rate) + 1) / rate
+    travel, pace = timing.travel(time)
+    return spline(travel), spline(travel, 1) * pace[:, None]
+
+
+def _joined(path: JointPath, pieces: list[_Piece], rate: float, neutral) -> JointPath:
+    """One path of pieces that end where the next begins; that point is there once."""
+    positions, velocities, phases, count = [], [], [], 0
+    laid_at = 0
+    for number, piece in enumerate(pieces):
+        first = 0 if number == 0 else 1
+        start = max(count - 1, 0)
+        if piece.phase == "lay":
+            laid_at = start
+        positions.append(piece.positions[first:])
+        velocities.append(piece.velocities[first:])
+        count += len(piece.positions) - first
+        if phases and phases[-1]["name"] == piece.phase:
+            phases[-1]["end"] = (count - 1) / rate
+        else:
+            phases.append({"name": piece.phase, "start": start / rate, "end": (count - 1) / rate})
+    before = laid_at
+    after = count - before - len(path.time)
+    arc = np.concatenate(
+        [
+            np.full(before, path.arc_length[0]),
+            path.arc_length,
+            np.full(after, path.arc_length[-1]),
+        ]
+    )
+    metadata = {
+        **path.metadata,
+        "lay_duration": path.metadata["duration"],
+        "duration": (count - 1) / rate,
+        "phases": phases,
+        "neutral": [float(q) for q in neutral],
+    }
+    return replace(
+        path,
+        time=np.arange(count) / rate,
+        positions=np.concatenate(positions),
+        velocities=np.concatenate(velocities),
+        arc_length=arc,
+        node_time=path.node_time + before / rate,
+        metadata=metadata,
+    )

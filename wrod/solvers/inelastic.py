@@ -1,0 +1,54 @@
+"""Internal variables of a batch in time steps: see `wrod.kernels.elastic.inelastic`."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wrod.kernels.elastic import inelastic as kernels
+from wrod.rods.batch import RodBatch
+
+
+class InternalVariables:
+    """What rods whose bending remembers have become, step by step.
+
+    Before its first step a rod has gone straight from its natural shape to where it is: slowly, if
+    it relaxes.
+
+    Args:
+        batch: the rods; without a law that remembers all this does nothing.
+    """
+
+    def __init__(self, batch: RodBatch):
+        self.batch = batch
+        self._ever = wp.full(batch.rod_count, wp.inf, dtype=wp.float64, device=batch.device)
+        self.finish(batch.every_rod, self._ever)
+
+    def begin(self, starting: wp.array, span: wp.array) -> None:
+        """The rods that start a step bend for the time `span` (rod,) until forces are taken."""
+        if self.batch.inelastic is not None:
+            self._launch(kernels.begin_flow, [starting, span])
+
+    def finish(self, accepted: wp.array, step: wp.array) -> None:
+        """Carry the state at the end of accepted steps of durations `step` over to the next."""
+        batch, state = self.batch, self.batch.state
+        if batch.inelastic is None:
+            return
+        model = [batch.rest_length, batch.bending_stiffness, batch.natural_curvature]
+        inputs = [*model, accepted, step, state.dof, state.director]
+        self._launch(kernels.finish_flow, inputs, batch.node_count - 2)
+
+    def restart(self, chosen: wp.array) -> None:
+        """The rods that are not 0 in `chosen` (rod,) have never been elsewhere."""
+        if self.batch.inelastic is not None:
+            self._launch(kernels.forget_flow, [chosen])
+            self.finish(chosen, self._ever)
+
+    def _launch(self, kernel: wp.Kernel, inputs: list, columns: int | None = None) -> None:
+        batch = self.batch
+        wp.launch(
+            kernel,
+            dim=(batch.rod_count, batch.node_count if columns is None else columns),
+            inputs=inputs,
+            outputs=[batch.inelastic],
+            device=batch.device,
+        )

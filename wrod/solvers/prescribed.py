@@ -1,0 +1,115 @@
+"""Edges of a batch that are carried along a timetable."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from scipy.spatial.transform import Rotation
+
+from wrod.errors import RodError
+from wrod.kernels.stepping.hands import carry
+from wrod.rods.batch import RodBatch, RodState
+
+_AXES = ("x", "y", "z")
+
+
+class PrescribedMotion:
+    """Edges that are held and carried through poses: the `motion` of a `Dynamics`.
+
+    Between the times positions are straight and rotations turn evenly, the shorter way: less than
+    half a turn from key to key. Before the first time and after the last an edge stands still. The
+    held nodes and angles stop being free.
+
+    A rod that begins or ends in a clamp has a ghost edge beyond it (`RodBatch.of`, `clamped`):
+    hold edge 0 at `part` 1, or the last one at `part` 0, and the clamp is exact at the rod's end.
+
+    Args:
+        batch: the rods.
+        edge: (hand,) index of each held edge; negative ones count from the end.
+        times: (key,) ascending [time].
+        position: (hand, key, 3) or (rod, hand, key, 3) of the held point.
+        rotation: (hand, key, 3) or (rod, hand, key, 3) rotation vectors, or (..., 3, 3) matrices,
+            of a frame whose x axis is the edge's tangent and whose y axis is its first material
+            director [rad].
+        part: (hand,) where on its edge the held point is, from 0 to 1.
+        slides: (hand,) "", or the axes along which the edge is not held, like "x" or "xy".
+
+    Raises:
+        RodError: a shape does not fit, the times do not ascend, an edge is held twice or is none,
+            or a value is not finite.
+    """
+
+    def __init__(self, batch: RodBatch, edge, times, position, rotation, *, part=0.5, slides=""):
+        self.batch, device = batch, batch.device
+        edges = np.atleast_1d(np.asarray(edge))
+        count = batch.node_count - 1
+        if edges.ndim != 1 or edges.dtype.kind not in "iu" or not (abs(edges + 0.5) < count).all():
+            raise RodError(f"held edges are {edge!r:.80}; give indices of the {count} edges")
+        edges = np.where(edges < 0, edges + count, edges)
+        if len(np.unique(edges)) < len(edges):
+            raise RodError(f"held edges are {edge!r:.80}; hold each once")
+        times = np.asarray(times, dtype=float)
+        good = times.ndim == 1 and len(times) > 1 and np.isfinite(times).all()
+        if not good or not (np.diff(times) > 0).all():
+            raise RodError("times of a prescribed motion must be two or more, and ascend")
+        rods, hands, keys = batch.rod_count, len(edges), len(times)
+        position = _keys("position", position, (rods, hands, keys, 3))
+        matrix = np.shape(rotation)[-2:] == (3, 3) and np.ndim(rotation) in (4, 5)
+        size = (3, 3) if matrix else (3,)
+        rotation = _keys("rotation", rotation, (rods, hands, keys, *size)).reshape(-1, *size)
+        turn = Rotation.from_matrix(rotation) if matrix else Rotation.from_rotvec(rotation)
+        part = _keys("part", part, (rods, hands))
+        slides = [slides] * hands if isinstance(slides, str) else list(slides)
+        if len(slides) != hands or not all(set(s) <= set(_AXES) for s in slides):
+            raise RodError(f"slides is {slides!r:.80}; give axes, like 'x', one for each held edge")
+
+        self._edge = wp.array(np.tile(edges, (rods, 1)), dtype=wp.int32, device=device)
+        self._part = wp.array(part, dtype=wp.float64, device=device)
+        self._times = wp.array(times, dtype=wp.float64, device=device)
+        self._position = wp.array(position, dtype=wp.vec3d, device=device)
+        quaternion = turn.as_quat().reshape(rods, hands, keys, 4)
+        self._rotation = wp.array(quaternion, dtype=wp.quatd, device=device)
+        free = batch.free.numpy()
+        for e, axes in zip(edges, slides, strict=True):
+            free[:, 4 * e : 4 * e + 7] = 0
+            for axis in axes:
+                free[:, 4 * e + _AXES.index(axis) :: 4][:, :2] = 1
+        batch.free.assign(free)
+
+    def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState) -> None:
+        """Put the edges where they are at the end of a step."""
+        batch = self.batch
+        wp.launch(
+            carry,
+            dim=self._edge.shape,
+            inputs=[
+                batch.rest_length,
+                self._edge,
+                self._part,
+                self._times,
+                self._position,
+                self._rotation,
+                batch.free,
+                running,
+                time,
+                step,
+                start.dof,
+                start.tangent,
+                start.director,
+            ],
+            outputs=[batch.state.dof],
+            device=batch.device,
+        )
+
+
+def _keys(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+    value = np.asarray(value, dtype=float)
+    try:
+        value = np.ascontiguousarray(np.broadcast_to(value, shape))
+    except ValueError:
+        raise RodError(
+            f"{name} of a prescribed motion has shape {value.shape}; give {shape[1:]} or {shape}"
+        ) from None
+    if not np.isfinite(value).all():
+        raise RodError(f"{name} of a prescribed motion holds a value that is not finite")
+    return value
