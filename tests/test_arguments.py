@@ -29,11 +29,12 @@ WRONG = {
     "minus": -1, "half": 0.5, "nan": float("nan"), "inf": float("inf"), "minus inf": -float("inf"),
     "huge": 1e300, "tiny": 1e-300, "digits": 10**400, "minus digits": -(10**400), "complex": 1j,
     "no list": [], "list": [1, 2, 3], "nested": [[1, 2], [3]], "mixed": [1, "a", None],
-    "dict": {"a": 1}, "no dict": {}, "object": Hostile(), "class": Hostile, "function": lambda *_: 1,
+    "dict": {"a": 1}, "no dict": {}, "object": Hostile(), "class": Hostile, 
     "none in list": [None], "no array": np.zeros(0), "array": np.zeros(3), "matrix": np.eye(2),
     "deep array": np.zeros((1, 1, 1, 1, 1)), "nan array": np.full((4, 3), np.nan),
     "inf array": np.full((1, 4, 3), np.inf), "text array": np.array(["a"]), "zero byte": "a\0b",
     "object array": np.array([None, 1], dtype=object), "path": "/proc/nothing/x", "big": 10**9,
+    "function": lambda *_: 1,
     "set": {1}, "generator": (k for k in ()), "bool array": np.ones(3, bool), "long": "x" * 5000,
 }  # fmt: skip
 
@@ -263,7 +264,7 @@ CALLS = {
     "fit_laid": lambda: (
         wrod.fit_laid,
         dict(
-            measurements=wrod.load_laid([line().sample(np.linspace(0, 0.2, 30))[0]], line()),
+            measurements=wrod.load_laid([line().sample(np.linspace(0, 0.5, 60))[0]], line()),
             rod=vps(), trajectory=path(), friction=0.6, fit_friction=False, released=True,
             iterations=1, progress=None,
         ),

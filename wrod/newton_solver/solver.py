@@ -35,6 +35,9 @@ _PATIENCE = 3
 _PASSED_ON = ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd")
 
 
+_COLOR = arguments.several(arguments.number(0.0, 1.0), least=3)
+
+
 class SolverDER(SolverBase):
     """Implicit discrete elastic rods, in float64, inside a Newton scene.
 
@@ -351,7 +354,7 @@ class SolverDER(SolverBase):
         air_damping=arguments.optional(arguments.number(0.0, 1e9)),
         internal_damping=arguments.optional(arguments.number(0.0, 1e9)),
         visible=arguments.flag,
-        color=arguments.optional(arguments.array((3,))),
+        color=arguments.optional(_COLOR),
         label=arguments.optional(arguments.text),
     )
     def add_rod(
