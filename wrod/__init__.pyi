@@ -45,10 +45,13 @@ from .solvers.contact import Box as Box
 from .solvers.contact import Contact as Contact
 from .solvers.contact import Cylinder as Cylinder
 from .solvers.contact import Friction as Friction
+from .solvers.contact import FrictionField as FrictionField
 from .solvers.contact import Plane as Plane
 from .solvers.dynamics import Dynamics as Dynamics
 from .solvers.prescribed import PrescribedMotion as PrescribedMotion
 from .solvers.rod_contact import RodContact as RodContact
+from .solvers.stability import count_unstable_modes as count_unstable_modes
+from .solvers.stability import find_critical_load as find_critical_load
 from .solvers.statics import prescribe as prescribe
 from .solvers.statics import solve_equilibria as solve_equilibria
 

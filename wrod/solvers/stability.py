@@ -8,13 +8,18 @@ length of the softest sideways motion, which does not depend on the mesh.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import warp as wp
 
+from wrod.errors import RodError
 from wrod.kernels.linear.spectrum import shift_by_mass
 from wrod.rods.batch import RodBatch
 from wrod.solvers.banded import BandedSystem
 
+# A step of the search for a critical load looks at this many loads at once.
+_LOADS = 9
 _VECTORS = 3
 _MAX_ITERATIONS = 40
 _TOLERANCE = 1e-4
@@ -59,6 +64,98 @@ def smallest_eigenvalue(
         unit = batch.bending_stiffness.numpy()[:, 1:-1].max(axis=(1, 2)) / rest.sum(axis=1) ** 4
         shift = _shift_below(system, hessian, mass_device, unit, unstable)
     return _inverse_iteration(system, mass, shift)
+
+
+def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarray:
+    """How many independent motions lower the energy of every rod where it stands.
+
+    They are negative pivots of H + neutral k_b / L^4 M, k_b the least bending stiffness, M as in
+    `smallest_eigenvalue`, and L^2 times the length of an edge for its angle: what costs nothing,
+    like moving a rod that nothing holds or spinning one about its axis, is not counted, whichever
+    way rounding tips it.
+
+    Args:
+        batch: the rods in equilibrium, with their free degrees of freedom.
+        neutral: eigenvalues down to minus this, in units of k_b / L^4, count as zero.
+
+    Returns:
+        (rod,) counts.
+
+    Raises:
+        RodError: `neutral` is negative or not finite.
+    """
+    if not (np.isfinite(neutral) and neutral >= 0.0):
+        raise RodError(f"neutral is {neutral!r}; give a finite number of at least 0")
+    rest = batch.rest_length.numpy()
+    length = rest.sum(axis=1)
+    mass = np.zeros((batch.rod_count, batch.dof_count))
+    for axis in range(3):
+        mass[:, axis:-3:4] += rest / 2
+        mass[:, 4 + axis :: 4] += rest / 2
+    mass[:, 3::4] = rest * length[:, None] ** 2
+    bending = batch.bending_stiffness.numpy()[:, 1:-1].reshape(batch.rod_count, -1)
+    # Of the softer direction, but not of a cut.
+    unit = np.where(bending > 0.0, bending, np.inf).min(axis=1) / length**4
+    hessian = batch.evaluate(order=2).hessian
+    shifted = wp.clone(hessian)
+    wp.launch(
+        shift_by_mass,
+        dim=mass.shape,
+        inputs=[
+            batch.every_rod,
+            hessian,
+            wp.array(mass, dtype=wp.float64, device=batch.device),
+            wp.array(-neutral * unit, dtype=wp.float64, device=batch.device),
+        ],
+        outputs=[shifted],
+        device=batch.device,
+    )
+    system = BandedSystem(batch)
+    system.factorise(shifted, batch.every_rod)
+    return system.negative_pivots.numpy().copy()
+
+
+def find_critical_load(
+    equilibria: Callable[[np.ndarray], RodBatch],
+    low: float,
+    high: float,
+    *,
+    neutral: float = 1e-6,
+    tolerance: float = 1e-5,
+) -> tuple[float, int]:
+    """The least load at which rods lose stability, between two loads.
+
+    Args:
+        equilibria: gives rods that stand in equilibrium under the given (n,) loads, a row each.
+        low, high: loads; at the lower one the rods are stable, at the higher one they are not.
+        neutral: see `count_unstable_modes`.
+        tolerance: to which the load is found, relative to it.
+
+    Returns:
+        The load, and how many motions lower the energy just above it.
+
+    Raises:
+        RodError: the rods are unstable at `low` or stable at `high`, or the range is none.
+    """
+    if not (np.isfinite([low, high]).all() and low < high and tolerance > 0.0):
+        raise RodError(f"loads from {low!r} to {high!r} are no range to search")
+
+    def counts(loads):
+        return count_unstable_modes(equilibria(loads), neutral=neutral)
+
+    first, last = counts(np.array([low, high]))
+    if first or not last:
+        raise RodError(
+            f"{first} motions are unstable at {low:g} and {last} at {high:g}; give a load below "
+            "the critical one and one above it"
+        )
+    while high - low > tolerance * max(abs(low), abs(high)):
+        loads = np.linspace(low, high, _LOADS + 2)
+        found = counts(loads[1:-1])
+        k = int(np.argmax(np.append(found, last) > 0))
+        low, high = loads[k], loads[k + 1]
+        last = found[k] if k < _LOADS else last
+    return 0.5 * (low + high), int(last)
 
 
 def _shift_below(system, hessian, mass, unit, unstable) -> np.ndarray:
