@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.bench import campaign, side_by_side
 from wrod.bench.ledger import Ledger
 
@@ -28,6 +29,7 @@ from wrod.bench.ledger import Ledger
     help="Known table: processes that plan side by side.",
 )
 @campaign.options(speed=0.02, step=0.01, spacing=0.005)
+@cost.force_option
 def command(as_json: bool, **given) -> None:
     """Rods 1-3 x fabric, steel, foam x seven patterns x {INT, OPT} x ten trials.
 
@@ -47,6 +49,7 @@ def _table(
     batch: int | None,
     device: str,
     quiet: bool,
+    force: bool,
     **how: float,
 ) -> tuple[dict, campaign.Spent]:
     """What the command tells, and what the trials cost; `how` they are simulated: release, speed,
@@ -58,6 +61,7 @@ def _table(
     from wrod.files import schemas
     from wrod.grasps.optimal import CLOSURES
     from wrod.rods.batch import resolve_device
+    from wrod.rods.material import rod
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
@@ -72,14 +76,22 @@ def _table(
         raise RodError(f"unknown closure {closure!r:.60}; use one of {', '.join(CLOSURES)}")
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", schemas.Table3Row)
+    cells = len(RODS) * len(SUBSTRATES) * len(PATTERNS) * len(METHODS)
+    lay = {name: how[name] for name in ("speed", "step", "spacing")}
+    pending = max(trials * cells - len(ledger.rows), 0)
+    cost.settle(
+        cost.deployments(pending, max(rod(name).length for name in RODS), device=device, **lay),
+        f"{pending} deployments", out, "ask for fewer --trials, or a larger --spacing or --step",
+        force=force, quiet=quiet,
+    )  # fmt: skip
     start = time.perf_counter()
     plans = _plans(curves, closure, device, quiet)
     if known_table:
         plans |= _corrected_plans(plans, out / "plans", device, workers, quiet)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
-        (rod, substrate, name, method, trial)
-        for trial, rod, substrate, name, method in product(
+        (material, substrate, name, method, trial)
+        for trial, material, substrate, name, method in product(
             range(trials), RODS, SUBSTRATES, PATTERNS, METHODS
         )
     ]

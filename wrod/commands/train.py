@@ -9,6 +9,8 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
+
 
 @click.command(name="train")
 @click.option(
@@ -44,6 +46,7 @@ import click
     help="Fresh random inputs that the result is scored on.",
 )
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     dataset: Path | None,
@@ -55,6 +58,7 @@ def command(
     test: int,
     device: str,
     as_json: bool,
+    force: bool,
     **settings,
 ) -> None:
     """Train the neural controller and score it against the numeric solver.
@@ -77,6 +81,12 @@ def command(
     rod = None if dataset is None else _rod_of(dataset)
     recipe = _recipe("default" if rod is None else "curved", **settings)
     device = resolve_device(device)
+    cost.settle(
+        _cost(recipe, generate, rows, minutes, device),
+        f"{recipe.steps} steps of {recipe.batch} grasps", out,
+        "give fewer --steps, a smaller --batch or --width, or --minutes", force=force,
+        quiet=as_json,
+    )  # fmt: skip
     refine = 0
     if generate is not None:
         refine = generate // 5
@@ -130,29 +140,40 @@ def _rod_of(dataset: Path):
 
 
 def _recipe(usual: str, name: str | None, **changes):
-    """The recipe named, with the options that were given; refused where memory does not do."""
+    """The recipe named, with the options that were given."""
     from dataclasses import replace
 
-    from wrod.machine import require_memory
     from wrod.training.recipes import recipe as find
 
     recipe = find(usual if name is None else name)
     recipe = replace(recipe, **{k: v for k, v in changes.items() if v is not None})
     recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
-    # Values of every layer, their gradients and tangents, and the optimiser's matrices.
-    require_memory(
-        recipe.width * 8.0 * (recipe.depth + 1) * (8.0 * recipe.batch + 12.0 * recipe.width),
-        f"batches of {recipe.batch} in a network {recipe.width} wide",
-        "give a smaller --batch or --width",
-    )
     return recipe
 
 
-def _train(training, out: Path, resumed: bool, minutes: float | None, quiet: bool) -> None:
-    from tqdm import tqdm
+def _cost(recipe, generate: int | None, rows: int | None, minutes: float | None, device: str):
+    """Of the training, and of the grasps that are solved for it."""
+    from dataclasses import replace
 
+    from wrod.training.store import row_bytes
+
+    held = generate or rows or 0
+    whole = cost.training(
+        recipe.steps, recipe.batch, recipe.width, recipe.depth, held, device=device
+    )
+    if minutes is not None:
+        whole = replace(whole, seconds=min(whole.seconds, 60.0 * minutes))
+    if generate is None:
+        return whole
+    solved = cost.grasps(
+        generate, row_bytes(True), 2048, sensitivities=True, device=device, ranks=1
+    )
+    return replace(whole, seconds=whole.seconds + solved.seconds, disk=whole.disk + solved.disk)
+
+
+def _train(training, out: Path, resumed: bool, minutes: float | None, quiet: bool) -> None:
     total = training.recipe.steps
-    with tqdm(unit="step", initial=training.step, total=total, disable=quiet) as bar:
+    with cost.progress_bar(unit="step", initial=training.step, total=total, quiet=quiet) as bar:
 
         def progress(done: int, total: int, error: float) -> None:
             bar.set_postfix(validation_mae=f"{error:.2e}")
@@ -204,11 +225,9 @@ def _writing(out: Path):
 
 
 def _generate(folder: Path, size: int, seed: int, device: str, quiet: bool) -> Path:
-    from tqdm import tqdm
-
     from wrod.training.dataset import generate
 
-    with tqdm(unit="grasp", desc="grasps", disable=quiet) as bar:
+    with cost.progress_bar(unit="grasp", desc="grasps", total=size, quiet=quiet) as bar:
 
         def progress(count: int, total: int) -> None:
             bar.total = total

@@ -64,6 +64,9 @@ _SAME_GRASP = 0.06
     remainder=arguments.either(arguments.flag, arguments.number(0.0, 100.0)),
     roll=arguments.either(arguments.text, arguments.number(-1e6, 1e6)),
     controller=arguments.like("a wrod.Controller", "predict", "out_of_range"),
+    friction=arguments.optional(
+        arguments.either(arguments.number(0.0, 100.0), arguments.array((2,)))
+    ),
     device=arguments.optional(arguments.text),
     progress=arguments.optional(arguments.callback),
 )
