@@ -323,3 +323,20 @@ def test_rods_that_remember_are_laid(plans):
     assert stiff.error_mean == pytest.approx(elastic.error_mean, rel=1e-3)
     assert soft.error_mean > 10 * elastic.error_mean
     assert relaxing.error_mean < 3 * elastic.error_mean
+
+
+def test_a_table_whose_friction_varies_is_laid_on(plans):
+    """Half of the friction everywhere is half the coefficient; half of the table is in between."""
+    pattern, by_method = plans
+    table = (-0.1, 0.3), (-0.2, 0.2)
+    half = wrod.FrictionField(np.full((2, 2), 0.5), *table)
+    ahead = wrod.FrictionField.of(lambda x, y: np.where(x > 0.09, 0.5, 1.0), *table)
+
+    def lay(mu, field):
+        trial = Trial(pattern, ROD, by_method["numeric"], wrod.Friction(mu))
+        (laid,) = simulate_deployments([trial], friction_field=field, **QUICK)
+        return laid
+
+    believed, weak, halved, mixed = lay(0.4, None), lay(0.2, None), lay(0.4, half), lay(0.4, ahead)
+    np.testing.assert_allclose(halved.centerline, weak.centerline, atol=1e-9)
+    assert believed.slip.sum() < mixed.slip.sum() < weak.slip.sum()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -37,6 +38,12 @@ TWIST = {"twist": (np.float64, ())}
 SENSITIVITIES = {
     f"{name}_sensitivity": (np.float64, (3, 3)) for name in ("position", "rotation", "force")
 }
+
+
+def row_bytes(sensitivities: bool) -> int:
+    """Bytes of a grasp on the disk, at most."""
+    columns = {**COLUMNS, **TWIST, **(SENSITIVITIES if sensitivities else {})}
+    return sum(np.dtype(kind).itemsize * math.prod(shape) for kind, shape in columns.values())
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,7 @@ from .solvers.contact import Box as Box
 from .solvers.contact import Contact as Contact
 from .solvers.contact import Cylinder as Cylinder
 from .solvers.contact import Friction as Friction
+from .solvers.contact import FrictionField as FrictionField
 from .solvers.contact import Plane as Plane
 from .solvers.dynamics import Dynamics as Dynamics
 from .solvers.prescribed import PrescribedMotion as PrescribedMotion

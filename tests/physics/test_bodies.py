@@ -6,71 +6,25 @@ import pytest
 import warp as wp
 
 import wrod
+from wrod.bench.newton_bodies import (
+    NYLON,
+    RUBBER,
+    Arm,
+    Pile,
+    hung,
+    momentum,
+    pendulum,
+    simulate,
+    torsion,
+)
 
 SolverDER = wrod.SolverDER
-SOFT = wrod.RodMaterial(radius=0.0016, gravito_bending_length=0.032, length=0.2)
-# A cable of nylon: 10 kg stretch it by 0.8 %.
-STIFF = wrod.RodMaterial.from_youngs_modulus(1e9, radius=0.002, length=0.5, density=1150.0)
-EDGES = 20
-
-
-def hung(
-    material, mass, inertia, *, length=0.2, way=(0.0, 0.0, -1.0), gravity=-9.81, start="free",
-    end="clamped", centre=(0.0, 0.0, 0.0),
-):  # fmt: skip
-    """A model of one cable with a body at its end, and the body."""
-    builder = newton.ModelBuilder(gravity=(0.0, 0.0, gravity))
-    SolverDER.register_custom_attributes(builder)
-    points = np.linspace(0.0, length, EDGES + 1)[:, None] * np.array(way)
-    body = builder.add_body(
-        xform=wp.transform(tuple(points[-1]), wp.quat_identity()), mass=mass,
-        inertia=wp.mat33(*np.diag(inertia).ravel()), com=wp.vec3(*centre),
-    )  # fmt: skip
-    SolverDER.add_rod(builder, points, material, start=start, end=end, end_body=body, visible=False)
-    return builder.finalize(device="cpu"), body
-
-
-def simulate(model, steps, dt, state=None, each=None, **options):
-    solver = SolverDER(model, **options)
-    state = model.state() if state is None else state
-    for k in range(steps):
-        solver.step(state, state, None, None, dt)
-        if each is not None:
-            each(k, state)
-    assert not solver.diverged.any()
-    return solver, state
-
-
-def period_of(samples, dt):
-    """Mean period of what swings about 0 [s]."""
-    x = np.array(samples)
-    i = np.flatnonzero(x[:-1] * x[1:] < 0)
-    crossings = i + x[i] / (x[i] - x[i + 1])
-    assert len(crossings) >= 4
-    return 2.0 * np.diff(crossings).mean() * dt
 
 
 @pytest.mark.parametrize("scheme", ["euler", "bdf2", "midpoint"])
 def test_momentum_of_a_cable_with_a_body_that_falls(scheme):
     """P(t) = P(0) + M g t, for a body as heavy as the cable, held beside its centre of mass."""
-    model, body = hung(
-        SOFT, 0.002, (2e-7, 3e-7, 4e-7), way=(1.0, 0.0, 0.0), centre=(0.01, 0.003, 0.002)
-    )
-    node_mass, mass = model.der.node_mass.numpy(), float(model.body_mass.numpy()[body])
-    state = model.state()
-    velocity = np.zeros((EDGES + 1, 3))
-    velocity[8:18, 1] = 1.0
-    state.der.node_qd.assign(velocity)
-    first = node_mass @ velocity
-    total = mass + node_mass.sum()
-    dt, steps = 0.004, 60
-    solver, state = simulate(model, steps, dt, state, scheme=scheme, tolerance=1e-9)
-    last = node_mass @ state.der.node_qd.numpy()
-    last += mass * solver._groups[0].bodies.velocity.numpy()[0, 0]
-    expected = first + total * steps * dt * np.array(model.gravity.numpy()[0], dtype=float)
-    assert np.abs(last - expected).max() < 1e-9 * np.linalg.norm(expected)
-    turn = state.body_q.numpy()[body, 3:]
-    assert abs(turn[3]) < 0.99  # it has been whirled round
+    assert momentum(scheme) < 1e-9
 
 
 @pytest.mark.parametrize("end", ["pinned", "clamped"])
@@ -79,7 +33,7 @@ def test_a_mass_hangs_on_a_cable(mass, end):
     """T = m g + w (L - s): the force at the top within 1e-6, every edge as long as its tension
     makes it; bodies of 1e-4 to 1e3 times the cable's mass."""
     model, body = hung(
-        STIFF, mass, (1e-5 * mass,) * 3, length=0.5, start="clamped", end=end,
+        NYLON, mass, (1e-5 * mass,) * 3, length=0.5, start="clamped", end=end,
         centre=(0.0, 0.0, -0.005),
     )  # fmt: skip
     der, mass = model.der, float(model.body_mass.numpy()[body])
@@ -101,56 +55,26 @@ def test_a_mass_hangs_on_a_cable(mass, end):
 def test_period_of_a_pendulum_with_a_heavy_bob():
     """T = 2 pi sqrt(l / g) with l = (m L^2 + w L^2 / 3) / (m L + w L / 2): a bob of 100 times the
     cable's mass, pinned at both ends, within 0.2 %."""
-    length, mass = 0.5, 0.7
-    model, body = hung(STIFF, mass, (1e-5,) * 3, length=length, start="pinned", end="pinned")
-    _, state = simulate(model, 60, 0.05, scheme="euler")  # the cable takes its length
-    long = -float(state.body_q.numpy()[body, 2])
-    cable = STIFF.weight / STIFF.gravity * length
-    arm = (mass + cable / 3.0) * long / (mass + cable / 2.0)
-    expected = 2.0 * np.pi * np.sqrt(arm / 9.81)
-    speed = 0.05
-    motion = state.body_qd.numpy()
-    motion[body, 0] = speed
-    state.body_qd.assign(motion)
-    velocity = state.der.node_qd.numpy()
-    velocity[:, 0] = speed * -state.der.node_q.numpy()[:, 2] / long
-    state.der.node_qd.assign(velocity)
-    dt, places = expected / 80, []
-    simulate(
-        model, 240, dt, state, lambda k, s: places.append(s.body_q.numpy()[body, 0]),
-        scheme="midpoint",
-    )  # fmt: skip
-    assert period_of(places, dt) == pytest.approx(expected, rel=2e-3)
-    swing = speed * expected / (2.0 * np.pi)
-    assert max(places[-80:]) == pytest.approx(swing, rel=0.01)
+    period, expected = pendulum()
+    assert period == pytest.approx(expected, rel=2e-3)
 
 
 @pytest.mark.parametrize("scheme, error", [("bdf2", 2e-3), ("midpoint", 5e-4)])
 def test_period_of_a_torsional_pendulum(scheme, error):
-    """T = 2 pi sqrt((I + J / 3) L / G J'): a disc hung on a cable turns it, J the cable's own
+    """T = 2 pi sqrt((I + J / 3) L / GJ): a disc hung on a cable turns it, J the cable's own
     inertia about its axis."""
-    length, inertia = 0.2, 2e-7
-    model, body = hung(
-        SOFT, 1e-3, (1e-6, 1e-6, inertia), length=length, gravity=0.0, start="clamped"
-    )
-    stiffness = model.der.node_twisting_stiffness.numpy()[1]
-    own = 0.5 * SOFT.radius**2 * SOFT.weight / SOFT.gravity * length
-    expected = 2.0 * np.pi * np.sqrt((inertia + own / 3.0) * length / stiffness)
-    state = model.state()
-    rate = 0.5 * 2.0 * np.pi / expected
-    motion = state.body_qd.numpy()
-    motion[body, 5] = rate
-    state.body_qd.assign(motion)
-    state.der.edge_spin.assign(-rate * (np.arange(EDGES) + 0.5) / EDGES)
-    dt, turns = expected / 100, []
+    period, expected = torsion(scheme)
+    assert period == pytest.approx(expected, rel=error)
 
-    def note(k, state):
-        q = state.body_q.numpy()[body]
-        turns.append(2.0 * np.arctan2(q[5], q[6]))
 
-    simulate(model, 260, dt, state, note, scheme=scheme, tolerance=1e-8)
-    assert period_of(turns, dt) == pytest.approx(expected, rel=error)
-    assert max(turns[-100:]) == pytest.approx(0.5, rel=5e-3)
+def test_joint_torques_of_an_arm_that_holds_a_cable():
+    """Newton's Featherstone solver carries links and cable with the torques of statics."""
+    arm = Arm()
+    arm.settle()
+    expected = arm.statics()
+    assert arm.torques() == pytest.approx(expected, rel=0.01)
+    alone = 1.15 * 9.81 * np.array([0.8, 0.2])  # of the links
+    assert (np.abs(expected) - alone > 0.02 * alone).all()
 
 
 def bar_on_cables(count=2):
@@ -163,7 +87,7 @@ def bar_on_cables(count=2):
         points[:, 0] = x
         points[:, 2] = np.linspace(0.3, 0.0, 11)
         SolverDER.add_rod(
-            builder, points, STIFF, start="pinned", end="pinned", end_body=bar, visible=False
+            builder, points, NYLON, start="pinned", end="pinned", end_body=bar, visible=False
         )
     return builder, bar
 
@@ -200,7 +124,7 @@ def test_a_closed_loop_held_by_a_body():
     points[[1, -2]] = [[points[1, 0], 0.0, 0.0], [-points[1, 0], 0.0, 0.0]]
     body = builder.add_body(mass=1e-4, inertia=wp.mat33(*np.diag([1e-8] * 3).ravel()))
     ends = dict(start="clamped", start_body=body, end="clamped", end_body=body)
-    SolverDER.add_rod(builder, points, SOFT, air_damping=20.0, visible=False, **ends)
+    SolverDER.add_rod(builder, points, RUBBER, air_damping=20.0, visible=False, **ends)
     model = builder.finalize(device="cpu")
     _, state = simulate(model, 100, 0.05, scheme="euler")
     q = state.der.node_q.numpy()
@@ -226,7 +150,7 @@ def test_a_body_held_in_the_middle_of_a_cable():
         xform=wp.transform(tuple(points[10]), wp.quat_identity()), mass=0.5,
         inertia=wp.mat33(*np.diag([1e-4] * 3).ravel()),
     )  # fmt: skip
-    rod = SolverDER.add_rod(builder, points, STIFF, start="pinned", end="pinned", visible=False)
+    rod = SolverDER.add_rod(builder, points, NYLON, start="pinned", end="pinned", visible=False)
     SolverDER.attach(builder, rod, body, node=10, kind="pinned")
     model = builder.finalize(device="cpu")
     solver, state = simulate(model, 150, 0.05, scheme="euler")
@@ -242,3 +166,70 @@ def test_a_body_held_in_the_middle_of_a_cable():
     up = ends[1] - model.der.node_mass.numpy()[0] * 9.81
     assert -(ends[0] * edge[0] + up * edge[2]) / length == pytest.approx(pull, rel=1e-4)
     assert np.abs(state.body_q.numpy()[body, :3] - q[10]).max() < 1e-6
+
+
+def test_cables_lie_on_each_other():
+    """Crossed cables come to rest in their order: the ground carries all, none sinks into another
+    by more than 2 % of the radius, and one that touches no rods falls through the others."""
+    pile = Pile(cables=3)
+    pile.run(60)
+    assert not pile.solver.diverged.any()
+    assert pile.deepest < 0.02
+    q = pile.state.der.node_q.numpy().reshape(3, -1, 3)
+    middle = q[:, 10, 2] / pile.radius
+    # The second lies across the first; the third across the second, and sags beside it.
+    assert middle[0] < 1.2 < 2.0 < middle[1] < 3.2
+    assert q[2, :, 2].max() / pile.radius > 3.0
+    total = pile.state.der.node_contact_f.numpy().sum(axis=0)
+    assert total[2] == pytest.approx(3 * pile.material.weight * 0.2, rel=0.02)
+
+
+def test_cables_pass_through_what_touches_no_rods():
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    builder.add_ground_plane()
+    line = np.linspace(-0.05, 0.05, 11)
+    for k, touches in enumerate((True, False)):
+        points = np.zeros((11, 3))
+        points[:, k], points[:, 2] = line, 0.002 + 0.01 * k
+        SolverDER.add_rod(builder, points, RUBBER, touches_rods=touches, air_damping=5.0)
+    model = builder.finalize(device="cpu")
+    _, state = simulate(model, 40, 0.01, scheme="euler", rod_contact=0.3)
+    assert state.der.node_q.numpy()[:, 2].max() < 1.1 * RUBBER.radius
+
+
+def test_a_cable_over_a_cable_holds_two_weights():
+    """Bobs on both ends of a cable that lies over a taut one: the taut one's ends carry all, and
+    the forces that hold them do not change when the bobs touch nothing but their cable."""
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    beam = np.zeros((11, 3))
+    beam[:, 1] = np.linspace(-0.1, 0.1, 11)
+    SolverDER.add_rod(builder, beam, NYLON, start="clamped", end="clamped", visible=False)
+    arc = np.linspace(-0.1, 0.1, 21)
+    hanging = np.zeros((21, 3))
+    bend = 0.012
+    turn = np.clip(arc / bend, -0.5 * np.pi, 0.5 * np.pi)
+    hanging[:, 0] = bend * np.sin(turn)
+    hanging[:, 2] = bend * (np.cos(turn) - 1.0) - np.maximum(np.abs(arc) - 0.5 * np.pi * bend, 0.0)
+    hanging[:, 2] += NYLON.radius + RUBBER.radius + 1e-5
+    bobs = []
+    for end in (0, -1):
+        bobs.append(
+            builder.add_body(
+                xform=wp.transform(tuple(hanging[end]), wp.quat_identity()), mass=0.02,
+                inertia=wp.mat33(*np.diag([1e-6] * 3).ravel()),
+            )
+        )  # fmt: skip
+    ends = dict(start="clamped", start_body=bobs[0], end="clamped", end_body=bobs[1])
+    SolverDER.add_rod(builder, hanging, RUBBER, visible=False, air_damping=5.0, **ends)
+    model = builder.finalize(device="cpu")
+    solver, state = simulate(model, 120, 0.01, scheme="euler", rod_contact=0.5)
+    assert not solver.diverged.any()
+    (group,) = solver._groups
+    reaction = group.dynamics.reaction.numpy()[0]
+    world = [h for h in group.hold.numpy()[0] if h["kind"] and h["slot"] < 0]
+    carried = sum(reaction[4 * h["node"] + 2] + reaction[4 * h["other"] + 2] for h in world)
+    expected = (0.04 + model.der.node_mass.numpy().sum()) * 9.81
+    assert carried == pytest.approx(expected, rel=0.01)
+    assert np.abs(state.body_qd.numpy()[bobs]).max() < 0.02

@@ -42,6 +42,7 @@ def _numbers(context, parameter, value: str) -> list[int]:
 @click.option("--rods", default=64, show_default=True, help="Rods of the batch that is timed.")
 @click.option("--periods", default=4.0, show_default=True, help="Time to come to rest.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--bodies", is_flag=True, help="Only cables that pull bodies, and a pile.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for table and picture.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
@@ -53,13 +54,19 @@ def command(
     rods: int,
     periods: float,
     device: str,
+    bodies: bool,
     out: Path | None,
     as_json: bool,
 ) -> None:
     """Compare a heavy cantilever at rest and swinging with the continuum, and time it.
 
     SolverDER, Newton's cable (SolverVBD) and, where it is installed, PyElastica, in one run.
+    With --bodies: SolverDER's coupling with free bodies and an arm against closed forms and
+    statics, and a pile, on the CPU.
     """
+    if bodies:
+        _measure_bodies(as_json)
+        return
     import importlib.util
     import warnings
     from dataclasses import asdict
@@ -155,3 +162,22 @@ def command(
         write_atomically(out / "newton.md", lambda file: file.write(text + "\n"))
         for path in (out / "newton.md", draw(out / "newton.png", figures)):
             click.echo(f"wrote {path}", err=as_json)
+
+
+def _measure_bodies(as_json: bool) -> None:
+    import warnings
+
+    from wrod.bench.newton_bodies import measure
+    from wrod.machine import machine_line
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Newton corrects the inertia of small bodies
+        rows = measure()
+    if as_json:
+        names = ("what", "found", "expected")
+        click.echo(json.dumps([dict(zip(names, row, strict=True)) for row in rows]))
+        return
+    click.echo(machine_line("cpu"))
+    click.echo("\n| what | found | expected |\n| --- | --- | --- |")
+    for row in rows:
+        click.echo(f"| {' | '.join(row)} |")

@@ -31,17 +31,18 @@ from wrod.rods.batch import RodBatch, node_positions, resolve_device
 from wrod.rods.discretisation import quadratic_drag
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
-from wrod.solvers.contact import Contact, Friction, Plane
+from wrod.solvers.contact import Contact, Friction, FrictionField, Plane
 from wrod.solvers.dynamics import Dynamics
 
 # The table gives way by this fraction of the radius under the rod's weight; where the rod touches
 # down, which loads it with about 2 w L_gb at a point, that makes some 1 % of the radius.
 _SINKING = 1.0 / 600.0
 _SINKING_AT_POSTS = _SINKING / 10.0
-# Rods stepped at once on a CPU.
 # Beyond these a deployment takes weeks; what a node holds in states and factors.
 _MOST_STEPS, _MOST_NODES, _NODE_BYTES = 2e7, 2e5, 4096.0
-_CPU_CHUNK = 16
+# Rods stepped at once on a CPU, and cores from which on threads, which cannot record their launches
+# and spend several times the processor time, are faster than one that replays them.
+_CPU_CHUNK, _MANY_CORES = 16, 8
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,7 @@ def simulate_deployment(
     frame_interval=arguments.optional(arguments.number(1e-5, 1e6)),
     device=arguments.optional(arguments.text),
     threads=arguments.optional(arguments.whole(0, 4096)),
+    friction_field=arguments.optional(arguments.like("a wrod.FrictionField", "factor", "x", "y")),
     progress=arguments.optional(arguments.callback),
 )
 def simulate_deployments(
@@ -144,6 +146,7 @@ def simulate_deployments(
     frame_interval: float | None = None,
     device: str | None = "cpu",
     threads: int | None = None,
+    friction_field: FrictionField | None = None,
     progress: Callable[[float], object] | None = None,
 ) -> list[Deployment]:
     """Simulate many deployments at once; those that diverge are flagged and the others go on.
@@ -167,7 +170,9 @@ def simulate_deployments(
         tolerance: of a step's residual forces, over the weight of one L_gb of rod.
         frame_interval: keep the rod's states at its multiples [s].
         device: "cpu", "cuda:0", "auto".
-        threads: CPU threads; default: one per core.
+        threads: CPU threads; default: one, which replays recorded launches, or one per core where
+            there are eight or more.
+        friction_field: how the table's friction varies over x and y; default: it does not.
         progress: called with the fraction done since the last call, of all trials.
     """
     for name, value in (("speed", speed), ("spacing", spacing)):
@@ -191,8 +196,10 @@ def simulate_deployments(
         tolerance=tolerance,
         frame_interval=frame_interval,
         device=device,
+        friction_field=friction_field,
     )
-    workers = (threads or os.cpu_count() or 1) if device == "cpu" else 1
+    cores = os.cpu_count() or 1
+    workers = (threads or (cores if cores >= _MANY_CORES else 1)) if device == "cpu" else 1
     size = len(trials)
     if device == "cpu":
         size = max(1, min(_CPU_CHUNK, -(-size // workers)))
@@ -294,6 +301,7 @@ def _simulate(
     frame_interval,
     device,
     keeps_recording,
+    friction_field,
     report,
 ) -> list[Deployment]:
     batch, contact, dynamics = assemble(
@@ -305,6 +313,7 @@ def _simulate(
         tolerance=tolerance,
         device=device,
         keeps_recording=keeps_recording,
+        friction_field=friction_field,
     )
     ends = np.array([setup.end_time for setup in setups])
     frames = None
@@ -375,6 +384,7 @@ def assemble(
     tolerance: float = 1e-5,
     device: str = "cpu",
     keeps_recording: bool = False,
+    friction_field: FrictionField | None = None,
 ) -> tuple[RodBatch, Contact, Dynamics]:
     """The rods of prepared trials, what they touch, and what steps them; see
     `simulate_deployments`."""
@@ -388,6 +398,7 @@ def assemble(
         [t.friction for t in trials],
         [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
         keeps_roll=np.array([RodModel.of(t.rod).has_sides for t in trials]),
+        friction_field=friction_field,
     )
     drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
     dynamics = Dynamics(

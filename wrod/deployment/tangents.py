@@ -16,7 +16,8 @@ from wrod.errors import RodError
 from wrod.kernels.stepping import deployment_tangents as kernels
 from wrod.rods.batch import RodBatch, resolve_device
 from wrod.rods.model import RodModel
-from wrod.solvers.contact import Contact
+from wrod.rods.rotation import left_jacobian
+from wrod.solvers.contact import Contact, FrictionField
 from wrod.solvers.dynamics import Dynamics
 
 _PACK = kernels.PACK
@@ -96,6 +97,7 @@ def lay(
     step: float = 0.01,
     scheme: str = "euler",
     tolerance: float = 1e-5,
+    friction_field: FrictionField | None = None,
     device: str | None = "cpu",
 ) -> list[Laid]:
     """Lay rods until the end of their patterns, with the derivatives of what lies.
@@ -110,8 +112,8 @@ def lay(
         directions: of each trial, all with the same number of columns; None: no derivatives.
         displacements: (T, 6) of each trial: displacement [m] and rotation vector [rad] of the
             trajectory's poses, their time law unchanged.
-        hold, release, speed, spacing, node_count, step, scheme, tolerance, device: see
-            `simulate_deployments`.
+        hold, release, speed, spacing, node_count, step, scheme, tolerance, friction_field, device:
+            see `simulate_deployments`.
 
     Raises:
         RodError: a trial has fixtures or lets the rod roll while derivatives are wanted, or the
@@ -138,6 +140,7 @@ def lay(
         tolerance=tolerance,
         device=device,
         keeps_recording=device == "cpu",
+        friction_field=friction_field,
     )
     if columns is not None:
         dynamics.follower = Tangents(batch, contact, *columns)
@@ -194,7 +197,7 @@ def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarra
     for trial, setup, columns, move in zip(trials, setups, directions, moves, strict=True):
         rates = _over_keys(trial, setup, columns.path)
         # Rotation vectors add up to a rotation's spin by its left Jacobian.
-        spin = np.einsum("kij,ckj->cki", _left_jacobian(move[:, 3:]), rates[..., 3:])
+        spin = np.einsum("kij,ckj->cki", left_jacobian(move[:, 3:]), rates[..., 3:])
         paths.append(np.concatenate([rates[..., :3], spin], axis=2))
     keys = max(rates.shape[1] for rates in paths)
     path = np.stack(
@@ -230,17 +233,6 @@ def _displaced(setup: Setup, move: np.ndarray) -> Setup:
         rotation=one_hemisphere(turned.as_quat()),
     )
     return replace(setup, schedule=schedule)
-
-
-def _left_jacobian(vector: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) rate of the rotation's spin by its rotation vector (n, 3)."""
-    angle = np.linalg.norm(vector, axis=1)[:, None, None]
-    cross = -np.cross(vector[:, None], np.eye(3)[None])
-    small = angle < 1e-4
-    x = np.where(small, 1.0, angle)
-    first = np.where(small, 0.5, (1.0 - np.cos(x)) / x**2)
-    second = np.where(small, 1.0 / 6.0, (x - np.sin(x)) / x**3)
-    return np.eye(3) + first * cross + second * cross @ cross
 
 
 class Tangents:

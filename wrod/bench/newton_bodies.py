@@ -1,0 +1,284 @@
+"""Scenes of `wrod bench newton --bodies`: cables that pull bodies, in Newton."""
+
+from __future__ import annotations
+
+import time
+
+import newton
+import numpy as np
+import warp as wp
+
+from wrod.newton_solver import SolverDER
+from wrod.rods.batch import RodBatch
+from wrod.rods.material import RodMaterial
+from wrod.solvers.statics import prescribe, solve_equilibria
+
+# A cable of nylon, which 10 kg stretch by 0.8 %, and one of rubber.
+NYLON = RodMaterial.from_youngs_modulus(1e9, radius=0.002, length=0.5, density=1150.0)
+RUBBER = RodMaterial(radius=0.0016, gravito_bending_length=0.032, length=0.2)
+_EDGES = 20
+_STIFFNESS, _DAMPING = 1000.0, 15.0  # of the arm's joints [N m/rad, N m s/rad]
+
+
+def hung(
+    material, mass, inertia, *, length=0.2, way=(0.0, 0.0, -1.0), gravity=-9.81, start="free",
+    end="clamped", centre=(0.0, 0.0, 0.0),
+):  # fmt: skip
+    """A model of one cable of 20 edges with a free body at its end, and the body's index."""
+    builder = newton.ModelBuilder(gravity=(0.0, 0.0, gravity))
+    SolverDER.register_custom_attributes(builder)
+    points = np.linspace(0.0, length, _EDGES + 1)[:, None] * np.array(way)
+    body = builder.add_body(
+        xform=wp.transform(tuple(points[-1]), wp.quat_identity()), mass=mass,
+        inertia=wp.mat33(*np.diag(inertia).ravel()), com=wp.vec3(*centre),
+    )  # fmt: skip
+    SolverDER.add_rod(builder, points, material, start=start, end=end, end_body=body, visible=False)
+    return builder.finalize(device="cpu"), body
+
+
+def simulate(model, steps, dt, state=None, each=None, **options):
+    """Solver and state after some steps, `each(k, state)` called after every one."""
+    solver = SolverDER(model, **options)
+    state = model.state() if state is None else state
+    for k in range(steps):
+        solver.step(state, state, None, None, dt)
+        if each is not None:
+            each(k, state)
+    return solver, state
+
+
+def period_of(samples, dt: float) -> float:
+    """Mean period of what swings about 0 [s]; not a number of what does not."""
+    x = np.array(samples)
+    i = np.flatnonzero(x[:-1] * x[1:] < 0)
+    crossings = i + x[i] / (x[i] - x[i + 1])
+    return 2.0 * np.diff(crossings).mean() * dt if len(crossings) > 1 else float("nan")
+
+
+def momentum(scheme: str = "bdf2", steps: int = 60, dt: float = 0.004) -> float:
+    """Error of the momentum of a falling cable with a body as heavy as itself, over what it is."""
+    model, body = hung(
+        RUBBER, 0.002, (2e-7, 3e-7, 4e-7), way=(1.0, 0.0, 0.0), centre=(0.01, 0.003, 0.002)
+    )
+    node_mass, mass = model.der.node_mass.numpy(), float(model.body_mass.numpy()[body])
+    state = model.state()
+    velocity = np.zeros((_EDGES + 1, 3))
+    velocity[8:18, 1] = 1.0
+    state.der.node_qd.assign(velocity)
+    solver, state = simulate(model, steps, dt, state, scheme=scheme, tolerance=1e-9)
+    last = node_mass @ state.der.node_qd.numpy()
+    last += mass * solver._groups[0].bodies.velocity.numpy()[0, 0]
+    fall = steps * dt * np.array(model.gravity.numpy()[0], dtype=float)
+    expected = node_mass @ velocity + (mass + node_mass.sum()) * fall
+    return float(np.abs(last - expected).max() / np.linalg.norm(expected))
+
+
+def pendulum(mass: float = 0.7, length: float = 0.5) -> tuple[float, float]:
+    """Period of a bob on a cable pinned at both ends, and 2 pi sqrt(l / g) [s]."""
+    model, body = hung(NYLON, mass, (1e-5,) * 3, length=length, start="pinned", end="pinned")
+    _, state = simulate(model, 60, 0.05, scheme="euler")  # the cable takes its length
+    long = -float(state.body_q.numpy()[body, 2])
+    cable = NYLON.weight / NYLON.gravity * length
+    arm = (mass + cable / 3.0) * long / (mass + cable / 2.0)
+    expected = 2.0 * np.pi * np.sqrt(arm / 9.81)
+    motion, velocity = state.body_qd.numpy(), state.der.node_qd.numpy()
+    motion[body, 0] = 0.05
+    velocity[:, 0] = 0.05 * -state.der.node_q.numpy()[:, 2] / long
+    state.body_qd.assign(motion)
+    state.der.node_qd.assign(velocity)
+    dt, places = expected / 80, []
+    simulate(
+        model, 240, dt, state, lambda k, s: places.append(s.body_q.numpy()[body, 0]),
+        scheme="midpoint",
+    )  # fmt: skip
+    return period_of(places, dt), expected
+
+
+def torsion(scheme: str = "bdf2", length: float = 0.2) -> tuple[float, float]:
+    """Period of a disc that a cable turns, and 2 pi sqrt((I + J / 3) L / GJ) [s]."""
+    inertia = 2e-7
+    model, body = hung(RUBBER, 1e-3, (1e-6, 1e-6, inertia), gravity=0.0, start="clamped")
+    stiffness = model.der.node_twisting_stiffness.numpy()[1]
+    own = 0.5 * RUBBER.radius**2 * RUBBER.weight / RUBBER.gravity * length
+    expected = 2.0 * np.pi * np.sqrt((inertia + own / 3.0) * length / stiffness)
+    state, rate = model.state(), np.pi / expected
+    motion = state.body_qd.numpy()
+    motion[body, 5] = rate
+    state.body_qd.assign(motion)
+    state.der.edge_spin.assign(-rate * (np.arange(_EDGES) + 0.5) / _EDGES)
+    turns = []
+
+    def note(k, state):
+        q = state.body_q.numpy()[body]
+        turns.append(2.0 * np.arctan2(q[5], q[6]))
+
+    dt = expected / 100
+    simulate(model, 260, dt, state, note, scheme=scheme, tolerance=1e-8)
+    return period_of(turns, dt), expected
+
+
+def hanging(mass: float) -> tuple[float, float]:
+    """Force at the top of a cable with a mass at its end, and both weights [N]."""
+    model, body = hung(NYLON, mass, (1e-5 * mass,) * 3, length=0.5, start="clamped", end="pinned")
+    solver, _ = simulate(model, 150, 0.05, scheme="euler", tolerance=1e-9)
+    reaction = solver._groups[0].dynamics.reaction.numpy()[0]
+    total = float(model.body_mass.numpy()[body]) + model.der.node_mass.numpy().sum()
+    return float(reaction[2] + reaction[6]), total * 9.81
+
+
+class Arm:
+    """Two links that Newton's Featherstone solver moves, and a cable from their tip to a pin.
+
+    Attributes:
+        model, state, arm, cable: Newton's, at rest after `settle`.
+        links: indices of the bodies.
+    """
+
+    def __init__(self, reach: float = 0.4, length: float = 0.8, edges: int = 24):
+        builder = newton.ModelBuilder()
+        SolverDER.register_custom_attributes(builder)
+        cfg = newton.ModelBuilder.ShapeConfig(density=800.0, has_shape_collision=False)
+        self.reach, self.links, joints = reach, [], []
+        for k in range(2):
+            link = builder.add_link(
+                xform=wp.transform(((k + 0.5) * reach, 0.0, 1.0), wp.quat_identity())
+            )
+            builder.add_shape_box(link, hx=0.5 * reach, hy=0.03, hz=0.03, cfg=cfg)
+            before = (0.0, 0.0, 1.0) if k == 0 else (0.5 * reach, 0.0, 0.0)
+            joint = builder.add_joint_revolute(
+                -1 if k == 0 else self.links[0], link,
+                parent_xform=wp.transform(before, wp.quat_identity()),
+                child_xform=wp.transform((-0.5 * reach, 0.0, 0.0), wp.quat_identity()),
+                axis=wp.vec3(0.0, 1.0, 0.0), target_ke=_STIFFNESS, target_kd=_DAMPING,
+                actuator_mode=newton.JointTargetMode.POSITION,
+            )  # fmt: skip
+            self.links.append(link)
+            joints.append(joint)
+        builder.add_articulation(joints)
+        self.material = RodMaterial.from_youngs_modulus(5e7, 0.004, length, density=1150.0)
+        arc = np.linspace(0.0, length, edges + 1)
+        points = np.array([2.0 * reach, 0.0, 1.0]) + arc[:, None] * [0.8, 0.0, -0.6]
+        self.rest = length / edges
+        SolverDER.add_rod(
+            builder, points, self.material, start="clamped", start_body=self.links[1],
+            end="pinned", air_damping=3.0, visible=False,
+        )  # fmt: skip
+        self.model = builder.finalize(device="cpu")
+        self.arm = newton.solvers.SolverFeatherstone(self.model)
+        self.cable = SolverDER(self.model, scheme="euler")
+        self.state, self._other = self.model.state(), self.model.state()
+        newton.eval_fk(self.model, self.model.joint_q, self.model.joint_qd, self.state)
+
+    def settle(self, steps: int = 1800, dt: float = 0.001) -> None:
+        """Let both move on, turn by turn."""
+        control = self.model.control()
+        for _ in range(steps):
+            self.state.clear_forces()
+            self.cable.add_body_forces(self.state)
+            self.arm.step(self.state, self._other, control, None, dt)
+            self.cable.step(self._other, self._other, None, None, dt)
+            self.state, self._other = self._other, self.state
+
+    def torques(self) -> np.ndarray:
+        """(2,) what the joints' springs do [N m]."""
+        q, rate = self.state.joint_q.numpy(), self.state.joint_qd.numpy()
+        return -_STIFFNESS * q - _DAMPING * rate
+
+    def statics(self) -> np.ndarray:
+        """(2,) torques that hold the links and the cable, whose shape `solve_equilibria` finds
+        between the same clamp and pin: moments of all weights and of the pin's force [N m]."""
+        nodes = self.state.der.node_q.numpy()
+        poses = self.state.body_q.numpy()[self.links].astype(float)
+        turned = wp.quat_rotate(wp.quatd(*poses[1, 3:]), wp.vec3d(0.8, 0.0, -0.6))
+        ghost = nodes[0] - self.rest * np.array(turned)
+        arc = np.arange(-1, len(nodes)) * self.rest
+        guess = np.vstack([ghost, nodes])
+        batch = RodBatch.of(self.material, arc, guess[None], clamped=(True, False))
+        prescribe(batch, clamped_nodes=(0, 1), pinned_nodes=(-1,), clamped_angles=(0,))
+        if not solve_equilibria(batch).converged.all():
+            return np.full(2, np.nan)
+        q = batch.positions()[0, 1:]
+        pin = batch.evaluate(order=1).gradient.numpy()[0, -3:]
+        weight = np.zeros_like(q)
+        weight[:, 2] = -9.81 * self.model.der.node_mass.numpy()
+        masses = self.model.body_mass.numpy()[self.links]
+        elbow = poses[0, :3] + np.array(
+            wp.quat_rotate(wp.quatd(*poses[0, 3:]), wp.vec3d(0.5 * self.reach, 0.0, 0.0))
+        )
+        out = []
+        for k, joint in enumerate((np.array([0.0, 0.0, 1.0]), elbow)):
+            moment = np.cross(q - joint, weight).sum(axis=0) + np.cross(q[-1] - joint, pin)
+            for pose, mass in list(zip(poses, masses, strict=True))[k:]:
+                moment = moment + np.cross(pose[:3] - joint, [0.0, 0.0, -9.81 * mass])
+            out.append(-moment[1])
+        return np.array(out)
+
+
+class Pile:
+    """Cables dropped onto each other and the ground, in layers at right angles.
+
+    Attributes:
+        model, state, solver: Newton's.
+        deepest: (row,) largest penetration seen between rods, over the radius.
+    """
+
+    radius = 0.003
+
+    def __init__(self, cables: int = 6, edges: int = 20, length: float = 0.2):
+        builder = newton.ModelBuilder()
+        SolverDER.register_custom_attributes(builder)
+        builder.default_shape_cfg.mu = 0.5
+        builder.add_ground_plane()
+        self.material = RodMaterial(self.radius, 0.04, length)
+        arc = np.linspace(-0.5 * length, 0.5 * length, edges + 1)
+        generator = np.random.default_rng(5)
+        for k in range(cables):
+            turn = 0.5 * np.pi * (k % 2) + generator.uniform(-0.2, 0.2)
+            points = np.outer(arc, [np.cos(turn), np.sin(turn), 0.0])
+            points += [*generator.uniform(-0.02, 0.02, 2), (2.0 + 3.0 * k) * self.radius]
+            SolverDER.add_rod(
+                builder, points, self.material, air_damping=0.5, internal_damping=0.005
+            )
+        self.model = builder.finalize(device="cpu")
+        self.solver = SolverDER(self.model, rod_contact=0.3)
+        self.state = self.model.state()
+        self.deepest = 0.0
+
+    def run(self, frames: int, rate: float = 60.0) -> float:
+        """Go on; CPU seconds per simulated second."""
+        start = time.process_time()
+        for _ in range(frames):
+            self.step(1.0 / rate)
+        return (time.process_time() - start) * rate / frames
+
+    def step(self, dt: float) -> None:
+        self.solver.step(self.state, self.state, None, None, dt)
+        contact = self.solver._groups[0].rod_contact
+        self.deepest = max(self.deepest, float(contact.penetration.numpy().max()) / self.radius)
+
+
+def measure() -> list[tuple[str, str, str]]:
+    """(what, found, expected) of all scenes, as text."""
+    rows = []
+    for scheme in ("euler", "bdf2", "midpoint"):
+        error = momentum(scheme)
+        rows.append((f"momentum of a falling cable and body, {scheme}", f"{error:.1e}", "0"))
+    for mass in (1e-6, 0.2, 10.0):
+        force, expected = hanging(mass)
+        rows.append((f"force at the top under {mass:g} kg [N]", f"{force:.6g}", f"{expected:.6g}"))
+    found, expected = pendulum()
+    rows.append(("period of a heavy pendulum [s]", f"{found:.5f}", f"{expected:.5f}"))
+    for scheme in ("bdf2", "midpoint"):
+        found, expected = torsion(scheme)
+        rows.append((f"torsional period, {scheme} [s]", f"{found:.5f}", f"{expected:.5f}"))
+    arm = Arm()
+    arm.settle()
+    for name, found, expected in zip(
+        ("shoulder", "elbow"), arm.torques(), arm.statics(), strict=True
+    ):
+        rows.append((f"{name} that holds a cable [N m]", f"{found:.4f}", f"{expected:.4f}"))
+    pile = Pile()
+    cost = pile.run(90)
+    rows.append(("pile of 6 cables of 20 edges: deepest over radius", f"{pile.deepest:.4f}", "0"))
+    rows.append(("the same: CPU seconds per simulated second", f"{cost:.2f}", ""))
+    return rows
