@@ -9,7 +9,7 @@ body do not rub, and the forces conserve momentum and angular momentum. The bris
 frame of the first edge and the normal. N is held while Newton iterates, as in Li et al. 2020, so
 that the matrix of a step is symmetric and exact but for the turning of the pair; in balance it is
 compared with what the pairs press then, and taken anew where a bristle slides, or would, and they
-differ. A step ends with friction within a fiftieth of mu times the load at its end.
+differ. A step ends with friction within a twentieth of mu times the load at its end.
 """
 
 import warp as wp
@@ -27,8 +27,8 @@ EVERY = wp.constant(2)
 
 
 # A load is out of date when it differs by more than this part; how often a step takes them anew.
-STALE = wp.constant(wp.float64(0.02))
-MOST_RENEWALS = wp.constant(3)
+STALE = wp.constant(wp.float64(0.05))
+MOST_RENEWALS = wp.constant(2)
 
 
 @wp.struct

@@ -283,7 +283,7 @@ def test_bad_rod_contacts_are_refused():
 
 
 def test_friction_is_bounded_by_the_load_of_its_own_step():
-    """|F_t| <= mu N of the same step, within a fiftieth, of a rod that slides while its load falls
+    """|F_t| <= mu N of the same step, within a twentieth, of a rod that slides while its load falls
     by a quarter in each step."""
     mu = 0.4
     dynamics = on_rails([30.0], Friction(mu))
@@ -300,5 +300,5 @@ def test_friction_is_bounded_by_the_load_of_its_own_step():
         held = (slot < contact.partner_count.numpy()[:, :, None]) & (load > 0)
         pull = stiffness * np.linalg.norm(contact.bristle.numpy(), axis=3)
         shares.append((pull[held] / (mu * load[held])).max())
-    assert max(shares) < 1.02
+    assert max(shares) < 1.05
     assert np.mean(shares) > 0.98  # it slides all the while
