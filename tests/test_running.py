@@ -138,7 +138,7 @@ def test_a_full_disk_is_said_and_leaves_no_half_file(tmp_path):
 
 # ---- a disk that is full, a folder that goes ---------------------------------------------------
 
-DATASET = ["dataset", "--size", "300", "--shard-size", "100", "--no-sensitivities", "--device", "cpu"]
+DATASET = "dataset --size 300 --shard-size 100 --no-sensitivities --device cpu".split()
 
 
 def test_a_disk_that_fills_up_loses_nothing(tmp_path):
