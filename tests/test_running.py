@@ -138,7 +138,7 @@ def test_a_full_disk_is_said_and_leaves_no_half_file(tmp_path):
 
 # ---- a disk that is full, a folder that goes ---------------------------------------------------
 
-DATASET = "dataset --size 300 --shard-size 100 --no-sensitivities --device cpu".split()
+WORDS = "dataset --size 300 --shard-size 100 --no-sensitivities --device cpu"
 
 
 def test_a_disk_that_fills_up_loses_nothing(tmp_path):
@@ -149,7 +149,7 @@ def test_a_disk_that_fills_up_loses_nothing(tmp_path):
     def run():
         # A file may have so many bytes; the manifest has, a shard of 100 grasps has not.
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-        result = CliRunner().invoke(main, [*DATASET, "--out", str(tmp_path / "out")])
+        result = CliRunner().invoke(main, [*WORDS.split(), "--out", str(tmp_path / "out")])
         os.write(1, result.output.encode())
         return result.exit_code
 
@@ -157,7 +157,7 @@ def test_a_disk_that_fills_up_loses_nothing(tmp_path):
     assert end.code == REFUSED and "Traceback" not in end.said, end.said
     assert "run the same command again" in end.said or "choose another --out" in end.said
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["manifest.json"]
-    result = CliRunner().invoke(main, [*DATASET, "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(main, [*WORDS.split(), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0 and "300 solved now" in result.output
 
 
