@@ -52,6 +52,7 @@ def command(
     from wrod.bench.photographs_plans import plans_in_worlds_found
     from wrod.bench.photographs_report import draw, draw_lines, left_out_table, write_predictions
     from wrod.bench.photographs_table3 import table3
+    from wrod.bench.photographs_waves import waves
     from wrod.errors import DataError
     from wrod.files import write_atomically
     from wrod.identification.laid.photographs import load_photographs
@@ -91,6 +92,8 @@ def command(
         figures["plans"] = plans_in_worlds_found(photographs, verdicts, laid)
         written = [*files, *draw(out, photographs, verdicts)]
         written += draw_lines(out, photographs, verdicts, laid)
+        figures["waves"], files = waves(photographs, verdicts, laid, out)
+        written += files
     summary = out / "photographs.json"
     write_atomically(summary, lambda file: file.write(json.dumps(figures, indent=2) + "\n"))
     figures["written"] = [str(path) for path in (*written, summary, laid.path)]
@@ -101,6 +104,7 @@ def command(
     if not quick:
         click.echo(figures["table3"]["text"])
         click.echo(figures["plans"]["text"])
+        click.echo(figures["waves"]["text"])
         click.echo(f"practice (green VPS, letter L, optimal path): {predicted['practice']}")
     click.echo(figures["machine"])
     for path in figures["written"]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_pattern, read_rod
 
 # How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
@@ -46,6 +47,7 @@ _PAGE_INTERVAL = 0.25  # [s] between the states that the page shows
 )
 @click.option("--frames", type=float, help="Keep the rod's states at this interval [s].")
 @options(DEVICE)
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     pattern: str,
@@ -69,6 +71,7 @@ def command(
     frames: float | None,
     device: str,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Lay a rod along PATTERN in simulation, and measure it.
 
@@ -77,8 +80,6 @@ def command(
     """
     from dataclasses import replace
     from importlib.util import find_spec
-
-    from tqdm import tqdm
 
     from wrod.deployment.fixtures import Fixtures
     from wrod.deployment.picture import draw_deployments
@@ -108,6 +109,13 @@ def command(
         _refuse_idle_options("--method intuitive", "closure")
     curve = with_remainder_of(curve, path)
     rest = tail(curve, rod, path)
+    cost.settle(
+        cost.deployments(
+            trials, rod.length, speed=speed, step=0.01, spacing=0.005, device=device
+        ),
+        f"{trials} deployments", out, "ask for fewer --trials or a larger --speed", force=force,
+        quiet=as_json,
+    )  # fmt: skip
     jobs = [
         Trial(
             curve,
@@ -121,9 +129,7 @@ def command(
         for seed in range(trials)
     ]
     shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-    with tqdm(
-        total=100, leave=False, delay=1.0, desc="laid", disable=as_json, bar_format=shown
-    ) as bar:
+    with cost.progress_bar(total=100, desc="laid", quiet=as_json, bar_format=shown) as bar:
         deployments = simulate_deployments(
             jobs,
             speed=speed,

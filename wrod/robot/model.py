@@ -214,7 +214,7 @@ def _with_gripper(
         if mine or (child is not None and child.get("link") in gone):
             root.remove(element)
     try:
-        root.extend(gripper_model.gripper_elements(flange, float(wanted)))
+        root.extend(gripper_model.gripper_elements(flange, float(wanted), urdf.approach(flange)))
     except ValueError as error:
         raise RobotError(str(error)) from error
     known = {material.get("name") for material in root.findall("material")}

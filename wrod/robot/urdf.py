@@ -22,6 +22,17 @@ _FLANGES = (
 )  # fmt: skip
 
 
+# Words in the names of joints and links that belong to a gripper.
+_FINGERS = ("gripper", "finger", "jaw", "knuckle", "thumb")
+
+
+def _is_finger(joint: ElementTree.Element) -> bool:
+    """Whether a joint moves a part of a gripper: it follows another joint, or is called so."""
+    child = joint.find("child").get("link", "")
+    names = f"{joint.get('name', '')} {child}".lower()
+    return joint.find("mimic") is not None or any(word in names for word in _FINGERS)
+
+
 @dataclass(frozen=True)
 class LinkShape:
     """A visual or collision shape of a link.
@@ -79,10 +90,14 @@ class UrdfFile:
 
     def flange(self) -> str:
         """The link that carries a gripper: fixed to the end of the longest chain of revolute
-        joints (prismatic fingers do not count), the one of a flange's usual names if there is one.
+        joints (fingers that slide or turn do not count), the one of a flange's usual names if there
+        is one.
         """
         parent = {
-            j.find("child").get("link"): (j.find("parent").get("link"), j.get("type"))
+            j.find("child").get("link"): (
+                j.find("parent").get("link"),
+                "finger" if _is_finger(j) else j.get("type"),
+            )
             for j in self.joints
         }
 
@@ -105,6 +120,22 @@ class UrdfFile:
                 if link == name or link.endswith(name):
                     return link
         return last
+
+    def approach(self, flange: str) -> np.ndarray:
+        """(3,) direction in which a gripper points from a flange, in its frame: +z, which frames of
+        their own have by convention, or the axis of the joint that turns it, towards what the file
+        hangs on it."""
+        turning = [j for j in self.joints if j.find("child").get("link") == flange]
+        if not turning or turning[0].get("type") not in ("revolute", "continuous"):
+            return np.array([0.0, 0.0, 1.0])
+        element = turning[0].find("axis")
+        axis = np.array(_floats("1 0 0" if element is None else element.get("xyz", "1 0 0")))
+        axis = axis / max(np.linalg.norm(axis), 1e-12)
+        hung = [j for j in self.joints if j.find("parent").get("link") == flange]
+        along = sum(float(_origin(j.find("origin"))[:3, 3] @ axis) for j in hung)
+        if abs(along) < 1e-6:  # nothing tells: the positive side of its largest component
+            along = axis[np.abs(axis).argmax()]
+        return axis * np.sign(along)
 
     def beyond(self, link: str) -> set[str]:
         """All links that hang from a link."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
@@ -23,6 +24,9 @@ _SKIP = float(np.pi)
 _STIFFNESS = 10.0
 # The normal force rises quadratically over this part of the radius.
 _SKIN = 0.05
+
+
+_IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
 
 
 class RodContact:
@@ -55,6 +59,15 @@ class RodContact:
             batch stands where its rods are inside each other.
     """
 
+    @arguments.checked(
+        RodError,
+        batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
+        radius=arguments.numbers_of_any_shape,
+        friction=arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION)),
+        stiffness=arguments.optional(arguments.array((), (None,))),
+        restitution=arguments.array((), (None,)),
+        partners=arguments.whole(1, 4096),
+    )
     def __init__(
         self,
         batch: RodBatch,
@@ -77,7 +90,7 @@ class RodContact:
         if stiffness is None:
             stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
             stiffness = _STIFFNESS * stretching / mean_radius
-        stiffness = np.broadcast_to(np.asarray(stiffness, dtype=float), (rods,))
+        stiffness = arguments.spread(stiffness, (rods,), "RodContact: stiffness", RodError)
         if not (np.isfinite(stiffness) & (stiffness > 0)).all():
             raise RodError("contact stiffness must be positive and finite")
         friction = [friction] * rods if isinstance(friction, Friction) else friction
@@ -92,7 +105,8 @@ class RodContact:
         def zeros(dtype, *shape):
             return wp.zeros((rods, *shape), dtype=dtype, device=device)
 
-        damping = contact_damping(np.broadcast_to(restitution, (rods,)))
+        restitution = arguments.spread(restitution, (rods,), "RodContact: restitution", RodError)
+        damping = contact_damping(restitution)
         # Two edges that meet move as one of half their mass.
         mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
         laws = []
