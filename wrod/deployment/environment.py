@@ -152,9 +152,10 @@ class LayingVectorEnv(VectorEnv):
         if self._over:
             observed, info = self.reset()
             return observed, np.zeros(self.num_envs), none, none.copy(), info
-        wanted = np.clip(np.asarray(actions, float), -1.0, 1.0) * self.scale
-        if wanted.shape != (self.num_envs, 6):
-            raise RodError(f"actions have shape {wanted.shape}; give ({self.num_envs}, 6)")
+        asked = np.asarray(actions, dtype=float)
+        if asked.shape != (self.num_envs, 6):
+            raise RodError(f"actions have shape {asked.shape}; give ({self.num_envs}, 6)")
+        wanted = np.clip(asked, -1.0, 1.0) * self.scale
         end = self._episode.setups[0].measure_time
         until = min(self.time + self.interval, end)
         self._move_grips(wanted, until)
