@@ -261,6 +261,15 @@ class SolverDER(SolverBase):
                 stacklevel=2,
             )
 
+    def penetration(self) -> np.ndarray:
+        """(rod_count,) how deep at most a rod, or one that shares its steps, is in another [m]; 0
+        where rods do not touch each other."""
+        out = np.zeros(self.rod_count)
+        for group in self._groups:
+            if group.rod_contact is not None:
+                out[group.rows] = group.rod_contact.penetration.numpy()[:, None]
+        return out
+
     def body_wrenches(self) -> np.ndarray:
         """(body, 6) what rods did at the end of the last step to the bodies that hold or touch them
         and that others move: force [N], and torque about the centre of mass [N m]."""
