@@ -28,6 +28,8 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "--speed": (5e-4, 10.0),
     "--release": (0.0, 100.0),
     "--step": (1e-4, 1.0),
+    "--chain-step": (1e-4, 0.02),
+    "--every": (5e-3, 100.0),
     "--batch": (1, 100_000),
     "--noise": (1e-9, 1.0),
     "--iterations": (0, 100),
