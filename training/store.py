@@ -158,8 +158,17 @@ def shard_path(folder: Path, shard: int) -> Path:
 
 
 def write_shard(folder: Path, manifest: Manifest, shard: int, columns: dict) -> Path:
-    """Write one shard, whole or not at all."""
+    """Write one shard, whole or not at all.
+
+    Raises:
+        DataError: the dataset's folder has vanished meanwhile; shards alone are no dataset.
+    """
     from safetensors.numpy import save
+
+    if not (Path(folder) / MANIFEST).exists():
+        raise DataError(
+            f"{folder}: was removed while grasps were written to it; run the same command again"
+        )
 
     first, count = manifest.rows(shard)
     arrays = {}

@@ -90,6 +90,7 @@ class SolverDER(SolverBase):
         max_iterations=arguments.whole(1, 10_000),
         contact_stiffness=arguments.optional(arguments.number()),
         self_contact=arguments.optional(arguments.number(0.0, 1e3)),
+        rod_contact=arguments.optional(arguments.number(0.0, 1e3)),
     )
     def __init__(
         self,
@@ -260,6 +261,15 @@ class SolverDER(SolverBase):
                 WrodWarning,
                 stacklevel=2,
             )
+
+    def penetration(self) -> np.ndarray:
+        """(rod_count,) how deep at most a rod, or one that shares its steps, is in another [m]; 0
+        where rods do not touch each other."""
+        out = np.zeros(self.rod_count)
+        for group in self._groups:
+            if group.rod_contact is not None:
+                out[group.rows] = group.rod_contact.penetration.numpy()[:, None]
+        return out
 
     def body_wrenches(self) -> np.ndarray:
         """(body, 6) what rods did at the end of the last step to the bodies that hold or touch them
@@ -436,6 +446,14 @@ class SolverDER(SolverBase):
         )
 
     @staticmethod
+    @arguments.checked(
+        RodError,
+        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
+        rod=arguments.whole(0),
+        body=arguments.whole(-1),
+        node=arguments.whole(0),
+        kind=arguments.text,
+    )
     def attach(
         builder: newton.ModelBuilder, rod: int, body: int, *, node: int, kind: str = "clamped"
     ) -> None:
