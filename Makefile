@@ -27,13 +27,14 @@ test: lint types
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
 
-# Fifty times the hostile inputs that the tests try, and other ones each time.
+# Fifty times the hostile inputs that the tests try, and other ones each time; then every file of
+# an adversary into every option, and every wrong argument into every public callable.
 fuzz: $(STAMP)
-	WROD_FUZZ=50 $(BIN)/python -m pytest -s tests/test_fuzz.py
+	WROD_FUZZ=50 $(BIN)/python -m pytest -s tests/test_fuzz.py tests/test_bombs.py tests/test_arguments.py
 
 # A hundred kills at random moments; every run has to end in the same bytes.
 kill-test: $(STAMP)
-	$(BIN)/python tests/killing.py --kills 100
+	$(BIN)/python tests/killing.py --kills 100 --workers 4
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -6,6 +6,7 @@ Its frames: `gripper` sits on the flange, +z along the fingers, which close alon
 
 from __future__ import annotations
 
+import math
 from xml.etree import ElementTree
 
 from .urdf_writer import box, joint_element, link_element, rod_between, sphere
@@ -17,12 +18,21 @@ _PALM = 0.055  # [m] length of the palm
 _GAP = 0.0045  # [m] between the pads
 
 
-def gripper_elements(flange: str, length: float = GRIPPER_LENGTH) -> list[ElementTree.Element]:
+def _turned_to(along) -> tuple[float, float, float]:
+    """Roll, pitch, yaw [rad] of a frame whose z points along a unit vector: no roll."""
+    x, y, z = (float(value) for value in along)
+    return 0.0, math.acos(max(-1.0, min(1.0, z))), math.atan2(y, x)
+
+
+def gripper_elements(
+    flange: str, length: float = GRIPPER_LENGTH, along=(0.0, 0.0, 1.0)
+) -> list[ElementTree.Element]:
     """Links and fixed joints of the gripper mounted on the link `flange`.
 
     Args:
         flange: link that carries the gripper.
         length: from the flange to the grasp point [m], at least `SHORTEST`.
+        along: unit vector in the flange's frame along which the fingers point.
     """
     if not SHORTEST <= length < 1.0:
         raise ValueError(f"gripper length is {length!r} m; give {SHORTEST} to 1 m")
@@ -46,7 +56,7 @@ def gripper_elements(flange: str, length: float = GRIPPER_LENGTH) -> list[Elemen
     ]
     return [
         link_element("gripper", 0.3, visuals, collisions),
-        joint_element("gripper_mount", flange, "gripper", (0, 0, 0)),
+        joint_element("gripper_mount", flange, "gripper", (0, 0, 0), _turned_to(along)),
         link_element("grasp"),
         joint_element("grasp_point", "gripper", "grasp", (0, 0, length)),
     ]

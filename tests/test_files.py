@@ -202,3 +202,23 @@ def test_the_docs_say_what_the_schemas_say():
 
     page = Path(__file__).parents[1] / "docs" / "formats.md"
     assert page.read_text(encoding="utf-8") == document()
+
+
+def test_arrays_are_as_their_table_says():
+    from wrod.files.array_schemas import check_arrays
+
+    good = {
+        "positions": np.zeros((2, 30, 8, 3)), "rate_hz": np.array(100.0),
+        "held": np.array([0, 1, 6, 7]), "gravity": np.array(9.81), "beside": np.array("x"),
+    }  # fmt: skip
+    check_arrays(good, "MotionMeasurements", "a.npz")
+    for name, value, says in (
+        ("held", None, "lacks the array held"),
+        ("held", np.array([0.5] * 4), "must hold whole numbers"),
+        ("rate_hz", np.zeros(2), r"must have \(\)"),
+        ("positions", np.zeros((2, 30, 8)), r"must have \(R, T, M, 3\)"),
+        ("file_ids", np.zeros(3, int), "positions is 2 long there"),
+    ):
+        wrong = {k: v for k, v in {**good, name: value}.items() if v is not None}
+        with pytest.raises(DataError, match=f"a.npz: .*{says}"):
+            check_arrays(wrong, "MotionMeasurements", "a.npz")

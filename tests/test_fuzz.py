@@ -135,6 +135,12 @@ def tried():
     print(f"\nhostile inputs tried: {sum(n for n, _ in counts.values())}: {said}")
 
 
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory):
+    """Files that nothing reads, by kind."""
+    return foreign_files(tmp_path_factory.mktemp("foreign") / "files")
+
+
 def note(tried, kind, refused):
     count, before = tried.get(kind, (0, 0))
     tried[kind] = (count + 1, before + bool(refused))
@@ -261,11 +267,11 @@ def test_point_files(tmp_path, tried):
     attempt()
 
 
-def test_foreign_files_are_refused_by_every_loader(tmp_path, tried):
+def test_foreign_files_are_refused_by_every_loader(tried, foreign):
     loaders = [load for load, _ in JSON_FILES.values()]
     loaders += [Trajectory.load, Deployment.load, load_measurements, load_motion, read_urdf]
     loaders += [wrod.Pattern.load, wrod.Controller.load, read_image]
-    for kind, path in foreign_files(tmp_path / "foreign").items():
+    for kind, path in foreign.items():
         for load in loaders:
             name = getattr(load, "__qualname__", str(load))
             refused = taken_or_refused(load, path, f"{name} of {kind}")
@@ -391,8 +397,8 @@ DOORS = {
 
 
 @pytest.mark.parametrize("name, command", list(commands()))
-def test_foreign_files_are_refused_by_every_command(name, command, tmp_path, tried):
-    files = foreign_files(tmp_path / "foreign")
+def test_foreign_files_are_refused_by_every_command(name, command, tmp_path, tried, foreign):
+    files = foreign
     for option in command.params:
         if not isinstance(option.type, click.Path) or option.name in ("out", "usd"):
             continue

@@ -271,7 +271,7 @@ def test_usd_curve_becomes_a_picture(tmp_path):
     assert np.allclose(
         line, np.column_stack([wave(200) + [0.01, 0.02], np.full(200, 0.0016)]), atol=1e-7
     )
-    with pytest.raises(PerceptionError, match="not a USD scene"):
+    with pytest.raises(PerceptionError, match="no such file; give a USD scene"):
         centerline_from_usd(tmp_path / "none.usda")
 
 

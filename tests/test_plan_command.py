@@ -177,3 +177,38 @@ def test_default_plan_has_shapes_to_draw_unless_told_not_to(tmp_path):
     assert trajectory.metadata["shapes"]["largest_grip_difference"] < 1e-5
     run(*options, "--out", tmp_path / "b", "--no-shapes")
     assert Trajectory.load(tmp_path / "b" / "trajectory.npz").shape is None
+
+
+def test_a_pattern_cut_to_the_rod_leaves_the_fingers_off_the_table(tmp_path):
+    """The remedy for length is one that an arm can follow, not only the rod."""
+    pytest.importorskip("ruckig")
+    from wrod.robot.remedy import FINGERS, least_suspended
+
+    rod = wrod.rod("green-vps")
+    least = least_suspended(rod)
+    height = [
+        rod.gravito_bending_length
+        * wrod.solve_grasps(
+            [part * least / rod.gravito_bending_length], 0.0, rod.stretch_ratio
+        ).position[0, 2]
+        for part in (1.0, 0.9)
+    ]
+    assert height[0] > FINGERS + 0.005 > height[1]
+    points = np.column_stack([np.linspace(0.0, 1.0, 200), np.zeros(200)])
+    np.savetxt(tmp_path / "long.csv", points, delimiter=",")
+    words = [str(tmp_path / "long.csv"), "--rod", "green-vps", "--out", str(tmp_path / "o")]
+    result = CliRunner().invoke(main, ["plan", *words])
+    factor = float(result.output.split("`--resize ")[1].split("`")[0])
+    assert result.exit_code == 2 and factor * 1.0 <= rod.length - least
+    alone = CliRunner().invoke(main, ["plan", *words, "--no-robot"])
+    assert float(alone.output.split("`--resize ")[1].split("`")[0]) > factor
+
+
+def test_a_closure_beside_a_method_that_has_none_is_refused(tmp_path):
+    out = tmp_path / "out"
+    arguments = ["plan", "line", "--rod", "green-vps", "--method", "intuitive"]
+    arguments += ["--closure", "min_force", "--out", str(out)]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2
+    assert "--closure does nothing beside --method intuitive" in result.output
+    assert not out.exists()

@@ -134,3 +134,54 @@ def test_a_full_disk_is_said_and_leaves_no_half_file(tmp_path):
     with pytest.raises(OSError, match="No space"):
         write_atomically(tmp_path / "a.txt", write)
     assert list(tmp_path.iterdir()) == []
+
+
+# ---- a disk that is full, a folder that goes ---------------------------------------------------
+
+WORDS = "dataset --size 300 --shard-size 100 --no-sensitivities --device cpu"
+
+
+def test_a_disk_that_fills_up_loses_nothing(tmp_path):
+    import resource
+
+    from forked import forked
+
+    def run():
+        # A file may have so many bytes; the manifest has, a shard of 100 grasps has not.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+        result = CliRunner().invoke(main, [*WORDS.split(), "--out", str(tmp_path / "out")])
+        os.write(1, result.output.encode())
+        return result.exit_code
+
+    end = forked(run, tmp_path)
+    assert end.code == REFUSED and "Traceback" not in end.said, end.said
+    assert "run the same command again" in end.said or "choose another --out" in end.said
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["manifest.json"]
+    result = CliRunner().invoke(main, [*WORDS.split(), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0 and "300 solved now" in result.output
+
+
+def test_a_folder_that_vanishes_is_said(tmp_path):
+    import shutil
+
+    from wrod.training.dataset import generate
+
+    out = tmp_path / "out"
+
+    def vanish(count, total):
+        shutil.rmtree(out)
+
+    with pytest.raises(DataError, match="was removed while grasps were written"):
+        generate(out, 300, shard_size=100, sensitivities=False, device="cpu", progress=vanish)
+    assert not list(tmp_path.rglob("*.safetensors"))
+
+
+def test_a_ledger_that_vanishes_is_written_anew(tmp_path):
+    from wrod.bench.ledger import Ledger
+
+    path = tmp_path / "out" / "trials.jsonl"
+    ledger = Ledger(path, {"step": 1}, ("trial",))
+    ledger.add([{"trial": 1}])
+    path.unlink()
+    ledger.add([{"trial": 2}])
+    assert Ledger(path, {"step": 1}, ("trial",)).done() == {(1,), (2,)}

@@ -255,7 +255,9 @@ def test_out_that_cannot_be_written_is_said_before_training(tmp_path, monkeypatc
     from wrod.training import dataset, store
 
     monkeypatch.setattr(dataset, "load", lambda folder, most: table)
-    monkeypatch.setattr(store, "read_manifest", lambda folder: SimpleNamespace(rod_inputs=None))
+    monkeypatch.setattr(
+        store, "read_manifest", lambda folder: SimpleNamespace(rod_inputs=None, size=100)
+    )
     (tmp_path / "file").touch()
     trained = []
     monkeypatch.setattr(Training, "run", lambda self, **options: trained.append(self))

@@ -154,7 +154,7 @@ class Training:
         """
         budget = math.inf if minutes is None else 60.0 * minutes
         steps, begin = self.recipe.steps, time.monotonic() - self.seconds
-        saved, took = time.monotonic(), 0.0
+        saved, took, told = time.monotonic(), 0.0, -math.inf
         while self.step < steps and self.seconds < budget:
             done = max(self.step / steps, self.seconds / budget)
             if self.refine and self.solve and self.rounds < 2 and done > (self.rounds + 1) / 4:
@@ -162,10 +162,12 @@ class Training:
             self._one_step(done)
             self.step += 1
             self.seconds = time.monotonic() - begin
-            if self.step % watch_every == 0 or self.step == steps:
+            watched = self.step % watch_every == 0 or self.step == steps
+            if watched:
                 self._watch()
-                if progress is not None:
-                    progress(self.step, steps, self.history[-1][2])
+            if progress is not None and (watched or time.monotonic() - told > 1.0):
+                told = time.monotonic()
+                progress(self.step, steps, self.history[-1][2] if self.history else math.nan)
             pause = max(checkpoint_every, 20.0 * took) if checkpoint_every > 0.0 else 0.0
             if time.monotonic() - saved > pause:
                 start = time.monotonic()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -37,6 +38,12 @@ TWIST = {"twist": (np.float64, ())}
 SENSITIVITIES = {
     f"{name}_sensitivity": (np.float64, (3, 3)) for name in ("position", "rotation", "force")
 }
+
+
+def row_bytes(sensitivities: bool) -> int:
+    """Bytes of a grasp on the disk, at most."""
+    columns = {**COLUMNS, **TWIST, **(SENSITIVITIES if sensitivities else {})}
+    return sum(np.dtype(kind).itemsize * math.prod(shape) for kind, shape in columns.values())
 
 
 @dataclass(frozen=True)
@@ -151,8 +158,17 @@ def shard_path(folder: Path, shard: int) -> Path:
 
 
 def write_shard(folder: Path, manifest: Manifest, shard: int, columns: dict) -> Path:
-    """Write one shard, whole or not at all."""
+    """Write one shard, whole or not at all.
+
+    Raises:
+        DataError: the dataset's folder has vanished meanwhile; shards alone are no dataset.
+    """
     from safetensors.numpy import save
+
+    if not (Path(folder) / MANIFEST).exists():
+        raise DataError(
+            f"{folder}: was removed while grasps were written to it; run the same command again"
+        )
 
     first, count = manifest.rows(shard)
     arrays = {}

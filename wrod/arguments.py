@@ -7,6 +7,7 @@ import inspect
 import math
 import numbers
 import os
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from wrod.errors import WrodError
 
+_LARGEST = sys.float_info.max
 F = TypeVar("F", bound=Callable)
 # Says what is wrong with a value ("must be ..."), or None if nothing is.
 Check = Callable[[Any], str | None]
@@ -78,7 +80,8 @@ def number(low: float = -math.inf, high: float = math.inf, above: float | None =
         real = isinstance(value, (numbers.Real, np.floating, np.integer)) or (
             isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiu"
         )
-        fits = real and not isinstance(value, (bool, np.bool_)) and abs(value) < math.inf
+        # A whole number may be too large for any float.
+        fits = real and not isinstance(value, (bool, np.bool_)) and abs(value) <= _LARGEST
         if fits and least <= value <= high and (above is None or value > above):
             return None
         return f"must be a finite number{bounds}"
@@ -178,6 +181,76 @@ def several(one: Check, least: int = 1) -> Check:
         return None
 
     return check
+
+
+def mesh(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
+    """As `array`, or an array of Warp, which is taken as it is."""
+    return either(like("an array", "ptr", "device", "dtype"), array(*shapes, finite=finite))
+
+
+def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:
+    """The value as a float64 array, for functions that are called too often to be decorated.
+
+    Args:
+        value: whatever was given.
+        where: begins the sentence: "Pattern.sample: s".
+        error: type of the refusal.
+    """
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise error(f"{where} is {_shown(value)}; it must be an array of numbers") from None
+
+
+def truths(value: Any) -> str | None:
+    """True or False, or an array of them."""
+    try:
+        good = np.asarray(value).dtype.kind == "b"
+    except Exception:  # as in `array`
+        good = False
+    return None if good else "must be True or False, or an array of them"
+
+
+def picture(value: Any) -> str | None:
+    """An array of truths or numbers of any shape."""
+    try:
+        truths = np.asarray(value).dtype.kind == "b"
+    except Exception:  # as in `array`
+        truths = False
+    return None if truths else _any_array(value)
+
+
+_any_array = array(finite=False)
+
+
+def spread(value: Any, shape: tuple[int, ...], where: str, error: type[WrodError]) -> np.ndarray:
+    """The value as float64, broadcast to a shape.
+
+    Args:
+        value: whatever was given.
+        shape: wanted.
+        where: begins the sentence: "Contact: radius".
+        error: type of the refusal.
+    """
+    found = floats(value, where, error)
+    try:
+        return np.broadcast_to(found, shape)
+    except ValueError:
+        raise error(f"{where} has shape {found.shape}, which does not spread to {shape}") from None
+
+
+# An array of numbers of any shape.
+numbers_of_any_shape = array()
+
+
+def indices(value: Any) -> str | None:
+    """Whole numbers in a list, a tuple, a range or an array."""
+    try:
+        found = np.asarray(value)
+        good = found.ndim == 1 and (found.dtype.kind in "iu" or found.size == 0)
+    except Exception:  # as in `array`
+        good = False
+    return None if good else "must be a list of whole numbers"
 
 
 callback = like("a function", "__call__")

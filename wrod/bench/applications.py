@@ -10,6 +10,8 @@ from typing import Any
 
 import click
 
+from wrod import cost
+
 CASES = ("S cable", "U cable", "trefoil", "reef")
 
 
@@ -33,6 +35,7 @@ CASES = ("S cable", "U cable", "trefoil", "reef")
     help="Write every trial run now as a scene with both arms into this folder.",
 )
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     out: Path,
@@ -43,6 +46,7 @@ def command(
     usd: Path | None,
     device: str,
     as_json: bool,
+    force: bool,
 ) -> None:
     """The paper's success table: cable placement along S and U, trefoil and reef knot, {INT, OPT} x
     ten trials.
@@ -55,8 +59,6 @@ def command(
     diameter of its thinnest rod. The report says what was drawn. Finished trials are kept in
     OUT/trials.jsonl: a run that was stopped goes on from there.
     """
-    from tqdm import tqdm
-
     from wrod.bench.applications_cables import disturbances_text
     from wrod.bench.applications_cables_picture import draw_cables
     from wrod.bench.applications_report import draw, markdown, table
@@ -87,8 +89,13 @@ def command(
     size = batch or (5 if device == "cpu" else max(trials, 1))
     start = time.perf_counter()
     written: list[Path] = []
-    with tqdm(
-        total=len(keys), initial=len(keys) - len(pending), unit="trial", disable=as_json
+    seconds = sum(cost.APPLICATION[case] for _, case, _ in pending)
+    cost.settle(
+        cost.Cost(seconds, 2e7 * size, 1e5 * len(pending)), f"{len(pending)} trials", out,
+        "ask for fewer --trials or for one --case", force=force, quiet=as_json,
+    )  # fmt: skip
+    with cost.progress_bar(
+        total=len(keys), initial=len(keys) - len(pending), unit="trial", quiet=as_json
     ) as bar:
         for case, method in product(cases, METHODS):
             mine = [trial for trial, c, m in pending if (c, m) == (case, method)]

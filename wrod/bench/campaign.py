@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -133,3 +134,53 @@ def options(*, speed: float, step: float, spacing: float) -> Callable:
         return function
 
     return decorate
+
+
+def figures(
+    spent: Spent,
+    *,
+    device: str,
+    trials: int,
+    planned: float,
+    nodes: int,
+    summary: list[str],
+    written: Sequence[Path],
+) -> dict:
+    """What a campaign's command tells machines.
+
+    Args:
+        spent: on the deployments.
+        device: where they ran.
+        trials: in all, and the number of nodes of each.
+        planned: seconds that the plans took.
+        summary: what the rows say, in sentences.
+        written: files.
+    """
+    from wrod.machine import machine_line
+
+    return {
+        "machine": machine_line(device),
+        "device": device,
+        "trials": trials,
+        "simulated_now": spent.trials,
+        "planning_seconds": planned,
+        "simulation_seconds": spent.seconds,
+        "rod_steps_per_second": spent.rate,
+        "nodes": nodes,
+        "summary": summary,
+        "written": [str(path) for path in written],
+    }
+
+
+def say(told: dict, spent: Spent, as_json: bool) -> None:
+    """Print what `figures` returned, for machines or for people."""
+    if as_json:
+        click.echo(json.dumps(told, indent=2))
+        return
+    click.echo(told["machine"])
+    planned = told["planning_seconds"]
+    click.echo(f"{spent} of {told['nodes']} nodes on {told['device']} (plans {planned:.1f} s)")
+    for line in told["summary"]:
+        click.echo(line)
+    for path in told["written"]:
+        click.echo(f"wrote {path}")

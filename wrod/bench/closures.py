@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass, replace
 from itertools import product
@@ -44,13 +43,17 @@ _FULL = {
 @click.option("--names", help="Patterns.")
 @click.option("--trials", default=1, show_default=True, help="Disturbed trials a cell.")
 @campaign.options(speed=0.04, step=0.02, spacing=0.01)
-def command(
-    full: bool,
-    frictions: str | None,
-    curvatures: str | None,
-    stretch_ratios: str | None,
-    rods: str | None,
-    names: str | None,
+def command(as_json: bool, **given) -> None:
+    """Lay arcs and patterns by every closure and by INT, on tables of all kinds.
+
+    Every method meets the same disturbances: jitter, error in L_gb, natural curvature. Finished
+    trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
+    """
+    told, spent = _compared(quiet=as_json, **given)
+    campaign.say(told, spent, as_json)
+
+
+def _compared(
     trials: int,
     out: Path,
     patterns: Path | None,
@@ -60,141 +63,105 @@ def command(
     spacing: float,
     batch: int | None,
     device: str,
-    as_json: bool,
-) -> None:
-    """Lay arcs and patterns by every closure and by INT, on tables of all kinds.
-
-    Every method meets the same disturbances: jitter, error in L_gb, natural curvature. Finished
-    trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
-    """
-    from wrod.bench.closures_picture import draw, draw_friction
-    from wrod.bench.closures_report import (
-        KEYS,
-        METHODS,
-        PUT_DOWN,
-        cells,
-        markdown,
-        summary,
-        write_csv,
-    )
-    from wrod.deployment.simulate import simulate_deployments
+    quiet: bool,
+    **given,
+) -> tuple[dict[str, Any], campaign.Spent]:
+    """What the command tells, and what the trials cost."""
+    from wrod.bench.closures_report import KEYS, METHODS, PUT_DOWN
     from wrod.errors import RodError
-    from wrod.files import schemas, write_atomically
-    from wrod.machine import machine_line
+    from wrod.files import schemas
     from wrod.rods.batch import resolve_device
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
     device = resolve_device(device)
-    given = _FULL if full else _SMALL
-    axes = {
-        "frictions": _numbers(
-            given["frictions"] if frictions is None else frictions, "frictions", 0.0, 10.0
-        ),
-        "curvatures": _numbers(
-            given["curvatures"] if curvatures is None else curvatures, "curvatures", 0.0, 3.5
-        ),
-        "stretch_ratios": _numbers(
-            given["stretch_ratios"] if stretch_ratios is None else stretch_ratios,
-            "stretch-ratios",
-            50.0,
-            1e5,
-        ),
-    }
-    curves = _drawn(
-        given["rods"] if rods is None else rods,
-        given["names"] if names is None else names,
-        patterns,
-    )
-    curves += _arcs(axes["curvatures"], axes["stretch_ratios"])
+    frictions, curves = _asked_for(patterns, **given)
     nodes = _nodes(curves, spacing)
-    settings = {
-        "speed": speed,
-        "step": step,
-        "spacing": spacing,
-        "release": release,
-        "nodes": nodes,
-        "patterns": "built-in" if patterns is None else patterns.name,
-    }
+    how = {"speed": speed, "step": step, "spacing": spacing, "release": release}
+    settings = how | {"nodes": nodes, "patterns": "built-in" if patterns is None else patterns.name}
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", schemas.CampaignRow)
     start = time.perf_counter()
-    plans, lacking = _plans(curves, METHODS, device, as_json)
+    plans, lacking = _plans(curves, METHODS, device, quiet)
     planned = time.perf_counter() - start
     keys = [
         (curve.rod_name, curve.name, mu, method, trial)
-        for trial, curve, mu, method in product(range(trials), curves, axes["frictions"], METHODS)
+        for trial, curve, mu, method in product(range(trials), curves, frictions, METHODS)
         if (curve.rod_name, curve.name, method) in plans
     ]
     lying = [
-        (curve.rod_name, curve.name, mu, PUT_DOWN, 0)
-        for curve, mu in product(curves, axes["frictions"])
+        (curve.rod_name, curve.name, mu, PUT_DOWN, 0) for curve, mu in product(curves, frictions)
     ]
     by_name = {(curve.rod_name, curve.name): curve for curve in curves}
+    how |= {"node_count": nodes, "device": device}
 
     def lay(part, progress):
-        deployments = simulate_deployments(
-            [_trial(key, by_name, plans) for key in part],
-            release=release,
-            speed=speed,
-            step=step,
-            spacing=spacing,
-            node_count=nodes,
-            device=device,
-            progress=progress,
-        )
-        return [
-            dict(zip(KEYS, key, strict=True))
-            | _figures(laid, by_name[key[:2]].led)
-            | {"contact_friction": plans[*key[:2], key[3]][0].metadata["contact_friction"]}
-            for key, laid in zip(part, deployments, strict=True)
-        ]
+        return _laid_rows(part, by_name, plans, how | {"progress": progress})
 
     def leave(part, progress):
         rows = _put_down_rows(part, by_name, nodes, step, device)
         progress(1.0)
         return rows
 
-    costs = [
-        campaign.run(ledger, wanted, simulate, device=device, batch=batch, quiet=as_json)
+    cost, _ = (
+        campaign.run(ledger, wanted, simulate, device=device, batch=batch, quiet=quiet)
         for wanted, simulate in ((keys, lay), (lying, leave))
-    ]
-    table = cells(ledger.of(lying + keys))
+    )
     head = (
         f"e_mean [cm] (N = 50) with the grip holding, {trials} disturbed trials a cell; contact "
         f"speed {speed:g} m/s, step {step:g} s, edges {spacing:g} m, free end held for the first "
         f"{release:g} m, patterns {settings['patterns']}."
     )
+    words, written = _reported(out, ledger.of(lying + keys), head, lacking)
+    told = campaign.figures(
+        cost, device=device, trials=len(keys), planned=planned, nodes=nodes, summary=words,
+        written=[*written, ledger.path],
+    )  # fmt: skip
+    return told, cost
+
+
+def _asked_for(
+    patterns: Path | None, full: bool, **given: str | None
+) -> tuple[list[float], list[Curve]]:
+    """Friction coefficients, and the curves that are laid."""
+    chosen = dict(_FULL if full else _SMALL)
+    chosen |= {name: text for name, text in given.items() if text is not None}
+    frictions = _numbers(chosen["frictions"], "frictions", 0.0, 10.0)
+    curvatures = _numbers(chosen["curvatures"], "curvatures", 0.0, 3.5)
+    stretch_ratios = _numbers(chosen["stretch_ratios"], "stretch-ratios", 50.0, 1e5)
+    curves = _drawn(chosen["rods"], chosen["names"], patterns)
+    return frictions, curves + _arcs(curvatures, stretch_ratios)
+
+
+def _laid_rows(part, by_name, plans, how) -> list[dict]:
+    """A row for each deployment of these keys."""
+    from wrod.bench.closures_report import KEYS
+    from wrod.deployment.simulate import simulate_deployments
+
+    deployments = simulate_deployments([_trial(key, by_name, plans) for key in part], **how)
+    return [
+        dict(zip(KEYS, key, strict=True))
+        | _figures(laid, by_name[key[:2]].led)
+        | {"contact_friction": plans[*key[:2], key[3]][0].metadata["contact_friction"]}
+        for key, laid in zip(part, deployments, strict=True)
+    ]
+
+
+def _reported(out: Path, rows, head: str, lacking) -> tuple[list[str], list[Path]]:
+    """What the rows say, and the files written of them."""
+    from wrod.bench.closures_picture import draw, draw_friction
+    from wrod.bench.closures_report import cells, markdown, summary, write_csv
+    from wrod.files import write_atomically
+
+    table = cells(rows)
     words = [*summary(table), *lacking]
     write_atomically(out / "closures.md", lambda file: file.write(markdown(table, head, words)))
-    written = [
+    return words, [
         write_csv(out / "closures.csv", table),
         out / "closures.md",
         draw(out / "closures.png", table),
         draw_friction(out / "friction.png", table),
-        ledger.path,
     ]
-    figures: dict[str, Any] = {
-        "machine": machine_line(device),
-        "device": device,
-        "trials": len(keys),
-        "simulated_now": costs[0].trials,
-        "planning_seconds": planned,
-        "simulation_seconds": costs[0].seconds,
-        "rod_steps_per_second": costs[0].rate,
-        "nodes": nodes,
-        "summary": words,
-        "written": [str(path) for path in written],
-    }
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-        return
-    click.echo(figures["machine"])
-    click.echo(f"{costs[0]} of {nodes} nodes on {device} (plans {planned:.1f} s)")
-    for line in words:
-        click.echo(line)
-    for path in written:
-        click.echo(f"wrote {path}")
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
+
 
 @click.command(name="identify")
 @click.option(
@@ -33,6 +35,7 @@ import click
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Hidden: keep rows.")
 @click.option("--workers", default=1, show_default=True, help="Hidden: processes side by side.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
 def command(
     folder: Path | None,
@@ -43,6 +46,7 @@ def command(
     workers: int,
     device: str,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Identify many sets: those of a folder, or rods made here whose effects are known.
 
@@ -60,14 +64,12 @@ def command(
         raise DataError(f"workers is {workers}; give 1 or more")
     device = resolve_device(device)
     if seeds:
-        _hidden(seeds, noises or ("white",), only, out, workers, device, as_json)
+        _hidden(seeds, noises or ("white",), only, out, workers, device, as_json, force)
     else:
         _measured(folder, device, as_json)
 
 
-def _hidden(seeds, noises, only, out, workers, device, as_json) -> None:
-    from tqdm import tqdm
-
+def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
     from wrod.bench.hidden_effects import cases
     from wrod.bench.hidden_noise import NOISES
     from wrod.bench.hidden_table import examine_all, lines, summary
@@ -100,7 +102,12 @@ def _hidden(seeds, noises, only, out, workers, device, as_json) -> None:
     rows += [have[key] for key in wanted if key in have]
     pending = [key for key in wanted if key not in have]
     start = time.perf_counter()
-    with tqdm(total=len(wanted), initial=len(rows), unit="set", disable=None, leave=False) as bar:
+    cost.settle(
+        cost.Cost(len(pending) * cost.IDENTIFIED_SET / workers, 5e8 * workers, 1e4 * len(pending)),
+        f"{len(pending)} sets in {workers} processes", out,
+        "ask for fewer with --only or --hidden", force=force, quiet=as_json,
+    )  # fmt: skip
+    with cost.progress_bar(total=len(wanted), initial=len(rows), unit="set", quiet=as_json) as bar:
         examine_all(pending, min(workers, max(len(pending), 1)), device, keep, bar.update)
     rows.sort(key=lambda r: wanted.index((r["set"], r["seed"], r["noise"])))
     seconds = time.perf_counter() - start
@@ -115,8 +122,6 @@ def _hidden(seeds, noises, only, out, workers, device, as_json) -> None:
 
 
 def _measured(folder: Path, device: str, as_json: bool) -> None:
-    from tqdm import tqdm
-
     from wrod.bench.identify_row import row
     from wrod.errors import DataError
     from wrod.machine import machine_line
@@ -125,7 +130,7 @@ def _measured(folder: Path, device: str, as_json: bool) -> None:
     if not paths:
         raise DataError(f"{folder}: holds no .npz file of measurements")
     rows = []
-    with tqdm(paths, disable=None, leave=False) as bar:
+    with cost.progress_bar(paths, unit="set", quiet=as_json) as bar:
         for path in bar:
             bar.set_description(path.stem)
             rows.append(row(path, device))

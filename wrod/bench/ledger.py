@@ -40,6 +40,7 @@ class Ledger:
     ):
         self.path, self.keys, self.rows = path, tuple(keys), []
         head = {"format": f"wrod-{title}-1", **settings}
+        self._head = head
         if not path.exists():
             write_atomically(path, lambda file: file.write(json.dumps(head) + "\n"))
             return
@@ -73,9 +74,15 @@ class Ledger:
         return {self.key(row) for row in self.rows}
 
     def add(self, rows: list[dict]) -> None:
+        self.rows += rows
+        if not self.path.exists():  # removed meanwhile: what was finished is known here
+            lines = [self._head, *self.rows]
+            write_atomically(
+                self.path, lambda file: file.writelines(json.dumps(row) + "\n" for row in lines)
+            )
+            return
         with open(self.path, "a", encoding="utf-8") as file:
             file.writelines(json.dumps(row) + "\n" for row in rows)
-        self.rows += rows
 
     def of(self, keys: Sequence[tuple]) -> list[dict]:
         """The rows of these trials, in the order in which the trials are given."""

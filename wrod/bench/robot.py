@@ -117,7 +117,9 @@ def against_finer(path, curve, rod, method: str, trajectory) -> dict:
     from wrod.robot.kinematics import grasp_poses
 
     fine = wrod.plan(curve, rod, method=method, spacing=trajectory.arc_length[1] / 10)
-    some = slice(None, None, 10)
+    (lay,) = [phase for phase in path.phases if phase["name"] == "lay"]
+    laying = (path.time > lay["start"] - 1e-9) & (path.time < lay["end"] + 1e-9)
+    some = np.flatnonzero(laying)[::10]
     arc = path.arc_length[some]
     poses = path.placement.world_from_base @ grasp_poses(path.robot, path.positions[some])
     position = CubicSpline(fine.arc_length, fine.position)(arc)

@@ -33,6 +33,9 @@ _PLAN_SPACING = 0.005
     "--engines", default="wrod", show_default=True,
     help="What simulates: wrod, and mujoco, a chain of segments that shares nothing with it.",
 )  # fmt: skip
+@click.option(
+    "--chain-step", default=0.004, show_default=True, help="Time step of the mujoco engine [s]."
+)
 @click.option("--undisturbed", is_flag=True, help="Lay the planned rod, placed as planned.")
 @campaign.options(speed=0.04, step=0.01, spacing=0.005)
 def command(
@@ -42,6 +45,7 @@ def command(
     methods: str,
     trials: int,
     engines: str,
+    chain_step: float,
     undisturbed: bool,
     out: Path,
     patterns: Path | None,
@@ -80,6 +84,11 @@ def command(
         "patterns": "built-in" if patterns is None else patterns.name,
         "undisturbed": undisturbed,
     }  # fmt: skip
+    if "mujoco" in played:
+        settings["chain_step"] = chain_step
+    how = dict(
+        release=release, speed=speed, step=step, undisturbed=undisturbed, chain_step=chain_step
+    )  # fmt: skip
     for rod_name, name in product(rods.split(","), names.split(",")):
         shelf.course(rod_name, name)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
@@ -91,7 +100,6 @@ def command(
         for cell in cells
         if trial == 0 or cell[3] != PUT_DOWN
     ]
-    how = dict(release=release, speed=speed, step=step, undisturbed=undisturbed)
 
     def simulate(part, progress):
         rows = []
@@ -178,11 +186,12 @@ def _laid(shelf: Shelf, key: tuple, spacing: float, device: str, how: dict):
         return s, place, steps, diverged
     trajectory = shelf.plan(rod_name, name, mu, method)
     how = dict(how)
-    bare = how.pop("undisturbed")
+    bare, chain_step = how.pop("undisturbed"), how.pop("chain_step")
     disturbance = Disturbance() if bare else Disturbance.random(_FIRST_SEED + trial)
     one = Trial(led, material, trajectory, Friction(mu), disturbance)
     if engine == "mujoco":
-        return *lay_in_mujoco(one, release=how["release"], speed=how["speed"]), 0, False
+        asked = dict(release=how["release"], speed=how["speed"], step=chain_step)
+        return *lay_in_mujoco(one, **asked), 0, False
     (laid,) = lay([one], spacing=spacing, device=device, **how)
     return laid.arc_length, laid.centerline, laid.steps, laid.diverged
 

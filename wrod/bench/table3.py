@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import time
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import click
 
+from wrod import cost
 from wrod.bench import campaign, side_by_side
 from wrod.bench.ledger import Ledger
 
@@ -30,118 +29,115 @@ from wrod.bench.ledger import Ledger
     help="Known table: processes that plan side by side.",
 )
 @campaign.options(speed=0.02, step=0.01, spacing=0.005)
-def command(
+@cost.force_option
+def command(as_json: bool, **given) -> None:
+    """Rods 1-3 x fabric, steel, foam x seven patterns x {INT, OPT} x ten trials.
+
+    Finished trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
+    """
+    told, spent = _table(quiet=as_json, **given)
+    campaign.say(told, spent, as_json)
+
+
+def _table(
     out: Path,
     trials: int,
     closure: str | None,
     known_table: bool,
     workers: int,
     patterns: Path | None,
-    release: float,
-    speed: float,
-    step: float,
-    spacing: float,
     batch: int | None,
     device: str,
-    as_json: bool,
-) -> None:
-    """Rods 1-3 x fabric, steel, foam x seven patterns x {INT, OPT} x ten trials.
-
-    Finished trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
-    """
+    quiet: bool,
+    force: bool,
+    **how: float,
+) -> tuple[dict, campaign.Spent]:
+    """What the command tells, and what the trials cost; `how` they are simulated: release, speed,
+    step and spacing."""
     from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, read_pattern
-    from wrod.bench.table3_report import KEYS, cells, draw, markdown, summary, write_csv
+    from wrod.bench.table3_report import KEYS
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.errors import RodError
-    from wrod.files import schemas, write_atomically
+    from wrod.files import schemas
     from wrod.grasps.optimal import CLOSURES
-    from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
+    from wrod.rods.material import rod
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
     device = resolve_device(device)
-    settings = {
-        "speed": speed,
-        "step": step,
-        "spacing": spacing,
-        "release": release,
+    settings = {name: how[name] for name in ("speed", "step", "spacing", "release")} | {
         "closure": closure or "favoured",
         "patterns": "built-in" if patterns is None else patterns.name,
-    } | ({"known_table": True} if known_table else {})
+    }
+    settings |= {"known_table": True} if known_table else {}
     curves = {name: read_pattern(name, patterns) for name in PATTERNS}
     if closure is not None and closure not in CLOSURES:
         raise RodError(f"unknown closure {closure!r:.60}; use one of {', '.join(CLOSURES)}")
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", schemas.Table3Row)
+    cells = len(RODS) * len(SUBSTRATES) * len(PATTERNS) * len(METHODS)
+    lay = {name: how[name] for name in ("speed", "step", "spacing")}
+    pending = max(trials * cells - len(ledger.rows), 0)
+    cost.settle(
+        cost.deployments(pending, max(rod(name).length for name in RODS), device=device, **lay),
+        f"{pending} deployments", out, "ask for fewer --trials, or a larger --spacing or --step",
+        force=force, quiet=quiet,
+    )  # fmt: skip
     start = time.perf_counter()
-    plans = _plans(curves, closure, device, as_json)
+    plans = _plans(curves, closure, device, quiet)
     if known_table:
-        plans |= _corrected_plans(plans, out / "plans", device, workers, as_json)
+        plans |= _corrected_plans(plans, out / "plans", device, workers, quiet)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
-        (rod, substrate, name, method, trial)
-        for trial, rod, substrate, name, method in product(
+        (material, substrate, name, method, trial)
+        for trial, material, substrate, name, method in product(
             range(trials), RODS, SUBSTRATES, PATTERNS, METHODS
         )
     ]
-    nodes = nodes_needed([_trial(key, plans) for key in keys[: len(keys) // trials]], spacing)
+    first = [_trial(key, plans) for key in keys[: len(keys) // trials]]
+    nodes = nodes_needed(first, how["spacing"])
     planned = time.perf_counter() - start
 
     def simulate(part, progress):
         deployments = simulate_deployments(
             [_trial(key, plans) for key in part],
-            release=release,
-            speed=speed,
-            step=step,
-            spacing=spacing,
-            node_count=nodes,
-            device=device,
-            progress=progress,
-        )
+            node_count=nodes, device=device, progress=progress, **how,
+        )  # fmt: skip
         return [
             dict(zip(KEYS, key, strict=True)) | campaign.figures_of(laid, _plan_of(key, plans)[0])
             for key, laid in zip(part, deployments, strict=True)
         ]
 
-    spent = campaign.run(ledger, keys, simulate, device=device, batch=batch, quiet=as_json)
+    spent = campaign.run(ledger, keys, simulate, device=device, batch=batch, quiet=quiet)
     rows = ledger.of(keys)
+    words, written = _reported(out, rows, curves, trials, settings)
+    told = campaign.figures(
+        spent, device=device, trials=len(rows), planned=planned, nodes=nodes, summary=words,
+        written=[*written, ledger.path],
+    )  # fmt: skip
+    return told, spent
+
+
+def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str], list[Path]]:
+    """What the rows say, and the files written of them."""
+    from wrod.bench.table3_report import cells, draw, markdown, summary, write_csv
+    from wrod.files import write_atomically
+
     table = cells(rows)
     head = (
         f"Simulated accuracy, e_mean ± sigma [cm] (N = 50), {trials} trials a cell; contact speed "
-        f"{speed:g} m/s, step {step:g} s, edges {spacing:g} m, free end held for the "
-        f"first {release:g} m, OPT with closure {settings['closure']}, patterns "
-        f"{settings['patterns']}."
+        f"{settings['speed']:g} m/s, step {settings['step']:g} s, edges {settings['spacing']:g} m, "
+        f"free end held for the first {settings['release']:g} m, OPT with closure "
+        f"{settings['closure']}, patterns {settings['patterns']}."
     )
     text = markdown(table, head)
     write_atomically(out / "table3.md", lambda file: file.write(text))
-    written = [
+    return summary(table), [
         write_csv(out / "table3.csv", table),
         out / "table3.md",
         draw(out / "table3.png", rows, curves),
-        ledger.path,
     ]
-    figures: dict[str, Any] = {
-        "machine": machine_line(device),
-        "device": device,
-        "trials": len(rows),
-        "simulated_now": spent.trials,
-        "planning_seconds": planned,
-        "simulation_seconds": spent.seconds,
-        "rod_steps_per_second": spent.rate,
-        "nodes": nodes,
-        "summary": summary(table),
-        "written": [str(path) for path in written],
-    }
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-        return
-    click.echo(figures["machine"])
-    click.echo(f"{spent} of {nodes} nodes on {device} (plans {planned:.1f} s)")
-    for line in figures["summary"]:
-        click.echo(line)
-    for path in written:
-        click.echo(f"wrote {path}")
 
 
 def _plans(curves: dict, closure: str | None, device: str, quiet: bool) -> dict:

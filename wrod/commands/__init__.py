@@ -20,6 +20,7 @@ COMMANDS = (
     "show",
     "deploy",
     "loop",
+    "measure",
     "scan",
     "markers",
     "manifold",

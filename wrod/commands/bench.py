@@ -23,6 +23,7 @@ BENCHMARKS = (
     "loop",
     "closures",
     "slippery",
+    "feedback",
     "applications",
     "photographs",
     "hands",

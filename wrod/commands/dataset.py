@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, options, read_rod
 
 
@@ -24,6 +25,7 @@ from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, options, read_rod
 @options(ROLL)
 @click.option("--shard-size", type=click.IntRange(min=1), help="Samples per file; default 2048.")
 @options(DEVICE)
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     size: int,
@@ -39,6 +41,7 @@ def command(
     shard_size: int | None,
     device: str,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Solve grasps at low-discrepancy samples of (l_s, kappa, k_s), or of one rod alone.
 
@@ -51,19 +54,27 @@ def command(
     \b
       torchrun --nproc-per-node 4 --no-python wrod dataset --size 1000000 --out DIR
     """
-    from tqdm import tqdm
-
     from wrod.errors import DataError
     from wrod.machine import machine_line
     from wrod.planning.plan import read_roll
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
+    from wrod.training.store import row_bytes
 
     given = (rod_name, radius, lgb, length)
     rod = None if given == (None,) * 4 else read_rod(*given)
     rank = Rank.from_environment()
     label = "grasps" if rank.count == 1 else f"grasps of rank {rank.index}"
-    with tqdm(
-        unit="grasp", desc=label, position=rank.local_index, delay=1.0, disable=as_json
+    many = min(shard_size or SHARD_SIZE, size)
+    cost.settle(
+        cost.grasps(
+            size, row_bytes(sensitivities), many, sensitivities=sensitivities,
+            device=rank.device(device), ranks=rank.count,
+        ),
+        f"{size} grasps", out, "ask for fewer, or for a smaller --shard-size", force=force,
+        quiet=as_json,
+    )  # fmt: skip
+    with cost.progress_bar(
+        unit="grasp", desc=label, position=rank.local_index, total=size // rank.count, quiet=as_json
     ) as bar:
 
         def progress(count: int, total: int) -> None:

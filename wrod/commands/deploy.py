@@ -7,7 +7,17 @@ from pathlib import Path
 
 import click
 
-from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_pattern, read_rod
+from wrod import cost
+from wrod.commands.options import (
+    DEVICE,
+    METHOD,
+    ROD,
+    UNITS,
+    options,
+    read_pattern,
+    read_rod,
+    refuse_idle_options,
+)
 
 # How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
 _SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
@@ -46,6 +56,7 @@ _PAGE_INTERVAL = 0.25  # [s] between the states that the page shows
 )
 @click.option("--frames", type=float, help="Keep the rod's states at this interval [s].")
 @options(DEVICE)
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     pattern: str,
@@ -69,6 +80,7 @@ def command(
     frames: float | None,
     device: str,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Lay a rod along PATTERN in simulation, and measure it.
 
@@ -77,8 +89,6 @@ def command(
     """
     from dataclasses import replace
     from importlib.util import find_spec
-
-    from tqdm import tqdm
 
     from wrod.deployment.fixtures import Fixtures
     from wrod.deployment.picture import draw_deployments
@@ -93,6 +103,10 @@ def command(
     interval = _PAGE_INTERVAL if frames is None and paged else frames
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
+    if trajectory is not None:
+        refuse_idle_options("--trajectory", "method", "closure")
+    if method == "intuitive":
+        refuse_idle_options("--method intuitive", "closure")
     rod, curve = read_rod(rod_name, radius, lgb, length), read_pattern(pattern, units)
     law = Friction(friction, kinetic, rolling)
     fixtures = None if fixtures_file is None else Fixtures.load(fixtures_file)
@@ -102,12 +116,16 @@ def command(
         )
     else:
         path = Trajectory.load(trajectory)
-        _refuse_idle_options("--trajectory", "method", "closure")
         _refuse_another_plan(path, with_remainder_of(curve, path), rod, another_rod)
-    if method == "intuitive":
-        _refuse_idle_options("--method intuitive", "closure")
     curve = with_remainder_of(curve, path)
     rest = tail(curve, rod, path)
+    cost.settle(
+        cost.deployments(
+            trials, rod.length, speed=speed, step=0.01, spacing=0.005, device=device
+        ),
+        f"{trials} deployments", out, "ask for fewer --trials or a larger --speed", force=force,
+        quiet=as_json,
+    )  # fmt: skip
     jobs = [
         Trial(
             curve,
@@ -121,9 +139,7 @@ def command(
         for seed in range(trials)
     ]
     shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-    with tqdm(
-        total=100, leave=False, delay=1.0, desc="laid", disable=as_json, bar_format=shown
-    ) as bar:
+    with cost.progress_bar(total=100, desc="laid", quiet=as_json, bar_format=shown) as bar:
         deployments = simulate_deployments(
             jobs,
             speed=speed,
@@ -196,18 +212,6 @@ def command(
         )
     for name in written:
         click.echo(f"wrote {name}")
-
-
-def _refuse_idle_options(beside: str, *names: str) -> None:
-    """Refuse options that were given and would do nothing."""
-    from click.core import ParameterSource
-
-    from wrod.errors import RodError
-
-    context = click.get_current_context()
-    for name in names:
-        if context.get_parameter_source(name) == ParameterSource.COMMANDLINE:
-            raise RodError(f"--{name} does nothing beside {beside}; leave it out")
 
 
 def _refuse_another_plan(path, curve, rod, another_rod: bool) -> None:

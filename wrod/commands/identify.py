@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
+
 # Parameters of an effect that are printed.
 _SHOWN = 8
 
@@ -36,8 +38,6 @@ def command(
     DATA is an .npz file of a rod held between two clamps (see `wrod.load_measurements`), or of
     recordings of a rod that two grips move (see `wrod.identification.load_motion`).
     """
-    from tqdm import tqdm
-
     from wrod.errors import DataError
 
     if template is not None:
@@ -49,7 +49,8 @@ def command(
         raise DataError("no measurements given; name an .npz file, or --template to write one")
     from wrod.identification import identify
 
-    with tqdm(total=4, disable=None, leave=False, bar_format="{desc}: {elapsed}") as bar:
+    bar_format = "{desc}: {elapsed}"
+    with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:
 
         def say(text: str) -> None:
             bar.set_description(text)

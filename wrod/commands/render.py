@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
+
 
 def _size(ctx, param, value: str) -> tuple[int, int]:
     try:
@@ -23,6 +25,7 @@ def _size(ctx, param, value: str) -> tuple[int, int]:
 @click.option("--moments", is_flag=True, help="One PNG of the scene's moments: knots and cables.")
 @click.option("--size", default="960x720", show_default=True, callback=_size, help="Pixels.")
 @click.option("--hide", multiple=True, help="Leave out prims of this name (robot, ...).")
+@cost.force_option
 def command(
     scene: Path,
     out: Path,
@@ -31,6 +34,7 @@ def command(
     moments: bool,
     size: tuple[int, int],
     hide: tuple[str, ...],
+    force: bool,
 ) -> None:
     """Draw SCENE, a USD stage, without a display.
 
@@ -38,14 +42,19 @@ def command(
     that plays in any browser. --moments draws the stages of tying in one .png, from the cameras
     side and close.
     """
-    from tqdm import tqdm
-
     from wrod.errors import DataError
     from wrod.scene.moments import draw_moments
     from wrod.scene.render import render
     from wrod.scene.view import write_page
 
-    with tqdm(unit="frame", leave=False, delay=1.0) as bar:
+    pages = out.suffix.lower() == ".html" or moments
+    count = frames if frames is not None else (1 if out.suffix else 24)
+    if not pages:
+        cost.settle(
+            cost.pictures(count, *size), f"{count} pictures of {size[0]} x {size[1]} pixels", out,
+            "give a smaller --size or fewer --frames", force=force,
+        )  # fmt: skip
+    with cost.progress_bar(unit="frame") as bar:
 
         def progress(done: int, total: int) -> None:
             bar.total = total
@@ -57,7 +66,6 @@ def command(
             elif out.suffix.lower() == ".html":
                 written = [write_page(scene, out, camera=camera, hidden=hide, progress=progress)]
             else:
-                count = frames if frames is not None else (1 if out.suffix else 24)
                 written = render(
                     scene,
                     out,

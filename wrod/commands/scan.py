@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from wrod import cost
+
 
 @click.command(name="scan")
 @click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
@@ -33,6 +35,7 @@ import click
 )
 @click.option("--several", is_flag=True, help="Allow several curves in a metric picture.")
 @click.option("--overlay/--no-overlay", default=True, help="Write a picture of what was found.")
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     images: tuple[Path, ...],
@@ -48,6 +51,7 @@ def command(
     several: bool,
     overlay: bool,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Write STEM.npz and STEM-overlay.png for each picture.
 
@@ -59,6 +63,7 @@ def command(
     from wrod.errors import DataError, PerceptionError
     from wrod.perception.crossings import find_crossings
     from wrod.perception.export import write_scan
+    from wrod.perception.image import picture_pixels
     from wrod.perception.metric import Camera, MarkerLayout
     from wrod.perception.overlay import draw_overlay, write_picture
     from wrod.perception.refine import arc_length
@@ -81,7 +86,12 @@ def command(
     }
     begin = parse_start(start)
     rows, failures = [], []
-    for image in tqdm(images, unit="picture", leave=False, delay=1.0, disable=as_json or None):
+    pixels = sum(map(picture_pixels, images))
+    cost.settle(
+        cost.Cost(pixels * cost.TRACED_PIXEL, 60.0 * pixels / len(images)),
+        f"{len(images)} pictures", out, "scale them down", force=force, quiet=as_json,
+    )  # fmt: skip
+    for image in cost.progress_bar(images, unit="picture", quiet=as_json):
         try:
             result = read_scan(image, **reading)
             crossings = find_crossings(result.lines, None if mask else result.image)

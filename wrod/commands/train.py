@@ -9,6 +9,8 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
+
 
 @click.command(name="train")
 @click.option(
@@ -44,22 +46,20 @@ import click
     help="Fresh random inputs that the result is scored on.",
 )
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     dataset: Path | None,
     generate: int | None,
     out: Path,
-    name: str | None,
     seed: int,
-    steps: int | None,
-    batch: int | None,
-    width: int | None,
-    sensitivity_weight: float | None,
     minutes: float | None,
     rows: int | None,
     test: int,
     device: str,
     as_json: bool,
+    force: bool,
+    **settings,
 ) -> None:
     """Train the neural controller and score it against the numeric solver.
 
@@ -69,46 +69,24 @@ def command(
     The same command resumes from the last checkpoint in --out. With equal seed and steps (without
     --minutes) it gives the same weights on the same machine.
     """
-    from dataclasses import replace
-
-    from tqdm import tqdm
-
     from wrod.errors import DataError
-    from wrod.files import write_atomically
-    from wrod.machine import require_memory
     from wrod.rods.batch import resolve_device
     from wrod.training.dataset import GraspTable, load
     from wrod.training.finish import finished
     from wrod.training.loop import Training
-    from wrod.training.recipes import recipe as find
     from wrod.training.store import read_manifest
 
     if (dataset is None) == (generate is None):
         raise DataError("give either --dataset DIR or --generate N")
-    known = None if dataset is None else read_manifest(dataset)
-    rod = None if known is None else known.rod_inputs
-    curved = rod is not None and not rod.is_straight
-    if rod is not None and not curved:
-        raise DataError(
-            f"{dataset}: holds grasps of one straight rod, and the controller that ships knows "
-            "those of all; plan with it"
-        )
-    changes = {
-        "steps": steps,
-        "batch": batch,
-        "width": width,
-        "sensitivity_weight": sensitivity_weight,
-    }
-    recipe = find(("curved" if curved else "default") if name is None else name)
-    recipe = replace(recipe, **{k: v for k, v in changes.items() if v is not None})
-    recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
+    rod = None if dataset is None else _rod_of(dataset)
+    recipe = _recipe("default" if rod is None else "curved", **settings)
     device = resolve_device(device)
-    # Values of every layer, their gradients and tangents, and the optimiser's matrices.
-    require_memory(
-        recipe.width * 8.0 * (recipe.depth + 1) * (8.0 * recipe.batch + 12.0 * recipe.width),
-        f"batches of {recipe.batch} in a network {recipe.width} wide",
-        "give a smaller --batch or --width",
-    )
+    cost.settle(
+        _cost(recipe, generate, rows, minutes, device),
+        f"{recipe.steps} steps of {recipe.batch} grasps", out,
+        "give fewer --steps, a smaller --batch or --width, or --minutes", force=force,
+        quiet=as_json,
+    )  # fmt: skip
     refine = 0
     if generate is not None:
         refine = generate // 5
@@ -126,7 +104,76 @@ def command(
         rod=rod,
     )
     resumed = training.resume()
-    with tqdm(unit="step", initial=training.step, total=recipe.steps, disable=as_json) as bar:
+    _train(training, out, resumed, minutes, as_json)
+    controller = finished(
+        training, dataset, test=test, seed=seed, device=device,
+        # With --generate, the dataset is part of the one command.
+        dataset_command=None if generate else read_manifest(dataset).command(dataset),
+        command="wrod train " + " ".join(_arguments()),
+    )  # fmt: skip
+    summary = {k: v for k, v in controller.metadata.items()}
+    written = _write(controller, training, summary, out)
+    summary["resumed"] = resumed
+    summary["written"] = [str(path) for path in written]
+    if as_json:
+        click.echo(json.dumps(summary, indent=2))
+    else:
+        _say(training, summary)
+
+
+def _rod_of(dataset: Path):
+    """What a dataset says of its one curved rod; None for one of all straight rods.
+
+    Raises:
+        DataError: it is of one straight rod.
+    """
+    from wrod.errors import DataError
+    from wrod.training.store import read_manifest
+
+    rod = read_manifest(dataset).rod_inputs
+    if rod is not None and rod.is_straight:
+        raise DataError(
+            f"{dataset}: holds grasps of one straight rod, and the controller that ships knows "
+            "those of all; plan with it"
+        )
+    return rod
+
+
+def _recipe(usual: str, name: str | None, **changes):
+    """The recipe named, with the options that were given."""
+    from dataclasses import replace
+
+    from wrod.training.recipes import recipe as find
+
+    recipe = find(usual if name is None else name)
+    recipe = replace(recipe, **{k: v for k, v in changes.items() if v is not None})
+    recipe = replace(recipe, largest_batch=max(recipe.largest_batch, recipe.batch))
+    return recipe
+
+
+def _cost(recipe, generate: int | None, rows: int | None, minutes: float | None, device: str):
+    """Of the training, and of the grasps that are solved for it."""
+    from dataclasses import replace
+
+    from wrod.training.store import row_bytes
+
+    held = generate or rows or 0
+    whole = cost.training(
+        recipe.steps, recipe.batch, recipe.width, recipe.depth, held, device=device
+    )
+    if minutes is not None:
+        whole = replace(whole, seconds=min(whole.seconds, 60.0 * minutes))
+    if generate is None:
+        return whole
+    solved = cost.grasps(
+        generate, row_bytes(True), 2048, sensitivities=True, device=device, ranks=1
+    )
+    return replace(whole, seconds=whole.seconds + solved.seconds, disk=whole.disk + solved.disk)
+
+
+def _train(training, out: Path, resumed: bool, minutes: float | None, quiet: bool) -> None:
+    total = training.recipe.steps
+    with cost.progress_bar(unit="step", initial=training.step, total=total, quiet=quiet) as bar:
 
         def progress(done: int, total: int, error: float) -> None:
             bar.set_postfix(validation_mae=f"{error:.2e}")
@@ -136,27 +183,22 @@ def command(
             if not resumed:
                 training.checkpoint()  # says now, not after the training, if it cannot be written
             training.run(minutes=minutes, progress=progress)
-    controller = finished(
-        training, dataset, test=test, seed=seed, device=device,
-        # With --generate, the dataset is part of the one command.
-        dataset_command=None if generate else read_manifest(dataset).command(dataset),
-        command="wrod train " + " ".join(_arguments()),
-    )  # fmt: skip
-    summary = {k: v for k, v in controller.metadata.items()}
-    written = [
+
+
+def _write(controller, training, summary: dict, out: Path) -> list[Path]:
+    from wrod.files import write_atomically
+
+    text = json.dumps(summary, indent=2) + "\n"
+    return [
         controller.save(out / "controller.safetensors"),
-        write_atomically(
-            out / "controller.json", lambda file: file.write(json.dumps(summary, indent=2) + "\n")
-        ),
+        write_atomically(out / "controller.json", lambda file: file.write(text)),
         training.write_history(out / "history.csv"),
     ]
-    summary["resumed"] = resumed
-    summary["written"] = [str(path) for path in written]
-    if as_json:
-        click.echo(json.dumps(summary, indent=2))
-        return
+
+
+def _say(training, summary: dict) -> None:
     click.echo(
-        f"{recipe.name}: {training.step} steps in {training.seconds:.0f} s on "
+        f"{training.recipe.name}: {training.step} steps in {training.seconds:.0f} s on "
         f"{summary['samples']} grasps"
     )
     for key in ("validation", "held_out"):
@@ -167,7 +209,7 @@ def command(
             f"{values['position_error_max']:.2e} ({values['grasps']} grasps)"
         )
     click.echo(summary["machine"])
-    for path in written:
+    for path in summary["written"]:
         click.echo(f"wrote {path}")
 
 
@@ -183,11 +225,9 @@ def _writing(out: Path):
 
 
 def _generate(folder: Path, size: int, seed: int, device: str, quiet: bool) -> Path:
-    from tqdm import tqdm
-
     from wrod.training.dataset import generate
 
-    with tqdm(unit="grasp", desc="grasps", disable=quiet) as bar:
+    with cost.progress_bar(unit="grasp", desc="grasps", total=size, quiet=quiet) as bar:
 
         def progress(count: int, total: int) -> None:
             bar.total = total

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.controller.curved import curved, twisted
 from wrod.controller.model import chain, paper
 from wrod.errors import DataError, GraspError, OutOfRangeWarning
@@ -61,6 +62,7 @@ class Controller:
         self._on_device: dict = {}
 
     @classmethod
+    @arguments.checked(DataError, path=arguments.optional(arguments.path), closure=arguments.text)
     def load(
         cls, path: str | os.PathLike[str] | None = None, *, closure: str = "zero_tension"
     ) -> Controller:

@@ -13,7 +13,6 @@ import math
 
 WEIGHT = 0.5
 OUTPUTS = 9  # x, y and z beyond the catenary; F_y, F_z; quaternion (w, x, y, z)
-ODD = (1, 3, 6, 8)
 FEATURES = 8
 _LONGEST, _SOFTEST = 50.0, 150.0
 _THREADED, _TRAJECTORY = 2**18, 4096

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import SceneError
 from wrod.files import read_json, schemas, write_atomically
 from wrod.files.reading import shown
@@ -32,6 +33,8 @@ from wrod.solvers.contact import Box, Cylinder, Plane
 _FORMAT = "wrod-fixtures-1"
 # A rod is at rest if no part of it is faster [m/s].
 _STILL = 1e-3
+_IS_FIXTURE = arguments.like("a Fixture", "name", "shape")
+_IS_GATE = arguments.several(arguments.text, least=2)
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,14 @@ class Fixtures:
     note: str = ""
 
     def __post_init__(self) -> None:
+        for argument, wrong in (
+            ("items", arguments.several(_IS_FIXTURE, least=0)(self.items)),
+            ("gates", arguments.several(_IS_GATE, least=0)(self.gates)),
+            ("name", arguments.text(self.name)),
+            ("note", arguments.text(self.note)),
+        ):
+            if wrong is not None:
+                raise SceneError(f"Fixtures: {argument} {wrong}")
         names = [item.name for item in self.items]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
@@ -126,6 +137,7 @@ class Fixtures:
         return (Plane(), *(item.shape for item in self.items))
 
     @classmethod
+    @arguments.checked(SceneError, path=arguments.path)
     def load(cls, path: str | os.PathLike[str]) -> Fixtures:
         """Read a scene file.
 
@@ -144,6 +156,15 @@ class Fixtures:
             raise SceneError(f"{path}: {error}") from None
 
     @classmethod
+    @arguments.checked(
+        SceneError,
+        pattern=arguments.like("a wrod.Pattern", "sample", "length"),
+        stations=arguments.array((None,)),
+        gap=arguments.array((), (None,)),
+        radius=arguments.number(above=0.0, high=100.0),
+        height=arguments.number(above=0.0, high=100.0),
+        name=arguments.optional(arguments.text),
+    )
     def along(
         cls,
         pattern: Pattern,
@@ -163,7 +184,13 @@ class Fixtures:
             radius, height: of the posts [m].
         """
         position, tangent, _ = pattern.sample(np.asarray(stations, dtype=float))
-        gap = np.broadcast_to(np.asarray(gap, dtype=float), (len(position),))
+        gap = np.asarray(gap, dtype=float)
+        if gap.shape not in ((), (len(position),)) or not (gap > 0.0).all():
+            raise SceneError(
+                f"gap is {gap.tolist()!r:.80}; give a positive width, or one for each of the "
+                f"{len(position)} stations"
+            )
+        gap = np.broadcast_to(gap, (len(position),))
         items, gates = [], []
         for k, (point, along) in enumerate(zip(position, tangent, strict=True)):
             side = np.array([-along[1], along[0]]) * (gap[k] / 2 + radius)
@@ -208,6 +235,12 @@ class Fixtures:
 
         return write_atomically(path, write)
 
+    @arguments.checked(
+        SceneError,
+        centerline=arguments.array((None, 3)),
+        radius=arguments.number(above=0.0, high=100.0),
+        speed=arguments.number(0.0),
+    )
     def judge(self, centerline: np.ndarray, radius: float, speed: float = 0.0) -> Placement:
         """Whether a rod lies between the fixtures, and stays there.
 

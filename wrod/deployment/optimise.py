@@ -28,8 +28,8 @@ from wrod.solvers.contact import Friction
 # Spacing of the knots of the corrections [L_gb].
 _KNOTS = 1.0
 # How the optimisation lays: laid curves differ by 0.05 cm from those of the finest.
-_COARSE = {"spacing": 0.01, "step": 0.02, "speed": 0.04}
-_FINE = {"spacing": 0.005, "step": 0.02, "speed": 0.04}
+COARSE = {"spacing": 0.01, "step": 0.02, "speed": 0.04}
+FINE = {"spacing": 0.005, "step": 0.02, "speed": 0.04}
 # Cost of a correction of 1 L_gb along the whole path, and of its second differences, over that of
 # an error of 1 L_gb.
 _SIZE, _ROUGHNESS = 2e-3, 2e-3
@@ -167,7 +167,7 @@ def optimise(
             [columns] * samples,
             hold=hold,
             device=device,
-            **_COARSE,
+            **COARSE,
         )
         parts = [misplacement(pattern, one) for one in laid]
         errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
@@ -239,7 +239,7 @@ def expect(
         ],
         hold=hold,
         device=device,
-        **_FINE,
+        **FINE,
     )
     error = np.array([np.hypot(*misplacement(pattern, one)[0].reshape(2, -1)) for one in laid])
     s = np.linspace(0.0, pattern.length, METRIC_POINTS)

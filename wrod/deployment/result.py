@@ -10,6 +10,7 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.files import read_arrays, write_atomically
+from wrod.files.array_schemas import check_arrays
 from wrod.patterns.pattern import Pattern
 
 # Points of the accuracy metric (Eq. metric, N = 50).
@@ -81,12 +82,9 @@ class Deployment:
         data = read_arrays(path, what)
         if str(data.get("format")) != _FORMAT:
             raise DataError(f"{path}: is not of the format {_FORMAT}; give {what}")
+        check_arrays(data, "Deployment", str(path))
         names = [f.name for f in fields(cls) if f.name in data]
-        try:
-            return cls(**{name: data[name][()] for name in names})
-        except TypeError as error:
-            said = str(error).replace("Deployment.__init__() ", "")
-            raise DataError(f"{path}: {said}; give {what}") from None
+        return cls(**{name: data[name][()] for name in names})
 
 
 def errors_along(

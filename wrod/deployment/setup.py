@@ -8,8 +8,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from wrod import arguments
 from wrod.deployment.grip_path import KEY_INTERVAL, GripPath, GripSchedule, smooth_noise
-from wrod.errors import PatternError
+from wrod.errors import PatternError, RodError
 from wrod.grasps.mesh import rest_lengths
 from wrod.grasps.optimal import solve_grasps
 from wrod.patterns.pattern import Pattern
@@ -67,7 +68,19 @@ class Disturbance:
     seed: int = 0
     slip: float = 0.0
 
+    def __post_init__(self) -> None:
+        number, two = arguments.number(-1e6, 1e6), arguments.array((2,))
+        for name, check in (
+            ("jitter", arguments.number(0.0, 1e3)), ("lgb_error", arguments.number(-0.99, 1e3)),
+            ("offset", two), ("yaw", number), ("natural_curvature", number),
+            ("seed", arguments.whole()), ("slip", number),
+        ):  # fmt: skip
+            wrong = check(getattr(self, name))
+            if wrong is not None:
+                raise RodError(f"Disturbance: {name} is {getattr(self, name)!r:.60}; it {wrong}")
+
     @classmethod
+    @arguments.checked(RodError, seed=arguments.whole(), slip=arguments.number(0.0, 1e3))
     def random(cls, seed: int, *, slip: float = 0.0) -> Disturbance:
         """A trial like those of a careful laboratory: `DEVIATIONS`, and the standard deviation
         `slip` [m]."""

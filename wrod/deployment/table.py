@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError
-from wrod.files import write_atomically
+from wrod.files import read_json, schemas, write_atomically
 
 _FORMAT = "wrod-table-1"
 
@@ -56,12 +56,5 @@ class Table:
         Raises:
             DataError: the file is missing, not a table, or holds unusable values.
         """
-        try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
-            if content.pop("format", None) != _FORMAT:
-                raise DataError(f"{path}: is not a table; give the file of `wrod laid --table`")
-            return cls(**{name: float(value) for name, value in content.items()})
-        except DataError as error:
-            raise DataError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
-        except (OSError, ValueError, TypeError, AttributeError) as error:
-            raise DataError(f"{path}: not a readable table ({error})") from None
+        found = read_json(path, schemas.Table, "a table that `wrod laid --table` wrote")
+        return cls(found.friction, found.log_error, found.correlation)

@@ -16,6 +16,7 @@ from wrod.errors import RodError
 from wrod.kernels.stepping import deployment_tangents as kernels
 from wrod.rods.batch import RodBatch, resolve_device
 from wrod.rods.model import RodModel
+from wrod.rods.rotation import left_jacobian
 from wrod.solvers.contact import Contact, FrictionField
 from wrod.solvers.dynamics import Dynamics
 
@@ -196,7 +197,7 @@ def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarra
     for trial, setup, columns, move in zip(trials, setups, directions, moves, strict=True):
         rates = _over_keys(trial, setup, columns.path)
         # Rotation vectors add up to a rotation's spin by its left Jacobian.
-        spin = np.einsum("kij,ckj->cki", _left_jacobian(move[:, 3:]), rates[..., 3:])
+        spin = np.einsum("kij,ckj->cki", left_jacobian(move[:, 3:]), rates[..., 3:])
         paths.append(np.concatenate([rates[..., :3], spin], axis=2))
     keys = max(rates.shape[1] for rates in paths)
     path = np.stack(
@@ -232,17 +233,6 @@ def _displaced(setup: Setup, move: np.ndarray) -> Setup:
         rotation=one_hemisphere(turned.as_quat()),
     )
     return replace(setup, schedule=schedule)
-
-
-def _left_jacobian(vector: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) rate of the rotation's spin by its rotation vector (n, 3)."""
-    angle = np.linalg.norm(vector, axis=1)[:, None, None]
-    cross = -np.cross(vector[:, None], np.eye(3)[None])
-    small = angle < 1e-4
-    x = np.where(small, 1.0, angle)
-    first = np.where(small, 0.5, (1.0 - np.cos(x)) / x**2)
-    second = np.where(small, 1.0 / 6.0, (x - np.sin(x)) / x**3)
-    return np.eye(3) + first * cross + second * cross @ cross
 
 
 class Tangents:

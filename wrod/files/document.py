@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from wrod.files import schemas
+from wrod.files.array_schemas import ARRAYS, ArrayFile
 
 HEAD = """# Files that wrod reads
 
@@ -24,7 +25,8 @@ before anything is unpacked, and nothing in a file is executed. Points of a patt
 links, 50 000 elements and 16 MiB. Pipes, devices and folders are no files.
 """
 _ROOTS = (
-    schemas.RodFile, schemas.Fixtures, schemas.MarkerLayout, schemas.Camera, schemas.KnotPlan,
+    schemas.RodFile, schemas.RodModelFile, schemas.Fixtures, schemas.Table, schemas.Obstacle,
+    schemas.MarkerLayout, schemas.Camera, schemas.KnotPlan,
     schemas.Manifest, schemas.Shard, schemas.Controller, schemas.TrajectoryMetadata,
     schemas.Table3Row, schemas.ApplicationsRow, schemas.HiddenRow,
 )  # fmt: skip
@@ -52,7 +54,19 @@ def document() -> str:
             rows.append(f"| `{name}` | {_said(entry)} | {default} |")
             queue += [getattr(schemas, ref) for ref in _references(entry)]
         parts.append("\n".join(rows) + "\n")
-    return "\n".join(parts)
+    return "\n".join(parts + [_arrays(name, kind) for name, kind in ARRAYS.items()])
+
+
+def _arrays(name: str, kind: ArrayFile) -> str:
+    """The table of a file of arrays."""
+    rows = ["| array | shape | what it holds |", "| --- | --- | --- |"]
+    for key, field in kind.fields.items():
+        shape = f"({', '.join(map(str, field.shape))})" if field.shape else "one"
+        unit = f" [{field.unit}]" if field.unit else ""
+        about = f": {field.about}" if field.about else ""
+        optional = "" if field.needed else "; may be left out"
+        rows.append(f"| `{key}` | {shape} | {field.kind}{unit}{about}{optional} |")
+    return f"## {name} (.npz)\n\n{kind.about}\n\n" + "\n".join(rows) + "\n"
 
 
 def _said(entry: dict[str, Any]) -> str:

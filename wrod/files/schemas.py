@@ -63,6 +63,18 @@ class Fixtures(_File, frozen=True):
     note: Note = ""
 
 
+class Obstacle(_File, frozen=True):
+    """One of a list of shapes in the arm's way (`--obstacles`), in its base's frame; the size is a
+    sphere's radius, a cylinder's radius and length, a box's sides or a mesh's scale [m]."""
+
+    kind: Literal["sphere", "cylinder", "box", "mesh"]
+    size: Annotated[list[Coordinate], Meta(max_length=3)] | float | None = None
+    xyz: Place = (0.0, 0.0, 0.0)
+    rpy: tuple[Fraction, Fraction, Fraction] = (0.0, 0.0, 0.0)
+    file: Note | None = None
+    name: Note = ""
+
+
 Corners = tuple[Point, Point, Point, Point]
 
 
@@ -261,6 +273,15 @@ class RodModelFile(_File, frozen=True):
     gravity: Positive = 9.81
     assumed: Annotated[list[Name], Meta(max_length=100)] = []
     found: dict[str, Any] = field(default_factory=dict)
+
+
+class Table(_File, frozen=True):
+    """What laid rods told of a table (`wrod laid --table`, `--friction`)."""
+
+    format: Literal["wrod-table-1"]
+    friction: Annotated[float, Meta(gt=0.0, le=100.0)]
+    log_error: Annotated[float, Meta(ge=0.0, le=100.0)]
+    correlation: Annotated[float, Meta(ge=-1.0, le=1.0)] = 0.0
 
 
 class TrajectoryMetadata(_Open, frozen=True):

@@ -87,6 +87,14 @@ class Grasps:
 
 @arguments.checked(
     GraspError,
+    suspended_length=arguments.array(finite=False),
+    curvature=arguments.array(finite=False),
+    stretch_ratio=arguments.array(finite=False),
+    natural_curvature=arguments.optional(arguments.array((2,), (None, 2), finite=False)),
+    sensitivities=arguments.flag,
+    eigenvalues=arguments.flag,
+    shapes=arguments.flag,
+    extrapolate=arguments.flag,
     closure=arguments.text,
     poisson=arguments.number(-1.0, 0.5),
     device=arguments.optional(arguments.text),

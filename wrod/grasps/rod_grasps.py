@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.general import RodArrays, solve_general
 from wrod.grasps.inputs import check_inputs
@@ -64,6 +65,18 @@ class RodGrasps:
         return len(self.position)
 
 
+@arguments.checked(
+    GraspError,
+    rod=arguments.like("a wrod.RodMaterial or wrod.RodModel", "radius", "length"),
+    arc_length=arguments.array((), (None,)),
+    curvature=arguments.array((), (None,)),
+    closure=arguments.text,
+    roll=arguments.array((), (None,), finite=False),
+    device=arguments.optional(arguments.text),
+    edge_count=arguments.whole(4, 4096),
+    extrapolate=arguments.flag,
+    threads=arguments.optional(arguments.whole(0, 4096)),
+)
 def solve_rod_grasps(
     rod: Rod,
     arc_length,
@@ -95,10 +108,16 @@ def solve_rod_grasps(
         raise GraspError(f"unknown closure {closure!r}; use one of {', '.join(CLOSURES)}")
     if edge_count < 16 or edge_count % 4:
         raise GraspError(f"edge_count is {edge_count}; use a multiple of four from 16")
-    if not np.isfinite(roll).all():
-        raise GraspError(f"roll is {roll!r}; give an angle in radians")
+    roll = np.asarray(roll, dtype=np.float64)
+    if not np.isfinite(roll).all() or roll.shape not in ((), (1,), np.shape(arc_length)):
+        raise GraspError(f"roll is {roll!r:.80}; give an angle in radians, or one for each contact")
     model = _at_rest(models_of(rod)[0])
     contact = np.atleast_1d(np.asarray(arc_length, dtype=np.float64))
+    if np.shape(curvature) not in ((), (1,), contact.shape):
+        raise GraspError(
+            f"curvature has shape {np.shape(curvature)} for {len(contact)} contacts; give one for "
+            "each, or one for all"
+        )
     if contact.ndim != 1 or not ((contact >= 0.0) & (contact < model.length)).all():
         raise GraspError(f"arc_length must be (n,) from 0 to below the rod's {model.length:g} m")
     lgb, bending = _units(model)

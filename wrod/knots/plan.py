@@ -23,6 +23,7 @@ from pathlib import Path
 
 from msgspec.structs import asdict
 
+from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import read_json, schemas
 from wrod.patterns.pattern import Pattern
@@ -97,6 +98,7 @@ class KnotPlan:
     rod_names: tuple[str, ...] = ()
 
     @classmethod
+    @arguments.checked(DataError, path=arguments.path)
     def load_plan(cls, path: str | os.PathLike[str]) -> KnotPlan:
         """Read a plan and its patterns.
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from wrod import arguments
 from wrod.deployment.setup import Disturbance
+from wrod.errors import RodError
 from wrod.knots.fingers import PAD_FRICTION
 from wrod.knots.topology import Recognition
 
@@ -40,6 +42,7 @@ class Handling:
     seed: int = 0
 
     @classmethod
+    @arguments.checked(RodError, seed=arguments.whole())
     def random(cls, seed: int) -> Handling:
         """A trial of a careful laboratory: laying as `Disturbance.random`, hands placed within
         1 mm (standard deviation of each coordinate), jitter 0.3 mm, friction of the fingertips

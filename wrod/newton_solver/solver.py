@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 import wrod.kernels  # noqa: F401  # before Newton: starts Warp quietly
+from wrod import arguments
 from wrod.errors import RodError, WrodWarning
 
 try:
@@ -32,6 +33,9 @@ _STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
 # Steps after which a body that does not get its rods' forces is spoken of.
 _PATIENCE = 3
 _PASSED_ON = ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd")
+
+
+_COLOR = arguments.several(arguments.number(0.0, 1.0), least=3)
 
 
 class SolverDER(SolverBase):
@@ -77,6 +81,17 @@ class SolverDER(SolverBase):
     ROD_PROPERTIES = 1 << 24
     """Bit for `notify_model_changed`: `model.der` was changed."""
 
+    @arguments.checked(
+        RodError,
+        model=arguments.like("a newton.Model", "body_q", "device"),
+        scheme=arguments.text,
+        max_step=arguments.optional(arguments.number()),
+        tolerance=arguments.number(1e-16, 1e3),
+        max_iterations=arguments.whole(1, 10_000),
+        contact_stiffness=arguments.optional(arguments.number()),
+        self_contact=arguments.optional(arguments.number(0.0, 1e3)),
+        rod_contact=arguments.optional(arguments.number(0.0, 1e3)),
+    )
     def __init__(
         self,
         model: newton.Model,
@@ -247,6 +262,15 @@ class SolverDER(SolverBase):
                 stacklevel=2,
             )
 
+    def penetration(self) -> np.ndarray:
+        """(rod_count,) how deep at most a rod, or one that shares its steps, is in another [m]; 0
+        where rods do not touch each other."""
+        out = np.zeros(self.rod_count)
+        for group in self._groups:
+            if group.rod_contact is not None:
+                out[group.rows] = group.rod_contact.penetration.numpy()[:, None]
+        return out
+
     def body_wrenches(self) -> np.ndarray:
         """(body, 6) what rods did at the end of the last step to the bodies that hold or touch them
         and that others move: force [N], and torque about the centre of mass [N m]."""
@@ -322,6 +346,27 @@ class SolverDER(SolverBase):
         attributes.register(builder)
 
     @staticmethod
+    @arguments.checked(
+        RodError,
+        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
+        points=arguments.array((None, 3)),
+        material=arguments.like("a wrod.RodModel or wrod.RodMaterial", "radius", "length"),
+        start=arguments.text,
+        start_body=arguments.whole(-1),
+        end=arguments.text,
+        end_body=arguments.whole(-1),
+        director=arguments.optional(arguments.array((3,), (None, 3))),
+        velocity=arguments.array((), (3,), (None, 3)),
+        natural_curvature=arguments.optional(arguments.array((2,), (None, 2))),
+        natural_twist=arguments.optional(arguments.array((), (None,))),
+        rest_length=arguments.optional(arguments.array((), (None,))),
+        touches_rods=arguments.flag,
+        air_damping=arguments.optional(arguments.number(0.0, 1e9)),
+        internal_damping=arguments.optional(arguments.number(0.0, 1e9)),
+        visible=arguments.flag,
+        color=arguments.optional(_COLOR),
+        label=arguments.optional(arguments.text),
+    )
     def add_rod(
         builder: newton.ModelBuilder,
         points: np.ndarray,
@@ -401,6 +446,14 @@ class SolverDER(SolverBase):
         )
 
     @staticmethod
+    @arguments.checked(
+        RodError,
+        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
+        rod=arguments.whole(0),
+        body=arguments.whole(-1),
+        node=arguments.whole(0),
+        kind=arguments.text,
+    )
     def attach(
         builder: newton.ModelBuilder, rod: int, body: int, *, node: int, kind: str = "clamped"
     ) -> None:

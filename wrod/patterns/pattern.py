@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PPoly
 
+from wrod import arguments
 from wrod.errors import PatternError
 from wrod.files import write_atomically
 from wrod.patterns.corners import distance_from_lines, find_corners, heading_with_corners
@@ -52,6 +53,15 @@ class Pattern:
         self._position = integrate_heading(heading, self._origin)
 
     @classmethod
+    @arguments.checked(
+        PatternError,
+        path=arguments.path,
+        units=arguments.optional(arguments.text),
+        smoothing=arguments.optional(arguments.number(0.0, 100.0)),
+        name=arguments.optional(arguments.text),
+        layer=arguments.optional(arguments.text),
+        stroke=arguments.optional(arguments.whole(1)),
+    )
     def load(
         cls,
         path: str | os.PathLike[str],
@@ -88,6 +98,13 @@ class Pattern:
         return cls._from_raw(raw, units, smoothing, name or Path(path).stem)
 
     @classmethod
+    @arguments.checked(
+        PatternError,
+        points=arguments.array(finite=False),
+        units=arguments.text,
+        smoothing=arguments.optional(arguments.number(0.0, 100.0)),
+        name=arguments.text,
+    )
     def from_points(
         cls,
         points: np.ndarray,
@@ -141,6 +158,14 @@ class Pattern:
         )
 
     @classmethod
+    @arguments.checked(
+        PatternError,
+        expressions=arguments.several(arguments.either(arguments.text, arguments.callback)),
+        start=arguments.number(-1e9, 1e9),
+        stop=arguments.number(-1e9, 1e9),
+        units=arguments.text,
+        name=arguments.text,
+    )
     def from_expression(
         cls,
         *expressions: str | Callable[[np.ndarray], np.ndarray],
@@ -180,8 +205,14 @@ class Pattern:
             return scale * x, scale * y
 
         x, y = curve(np.linspace(0.0, 1.0, 4001))
-        if np.any(np.hypot(np.diff(x), np.diff(y)) <= 0.0):
+        steps = np.hypot(np.diff(x), np.diff(y))
+        if np.any(steps <= 0.0):
             raise PatternError(f"{name}: stands still on part of {start} to {stop}")
+        if not 1e-4 <= steps.sum() <= 1e3:
+            raise PatternError(
+                f"{name}: is {steps.sum():.3g} m long; a pattern has 0.1 mm to 1 km, so check "
+                "units and range"
+            )
         return cls(*heading_of_curve(curve, 0.0, 1.0), name=name)
 
     @property
@@ -208,12 +239,13 @@ class Pattern:
         tangent = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(s))])
         return position, tangent, self._heading(s, nu=1)
 
+    @arguments.checked(PatternError, order=arguments.whole(0, 2))
     def curvature_derivative(self, s: np.ndarray, order: int) -> np.ndarray:
         """d^order kappa / ds^order (n,) [1/m^(1 + order)] at s (n,) [m], order 0, 1 or 2."""
         return self._heading(self._checked(s), nu=1 + order)
 
     def _checked(self, s: np.ndarray) -> np.ndarray:
-        s = np.atleast_1d(np.asarray(s, dtype=float))
+        s = np.atleast_1d(arguments.floats(s, f"{self.source}: s", PatternError))
         first, last = self._heading.x[0], self._heading.x[-1]
         slack = 1e-9 * (last - first)
         outside = ~((s >= first - slack) & (s <= last + slack))
@@ -241,8 +273,10 @@ class Pattern:
             raise PatternError(
                 f"{self.source}: has a remainder of {self.remainder_length:g} m already"
             )
-        if not (np.isfinite(length) and length > 0.0):
-            raise PatternError(f"remainder length is {length!r}; give a positive number of metres")
+        if arguments.number(above=0.0, high=1e3)(length) is not None:
+            raise PatternError(
+                f"remainder length is {length!r:.60}; give a positive number of metres"
+            )
         return Pattern(
             lead_in(self._heading, float(length)),
             self._origin,
@@ -268,8 +302,8 @@ class Pattern:
         Raises:
             PatternError: the factor is not a positive number.
         """
-        if not (np.isfinite(factor) and factor > 0.0):
-            raise PatternError(f"size factor is {factor!r}; give a positive number")
+        if arguments.number(1e-9, 1e9)(factor) is not None:
+            raise PatternError(f"size factor is {factor!r:.60}; give a positive number")
         first = self._heading.x[0]
         powers = factor ** -np.arange(len(self._heading.c) - 1, -1, -1, dtype=float)
         points = None
@@ -289,6 +323,7 @@ class Pattern:
             noise=self.noise * factor,
         )
 
+    @arguments.checked(PatternError, path=arguments.path, spacing=arguments.number(1e-6, 1e3))
     def save(self, path: str | os.PathLike[str], spacing: float = 0.001) -> Path:
         """Write points along the pattern (without a remainder) as CSV that `load` reads."""
         count = max(int(np.ceil(self.length / spacing)), 8) + 1
@@ -301,6 +336,7 @@ class Pattern:
         return write_atomically(path, write)
 
 
+@arguments.checked(PatternError, name=arguments.text)
 def pattern(name: str) -> Pattern:
     """Built-in pattern by name, such as "letter-A".
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import PerceptionError
 from wrod.perception import refine
 
@@ -102,6 +103,15 @@ def compare(deployed: np.ndarray, pattern, points: int = 50) -> Measurement:
     )
 
 
+@arguments.checked(
+    PerceptionError,
+    pattern=arguments.either(
+        arguments.like("a wrod.Pattern", "sample", "length"),
+        arguments.array((None, 2), (None, 3)),
+    ),
+    points=arguments.whole(2, 100_000),
+    picture=arguments.optional(arguments.path),
+)
 def measure_deployment(
     image, pattern, *, points: int = 50, picture: str | os.PathLike[str] | None = None, **reading
 ) -> Measurement:

@@ -59,6 +59,28 @@ class Scan:
         return self.lines[0]
 
 
+def _is_array(value):
+    return arguments.picture(value) if isinstance(value, np.ndarray) else "must be an array"
+
+
+_CHECKED_AS_SCAN = arguments.checked(
+    PerceptionError,
+    image=arguments.either(arguments.path, _is_array),
+    markers=arguments.optional(
+        arguments.either(arguments.path, arguments.like("a MarkerLayout", "corners"))
+    ),
+    sheet=arguments.optional(arguments.array((2,))),
+    scale=arguments.optional(arguments.number(1e-9, 10.0)),
+    camera=arguments.optional(
+        arguments.either(arguments.path, arguments.like("a Camera", "matrix", "distortion"))
+    ),
+    mask=arguments.either(arguments.flag, arguments.picture),
+    kind=arguments.text,
+    color=arguments.optional(arguments.array((3,))),
+)
+
+
+@_CHECKED_AS_SCAN
 def read_scan(
     image: str | os.PathLike[str] | np.ndarray,
     *,
@@ -93,8 +115,8 @@ def read_scan(
 
 @arguments.checked(
     PerceptionError,
-    image=arguments.either(arguments.path, arguments.array((None, None), (None, None, None))),
-    scale=arguments.optional(arguments.number(1e-9, 10.0)),
+    start=arguments.either(arguments.text, arguments.array((2,))),
+    smoothing=arguments.optional(arguments.number(0.0, 1e3)),
 )
 def scan(
     image: str | os.PathLike[str] | np.ndarray,

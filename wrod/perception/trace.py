@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import PerceptionError
 from wrod.perception import refine
 from wrod.perception.image import as_image, is_mask
@@ -49,6 +50,13 @@ class Centerline:
         return np.array(self.points, dtype=dtype)
 
 
+@arguments.checked(
+    PerceptionError,
+    image=arguments.picture,
+    mask=arguments.optional(arguments.picture),
+    kind=arguments.text,
+    color=arguments.optional(arguments.array((3,))),
+)
 def trace_centerlines(
     image: np.ndarray,
     *,

@@ -64,6 +64,9 @@ _SAME_GRASP = 0.06
     remainder=arguments.either(arguments.flag, arguments.number(0.0, 100.0)),
     roll=arguments.either(arguments.text, arguments.number(-1e6, 1e6)),
     controller=arguments.like("a wrod.Controller", "predict", "out_of_range"),
+    friction=arguments.optional(
+        arguments.either(arguments.number(0.0, 100.0), arguments.array((2,)))
+    ),
     device=arguments.optional(arguments.text),
     progress=arguments.optional(arguments.callback),
 )
@@ -131,39 +134,22 @@ def plan(
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
     if friction is not None:
-        from wrod.deployment.optimise import Spread, optimise
-
-        spread = Spread.of(friction)
-        if method == "intuitive":
-            raise GraspError(
-                "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
-            )
         how = dict(
             method=method, closure=closure, spacing=spacing, remainder=remainder, roll=roll,
             controller=controller, device=device, progress=progress,
         )  # fmt: skip
-        start = plan(pattern, rod, **how)
-        return optimise(prepare(pattern, rod, remainder), rod, start, spread, device=device)
+        return _corrected(pattern, rod, friction, how)
     pattern = prepare(pattern, rod, remainder)
     if closure is None and controller is not None and method in ("auto", "neural"):
         closure = controller.closure
     elif closure is None:
         closure = favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
-    first = -pattern.remainder_length
-    total = pattern.length - first
-    if not (np.isfinite(spacing) and spacing >= total / _MAX_NODES):
-        raise PatternError(
-            f"spacing is {spacing!r} m; give at least {total / _MAX_NODES:.2g} m, which "
-            f"makes {_MAX_NODES} contact nodes"
-        )
-    s = np.linspace(first, pattern.length, int(np.ceil(total / spacing - 1e-9)) + 1)
-    contact, tangent, curvature = pattern.sample(s)
+    s = _contacts(pattern, spacing)
+    _, _, curvature = course = pattern.sample(s)
     _refuse_tight_bends(pattern, rod, s, curvature)
-    lgb = rod.gravito_bending_length
-    laid = s - first
     roll = roll_angle(roll, pattern, rod)
     inputs = GraspInputs.of(
-        rod, rod.length - laid, curvature,
+        rod, rod.length - (s - s[0]), curvature,
         roll=roll, closure=closure, device=device, progress=progress, controller=controller,
     )  # fmt: skip
     with warnings.catch_warnings(record=True) as reservations:
@@ -182,8 +168,64 @@ def plan(
         _warn_unstable(poses, inputs, s)
     for reservation in reservations:
         warnings.warn(reservation.message, reservation.category, stacklevel=2)
+    said = {
+        "method": method,
+        "closure": closure if method != "intuitive" else None,
+        "warnings": [
+            f"{warning.category.__name__}: {warning.message}"
+            for warning in reservations
+            if issubclass(warning.category, WrodWarning)
+        ],
+    }
+    return _trajectory(pattern, rod, s - s[0], course, poses, roll, said)
 
-    frame = _contact_frame(tangent)
+
+def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, how: dict) -> Trajectory:
+    """The plan that `how` asks for, corrected through simulated deployments on such a table."""
+    from wrod.deployment.optimise import Spread, optimise
+
+    spread = Spread.of(friction)
+    if how["method"] == "intuitive":
+        raise GraspError(
+            "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
+        )
+    start = plan(pattern, rod, **how)
+    held = prepare(pattern, rod, how["remainder"])
+    return optimise(held, rod, start, spread, device=how["device"])
+
+
+def _contacts(pattern: Pattern, spacing: float) -> np.ndarray:
+    """(T,) arc lengths of the contact nodes, from the remainder's first [m]."""
+    first = -pattern.remainder_length
+    total = pattern.length - first
+    if not (np.isfinite(spacing) and spacing >= total / _MAX_NODES):
+        raise PatternError(
+            f"spacing is {spacing!r} m; give at least {total / _MAX_NODES:.2g} m, which "
+            f"makes {_MAX_NODES} contact nodes"
+        )
+    return np.linspace(first, pattern.length, int(np.ceil(total / spacing - 1e-9)) + 1)
+
+
+def _trajectory(
+    pattern: Pattern,
+    rod: RodModel | RodMaterial,
+    laid: np.ndarray,
+    course: tuple[np.ndarray, np.ndarray, np.ndarray],
+    poses: GraspPoses,
+    roll: float,
+    said: dict,
+) -> Trajectory:
+    """Dimensionless grasps in the contact's frame as a trajectory.
+
+    Args:
+        laid: (T,) laid lengths [m].
+        course: contacts (T, 3) [m], tangents (T, 3) and curvatures (T,) [1/m] of the pattern there.
+        poses: of the T grasps.
+        roll: at which the rod is held [rad].
+        said: method, closure and warnings.
+    """
+    contact, tangent, curvature = course
+    lgb, frame = rod.gravito_bending_length, _contact_frame(tangent)
     force_unit = 2.0 * rod.weight * lgb
     shape = None if poses.shape is None else _placed(poses.shape, contact, frame, lgb)
     return Trajectory(
@@ -193,8 +235,8 @@ def plan(
         rotation=frame @ Rotation.from_rotvec(poses.rotation).as_matrix(),
         force=force_unit * np.einsum("tij,tj->ti", frame, poses.force),
         metadata={
-            "method": method,
-            "closure": closure if method != "intuitive" else None,
+            "method": said["method"],
+            "closure": said["closure"],
             "pattern": pattern.name,
             "pattern_length": pattern.length,
             "remainder_length": pattern.remainder_length,
@@ -203,11 +245,7 @@ def plan(
             "required_friction": float(np.max(friction_bound(pattern, rod).required)),
             "contact_friction": _contact_friction(poses.force),
             "largest_curvature": float(np.max(np.abs(curvature))),
-            "warnings": [
-                f"{warning.category.__name__}: {warning.message}"
-                for warning in reservations
-                if issubclass(warning.category, WrodWarning)
-            ],
+            "warnings": said["warnings"],
         },
         shape=shape,
         twist=poses.twist,

@@ -12,7 +12,8 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import DataError, RobotError
-from wrod.files import read_arrays, write_atomically
+from wrod.files import decode_labels, read_arrays, write_atomically
+from wrod.files.array_schemas import check_arrays
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
@@ -114,17 +115,18 @@ class JointPath:
         data = read_arrays(path, what)
         if str(data.get("format")) != _FORMAT:
             raise DataError(f"{path}: is not of the format {_FORMAT}; give {what}")
-        try:
-            return cls(
-                tuple(map(str, data["names"])),
-                *(data[name] for name in names),
-                Placement(*map(float, data["placement"])),
-                Grip(*map(float, data["grip"])),
-                robot,
-                json.loads(str(data["metadata"])),
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise DataError(f"{path}: lacks {error}; give {what}") from None
+        check_arrays(data, "JointPath", str(path))
+        unknown = next((n for n in names if not np.isfinite(data[n]).all()), None)
+        if unknown is not None:
+            raise DataError(f"{path}: {unknown} holds values that are not finite; give {what}")
+        return cls(
+            tuple(map(str, data["names"])),
+            *(data[name] for name in names),
+            Placement(*map(float, data["placement"])),
+            Grip(*map(float, data["grip"])),
+            robot,
+            decode_labels(str(data["metadata"]), dict, f"{path}: metadata", what),
+        )
 
 
 @arguments.checked(
@@ -134,6 +136,14 @@ class JointPath:
     grip_angle=arguments.either(arguments.text, arguments.number(-1e3, 1e3)),
     gripper_length=arguments.optional(arguments.number(1e-3, 10.0)),
     flange=arguments.optional(arguments.text),
+    tip=arguments.optional(arguments.text),
+    table_height=arguments.optional(arguments.number(-10.0, 10.0)),
+    obstacles=arguments.optional(
+        arguments.either(arguments.path, arguments.like("Obstacles", "shapes", "capsules"))
+    ),
+    placement=arguments.either(
+        arguments.text, arguments.like("a Placement", "x", "y", "yaw"), arguments.array((3,), (4,))
+    ),
     grip_speed=arguments.number(1e-4, 10.0),
     rate=arguments.number(1.0, 1e4),
     limit_margin=arguments.number(0.0, 3.0),

@@ -5,19 +5,19 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError
-from wrod.files import read_json
+from wrod.files import read_json, schemas
 from wrod.robot.capsules import Capsule, capsules_of
 from wrod.robot.urdf import LinkShape
 
 _BAR = 0.06  # [m] widest bar that a box is cut into
 # A cell has tens of them.
-_MOST = 500
+_MOST, _MOST_BARS = 500, 20_000
 _SIZES = {"sphere": 1, "cylinder": 2, "box": 3}
 
 
@@ -39,7 +39,7 @@ class Obstacles:
         """
         path = Path(path)
         what = "a list of obstacles, [{'kind': 'box', ...}]"
-        entries = read_json(path, list[Any], what, error=RobotError)
+        entries = read_json(path, list[schemas.Obstacle], what, error=RobotError)
         if len(entries) > _MOST:
             raise RobotError(f"{path}: holds {len(entries)} obstacles; at most {_MOST} are kept")
         return cls(tuple(_shape(path, k, entry) for k, entry in enumerate(entries)))
@@ -56,11 +56,7 @@ class Obstacles:
 
 def _shape(path: Path, number: int, entry) -> LinkShape:
     where = f"{path}: obstacle {number + 1}"
-    if not isinstance(entry, dict) or entry.get("kind") not in (*_SIZES, "mesh"):
-        raise RobotError(f"{where}: has no kind; give sphere, cylinder, box or mesh")
-    unknown = set(entry) - {"kind", "size", "xyz", "rpy", "file", "name"}
-    if unknown:
-        raise RobotError(f"{where}: does not know {', '.join(sorted(unknown))}")
+    entry = {k: v for k, v in msgspec.to_builtins(entry).items() if v not in (None, "")}
     kind, count = entry["kind"], _SIZES.get(entry["kind"], 3)
 
     def numbers(name: str, wanted: int, default) -> np.ndarray:
@@ -93,6 +89,11 @@ def _bars(shape: LinkShape) -> list[Capsule]:
     long = int(size.argmax())
     across = [k for k in range(3) if k != long]
     counts = [int(np.ceil(size[k] / _BAR)) for k in across]
+    if counts[0] * counts[1] > _MOST_BARS:
+        raise RobotError(
+            f"obstacle {shape.link!r} is {size.tolist()} m large; give a box of a few metres, or a "
+            "mesh"
+        )
     cell = size[across] / counts
     radius = float(np.hypot(*cell) / 2)
     found = []

@@ -21,7 +21,7 @@ def least_suspended(rod, clearance: float = 0.005) -> float:
         rod: a `RodMaterial` or `RodModel`.
         clearance: of the fingers [m].
     """
-    from wrod.grasps.solver import solve_grasps
+    from wrod.grasps.optimal import solve_grasps
 
     lgb = rod.gravito_bending_length
     lengths = np.linspace(1.0, 8.0, 57)

@@ -87,7 +87,7 @@ def solve(
             )
         best = attempt(task, places, angles, fixed is not None)
         if best.report.problem is not None:
-            raise UnreachedError(_failure(best, fixed), task, best, places)
+            raise UnreachedError(_failure(best, fixed, task), task, best, places)
         path = _timed(arm, task.path, best, grip_speed, rate, clock.perf_counter() - started)
         return _with_job(path, task) if whole_job else path
 
@@ -128,10 +128,25 @@ def attempt(task: Task, places: list[Placement], angles, fixed: bool) -> Solutio
     return best
 
 
-def _failure(best: Solution, fixed: Placement | None) -> str:
+def _failure(best: Solution, fixed: Placement | None, task: Task) -> str:
     where = f"placed at {best.branch.placement}" if fixed else "at the best placement found"
     what_to_do = "move the pattern or use placement 'auto'" if fixed else "use a smaller pattern"
+    turned, room = turning(task)
+    if turned > room:
+        what_to_do = (
+            f"the pattern turns the hand by {turned:.1f} rad about the vertical and joint "
+            f"{task.robot.joint_names[-1]} by {room:.1f} rad in all, so use an arm whose last "
+            "joint turns on and on (gen3), or draw fewer turns"
+        )
     return f"no joint path {where}: {best.report.problem}; {what_to_do}"
+
+
+def turning(task: Task) -> tuple[float, float]:
+    """How far the pattern turns from its first direction to where it has turned most, and how far
+    the arm's last joint, which follows it, can turn [rad]."""
+    ahead = np.gradient(task.trajectory.contact[:, :2], axis=0)
+    heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    return float(np.ptp(heading)), float(task.robot.upper[-1] - task.robot.lower[-1])
 
 
 def _is_auto(placement) -> bool:

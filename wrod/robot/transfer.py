@@ -15,6 +15,7 @@ from wrod.robot.kinematics import refine, solve_poses
 
 BACK = 0.06  # [m] a hand moves back along its fingers before it goes elsewhere
 _SHORTER = (0.045, 0.03)  # [m] where it cannot; pads end 25 mm behind the rod's end
+_ASIDE = 0.03  # [m] and pads are 18 mm wide
 _SHARE = 0.6  # of the joints' speed limits that empty hands use
 _LINE_SPEED, _HAND_SPEED = 0.08, 0.6  # [m/s] of hands beside a rod, and in the air
 _CHECKED = 0.04  # [rad] between the points of a way that are checked
@@ -127,19 +128,23 @@ def park(arm: Arm, middle: np.ndarray) -> np.ndarray:
 
 def retreat(arm: Arm, positions: np.ndarray) -> Leg | None:
     """Straight back along the fingers from joint positions (n,), as far as `BACK` where the arm
-    can, and at least so far that the pads are off the rod; None if it cannot."""
-    for back in (BACK, *_SHORTER):
-        leg = _straight_back(arm, positions, back)
+    can, and at least so far that the pads are off the rod; where it cannot, aside, so that the rod
+    leaves the pads between them. None if it can neither."""
+    ways = [((0.0, 0.0, -1.0), back) for back in (BACK, *_SHORTER)]
+    ways += [((side, 0.0, 0.0), _ASIDE) for side in (1.0, -1.0)]
+    for direction, distance in ways:
+        leg = _straight(arm, positions, np.array(direction), distance)
         if leg is not None:
             return leg
     return None
 
 
-def _straight_back(arm: Arm, positions: np.ndarray, back: float) -> Leg | None:
+def _straight(arm: Arm, positions: np.ndarray, direction, distance: float) -> Leg | None:
+    """A straight way of the grasp along a direction in its own frame, which it does not turn."""
     start = arm.grasps(positions[None])[0]
-    steps = np.linspace(0.0, back, 5)
+    steps = np.linspace(0.0, distance, 5)
     poses = np.repeat(start[None], len(steps), axis=0)
-    poses[:, :3, 3] -= steps[:, None] * start[:3, 2]
+    poses[:, :3, 3] += steps[:, None] * (start[:3, :3] @ direction)
     goals = arm.placement.base_from_world @ poses
     knots = [positions]
     for goal in goals[1:]:

@@ -22,6 +22,17 @@ _FLANGES = (
 )  # fmt: skip
 
 
+# Words in the names of joints and links that belong to a gripper.
+_FINGERS = ("gripper", "finger", "jaw", "knuckle", "thumb")
+
+
+def _is_finger(joint: ElementTree.Element) -> bool:
+    """Whether a joint moves a part of a gripper: it follows another joint, or is called so."""
+    child = joint.find("child").get("link", "")
+    names = f"{joint.get('name', '')} {child}".lower()
+    return joint.find("mimic") is not None or any(word in names for word in _FINGERS)
+
+
 @dataclass(frozen=True)
 class LinkShape:
     """A visual or collision shape of a link.
@@ -73,16 +84,20 @@ class UrdfFile:
     def require_link(self, name: str, role: str) -> None:
         if name not in self.links:
             raise RobotError(
-                f"{self.path}: no link {name!r} for the {role}; its links are "
-                f"{', '.join(self.links)}"
+                f"{self.path}: no link {name!r:.80} for the {role}; its links are "
+                f"{shown(', '.join(self.links), 1000)}"
             )
 
     def flange(self) -> str:
         """The link that carries a gripper: fixed to the end of the longest chain of revolute
-        joints (prismatic fingers do not count), the one of a flange's usual names if there is one.
+        joints (fingers that slide or turn do not count), the one of a flange's usual names if there
+        is one.
         """
         parent = {
-            j.find("child").get("link"): (j.find("parent").get("link"), j.get("type"))
+            j.find("child").get("link"): (
+                j.find("parent").get("link"),
+                "finger" if _is_finger(j) else j.get("type"),
+            )
             for j in self.joints
         }
 
@@ -105,6 +120,22 @@ class UrdfFile:
                 if link == name or link.endswith(name):
                     return link
         return last
+
+    def approach(self, flange: str) -> np.ndarray:
+        """(3,) direction in which a gripper points from a flange, in its frame: +z, which frames of
+        their own have by convention, or the axis of the joint that turns it, towards what the file
+        hangs on it."""
+        turning = [j for j in self.joints if j.find("child").get("link") == flange]
+        if not turning or turning[0].get("type") not in ("revolute", "continuous"):
+            return np.array([0.0, 0.0, 1.0])
+        element = turning[0].find("axis")
+        axis = np.array(_floats("1 0 0" if element is None else element.get("xyz", "1 0 0")))
+        axis = axis / max(np.linalg.norm(axis), 1e-12)
+        hung = [j for j in self.joints if j.find("parent").get("link") == flange]
+        along = sum(float(_origin(j.find("origin"))[:3, 3] @ axis) for j in hung)
+        if abs(along) < 1e-6:  # nothing tells: the positive side of its largest component
+            along = axis[np.abs(axis).argmax()]
+        return axis * np.sign(along)
 
     def beyond(self, link: str) -> set[str]:
         """All links that hang from a link."""
@@ -150,8 +181,8 @@ class UrdfFile:
         shape = next(iter(geometry)) if geometry is not None and len(geometry) else None
         if shape is None or shape.tag not in ("sphere", "cylinder", "box", "mesh"):
             raise RobotError(
-                f"{self.path}: link {link!r} has a {element.tag} without sphere, cylinder, box or "
-                "mesh"
+                f"{self.path}: link {link!r:.80} has a {element.tag} without sphere, cylinder, "
+                "box or mesh"
             )
         if shape.tag == "mesh":
             scale = tuple(_floats(shape.get("scale", "1 1 1")))
@@ -180,7 +211,7 @@ class UrdfFile:
             candidates = [p / rest for p in folders if p.name == package]
             candidates += [p / package / rest for p in folders + package_folders()]
             hint = (
-                f"put the package {package!r} beside the URDF or name its parent folder in "
+                f"put the package {package!r:.80} beside the URDF or name its parent folder in "
                 "ROS_PACKAGE_PATH"
             )
         elif name.startswith(("http://", "https://")):

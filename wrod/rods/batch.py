@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.bending import elasticity
@@ -40,6 +41,10 @@ def resolve_device(device: str | None) -> str:
             f"device {device!r} is not on this machine; use cpu, auto or one of "
             f"{', '.join(str(d) for d in wp.get_devices())}"
         ) from error
+
+
+def _floats(name: str, value) -> np.ndarray:
+    return arguments.floats(value, name, RodError)
 
 
 @dataclass
@@ -124,6 +129,11 @@ class RodBatch:
             value is not finite.
     """
 
+    @arguments.checked(
+        RodError,
+        position=arguments.mesh(finite=False),
+        device=arguments.optional(arguments.text),
+    )
     def __init__(
         self,
         position: np.ndarray,
@@ -150,9 +160,13 @@ class RodBatch:
         self.device = resolve_device(device)
         self.rod_count, self.node_count = rods, nodes = shape[:2]
         self.dof_count = 4 * self.node_count - 1
+        if not isinstance(position, wp.array):
+            position = np.asarray(position, dtype=np.float64)
+            if not np.isfinite(position).all():
+                raise RodError("position holds a value that is not finite")
         if rest_length is None:
             rest_length = np.linalg.norm(np.diff(position, axis=1), axis=2)
-        bending_stiffness = np.asarray(bending_stiffness, dtype=np.float64)
+        bending_stiffness = _floats("bending_stiffness", bending_stiffness)
         if bending_stiffness.ndim < 3:
             bending_stiffness = bending_stiffness[..., None]
 
@@ -190,6 +204,18 @@ class RodBatch:
         self.set_configuration(position, director=director)
 
     @classmethod
+    @arguments.checked(
+        RodError,
+        rods=arguments.each(
+            arguments.like("a wrod.RodModel or wrod.RodMaterial", "radius", "length")
+        ),
+        arc_length=arguments.array((None,), (None, None)),
+        position=arguments.array((None, None, 3)),
+        clamped=arguments.several(arguments.flag, least=2),
+        director=arguments.optional(arguments.array((3,), (None, 3), (None, None, 3))),
+        gravity=arguments.optional(arguments.array((3,), (None, 3))),
+        device=arguments.optional(arguments.text),
+    )
     def of(
         cls,
         rods,
@@ -237,9 +263,9 @@ class RodBatch:
     def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
         if isinstance(value, wp.array):
             return value
-        value = np.asarray(value, dtype=np.float64)
-        if not np.isfinite(value).all():
-            raise RodError(f"{name} holds a value that is not finite")
+        value = _floats(name, value)
+        if value.size == 0 or not np.isfinite(value).all():
+            raise RodError(f"{name} is empty or holds a value that is not finite")
         if positive and not (value > 0).all():
             raise RodError(f"{name} holds {value.min():g}; every value must be positive")
         if value.size == 1 and value.ndim <= len(shape):
@@ -317,10 +343,15 @@ class RodBatch:
         angle = self._array("angle", angle, (rods, nodes - 1))
         source, shape = ANY_DIRECTOR, (0, 0)
         if director is not None:
-            every = np.ndim(director) == 3
+            every = _floats("director", director).ndim == 3
             source, shape = (EVERY_DIRECTOR, nodes - 1) if every else (FIRST_DIRECTOR, 1)
-            director = np.asarray(director, dtype=np.float64)
+            director = _floats("director", director)
             if not every:
+                if director.shape not in ((3,), (1, 3), (rods, 3)):
+                    raise RodError(
+                        f"director has shape {director.shape}; give (3,), (rod, 3) or "
+                        "(rod, node - 1, 3)"
+                    )
                 director = np.broadcast_to(director, (rods, 3))[:, None]
             director = self._array("director", director, (rods, shape, 3), wp.vec3d)
         else:
@@ -361,6 +392,9 @@ class RodBatch:
         Raises:
             RodError: an index is not that of an edge, or a rod would be left with one node.
         """
+        wrong = arguments.indices(edges)
+        if wrong is not None:
+            raise RodError(f"RodBatch.cut: edges {wrong}")
         count = self.node_count - 1
         edges = sorted({int(e) % count if -count <= e < count else count for e in edges})
         if np.any(np.diff([-1, *edges, count]) < 2) or (edges and edges[-1] >= count):
@@ -382,9 +416,18 @@ class RodBatch:
             array.assign(values)
         self.cut_edges = tuple(edges)
 
+    @arguments.checked(RodError, free=arguments.picture)
     def set_free(self, free: np.ndarray) -> None:
-        """Say which degrees of freedom may move: (rod, dof) of bool, broadcast."""
-        free = np.broadcast_to(np.asarray(free, dtype=bool), (self.rod_count, self.dof_count))
+        """Say which degrees of freedom may move: (rod, dof) of bool, broadcast.
+
+        Raises:
+            RodError: the shape does not broadcast.
+        """
+        shape = (self.rod_count, self.dof_count)
+        try:
+            free = np.broadcast_to(np.asarray(free, dtype=bool), shape)
+        except ValueError:
+            raise RodError(f"free has shape {np.shape(free)}; give {shape}") from None
         self.free.assign(free.astype(np.int32))
 
     def transport_frames(self, source: RodState, target: RodState, active: wp.array) -> None:

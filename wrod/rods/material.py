@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wrod import arguments
 from wrod.errors import RodError
 
 if TYPE_CHECKING:
@@ -106,6 +107,7 @@ class RodMaterial:
         return cls(radius, lgb, length, poisson, density, gravity)
 
     @classmethod
+    @arguments.checked(RodError, loop_height=arguments.number())
     def from_loop_height(
         cls,
         loop_height: float,
@@ -176,6 +178,7 @@ class RodMaterial:
         """Whether the rod is straight at rest."""
         return self.natural_curvature == (0.0, 0.0)
 
+    @arguments.checked(RodError, roll=arguments.number())
     def curvature_held(self, roll: float) -> tuple[float, float]:
         """(to the left, upwards) curvature at rest [1/m] of the rod laid straight, its first
         material director turned by `roll` [rad] from left towards up."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import sys
 import warnings
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import RodError, WrodWarning
 from wrod.rods.law import LAWS, Law, Linear
 from wrod.rods.profile import Profile
@@ -241,11 +243,13 @@ class RodModel:
         first, second = self.bending_stiffness
         return first == second
 
+    @arguments.checked(RodError, s=arguments.numbers_of_any_shape)
     def rolled(self, s) -> np.ndarray:
         """Angle by which m_1 has turned at arc lengths `s` [m] where the rod lies with the twist
         that it has at rest [rad]."""
         return self.natural_twist.integral(0.0, s)
 
+    @arguments.checked(RodError, roll=arguments.numbers_of_any_shape)
     def curvature_held(self, roll: float) -> tuple[float, float]:
         """(to the left, upwards) mean curvature at rest [1/m] of the rod laid straight, m_1 at its
         beginning turned by `roll` [rad] from left towards up."""
@@ -268,6 +272,7 @@ class RodModel:
 
     # ---- the same rod otherwise ---------------------------------------------------------------
 
+    @arguments.checked(RodError, roll=arguments.number())
     def bent(self, left: float, up: float = 0.0, roll: float = 0.0) -> RodModel:
         """A rod with more natural curvature [1/m]: `left` towards the direction that m_1 is turned
         from by `roll` [rad], `up` a quarter turn from there."""
@@ -275,6 +280,7 @@ class RodModel:
         first, second = held.natural_curvature
         return replace(held, natural_curvature=(first + left, second + up)).turned(-roll)
 
+    @arguments.checked(RodError, factor=arguments.number(above=0.0))
     def stiffened(self, factor: float) -> RodModel:
         """A rod of which every stiffness is `factor` times as large."""
 
@@ -288,6 +294,7 @@ class RodModel:
             stretching_stiffness=more(self.stretching_stiffness),
         )
 
+    @arguments.checked(RodError, start=arguments.number(), stop=arguments.number())
     def piece(self, start: float, stop: float) -> RodModel:
         """What lies between two arc lengths [m], counted from the first.
 
@@ -324,6 +331,7 @@ class RodModel:
             point_masses=masses,
         )
 
+    @arguments.checked(RodError, roll=arguments.number())
     def turned(self, roll: float) -> RodModel:
         """The same rod described in other directors: m_1 of this one is turned by `roll` [rad]
         from their first towards their second. A rod held at a roll has it from left towards up."""
@@ -339,6 +347,9 @@ class RodModel:
             ),
         )
 
+    @arguments.checked(
+        RodError, length_unit=arguments.number(1e-9, 1e9), force_unit=arguments.number(1e-12, 1e12)
+    )
     def scaled(self, length_unit: float, force_unit: float) -> RodModel:
         """The rod in other units: lengths in `length_unit` [m], forces in `force_unit` [N], and
         times such that gravity is 1. With L_gb and k_b / L_gb^2 the means are k_b = 1, weight 1/2.
@@ -441,7 +452,7 @@ def _number(name: str, value, *, positive: bool = False, least: float = -math.in
     if (
         not is_number
         or isinstance(value, bool)
-        or not math.isfinite(value)
+        or not abs(value) <= sys.float_info.max
         or value < least
         or (positive and value <= 0.0)
     ):

@@ -9,6 +9,7 @@ from numbers import Real
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import RodError
 
 # What a file, or a caller, may ask for; a cable has features every few millimetres at most.
@@ -70,10 +71,20 @@ class Profile:
         )
 
     @classmethod
+    @arguments.checked(
+        RodError,
+        function=arguments.callback,
+        start=arguments.number(),
+        stop=arguments.number(),
+    )
     def sampled(cls, function: Callable, start: float, stop: float) -> Profile:
         """A smooth vectorised function of arc length [m] between two places, at 257 knots."""
         knots = np.linspace(start, stop, _SAMPLES)
-        return cls(np.broadcast_to(function(knots), knots.shape), knots)
+        try:
+            values = np.broadcast_to(np.asarray(function(knots), dtype=float), knots.shape)
+        except (TypeError, ValueError) as reason:
+            raise RodError(f"Profile.sampled: function is of no use ({reason})") from None
+        return cls(values, knots)
 
     @cached_property
     def _arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -93,20 +104,21 @@ class Profile:
 
     def __call__(self, s) -> np.ndarray:
         """Values at arc lengths `s` [m], of their shape."""
+        s = arguments.floats(s, "Profile: s", RodError)
         if self.is_constant:
-            return np.full(np.shape(s), self.values[0])
+            return np.full(s.shape, self.values[0])
         return np.interp(s, *self._arrays[:2])
 
     def integral(self, start, stop) -> np.ndarray:
         """Exact integral from `start` to `stop` [m], broadcast."""
-        start, stop = np.asarray(start, dtype=float), np.asarray(stop, dtype=float)
+        start, stop = _places(start, stop, "Profile.integral")
         if self.is_constant:
             return self.values[0] * (stop - start)
         return self._from_first(stop) - self._from_first(start)
 
     def mean(self, start, stop) -> np.ndarray:
         """Exact mean from `start` to `stop` [m], broadcast; where they coincide, the value."""
-        start, stop = np.broadcast_arrays(*(np.asarray(s, dtype=float) for s in (start, stop)))
+        start, stop = _places(start, stop, "Profile.mean")
         if self.is_constant:
             return np.full(start.shape, self.values[0])
         length = stop - start
@@ -124,10 +136,14 @@ class Profile:
 
     # ---- new profiles from old ----------------------------------------------------------------
 
+    @arguments.checked(
+        RodError, factor=arguments.number(), length_factor=arguments.number(above=0.0)
+    )
     def scaled(self, factor: float, length_factor: float = 1.0) -> Profile:
         """Values times a factor, arc lengths times another, which must be positive."""
         return Profile(factor * np.array(self.values), length_factor * np.array(self.knots))
 
+    @arguments.checked(RodError, start=arguments.number(), stop=arguments.number())
     def piece(self, start: float, stop: float) -> Profile:
         """What lies between two places, arc length counted from the first."""
         if self.is_constant:
@@ -137,6 +153,7 @@ class Profile:
         knots = np.concatenate([[start], inner, [stop]])
         return Profile(self(knots), knots - start)
 
+    @arguments.checked(RodError, length=arguments.number())
     def reversed(self, length: float) -> Profile:
         """The same over arc length counted backwards from `length` [m]."""
         if self.is_constant:
@@ -173,3 +190,17 @@ class Profile:
         if self.is_constant:
             return self.values[0]
         return {"knots": list(self.knots), "values": list(self.values)}
+
+
+def _places(start, stop, where: str) -> list[np.ndarray]:
+    """Arc lengths that broadcast to each other."""
+    both = [
+        arguments.floats(value, f"{where}: {name}", RodError)
+        for name, value in (("start", start), ("stop", stop))
+    ]
+    try:
+        return list(np.broadcast_arrays(*both))
+    except ValueError:
+        raise RodError(
+            f"{where}: start has shape {both[0].shape} and stop {both[1].shape}; give one shape"
+        ) from None

@@ -6,11 +6,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 
-def rotation_matrix(vector: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) matrices of (n, 3) rotation vectors [rad]."""
-    return Rotation.from_rotvec(vector).as_matrix()
-
-
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     """(n, 3) rotation vectors [rad], no longer than pi, of (n, 3, 3) matrices."""
     return Rotation.from_matrix(matrix).as_rotvec()
@@ -31,16 +26,6 @@ def left_jacobian(vector: np.ndarray) -> np.ndarray:
     b = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
     k = _cross_matrix(vector)
     return np.eye(3) + a * k + b * (k @ k)
-
-
-def left_jacobian_inverse(vector: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) inverse of `left_jacobian`; finite below a full turn."""
-    angle = np.linalg.norm(vector, axis=1)[:, None, None]
-    small = angle < 1e-4
-    safe = np.where(small, 1.0, angle)
-    c = np.where(small, 1 / 12 + angle**2 / 720, 1 / safe**2 - 0.5 / (safe * np.tan(safe / 2)))
-    k = _cross_matrix(vector)
-    return np.eye(3) - 0.5 * k + c * (k @ k)
 
 
 def transport(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -32,6 +32,11 @@ from wrod.scene.workplace import (
 )
 
 SUFFIXES = (".usdc", ".usda", ".usd")
+# Rods at the nodes of one deployment, or of several.
+_shapes = arguments.either(
+    arguments.array(finite=False),
+    arguments.several(arguments.optional(arguments.array(finite=False))),
+)
 _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
 
 
@@ -44,9 +49,11 @@ _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
     joint_path=arguments.optional(
         arguments.each(arguments.optional(arguments.like("a wrod.JointPath", "names", "positions")))
     ),
-    pattern=arguments.optional(
-        arguments.each(arguments.like("a wrod.Pattern or its points", "shape"), "sample")
+    shapes=arguments.optional(_shapes),
+    rod=arguments.optional(
+        arguments.each(arguments.like("a wrod.RodMaterial or wrod.RodModel", "radius", "length"))
     ),
+    pattern=arguments.optional(arguments.each(arguments.array((None, 2), (None, 3)), "sample")),
 )
 def export_usd(
     path: str | os.PathLike[str],
@@ -143,6 +150,12 @@ def _deployments(**given) -> list[SimpleNamespace]:
             is_list = isinstance(value, (list, tuple))
             if many and is_list and len(value) != count:
                 raise SceneError(f"{len(value)} of {name} for {count} trajectories; give as many")
+            if not many and is_list and name in ("joint_path", "rod"):
+                raise SceneError(f"{name} is a list, and the trajectory is one; give one")
+            if name == "shapes" and is_list and not many:
+                wrong = arguments.array(finite=False)(value)
+                if wrong is not None:
+                    raise SceneError(f"export_usd: shapes {wrong}")
             values[name] = value[number] if many and is_list else value
         items.append(_complete(SimpleNamespace(**values), number))
     return items

@@ -85,7 +85,7 @@ def write_deployment_page(
         contact = trajectory.contact.mean(0)
         label = _captions(server, trajectory, joint_path, captions, contact)
         first = server.initial_camera
-        back = np.array([1.1, -1.1, 0.8]) if placement is None else _front(placement)
+        back = np.array([0.7, -0.7, 0.5]) if placement is None else _front(placement)
         first.position, first.look_at = tuple(contact + back), tuple(contact + [0, 0, 0.22])
         first.up = (0.0, 0.0, 1.0)
         recording = server.get_scene_serializer()
@@ -312,7 +312,7 @@ def _captions(server, trajectory, joint_path, captions, contact: np.ndarray):
     ]
     far = float(np.ptp(trajectory.contact[:, 1])) / 2 + 0.1
     for number, text in enumerate(said):
-        place = tuple(contact + [0.0, far, 0.30 - 0.05 * number])
+        place = tuple(contact + [0.0, far, 0.30 - 0.06 * number])
         server.scene.add_label(f"/captions/{number}", text, position=place)
     return server.scene.add_label(
         "/captions/time", "0.0 s", position=tuple(contact + [0.0, far, 0.36])

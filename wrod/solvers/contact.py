@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.optimize import brentq
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.contact import linearised
 from wrod.kernels.contact import planes as kernels
@@ -25,6 +26,14 @@ from wrod.solvers.solids import (
     Sphere,
     shape_record,
 )
+
+
+def _check(shape: object, **checks: arguments.Check) -> None:
+    for name, check in checks.items():
+        wrong = check(getattr(shape, name))
+        if wrong is not None:
+            raise RodError(f"{type(shape).__name__}: {name} {wrong}")
+
 
 __all__ = [
     "Box",
@@ -100,14 +109,28 @@ class Friction:
 
     def __post_init__(self) -> None:
         values = [self.static, self.static if self.kinetic is None else self.kinetic]
-        real = all(isinstance(v, (int, float, np.number)) for v in values)
+        real = all(arguments.number()(v) is None for v in values)
         if not real or not all(0 <= v < np.inf for v in values) or values[1] > values[0]:
             raise RodError(
                 f"friction is static {self.static!r}, kinetic {self.kinetic!r}; give finite "
                 "numbers with 0 <= kinetic <= static"
             )
-        if self.roll is not None and not (np.isfinite(self.roll) and self.roll >= 0):
+        if arguments.optional(arguments.number(0.0))(self.roll) is not None:
             raise RodError(f"roll friction is {self.roll!r}; give a finite number, 0 or more")
+
+
+_IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
+_IS_SHAPE = arguments.like("a Plane or a solid", "_describe")
+
+
+def _frictions(value) -> str | None:
+    """One law, or a list of them."""
+    return arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION, least=0))(value)
+
+
+def _shapes(value) -> str | None:
+    """One shape, or a list of them."""
+    return arguments.either(_IS_SHAPE, arguments.several(_IS_SHAPE, least=0))(value)
 
 
 # Normal forces rise over this part of the radius: thin against the penetration that is allowed.
@@ -168,6 +191,7 @@ class Contact:
     slip: wp.array = field(init=False)
 
     def __post_init__(self) -> None:
+        self._check()
         batch, device = self.batch, self.batch.device
         rods, nodes = batch.rod_count, batch.node_count
         radius = _per_node("radius", self.radius, (rods, nodes))
@@ -208,6 +232,26 @@ class Contact:
         self._turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
+
+    def _check(self) -> None:
+        """Kinds of the arguments; their sizes where they are used."""
+        _check(
+            self,
+            batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
+            radius=arguments.numbers_of_any_shape,
+            stiffness=arguments.numbers_of_any_shape,
+            friction=arguments.either(_IS_FRICTION, arguments.several(_frictions)),
+            shapes=arguments.several(_shapes, least=0),
+            restitution=arguments.numbers_of_any_shape,
+            friction_field=arguments.optional(
+                arguments.like("a FrictionField", "factor", "x", "y")
+            ),
+            keeps_roll=arguments.truths,
+        )
+        rods = self.batch.rod_count
+        for name in ("restitution", "keeps_roll"):
+            if np.shape(getattr(self, name)) not in ((), (1,), (rods,)):
+                raise RodError(f"Contact: {name} must have shape ({rods},)")
 
     def _note_fixtures(self) -> None:
         rows = self.shapes if isinstance(self.shapes, list) else [self.shapes]
@@ -273,6 +317,11 @@ class Contact:
         origin."""
         return self._edges.push, self._edges.moment
 
+    @arguments.checked(
+        RodError,
+        shapes=arguments.several(_shapes, least=0),
+        friction=arguments.either(_IS_FRICTION, arguments.several(_frictions)),
+    )
     def set_shapes(self, shapes, friction) -> None:
         """Move shapes, or change their friction; as many for every rod as before.
 
@@ -443,10 +492,10 @@ def _per_node(name: str, values, shape: tuple[int, int]) -> np.ndarray:
     """(rod, node) of what is given for all, per rod or per node."""
     values = np.asarray(values, dtype=float)
     if values.ndim < 2:
-        values = np.broadcast_to(values, shape[:1])[:, None]
+        values = arguments.spread(values, shape[:1], f"contact {name}", RodError)[:, None]
     if not (np.isfinite(values) & (values > 0)).all():
         raise RodError(f"contact {name} must be positive and finite")
-    return np.broadcast_to(values, shape)
+    return arguments.spread(values, shape, f"contact {name}", RodError)
 
 
 def _node_lengths(batch: RodBatch) -> np.ndarray:

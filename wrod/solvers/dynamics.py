@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.lanes import WARP
 from wrod.kernels.stepping import continuation
@@ -70,6 +71,10 @@ class Progress:
     iterations: np.ndarray
 
 
+# What touches: the protocol of `Contact`, `RodContact` and Newton's shapes.
+_IS_CONTACT = arguments.like("a wrod.Contact or wrod.RodContact", "add", "settle", "restart")
+
+
 class Dynamics:
     """Time stepping of a batch; allocates everything once.
 
@@ -105,6 +110,25 @@ class Dynamics:
         RodError: unknown scheme, a node without mass, or two `RodContact`.
     """
 
+    @arguments.checked(
+        RodError,
+        batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
+        scheme=arguments.text,
+        radius=arguments.numbers_of_any_shape,
+        air_damping=arguments.array((), (None,)),
+        drag=arguments.optional(arguments.numbers_of_any_shape),
+        internal_damping=arguments.numbers_of_any_shape,
+        contact=arguments.optional(
+            arguments.either(_IS_CONTACT, arguments.several(_IS_CONTACT, 0))
+        ),
+        motion=arguments.optional(arguments.like("a motion", "prescribe")),
+        follower=arguments.optional(arguments.like("a follower", "follow")),
+        force_scale=arguments.optional(arguments.array((), (None,))),
+        tolerance=arguments.number(1e-16, 1e3),
+        max_iterations=arguments.whole(1, 10_000),
+        refuses_saddles=arguments.flag,
+        keeps_recording=arguments.flag,
+    )
     def __init__(
         self,
         batch: RodBatch,
@@ -143,8 +167,8 @@ class Dynamics:
         self.start = RodState.zeros(rods, batch.node_count, device)
         self.start.assign(batch.state)
 
-        def floats(value=0.0):
-            value = np.broadcast_to(np.asarray(value, dtype=float), (rods,))
+        def floats(value=0.0, name="value"):
+            value = arguments.spread(value, (rods,), f"Dynamics: {name}", RodError)
             return wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=device)
 
         def ints(value=0):
@@ -152,17 +176,18 @@ class Dynamics:
 
         self.mass = wp.array(_masses(batch, radius), dtype=wp.float64, device=device)
         self.refuses_saddles = int(refuses_saddles)
-        self.air_damping = floats(air_damping)
+        self.air_damping = floats(air_damping, "air_damping")
         self.drag = None
         if drag is not None:
             shape = (rods, batch.node_count, 2)
-            drag = np.ascontiguousarray(np.broadcast_to(np.asarray(drag, dtype=float), shape))
+            drag = np.ascontiguousarray(arguments.spread(drag, shape, "Dynamics: drag", RodError))
             self.drag = wp.array(drag, dtype=wp.vec2d, device=device)
         # The last change of velocity tells Newton's start, but for what hits something.
         self._growth = 0.0 if self.contacts else 0.5
         self.viscosity = Viscosity(batch, internal_damping)
         self.internal = InternalVariables(batch)
-        self.force_scale = floats(_force_scale(batch) if force_scale is None else force_scale)
+        scale = _force_scale(batch) if force_scale is None else force_scale
+        self.force_scale = floats(scale, "force_scale")
         self.length_scale = floats(batch.rest_length.numpy().sum(axis=1))
         self.tolerance, self.step_tolerance, self.residual = tolerance, floats(), floats()
         self.rounding = wp.array(self._rounding(), dtype=wp.vec2d, device=device)
@@ -196,11 +221,14 @@ class Dynamics:
         """Record afresh: what `motion` or contacts launch has changed."""
         self._recording = None
 
+    @arguments.checked(RodError, velocity=arguments.numbers_of_any_shape)
     def set_velocity(self, velocity: np.ndarray) -> None:
         """(rod, node, 3) velocities of the nodes now; the edges do not spin."""
         batch = self.batch
         dof = np.zeros((batch.rod_count, batch.node_count, 4))
-        dof[:, :, :3] = velocity
+        dof[:, :, :3] = arguments.spread(
+            velocity, dof[:, :, :3].shape, "Dynamics: velocity", RodError
+        )
         self.velocity.assign(dof.reshape(batch.rod_count, -1)[:, :-1])
         self.step_before.zero_()
 
@@ -226,6 +254,15 @@ class Dynamics:
         kinetic = 0.5 * np.sum(self.mass.numpy() * self.velocity.numpy() ** 2, axis=1)
         return kinetic + self.batch.evaluate(order=1).energy.numpy()
 
+    @arguments.checked(
+        RodError,
+        until=arguments.array((), (None,)),
+        step=arguments.number(),
+        smallest_step=arguments.optional(arguments.number(above=0.0)),
+        frames=arguments.optional(arguments.like("a Warp array", "ptr", "device", "shape")),
+        frame_interval=arguments.number(above=0.0),
+        progress=arguments.optional(arguments.callback),
+    )
     def advance(
         self,
         until: np.ndarray | float,
@@ -253,7 +290,9 @@ class Dynamics:
             raise RodError(f"time step is {step!r}; give a positive finite number")
         batch = self.batch
         smallest = step * _SMALLEST_STEP if smallest_step is None else smallest_step
-        self.until.assign(np.broadcast_to(np.asarray(until, dtype=float), (batch.rod_count,)))
+        self.until.assign(
+            arguments.spread(until, (batch.rod_count,), "Dynamics.advance: until", RodError)
+        )
         self._per_rod(
             kernels.begin_advance,
             [wp.float64(step), self.until, self.time, self.diverged],
@@ -584,7 +623,8 @@ def _masses(batch: RodBatch, radius) -> np.ndarray:
     rest = batch.rest_length.numpy()
     radius = np.asarray(radius, dtype=float)
     if radius.ndim < 2:
-        radius = np.broadcast_to(radius, (batch.rod_count,))[:, None]
+        radius = arguments.spread(radius, (batch.rod_count,), "Dynamics: radius", RodError)[:, None]
+    radius = arguments.spread(radius, rest.shape, "Dynamics: radius", RodError)
     if not (np.isfinite(radius) & (radius > 0)).all():
         raise RodError("radius must be positive and finite")
     out = np.empty((batch.rod_count, batch.node_count, 4))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
@@ -23,6 +24,9 @@ _SKIP = float(np.pi)
 _STIFFNESS = 10.0
 # The normal force rises quadratically over this part of the radius.
 _SKIN = 0.05
+
+
+_IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
 
 
 class RodContact:
@@ -55,6 +59,15 @@ class RodContact:
             batch stands where its rods are inside each other.
     """
 
+    @arguments.checked(
+        RodError,
+        batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
+        radius=arguments.numbers_of_any_shape,
+        friction=arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION)),
+        stiffness=arguments.optional(arguments.array((), (None,))),
+        restitution=arguments.array((), (None,)),
+        partners=arguments.whole(1, 4096),
+    )
     def __init__(
         self,
         batch: RodBatch,
@@ -77,7 +90,7 @@ class RodContact:
         if stiffness is None:
             stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
             stiffness = _STIFFNESS * stretching / mean_radius
-        stiffness = np.broadcast_to(np.asarray(stiffness, dtype=float), (rods,))
+        stiffness = arguments.spread(stiffness, (rods,), "RodContact: stiffness", RodError)
         if not (np.isfinite(stiffness) & (stiffness > 0)).all():
             raise RodError("contact stiffness must be positive and finite")
         friction = [friction] * rods if isinstance(friction, Friction) else friction
@@ -92,7 +105,8 @@ class RodContact:
         def zeros(dtype, *shape):
             return wp.zeros((rods, *shape), dtype=dtype, device=device)
 
-        damping = contact_damping(np.broadcast_to(restitution, (rods,)))
+        restitution = arguments.spread(restitution, (rods,), "RodContact: restitution", RodError)
+        damping = contact_damping(restitution)
         # Two edges that meet move as one of half their mass.
         mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
         laws = []
@@ -117,10 +131,13 @@ class RodContact:
             zeros(wp.int32, edges, partners) for _ in range(4)
         )
         self.bristle, self._new_bristle = (zeros(wp.vec2d, edges, partners) for _ in range(2))
-        self.depth, self.load, self._new_load = (
-            zeros(wp.float64, edges, partners) for _ in range(3)
+        # Normal forces at the end of the last step, and those that bound friction in this one.
+        self.depth, self.load, self.held_load, self._new_load = (
+            zeros(wp.float64, edges, partners) for _ in range(4)
         )
-        self.overflow, self.sticking, self._overloaded = (zeros(wp.int32) for _ in range(3))
+        self.overflow, self.sticking, self._overloaded, self._renewed, self._renewals = (
+            zeros(wp.int32) for _ in range(5)
+        )
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
@@ -140,7 +157,7 @@ class RodContact:
             kernels.begin_sticking,
             dim=batch.rod_count,
             inputs=[starting, rejected],
-            outputs=[self.sticking, self._overloaded],
+            outputs=[self.sticking, self._overloaded, self._renewals],
             device=batch.device,
         )
         wp.launch(
@@ -177,6 +194,13 @@ class RodContact:
             outputs=[self.overflow],
             device=batch.device,
         )
+        wp.launch(
+            kernels.hold_loads,
+            dim=self.load.shape,
+            inputs=[starting, self.load],
+            outputs=[self.held_load],
+            device=batch.device,
+        )
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces at `dof` to the batch's gradient; their stiffness goes into `system`."""
@@ -193,7 +217,7 @@ class RodContact:
                 self.partner_count,
                 self.partner,
                 self.bristle,
-                self.load,
+                self.held_load,
                 self.sliding,
                 self.sticking,
             ],
@@ -214,7 +238,16 @@ class RodContact:
     def refuse(
         self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
     ) -> None:
-        """Take back the convergence of steps that are too large for nothing to tunnel."""
+        """Take back the convergence of steps that are too large for nothing to tunnel, and of those
+        whose friction belongs to loads that are not there any more."""
+        wp.launch(
+            kernels.renew_loads,
+            dim=self.partner_count.shape,
+            inputs=[*self._model, self.time_step, converged, self._renewals, dof, dof_before]
+            + [self.partner_count, self.partner, self.bristle, self.sliding, self.held_load],
+            outputs=[self._renewed],
+            device=self.batch.device,
+        )
         self.batch.walk(
             touching.refuse_large_steps,
             [
@@ -228,6 +261,8 @@ class RodContact:
                 self.overflow,
                 self.sticking,
                 self._overloaded,
+                self._renewed,
+                self._renewals,
             ],
             [converged, active],
         )
@@ -259,7 +294,7 @@ class RodContact:
             kernels.settle_friction,
             dim=self.partner_count.shape,
             inputs=[*self._model, self.time_step, accepted, dof, dof_before]
-            + [self.partner_count, self.partner],
+            + [self.partner_count, self.partner, self.held_load],
             outputs=[
                 self.bristle,
                 self.load,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.contact import planes as kernels
 from wrod.kernels.contact import solids
@@ -14,8 +15,26 @@ from wrod.kernels.contact import solids
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
+_VECTOR, _NUMBER = arguments.array((3,)), arguments.number()
+_KINDS = {
+    "point": _VECTOR, "normal": _VECTOR, "center": _VECTOR, "half_size": _VECTOR, "axis": _VECTOR,
+    "rotation": arguments.array((4,)), "radius": _NUMBER, "half_height": _NUMBER,
+}  # fmt: skip
+
+
+class _Checked:
+    """Its places and sizes are finite numbers; whether it has a size is judged where it is used."""
+
+    def __post_init__(self) -> None:
+        for one in fields(self):  # type: ignore[arg-type]
+            check = _KINDS.get(one.name)
+            wrong = None if check is None else check(getattr(self, one.name))
+            if wrong is not None:
+                raise RodError(f"{type(self).__name__}: {one.name} {wrong}")
+
+
 @dataclass(frozen=True)
-class Plane:
+class Plane(_Checked):
     """A half-space: everything below `point`, against `normal`."""
 
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -26,7 +45,7 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Box:
+class Box(_Checked):
     """A box of half sizes `half_size` (3) [length] around `center`, turned by a quaternion xyzw."""
 
     center: tuple[float, float, float]
@@ -38,7 +57,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Cylinder:
+class Cylinder(_Checked):
     """A cylinder around `center` with its axis along `axis`."""
 
     center: tuple[float, float, float]
@@ -52,7 +71,7 @@ class Cylinder:
 
 
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(_Checked):
     """A ball of a radius [length] around `center`."""
 
     center: tuple[float, float, float]
@@ -63,7 +82,7 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class Capsule:
+class Capsule(_Checked):
     """A cylinder around `center` of that half height, with half balls on both ends."""
 
     center: tuple[float, float, float]
@@ -77,7 +96,7 @@ class Capsule:
 
 
 @dataclass(frozen=True)
-class Cone:
+class Cone(_Checked):
     """A cone whose apex is `half_height` from `center` along `axis`, its base as far behind."""
 
     center: tuple[float, float, float]
@@ -91,7 +110,7 @@ class Cone:
 
 
 @dataclass(frozen=True)
-class Ellipsoid:
+class Ellipsoid(_Checked):
     """An ellipsoid of half axes `half_size` (3) around `center`, turned by a quaternion xyzw."""
 
     center: tuple[float, float, float]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.stepping import continuation
 from wrod.kernels.stepping import newton_iteration as newton
@@ -15,6 +16,7 @@ from wrod.solvers.banded import BandedSystem
 
 # Largest change of an edge in one Newton step, as a fraction of its length.
 _STEP_LIMIT = 0.5
+_INDICES = arguments.indices
 _SMALLEST_FRACTION = 1e-4
 _SMALLEST_PROGRESS = 1e-3
 
@@ -76,6 +78,13 @@ class EquilibriumSolver:
         self.slope, self.fraction, self.shift_unit = (floats() for _ in range(3))
         self.residual, self.tolerance = floats(), floats()
 
+    @arguments.checked(
+        RodError,
+        prescribed=arguments.optional(arguments.numbers_of_any_shape),
+        ramp_loads=arguments.flag,
+        tolerance=arguments.number(1e-16, 1e3),
+        max_iterations=arguments.whole(1, 1_000_000),
+    )
     def solve(
         self,
         *,
@@ -287,11 +296,21 @@ class EquilibriumSolver:
         self._copy(self.active, trial, batch.state)
 
 
+@arguments.checked(
+    RodError, batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state")
+)
 def solve_equilibria(batch: RodBatch, **options) -> Equilibria:
     """Bring every rod of `batch` to equilibrium; see `EquilibriumSolver.solve` for the options."""
     return EquilibriumSolver(batch).solve(**options)
 
 
+@arguments.checked(
+    RodError,
+    batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
+    clamped_nodes=_INDICES,
+    pinned_nodes=_INDICES,
+    clamped_angles=_INDICES,
+)
 def prescribe(
     batch: RodBatch, *, clamped_nodes=(), pinned_nodes=(), clamped_angles=()
 ) -> np.ndarray:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import read_arrays
 from wrod.identification.clamped.checks import check_geometry, check_rod
@@ -16,6 +17,7 @@ from wrod.rods.material import RodMaterial
 _SCALARS = ("length", "radius", "density", "L_gb", "poisson", "gravity", "noise_std")
 
 
+@arguments.checked(DataError, path=arguments.path)
 def load_measurements(path: str | os.PathLike[str]) -> ClampedMeasurements:
     """Read a set of clamped equilibria (.npz, fields as in `ClampedMeasurements`) and check it.
 

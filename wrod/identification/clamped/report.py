@@ -23,9 +23,9 @@ from wrod.identification.clamped.noise import NoiseModel
 from wrod.identification.clamped.selection import select
 from wrod.identification.clamped.setup import Setup
 from wrod.identification.clamped.trace import Print, trace
+from wrod.identification.clamped.verdict import Selection
 from wrod.identification.effect import Effect, Estimate, Model, effects
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
-from wrod.identification.verdict import Selection
 from wrod.rods.batch import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel

@@ -28,8 +28,8 @@ from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.noise import estimate
 from wrod.identification.clamped.pairs import likely_pairs
 from wrod.identification.clamped.profiles import built_effects
+from wrod.identification.clamped.verdict import AT_NOISE, BIC_MARGIN, Round, Selection, judge
 from wrod.identification.effect import Effect, Model
-from wrod.identification.verdict import AT_NOISE, BIC_MARGIN, Round, Selection, judge
 
 LEAST_SHARE = 0.005
 MOST_EFFECTS = 3

@@ -7,13 +7,13 @@ along (0, -1), and gravity is g (sin Gamma, -cos Gamma) at the hand's angle Gamm
 from __future__ import annotations
 
 import os
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import DataError, WrodError
+from wrod.errors import DataError
+from wrod.files import read_arrays
 
 
 @dataclass(frozen=True)
@@ -167,16 +167,14 @@ def _held(path, data, mid, end, suffix) -> HeldCable:
 
 
 def _read(path, names) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            missing = [name for name in names if name not in file.files]
-            if missing:
-                raise DataError(f"{path}: has no {', '.join(missing)}")
-            return {name: np.asarray(file[name]) for name in names}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, WrodError):
-            raise
-        raise DataError(f"{path}: not a readable measurement ({error})") from None
+    found = read_arrays(path, "a measurement of a cable held at its base", only=names)
+    missing = [name for name in names if name not in found]
+    if missing:
+        raise DataError(f"{path}: has no {', '.join(missing)}")
+    words = [name for name in names if found[name].dtype.kind not in "fiu"]
+    if words:
+        raise DataError(f"{path}: {', '.join(words)} must hold numbers")
+    return found
 
 
 def _positive(path, data, names) -> list[float]:

@@ -19,6 +19,7 @@ from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError
 from wrod.identification.effect import Estimate
 from wrod.identification.laid.measurements import LaidMeasurements
+from wrod.identification.verdict import CORRELATED, LAID, LAID_ONCE
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -32,8 +33,6 @@ _UNITS = {"natural_curvature": "1/m", "log_L_gb": "", "log_friction": ""}
 _STEPS = {"natural_curvature": 1.0, "log_L_gb": 0.03, "log_friction": 0.15}
 # Standard deviations of Gaussian priors around the believed rod.
 _PRIORS = {"natural_curvature": 20.0, "log_L_gb": 0.5, "log_friction": 0.7}
-# Two prints with a correlation beyond this cannot be told apart.
-_CONFOUNDED = 0.95
 # One parameter is enough where it leaves no more than this, over what both leave.
 _ENOUGH = 1.3
 
@@ -216,14 +215,14 @@ def _alone(measurements, here, rates, off) -> dict[str, float]:
 def _verdict(before, after, floor, count, estimates, correlation) -> tuple[str, str]:
     """Neighbouring points of a laid rod err together, so a margin stands for their number."""
     shares = f"{1e3 * before:.2f} mm before, {1e3 * after:.2f} mm after, noise {1e3 * floor:.2f} mm"
-    margin = 1.15 if count > 1 else 1.3
-    if before <= margin * floor:
+    rule = LAID if count > 1 else LAID_ONCE
+    if rule.is_noise(before, floor):
         return "adequate", f"the believed rod is within the noise ({shares})"
     clear = [name for name, e in estimates.items() if abs(e.value) > 3.0 * e.stderr]
-    if not clear or after > 0.8 * before:
+    if not clear or after > (1.0 - rule.takes) * before:
         return "unexplained", f"neither natural curvature nor L_gb explains the residual ({shares})"
-    word = "explained" if after <= margin * floor else "partly-explained"
+    word = "explained" if rule.is_noise(after, floor) else "partly-explained"
     said = " and ".join(clear)
-    if abs(correlation) > _CONFOUNDED:
+    if abs(correlation) > CORRELATED:
         said += ", which these rods hardly tell apart"
     return word, f"{said} ({shares})"

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import savgol_filter
 
+from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS
 from wrod.errors import DataError, WrodError
 from wrod.files import read_arrays
@@ -82,6 +83,15 @@ class LaidMeasurements:
         return float(np.sqrt((self.residual(predicted) ** 2).sum(axis=-1).mean()))
 
 
+@arguments.checked(
+    DataError,
+    sources=arguments.several(
+        arguments.either(arguments.path, arguments.array((None, 2), (None, 3), finite=False))
+    ),
+    pattern=arguments.like("a wrod.Pattern", "sample", "length", "remainder_length"),
+    units=arguments.optional(arguments.text),
+    noise=arguments.optional(arguments.number(0.0, 100.0)),
+)
 def load_laid(
     sources: Sequence[str | os.PathLike[str] | np.ndarray],
     pattern: Pattern,

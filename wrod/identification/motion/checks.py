@@ -11,6 +11,10 @@ _FAR = 10.0
 _FAST = 15.0
 # How many times farther something is from its own place than from another's, to be taken for it.
 _FARTHER = 3.0
+# No hand or robot shakes a rod so [m/s^2]; part of its length that another order may save.
+_HURRIED, _SHORTER = 60.0, 0.05
+# Noise over the rod's length that no marker has.
+_RESTLESS = 0.02
 
 
 def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
@@ -57,7 +61,52 @@ def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
             f"{where}: the markers of recording {names[r]} change places at frame {f + 1}; sort "
             "them or leave the recording out"
         )
+    noise = _noise(x)
+    if noise > _RESTLESS * length:
+        raise DataError(
+            f"{where}: markers jump to and fro by {1e3 * noise:.0f} mm from frame to frame; give "
+            "markers and frames in their order"
+        )
+    _check_order(x, where)
     _check_ends(x, names, where)
+    hurry = _acceleration(x, rate, noise)
+    if hurry > _HURRIED:
+        raise DataError(
+            f"{where}: markers are accelerated by {hurry:.0f} m/s^2 in the median, which no grip "
+            f"does to a rod; is rate_hz, {rate:g}, the rate of these frames?"
+        )
+
+
+def _noise(x: np.ndarray) -> float:
+    """Standard deviation of the markers' coordinates from a smooth motion [m]."""
+    return float(np.median(np.abs(np.diff(x, 4, axis=1))) * 1.4826 / np.sqrt(70.0))
+
+
+def _acceleration(x: np.ndarray, rate: float, noise: float) -> float:
+    """Median acceleration of the markers [m/s^2], over so many frames that noise is no part."""
+    most = (x.shape[1] - 1) // 2
+    for lag in (1, 2, 4, 8, 16, 32, 64, most):
+        lag = min(lag, most)
+        second = x[:, 2 * lag :] - 2.0 * x[:, lag:-lag] + x[:, : -2 * lag]
+        size = float(np.median(np.linalg.norm(second, axis=3)))
+        if size > 100.0 * noise:
+            break
+    return size * (rate / lag) ** 2
+
+
+def _check_order(x: np.ndarray, where: str) -> None:
+    """Whether some piece of the row of markers, turned round, would make a shorter rod."""
+    apart = np.linalg.norm(x[:, :, :, None] - x[:, :, None], axis=4).mean(axis=(0, 1))
+    count = len(apart)
+    length = sum(apart[i, i + 1] for i in range(count - 1))
+    for i in range(count - 2):
+        for j in range(i + 1, count - 1):
+            now = apart[i, i + 1] + apart[j, j + 1]
+            if apart[i, j] + apart[i + 1, j + 1] < now - _SHORTER * length:
+                raise DataError(
+                    f"{where}: markers {i + 1} to {j} in the opposite order would lie nearer to "
+                    "their neighbours; give the markers in their order along the rod"
+                )
 
 
 def _check_ends(x: np.ndarray, names, where: str) -> None:

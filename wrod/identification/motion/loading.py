@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import read_arrays
 from wrod.identification.motion.checks import check_positions
@@ -30,6 +31,7 @@ def is_motion(path: str | os.PathLike[str]) -> bool:
         return False
 
 
+@arguments.checked(DataError, path=arguments.path)
 def load_motion(path: str | os.PathLike[str]) -> MotionMeasurements:
     """Read recordings of a rod in motion (.npz) and check them.
 

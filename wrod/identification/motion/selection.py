@@ -20,6 +20,7 @@ from wrod.identification.effect import Effect, Model, effects
 from wrod.identification.motion.confounding import confounded_pairs, correlations_of
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
 from wrod.identification.motion.promises import losses_of, promises_of
+from wrod.identification.verdict import MOTION
 
 # What cannot be known beforehand, with the value that fits start from: a rod without damping would
 # ring on, and one damped by air alone is a local optimum that fits do not leave.
@@ -28,8 +29,6 @@ BASE = tuple(_BASE)
 TRIED, KEPT_ON = 6, 2
 LEAST_GAIN = 0.01
 MOST_EFFECTS = 6
-PARTLY = 0.8
-AT_NOISE = 1.15
 # (frames, recordings) of the windows: to begin with, of the selection and of the last fit.
 _SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
 # Effects without which the linearised misfit rises by more than this share are not idle.
@@ -254,13 +253,13 @@ def verdict_of(selection: MotionSelection, floor: float) -> tuple[str, str]:
     """(verdict, reason): what the errors on recordings not fitted say."""
     before, after = selection.before, selection.after
     numbers = f"test error {1e3 * before:.2f} mm before, {1e3 * after:.2f} mm after"
-    if before <= AT_NOISE * floor:
+    if MOTION.is_noise(before, floor):
         return "adequate", f"{numbers}: the base model reaches the floor of {1e3 * floor:.2f} mm"
     if len(selection.model.effects) == len(BASE):
         return "unexplained", f"{numbers}: no effect lowers the error of recordings not fitted"
-    if after <= AT_NOISE * floor:
+    if MOTION.is_noise(after, floor):
         return "explained", f"{numbers}: the floor is {1e3 * floor:.2f} mm"
-    if after <= PARTLY * before:
+    if after <= (1.0 - MOTION.takes) * before:
         return "partly-explained", f"{numbers}: {1e2 * (1 - after / before):.0f} % less"
     return "unexplained", f"{numbers}: no effect takes a fifth of it away"
 

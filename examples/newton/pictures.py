@@ -1,0 +1,100 @@
+"""Run the examples of this folder without a display, check them, and draw them at some times.
+
+Run: `python examples/newton/pictures.py`, which writes out/examples/newton.png.
+"""
+
+import importlib
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import matplotlib
+import numpy as np
+from newton.viewer import ViewerNull
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+HERE = Path(__file__).parent
+# Example, its title, times that are drawn [s], view (elevation, azimuth), axes' limits (x, y, z).
+SCENES = {
+    "crane": (
+        "A beam on two cables", (0.02, 1.2, 6.0), (8, -75),
+        ((-0.3, 0.7), (-0.2, 0.2), (0.4, 1.15)),
+    ),
+    "cable_pile": (
+        "Eight cables on a heap", (2.5,), (35, -60),
+        ((-0.15, 0.15), (-0.15, 0.15), (0.0, 0.08)),
+    ),
+    "arm_carries_cable": (
+        "An arm carries a cable", (0.02, 2.2, 4.4), (10, -80),
+        ((-0.05, 0.75), (-0.2, 0.2), (0.0, 0.5)),
+    ),
+}  # fmt: skip
+
+
+def run(name: str, times) -> list:
+    """Positions of nodes by rod, and of the example's links or beam, at the times."""
+    sys.path.insert(0, str(HERE))
+    module = importlib.import_module(name)
+    example = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+    frames = [round(t / example.frame_dt) for t in times]
+    out = []
+    for k in range(1, example.frame_count + 1):
+        example.step()
+        if k in frames:
+            out.append((rods(example), bodies(example)))
+    example.test_final()
+    print(f"{name}: meets its criteria")
+    return out
+
+
+def rods(example) -> list[np.ndarray]:
+    der = example.model.der
+    q = example.state.der.node_q.numpy().copy()
+    spans = zip(der.rod_first_node.numpy(), der.rod_node_count.numpy(), strict=True)
+    return [q[first : first + count] for first, count in spans]
+
+
+def bodies(example) -> list[np.ndarray]:
+    """Both ends of the boxes on the bodies that are no capsules of cables."""
+    model, out = example.model, []
+    poses = example.state.body_q.numpy()
+    shapes = zip(
+        model.shape_body.numpy(), model.shape_label, model.shape_scale.numpy(), strict=True
+    )
+    for body, label, size in shapes:
+        if body >= 0 and "capsule" not in label:
+            x, y, z, w = poses[body, 3:]
+            way = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+            out.append(poses[body, :3] + np.array([[-1.0], [1.0]]) * size[0] * way)
+    return out
+
+
+def main(out: str | Path = "out/examples") -> Path:
+    figure = plt.figure(figsize=(15, 5), layout="constrained")
+    for k, (name, (title, times, view, limits)) in enumerate(SCENES.items()):
+        axes = figure.add_subplot(1, len(SCENES), k + 1, projection="3d")
+        found = run(name, times)
+        for moment, (lines, boxes) in enumerate(found):
+            shade = (moment + 1) / len(found)
+            for i, q in enumerate(lines):
+                color = plt.cm.viridis(i / max(1, len(lines) - 1)) if len(found) == 1 else "#0b5fa5"
+                axes.plot(*q.T, color=color, alpha=0.25 + 0.75 * shade, lw=3.0)
+            for ends in boxes:
+                axes.plot(*ends.T, color="#22262b", alpha=0.2 + 0.6 * shade, lw=6.0)
+        axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], title=title)
+        axes.set_box_aspect([b - a for a, b in limits])
+        axes.view_init(*view)
+        axes.tick_params(labelsize=7)
+        axes.set_yticks([-0.1, 0.0, 0.1])
+    path = Path(out) / "newton.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+    print(path)
+    return path
+
+
+if __name__ == "__main__":
+    main()

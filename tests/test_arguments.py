@@ -1,0 +1,494 @@
+"""Every parameter of every public callable meets what nobody means: only typed errors, or success.
+
+A call is one that works; one argument after the other is replaced. What is refused has to be
+refused before the work, so a call that still works after a second has taken its argument.
+"""
+
+import importlib
+import os
+import random
+import signal
+import time
+import warnings
+from contextlib import contextmanager, suppress
+from functools import cache
+
+import numpy as np
+import pytest
+
+import wrod
+from wrod.errors import WrodError
+
+FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
+SHARE = 6  # of the wrong values of a parameter, in the tests; `make fuzz` tries all
+
+
+class Hostile:
+    """Of a type that nothing knows."""
+
+
+WRONG = {
+    "None": None, "words": "words", "no text": "", "bytes": b"x", "truth": True, "zero": 0,
+    "minus": -1, "half": 0.5, "nan": float("nan"), "inf": float("inf"), "minus inf": -float("inf"),
+    "huge": 1e300, "tiny": 1e-300, "digits": 10**400, "minus digits": -(10**400), "complex": 1j,
+    "no list": [], "list": [1, 2, 3], "nested": [[1, 2], [3]], "mixed": [1, "a", None],
+    "dict": {"a": 1}, "no dict": {}, "object": Hostile(), "class": Hostile, 
+    "none in list": [None], "no array": np.zeros(0), "array": np.zeros(3), "matrix": np.eye(2),
+    "deep array": np.zeros((1, 1, 1, 1, 1)), "nan array": np.full((4, 3), np.nan),
+    "inf array": np.full((1, 4, 3), np.inf), "text array": np.array(["a"]), "zero byte": "a\0b",
+    "object array": np.array([None, 1], dtype=object), "path": "/proc/nothing/x", "big": 10**9,
+    "function": lambda *_: 1,
+    "set": {1}, "generator": (k for k in ()), "bool array": np.ones(3, bool), "long": "x" * 5000,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def loaded():
+    """What is imported late is imported now: an import that is cut short leaves halves."""
+    for name in ("torch", "scipy.optimize", "pytorch_kinematics", "cv2", "pxr.UsdGeom", "newton"):
+        with suppress(ImportError):
+            importlib.import_module(name)
+
+
+class _Enough(BaseException):
+    """A call took longer than its arguments need."""
+
+
+@contextmanager
+def at_most(seconds: float):
+    def late(*_):
+        raise _Enough
+
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def batch():
+    x = np.linspace(0.0, 0.1, 6)
+    position = np.stack([x, 0 * x, 0 * x], 1)[None]
+    return dict(
+        position=position, rest_length=0.02, stretching_stiffness=100.0, bending_stiffness=1e-4,
+        twisting_stiffness=1e-4, natural_curvature=0.0, natural_twist=0.0, softening=0.0,
+        node_mass=1e-3, gravity=(0.0, 0.0, -9.81), point_load=0.0, director=None, device="cpu",
+    )  # fmt: skip
+
+
+@cache
+def line():
+    return wrod.pattern("line")
+
+
+@cache
+def vps():
+    return wrod.rod("green-vps")
+
+
+@cache
+def path():
+    return wrod.plan(line(), vps(), "intuitive", spacing=0.02)
+
+
+def rods():
+    return wrod.RodBatch(**batch())
+
+
+def free(one):
+    one.set_free(wrod.prescribe(one, clamped_nodes=[0, 1], clamped_angles=[0]))
+    return one
+
+
+def picture():
+    image = np.full((120, 160), 255, np.uint8)
+    image[58:63, 20:140] = 0
+    return image
+
+
+def model():
+    newton = pytest.importorskip("newton")
+    builder = newton.ModelBuilder()
+    wrod.SolverDER.register_custom_attributes(builder)
+    wrod.SolverDER.add_rod(builder, batch()["position"][0] + [0, 0, 1], vps())
+    return builder.finalize()
+
+
+def builder():
+    newton = pytest.importorskip("newton")
+    made = newton.ModelBuilder()
+    wrod.SolverDER.register_custom_attributes(made)
+    return made
+
+
+def knot():
+    from wrod.bench.applications_trials import knot_plan
+
+    return knot_plan("trefoil")
+
+
+def joint_path():
+    return dict(
+        trajectory=path(), robot="sawyer", placement="auto", grip_angle="auto",
+        gripper_length=None, flange=None, tip=None, table_height=None, obstacles=None,
+        grip_speed=0.02, rate=100.0, limit_margin=0.02, clearance=0.005, rod_radius=0.004,
+    )  # fmt: skip
+
+
+ROD = dict(radius=0.0016, gravito_bending_length=0.03, length=0.8, poisson=0.5, density=1180.0,
+           gravity=9.81, natural_curvature=(0.0, 0.0))  # fmt: skip
+MODEL = dict(
+    length=0.8, bending_stiffness=1e-4, twisting_stiffness=1e-4, stretching_stiffness=100.0,
+    line_mass=0.01, radius=0.002, principal_angle=0.0, natural_curvature=(0.0, 0.0),
+    natural_twist=0.0, point_masses=(), internal_damping=0.0, air_damping=0.0, quadratic_drag=0.0,
+    gravity=9.81,
+)  # fmt: skip
+# Public callables: what makes the function, and the arguments with which it works. Arguments that
+# begin with * are given by their place.
+CALLS = {
+    "rod": lambda: (wrod.rod, dict(name="green-vps")),
+    "pattern": lambda: (wrod.pattern, dict(name="line")),
+    "RodMaterial": lambda: (wrod.RodMaterial, ROD),
+    "RodMaterial.from_youngs_modulus": lambda: (
+        wrod.RodMaterial.from_youngs_modulus,
+        dict(youngs_modulus=1e6, radius=0.002, length=0.8, poisson=0.5, density=1e3, gravity=9.81),
+    ),
+    "RodMaterial.from_loop_height": lambda: (
+        wrod.RodMaterial.from_loop_height,
+        dict(loop_height=0.04, radius=0.002, length=0.8, poisson=0.5, density=1e3, gravity=9.81),
+    ),
+    "RodMaterial.load": lambda: (wrod.RodMaterial.load, dict(path="x", radius=None, length=None)),
+    "RodMaterial.curvature_held": lambda: (vps().curvature_held, dict(roll=0.0)),
+    "RodModel": lambda: (wrod.RodModel, MODEL),
+    "RodModel.of": lambda: (wrod.RodModel.of, dict(rod=vps())),
+    "RodModel.load": lambda: (wrod.RodModel.load, dict(path="x", radius=None, length=None)),
+    "RodModel.rolled": lambda: (vps().model().rolled, dict(s=0.1)),
+    "RodModel.curvature_held": lambda: (vps().model().curvature_held, dict(roll=0.0)),
+    "RodModel.bent": lambda: (vps().model().bent, dict(left=1.0, up=0.0, roll=0.0)),
+    "RodModel.stiffened": lambda: (vps().model().stiffened, dict(factor=2.0)),
+    "RodModel.piece": lambda: (vps().model().piece, dict(start=0.1, stop=0.2)),
+    "RodModel.turned": lambda: (vps().model().turned, dict(roll=0.1)),
+    "RodModel.scaled": lambda: (vps().model().scaled, dict(length_unit=0.03, force_unit=0.01)),
+    "Profile": lambda: (wrod.Profile, dict(values=(1.0, 2.0), knots=(0.0, 1.0))),
+    "Profile.of": lambda: (wrod.Profile.of, dict(value=1.0)),
+    "Profile.sampled": lambda: (
+        wrod.Profile.sampled,
+        dict(function=np.sin, start=0.0, stop=1.0),
+    ),
+    "Profile.__call__": lambda: (wrod.Profile((1.0, 2.0), (0.0, 1.0)), {"*s": 0.5}),
+    "Profile.integral": lambda: (
+        wrod.Profile((1.0, 2.0), (0.0, 1.0)).integral,
+        dict(start=0.0, stop=0.5),
+    ),
+    "Profile.mean": lambda: (
+        wrod.Profile((1.0, 2.0), (0.0, 1.0)).mean,
+        dict(start=0.0, stop=0.5),
+    ),
+    "Profile.scaled": lambda: (
+        wrod.Profile((1.0, 2.0), (0.0, 1.0)).scaled,
+        dict(factor=2.0, length_factor=1.0),
+    ),
+    "Profile.piece": lambda: (
+        wrod.Profile((1.0, 2.0), (0.0, 1.0)).piece,
+        dict(start=0.0, stop=0.5),
+    ),
+    "Profile.reversed": lambda: (
+        wrod.Profile((1.0, 2.0), (0.0, 1.0)).reversed,
+        dict(length=1.0),
+    ),
+    "Pattern.load": lambda: (
+        wrod.Pattern.load,
+        dict(path="x", units=None, smoothing=None, name=None, layer=None, stroke=None),
+    ),
+    "Pattern.from_points": lambda: (
+        wrod.Pattern.from_points,
+        dict(
+            points=np.column_stack([np.linspace(0, 0.3, 20), np.zeros(20)]), units="m",
+            smoothing=None, name="a",
+        ),
+    ),
+    "Pattern.from_expression": lambda: (
+        wrod.Pattern.from_expression,
+        {"*expression": "0.1*sin(9*x)", "start": 0.0, "stop": 0.3, "units": "m", "name": "a"},
+    ),
+    "Pattern.sample": lambda: (line().sample, dict(s=0.1)),
+    "Pattern.curvature_derivative": lambda: (line().curvature_derivative, dict(s=0.1, order=1)),
+    "Pattern.with_remainder": lambda: (line().with_remainder, dict(length=0.1)),
+    "Pattern.scaled": lambda: (line().scaled, dict(factor=2.0)),
+    "Pattern.save": lambda: (line().save, dict(path="/proc/none/a", spacing=0.01)),
+    "Controller.load": lambda: (wrod.Controller.load, dict(path=None, closure="zero_tension")),
+    "Controller.predict": lambda: (
+        wrod.Controller.load().predict,
+        dict(suspended_length=10.0, curvature=0.1, stretch_ratio=2000.0),
+    ),
+    "solve_grasps": lambda: (
+        wrod.solve_grasps,
+        dict(
+            suspended_length=[10.0], curvature=[0.1], stretch_ratio=2000.0, closure="zero_tension",
+            natural_curvature=None, poisson=0.5, device="cpu", sensitivities=False,
+            eigenvalues=False, shapes=True, edge_count=128, extrapolate=True, threads=1,
+            progress=None,
+        ),
+    ),
+    "solve_rod_grasps": lambda: (
+        wrod.solve_rod_grasps,
+        dict(
+            rod=vps().model(), arc_length=[0.4], curvature=[0.0], closure="zero_tension", roll=0.0,
+            device="cpu", edge_count=128, extrapolate=True, threads=1,
+        ),
+    ),
+    "plan": lambda: (
+        wrod.plan,
+        dict(
+            pattern=line(), rod=vps(), method="intuitive", closure=None, spacing=0.05,
+            remainder=None, roll="plane", controller=None, friction=None, device=None,
+            progress=None,
+        ),
+    ),
+    "friction_bound": lambda: (
+        wrod.friction_bound,
+        dict(pattern=line(), rod=vps(), friction=0.5, spacing=0.01),
+    ),
+    "Trajectory.load": lambda: (wrod.Trajectory.load, dict(path="x")),
+    "JointPath.load": lambda: (wrod.JointPath.load, dict(path="x")),
+    "Deployment.load": lambda: (wrod.Deployment.load, dict(path="x")),
+    "KnotPlan.load_plan": lambda: (wrod.KnotPlan.load_plan, dict(path="x")),
+    "load_measurements": lambda: (wrod.load_measurements, dict(path="x")),
+    "load_motion": lambda: (wrod.load_motion, dict(path="x")),
+    "load_laid": lambda: (
+        wrod.load_laid,
+        dict(
+            sources=[line().sample(np.linspace(0, 0.2, 30))[0]], pattern=line(), units=None,
+            noise=None,
+        ),
+    ),
+    "identify": lambda: (wrod.identify, dict(measurements="x")),
+    "identify_motion": lambda: (
+        wrod.identify_motion,
+        dict(
+            measurements="x", test=None, candidates=None, subdivisions=2, device="cpu",
+            progress=None,
+        ),
+    ),
+    "fit_laid": lambda: (
+        wrod.fit_laid,
+        dict(
+            measurements=wrod.load_laid(
+                [line().sample(np.linspace(0, 0.5, 60))[0]], line(), noise=1e-3
+            ),
+            rod=vps(), trajectory=path(), friction=0.6, fit_friction=False, released=True,
+            iterations=1, progress=None,
+        ),
+    ),
+    "Disturbance": lambda: (
+        wrod.Disturbance,
+        dict(
+            jitter=0.0, lgb_error=0.0, offset=(0.0, 0.0), yaw=0.0, natural_curvature=0.0, seed=0,
+            slip=0.0,
+        ),
+    ),
+    "Disturbance.random": lambda: (wrod.Disturbance.random, dict(seed=0, slip=0.0)),
+    "Handling.random": lambda: (wrod.Handling.random, dict(seed=0)),
+    "Friction": lambda: (
+        wrod.Friction,
+        dict(static=0.5, kinetic=None, rolling=False, roll=None),
+    ),
+    "Plane": lambda: (wrod.Plane, dict(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))),
+    "Box": lambda: (
+        wrod.Box,
+        dict(center=(0.0, 0.0, 0.0), half_size=(1.0, 1.0, 1.0), rotation=(0.0, 0.0, 0.0, 1.0)),
+    ),
+    "Cylinder": lambda: (
+        wrod.Cylinder,
+        dict(center=(0.0, 0.0, 0.0), radius=1.0, half_height=1.0, axis=(0.0, 0.0, 1.0)),
+    ),
+    "Fixtures": lambda: (wrod.Fixtures, dict(items=(), gates=(), name="a", note="")),
+    "Fixtures.load": lambda: (wrod.Fixtures.load, dict(path="x")),
+    "Fixtures.along": lambda: (
+        wrod.Fixtures.along,
+        dict(
+            pattern=line(), stations=np.array([0.1, 0.2]), gap=0.01, radius=0.005, height=0.01,
+            name=None,
+        ),
+    ),
+    "Fixtures.judge": lambda: (
+        wrod.Fixtures.along(line(), np.array([0.1]), gap=0.01).judge,
+        dict(centerline=line().sample(np.linspace(0, 0.2, 30))[0], radius=0.002, speed=0.0),
+    ),
+    "Trial": lambda: (
+        wrod.Trial,
+        dict(
+            pattern=line(), rod=vps(), trajectory=path(), friction=wrod.Friction(0.5),
+            disturbance=wrod.Disturbance(), tail=None, fixtures=None,
+        ),
+    ),
+    "simulate_deployment": lambda: (
+        wrod.simulate_deployment,
+        dict(
+            pattern=line(), rod=vps(), trajectory=path(), friction=0.6, disturbance=None,
+            fixtures=None, speed=0.2, spacing=0.05, step=0.05,
+        ),
+    ),
+    "simulate_deployments": lambda: (
+        wrod.simulate_deployments,
+        dict(
+            trials=[wrod.Trial(line(), vps(), path(), wrod.Friction(0.5))], hold=0.05,
+            release=None, speed=0.2, spacing=0.05, node_count=None, step=0.05, scheme="euler",
+            air_damping=None, internal_damping=None, tolerance=1e-4, frame_interval=None,
+            device="cpu", threads=None, progress=None,
+        ),
+    ),
+    "RodBatch": lambda: (wrod.RodBatch, batch()),
+    "RodBatch.of": lambda: (
+        wrod.RodBatch.of,
+        dict(
+            rods=[vps().model()], arc_length=np.linspace(0, 0.885, 6),
+            position=np.stack([np.linspace(0, 0.885, 6), np.zeros(6), np.zeros(6)], 1)[None],
+            clamped=(False, False), director=None, gravity=None, point_load=0.0, device="cpu",
+        ),
+    ),
+    "RodBatch.set_configuration": lambda: (
+        rods().set_configuration,
+        dict(position=batch()["position"], angle=0.0, director=None),
+    ),
+    "RodBatch.set_softening": lambda: (rods().set_softening, dict(softening=0.0)),
+    "RodBatch.set_free": lambda: (rods().set_free, dict(free=np.ones(23, bool))),
+    "RodBatch.cut": lambda: (rods().cut, dict(edges=[[2]])),
+    "prescribe": lambda: (
+        wrod.prescribe,
+        dict(batch=rods(), clamped_nodes=[0, 1], pinned_nodes=[5], clamped_angles=[0]),
+    ),
+    "solve_equilibria": lambda: (
+        wrod.solve_equilibria,
+        dict(batch=free(rods()), tolerance=1e-8, max_iterations=50),
+    ),
+    "Contact": lambda: (
+        wrod.Contact,
+        dict(
+            batch=rods(), radius=np.array([0.001]), stiffness=np.array([100.0]),
+            friction=wrod.Friction(0.5), shapes=(wrod.Plane(),), restitution=0.0,
+            friction_field=None, keeps_roll=False,
+        ),
+    ),
+    "Contact.set_shapes": lambda: (
+        wrod.Contact(rods(), np.array([0.001]), np.array([100.0]), wrod.Friction(0.5)).set_shapes,
+        dict(shapes=(wrod.Plane(),), friction=wrod.Friction(0.4)),
+    ),
+    "RodContact": lambda: (
+        wrod.RodContact,
+        dict(
+            batch=rods(), radius=0.001, friction=wrod.Friction(0.5), stiffness=None,
+            restitution=0.0, partners=32,
+        ),
+    ),
+    "Dynamics": lambda: (
+        wrod.Dynamics,
+        dict(
+            batch=free(rods()), scheme="bdf2", radius=0.001, air_damping=0.0, drag=None,
+            internal_damping=0.0, contact=None, motion=None, follower=None, force_scale=None,
+            tolerance=1e-6, max_iterations=12, refuses_saddles=True, keeps_recording=False,
+        ),
+    ),
+    "Dynamics.set_velocity": lambda: (
+        wrod.Dynamics(free(rods()), radius=0.001).set_velocity,
+        dict(velocity=np.zeros((1, 6, 3))),
+    ),
+    "Dynamics.advance": lambda: (
+        wrod.Dynamics(free(rods()), radius=0.001).advance,
+        dict(
+            until=0.01, step=0.005, smallest_step=None, frames=None, frame_interval=1.0,
+            progress=None,
+        ),
+    ),
+    "trace_centerlines": lambda: (
+        wrod.trace_centerlines,
+        dict(image=picture(), mask=None, kind="auto", color=None),
+    ),
+    "scan": lambda: (
+        wrod.scan,
+        dict(
+            image=picture(), markers=None, sheet=None, scale=0.001, camera=None, mask=False,
+            kind="auto", color=None, start="lower-left", smoothing=None,
+        ),
+    ),
+    "measure_deployment": lambda: (
+        wrod.measure_deployment,
+        dict(image=picture(), pattern=line(), points=50, picture=None, scale=0.001),
+    ),
+    "solve_joint_path": lambda: (wrod.solve_joint_path, joint_path()),
+    "export_usd": lambda: (
+        wrod.export_usd,
+        dict(path="/proc/none/a.usda", trajectory=path(), joint_path=None, shapes=None,
+             pattern=None, rod=None),
+    ),
+    "tie": lambda: (
+        wrod.tie,
+        dict(
+            knot=knot(), trials=[wrod.Handling()], method="intuitive", friction=0.6,
+            rod_friction=0.4, speed=0.03, hand_speed=0.06, step=0.01, film_interval=None,
+            device="cpu", progress=None,
+        ),
+    ),
+    "SolverDER": lambda: (
+        wrod.SolverDER,
+        dict(
+            model=model(), scheme="bdf2", max_step=None, tolerance=1e-6, max_iterations=12,
+            contact_stiffness=None, self_contact=None,
+        ),
+    ),
+    "SolverDER.add_rod": lambda: (
+        wrod.SolverDER.add_rod,
+        dict(
+            builder=builder(), points=batch()["position"][0], material=vps(), start="free",
+            start_body=-1, end="free", end_body=-1, director=None, velocity=0.0,
+            natural_curvature=None, natural_twist=None, air_damping=None, internal_damping=None,
+            visible=True, color=None, label=None,
+        ),
+    ),
+}  # fmt: skip
+
+
+def test_every_public_callable_is_here():
+    """What has no own arguments, or is made by others' results only, is named."""
+    made_by_others = {
+        "Grasps", "RodGrasps", "IdentificationReport", "Deployment", "Trajectory", "JointPath",
+        "KnotPlan", "Handling", "Controller", "rod_names", "pattern_names", "Pattern",
+    }  # fmt: skip
+    here = {name.partition(".")[0] for name in CALLS}
+    assert set(wrod.__all__) - {"__version__"} <= here | made_by_others
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_only_typed_errors(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    function, valid = CALLS[name]()
+    bad, tried = [], 0
+    draw = random.Random(name)
+    for parameter in valid:
+        kinds = list(WRONG.items())
+        for kind, value in kinds if FUZZ > 1 else draw.sample(kinds, SHARE):
+            changed = {**valid, parameter: value}
+            places = [changed.pop(key) for key in list(changed) if key.startswith("*")]
+            tried += 1
+            began = time.process_time()
+            try:
+                with warnings.catch_warnings(), at_most(1.0):
+                    warnings.simplefilter("ignore")
+                    function(*places, **changed)
+            except WrodError as error:
+                if parameter.strip("*") not in str(error) and not str(error):
+                    bad.append(f"{parameter} {kind}: says nothing")
+            except _Enough:
+                pass  # it works: the argument was taken
+            except OSError as error:  # of what is written: it names the file
+                if not error.filename:
+                    bad.append(f"{parameter} {kind}: {error!r}")
+            except BaseException as error:
+                said = str(error).splitlines()[0][:100] if str(error) else ""
+                bad.append(f"{parameter} {kind}: {type(error).__name__}: {said}")
+            if time.process_time() - began > 5.0:
+                bad.append(f"{parameter} {kind}: {time.process_time() - began:.0f} s")
+    print(f"{name}: {tried} wrong calls, {len(bad)} without a typed error")
+    assert not bad, "\n".join(bad)

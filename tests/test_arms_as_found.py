@@ -1,0 +1,144 @@
+"""Arms as their makers' files describe them: grippers, xacro, SRDF, meshes, what stands around."""
+
+import json
+
+import numpy as np
+import pytest
+from test_robot_model import own_arm
+
+import wrod
+from wrod.errors import RobotError
+from wrod.robot.collision import CollisionModel
+from wrod.robot.kinematics import grasp_poses
+from wrod.robot.model import load_robot
+from wrod.robot.obstacles import Obstacles
+from wrod.robot.urdf import read_urdf
+
+
+def with_fingers(path):
+    """A file whose sixth link carries a stator and on it a jaw that turns, ahead along x."""
+    text = path.read_text().replace(
+        "</robot>",
+        '<link name="stator"/><link name="mover"/>'
+        '<joint name="fixed_stator" type="fixed"><parent link="k6"/><child link="stator"/>'
+        '<origin xyz="0.05 0 0"/></joint>'
+        '<joint name="jointGripper" type="revolute"><parent link="stator"/><child link="mover"/>'
+        '<origin xyz="0.05 0 0"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1.5" upper="0" velocity="2" effort="9"/></joint></robot>',
+    )
+    path.write_text(text)
+    return path
+
+
+def test_a_jaw_that_turns_is_no_joint_of_the_arm(tmp_path):
+    path = with_fingers(own_arm(tmp_path))
+    assert read_urdf(path).flange() == "k6"
+    with pytest.warns(wrod.errors.WrodWarning, match="stator beyond the flange 'k6' give way"):
+        arm = load_robot(path)
+    assert arm.joint_names == tuple(f"a{k}" for k in range(6))
+
+
+def test_gripper_points_along_the_axis_that_turns_the_flange(tmp_path):
+    """As on arms whose last joint turns about x: the hand is ahead, not above."""
+    path = own_arm(tmp_path)
+    last = path.read_text().rindex('<axis xyz="0 0 1"/>')
+    text = path.read_text()
+    path.write_text(text[:last] + '<axis xyz="1 0 0"/>' + text[last + len('<axis xyz="0 0 1"/>') :])
+    arm = load_robot(with_fingers(path))
+    zero = np.zeros((1, 6))
+    local = np.linalg.inv(arm.link_poses(zero)["k6"][0]) @ grasp_poses(arm, zero)[0]
+    np.testing.assert_allclose(local[:3, 3], [0.15, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(local[:3, 2], [1.0, 0.0, 0.0], atol=1e-9)  # the fingers
+    # Turning the last joint rolls the hand on the spot.
+    turned = grasp_poses(arm, np.array([[0, 0, 0, 0, 0, 1.0]]))[0]
+    np.testing.assert_allclose(turned[:3, 3], grasp_poses(arm, zero)[0, :3, 3], atol=1e-9)
+
+
+def test_xacro_is_expanded(tmp_path):
+    pytest.importorskip("xacro")
+    urdf = own_arm(tmp_path)
+    text = urdf.read_text().replace("<robot ", '<robot xmlns:xacro="http://ros.org/wiki/xacro" ', 1)
+    text = text.replace('xyz="0.03 0 0.2"', 'xyz="${2 * reach} 0 0.2"')
+    text = text.replace("<link ", '<xacro:property name="reach" value="0.015"/><link ', 1)
+    path = tmp_path / "own.xacro"
+    path.write_text(text)
+    q = np.linspace(-1.0, 1.0, 6)[None]
+    np.testing.assert_allclose(
+        grasp_poses(load_robot(path), q), grasp_poses(load_robot(urdf), q), atol=1e-12
+    )
+
+
+def test_pairs_of_an_srdf_are_not_checked(tmp_path):
+    path = own_arm(tmp_path)
+    text = path.read_text()
+    for k in (0, 2):
+        shape = '<collision><geometry><sphere radius="0.03"/></geometry></collision>'
+        text = text.replace(f'<link name="k{k}"/>', f'<link name="k{k}">{shape}</link>')
+    path.write_text(text)
+
+    def pairs():
+        model = CollisionModel(load_robot(path))
+        return {frozenset((model.links[i], model.links[j])) for i, j in model.pairs}
+
+    before = pairs()
+    assert frozenset(("k0", "k6")) in before
+    (tmp_path / "own.srdf").write_text(
+        '<robot name="own"><disable_collisions link1="k0" link2="k6" reason="Never"/></robot>'
+    )
+    assert before - pairs() == {frozenset(("k0", "k6"))}
+
+
+def test_meshes_are_measured_as_they_are_where_capsules_doubt(tmp_path):
+    pytest.importorskip("coal")
+    from wrod.robot.exact import ExactShapes
+
+    path = own_arm(tmp_path)
+    shapes = [s for s in load_robot(path).shapes("collision") if s.kind == "mesh"]
+    exact = ExactShapes(shapes * 2)
+    # Corners 0, 30, 30, 60 mm: two of them side by side, 50 mm along x apart leave 20 mm.
+    other = np.eye(4)
+    other[0, 3] = 0.05
+    assert exact.gap(0, 1, np.eye(4), other) == pytest.approx(0.02, abs=1e-9)
+    other[0, 3] = 0.01
+    assert exact.gap(0, 1, np.eye(4), other) == 0.0
+    turned = np.eye(4)
+    turned[:3, :3] = [[1, 0, 0], [0, -1, 0], [0, 0, -1]]  # upside down: lowest at -60 mm
+    turned[2, 3] = 0.1
+    assert exact.lowest(0, turned[None])[0] == pytest.approx(0.04, abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def line():
+    return wrod.plan(wrod.pattern("line"), wrod.rod("green-vps"), method="numeric", device="cpu")
+
+
+def obstacles(tmp_path, **entry):
+    path = tmp_path / "cell.json"
+    path.write_text(json.dumps([{"kind": "box", **entry}]))
+    return Obstacles.load(path)
+
+
+def test_an_obstacle_in_the_way_is_named_and_one_beside_is_kept_clear_of(tmp_path, line):
+    free = wrod.solve_joint_path(line, "ur5e")
+    place = free.placement
+    hand = grasp_poses(free.robot, free.node_positions)[:, :3, 3]
+    wall = obstacles(tmp_path, size=[0.1, 0.1, 0.1], xyz=hand[len(hand) // 2].tolist())
+    with pytest.raises(RobotError, match=r"and the obstacle (overlap by|come within)"):
+        wrod.solve_joint_path(line, "ur5e", place, obstacles=wall)
+    # A wall 12 cm behind everything that the hand does, which the elbow need not touch.
+    reach = np.abs(hand[:, 1]).max() + 0.25
+    wall = obstacles(tmp_path, size=[1.0, 0.05, 0.4], xyz=[0.3, float(reach), 0.2])
+    path = wrod.solve_joint_path(line, "ur5e", place, obstacles=wall)
+    assert path.metadata["gap"]["obstacle"] > 0.005
+    starts, ends, radii = wall.capsules()
+    model = CollisionModel(path.robot)
+    import torch
+
+    q = torch.from_numpy(path.node_positions.copy())
+    a, b = (p.numpy() for p in model.points(path.robot.chain.forward_kinematics_tensor(q)))
+    # By points on the capsules of both, densely.
+    u = np.linspace(0.0, 1.0, 9)[:, None]
+    wall_points = (starts[:, None] * (1 - u) + ends[:, None] * u).reshape(-1, 3)
+    mine = (a[:, :, None] * (1 - u) + b[:, :, None] * u)[::20, model.depth >= 1]
+    gap = np.linalg.norm(mine[..., None, :] - wall_points, axis=-1).min((0, 2, 3))
+    assert (gap - model.radius[model.depth >= 1] - radii.max()).min() > 0.0

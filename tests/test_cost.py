@@ -1,0 +1,66 @@
+"""Costs are said before the work, and refused where the machine has not that much."""
+
+import math
+
+import pytest
+from click.testing import CliRunner
+
+from wrod import cost, machine
+from wrod.commands import main
+from wrod.errors import DataError
+
+
+def settle(one, capsys, force=False, out=None):
+    cost.settle(one, "work", out, "ask for less", force=force)
+    return capsys.readouterr().err
+
+
+def test_small_work_begins_without_a_word(capsys):
+    assert settle(cost.Cost(1.0, 1e6, 1e6), capsys) == ""
+
+
+def test_long_work_is_said(capsys):
+    said = settle(cost.Cost(7200.0, 3 * 2**30, 2e6), capsys)
+    assert said == "wrod: work: about 2 h, 3 GiB of memory, 1.91 MiB on disk on this machine\n"
+
+
+@pytest.mark.parametrize(
+    ("one", "says"),
+    [
+        (cost.Cost(1.0, math.inf), "of memory are free"),
+        (cost.Cost(1.0, 0.0, 1e30), "are free on the disk"),
+        (cost.Cost(1e7), "more than a week"),
+    ],
+)
+def test_what_the_machine_has_not_needs_force(one, says, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(machine, "available_memory", lambda: 1e9)
+    with pytest.raises(DataError, match=f"work: about .*{says}.*ask for less, or give --force"):
+        settle(one, capsys, out=tmp_path / "not" / "there")
+    assert "about" in settle(one, capsys, force=True, out=tmp_path)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "dataset --size 1000000000 --device cpu",
+        "train --generate 500000000 --device cpu",
+        "deploy line --rod green-vps --method intuitive --trials 10000 --speed 0.001 --device cpu",
+        "bench table3 --trials 10000 --device cpu",
+        "bench applications --trials 10000 --case reef --device cpu",
+    ],
+)
+def test_commands_refuse_weeks_before_they_work(words, tmp_path):
+    out = tmp_path / "out"
+    result = CliRunner().invoke(main, [*words.split(), "--out", str(out)])
+    assert result.exit_code == 2 and "about" in result.output, result.output
+    assert "--force" in result.output
+    assert not list(out.rglob("*.safetensors")) and not list(out.rglob("*.npz"))
+
+
+def test_costs_grow_with_the_work():
+    few = cost.deployments(1, 0.8, speed=0.02, step=0.01, spacing=0.005)
+    many = cost.deployments(10, 0.8, speed=0.02, step=0.01, spacing=0.005)
+    assert many.seconds == pytest.approx(10 * few.seconds) and many.memory > few.memory
+    assert cost.pictures(4, 200, 100).seconds > cost.pictures(4, 100, 100).seconds
+    small = cost.training(10, 64, 32, 3, 1000, device="cpu")
+    assert cost.training(10, 64, 64, 3, 1000, device="cpu").seconds > small.seconds

@@ -1,0 +1,59 @@
+"""Deployments that look at what lies and plan the rest anew."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import wrod
+from wrod.commands import main
+from wrod.deployment.feedback import Sight, World, lay_with_feedback
+from wrod.deployment.optimise import COARSE
+from wrod.deployment.result import errors_along
+from wrod.deployment.setup import Disturbance
+from wrod.deployment.simulate import Trial
+from wrod.deployment.tangents import lay
+from wrod.errors import RodError
+from wrod.solvers.contact import Friction
+
+ROD = wrod.RodMaterial(0.0016, 0.032, 0.36)
+
+
+@pytest.fixture(scope="module")
+def bend():
+    s = np.linspace(0.0, 0.25, 400)
+    heading = 0.5 * (1.0 + np.tanh((s - 0.15) / 0.04))
+    points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
+    pattern = wrod.Pattern.from_points(points)
+    return pattern, wrod.plan(pattern, ROD, spacing=0.005)
+
+
+def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend):
+    pattern, trajectory = bend
+    off = Disturbance(offset=(0.0, 0.004))
+    world = World(ROD, Friction(0.6), off)
+    followed = lay_with_feedback(
+        pattern, ROD, trajectory, 0.6, world, every=0.06, sight=Sight(noise=2e-4), **COARSE
+    )
+    (blind,) = lay([Trial(pattern, ROD, trajectory, Friction(0.6), off)], **COARSE)
+    left, before = (
+        errors_along(pattern, x.arc_length, x.centerline)[1] for x in (followed.laid, blind)
+    )
+    assert followed.looks[-1].offset == pytest.approx((0.0, 0.004), abs=1e-3)
+    # What had been laid at the first look stays; the last third comes nearer to where it belongs.
+    assert left[:10].mean() == pytest.approx(before[:10].mean(), rel=0.1)
+    assert left[-15:].mean() < 0.6 * before[-15:].mean()
+    moved = np.linalg.norm(followed.trajectory.position - trajectory.position, axis=1)
+    assert moved[trajectory.arc_length < 0.1].max() == 0.0 and moved[-1] > 1e-3
+
+
+def test_looks_that_never_come_are_refused(bend):
+    pattern, trajectory = bend
+    with pytest.raises(RodError, match=r"every is 0\.0 m"):
+        lay_with_feedback(pattern, ROD, trajectory, 0.6, World(ROD, Friction(0.6)), every=0.0)
+
+
+def test_an_unknown_effect_is_refused(tmp_path):
+    arguments = ["bench", "feedback", "--effects", "ghost", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2 and "unknown effect 'ghost'" in result.output
+    assert not (tmp_path / "out").exists()

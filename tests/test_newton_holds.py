@@ -1,0 +1,156 @@
+"""What holds rods in Newton scenes: who moves it, what is refused, what is said."""
+
+import warnings
+
+import newton
+import numpy as np
+import pytest
+import warp as wp
+
+import wrod
+from wrod.errors import RodError, WrodWarning
+
+ROD = wrod.RodMaterial(radius=0.0016, gravito_bending_length=0.032, length=0.2)
+SolverDER = wrod.SolverDER
+INERTIA = wp.mat33(*np.diag([1e-6] * 3).ravel())
+LINE = np.linspace(0.0, 0.1, 11)[:, None] * np.array([1.0, 0.0, 0.0])
+
+
+def scene():
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    return builder
+
+
+def with_bob(**options):
+    builder = scene()
+    at = wp.transform((0.1, 0.0, 0.0), wp.quat_identity())
+    bob = builder.add_body(xform=at, mass=0.01, label="bob", **options)
+    SolverDER.add_rod(builder, LINE, ROD, start="clamped", end="pinned", end_body=bob)
+    return builder, bob
+
+
+def test_a_cable_does_not_stretch_without_a_word():
+    """A body that another solver moves and that gets no load is named, once; one that does is not,
+    nor a kinematic one."""
+    builder, bob = with_bob(inertia=INERTIA)
+    model = builder.finalize(device="cpu")
+    solver, state = SolverDER(model, bodies="none"), model.state()
+    with pytest.warns(WrodWarning, match=r"another solver moves \('bob'\).*add_body_forces"):
+        for _ in range(4):
+            solver.step(state, state, None, None, 0.005)
+    solver, state = SolverDER(model, bodies="none"), model.state()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", WrodWarning)
+        for _ in range(4):
+            solver.add_body_forces(state)
+            solver.step(state, state, None, None, 0.005)
+    assert state.body_f.numpy()[bob, 2] < 0.0
+
+
+def test_bodies_are_chosen():
+    builder, bob = with_bob(inertia=INERTIA)
+    other = builder.add_body(mass=0.01, inertia=INERTIA)
+    model = builder.finalize(device="cpu")
+    for chosen, moves in (("free", True), ([bob], True), ("none", False), ([], False)):
+        solver, state = SolverDER(model, bodies=chosen), model.state()
+        solver.step(state, state, None, None, 0.01)
+        assert bool(state.body_q.numpy()[bob, 2] < 0.0) is moves
+        assert state.body_q.numpy()[other, 2] == 0.0
+    with pytest.raises(RodError, match=r"no free body that holds a rod; those are \[0\]"):
+        SolverDER(model, bodies=[other])
+    with pytest.raises(RodError, match="use free, none or indices"):
+        SolverDER(model, bodies="all")
+
+
+def test_forces_of_the_scene_act_on_a_free_body():
+    """body_f bears the bob's weight and half of the cable's: it stays where it is, within a part of
+    the way that it would have fallen."""
+    builder, bob = with_bob(inertia=INERTIA)
+    model = builder.finalize(device="cpu")
+    heights = []
+    for bears in (True, False):
+        solver, state = SolverDER(model), model.state()
+        wrench = np.zeros((model.body_count, 6))
+        wrench[bob, 2] = bears * 9.81 * (0.01 + 0.5 * ROD.weight / 9.81 * 0.1)
+        state.body_f.assign(wrench)
+        for _ in range(10):
+            solver.step(state, state, None, None, 0.01)
+        heights.append(state.body_q.numpy()[bob, 2])
+    assert heights[1] < -0.02
+    assert abs(heights[0]) < 0.05 * abs(heights[1])
+
+
+def test_a_state_set_back_does_the_same_again():
+    builder, bob = with_bob(inertia=INERTIA)
+    model = builder.finalize(device="cpu")
+    solver = SolverDER(model)
+    ends = []
+    state = model.state()
+    for _ in range(2):
+        for _ in range(8):
+            solver.step(state, state, None, None, 0.01)
+        ends.append(state.body_q.numpy()[bob].copy())
+        solver.reset(state)
+    assert abs(ends[0][2]) > 0.01
+    assert np.abs(ends[0] - ends[1]).max() < 1e-7
+
+
+def test_replicated_worlds_with_bodies():
+    """Two copies swing alike, and as one alone."""
+    world, bob = with_bob(inertia=INERTIA)
+    builder = scene()
+    places = [wp.transform_identity(), wp.transform((3.0, 0.0, 1.0), wp.quat_identity())]
+    builder.replicate(world, copy_count=2, xforms=places)
+    model, alone = builder.finalize(device="cpu"), world.finalize(device="cpu")
+    states = []
+    for each in (model, alone):
+        solver, state = SolverDER(each), each.state()
+        for _ in range(15):
+            solver.step(state, state, None, None, 0.01)
+        states.append(state.body_q.numpy())
+    count = alone.body_count
+    first, second = states[0][bob], states[0][count + bob]
+    assert first[2] < -0.03
+    assert first == pytest.approx(states[1][bob], abs=1e-7)
+    assert second[:3] - [3.0, 0.0, 1.0] == pytest.approx(first[:3], abs=2e-6)
+
+
+def test_rest_lengths():
+    """A cable whose edges want to be a tenth shorter pulls with EA / 10."""
+    builder = scene()
+    length = 0.01 / 1.1
+    SolverDER.add_rod(builder, LINE, ROD, start="pinned", end="pinned", rest_length=length)
+    model = builder.finalize(device="cpu")
+    solver, state = SolverDER(model, scheme="euler"), model.state()
+    for _ in range(5):
+        solver.step(state, state, None, None, 0.05)
+    reaction = solver._groups[0].dynamics.reaction.numpy()[0]
+    stiffness = model.der.edge_stretching_stiffness.numpy()[0]
+    assert reaction[-3] == pytest.approx(0.1 * stiffness, rel=0.01)
+
+
+def test_refusals():
+    builder, bob = with_bob(inertia=INERTIA)
+    for wrong, match in [
+        (dict(rod=3), "one of the builder's 1 rods"),
+        (dict(node=11), "nodes 0 to 9 that can be clamped"),
+        (dict(kind="glued"), "use pinned or clamped"),
+        (dict(body=99), "body is 99"),
+        (dict(node=9), "node 10 of rod 0 is held already"),
+    ]:
+        with pytest.raises(RodError, match=match):
+            SolverDER.attach(builder, **{"rod": 0, "body": bob, "node": 4, **wrong})
+    SolverDER.attach(builder, 0, -1, node=4, kind="pinned")
+    with pytest.raises(RodError, match="node 4 of rod 0 is held already"):
+        SolverDER.attach(builder, 0, -1, node=3)
+    model = builder.finalize(device="cpu", requires_grad=True)
+    with pytest.raises(RodError, match="no gradients"):
+        SolverDER(model)
+    builder, _ = with_bob(inertia=INERTIA)
+    model = builder.finalize(device="cpu")
+    with pytest.raises(RodError, match="the first one covers the second"):
+        SolverDER(model, rod_contact=0.3, self_contact=0.3)
+    builder = scene()
+    with pytest.raises(RodError, match="rest_length must be positive"):
+        SolverDER.add_rod(builder, LINE, ROD, rest_length=0.0)

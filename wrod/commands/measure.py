@@ -1,0 +1,113 @@
+"""`wrod measure`: a rod's stiffness from an overhanging end, or from how it hangs as a loop."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from wrod.commands.options import PICTURE, UNITS, options, read_pattern
+
+
+@click.command(name="measure")
+@click.argument("curve", required=False)
+@click.option("--overhang", type=float, help="Length of rod beyond the table's edge [m].")
+@click.option("--fall", type=float, help="Of its end below the clamped part [m].")
+@click.option("--reading", default=1e-3, show_default=True, help="Error of the ruler [m].")
+@click.option("--radius", type=float, required=True, help="Radius of the section [m].")
+@click.option("--length", type=float, required=True, help="Total length of the rod [m].")
+@click.option("--density", type=float, default=1180.0, show_default=True, help="Density [kg/m^3].")
+@options(UNITS, PICTURE)
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Rod file (.json) to write; `wrod plan --rod` reads it.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    curve: str | None,
+    overhang: float | None,
+    fall: float | None,
+    reading: float,
+    radius: float,
+    length: float,
+    density: float,
+    units: str | None,
+    markers: Path | None,
+    sheet: str | None,
+    scale: float | None,
+    camera: Path | None,
+    start: str | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Measure a rod's gravito-bending length with a ruler or a photograph.
+
+    With a ruler: press the rod flat on a table so that it leaves the edge level, and read how far
+    its free end is over (--overhang, along the rod) and how far it falls (--fall). Best falls by
+    half of what is over; turn the rod over and take the mean if it is bent by itself.
+
+    With a photograph: hang the rod as a loop between two hands or nails, in a plane before a sheet
+    of markers (`wrod markers`) that hangs plumb. CURVE is the picture, or a file of points of the
+    loop with y up.
+
+    A third way needs no edge and no camera: see `wrod loop`.
+    """
+    import numpy as np
+
+    from wrod.errors import DataError, RodError
+    from wrod.rods.material import RodMaterial
+
+    if (curve is None) == (overhang is None and fall is None):
+        raise DataError("give either --overhang and --fall, or the picture of a hanging loop")
+    if out is not None and out.suffix != ".json":
+        raise RodError(f"{out}: is not a .json file name; `wrod plan --rod` knows rods by it")
+    if curve is None:
+        if overhang is None or fall is None:
+            raise DataError("--overhang and --fall belong together; give both")
+        from wrod.identification.ruler import measure_overhang
+
+        found, way = measure_overhang(overhang, fall, reading), "overhanging end"
+    else:
+        from wrod.identification.hanging_loop import measure_hanging_loop
+
+        seen = {
+            "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
+        }  # fmt: skip
+        loop = read_pattern(curve, units, seen)
+        points = loop.sample(np.linspace(0.0, loop.length, 200))[0][:, :2]
+        found, way = measure_hanging_loop(points), "hanging loop"
+    rod = RodMaterial(radius, found.gravito_bending_length, length, density=density)
+    written = []
+    if out is not None:
+        try:
+            written = [str(rod.save(out))]
+        except OSError as error:
+            raise RodError(f"{out}: cannot be written ({error}); choose another --out") from None
+    # The stiffness goes with the cube of the length.
+    share = 3.0 * found.error / found.gravito_bending_length
+    figures = {
+        "way": way,
+        "gravito_bending_length": found.gravito_bending_length,
+        "error": found.error,
+        "bending_stiffness": rod.bending_stiffness,
+        "bending_stiffness_error": share * rod.bending_stiffness,
+        "warning": found.warning,
+        "written": written,
+    }
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return
+    click.echo(
+        f"gravito-bending length  {100 * found.gravito_bending_length:.3f} "
+        f"± {100 * found.error:.3f} cm ({way})"
+    )
+    click.echo(
+        f"bending stiffness       {rod.bending_stiffness:.3g} ± {share * rod.bending_stiffness:.1g}"
+        f" N m^2, with a density of {density:g} kg/m^3"
+    )
+    if found.warning:
+        click.echo(f"wrod: warning: {found.warning}", err=True)
+    for path in written:
+        click.echo(f"wrote {path}")

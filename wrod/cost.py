@@ -1,0 +1,157 @@
+"""What work will cost, said before it begins, and refused where the machine has not that much."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+force_option = click.option(
+    "--force", is_flag=True, help="Begin although it needs more than this machine has."
+)
+# Of one core of a server's processor; docs/measured.md has them.
+GRASPS_PER_SECOND, SENSITIVITIES_COST, NODE_STEP = 2000.0, 3.0, 2.3e-5
+APPLICATION = {"S cable": 25.0, "U cable": 15.0, "trefoil": 8.0, "reef": 68.0}
+IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
+# Multiplications and additions of a core with eight float64 lanes that training keeps busy.
+_OPERATIONS = 4e9
+# Longer than this is a mistake more often than a wish [s].
+_LONGEST = 7 * 86400.0
+# What takes less is begun without a word [s, bytes].
+_NOT_WORTH_SAYING = (10.0, 2.0**30, 2.0**30)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Time [s], memory and room on the disk [bytes]."""
+
+    seconds: float
+    memory: float = 0.0
+    disk: float = 0.0
+
+    def __str__(self) -> str:
+        parts = [_time(self.seconds)]
+        parts += [f"{_size(self.memory)} of memory"] if self.memory > 2**20 else []
+        parts += [f"{_size(self.disk)} on disk"] if self.disk > 2**20 else []
+        return ", ".join(parts)
+
+
+def settle(
+    cost: Cost, what: str, out: Path | None, remedy: str, *, force: bool, quiet: bool = False
+) -> None:
+    """Say what the work costs, or refuse it.
+
+    Args:
+        cost: of the work, on this machine.
+        what: is done: "12 trials".
+        out: where it writes.
+        remedy: for the refusal: "ask for fewer trials".
+        force: begin in any case.
+        quiet: say nothing.
+
+    Raises:
+        DataError: the machine has not so much memory or room, or it takes more than a week.
+    """
+    from wrod.errors import DataError
+    from wrod.machine import available_memory
+
+    lacks = []
+    free = available_memory()
+    if cost.memory > free:
+        lacks.append(f"{_size(free)} of memory are free")
+    room = _room(out)
+    if cost.disk > room:
+        lacks.append(f"{_size(room)} are free on the disk of {out}")
+    if cost.seconds > _LONGEST:
+        lacks.append("that is more than a week")
+    said = f"{what}: about {cost}"
+    if lacks and not force:
+        raise DataError(f"{said}; {' and '.join(lacks)}; {remedy}, or give --force")
+    worth = (cost.seconds, cost.memory, cost.disk)
+    if not quiet and any(a > b for a, b in zip(worth, _NOT_WORTH_SAYING, strict=True)):
+        click.echo(f"wrod: {said} on this machine", err=True)
+
+
+def progress_bar(*arguments, quiet: bool = False, **options):
+    """A tqdm bar that shows from the start; where nobody watches, a line every ten seconds."""
+    from tqdm import tqdm
+
+    watched = sys.stderr.isatty()
+    return tqdm(
+        *arguments, mininterval=0.1 if watched else 10.0, disable=quiet, leave=False, **options
+    )
+
+
+def grasps(
+    count: int, row_bytes: int, shard_size: int, *, sensitivities: bool, device: str, ranks: int
+) -> Cost:
+    """Of solving and storing grasps.
+
+    Args:
+        count: of grasps.
+        row_bytes: what one takes on the disk.
+        shard_size: grasps solved at once.
+    """
+    rate = GRASPS_PER_SECOND / (SENSITIVITIES_COST if sensitivities else 1.0)
+    rate *= _cores() if device == "cpu" else 600.0
+    # Meshes of 128 edges, of which a dozen arrays of the degrees of freedom live at once.
+    return Cost(count / ranks / rate, 50e3 * min(shard_size, count), float(row_bytes) * count)
+
+
+def training(steps: int, batch: int, width: int, depth: int, rows: int, *, device: str) -> Cost:
+    """Of training a network: three passes of value and tangent, and the optimiser's products."""
+    layer = 12.0 * batch * width**2 + 20.0 * width**3
+    seconds = steps * (layer * (depth + 1) / _OPERATIONS + 2e-3)
+    memory = width * 8.0 * (depth + 1) * (8.0 * batch + 12.0 * width) + 400.0 * rows
+    return Cost(seconds if device == "cpu" else seconds / 20.0, memory, 64.0 * width**2 * depth)
+
+
+def deployments(
+    trials: int, length: float, *, speed: float, step: float, spacing: float, device: str = "cpu"
+) -> Cost:
+    """Of laying rods of a length [m] in simulation."""
+    nodes, steps = length / spacing + 100.0, 1.5 * length / speed / step
+    seconds = trials * nodes * steps * NODE_STEP
+    memory = nodes * 4096.0 * trials
+    return Cost(seconds / _cores() if device == "cpu" else seconds / 600.0, memory, 1e5 * trials)
+
+
+def pictures(count: int, width: int, height: int, samples: int = 4) -> Cost:
+    """Of drawing a stage."""
+    rays = float(width) * height * samples
+    return Cost(count * (rays * DRAWN_RAY + 0.2) / _cores(), 60.0 * rays, 3.0 * count * rays / 4)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _room(out: Path | None) -> float:
+    """Free bytes on the disk where `out` is, or will be."""
+    if out is None:
+        return float("inf")
+    place = Path(os.path.abspath(out))
+    while not place.exists():
+        place = place.parent
+    try:
+        return float(shutil.disk_usage(place).free)
+    except OSError:
+        return float("inf")
+
+
+def _time(seconds: float) -> str:
+    for unit, length in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.3g} {unit}"
+    return f"{max(seconds, 1.0):.2g} s"
+
+
+def _size(size: float) -> str:
+    for unit, bytes_ in (("TiB", 2**40), ("GiB", 2**30)):
+        if size >= bytes_:
+            return f"{size / bytes_:.3g} {unit}"
+    return f"{size / 2**20:.3g} MiB"

@@ -1,0 +1,259 @@
+"""The verdict on a chosen model of a clamped rod, and what these data cannot tell apart."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from wrod.identification.clamped.fit import Fit
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.setup import Setup
+from wrod.identification.effect import Effect, Model
+from wrod.identification.verdict import CLAMPED, CORRELATED
+
+BIC_MARGIN = 10.0
+AT_NOISE = CLAMPED.at_noise
+# An effect lowers chi squared of trials that no choice has seen by this, and by so many standard
+# errors of its differences from trial to trial.
+UNSEEN_GAIN, UNSEEN_ERRORS = 4.0, 1.5
+
+
+@dataclass
+class Round:
+    """One step of the selection: every candidate for the next model, best first."""
+
+    current: tuple[str, ...]
+    best: Fit
+    fits: list[Fit]
+    gains: list[float]
+    accepted: tuple[str, ...] | None
+    reason: str
+
+
+@dataclass
+class Selection:
+    """What was chosen and why.
+
+    Attributes:
+        verdict: adequate, explained, partly-explained or unexplained.
+        fit: the chosen model, polished on a finer mesh.
+        rounds: the steps that led there.
+        cross_validation: (before, after) RMS of held-out marker errors [m] of the chosen model.
+        confounded: pairs of names that these data cannot tell apart, with the evidence.
+        ranking: every effect alone on the base model, best first.
+        leading: the chosen model even where the verdict names no effect.
+        unseen: (chi squared that the model takes from the test trials, its standard error).
+        at_bound: parameters of the model that ended at a bound.
+    """
+
+    verdict: str
+    reason: str
+    fit: Fit
+    leading: Fit
+    ranking: list[Fit]
+    rounds: list[Round]
+    base_chi_squared: float
+    cross_validation: tuple[float, float]
+    unseen: tuple[float, float] = (0.0, 0.0)
+    at_bound: tuple[str, ...] = ()
+    confounded: list[dict] = field(default_factory=list)
+
+
+def judge(
+    laboratory: Laboratory,
+    fit: Fit,
+    empty: Fit,
+    rounds: list[Round],
+    cross_validation: tuple[float, float],
+) -> Selection:
+    """The verdict on a chosen model.
+
+    Args:
+        fit: the chosen model; empty: the base model as a fit, both on the laboratory's mesh.
+        rounds: the steps that led there.
+        cross_validation: (before, after) RMS of held-out marker errors [m].
+    """
+    m = laboratory.measurements
+    floor = m.noise_floor
+    before = laboratory.rms(laboratory.predict(Model(), np.zeros(0)), m.test)
+    after = laboratory.rms(laboratory.predict(fit.model, fit.values), m.test)
+    share = CLAMPED.share(before, after, floor)
+    unseen = _unseen_gain(laboratory, fit)
+    proven = unseen[0] >= max(UNSEEN_GAIN, UNSEEN_ERRORS * unseen[1])
+    at_noise, at_bound = at_noise_of(laboratory), fit.model.at_bound(fit.values)
+    if before <= at_noise * floor and not proven:
+        verdict = "adequate"
+        reason = f"the base model's test error is {before / floor:.2f} times the noise floor"
+    elif fit.model.effects and not proven:
+        verdict = "unexplained"
+        reason = (
+            f"{' and '.join(fit.model.names)} helps trials that it was fitted to, not unseen ones; "
+            f"{before / floor:.2f} times the noise floor stays"
+        )
+    elif fit.model.effects and after <= at_noise * floor and not at_bound:
+        verdict = "explained"
+        reason = f"what is left on test trials is {after / floor:.2f} times the noise floor"
+    elif fit.model.effects and after <= at_noise * floor:
+        verdict = "partly-explained"
+        reason = (
+            f"what is left on test trials is {after / floor:.2f} times the noise floor, but "
+            f"{', '.join(at_bound)} ended at a bound: the effect stands for another one"
+        )
+    elif fit.model.effects and share >= CLAMPED.takes:
+        verdict = "partly-explained"
+        reason = (
+            f"{100 * share:.0f} % of the excess error is gone, but {after / floor:.2f} times the "
+            "noise floor is left: the effects named may stand for one that is not known here"
+        )
+    else:
+        verdict = "unexplained"
+        reason = (
+            f"no effect, nor any few together, takes {100 * CLAMPED.takes:.0f} % of the excess "
+            f"error; {before / floor:.2f} times the noise floor stays"
+        )
+    if verdict != "explained" and laboratory.noise.described():
+        reason += f"; the noise is not what was declared: {laboratory.noise.described()}"
+    named = fit if verdict in ("explained", "partly-explained") else empty
+    selection = Selection(
+        verdict,
+        reason,
+        named,
+        fit,
+        rounds[0].fits if rounds else [],
+        rounds,
+        empty.chi_squared,
+        cross_validation,
+        unseen,
+        at_bound,
+    )
+    if named.model.effects:
+        selection.confounded = _confounded(laboratory, fit, rounds)
+    return selection
+
+
+def at_noise_of(laboratory: Laboratory) -> float:
+    """Times the noise floor that a perfect model's test error may well be.
+
+    Correlated readings are few independent ones, so their RMS varies more.
+    """
+    m = laboratory.measurements
+    count = laboratory.effective[m.test].sum()
+    return max(AT_NOISE, 1.0 + 2.5 / np.sqrt(2.0 * count))
+
+
+def _unseen_gain(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
+    """(chi squared that a model takes from the test trials, standard error of that sum)."""
+    trials = laboratory.measurements.test
+    if not fit.model.effects:
+        return 0.0, 0.0
+    gain = laboratory.misfit(Model(), np.zeros(0), trials)
+    gain = gain - laboratory.misfit(fit.model, fit.values, trials)
+    error = gain.std(ddof=1) * np.sqrt(len(gain)) if len(gain) > 1 else 0.0
+    return float(gain.sum()), float(error)
+
+
+def _confounded(laboratory: Laboratory, fit: Fit, rounds: list[Round]) -> list[dict]:
+    """Rivals that the data do not rule out, and parameters that trade against each other."""
+    found = []
+    compared = [
+        (step.fits, own)
+        for step in rounds
+        for own in step.fits
+        if set(own.model.names) == set(fit.model.names)
+    ]
+    if compared:
+        # The last step that weighed the chosen effects against others.
+        rivals, best = compared[-1]
+        mine = {e.name: e for e in best.model.effects}
+        for rival in rivals:
+            theirs = {e.name: e for e in rival.model.effects}
+            own, other = sorted(set(mine) - set(theirs)), sorted(set(theirs) - set(mine))
+            if not own or not other:
+                continue
+            gap = _leanest_bic(rival, other) - best.bic
+            # A rival that contains the winner and adds nothing is no rival.
+            empty = (
+                len(rival.values) > len(best.values)
+                and rival.chi_squared > best.chi_squared - BIC_MARGIN
+                and _changed(laboratory, [theirs[n] for n in other])
+                == _changed(laboratory, [mine[n] for n in own])
+            )
+            if gap < BIC_MARGIN and not empty:
+                found.append(
+                    {
+                        "effects": [" + ".join(own), " + ".join(other)],
+                        "evidence": f"BIC differs by {gap:.1f} only",
+                    }
+                )
+    if len(fit.model.effects) > 1:
+        correlation = fit.correlation()
+        owner = [e.name for e in fit.model.effects for _ in e.parameters]
+        keys = [p.key for p in fit.model.parameters]
+        for i, j in zip(*np.triu_indices(len(keys), 1), strict=True):
+            if owner[i] != owner[j] and abs(correlation[i, j]) > CORRELATED:
+                found.append(
+                    {
+                        "effects": [owner[i], owner[j]],
+                        "evidence": f"{keys[i]} and {keys[j]} correlate by {correlation[i, j]:.2f}",
+                    }
+                )
+    return found
+
+
+def _leanest_bic(fit: Fit, names: list[str]) -> float:
+    """BIC of a fit without those parameters of the named effects that the data do not ask for.
+
+    An effect may stand for another one with a part of its parameters: a gripper that only rolls is
+    no other rod than one with a twist. What leaving parameters out costs is taken from the
+    Gaussian posterior.
+    """
+    parameters, owner = (
+        fit.model.parameters,
+        [e.name for e in fit.model.effects for _ in e.parameters],
+    )
+    price = np.log(fit.effective_count)
+    out: list[int] = []
+    best, cost = fit.bic, 0.0
+    for _ in parameters:
+        left = [
+            j
+            for j, p in enumerate(parameters)
+            if owner[j] in names and not p.anywhere and j not in out
+        ]
+        if len(left) < 2:
+            break
+        costs = [_cost_without(fit, [*out, j]) for j in left]
+        place = int(np.argmin(costs))
+        if costs[place] - cost >= price:
+            break
+        out.append(left[place])
+        cost = costs[place]
+        best = fit.bic + cost - price * len(out)
+    return best
+
+
+def _cost_without(fit: Fit, places: list[int]) -> float:
+    """Rise of chi squared if these parameters are 0 and all others follow (Wald)."""
+    value = fit.values[places]
+    return float(value @ np.linalg.solve(fit.covariance[np.ix_(places, places)], value))
+
+
+def _changed(laboratory: Laboratory, own: list[Effect]) -> frozenset[str]:
+    """What the effects change: fields of the setup, `measure` for what cameras report."""
+    m = laboratory.measurements
+    base = Setup.base(m, m.train[:1], 8)
+    found = set()
+    for effect in own:
+        if type(effect).measure is not Effect.measure:
+            found.add("measure")
+        setup = copy.copy(base)
+        start = effect.starts(m)[0]
+        effect.apply(setup, start + 1e-3 * np.array([p.scale for p in effect.parameters]))
+        found |= {
+            f.name
+            for f in fields(Setup)
+            if not np.array_equal(getattr(setup, f.name), getattr(base, f.name))
+        }
+    return frozenset(found)

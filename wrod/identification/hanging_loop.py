@@ -1,0 +1,213 @@
+"""A rod's gravito-bending length from a photograph of it hanging as a loop.
+
+The rod hangs in a plane between two hands, clamps or nails, seen from the side. How it is held is
+not asked: ends and tangents there are fitted with the stiffness.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from scipy.interpolate import CubicSpline
+
+from wrod.errors import DataError
+from wrod.grasps.mesh import WEIGHT
+from wrod.identification.ruler import MeasuredLength
+from wrod.rods.batch import RodBatch
+from wrod.rods.model import RodModel
+from wrod.solvers.statics import EquilibriumSolver, prescribe
+
+_EDGES = 80
+_FEWEST, _MOST = 20, 400  # points of the curve that are fitted
+_TRIES, _ITERATIONS = 4, 12
+_DEGREE = 9  # of the curve from which equilibria are first sought
+# Of the loop's size: first guesses of L_gb.
+_GUESSES = (0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7)
+_STRETCH_RATIO = 1e4
+_STEPS = np.array([1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-3])  # of the differences
+
+
+def measure_hanging_loop(points: np.ndarray) -> MeasuredLength:
+    """The gravito-bending length of a rod that hangs as a loop.
+
+    Args:
+        points: (n, 2) of its centreline in order, x level and y up [m].
+
+    Returns:
+        With the standard error that the scatter of the points about the fitted rod tells.
+
+    Raises:
+        DataError: there are too few points, or no hanging rod fits them.
+    """
+    points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] < 2 or len(points) < _FEWEST:
+        raise DataError(
+            f"the loop has points of shape {points.shape}; give (n, 2) with {_FEWEST} or more"
+        )
+    if not np.isfinite(points).all():
+        raise DataError("a point of the loop is not finite; leave it out")
+    points = points[:, :2]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    if not (np.diff(arc) > 0).all():
+        raise DataError("the loop has the same point twice in a row; leave it out")
+    if len(points) > _MOST:
+        points = CubicSpline(arc, points)(np.linspace(0.0, arc[-1], _MOST))
+        arc = np.linspace(0.0, arc[-1], _MOST)
+    fit = _Fit(points, arc)
+    found = fit.run()
+    if found is None:
+        raise DataError("no hanging rod fits these points; is y up, and is it one rod in a plane?")
+    _, values, residual, jacobian = found
+    scatter = float(np.sqrt((residual**2).sum() / max(len(residual) - len(values), 1)))
+    if scatter > 0.02 * fit.size:
+        raise DataError(
+            f"the nearest hanging rod is {1e3 * scatter:.1f} mm off these points; is y up, and is "
+            "it one rod in a plane, straight when it lies free?"
+        )
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * scatter**2 * _correlation(residual)
+    lgb = float(np.exp(values[0]))
+    error = lgb * float(np.sqrt(covariance[0, 0]))
+    warning = None
+    if error > 0.1 * lgb:
+        warning = (
+            "the loop says little of the stiffness; hang the rod narrower, so that its bend is "
+            "as tight as its weight allows"
+        )
+    return MeasuredLength(lgb, error, warning)
+
+
+def _correlation(residual: np.ndarray) -> float:
+    """By how much errors that neighbours share raise the variance of what is fitted."""
+    centred = residual - residual.mean()
+    power = float((centred**2).sum())
+    total = 1.0
+    for lag in range(1, len(centred) // 4):
+        share = float((centred[lag:] * centred[:-lag]).sum()) / max(power, 1e-300)
+        if share <= 0.05:
+            break
+        total += 2.0 * share
+    return total
+
+
+class _Fit:
+    """Least squares of normal distances; values: log L_gb, length over the points', and at each end
+    x, y [size] and the tangent's angle [rad]."""
+
+    def __init__(self, points: np.ndarray, arc: np.ndarray):
+        self.points, self.arc = points, arc
+        self.size = float(np.ptp(points, axis=0).max())
+        # Equilibria are sought from a smooth curve, then from the last one found.
+        smooth = [Polynomial.fit(arc, column, _DEGREE) for column in points.T]
+        even = np.linspace(0.0, arc[-1], _EDGES + 1)
+        self.shape = np.column_stack([line(even) for line in smooth])
+        count = max(3, len(points) // 15)
+        self.first = points[count] - points[0]
+        self.last = points[-1] - points[-1 - count]
+
+    def start(self) -> np.ndarray | None:
+        """Values of the best of the first guesses, or None where there is none."""
+        rows = np.stack([self.guessed(guess) for guess in _GUESSES])
+        lines = self.equilibria(rows)
+        if lines is None:
+            return None
+        return rows[int(np.argmin([(self.distance(line) ** 2).sum() for line in lines]))]
+
+    def guessed(self, guess: float) -> np.ndarray:
+        ends = [
+            np.append(end / self.size, np.arctan2(along[1], along[0]))
+            for end, along in ((self.points[0], self.first), (self.points[-1], self.last))
+        ]
+        return np.concatenate([[np.log(guess * self.size), 1.0], *ends])
+
+    def run(self):
+        """(cost, values, residual, jacobian), or None where no equilibrium is found."""
+        values, damping = self.start(), 1e-3
+        state = None if values is None else self.linearised(values)
+        if state is None:
+            return None
+        cost = float((state[0] ** 2).sum())
+        for _ in range(_ITERATIONS):
+            residual, jacobian = state
+            normal = jacobian.T @ jacobian
+            gained = False
+            for _ in range(_TRIES):
+                lifted = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12))
+                step = -np.linalg.solve(lifted, jacobian.T @ residual)
+                step *= min(1.0, 0.5 / max(np.abs(step).max(), 1e-12))
+                tried = self.linearised(values + step)
+                if tried is not None and (tried[0] ** 2).sum() < cost:
+                    gained = True
+                    break
+                damping *= 8.0
+            if not gained:
+                break
+            before, cost = cost, float((tried[0] ** 2).sum())
+            values, state, damping = values + step, tried, max(damping / 8.0, 1e-9)
+            if before - cost < 1e-3 * before:
+                break
+        return cost, values, *state
+
+    def linearised(self, values: np.ndarray):
+        """Residual (n,) and jacobian (n, 8) [m], or None."""
+        rows = np.vstack([values, values + np.diag(_STEPS), values - np.diag(_STEPS)])
+        lines = self.equilibria(rows)
+        if lines is None:
+            return None
+        off = np.stack([self.distance(line) for line in lines])
+        count = len(values)
+        return off[0], ((off[1 : 1 + count] - off[1 + count :]) / (2 * _STEPS[:, None])).T
+
+    def distance(self, line: np.ndarray) -> np.ndarray:
+        """(n,) signed distance of the points from a curve (m, 2), positive on its left [m]."""
+        fine = CubicSpline(np.linspace(0.0, 1.0, len(line)), line)(np.linspace(0.0, 1.0, 241))
+        step = np.diff(fine, axis=0)
+        offset = self.points[:, None] - fine[None, :-1]
+        share = (offset * step).sum(-1) / (step**2).sum(-1)
+        # The end pieces go on straight: points beyond them count for their distance aside.
+        low = np.where(np.arange(len(step)) == 0, -1e9, 0.0)
+        high = np.where(np.arange(len(step)) == len(step) - 1, 1e9, 1.0)
+        away = offset - np.clip(share, low, high)[..., None] * step
+        near = (away**2).sum(-1).argmin(1)
+        rows = np.arange(len(near))
+        along = step[near] / np.linalg.norm(step[near], axis=1, keepdims=True)
+        return along[:, 0] * away[rows, near, 1] - along[:, 1] * away[rows, near, 0]
+
+    def equilibria(self, rows: np.ndarray):
+        """(k, nodes, 2) of hanging rods [m], or None where one is not found."""
+        share = np.arange(-1, _EDGES + 2) / _EDGES
+        lengths = rows[:, 1] * self.arc[-1]
+        edge = lengths / _EDGES
+        inner = self.shape[np.clip(np.arange(-1, _EDGES + 2), 0, _EDGES)]
+        plane = np.repeat(inner[None], len(rows), axis=0)
+        for end, k in ((0, 2), (-1, 5)):
+            place = rows[:, k : k + 2] * self.size
+            angle = rows[:, k + 2]
+            along = edge[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+            inside, ghost = (1, 0) if end == 0 else (-2, -1)
+            plane[:, inside] = place
+            plane[:, ghost] = place - along if end == 0 else place + along
+        position = np.stack([plane[..., 0], np.zeros(plane.shape[:2]), plane[..., 1]], axis=2)
+        rods = []
+        for row, length in zip(rows, lengths, strict=True):
+            lgb = float(np.exp(row[0]))
+            rods.append(
+                RodModel(
+                    length=float(length),
+                    bending_stiffness=lgb**3,
+                    twisting_stiffness=lgb**3,
+                    stretching_stiffness=_STRETCH_RATIO * lgb,
+                    line_mass=WEIGHT,
+                    radius=lgb,
+                    gravity=1.0,
+                )
+            )
+        batch = RodBatch.of(
+            rods, lengths[:, None] * (share + 1.0 / _EDGES), position, clamped=(True, True),
+            director=(0.0, 1.0, 0.0),
+        )  # fmt: skip
+        prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
+        if not EquilibriumSolver(batch).solve(tolerance=1e-8).converged.all():
+            return None
+        lines = batch.positions()[:, 1:-1, [0, 2]]
+        self.shape = lines[0]
+        return lines
