@@ -93,7 +93,7 @@ def test_bad_centrelines_are_named(tmp_path, plan):
         load_laid([line[:, 0]], pattern, noise=NOISE)
     with pytest.raises(DataError, match="does not show its noise"):
         load_laid([line], pattern)
-    with pytest.raises(DataError, match="sources is .*it must be a list of 1 or more"):
+    with pytest.raises(DataError, match=r"sources is .*it must be a list of 1 or more"):
         load_laid([], pattern)
     with pytest.raises(DataError, match="noise is -1"):
         load_laid([line], pattern, noise=-1)
