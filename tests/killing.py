@@ -114,6 +114,8 @@ def series(
         except subprocess.TimeoutExpired:
             run.send_signal(signal.SIGINT if interrupt else signal.SIGKILL)
             _, said = run.communicate()
+            if run.returncode == 0:
+                break  # it had ended, and was winding up
             done += 1
         last = said.replace("\r", "\n").strip().splitlines()[-1:]
         if interrupt and (run.returncode != 130 or "Traceback" in said or "inter" not in str(last)):

@@ -1,5 +1,7 @@
 """`python -m wrod` is the command `wrod`; an interruption while it is loaded is said as later."""
 
+import contextlib
+import signal
 import sys
 
 
@@ -12,6 +14,10 @@ def main() -> None:
     except KeyboardInterrupt:
         print("wrod: interrupted", file=sys.stderr)
         sys.exit(130)
+    finally:
+        # All is said and written: what strikes while Python winds up changes nothing.
+        with contextlib.suppress(ValueError):  # not the main thread
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 if __name__ == "__main__":

@@ -113,6 +113,11 @@ def solve_rod_grasps(
         raise GraspError(f"roll is {roll!r:.80}; give an angle in radians, or one for each contact")
     model = _at_rest(models_of(rod)[0])
     contact = np.atleast_1d(np.asarray(arc_length, dtype=np.float64))
+    if np.shape(curvature) not in ((), (1,), contact.shape):
+        raise GraspError(
+            f"curvature has shape {np.shape(curvature)} for {len(contact)} contacts; give one for "
+            "each, or one for all"
+        )
     if contact.ndim != 1 or not ((contact >= 0.0) & (contact < model.length)).all():
         raise GraspError(f"arc_length must be (n,) from 0 to below the rod's {model.length:g} m")
     lgb, bending = _units(model)

@@ -155,7 +155,7 @@ def describe_robot(
         urdf = UrdfFile(Path(name), arm_urdf(name))
     elif Path(name).suffix not in (".urdf", ".xacro", ".xml") and not Path(name).is_file():
         raise RobotError(
-            f"unknown robot {name!r}; known robots: {', '.join(ROBOTS)} (or give a URDF file)"
+            f"unknown robot {name!r:.80}; known robots: {', '.join(ROBOTS)} (or give a URDF file)"
         )
     else:
         urdf = read_urdf(name)
@@ -201,7 +201,7 @@ def _with_gripper(
     moved = sorted(beyond - set(gripper_model.LINKS))
     if moved:
         warnings.warn(
-            f"{urdf.path}: {', '.join(moved)} beyond the flange {flange!r} give way to wrod's "
+            f"{urdf.path}: {', '.join(moved)} beyond the flange {flange!r:.80} give way to wrod's "
             "gripper; name the grasp point with tip to keep them",
             WrodWarning,
             stacklevel=3,
@@ -257,17 +257,17 @@ def _build(urdf: UrdfFile, gripper_length: float, acceleration: float, jerk: flo
         joint = elements[name]
         if joint.get("type") == "prismatic":
             raise RobotError(
-                f"{urdf.path}: joint {name!r} slides; paths are planned for joints that turn"
+                f"{urdf.path}: joint {name!r:.80} slides; paths are planned for joints that turn"
             )
         limit = joint.find("limit")
         if joint.get("type") == "continuous":
             limits.append((-np.inf, np.inf))
         elif limit is None or limit.get("lower") is None or limit.get("upper") is None:
-            raise RobotError(f"{urdf.path}: joint {name!r} has no position limits")
+            raise RobotError(f"{urdf.path}: joint {name!r:.80} has no position limits")
         else:
             limits.append((float(limit.get("lower")), float(limit.get("upper"))))
         if limit is None or not float(limit.get("velocity", 0)) > 0:
-            raise RobotError(f"{urdf.path}: joint {name!r} has no velocity limit")
+            raise RobotError(f"{urdf.path}: joint {name!r:.80} has no velocity limit")
         velocity.append(float(limit.get("velocity")))
     lower, upper = np.array(limits).T
     check_reach(urdf.path, chain, lower, upper)

@@ -84,8 +84,8 @@ class UrdfFile:
     def require_link(self, name: str, role: str) -> None:
         if name not in self.links:
             raise RobotError(
-                f"{self.path}: no link {name!r} for the {role}; its links are "
-                f"{', '.join(self.links)}"
+                f"{self.path}: no link {name!r:.80} for the {role}; its links are "
+                f"{shown(', '.join(self.links), 1000)}"
             )
 
     def flange(self) -> str:
@@ -181,8 +181,8 @@ class UrdfFile:
         shape = next(iter(geometry)) if geometry is not None and len(geometry) else None
         if shape is None or shape.tag not in ("sphere", "cylinder", "box", "mesh"):
             raise RobotError(
-                f"{self.path}: link {link!r} has a {element.tag} without sphere, cylinder, box or "
-                "mesh"
+                f"{self.path}: link {link!r:.80} has a {element.tag} without sphere, cylinder, "
+                "box or mesh"
             )
         if shape.tag == "mesh":
             scale = tuple(_floats(shape.get("scale", "1 1 1")))
@@ -211,7 +211,7 @@ class UrdfFile:
             candidates = [p / rest for p in folders if p.name == package]
             candidates += [p / package / rest for p in folders + package_folders()]
             hint = (
-                f"put the package {package!r} beside the URDF or name its parent folder in "
+                f"put the package {package!r:.80} beside the URDF or name its parent folder in "
                 "ROS_PACKAGE_PATH"
             )
         elif name.startswith(("http://", "https://")):

@@ -31,7 +31,7 @@ def check_urdf(root: ElementTree.Element, path: Path) -> None:
         raise RobotError(f"{path}: its root element is <{root.tag}>, not <robot>; give a URDF file")
     _check_tree(root, path)
     for joint in root.findall("joint"):
-        where = f"{path}: joint {joint.get('name')!r}"
+        where = f"{path}: joint {joint.get('name')!r:.80}"
         _check_origin(joint, where)
         axis = joint.find("axis")
         if axis is not None:
@@ -41,7 +41,7 @@ def check_urdf(root: ElementTree.Element, path: Path) -> None:
         if joint.get("type") in MOVING:
             _check_limit(joint, where)
     for link in root.findall("link"):
-        where = f"{path}: link {link.get('name')!r}"
+        where = f"{path}: link {link.get('name')!r:.80}"
         for part in link:
             if part.tag in ("visual", "collision"):
                 _check_origin(part, f"{where}: {part.tag}")
@@ -74,7 +74,7 @@ def _check_tree(root: ElementTree.Element, path: Path) -> None:
     for joint, name in zip(joints, names, strict=True):
         if joint.get("type") not in _KINDS:
             raise RobotError(
-                f"{path}: joint {name!r} is of type {joint.get('type')!r}; URDF knows "
+                f"{path}: joint {name!r:.80} is of type {joint.get('type')!r:.80}; URDF knows "
                 f"{', '.join(_KINDS)}"
             )
         ends = []
@@ -83,12 +83,12 @@ def _check_tree(root: ElementTree.Element, path: Path) -> None:
             link = None if element is None else element.get("link")
             if link not in known:
                 raise RobotError(
-                    f"{path}: joint {name!r} names the {end} link {link!r}, which the file does "
-                    "not have"
+                    f"{path}: joint {name!r:.80} names the {end} link {str(link)!r:.80}, which the "
+                    "file does not have"
                 )
             ends.append(link)
         if ends[1] in parent:
-            raise RobotError(f"{path}: link {ends[1]!r} hangs from two joints; {_REMEDY}")
+            raise RobotError(f"{path}: link {ends[1]!r:.80} hangs from two joints; {_REMEDY}")
         parent[ends[1]] = ends[0]
     roots = [name for name in links if name not in parent]
     if len(roots) != 1:
@@ -101,7 +101,9 @@ def _check_tree(root: ElementTree.Element, path: Path) -> None:
         while at in parent:
             at, steps = parent[at], steps + 1
             if steps > len(links):
-                raise RobotError(f"{path}: link {link!r} hangs from itself, in a cycle; {_REMEDY}")
+                raise RobotError(
+                    f"{path}: link {link!r:.80} hangs from itself, in a cycle; {_REMEDY}"
+                )
 
 
 def _check_limit(joint: ElementTree.Element, where: str) -> None:
