@@ -466,7 +466,7 @@ def test_errors_say_what_to_call():
     for wrong, match in [
         (dict(points=points[:2]), "3 or more"),
         (dict(points=points[[0, 1, 1, 2]]), "points 1 and 2 coincide"),
-        (dict(points=points * np.nan), "not finite"),
+        (dict(points=points * np.nan), "finite numbers only"),
         (dict(material=3.0), "wrod.RodMaterial"),
         (dict(start="glued"), "free, pinned, clamped"),
         (dict(start="pinned", start_body=7), "start_body is 7"),

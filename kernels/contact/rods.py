@@ -6,9 +6,10 @@ which derives from an energy with an exact Hessian. Friction acts between the su
 relative motion at the point of contact, with the turning of both edges and their spin, stretches a
 bristle that slides on where the load exceeds mu N (return mapping). Two rods that move as one rigid
 body do not rub, and the forces conserve momentum and angular momentum. The bristle is kept in the
-frame of the first edge and the normal. N is that of the end of the last step, as in Li et al. 2020:
-the matrix of a step is symmetric and exact but for the turning of the pair, and Newton converges; a
-rod that rests or slides steadily feels mu times its true load.
+frame of the first edge and the normal. N is held while Newton iterates, as in Li et al. 2020, so
+that the matrix of a step is symmetric and exact but for the turning of the pair; in balance it is
+compared with what the pairs press then, and taken anew where a bristle slides, or would, and they
+differ. A step ends with friction within a twentieth of mu times the load at its end.
 """
 
 import warp as wp
@@ -23,6 +24,11 @@ wp.set_module_options({"enable_backward": False})
 SLIPPING = wp.constant(0)
 HELD = wp.constant(1)
 EVERY = wp.constant(2)
+
+
+# A load is out of date when it differs by more than this part; how often a step takes them anew.
+STALE = wp.constant(wp.float64(0.05))
+MOST_RENEWALS = wp.constant(2)
 
 
 @wp.struct
@@ -286,19 +292,77 @@ def find_touching(
 
 
 @wp.kernel
+def hold_loads(
+    starting: wp.array(dtype=wp.int32),
+    load: wp.array3d(dtype=wp.float64),
+    held_out: wp.array3d(dtype=wp.float64),
+):
+    """A step begins with the loads of the last."""
+    r, i, k = wp.tid()
+    if starting[r] != 0:
+        held_out[r, i, k] = load[r, i, k]
+
+
+@wp.kernel
+def renew_loads(
+    # Model:
+    law: wp.array(dtype=Law),
+    radius: wp.array2d(dtype=wp.float64),
+    rest_length: wp.array2d(dtype=wp.float64),
+    # State in:
+    step: wp.array(dtype=wp.float64),
+    converged: wp.array(dtype=wp.int32),
+    renewals: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    partner_count: wp.array2d(dtype=wp.int32),
+    partner: wp.array3d(dtype=wp.int32),
+    bristle: wp.array3d(dtype=wp.vec2d),
+    sliding: wp.array3d(dtype=wp.int32),
+    # State in and out:
+    held: wp.array3d(dtype=wp.float64),
+    # State out:
+    renewed_out: wp.array(dtype=wp.int32),
+):
+    """Where a rod is in balance, take the loads anew that bound what slides and are out of date.
+    A pair that meets in this step rubs from the next one on."""
+    r, i = wp.tid()
+    if converged[r] == 0 or renewals[r] >= MOST_RENEWALS:
+        return
+    for k in range(partner_count[r, i]):
+        j = partner[r, i, k]
+        old = held[r, i, k]
+        if old == ZERO:
+            continue
+        c = pair_contact(
+            law[r], radius, rest_length, step[r], dof, dof_before, bristle[r, i, k], old,
+            sliding[r, i, k], SLIPPING, r, i, j,
+        )  # fmt: skip
+        if c.force > ZERO and wp.abs(c.force - old) > STALE * wp.max(c.force, old):
+            mu = wp.where(sliding[r, i, k] != 0, law[r].kinetic_friction, law[r].static_friction)
+            wanted = wp.length(c.pull) + law[r].stiffness * c.slid
+            if mu > ZERO and wanted > mu * wp.min(c.force, old):
+                held[r, i, k] = c.force
+                wp.atomic_max(renewed_out, r, 1)
+
+
+@wp.kernel
 def begin_sticking(
     starting: wp.array(dtype=wp.int32),
     rejected: wp.array(dtype=wp.int32),
     sticking_out: wp.array(dtype=wp.int32),
     overloaded_out: wp.array(dtype=wp.int32),
+    renewals_out: wp.array(dtype=wp.int32),
 ):
     """The first iteration of a step takes bristles that held to hold any load, as an elastic
     predictor: Newton then meets the kink of Coulomb's law from the side of the solution. When a
-    step has failed, also those that slid."""
+    step has failed, also those that slid, and loads stay those of the last step: a shorter one
+    changes them less."""
     r = wp.tid()
     if starting[r] != 0:
         sticking_out[r] = wp.where(rejected[r] != 0, EVERY, HELD)
         overloaded_out[r] = 0
+        renewals_out[r] = wp.where(rejected[r] != 0, MOST_RENEWALS, 0)
 
 
 @wp.kernel
@@ -326,6 +390,7 @@ def settle_friction(
     dof_before: wp.array2d(dtype=wp.float64),
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
+    held: wp.array3d(dtype=wp.float64),
     # State in and out:
     bristle: wp.array3d(dtype=wp.vec2d),
     load: wp.array3d(dtype=wp.float64),
@@ -341,7 +406,7 @@ def settle_friction(
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
         c = pair_contact(
-            law[r], radius, rest_length, step[r], dof, dof_before, bristle[r, i, k], load[r, i, k],
+            law[r], radius, rest_length, step[r], dof, dof_before, bristle[r, i, k], held[r, i, k],
             sliding[r, i, k], SLIPPING, r, i, j,
         )  # fmt: skip
         bristle[r, i, k] = c.bristle

@@ -116,6 +116,8 @@ def refuse_large_steps(
     sticking: wp.array(dtype=wp.int32),
     overloaded: wp.array(dtype=wp.int32),
     # State in and out:
+    renewed: wp.array(dtype=wp.int32),
+    renewals: wp.array(dtype=wp.int32),
     converged: wp.array(dtype=wp.int32),
     active: wp.array(dtype=wp.int32),
 ):
@@ -137,8 +139,13 @@ def refuse_large_steps(
     bad = count_of_lanes(bad)
     if lane > 0:
         return
-    if sticking[r] != 0 and overloaded[r] != 0:
-        # In balance only with bristles that hold more than they can: iterate.
+    stale = renewed[r] != 0
+    renewed[r] = 0
+    if stale:
+        renewals[r] = renewals[r] + 1
+    if stale or (sticking[r] != 0 and overloaded[r] != 0):
+        # In balance only under loads of before, or with bristles that hold more than they can:
+        # iterate.
         converged[r] = 0
         active[r] = 1
     elif bad > 0 or overflow[r] != 0:

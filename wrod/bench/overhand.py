@@ -200,7 +200,7 @@ def pull(
         radius=1.0,
     )
     batch = RodBatch.of(
-        rod, arc_length, np.repeat(position[None], len(friction), axis=0), gravity=0.0
+        rod, arc_length, np.repeat(position[None], len(friction), axis=0), gravity=(0.0, 0.0, 0.0)
     )
     smooth, rough = (
         RodContact(batch, 1.0, [Friction(f) for f in coefficients], stiffness=stiffness)

@@ -90,6 +90,7 @@ class SolverDER(SolverBase):
         max_iterations=arguments.whole(1, 10_000),
         contact_stiffness=arguments.optional(arguments.number()),
         self_contact=arguments.optional(arguments.number(0.0, 1e3)),
+        rod_contact=arguments.optional(arguments.number(0.0, 1e3)),
     )
     def __init__(
         self,
@@ -445,6 +446,14 @@ class SolverDER(SolverBase):
         )
 
     @staticmethod
+    @arguments.checked(
+        RodError,
+        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
+        rod=arguments.whole(0),
+        body=arguments.whole(-1),
+        node=arguments.whole(0),
+        kind=arguments.text,
+    )
     def attach(
         builder: newton.ModelBuilder, rod: int, body: int, *, node: int, kind: str = "clamped"
     ) -> None:

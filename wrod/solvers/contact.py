@@ -120,12 +120,12 @@ class Friction:
 
 
 _IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
-_IS_SHAPE = arguments.like("a Plane, Box or Cylinder", "_describe")
+_IS_SHAPE = arguments.like("a Plane or a solid", "_describe")
 
 
 def _frictions(value) -> str | None:
     """One law, or a list of them."""
-    return arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION))(value)
+    return arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION, least=0))(value)
 
 
 def _shapes(value) -> str | None:

@@ -131,10 +131,13 @@ class RodContact:
             zeros(wp.int32, edges, partners) for _ in range(4)
         )
         self.bristle, self._new_bristle = (zeros(wp.vec2d, edges, partners) for _ in range(2))
-        self.depth, self.load, self._new_load = (
-            zeros(wp.float64, edges, partners) for _ in range(3)
+        # Normal forces at the end of the last step, and those that bound friction in this one.
+        self.depth, self.load, self.held_load, self._new_load = (
+            zeros(wp.float64, edges, partners) for _ in range(4)
         )
-        self.overflow, self.sticking, self._overloaded = (zeros(wp.int32) for _ in range(3))
+        self.overflow, self.sticking, self._overloaded, self._renewed, self._renewals = (
+            zeros(wp.int32) for _ in range(5)
+        )
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
@@ -154,7 +157,7 @@ class RodContact:
             kernels.begin_sticking,
             dim=batch.rod_count,
             inputs=[starting, rejected],
-            outputs=[self.sticking, self._overloaded],
+            outputs=[self.sticking, self._overloaded, self._renewals],
             device=batch.device,
         )
         wp.launch(
@@ -191,6 +194,13 @@ class RodContact:
             outputs=[self.overflow],
             device=batch.device,
         )
+        wp.launch(
+            kernels.hold_loads,
+            dim=self.load.shape,
+            inputs=[starting, self.load],
+            outputs=[self.held_load],
+            device=batch.device,
+        )
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces at `dof` to the batch's gradient; their stiffness goes into `system`."""
@@ -207,7 +217,7 @@ class RodContact:
                 self.partner_count,
                 self.partner,
                 self.bristle,
-                self.load,
+                self.held_load,
                 self.sliding,
                 self.sticking,
             ],
@@ -228,7 +238,16 @@ class RodContact:
     def refuse(
         self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
     ) -> None:
-        """Take back the convergence of steps that are too large for nothing to tunnel."""
+        """Take back the convergence of steps that are too large for nothing to tunnel, and of those
+        whose friction belongs to loads that are not there any more."""
+        wp.launch(
+            kernels.renew_loads,
+            dim=self.partner_count.shape,
+            inputs=[*self._model, self.time_step, converged, self._renewals, dof, dof_before]
+            + [self.partner_count, self.partner, self.bristle, self.sliding, self.held_load],
+            outputs=[self._renewed],
+            device=self.batch.device,
+        )
         self.batch.walk(
             touching.refuse_large_steps,
             [
@@ -242,6 +261,8 @@ class RodContact:
                 self.overflow,
                 self.sticking,
                 self._overloaded,
+                self._renewed,
+                self._renewals,
             ],
             [converged, active],
         )
@@ -273,7 +294,7 @@ class RodContact:
             kernels.settle_friction,
             dim=self.partner_count.shape,
             inputs=[*self._model, self.time_step, accepted, dof, dof_before]
-            + [self.partner_count, self.partner],
+            + [self.partner_count, self.partner, self.held_load],
             outputs=[
                 self.bristle,
                 self.load,
