@@ -202,3 +202,13 @@ def test_a_pattern_cut_to_the_rod_leaves_the_fingers_off_the_table(tmp_path):
     assert result.exit_code == 2 and factor * 1.0 <= rod.length - least
     alone = CliRunner().invoke(main, ["plan", *words, "--no-robot"])
     assert float(alone.output.split("`--resize ")[1].split("`")[0]) > factor
+
+
+def test_a_closure_beside_a_method_that_has_none_is_refused(tmp_path):
+    out = tmp_path / "out"
+    arguments = ["plan", "line", "--rod", "green-vps", "--method", "intuitive"]
+    arguments += ["--closure", "min_force", "--out", str(out)]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2
+    assert "--closure does nothing beside --method intuitive" in result.output
+    assert not out.exists()

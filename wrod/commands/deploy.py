@@ -8,7 +8,16 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.options import DEVICE, METHOD, ROD, UNITS, options, read_pattern, read_rod
+from wrod.commands.options import (
+    DEVICE,
+    METHOD,
+    ROD,
+    UNITS,
+    options,
+    read_pattern,
+    read_rod,
+    refuse_idle_options,
+)
 
 # How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
 _SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
@@ -94,6 +103,10 @@ def command(
     interval = _PAGE_INTERVAL if frames is None and paged else frames
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
+    if trajectory is not None:
+        refuse_idle_options("--trajectory", "method", "closure")
+    if method == "intuitive":
+        refuse_idle_options("--method intuitive", "closure")
     rod, curve = read_rod(rod_name, radius, lgb, length), read_pattern(pattern, units)
     law = Friction(friction, kinetic, rolling)
     fixtures = None if fixtures_file is None else Fixtures.load(fixtures_file)
@@ -103,10 +116,7 @@ def command(
         )
     else:
         path = Trajectory.load(trajectory)
-        _refuse_idle_options("--trajectory", "method", "closure")
         _refuse_another_plan(path, with_remainder_of(curve, path), rod, another_rod)
-    if method == "intuitive":
-        _refuse_idle_options("--method intuitive", "closure")
     curve = with_remainder_of(curve, path)
     rest = tail(curve, rod, path)
     cost.settle(
@@ -202,18 +212,6 @@ def command(
         )
     for name in written:
         click.echo(f"wrote {name}")
-
-
-def _refuse_idle_options(beside: str, *names: str) -> None:
-    """Refuse options that were given and would do nothing."""
-    from click.core import ParameterSource
-
-    from wrod.errors import RodError
-
-    context = click.get_current_context()
-    for name in names:
-        if context.get_parameter_source(name) == ParameterSource.COMMANDLINE:
-            raise RodError(f"--{name} does nothing beside {beside}; leave it out")
 
 
 def _refuse_another_plan(path, curve, rod, another_rod: bool) -> None:

@@ -161,3 +161,15 @@ def _scanned(path: Path, units: str | None, given: dict):
     if "start" in given:
         given["start"] = parse_start(given["start"])
     return scan(path, **given)
+
+
+def refuse_idle_options(beside: str, *names: str) -> None:
+    """Refuse options that were given and would do nothing."""
+    from click.core import ParameterSource
+
+    from wrod.errors import RodError
+
+    context = click.get_current_context()
+    for name in names:
+        if context.get_parameter_source(name) == ParameterSource.COMMANDLINE:
+            raise RodError(f"--{name} does nothing beside {beside}; leave it out")

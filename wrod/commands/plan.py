@@ -18,6 +18,7 @@ from wrod.commands.options import (
     options,
     read_pattern,
     read_rod,
+    refuse_idle_options,
 )
 from wrod.commands.plan_pattern import SHAPE, fit, too_long
 from wrod.commands.plan_steps import NO_JOINT_PATH, arm_steps, save_plan, solve_grasps_of
@@ -101,6 +102,8 @@ def command(
     from wrod.controller.controller import Controller
     from wrod.planning.plan import prepare, read_roll
 
+    if method == "intuitive":
+        refuse_idle_options("--method intuitive", "closure")
     request = RobotRequest(**arm)
     request.check()
     rod = read_rod(rod_name, radius, lgb, length)
