@@ -197,7 +197,8 @@ def test_memory_stays_flat(tmp_path, monkeypatch):
         generate(tmp_path / str(shards), 512 * shards, shard_size=512, device="cpu", rank=Rank())
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert peaks[1] < 1.1 * peaks[0]
+    # A shard that is done leaves its entry in a list, not its rows (which take 100 kB).
+    assert peaks[1] - peaks[0] < 36 * 2_000
 
 
 @pytest.mark.parametrize(

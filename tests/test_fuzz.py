@@ -286,6 +286,7 @@ NEEDS = {
     "plan": ["letter-U", "--rod", "green-vps", "--no-robot"],
     "deploy": ["letter-U", "--rod", "green-vps"],
     "loop": ["--height", "0.04", "--radius", "0.0016", "--length", "0.8"],
+    "measure": ["--overhang", "0.07", "--fall", "0.03", "--radius", "0.0016", "--length", "0.8"],
     "manifold": ["--length", "17"],
     "dataset": ["--size", "100"],
     "train": ["--generate", "100"],
@@ -336,7 +337,7 @@ def call(name, command, folder, changes):
             del needed[at : at + 2]
     opts = {max(p.opts, key=len) for p in command.params if isinstance(p, click.Option)}
     if "--out" in opts and "--out" not in changes:
-        out = folder / ("out/rod.json" if name in ("loop", "laid") else "out")
+        out = folder / ("out/rod.json" if name in ("loop", "laid", "measure") else "out")
         needed += ["--out", str(out)]
     return words + needed + [w for pair in changes.items() for w in pair]
 

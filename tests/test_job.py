@@ -115,3 +115,37 @@ def test_where_there_is_no_way_the_path_stays_and_says_so(line, monkeypatch):
     with pytest.warns(WrodWarning, match="begins and ends at the rod: no way between"):
         path = wrod.solve_joint_path(line, "ur5e", whole_job=True)
     assert [p["name"] for p in path.phases] == ["lay"] and "no way" in path.metadata["no_approach"]
+
+
+def test_a_pattern_that_turns_further_than_the_hand_is_told_so():
+    from types import SimpleNamespace
+
+    from wrod.robot.model import load_robot
+    from wrod.robot.solve import turning
+
+    angle = np.linspace(0.0, 2 * np.pi, 200)
+    ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    for name, room in (("panda", 2 * 2.8973), ("gen3", np.inf)):
+        task = SimpleNamespace(trajectory=SimpleNamespace(contact=ring), robot=load_robot(name))
+        turned, there = turning(task)
+        assert turned == pytest.approx(2 * np.pi, abs=0.05)
+        assert there == pytest.approx(room)
+
+
+def test_hand_leaves_the_rod_aside_where_it_cannot_go_back(job, monkeypatch):
+    from wrod.robot import transfer
+    from wrod.robot.arm import Arm
+    from wrod.robot.collision import CollisionModel
+    from wrod.robot.holds import Hand
+
+    model = CollisionModel(job.robot)
+    arm = Arm(job.robot, model, Hand.of(model), job.placement)
+    straight = transfer._straight
+    monkeypatch.setattr(
+        transfer, "_straight", lambda a, q, d, far: None if d[2] < 0 else straight(a, q, d, far)
+    )
+    leg = transfer.retreat(arm, job.node_positions[0])
+    poses = arm.grasps(leg.knots)
+    moved = (poses[-1, :3, 3] - poses[0, :3, 3]) @ poses[0, :3, :3]
+    np.testing.assert_allclose(np.abs(moved), [transfer._ASIDE, 0.0, 0.0], atol=1e-4)
+    np.testing.assert_allclose(poses[-1, :3, :3], poses[0, :3, :3], atol=1e-4)

@@ -86,13 +86,14 @@ def test_bad_centrelines_are_named(tmp_path, plan):
         (1000 * line, "millimetres"),
         (line + [5.0, 0.0, 0.0], "from the pattern on average"),
         (broken, "point 7 is not a number"),
-        (line[:, 0], "has shape"),
     ):
         with pytest.raises(DataError, match=f"centreline 0: .*{says}"):
             load_laid([source], pattern, noise=NOISE)
+    with pytest.raises(DataError, match=r"load_laid: sources is .* must have \(n, 2\) or \(n, 3\)"):
+        load_laid([line[:, 0]], pattern, noise=NOISE)
     with pytest.raises(DataError, match="does not show its noise"):
         load_laid([line], pattern)
-    with pytest.raises(DataError, match="no laid rod"):
+    with pytest.raises(DataError, match=r"sources is .*it must be a list of 1 or more"):
         load_laid([], pattern)
     with pytest.raises(DataError, match="noise is -1"):
         load_laid([line], pattern, noise=-1)

@@ -83,3 +83,31 @@ def test_page_shows_table_and_rod(page, tmp_path):
         if rod > 100 and table > 2000:
             return
     pytest.fail(f"{rod} pixels of the rod and {table} of the table")
+
+
+def test_a_laid_rod_is_coloured_where_it_lies_astray(tmp_path, monkeypatch):
+    from types import SimpleNamespace
+
+    from wrod.errors import SceneError
+    from wrod.scene import page as module
+
+    rod, pattern = wrod.rod("rope"), wrod.pattern("line")
+    trajectory = wrod.plan(pattern, rod, method="intuitive", spacing=0.02)
+    s = np.linspace(0.0, rod.length, 60)
+    on = pattern.sample(np.clip(s, 0.0, pattern.length))[0]
+    frames = np.repeat(on[None], 3, axis=0)
+    frames[1:, 30:, 2] += 0.1  # still in the air: no error, wherever it is
+    frames[1:, 30:, 1] += 0.05
+    frames[2, 10:15, 1] += 0.004  # lies 4 mm aside
+    laid = SimpleNamespace(frames=frames, arc_length=s, error_mean=0.001, released_error_mean=0.002)
+    seen = {}
+    monkeypatch.setattr(module, "write_deployment_page", lambda out, *a, **k: seen.update(k) or out)
+    out = module.write_laying_page(tmp_path / "a.html", laid, trajectory, pattern, rod, 0.25)
+    assert out == tmp_path / "a.html" and seen["time"].tolist() == [0.0, 0.25, 0.5]
+    wanted = np.zeros((3, 60))
+    wanted[2, 10:15] = 0.004
+    np.testing.assert_allclose(seen["errors"], wanted, atol=1e-9)
+    assert seen["captions"][0].startswith("0.10 cm from the pattern")
+    laid.frames = None
+    with pytest.raises(SceneError, match="has no frames"):
+        module.write_laying_page(tmp_path / "b.html", laid, trajectory, pattern, rod, 0.25)

@@ -81,9 +81,9 @@ def progress_bar(*arguments, quiet: bool = False, **options):
     from tqdm import tqdm
 
     watched = sys.stderr.isatty()
-    return tqdm(
-        *arguments, mininterval=0.1 if watched else 10.0, disable=quiet, leave=False, **options
-    )
+    # In a log nothing stands of what is refused or done before the first line is due.
+    pace = dict(mininterval=0.1) if watched else dict(mininterval=10.0, delay=10.0)
+    return tqdm(*arguments, **pace, disable=quiet, leave=False, **options)
 
 
 def grasps(

@@ -234,6 +234,9 @@ def draw_lines(
         axis.plot(-p.points[:, 1], 1e3 * p.points[:, 0], ".", color="tab:red", ms=2)
         low, high = -p.points[:, 1].max() - 0.03, -p.points[:, 1].min() + 0.03
         axis.set_xlim(low, high)
+        # What hangs is shown far beside the line.
+        across = 1e3 * p.points[:, 0]
+        axis.set_ylim(across.min() - 15.0, across.max() + 25.0)
         axis.set_ylabel(f"{p.rod} [mm]", fontsize=8)
         axis.legend(fontsize=6, ncols=2, loc="upper center")
         axis.tick_params(labelsize=7)

@@ -129,7 +129,7 @@ class LayingVectorEnv(VectorEnv):
         ]  # fmt: skip
         setups = prepare_trials(trials, _HOLD, _RELEASE, _SPEED, _SPACING, None)
         batch, _, dynamics = assemble(trials, setups, device=self.device)
-        motion = dynamics.motion
+        motion: Any = dynamics.motion
         self._episode = _Episode(
             setups, batch, dynamics, motion.position.numpy().copy(), motion.rotation.numpy().copy()
         )

@@ -90,7 +90,7 @@ ARRAYS = {
             "time": Field(("K",), "s"),
             "positions": Field(("K", "J"), "rad"),
             "velocities": Field(("K", "J"), "rad/s"),
-            "arc_length": Field(("T",), "m"),
+            "arc_length": Field(("K",), "m"),
             "node_time": Field(("T",), "s"),
             "node_positions": Field(("T", "J"), "rad"),
             "placement": Field((4,), about="x, y, z [m] and yaw [rad]"),

@@ -6,6 +6,8 @@ not asked: ends and tangents there are fitted with the stiffness.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicSpline
@@ -190,17 +192,13 @@ class _Fit:
         rods = []
         for row, length in zip(rows, lengths, strict=True):
             lgb = float(np.exp(row[0]))
-            rods.append(
-                RodModel(
-                    length=float(length),
-                    bending_stiffness=lgb**3,
-                    twisting_stiffness=lgb**3,
-                    stretching_stiffness=_STRETCH_RATIO * lgb,
-                    line_mass=WEIGHT,
-                    radius=lgb,
-                    gravity=1.0,
-                )
-            )
+            numbers: dict[str, Any] = {
+                "bending_stiffness": lgb**3,
+                "twisting_stiffness": lgb**3,
+                "stretching_stiffness": _STRETCH_RATIO * lgb,
+                "line_mass": WEIGHT,
+            }
+            rods.append(RodModel(length=float(length), radius=lgb, gravity=1.0, **numbers))
         batch = RodBatch.of(
             rods, lengths[:, None] * (share + 1.0 / _EDGES), position, clamped=(True, True),
             director=(0.0, 1.0, 0.0),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def write_template(kind: str, path: str | os.PathLike[str]) -> Path:
     return write_atomically(path, lambda file: np.savez_compressed(file, **data), "wb")
 
 
-def clamped_example(seed: int = 0) -> dict[str, np.ndarray]:
+def clamped_example(seed: int = 0) -> dict[str, Any]:
     """Arrays of twelve shapes of a cable between a clamp and a gripper, four of them to score on.
 
     The clamp holds it level, the gripper stands 70 % of its length away, turned at random.
@@ -94,7 +95,7 @@ def clamped_example(seed: int = 0) -> dict[str, np.ndarray]:
     }
 
 
-def motion_example(seed: int = 0) -> dict[str, np.ndarray]:
+def motion_example(seed: int = 0) -> dict[str, Any]:
     """Arrays of four recordings of a cable that swings between two grips, let go of aside."""
     rng = np.random.default_rng(seed)
     held, inner, fine = 0.03, 0.03, 2
