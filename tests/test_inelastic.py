@@ -1,5 +1,8 @@
 """Laws that remember, and other energies of the section, against definitions and differences."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import warp as wp
@@ -199,3 +202,10 @@ def test_grasps_refuse_a_rod_that_remembers():
     model = RodModel(0.5, 1e-3, 7e-4, 900.0, 0.02, 0.002, law=Plastic(5.0, 0.1))
     with pytest.raises(GraspError, match="remembers"):
         wrod.solve_rod_grasps(model, [0.1], 1.0)
+
+
+def test_contributing_shows_an_energy_as_it_is():
+    root = Path(__file__).parents[1]
+    block = re.search(r"```python\n(@wp.func.*?)```", (root / "CONTRIBUTING.md").read_text(), re.S)
+    source = (root / "kernels" / "elastic" / "bend_twist.py").read_text()
+    assert block.group(1) in source

@@ -154,3 +154,34 @@ def test_refusals():
     builder = scene()
     with pytest.raises(RodError, match="rest_length must be positive"):
         SolverDER.add_rod(builder, LINE, ROD, rest_length=0.0)
+
+
+def test_a_body_clamped_in_the_middle_of_a_cable():
+    """A cable that a small body carries in its middle, the body hung on another cable: the upper
+    one bears all, and the clamped edge stays level and turns with the body."""
+    builder = scene()
+    bob = builder.add_body(mass=0.02, inertia=INERTIA)
+    across = LINE - [0.05, 0.0, 0.0]
+    rod = SolverDER.add_rod(builder, across, ROD, air_damping=5.0, director=(0, 1, 0))
+    SolverDER.attach(builder, rod, bob, node=4)  # its edge is beside the middle: it tilts
+    up = np.linspace(0.1, 0.0, 11)[:, None] * np.array([0.0, 0.0, 1.0])
+    SolverDER.add_rod(
+        builder, up, ROD, start="clamped", end="clamped", end_body=bob, air_damping=5.0
+    )
+    model = builder.finalize(device="cpu")
+    solver, state = SolverDER(model, scheme="euler"), model.state()
+    for _ in range(150):
+        solver.step(state, state, None, None, 0.02)
+    assert not solver.diverged.any()
+    (group,) = solver._groups
+    reaction = group.dynamics.reaction.numpy()[0]
+    (world,) = [h for h in group.hold.numpy()[0] if h["kind"] and h["slot"] < 0]
+    carried = reaction[4 * world["node"] + 2] + reaction[4 * world["other"] + 2]
+    assert carried == pytest.approx((0.02 + model.der.node_mass.numpy().sum()) * 9.81, rel=1e-4)
+    q, turn = state.der.node_q.numpy(), state.body_q.numpy()[bob]
+    rotation = np.array(wp.quat_to_matrix(wp.quat(*map(float, turn[3:])))).reshape(3, 3)
+    edge = (q[5] - q[4]) / np.linalg.norm(q[5] - q[4])
+    assert edge == pytest.approx(rotation[:, 0], abs=1e-6)
+    assert state.der.edge_director.numpy()[4] == pytest.approx(rotation[:, 1], abs=1e-6)
+    assert np.linalg.norm(q[5] - q[4]) == pytest.approx(0.01, abs=1e-9)
+    assert q[4] == pytest.approx(turn[:3] + rotation @ across[4], abs=1e-6)

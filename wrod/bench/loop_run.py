@@ -225,6 +225,7 @@ def _found(case: Case) -> dict:
         },
         "model": {
             "natural_curvature": list(report.material.natural_curvature),
-            "gravito_bending_length": report.material.gravito_bending_length,
+            # Of the length that is laid, as the true one is.
+            "gravito_bending_length": case.model.gravito_bending_length,
         },
     }

@@ -142,7 +142,7 @@ class JointPath:
         arguments.either(arguments.path, arguments.like("Obstacles", "shapes", "capsules"))
     ),
     placement=arguments.either(
-        arguments.text, arguments.like("a Placement", "x", "y", "yaw"), arguments.array((3,), (4,))
+        arguments.text, arguments.like("a Placement", "x", "y", "yaw"), arguments.array((4,))
     ),
     grip_speed=arguments.number(1e-4, 10.0),
     rate=arguments.number(1.0, 1e4),

@@ -64,13 +64,13 @@ class Placement:
                 yaw = math.radians(yaw)
             else:
                 x, y, z, yaw = (float(number) for number in value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise RobotError(
-                f"placement {value!r} is not 'auto' and not x,y,z,yaw: position of the pattern's "
-                "origin from the robot's base [m], with z the table's height, and yaw"
+                f"placement {value!r:.80} is not 'auto' and not x,y,z,yaw: position of the "
+                "pattern's origin from the robot's base [m], with z the table's height, and yaw"
             ) from None
         if not all(map(math.isfinite, (x, y, z, yaw))):
-            raise RobotError(f"placement {value!r} is not finite")
+            raise RobotError(f"placement {value!r:.80} is not finite")
         return cls(x, y, z, yaw)
 
 

@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from wrod.errors import SceneError
 from wrod.scene.validate import open_stage
 
+# Time codes, shapes, points of one shape, and metres beyond which nothing of ours is.
+_LATEST, _MOST_PARTS, _MOST_POINTS, _FARTHEST = 1e9, 5_000, 1_000_000, 1e6
 _MOVES = 1e-9  # [m] a prim that moves less stands still
 
 
@@ -61,6 +63,8 @@ class NewtonScene:
             prim.GetName(): prim for prim in self.stage.Traverse() if prim.IsA(UsdGeom.Camera)
         }
         self.start, self.end = self.stage.GetStartTimeCode(), self.stage.GetEndTimeCode()
+        if not all(abs(time) <= _LATEST for time in (self.start, self.end)):
+            raise SceneError(f"{path}: its time codes run from {self.start:g} to {self.end:g}")
         self._parts = self._collect(path, hidden)
         builder = newton.ModelBuilder()
         for part in self._parts:
@@ -122,11 +126,15 @@ class NewtonScene:
                 continue
             kind, size = shape
             worlds = [_world(prim, cache) for cache in caches]
+            _check_part(path, prim, kind, size, worlds)
+            if len(parts) >= _MOST_PARTS:
+                raise SceneError(f"{path}: holds more than {_MOST_PARTS} shapes; hide some")
             moving = any(np.abs(w - worlds[0]).max() > _MOVES for w in worlds[1:])
             if kind == "curve":
                 moving |= UsdGeom.Points(prim).GetPointsAttr().GetNumTimeSamples() > 1
             color = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
-            color = tuple(color[0]) if color else (0.5, 0.5, 0.5)
+            color = np.nan_to_num(np.clip(color[0], 0.0, 1.0)) if color else (0.5, 0.5, 0.5)
+            color = tuple(map(float, color))
             parts.append(_Part(prim, kind, size, color, moving))
         if unknown:
             raise SceneError(f"{path}: no prim is named {', '.join(sorted(unknown))}")
@@ -171,26 +179,59 @@ class NewtonScene:
                 builder.add_shape_capsule(body, radius=extent[0], half_height=extent[1], **options)
 
 
+def _check_part(path, prim, kind: str, size, worlds: list[np.ndarray]) -> None:
+    """Refuse a shape that cannot be drawn, which Newton would not.
+
+    Raises:
+        SceneError: names the prim.
+    """
+    from pxr import Usd, UsdGeom
+
+    where, time = f"{path}: {prim.GetPath()}", Usd.TimeCode.EarliestTime()
+    if size.dtype.kind not in "fiu" or not (np.isfinite(size) & (size > 0.0)).all():
+        raise SceneError(f"{where} is a {kind} without a size: {size.tolist()}")
+    if not all((np.abs(world) <= _FARTHEST).all() for world in worlds):
+        raise SceneError(f"{where} has no place: its transformation is flat, or not finite")
+    if kind not in ("mesh", "curve"):
+        return
+    gprim = UsdGeom.PointBased(prim)
+    points = np.array(gprim.GetPointsAttr().Get(time) or [], dtype=float).reshape(-1, 3)
+    if not len(points) or len(points) > _MOST_POINTS or not (np.abs(points) <= _FARTHEST).all():
+        raise SceneError(
+            f"{where} has {len(points)} points, of which none may be missing, farther than "
+            f"{_FARTHEST:g} m, or not finite; at most {_MOST_POINTS} are drawn"
+        )
+    if kind == "curve":
+        counts = np.array(UsdGeom.BasisCurves(prim).GetCurveVertexCountsAttr().Get(time) or [0])
+        if counts.min() < 2 or counts.sum() != len(points):
+            raise SceneError(f"{where} has {len(points)} points in curves of {counts.tolist()}")
+        return
+    faces = np.array(UsdGeom.Mesh(prim).GetFaceVertexIndicesAttr().Get(time) or [-1])
+    triangles = len(UsdGeom.Mesh(prim).GetFaceVertexCountsAttr().Get(time))
+    if len(faces) != 3 * triangles or faces.min() < 0 or faces.max() >= len(points):
+        raise SceneError(f"{where} has faces of points that are not there")
+
+
 def _shape_of(prim) -> tuple[str, np.ndarray] | None:
     """Kind and size in Newton's terms (half extents) of a gprim, or None."""
     from pxr import Usd, UsdGeom
 
     time = Usd.TimeCode.EarliestTime()
     if prim.IsA(UsdGeom.Sphere):
-        return "sphere", np.array([UsdGeom.Sphere(prim).GetRadiusAttr().Get(time)])
+        return "sphere", _sizes(UsdGeom.Sphere(prim).GetRadiusAttr().Get(time))
     for schema, kind in ((UsdGeom.Cylinder, "cylinder"), (UsdGeom.Capsule, "capsule")):
         if prim.IsA(schema):
             gprim = schema(prim)
             if gprim.GetAxisAttr().Get() != UsdGeom.Tokens.z:
                 raise SceneError(f"{prim.GetPath()}: only cylinders along z are shown")
-            height = gprim.GetHeightAttr().Get(time)
-            return kind, np.array([gprim.GetRadiusAttr().Get(time), height / 2])
+            values = gprim.GetRadiusAttr().Get(time), gprim.GetHeightAttr().Get(time)
+            return kind, _sizes(*values) * [1.0, 0.5]
     if prim.IsA(UsdGeom.Cube):
         scale = np.ones(3)
         for op in UsdGeom.Xformable(prim).GetOrderedXformOps():
             if op.GetOpType() == UsdGeom.XformOp.TypeScale:
                 scale *= np.array(op.Get(time))
-        return "box", scale * UsdGeom.Cube(prim).GetSizeAttr().Get(time) / 2
+        return "box", scale * _sizes(UsdGeom.Cube(prim).GetSizeAttr().Get(time)) / 2
     if prim.IsA(UsdGeom.BasisCurves):
         widths = UsdGeom.BasisCurves(prim).GetWidthsAttr().Get(time)
         return "curve", np.array([widths[0] / 2 if widths else 0.001])
@@ -200,10 +241,16 @@ def _shape_of(prim) -> tuple[str, np.ndarray] | None:
     return None
 
 
+def _sizes(*values) -> np.ndarray:
+    """As an array; NaN where the stage has none."""
+    return np.array([np.nan if value is None else value for value in values], dtype=float)
+
+
 def _world(prim, cache) -> np.ndarray:
     """(4, 4) column-vector pose of a prim in the world, its scale removed."""
     matrix = np.array(cache.GetLocalToWorldTransform(prim)).T
-    matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):  # `_check_part` says it
+        matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
     return matrix
 
 

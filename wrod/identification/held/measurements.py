@@ -130,7 +130,7 @@ def load_poses(path: str | os.PathLike[str]) -> HeldPoses:
     """Read poses-3d.npz; raises as `load_hanging`."""
     names = ("shape", "arc_length", "length", "mass_per_length", "gripper_shift",
              "gripper_axis_angle_deg", "end_turn_deg", "cables")  # fmt: skip
-    data = _read(path, names)
+    data = _read(path, names, text=("cables",))
     shape = data["shape"]
     if shape.ndim != 4 or shape.shape[-1] != 3 or not np.isfinite(shape).all():
         raise DataError(f"{path}: shape is {shape.shape}; give finite (cable, pose, point, 3)")
@@ -166,12 +166,12 @@ def _held(path, data, mid, end, suffix) -> HeldCable:
     return HeldCable(name, angle, data[mid], data[end], length, diameter, mass, tip, gravity)
 
 
-def _read(path, names) -> dict[str, np.ndarray]:
+def _read(path, names, text=()) -> dict[str, np.ndarray]:
     found = read_arrays(path, "a measurement of a cable held at its base", only=names)
     missing = [name for name in names if name not in found]
     if missing:
         raise DataError(f"{path}: has no {', '.join(missing)}")
-    words = [name for name in names if found[name].dtype.kind not in "fiu"]
+    words = [name for name in names if name not in text and found[name].dtype.kind not in "fiu"]
     if words:
         raise DataError(f"{path}: {', '.join(words)} must hold numbers")
     return found

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.setup import tail
 from wrod.deployment.simulate import Trial, simulate_deployments
@@ -69,6 +70,19 @@ class LaidFit:
     reason: str
 
 
+@arguments.checked(
+    DataError,
+    measurements=arguments.like("what wrod.load_laid returns", "pattern", "curves"),
+    rod=arguments.like("a wrod.RodMaterial or wrod.RodModel", "radius", "length"),
+    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
+    friction=arguments.either(
+        arguments.like("a wrod.Friction", "static", "kinetic"), arguments.number(0.0, 1e3)
+    ),
+    fit_friction=arguments.flag,
+    released=arguments.flag,
+    iterations=arguments.whole(1, 1000),
+    progress=arguments.optional(arguments.callback),
+)
 def fit_laid(
     measurements: LaidMeasurements,
     rod: RodModel | RodMaterial,
