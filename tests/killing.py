@@ -31,7 +31,7 @@ COMMANDS = {
     "--device cpu",
     "deploy": "deploy line --rod green-vps --method intuitive --trials 2 --speed 0.1 --device cpu "
     "--out {out}",
-    "table3": "bench table3 --trials 1 --spacing 0.03 --step 0.05 --speed 0.2 --batch 6 "
+    "table3": "bench table3 --trials 1 --spacing 0.1 --step 0.2 --speed 1 --batch 6 "
     "--closure zero_tension --device cpu --out {out}",
     "identify": "bench identify --hidden 1 --only none --out {out}",
     "applications": "bench applications --case trefoil --trials 2 --batch 1 --device cpu "
@@ -151,11 +151,11 @@ def main(
         took = {}
         if first or "dataset" in names:  # training reads it
             took["dataset"] = whole("dataset", folder)
-        others = [name for name in names if name not in took]
-        took |= zip(others, pool.map(lambda n: whole(n, folder), others), strict=True)
         good, total = True, 0
         for name in names:
             done, number, wrong = 0, 0, []
+            if name not in took:
+                took[name] = whole(name, folder)
             while done < per_name:
                 wave = range(number, number + max(1, min(workers, -(-(per_name - done) // each))))
                 jobs = [

@@ -13,7 +13,7 @@ from wrod.errors import SceneError
 from wrod.scene.validate import open_stage
 
 # Time codes, shapes, points of one shape, and metres beyond which nothing of ours is.
-_LATEST, _MOST_PARTS, _MOST_POINTS, _FARTHEST = 1e9, 20_000, 1_000_000, 1e6
+_LATEST, _MOST_PARTS, _MOST_POINTS, _FARTHEST = 1e9, 5_000, 1_000_000, 1e6
 _MOVES = 1e-9  # [m] a prim that moves less stands still
 
 
