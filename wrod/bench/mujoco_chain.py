@@ -10,6 +10,7 @@ not by what it lays.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -21,6 +22,7 @@ from wrod.deployment.simulate import Trial, prepare_trials, with_remainder_of
 from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 
 # Kelvin-Voigt time of the springs [s]; time constant of the contacts, in time steps.
 _SPRING_DAMPING, _CONTACT_TIME = 0.01, 2.0
@@ -57,8 +59,8 @@ class Chain:
         root: the segment that all others hang on.
     """
 
-    model: object
-    data: object
+    model: Any
+    data: Any
     length: np.ndarray
     body: np.ndarray
     root: int
@@ -178,12 +180,14 @@ def lay_in_mujoco(
         height of the pattern's plane.
 
     Raises:
-        RodError: MuJoCo is not installed, or the simulation blew up.
+        RodError: MuJoCo is not installed, the rod is not uniform, or the simulation blew up.
     """
     (setup,) = prepare_trials(
         [trial], hold, hold if release is None else release, speed, segment, None
     )
     rod, told = trial.rod, trial.disturbance
+    if isinstance(rod, RodModel):
+        raise RodError("the second engine plays uniform rods; give a RodMaterial")
     one = chain(
         setup.position,
         setup.director,

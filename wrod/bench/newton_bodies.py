@@ -7,6 +7,7 @@ import time
 import newton
 import numpy as np
 import warp as wp
+from scipy.spatial.transform import Rotation
 
 from wrod.newton_solver import SolverDER
 from wrod.rods.batch import RodBatch
@@ -189,8 +190,8 @@ class Arm:
         between the same clamp and pin: moments of all weights and of the pin's force [N m]."""
         nodes = self.state.der.node_q.numpy()
         poses = self.state.body_q.numpy()[self.links].astype(float)
-        turned = wp.quat_rotate(wp.quatd(*poses[1, 3:]), wp.vec3d(0.8, 0.0, -0.6))
-        ghost = nodes[0] - self.rest * np.array(turned)
+        turned = Rotation.from_quat(poses[1, 3:]).apply([0.8, 0.0, -0.6])
+        ghost = nodes[0] - self.rest * turned
         arc = np.arange(-1, len(nodes)) * self.rest
         guess = np.vstack([ghost, nodes])
         batch = RodBatch.of(self.material, arc, guess[None], clamped=(True, False))
@@ -202,9 +203,7 @@ class Arm:
         weight = np.zeros_like(q)
         weight[:, 2] = -9.81 * self.model.der.node_mass.numpy()
         masses = self.model.body_mass.numpy()[self.links]
-        elbow = poses[0, :3] + np.array(
-            wp.quat_rotate(wp.quatd(*poses[0, 3:]), wp.vec3d(0.5 * self.reach, 0.0, 0.0))
-        )
+        elbow = poses[0, :3] + Rotation.from_quat(poses[0, 3:]).apply([0.5 * self.reach, 0.0, 0.0])
         out = []
         for k, joint in enumerate((np.array([0.0, 0.0, 1.0]), elbow)):
             moment = np.cross(q - joint, weight).sum(axis=0) + np.cross(q[-1] - joint, pin)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,7 @@ class Mechanism:
     def rod(self) -> RodModel:
         rod = RodModel.of(self.world.rod(preset(ROD)))
         if self.helix or self.twist:
-            rod = replace(rod, natural_twist=2.0 * np.pi * self.helix + self.twist)
+            rod = replace(rod, natural_twist=Profile((2.0 * np.pi * self.helix + self.twist,)))
         if self.wave:
             s = np.linspace(0.0, rod.length, 120)
             bend = self.wave * np.cos(2.0 * np.pi * (s - 0.045) / _WAVE)
@@ -102,7 +103,7 @@ def waves(
         (one.cause, one.sense, p.pattern_name): _placed(p, rod, camera)
         for (p, one), rod in zip(jobs, rods, strict=True)
     }
-    rows = []
+    rows: list[dict[str, Any]] = []
     for cause in dict.fromkeys(one.cause for one in mechanisms()):
         senses = [one.sense for one in mechanisms() if one.cause == cause]
         best = min(senses, key=lambda s: _mean(placed[cause, s, "line"]))

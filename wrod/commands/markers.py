@@ -26,8 +26,10 @@ def command(paper: str, side: float, margin: float, out: Path, as_json: bool) ->
     from wrod.errors import DataError
     from wrod.perception.sheet import PAPERS, MarkerSheet
 
-    known = PAPERS.get(paper.lower())
-    size = known if known is not None else tuple(parse_numbers(paper, 2, "--paper", "x"))
+    size = PAPERS.get(paper.lower())
+    if size is None:
+        width, height = parse_numbers(paper, 2, "--paper", "x")
+        size = (width, height)
     sheet = MarkerSheet(size, side, margin)
     try:
         written = sheet.save(out)

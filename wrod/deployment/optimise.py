@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -28,8 +29,8 @@ from wrod.solvers.contact import Friction
 # Spacing of the knots of the corrections [L_gb].
 _KNOTS = 1.0
 # How the optimisation lays: laid curves differ by 0.05 cm from those of the finest.
-COARSE = {"spacing": 0.01, "step": 0.02, "speed": 0.04}
-FINE = {"spacing": 0.005, "step": 0.02, "speed": 0.04}
+COARSE: dict[str, Any] = {"spacing": 0.01, "step": 0.02, "speed": 0.04}
+FINE: dict[str, Any] = {"spacing": 0.005, "step": 0.02, "speed": 0.04}
 # Cost of a correction of 1 L_gb along the whole path, and of its second differences, over that of
 # an error of 1 L_gb.
 _SIZE, _ROUGHNESS = 2e-3, 2e-3

@@ -91,7 +91,7 @@ def _attachments(der) -> list[tuple[int, int, int, int]]:
         return []
     names = ("rod", "node", "kind", "body")
     columns = (getattr(der, f"hold_{name}").numpy() for name in names)
-    return [tuple(map(int, row)) for row in zip(*columns, strict=True)]
+    return [(int(r), int(n), int(k), int(b)) for r, n, k, b in zip(*columns, strict=True)]
 
 
 def free_bodies(model: newton.Model) -> np.ndarray:

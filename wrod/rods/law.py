@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
-from typing import ClassVar
+from typing import ClassVar, cast
 
 from wrod.errors import RodError
 
@@ -23,7 +23,7 @@ class _Law:
     @property
     def at_rest(self) -> Law | None:
         """The law of a rod that has had its time, or None where that depends on the way there."""
-        return self if not self.remembers else None
+        return cast("Law", self) if not self.remembers else None
 
     @property
     def softening(self) -> tuple[float, float]:

@@ -132,9 +132,11 @@ class NewtonScene:
             moving = any(np.abs(w - worlds[0]).max() > _MOVES for w in worlds[1:])
             if kind == "curve":
                 moving |= UsdGeom.Points(prim).GetPointsAttr().GetNumTimeSamples() > 1
-            color = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
-            color = np.nan_to_num(np.clip(color[0], 0.0, 1.0)) if color else (0.5, 0.5, 0.5)
-            color = tuple(map(float, color))
+            given = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()
+            red, green, blue = (
+                np.nan_to_num(np.clip(given[0], 0.0, 1.0)) if given else (0.5, 0.5, 0.5)
+            )
+            color = (float(red), float(green), float(blue))
             parts.append(_Part(prim, kind, size, color, moving))
         if unknown:
             raise SceneError(f"{path}: no prim is named {', '.join(sorted(unknown))}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
@@ -162,7 +162,7 @@ class Dynamics:
             raise RodError("two RodContact for one batch; one covers all pairs of its edges")
         self.rod_contact = coupling[0] if coupling else None
         columns = 1 if bodies is None else 1 + bodies.columns
-        self.system = coupling[0].system if coupling else BandedSystem(batch, columns)
+        self.system: Any = coupling[0].system if coupling else BandedSystem(batch, columns)
         self.system.widen(columns)
         self.start = RodState.zeros(rods, batch.node_count, device)
         self.start.assign(batch.state)

@@ -191,7 +191,8 @@ def shape_record(shape: Shape) -> kernels.Shape:
     out = kernels.Shape()
     out.kind = kind
     out.position = wp.vec3d(*map(float, position))
-    out.rotation = wp.normalize(wp.quatd(*map(float, rotation)))
+    turn = np.asarray(rotation, dtype=float)
+    out.rotation = wp.quatd(*map(float, turn / np.linalg.norm(turn)))
     out.size = wp.vec3d(*map(float, size))
     if isinstance(shape, Mesh):
         out.mesh = shape._mesh.id
