@@ -100,7 +100,7 @@ def test_bad_measurements_are_named(tmp_path):
         load_held(path)
     path.write_bytes(b"PK\x03\x04torn")
     for load in (load_held, load_swing, load_hanging, load_poses):
-        with pytest.raises(DataError, match="not a readable measurement"):
+        with pytest.raises(DataError, match="is not readable"):
             load(path)
     with pytest.raises(DataError, match="unknown effect 'wind'"):
         fit_held([cable()], ("wind",))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,8 +83,10 @@ def progress_bar(*arguments, quiet: bool = False, **options):
 
     watched = sys.stderr.isatty()
     # In a log nothing stands of what is refused or done before the first line is due.
-    pace = dict(mininterval=0.1) if watched else dict(mininterval=10.0, delay=10.0)
-    return tqdm(*arguments, **pace, disable=quiet, leave=False, **options)
+    pace, wait = (0.1, 0.0) if watched else (10.0, 10.0)
+    options |= {"mininterval": pace, "delay": wait, "disable": quiet, "leave": False}
+    bar: Callable = tqdm
+    return bar(*arguments, **options)
 
 
 def grasps(

@@ -77,7 +77,9 @@ def _compared(
     device = resolve_device(device)
     frictions, curves = _asked_for(patterns, **given)
     nodes = _nodes(curves, spacing)
-    how = {"speed": speed, "step": step, "spacing": spacing, "release": release}
+    how: dict[str, Any] = {
+        "speed": speed, "step": step, "spacing": spacing, "release": release,
+    }  # fmt: skip
     settings = how | {"nodes": nodes, "patterns": "built-in" if patterns is None else patterns.name}
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", schemas.CampaignRow)

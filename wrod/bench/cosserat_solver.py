@@ -83,7 +83,8 @@ class WrodSolver:
 
 
 def _ghosts(spec: Rod) -> tuple[bool, bool]:
-    return tuple(spec.condition(end) is EndCondition.CLAMPED for end in (End.START, End.END))
+    clamped = EndCondition.CLAMPED
+    return spec.condition(End.START) is clamped, spec.condition(End.END) is clamped
 
 
 def _rod(scenario: Scenario, spec: Rod, n_elements: int) -> wrod.RodBatch:
@@ -91,12 +92,13 @@ def _rod(scenario: Scenario, spec: Rod, n_elements: int) -> wrod.RodBatch:
     m, area, second = spec.material, spec.area, spec.second_moment_of_area
     gravity = np.asarray(scenario.gravity, dtype=float)
     size = float(np.linalg.norm(gravity))
+    of = wrod.Profile.of
     model = wrod.RodModel(
         length=spec.length,
-        bending_stiffness=m.youngs_modulus * second,
-        twisting_stiffness=2.0 * m.shear_modulus * second,
-        stretching_stiffness=m.youngs_modulus * area,
-        line_mass=m.density * area,
+        bending_stiffness=(of(m.youngs_modulus * second),) * 2,
+        twisting_stiffness=of(2.0 * m.shear_modulus * second),
+        stretching_stiffness=of(m.youngs_modulus * area),
+        line_mass=of(m.density * area),
         radius=spec.radius,
         gravity=size or 9.81,
     )
@@ -173,9 +175,12 @@ def _axis(axis: np.ndarray) -> str:
     return "xyz"[along]
 
 
-def _contacts(batch: wrod.RodBatch, scenario: Scenario, rods) -> list:
+def _contacts(
+    batch: wrod.RodBatch, scenario: Scenario, rods
+) -> list[wrod.Contact | wrod.RodContact]:
     """With obstacles, and of rods with themselves and each other where the scenario has it."""
-    out, specs = [], scenario.rods
+    out: list[wrod.Contact | wrod.RodContact] = []
+    specs = scenario.rods
     radius = _radius(scenario, rods)
     if scenario.obstacles:
         shapes = [

@@ -269,5 +269,11 @@ def draw(path: Path, rows: list[dict], shelf: Shelf) -> Path:
             axis.set_aspect("equal")
             axis.set_title(f"{place[0]}, {place[1]}, friction {mu:g}", fontsize=9)
             axis.set_xlabel("x [cm]")
-    figure.legend(lines.values(), lines.keys(), loc="outside lower center", ncols=6, fontsize=8)
+    figure.legend(
+        lines.values(),
+        lines.keys(),
+        loc="outside lower center",
+        ncols=min(6, 2 * len(mus)),
+        fontsize=8,
+    )
     return write_atomically(path, lambda file: figure.savefig(file, dpi=130, format="png"), "wb")

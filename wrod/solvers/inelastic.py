@@ -20,7 +20,7 @@ class InternalVariables:
 
     def __init__(self, batch: RodBatch):
         self.batch = batch
-        self._ever = wp.full(batch.rod_count, wp.inf, dtype=wp.float64, device=batch.device)
+        self._ever = wp.full(batch.rod_count, float("inf"), dtype=wp.float64, device=batch.device)
         self.finish(batch.every_rod, self._ever)
 
     def begin(self, starting: wp.array, span: wp.array) -> None:
