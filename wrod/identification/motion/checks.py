@@ -67,8 +67,8 @@ def check_positions(x: np.ndarray, names, rate: float, where: str) -> None:
             f"{where}: markers jump to and fro by {1e3 * noise:.0f} mm from frame to frame; give "
             "markers and frames in their order"
         )
-    _check_order(x, where)
     _check_ends(x, names, where)
+    _check_order(x, where)
     hurry = _acceleration(x, rate, noise)
     if hurry > _HURRIED:
         raise DataError(
