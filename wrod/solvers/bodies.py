@@ -64,8 +64,8 @@ class Bodies:
         self._small, self._step = floats(motions, motions + 1), floats(motions)
         self._fraction = wp.ones(shape[0], dtype=wp.float64, device=device)
         self.carried = wp.array(self._carried(hold), dtype=wp.int32, device=device)
-        self._written_q = wp.zeros(shape, dtype=wp.transform, device=device)  # type: ignore[call-overload]
-        self._written_qd = wp.zeros(shape, dtype=wp.spatial_vector, device=device)
+        self._written_q = wp.zeros(shape, dtype=wp.transform, device=device)
+        self._written_qd = wp.zeros(shape, dtype=wp.spatial_vector, device=device)  # type: ignore[call-overload]
 
     def _carried(self, hold: np.ndarray) -> np.ndarray:
         out = self.batch.free.numpy().copy()
