@@ -383,6 +383,30 @@ CALLS = {
             restitution=0.0, partners=32,
         ),
     ),
+    "FrictionField": lambda: (
+        wrod.FrictionField, dict(factor=np.ones((3, 4)), x=(0.0, 1.0), y=(0.0, 1.0)),
+    ),
+    "join_rods": lambda: (wrod.join_rods, dict(batches=[rods(), rods()])),
+    "count_unstable_modes": lambda: (
+        wrod.count_unstable_modes, dict(batch=free(rods()), neutral=1e-6),
+    ),
+    "find_critical_load": lambda: (
+        wrod.find_critical_load,
+        dict(
+            equilibria=lambda loads: wrod.RodBatch.of(
+                [vps().model()] * len(loads), np.linspace(0, 0.885, 6),
+                np.stack([np.linspace(0, 0.885, 6), np.zeros(6), np.zeros(6)], 1)[None],
+            ),
+            low=0.0, high=1.0, neutral=1e-6, tolerance=1e-3,
+        ),
+    ),
+    "PrescribedMotion": lambda: (
+        wrod.PrescribedMotion,
+        dict(
+            batch=rods(), edge=[0], times=[0.0, 1.0], position=np.zeros((1, 2, 3)),
+            rotation=np.zeros((1, 2, 3)), part=0.5, slides="",
+        ),
+    ),
     "Dynamics": lambda: (
         wrod.Dynamics,
         dict(

@@ -40,7 +40,7 @@ def made(tmp_path_factory):
         ["dataset", "--size", "300", "--rod", model, "--roll", "plane",
          "--out", str(folder / "grasps")],
         ["train", "--dataset", str(folder / "grasps"), "--out", str(folder / "trained"),
-         "--steps", "1000", "--width", "32", "--test", "40"],
+         "--steps", "1200", "--width", "32", "--test", "40"],
     ):  # fmt: skip
         result = CliRunner().invoke(main, [*args, "--device", "cpu", "--json"])
         assert result.exit_code == 0, result.output
@@ -76,7 +76,7 @@ def test_encoding_inverts_decoding():
 
 
 def test_a_rod_s_own_controller_is_accurate_on_fresh_grasps(made, controller):
-    """300 grasps and 1000 steps; the recipe has 6000."""
+    """300 grasps and 1200 steps; the recipe has 6000."""
     inputs, grasps = held_out(60, seed=77, rod=ONE)
     figures = score(controller, inputs, grasps)
     assert figures["left_out"] == 0

@@ -238,7 +238,7 @@ def test_circle_too_often_passes_the_last_joints_limit(letter_path):
 def test_bad_arguments_are_named(letter):
     for options, says in [
         ({"placement": "here"}, "placement 'here' is not 'auto'"),
-        ({"placement": (0, 0, np.nan, 0)}, "is not finite"),
+        ({"placement": (0, 0, np.nan, 0)}, "finite numbers only"),
         ({"grip_angle": 3.0}, "grip angle is 3.0"),
         ({"rate": 0}, "rate is 0"),
         ({"robot": "puma"}, "unknown robot 'puma'"),

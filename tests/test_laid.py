@@ -181,10 +181,10 @@ def test_table_file(tmp_path):
     assert table.interval == pytest.approx((0.4 * np.exp(-0.1), 0.4 * np.exp(0.1)))
     for text, says in (
         ("{}", "is not a table"),
-        ('{"format": "wrod-table-1", "friction": -1, "log_error": 0.1}', "friction -1"),
-        ('{"format": "wrod-table-1", "friction": 0.3}', "not a readable table"),
-        ("[", "not a readable table"),
-        ("[]", "not a readable table"),
+        ('{"format": "wrod-table-1", "friction": -1, "log_error": 0.1}', "friction must be"),
+        ('{"format": "wrod-table-1", "friction": 0.3}', "lacks the entry 'log_error'"),
+        ("[", "must be an object"),
+        ("[]", "must be an object"),
     ):
         (tmp_path / "bad.json").write_text(text)
         with pytest.raises(DataError, match=rf"bad\.json: .*{says}"):

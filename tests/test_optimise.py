@@ -98,7 +98,7 @@ def test_a_sample_covers_what_is_declared():
 
 @pytest.mark.parametrize("friction", [0.0, -1.0, np.nan, (0.6, 0.2), (0.1, 0.2, 0.3)])
 def test_friction_that_is_none_is_refused(friction):
-    with pytest.raises(PatternError, match="friction is"):
+    with pytest.raises((PatternError, GraspError), match="friction is"):
         wrod.plan(wrod.pattern("line"), replace(ROD, length=0.9), friction=friction)
 
 

@@ -64,6 +64,12 @@ def command(
     if out is not None and out.suffix != ".json":
         raise RodError(f"{out}: is not a .json file name; `wrod plan --rod` knows rods by it")
     if curve is None:
+        unused = {
+            "--units": units, "--markers": markers, "--sheet": sheet, "--scale": scale,
+            "--camera": camera, "--start": start,
+        }  # fmt: skip
+        if given := [name for name, value in unused.items() if value is not None]:
+            raise DataError(f"{given[0]} belongs to a picture of a hanging loop; leave it out")
         if overhang is None or fall is None:
             raise DataError("--overhang and --fall belong together; give both")
         from wrod.identification.ruler import measure_overhang

@@ -138,9 +138,7 @@ class JointPath:
     flange=arguments.optional(arguments.text),
     tip=arguments.optional(arguments.text),
     table_height=arguments.optional(arguments.number(-10.0, 10.0)),
-    obstacles=arguments.optional(
-        arguments.either(arguments.path, arguments.like("Obstacles", "shapes", "capsules"))
-    ),
+    obstacles=arguments.optional(arguments.like("a wrod.robot.Obstacles", "shapes", "capsules")),
     placement=arguments.either(
         arguments.text, arguments.like("a Placement", "x", "y", "yaw"), arguments.array((4,))
     ),

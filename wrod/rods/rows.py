@@ -6,10 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
 
 
+@arguments.checked(
+    RodError,
+    batches=arguments.several(
+        arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state")
+    ),
+)
 def join_rods(batches: Sequence[RodBatch]) -> tuple[RodBatch, list[slice]]:
     """One batch whose rows hold a rod of each of the given ones, end to end.
 
@@ -25,8 +32,6 @@ def join_rods(batches: Sequence[RodBatch]) -> tuple[RodBatch, list[slice]]:
         RodError: there is nothing to join, rows or gravity differ, or a batch is cut already or has
             energies that were added to it.
     """
-    if not batches:
-        raise RodError("there are no rods to join; give one batch or more")
     first = batches[0]
     for k, batch in enumerate(batches):
         if batch.rod_count != first.rod_count:

@@ -67,7 +67,11 @@ class FrictionField:
     y: tuple[float, float]
 
     def __post_init__(self) -> None:
-        factor = np.asarray(self.factor, dtype=float)
+        factor = arguments.floats(self.factor, "FrictionField: factor", RodError)
+        for name in ("x", "y"):
+            ends = arguments.floats(getattr(self, name), f"FrictionField: {name}", RodError)
+            if ends.shape != (2,) or not np.isfinite(ends).all():
+                raise RodError(f"FrictionField: {name} is {ends!r:.80}; give two coordinates")
         extent = self.x[1] > self.x[0] and self.y[1] > self.y[0]
         if factor.ndim != 2 or min(factor.shape) < 2 or not extent:
             raise RodError(

@@ -125,7 +125,7 @@ class Dynamics:
         follower=arguments.optional(arguments.like("a follower", "follow")),
         force_scale=arguments.optional(arguments.array((), (None,))),
         tolerance=arguments.number(1e-16, 1e3),
-        max_iterations=arguments.whole(1, 10_000),
+        max_iterations=arguments.whole(0, 10_000),
         refuses_saddles=arguments.flag,
         keeps_recording=arguments.flag,
     )

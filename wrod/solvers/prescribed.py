@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.stepping.hands import carry
 from wrod.rods.batch import RodBatch, RodState
@@ -40,27 +41,33 @@ class PrescribedMotion:
     """
 
     def __init__(self, batch: RodBatch, edge, times, position, rotation, *, part=0.5, slides=""):
+        if not hasattr(batch, "node_count") or isinstance(batch, type):
+            raise RodError(f"PrescribedMotion: batch is {batch!r:.80}; give a wrod.RodBatch")
         self.batch, device = batch, batch.device
-        edges = np.atleast_1d(np.asarray(edge))
+        edges = arguments.floats(edge, "PrescribedMotion: edge", RodError)
+        whole = np.isfinite(edges).all() and (np.abs(edges) < 1e9).all() and (edges % 1 == 0).all()
+        edges = np.atleast_1d(edges.astype(int) if whole else edges)
         count = batch.node_count - 1
         if edges.ndim != 1 or edges.dtype.kind not in "iu" or not (abs(edges + 0.5) < count).all():
             raise RodError(f"held edges are {edge!r:.80}; give indices of the {count} edges")
         edges = np.where(edges < 0, edges + count, edges)
         if len(np.unique(edges)) < len(edges):
             raise RodError(f"held edges are {edge!r:.80}; hold each once")
-        times = np.asarray(times, dtype=float)
+        times = arguments.floats(times, "PrescribedMotion: times", RodError)
         good = times.ndim == 1 and len(times) > 1 and np.isfinite(times).all()
         if not good or not (np.diff(times) > 0).all():
             raise RodError("times of a prescribed motion must be two or more, and ascend")
         rods, hands, keys = batch.rod_count, len(edges), len(times)
         position = _keys("position", position, (rods, hands, keys, 3))
+        rotation = arguments.floats(rotation, "PrescribedMotion: rotation", RodError)
         matrix = np.shape(rotation)[-2:] == (3, 3) and np.ndim(rotation) in (4, 5)
         size = (3, 3) if matrix else (3,)
         rotation = _keys("rotation", rotation, (rods, hands, keys, *size)).reshape(-1, *size)
         turn = Rotation.from_matrix(rotation) if matrix else Rotation.from_rotvec(rotation)
         part = _keys("part", part, (rods, hands))
-        slides = [slides] * hands if isinstance(slides, str) else list(slides)
-        if len(slides) != hands or not all(set(s) <= set(_AXES) for s in slides):
+        slides = [slides] * hands if isinstance(slides, str) else slides
+        texts = isinstance(slides, (list, tuple)) and all(isinstance(s, str) for s in slides)
+        if not texts or len(slides) != hands or not all(set(s) <= set(_AXES) for s in slides):
             raise RodError(f"slides is {slides!r:.80}; give axes, like 'x', one for each held edge")
 
         self._edge = wp.array(np.tile(edges, (rods, 1)), dtype=wp.int32, device=device)
@@ -103,9 +110,9 @@ class PrescribedMotion:
 
 
 def _keys(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
-    value = np.asarray(value, dtype=float)
+    value = arguments.floats(value, f"PrescribedMotion: {name}", RodError)
     try:
-        value = np.ascontiguousarray(np.broadcast_to(value, shape))
+        value = np.array(np.broadcast_to(value, shape))
     except ValueError:
         raise RodError(
             f"{name} of a prescribed motion has shape {value.shape}; give {shape[1:]} or {shape}"

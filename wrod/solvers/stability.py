@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.linear.spectrum import shift_by_mass
 from wrod.rods.batch import RodBatch
@@ -66,6 +67,11 @@ def smallest_eigenvalue(
     return _inverse_iteration(system, mass, shift)
 
 
+@arguments.checked(
+    RodError,
+    batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
+    neutral=arguments.number(0.0, 1e6),
+)
 def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarray:
     """How many independent motions lower the energy of every rod where it stands.
 
@@ -84,8 +90,6 @@ def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarra
     Raises:
         RodError: `neutral` is negative or not finite.
     """
-    if not (np.isfinite(neutral) and neutral >= 0.0):
-        raise RodError(f"neutral is {neutral!r}; give a finite number of at least 0")
     rest = batch.rest_length.numpy()
     length = rest.sum(axis=1)
     mass = np.zeros((batch.rod_count, batch.dof_count))
@@ -115,6 +119,14 @@ def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarra
     return system.negative_pivots.numpy().copy()
 
 
+@arguments.checked(
+    RodError,
+    equilibria=arguments.callback,
+    low=arguments.number(),
+    high=arguments.number(),
+    neutral=arguments.number(0.0, 1e6),
+    tolerance=arguments.number(1e-12, 1.0),
+)
 def find_critical_load(
     equilibria: Callable[[np.ndarray], RodBatch],
     low: float,
@@ -137,7 +149,7 @@ def find_critical_load(
     Raises:
         RodError: the rods are unstable at `low` or stable at `high`, or the range is none.
     """
-    if not (np.isfinite([low, high]).all() and low < high and tolerance > 0.0):
+    if not low < high:
         raise RodError(f"loads from {low!r} to {high!r} are no range to search")
 
     def counts(loads):
