@@ -108,8 +108,8 @@ class Loop:
 
 def run(loop: Loop) -> dict[str, Any]:
     """All of it; plain figures, the laid curves in files only."""
-    cases, written = (_recorded if loop.recording else _hidden)(loop)
     curves = {name: read_pattern(name, loop.patterns) for name in loop.names or PATTERNS}
+    cases, written = (_recorded if loop.recording else _hidden)(loop)
     if loop.recording and not loop.names:
         (case,) = cases.values()
         curves = {"bend": own_bend(case.model)}
