@@ -66,7 +66,12 @@ DOORS = {
     "ledger": ("json", ".jsonl", ["bench", "table3", "--trials", "1", "--out", "{folder}"], None),
     "patterns": ("texts", ".txt", ["bench", "plan", "--patterns", "{folder}"], None),
     "sets": ("arrays", ".npz", ["bench", "identify", "--sets", "{folder}"], None),
-    "meshes": ("meshes", "", [*PLAN, "--robot", "{robot}", "--no-remedy"], "trimesh"),
+    # Out of reach, so that the search for a path ends at once: meshes are read before it.
+    "meshes": (
+        "meshes", "",
+        [*PLAN, "--robot", "{robot}", "--no-remedy", "--lay-only", "--placement", "9,9,0,0"],
+        "trimesh",
+    ),
 }  # fmt: skip
 # Of files in a folder: what they are called there.
 NAMES = {
