@@ -18,8 +18,6 @@ AT_NOISE = CLAMPED.at_noise
 # An effect lowers chi squared of trials that no choice has seen by this, and by so many standard
 # errors of its differences from trial to trial.
 UNSEEN_GAIN, UNSEEN_ERRORS = 4.0, 1.5
-# The most that a share of the excess may be short of what explains, for want of test trials.
-MOST_UNSURE = 0.1
 
 
 @dataclass
@@ -82,9 +80,6 @@ def judge(
     before = laboratory.rms(laboratory.predict(Model(), np.zeros(0)), m.test)
     after = laboratory.rms(laboratory.predict(fit.model, fit.values), m.test)
     share = CLAMPED.share(before, after, floor)
-    # How well test trials tell it: the scatter of their mean square about the floor's.
-    count = laboratory.effective[m.test].sum()
-    unsure = np.sqrt(2.0 / count) * floor**2 / max(before**2 - floor**2, 1e-300)
     unseen = _unseen_gain(laboratory, fit)
     proven = unseen[0] >= max(UNSEEN_GAIN, UNSEEN_ERRORS * unseen[1])
     at_noise, at_bound = at_noise_of(laboratory), fit.model.at_bound(fit.values)
@@ -106,12 +101,11 @@ def judge(
             f"what is left on test trials is {after / floor:.2f} times the noise floor, but "
             f"{', '.join(at_bound)} ended at a bound: the effect stands for another one"
         )
-    elif fit.model.effects and share + min(unsure, MOST_UNSURE) >= CLAMPED.takes:
+    elif fit.model.effects and share >= CLAMPED.takes:
         verdict = "partly-explained"
         reason = (
-            f"{100 * share:.0f} ± {100 * unsure:.0f} % of the excess error is gone, but "
-            f"{after / floor:.2f} times the noise floor is left: the effects named may stand for "
-            "one that is not known here"
+            f"{100 * share:.0f} % of the excess error is gone, but {after / floor:.2f} times the "
+            "noise floor is left: the effects named may stand for one that is not known here"
         )
     else:
         verdict = "unexplained"
