@@ -41,14 +41,14 @@ def command(
     """
     import numpy as np
 
-    from wrod.commands.plan_pattern import fit, too_long
+    from wrod.commands.plan_pattern import Shaping, fit, too_long
     from wrod.errors import DataError
 
     first = reading.read(pattern)
     curve, notes = first, []
     if rod_options.given:
         rod = rod_options.read()
-        fitted = fit(first, rod, resize, tolerance, None)
+        fitted = fit(first, rod, Shaping(resize, tolerance, None))
         curve, notes = fitted.pattern, list(fitted.notes)
         remedy = too_long(curve, rod)
         if remedy is not None:
