@@ -26,7 +26,7 @@ from wrod.kernels.grasping.walk import make_walk
 wp.set_module_options({"enable_backward": False})
 
 
-# Balance that is enough at the target to go along the family.
+# Balance that is enough at the target to look along the family.
 AT_TARGET = wp.constant(wp.float64(5.0e-3))
 # Change of the force that no longer matters, and its part of what rounding leaves out of balance.
 FORCE_DONE = wp.constant(wp.float64(1.0e-11))
