@@ -485,23 +485,24 @@ def test_every_public_callable_is_here():
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_only_typed_errors(name, tmp_path, monkeypatch):
+def test_only_typed_errors(name, tmp_path, monkeypatch, tried):
     monkeypatch.chdir(tmp_path)
     function, valid = CALLS[name]()
-    bad, tried = [], 0
+    bad, count, refused = [], 0, 0
     draw = random.Random(name)
     for parameter in valid:
         kinds = list(WRONG.items())
         for kind, value in kinds if FUZZ > 1 else draw.sample(kinds, SHARE):
             changed = {**valid, parameter: value}
             places = [changed.pop(key) for key in list(changed) if key.startswith("*")]
-            tried += 1
+            count += 1
             began = time.process_time()
             try:
                 with warnings.catch_warnings(), at_most(1.0):
                     warnings.simplefilter("ignore")
                     function(*places, **changed)
             except WrodError as error:
+                refused += 1
                 if parameter.strip("*") not in str(error) and not str(error):
                     bad.append(f"{parameter} {kind}: says nothing")
             except _Enough:
@@ -514,5 +515,5 @@ def test_only_typed_errors(name, tmp_path, monkeypatch):
                 bad.append(f"{parameter} {kind}: {type(error).__name__}: {said}")
             if time.process_time() - began > 5.0:
                 bad.append(f"{parameter} {kind}: {time.process_time() - began:.0f} s")
-    print(f"{name}: {tried} wrong calls, {len(bad)} without a typed error")
+    tried["wrong arguments"] = (count, refused)
     assert not bad, "\n".join(bad)
