@@ -35,8 +35,7 @@ from wrod.kernels.linear.frontal import make_elimination
 wp.set_module_options({"enable_backward": False})
 
 
-# Balance that is enough on the way.
-ON_THE_WAY = wp.constant(wp.float64(5.0e-2))
+# Balance that is enough at the target to look along the family.
 AT_TARGET = wp.constant(wp.float64(5.0e-3))
 # How much better balanced two grasps are than they are apart, for their slopes to be compared.
 SHARP = wp.constant(wp.float64(2.0e-2))
