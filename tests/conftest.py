@@ -38,7 +38,7 @@ def letter_path(letter):
 
 @pytest.fixture
 def tried(record_property):
-    """kind of hostile input -> (how many were tried, how many were refused; of arguments, or taken)."""
+    """Kind of hostile input -> (how many were tried, how many of them were refused)."""
     counts: dict[str, tuple[int, int]] = {}
     yield counts
     record_property("tried", counts)
