@@ -5,6 +5,8 @@ Nothing here asks the device anything: every method launches and returns. Dimens
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import warp as wp
 
@@ -73,7 +75,7 @@ class WorkList:
         self.index = wp.zeros(rods, dtype=wp.int32, device=device)
         self.count = wp.zeros(1, dtype=wp.int32, device=device)
 
-    def launch(self, kernel, inputs: list, outputs: list = ()) -> None:
+    def launch(self, kernel, inputs: list, outputs: Sequence = ()) -> None:
         wp.launch(
             kernel,
             dim=self.rods,

@@ -215,7 +215,8 @@ class Dynamics:
             contact.time_step = self.span
         # (rod, dof): forces that held prescribed degrees of freedom at the end of the last step.
         self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
-        self.keeps_recording, self._recording = keeps_recording, None
+        self.keeps_recording = keeps_recording
+        self._recording: tuple[tuple, object] | None = None
 
     def forget_recording(self) -> None:
         """Record afresh: what `motion` or contacts launch has changed."""
