@@ -6,6 +6,10 @@ from dataclasses import dataclass, replace
 
 import click
 
+from wrod.patterns.pattern import Pattern
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+
 # Curvature [1/L_gb] that grasps of every closure exist for, and up to which rods lie well.
 LARGEST_CURVATURE = 3.0
 
@@ -29,8 +33,8 @@ SHAPE = (
 class Prepared:
     """A pattern ready for planning, the rod as it is held, and what was done to them."""
 
-    pattern: object
-    rod: object
+    pattern: Pattern
+    rod: RodModel | RodMaterial
     notes: tuple[str, ...]
     figures: dict
 

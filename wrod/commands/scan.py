@@ -125,7 +125,10 @@ def command(
 
 def parse_start(text: str) -> str | tuple[float, float]:
     """A point "x,y" [m], or a name as it is."""
-    return parse_numbers(text, 2, "--start") if "," in text else text
+    if "," not in text:
+        return text
+    x, y = parse_numbers(text, 2, "--start")
+    return x, y
 
 
 def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> tuple[float, ...]:

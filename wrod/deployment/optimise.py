@@ -252,7 +252,7 @@ def expect(
     s = np.linspace(0.0, pattern.length, METRIC_POINTS)
     slid = np.array([np.interp(s + pattern.remainder_length, x.arc_length, x.slip) for x in laid])
     off = []
-    for start, stop in _stretches(s, (error > _OFF).any(axis=0)):
+    for start, stop in _stretches(s, np.any(error > _OFF, axis=0)):
         inside = (s >= start) & (s <= stop)
         bad = (error[:, inside] > _OFF).any(axis=1)
         last = int(np.flatnonzero(bad)[-1])

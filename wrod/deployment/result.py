@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,8 @@ class Deployment:
             raise DataError(f"{path}: is not of the format {_FORMAT}; give {what}")
         check_arrays(data, "Deployment", str(path))
         names = [f.name for f in fields(cls) if f.name in data]
-        return cls(**{name: data[name][()] for name in names})
+        values: dict[str, Any] = {name: data[name][()] for name in names}
+        return cls(**values)
 
 
 def errors_along(
