@@ -79,6 +79,8 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "bench newton --length": (1e-3, 100.0),
     "bench newton --scale": (1e-3, 1e6),
     "bench newton --rods": (1, 100_000),
+    "bench newton --worlds": (1, 2**20),
+    "bench newton --cables": (2, 10_000),
     "bench newton --periods": (1e-2, 1e3),
     "bench identify --hidden": _SEED,
     "bench cables --folds": (2, 1_000),
