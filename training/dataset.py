@@ -192,7 +192,8 @@ def generate(
             group = []
     if group:
         solve(group)
-    return Outcome(samples, *(int(c) for c in counts), time.perf_counter() - start)
+    solved, unconverged, unstable = map(int, counts)
+    return Outcome(samples, solved, unconverged, unstable, time.perf_counter() - start)
 
 
 def _columns(inputs: np.ndarray, grasps: Grasps, manifest: store.Manifest) -> dict:

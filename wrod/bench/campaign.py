@@ -76,7 +76,7 @@ def run(
 
 
 def _counted(bar, count: int) -> Callable[[float], None]:
-    return lambda fraction: bar.update(fraction * count)
+    return lambda fraction: bar.update(min(fraction * count, bar.total - bar.n))
 
 
 def figures_of(deployment, pattern) -> dict:

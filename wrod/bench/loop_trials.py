@@ -164,7 +164,7 @@ def varied_rod(believed: RodMaterial) -> RodModel:
     """Half as stiff after 30 cm as at the first, a third softer across than along the section's
     stiffer direction, and softening from 20 /m on."""
     model = believed.model()
-    stiffness = Profile([1.3, 0.7], [0.0, 0.30]) * model.mean_bending_stiffness
+    stiffness = Profile((1.3, 0.7), (0.0, 0.30)) * model.mean_bending_stiffness
     return replace(
         model,
         bending_stiffness=(stiffness * 1.2, stiffness * 0.8),

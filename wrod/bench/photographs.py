@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -76,7 +77,7 @@ def command(
         workers=workers,
     )
     verdicts = judge(photographs, laid, 0 if quick else worlds)
-    figures = {
+    figures: dict[str, Any] = {
         "machine": machine_line(device),
         "left_out": [row.as_dict() for verdict in verdicts for row in verdict.rows],
         "camera": asdict(verdicts[0].camera),

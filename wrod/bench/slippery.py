@@ -7,6 +7,7 @@ import json
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -155,10 +156,11 @@ class Shelf:
         if path.exists():
             return Trajectory.load(path)
         led, material = self.course(rod_name, name)
-        how = {
+        ways: dict[str, dict[str, Any]] = {
             "intuitive": {"method": "intuitive"},
             "optimised": {"method": "auto", "friction": friction},
-        }.get(method, {"method": "numeric", "closure": method})
+        }
+        how = ways.get(method, {"method": "numeric", "closure": method})
         made = plan(
             led, material, spacing=_PLAN_SPACING, remainder=False, device=self.device, **how
         )

@@ -243,7 +243,7 @@ def prepare_deployment(
     suspended = (rod.length - start) / lgb
     grasp = solve_grasps([suspended], [curvature * lgb], [rod.stretch_ratio], device="cpu")
     shape = contact + lgb * grasp.shape[0] @ frame.T
-    s = np.concatenate([[0.0], np.cumsum(rest_lengths([suspended], len(shape) - 1)[0])])
+    s = np.concatenate([[0.0], np.cumsum(rest_lengths(np.array([suspended]), len(shape) - 1)[0])])
     position = np.empty((len(arc_length), 3))
     on_table = arc_length <= start * (1.0 + 1e-9)
     position[on_table] = pattern.sample(arc_length[on_table] + offset)[0]

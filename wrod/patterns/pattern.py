@@ -254,7 +254,7 @@ class Pattern:
         """d^order kappa / ds^order (n,) [1/m^(1 + order)] at s (n,) [m], order 0, 1 or 2."""
         return self._heading(self._checked(s), nu=1 + order)
 
-    def _checked(self, s: np.ndarray) -> np.ndarray:
+    def _checked(self, s: ArrayLike) -> np.ndarray:
         s = np.atleast_1d(arguments.floats(s, f"{self.source}: s", PatternError))
         first, last = self._heading.x[0], self._heading.x[-1]
         slack = 1e-9 * (last - first)

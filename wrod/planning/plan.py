@@ -347,9 +347,9 @@ def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray
     s = trajectory.pattern_arc_length
     if pattern.remainder_length == 0.0 and s[0] < 0.0:
         pattern = pattern.with_remainder(-float(s[0]))
-    contact, *course = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
+    contact, tangent, bent = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
     laid = np.abs(contact - trajectory.contact).max() < 1e-6
-    return tuple(course) if laid else own
+    return (tangent, bent) if laid else own
 
 
 def roll_angle(roll: float | str, pattern: Pattern, rod: RodModel | RodMaterial) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -157,7 +157,7 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
 
     count = len(inputs.suspended_length)
     watch = inputs.progress
-    own = {}
+    own: dict[str, Any] = {}
     if not inputs.is_straight:
         own = {"natural_curvature": inputs.natural_curvature, "poisson": inputs.poisson}
     grasps = solve_grasps(
