@@ -296,7 +296,7 @@ class _Replanner:
     def look(self, s: float, misfit: float) -> Look:
         trial = self._trial(self.path)
         how = trial.disturbance
-        x, y = self.offset - self.placed
+        x, y = self.offset
         return Look(
             float(s),
             trial.friction.static,
