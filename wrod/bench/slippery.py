@@ -18,7 +18,7 @@ from wrod.bench.ledger import Ledger
 KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
 ENGINES = ("wrod", "mujoco")
 PUT_DOWN = "put_down"
-METHODS = ("intuitive", "zero_tension", "min_friction", "optimised", PUT_DOWN)
+METHODS = ("intuitive", "zero_tension", "min_friction", "optimised", "distilled", PUT_DOWN)
 # Seeds of disturbances that no plan was fitted to or judged by.
 _FIRST_SEED = 9_000
 _PLAN_SPACING = 0.005
@@ -147,11 +147,11 @@ class Shelf:
         return prepare(read_pattern(name, self.patterns), material, None), material
 
     def plan(self, rod_name: str, name: str, friction: float, method: str):
-        """The trajectory of that method; friction counts for the optimised alone."""
+        """The trajectory of that method; friction counts for those that are corrected alone."""
         from wrod.planning.plan import plan
         from wrod.planning.trajectory import Trajectory
 
-        table = f"-{friction:g}" if method == "optimised" else ""
+        table = f"-{friction:g}" if method in ("optimised", "distilled") else ""
         path = self.folder / f"{rod_name}-{name}-{method}{table}.npz"
         if path.exists():
             return Trajectory.load(path)
@@ -159,6 +159,7 @@ class Shelf:
         ways: dict[str, dict[str, Any]] = {
             "intuitive": {"method": "intuitive"},
             "optimised": {"method": "auto", "friction": friction},
+            "distilled": {"method": "distilled", "friction": friction},
         }
         how = ways.get(method, {"method": "numeric", "closure": method})
         made = plan(

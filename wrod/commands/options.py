@@ -38,7 +38,10 @@ CLOSURE = (
 )
 METHOD = (
     click.option(
-        "--method", default="auto", show_default=True, help="neural, numeric, auto or intuitive."
+        "--method",
+        default="auto",
+        show_default=True,
+        help="neural, numeric, auto or intuitive; with --friction also distilled.",
     ),
     click.option(
         "--closure",

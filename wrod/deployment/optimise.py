@@ -307,19 +307,23 @@ class Corrections:
 
     def apply(self, values: np.ndarray) -> Trajectory:
         """The trajectory with corrected positions; the forces of its grasps no longer hold."""
-        before = self.trajectory
-        move = self.displacement(values)
-        shape = before.shape
-        if shape is not None:
-            share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
-            shape = shape + share[None, :, None] * move[:, None]
-        return replace(
-            before,
-            position=before.position + move,
-            force=np.full_like(before.force, np.nan),
-            shape=shape,
-            metadata={**before.metadata, "contact_friction": None},
-        )
+        return moved(self.trajectory, self.displacement(values))
+
+
+def moved(trajectory: Trajectory, displacement: np.ndarray) -> Trajectory:
+    """The trajectory with positions displaced by (T, 3) [m], and the shapes of its rod with them;
+    the forces of its grasps no longer hold."""
+    shape = trajectory.shape
+    if shape is not None:
+        share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
+        shape = shape + share[None, :, None] * displacement[:, None]
+    return replace(
+        trajectory,
+        position=trajectory.position + displacement,
+        force=np.full_like(trajectory.force, np.nan),
+        shape=shape,
+        metadata={**trajectory.metadata, "contact_friction": None},
+    )
 
 
 def misplacement(pattern: Pattern, laid: Laid) -> tuple[np.ndarray, np.ndarray]:

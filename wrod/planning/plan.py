@@ -47,6 +47,8 @@ _COURSE_POINTS = 2000
 # would swing out three times as far as a chain.
 CHAIN_MARGIN = 1.446
 SMALL_STABILITY_MARGIN = CHAIN_MARGIN / 3.0
+# The method that asks a network for what `friction` otherwise optimises.
+DISTILLED = "distilled"
 # Grips closer than this [L_gb] are of one grasp, with a curvature that is off by a spline's noise.
 _SAME_GRASP = 0.06
 
@@ -93,7 +95,8 @@ def plan(
         method: "neural" (optimal grasps from the trained controller; of a naturally curved rod
             without a controller of its own, from the rod solver), "numeric" (from the rod solver),
             "auto" (neural where the controller was trained, numeric elsewhere) or "intuitive"
-            (straight above the contact).
+            (straight above the contact); or "distilled": "auto", corrected for `friction` by a
+            network that learnt it from optimised plans, in milliseconds.
         closure: "zero_tension", "min_force" or "min_friction"; "neural" knows its controller's
             only, which for the one that ships is the first. None: the given controller's; without
             one, what lays the pattern most accurately for "auto" (see `favoured_closure`), and
@@ -119,7 +122,8 @@ def plan(
         One pose per contact node; `metadata` names method, closure, rod, pattern, remainder, the
         friction that the laid pattern asks for ("required_friction") and that the rod asks for
         where it touches down ("contact_friction"), and the warnings given; with `friction`,
-        "optimised" and "expected": what simulated deployments say (`wrod.deployment.optimise`).
+        "optimised" and "expected": what simulated deployments say (`wrod.deployment.optimise`), or
+        "distilled".
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
@@ -131,8 +135,11 @@ def plan(
         StabilityWarning: some grasps are elastically unstable, or close to it.
         OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
-    if method not in SOURCES:
-        raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
+    if method not in (*SOURCES, DISTILLED):
+        names = ", ".join((*SOURCES, DISTILLED))
+        raise GraspError(f"unknown method {method!r}; use one of {names}")
+    if method == DISTILLED and friction is None:
+        raise GraspError(f"method {DISTILLED!r} corrects a plan for a table; say its friction")
     if friction is not None:
         how = dict(
             method=method, closure=closure, spacing=spacing, remainder=remainder, roll=roll,
@@ -189,8 +196,13 @@ def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, how: dic
         raise GraspError(
             "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
         )
-    start = plan(pattern, rod, **how)
+    base = "auto" if how["method"] == DISTILLED else how["method"]
+    start = plan(pattern, rod, **{**how, "method": base})
     held = prepare(pattern, rod, how["remainder"])
+    if how["method"] == DISTILLED:
+        from wrod.deployment.distilled import distilled
+
+        return distilled(held, rod, start, float(np.mean(spread.friction)))
     return optimise(held, rod, start, spread, device=how["device"])
 
 
@@ -297,7 +309,7 @@ def with_shapes(
             back without.
     """
     closure, rod = trajectory.metadata.get("closure"), trajectory.rod
-    corrected = "optimised" in trajectory.metadata  # its grips are not those of grasps
+    corrected = {"optimised", DISTILLED} & set(trajectory.metadata)
     if trajectory.shape is not None or closure is None or rod is None or corrected:
         return trajectory
     s = trajectory.pattern_arc_length

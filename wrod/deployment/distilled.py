@@ -1,0 +1,65 @@
+"""Plans that know the table at once: a network corrects them as optimisation would."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from wrod.controller.corrector import Corrector, Course
+from wrod.deployment.optimise import moved
+from wrod.errors import GraspError
+from wrod.patterns.pattern import Pattern
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+
+
+def distilled(
+    pattern: Pattern,
+    rod: RodModel | RodMaterial,
+    trajectory: Trajectory,
+    friction: float,
+    corrector: Corrector | None = None,
+) -> Trajectory:
+    """Correct a trajectory's positions for a table as `wrod.deployment.optimise` would.
+
+    Args:
+        pattern: with the remainder that the trajectory lays.
+        rod: what is laid, straight at rest and uniform.
+        trajectory: to start from, as `wrod.plan` returns it by method "auto".
+        friction: coefficient of the table [-].
+        corrector: the network; None is the one that ships.
+
+    Returns:
+        The corrected trajectory. `metadata["distilled"]` says the friction and the largest
+        correction [m].
+
+    Raises:
+        GraspError: the rod is none that the network knows.
+
+    Warns:
+        OutOfRangeWarning: it learnt nothing of the kind.
+    """
+    model = RodModel.of(rod)
+    if not (rod.is_straight and model.is_uniform and model.is_isotropic):
+        raise GraspError(
+            "the distilled corrections know straight uniform rods only; let friction optimise the "
+            "plan (method 'auto')"
+        )
+    corrector, lgb = corrector or Corrector.load(), rod.gravito_bending_length
+    on = np.clip(trajectory.pattern_arc_length, -pattern.remainder_length, pattern.length)
+    _, tangent, curvature = pattern.sample(on)
+    course = Course(
+        trajectory.arc_length / lgb,
+        curvature * lgb,
+        rod.length / lgb,
+        float(rod.stretch_ratio),
+        friction,
+    )
+    up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
+    frame = np.stack([tangent, np.cross(up, tangent), up], axis=-1)
+    move = lgb * np.einsum("tij,tj->ti", frame, corrector.predict(course))
+    corrected = moved(trajectory, move)
+    said = {"friction": friction, "largest_correction": float(np.abs(move).max())}
+    return replace(corrected, metadata={**corrected.metadata, "distilled": said})
