@@ -10,8 +10,14 @@ import torch
 from wrod.training.plans import Sample
 
 from wrod.controller.corrector import FEATURES, OUTPUTS, Corrector, Course, formula
+from wrod.errors import DataError
 
-_WIDTH, _DEPTH, _BATCH, _RATE, _DECAY = 64, 3, 2048, 2e-3, 1e-3
+_WIDTH, _DEPTH, _BATCH, _RATE, _DECAY = 32, 2, 512, 2e-3, 0.1
+# Plans that leave a larger error than this do not lie, and teach nothing [L_gb].
+_LAID = 0.1
+# Largest friction that a corrector may be asked about: beyond it most corrections are next to
+# nothing, and fifty plans taught ones that do harm.
+_MOST_FRICTION = 0.4
 # Every so many plans one is held out, and every so many steps it is looked at.
 _HELD_OUT, _LOOK = 8, 100
 
@@ -26,7 +32,7 @@ def course_of(sample: Sample) -> Course:
 def distil(
     samples: list[Sample],
     *,
-    steps: int = 6000,
+    steps: int = 500,
     seed: int = 0,
     progress: Callable[[], object] | None = None,
 ) -> Corrector:
@@ -34,7 +40,7 @@ def distil(
     these are kept.
 
     Args:
-        samples: optimised plans, eight or more.
+        samples: optimised plans.
         steps: of the optimiser.
         seed: of weights and batches.
         progress: called after each step.
@@ -42,10 +48,20 @@ def distil(
     Returns:
         The corrector. `metadata` says the root mean square of its error on the plans held out and
         of their corrections [L_gb].
+
+    Raises:
+        DataError: fewer than eight plans are left without those that err by more than 0.1 L_gb.
     """
+    samples = [sample for sample in samples if sample.optimised < _LAID]
+    if len(samples) < _HELD_OUT:
+        raise DataError(
+            f"{len(samples)} of the plans lay their patterns; optimise more, for {_HELD_OUT} are "
+            "the least to learn from"
+        )
     generator = torch.Generator().manual_seed(seed)
-    parts = [samples[_HELD_OUT - 1 :: _HELD_OUT], [s for i, s in enumerate(samples) if (i + 1) % 8]]
-    (seen, wanted), (x, y) = (_table(part) for part in parts)
+    held = samples[_HELD_OUT - 1 :: _HELD_OUT]
+    rest = [sample for i, sample in enumerate(samples) if (i + 1) % _HELD_OUT]
+    (seen, wanted), (x, y) = _table(held), _table(rest)
     scale = y.std(dim=0)
     sizes = [FEATURES, *[_WIDTH] * _DEPTH, OUTPUTS]
     weights = {"scale": scale}
@@ -77,10 +93,11 @@ def distil(
         name: [min(f[name] for f in figures), max(f[name] for f in figures)] for name in figures[0]
     }
     limits["curvature"][0] = 0.0
+    limits["friction"][1] = min(limits["friction"][1], _MOST_FRICTION)
     metadata = {
         "range": limits,
         "plans": len(samples),
-        "held_out": len(parts[0]),
+        "held_out": len(held),
         "steps": steps,
         "seed": seed,
         "error": best[0],

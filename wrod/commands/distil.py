@@ -19,7 +19,7 @@ _PLAN = 45.0
 )
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--steps", type=click.IntRange(min=1), default=6000, show_default=True)
+@click.option("--steps", type=click.IntRange(min=1), default=500, show_default=True)
 @cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(size: int, out: Path, seed: int, steps: int, force: bool, as_json: bool) -> None:

@@ -20,6 +20,12 @@ def summary(figures: dict) -> str:
     ]
     if "expected" in figures:
         lines += _expectation(figures["expected"], figures.get("optimised"))
+    elif "distilled" in figures:
+        said = figures["distilled"]
+        lines.append(
+            f"for friction {said['friction']:g} by the distilled corrections, the largest "
+            f"{100.0 * said['largest_correction']:.1f} cm; what is left was not simulated"
+        )
     else:
         lines.append("for no table in particular; --friction 0.3 or 0.2:0.6 corrects it for one")
     lines += [f"note: {note}" for note in figures["notes"]]
