@@ -135,8 +135,6 @@ def generate(
     one = None if rod is None else RodInputs.of(rod, roll)
     curved = one is not None and not one.is_straight
     own = {"natural_curvature": one.natural_curvature, "poisson": one.poisson} if curved else {}
-    # A list is what the manifest's file gives back.
-    content = None if one is None else json.loads(json.dumps(asdict(one)))
     manifest = store.Manifest(
         size=size,
         shard_size=shard_size,
@@ -145,20 +143,13 @@ def generate(
         edge_count=edge_count,
         sensitivities=sensitivities and closure == "zero_tension" and not curved,
         solver=__version__,
-        rod=content,
+        # A list is what the manifest's file gives back.
+        rod=None if one is None else json.loads(json.dumps(asdict(one))),
     )
     store.create(folder, manifest)
     mine = range(rank.index, manifest.shard_count, rank.count)
     store.sweep(folder, mine)
-    samples = sum(manifest.rows(shard)[1] for shard in mine)
-    counts = np.zeros(3, dtype=int)  # solved, unconverged, unstable
-
-    def count(columns: dict, solved: bool) -> None:
-        converged, stable = columns["converged"], columns["stable"]
-        rows = len(converged)
-        counts[:] += [rows * solved, np.sum(~converged), np.sum(converged & ~stable)]
-        if progress is not None:
-            progress(rows, samples)
+    tally = _Tally(sum(manifest.rows(shard)[1] for shard in mine), progress)
 
     def solve(group: list[int]) -> None:
         inputs = np.concatenate([sample(*manifest.rows(shard), seed, one) for shard in group])
@@ -177,14 +168,14 @@ def generate(
             rows = manifest.rows(shard)[1]
             part = {name: column[begin : begin + rows] for name, column in columns.items()}
             store.write_shard(folder, manifest, shard, part)
-            count(part, True)
+            tally.add(part, solved=True)
             begin += rows
 
     group_size = 1 if device == "cpu" else max(1, _CUDA_BATCH // shard_size)
     group: list[int] = []
     for shard in mine:
         if store.is_solved(folder, manifest, shard):
-            count(store.read_shard(folder, manifest, shard), False)
+            tally.add(store.read_shard(folder, manifest, shard), solved=False)
             continue
         group.append(shard)
         if len(group) == group_size:
@@ -192,8 +183,28 @@ def generate(
             group = []
     if group:
         solve(group)
-    solved, unconverged, unstable = map(int, counts)
-    return Outcome(samples, solved, unconverged, unstable, time.perf_counter() - start)
+    return Outcome(
+        tally.samples, tally.solved, tally.unconverged, tally.unstable, time.perf_counter() - start
+    )
+
+
+@dataclass
+class _Tally:
+    """Counts what the shards of a rank hold."""
+
+    samples: int
+    progress: Callable[[int, int], object] | None
+    solved: int = 0
+    unconverged: int = 0
+    unstable: int = 0
+
+    def add(self, columns: dict, *, solved: bool) -> None:
+        converged, stable = columns["converged"], columns["stable"]
+        self.solved += len(converged) * solved
+        self.unconverged += int(np.sum(~converged))
+        self.unstable += int(np.sum(converged & ~stable))
+        if self.progress is not None:
+            self.progress(len(converged), self.samples)
 
 
 def _columns(inputs: np.ndarray, grasps: Grasps, manifest: store.Manifest) -> dict:
