@@ -134,14 +134,12 @@ def plan(
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
     if friction is not None:
-        how = dict(
-            method=method, closure=closure, spacing=spacing, remainder=remainder, roll=roll,
-            controller=controller, device=device, progress=progress,
+        return _corrected(
+            pattern, rod, friction, method=method, closure=closure, spacing=spacing, roll=roll,
+            remainder=remainder, controller=controller, device=device, progress=progress,
         )  # fmt: skip
-        return _corrected(pattern, rod, friction, how)
     pattern = prepare(pattern, rod, remainder)
-    if closure is None:
-        closure = _usual_closure(pattern, rod, method, controller)
+    closure = closure or _usual_closure(pattern, rod, method, controller)
     s = _contacts(pattern, spacing)
     _, _, curvature = course = pattern.sample(s)
     _refuse_tight_bends(pattern, rod, s, curvature)
@@ -190,7 +188,7 @@ def _solved(method: str, inputs: GraspInputs, s: np.ndarray) -> tuple[GraspPoses
     }
 
 
-def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, how: dict) -> Trajectory:
+def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, **how) -> Trajectory:
     """The plan that `how` asks for, corrected through simulated deployments on such a table."""
     from wrod.deployment.optimise import Spread, optimise
 
