@@ -137,16 +137,12 @@ def plan(
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
     if friction is not None:
-        how = dict(
-            method=method, closure=closure, spacing=spacing, remainder=remainder, roll=roll,
-            controller=controller, device=device, progress=progress,
+        return _corrected(
+            pattern, rod, friction, method=method, closure=closure, spacing=spacing, roll=roll,
+            remainder=remainder, controller=controller, device=device, progress=progress,
         )  # fmt: skip
-        return _corrected(pattern, rod, friction, how)
     pattern = prepare(pattern, rod, remainder)
-    if closure is None and controller is not None and method in ("auto", "neural"):
-        closure = controller.closure
-    elif closure is None:
-        closure = favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
+    closure = closure or _usual_closure(pattern, rod, method, controller)
     s = _contacts(pattern, spacing)
     _, _, curvature = course = pattern.sample(s)
     _refuse_tight_bends(pattern, rod, s, curvature)
@@ -155,9 +151,22 @@ def plan(
         rod, rod.length - (s - s[0]), curvature,
         roll=roll, closure=closure, device=device, progress=progress, controller=controller,
     )  # fmt: skip
+    poses, said = _solved(method, inputs, s)
+    return _trajectory(pattern, rod, s - s[0], course, poses, roll, said)
+
+
+def _usual_closure(pattern: Pattern, rod, method: str, controller: Controller | None) -> str:
+    """The closure where none is asked for."""
+    if controller is not None and method in ("auto", "neural"):
+        return controller.closure
+    return favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
+
+
+def _solved(method: str, inputs: GraspInputs, s: np.ndarray) -> tuple[GraspPoses, dict]:
+    """Grasps at the contacts s [m], and what the trajectory says of them."""
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
-        if method == "neural" and controller is None and not inputs.is_straight:
+        if method == "neural" and inputs.controller is None and not inputs.is_straight:
             method = "numeric"
             own = "curved at rest" if inputs.rod is None else "not uniform, isotropic and linear"
             warnings.warn(
@@ -171,20 +180,19 @@ def plan(
         _warn_unstable(poses, inputs, s)
         _warn_relaxed(poses, s)
     for reservation in reservations:
-        warnings.warn(reservation.message, reservation.category, stacklevel=2)
-    said = {
+        warnings.warn(reservation.message, reservation.category, stacklevel=3)
+    return poses, {
         "method": method,
-        "closure": closure if method != "intuitive" else None,
+        "closure": inputs.closure if method != "intuitive" else None,
         "warnings": [
             f"{warning.category.__name__}: {warning.message}"
             for warning in reservations
             if issubclass(warning.category, WrodWarning)
         ],
     }
-    return _trajectory(pattern, rod, s - s[0], course, poses, roll, said)
 
 
-def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, how: dict) -> Trajectory:
+def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, **how) -> Trajectory:
     """The plan that `how` asks for, corrected through simulated deployments on such a table."""
     from wrod.deployment.optimise import Spread, optimise
 
