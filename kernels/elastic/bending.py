@@ -21,8 +21,6 @@ from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_gradient, 
 from wrod.kernels.elastic.curvature import (
     Component,
     Stencil,
-    add_component_rate,
-    add_invariant_rate,
     component,
     excess_curvature,
     perpendicular,
@@ -351,29 +349,3 @@ def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
 
 
 elasticity = make_elasticity()
-
-
-@wp.kernel
-def bending_rate(
-    # Model:
-    rest_length: wp.array2d(dtype=wp.float64),
-    bending_stiffness: wp.array2d(dtype=wp.vec2d),
-    rest_length_rate: wp.array2d(dtype=wp.float64),
-    # State in:
-    dof_in: wp.array2d(dtype=wp.float64),
-    director_in: wp.array2d(dtype=wp.vec3d),
-    # Out:
-    gradient_rate_out: wp.array2d(dtype=wp.float64),
-):
-    """Add the derivative of the gradient along a change of rest lengths."""
-    r, j = wp.tid()
-    i = j + 1
-    s = stencil(dof_in, director_in, r, i)
-    rest = HALF * (rest_length[r, i - 1] + rest_length[r, i])
-    rest_rate = HALF * (rest_length_rate[r, i - 1] + rest_length_rate[r, i])
-    for k in range(2):
-        c = component(s, k)
-        rate = -bending_stiffness[r, i][k] * c.kappa / (rest * rest) * rest_rate
-        add_component_rate(gradient_rate_out, r, i, s, c, rate)
-    mean = HALF * (bending_stiffness[r, i][0] + bending_stiffness[r, i][1])
-    add_invariant_rate(gradient_rate_out, r, i, s, -mean / (rest * rest) * rest_rate)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -151,7 +152,9 @@ def _predict(cable, sets, fit, sigma_mm, device) -> dict:
     """Markers [m] with standard deviations at all angles of the sets, and of other lengths."""
     from wrod.identification.held.equilibria import markers
 
-    wanted = [(one.name, one, (which,)) for which, one in enumerate(sets)]
+    wanted: list[tuple[str, Any, tuple[int, ...]]] = [
+        (one.name, one, (which,)) for which, one in enumerate(sets)
+    ]
     for name, (source, length, mass) in OTHERS.items():
         if source == cable:
             # Which bend another piece of the cable has is not known: both that were found.

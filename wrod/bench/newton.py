@@ -43,6 +43,9 @@ def _numbers(context, parameter, value: str) -> list[int]:
 @click.option("--periods", default=4.0, show_default=True, help="Time to come to rest.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--bodies", is_flag=True, help="Only cables that pull bodies, and a pile.")
+@click.option("--many", is_flag=True, help="Only many worlds, a step in a graph, a large pile.")
+@click.option("--worlds", default=1024, show_default=True, help="Worlds of --many.")
+@click.option("--cables", default=40, show_default=True, help="Cables of the pile of --many.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for table and picture.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
@@ -55,6 +58,9 @@ def command(
     periods: float,
     device: str,
     bodies: bool,
+    many: bool,
+    worlds: int,
+    cables: int,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -62,10 +68,13 @@ def command(
 
     SolverDER, Newton's cable (SolverVBD) and, where it is installed, PyElastica, in one run.
     With --bodies: SolverDER's coupling with free bodies and an arm against closed forms and
-    statics, and a pile, on the CPU.
+    statics, and a pile, on the CPU. With --many: lines of JSON, as they come.
     """
     if bodies:
         _measure_bodies(as_json)
+        return
+    if many:
+        _measure_many(device, worlds, cables, edges[-1])
         return
     import importlib.util
     import warnings
@@ -181,3 +190,18 @@ def _measure_bodies(as_json: bool) -> None:
     click.echo("\n| what | found | expected |\n| --- | --- | --- |")
     for row in rows:
         click.echo(f"| {' | '.join(row)} |")
+
+
+def _measure_many(device: str, worlds: int, cables: int, edges: int) -> None:
+    import warnings
+
+    from wrod.bench.newton_many import measure
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
+
+    device = resolve_device(device)
+    click.echo(json.dumps({"machine": machine_line(device)}))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Newton corrects the inertia of thin capsules
+        for row in measure(device, worlds, cables, edges):
+            click.echo(json.dumps(row))

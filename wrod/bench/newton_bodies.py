@@ -223,7 +223,7 @@ class Pile:
 
     radius = 0.003
 
-    def __init__(self, cables: int = 6, edges: int = 20, length: float = 0.2):
+    def __init__(self, cables: int = 6, edges: int = 20, length: float = 0.2, device: str = "cpu"):
         builder = newton.ModelBuilder()
         SolverDER.register_custom_attributes(builder)
         builder.default_shape_cfg.mu = 0.5
@@ -238,7 +238,7 @@ class Pile:
             SolverDER.add_rod(
                 builder, points, self.material, air_damping=0.5, internal_damping=0.005
             )
-        self.model = builder.finalize(device="cpu")
+        self.model = builder.finalize(device=device)
         self.solver = SolverDER(self.model, rod_contact=0.3)
         self.state = self.model.state()
         self.deepest = 0.0

@@ -9,12 +9,12 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from wrod.kernels.stepping import hands as kernels
 from wrod.rods.batch import RodBatch, RodState
 from wrod.rods.discretisation import end_to_end, mesh_arrays
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.prescribed import carry_edges
 from wrod.solvers.rod_contact import RodContact
 
 # Hands move smoothly; between these times straight [s].
@@ -111,28 +111,8 @@ class Hands:
         return out
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
-        batch = self.batch
-        wp.launch(
-            kernels.carry,
-            dim=self.edge.shape,
-            inputs=[
-                batch.rest_length,
-                self._edge,
-                self._part,
-                self._times,
-                self._position,
-                self._rotation,
-                batch.free,
-                running,
-                time,
-                step,
-                start.dof,
-                start.tangent,
-                start.director,
-            ],
-            outputs=[batch.state.dof],
-            device=batch.device,
-        )
+        poses = (self._edge, self._part, self._times, self._position, self._rotation)
+        carry_edges(self.batch, poses, running, time, step, start)
 
 
 @dataclass

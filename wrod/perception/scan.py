@@ -168,7 +168,7 @@ def scan(
     length, line = arc_length(points)[-1], result.lines[0]
     spacing = max(2.0 * line.radius * length / line.length, length / PATTERN_POINTS)
     (points,) = resample(points, spacing)
-    return Pattern.from_points(points, smoothing=smoothing, name=result.name)
+    return Pattern.from_points(points, smoothing=smoothing, name=result.name, traced=True)
 
 
 def oriented(result: Scan, start: str | tuple[float, float] = "lower-left") -> np.ndarray:

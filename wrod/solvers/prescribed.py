@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
@@ -85,28 +87,34 @@ class PrescribedMotion:
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState) -> None:
         """Put the edges where they are at the end of a step."""
-        batch = self.batch
-        wp.launch(
-            carry,
-            dim=self._edge.shape,
-            inputs=[
-                batch.rest_length,
-                self._edge,
-                self._part,
-                self._times,
-                self._position,
-                self._rotation,
-                batch.free,
-                running,
-                time,
-                step,
-                start.dof,
-                start.tangent,
-                start.director,
-            ],
-            outputs=[batch.state.dof],
-            device=batch.device,
+        carry_edges(
+            self.batch,
+            (self._edge, self._part, self._times, self._position, self._rotation),
+            running,
+            time,
+            step,
+            start,
         )
+
+
+def carry_edges(
+    batch: RodBatch, poses: Sequence, running: wp.array, time: wp.array, step: wp.array, start
+) -> None:
+    """Put held edges where their timetable has them at the end of a step.
+
+    Args:
+        poses: Warp arrays as `wrod.kernels.stepping.hands.carry` takes them: edge and part (rod,
+            hand), times (key,), position and rotation of each hand's keys.
+        running: of the rods; time, step: of each; start: `RodState` at the step's beginning.
+    """
+    wp.launch(
+        carry,
+        dim=poses[0].shape,
+        inputs=[batch.rest_length, *poses, batch.free, running, time, step]
+        + [start.dof, start.tangent, start.director],
+        outputs=[batch.state.dof],
+        device=batch.device,
+    )
 
 
 def _keys(name: str, value, shape: tuple[int, ...]) -> np.ndarray:

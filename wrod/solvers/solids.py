@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from typing import ClassVar
 
 import numpy as np
 import warp as wp
@@ -57,17 +58,26 @@ class Box(_Checked):
 
 
 @dataclass(frozen=True)
-class Cylinder(_Checked):
-    """A cylinder around `center` with its axis along `axis`."""
+class _Round(_Checked):
+    """What is round about an axis."""
 
     center: tuple[float, float, float]
     radius: float
     half_height: float
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
+    kind: ClassVar[int]
+
     def _describe(self):
         size = (self.radius, self.half_height, 0.0)
-        return int(solids.CYLINDER), self.center, turn_up_to(self.axis), size
+        return self.kind, self.center, turn_up_to(self.axis), size
+
+
+@dataclass(frozen=True)
+class Cylinder(_Round):
+    """A cylinder around `center` with its axis along `axis`."""
+
+    kind = int(solids.CYLINDER)
 
 
 @dataclass(frozen=True)
@@ -82,31 +92,17 @@ class Sphere(_Checked):
 
 
 @dataclass(frozen=True)
-class Capsule(_Checked):
+class Capsule(_Round):
     """A cylinder around `center` of that half height, with half balls on both ends."""
 
-    center: tuple[float, float, float]
-    radius: float
-    half_height: float
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-
-    def _describe(self):
-        size = (self.radius, self.half_height, 0.0)
-        return int(solids.CAPSULE), self.center, turn_up_to(self.axis), size
+    kind = int(solids.CAPSULE)
 
 
 @dataclass(frozen=True)
-class Cone(_Checked):
+class Cone(_Round):
     """A cone whose apex is `half_height` from `center` along `axis`, its base as far behind."""
 
-    center: tuple[float, float, float]
-    radius: float
-    half_height: float
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-
-    def _describe(self):
-        size = (self.radius, self.half_height, 0.0)
-        return int(solids.CONE), self.center, turn_up_to(self.axis), size
+    kind = int(solids.CONE)
 
 
 @dataclass(frozen=True)
