@@ -192,8 +192,28 @@ class PatternOptions:
         return Pattern.load(path, units=units, **drawing)
 
 
+def parse_start(text: str) -> str | tuple[float, float]:
+    """A point "x,y" [m], or a name as it is."""
+    if "," not in text:
+        return text
+    x, y = parse_numbers(text, 2, "--start")
+    return x, y
+
+
+def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> tuple[float, ...]:
+    """`count` numbers, separated; raises a PerceptionError that names the option."""
+    from wrod.errors import PerceptionError
+
+    try:
+        numbers = tuple(float(part) for part in text.lower().split(separator))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise PerceptionError(f"{option} {text}: give {count} numbers separated by {separator!r}")
+    return numbers
+
+
 def _scanned(path: Path, units: str | None, given: dict):
-    from wrod.commands.scan import parse_numbers, parse_start
     from wrod.errors import PatternError
     from wrod.perception.scan import scan
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from wrod.deployment.optimise import COARSE, Corrections, misplacement
 from wrod.deployment.result import METRIC_POINTS
-from wrod.deployment.setup import Disturbance, Tail, tail
+from wrod.deployment.setup import Disturbance, Tail
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.errors import RodError
@@ -158,7 +158,7 @@ def lay_with_feedback(
     def really(path: Trajectory, **more) -> Laid:
         how = world.disturbance
         how = replace(how, offset=tuple(np.asarray(how.offset) + one.placed))
-        trial = Trial(pattern, world.rod, path, world.friction, how, one.rest)
+        trial = Trial(pattern, world.rod, path, world.friction, how, _rest(path))
         given = {"friction_field": world.friction_field, **options, **more}
         return lay([trial], hold=hold, device=device, **given)[0]
 
@@ -212,7 +212,6 @@ class _Replanner:
         # How far the robot has moved all that it does, because of an offset that was seen [m].
         self.placed = np.zeros(2)
         self.path = trajectory
-        self.rest: Tail = tail(pattern, rod, trajectory)
 
     @property
     def offset(self) -> np.ndarray:
@@ -235,7 +234,7 @@ class _Replanner:
             offset=(float(x), float(y)),
         )
         law = Friction(float(self.friction * np.exp(mu)))
-        return Trial(self.pattern, self.rod, path, law, how, self.rest)
+        return Trial(self.pattern, self.rod, path, law, how, _rest(path))
 
     def _lay(self, path: Trajectory, columns: Directions | None, **options) -> Laid:
         given = {"friction_field": self.field, **COARSE, **options}
@@ -323,6 +322,11 @@ def _beside(laid: Laid, s: float, seen: _Seen) -> np.ndarray:
 def _at(arc_length: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """(n, 3) values (node, 3) at arc lengths (n,)."""
     return np.stack([np.interp(at, arc_length, column) for column in values.T], axis=1)
+
+
+def _rest(path: Trajectory) -> Tail:
+    """The grip stays where the path ends: what lies is looked at there, and no tail is laid."""
+    return Tail(path.arc_length[-1:], path.position[-1:], path.rotation[-1:])
 
 
 def _until(trajectory: Trajectory, s: float) -> Trajectory:

@@ -205,6 +205,7 @@ class Dynamics:
         # Rounds since last asked; whether to take another, and whether any rod still runs.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)
+        self._goes_on = self._going[:1]  # a condition of a graph is one number
         shape = (rods, batch.dof_count)
         self.velocity, self.velocity_older = (
             wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
@@ -355,7 +356,7 @@ class Dynamics:
 
             self._rounds.zero_()
             self._ask(_ENDLESS)
-            wp.capture_while(self._going, take_round)
+            wp.capture_while(self._goes_on, take_round)
 
         device = wp.get_device(self.batch.device)
         decides = device.is_cpu or wp.is_conditional_graph_supported()
@@ -423,7 +424,7 @@ class Dynamics:
         with wp.ScopedCapture(device) as capture:
             if decides:
                 self._ask(_ROUNDS)
-                wp.capture_while(self._going, take_round)
+                wp.capture_while(self._goes_on, take_round)
             else:
                 for _ in range(_ROUNDS_BLIND):
                     take_round()
