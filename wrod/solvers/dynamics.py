@@ -205,6 +205,7 @@ class Dynamics:
         # Rounds since last asked; whether to take another, and whether any rod still runs.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)
+        self._goes_on = self._going[:1]  # a condition of a graph is one number
         shape = (rods, batch.dof_count)
         self.velocity, self.velocity_older = (
             wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
@@ -215,7 +216,8 @@ class Dynamics:
             contact.time_step = self.span
         # (rod, dof): forces that held prescribed degrees of freedom at the end of the last step.
         self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
-        self.keeps_recording, self._recording = keeps_recording, None
+        self.keeps_recording = keeps_recording
+        self._recording: tuple[tuple, object] | None = None
 
     def forget_recording(self) -> None:
         """Record afresh: what `motion` or contacts launch has changed."""
@@ -354,7 +356,7 @@ class Dynamics:
 
             self._rounds.zero_()
             self._ask(_ENDLESS)
-            wp.capture_while(self._going, take_round)
+            wp.capture_while(self._goes_on, take_round)
 
         device = wp.get_device(self.batch.device)
         decides = device.is_cpu or wp.is_conditional_graph_supported()
@@ -422,7 +424,7 @@ class Dynamics:
         with wp.ScopedCapture(device) as capture:
             if decides:
                 self._ask(_ROUNDS)
-                wp.capture_while(self._going, take_round)
+                wp.capture_while(self._goes_on, take_round)
             else:
                 for _ in range(_ROUNDS_BLIND):
                     take_round()

@@ -33,6 +33,7 @@ from wrod.identification.motion.windows import Windows
 from wrod.rods.batch import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+from wrod.rods.profile import Profile
 
 METRIC = (
     "mean |difference| over coordinates and all markers, held ones as zero, from frame 2 to the "
@@ -203,7 +204,10 @@ class MotionReport:
             rod = rod_of(setup, arc_length, like=whole, line_mass=line_mass)
             if stretches:
                 return rod
-            return replace(rod, stretching_stiffness=4.0 * rod.mean_bending_stiffness / radius**2)
+            return replace(
+                rod,
+                stretching_stiffness=Profile((4.0 * rod.mean_bending_stiffness / radius**2,)),
+            )
 
         assumed = ("radius", "line_mass") + ("stretching_stiffness",) * (not stretches)
         base = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
