@@ -120,6 +120,8 @@ def plan(
         friction that the laid pattern asks for ("required_friction") and that the rod asks for
         where it touches down ("contact_friction"), and the warnings given; with `friction`,
         "optimised" and "expected": what simulated deployments say (`wrod.deployment.optimise`).
+        Where a rod that varies along itself has no grasp of its own, "natural_share" is the
+        smallest share of its natural curvature that a grasp was made with (`wrod.grasps.relaxed`).
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
@@ -129,6 +131,7 @@ def plan(
 
     Warns:
         StabilityWarning: some grasps are elastically unstable, or close to it.
+        WrodWarning: some grasps are of a rod closer to straight.
         OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
     if method not in SOURCES:
@@ -175,6 +178,7 @@ def _solved(method: str, inputs: GraspInputs, s: np.ndarray) -> tuple[GraspPoses
         poses = SOURCES[method](inputs)
         _refuse_unconverged(poses, inputs, s)
         _warn_unstable(poses, inputs, s)
+        _warn_relaxed(poses, s)
     for reservation in reservations:
         warnings.warn(reservation.message, reservation.category, stacklevel=3)
     return poses, {
@@ -236,6 +240,9 @@ def _trajectory(
     lgb, frame = rod.gravito_bending_length, _contact_frame(tangent)
     force_unit = 2.0 * rod.weight * lgb
     shape = None if poses.shape is None else _placed(poses.shape, contact, frame, lgb)
+    relaxed = {}
+    if poses.natural_share is not None:
+        relaxed["natural_share"] = float(np.min(poses.natural_share))
     return Trajectory(
         arc_length=laid,
         contact=contact,
@@ -254,6 +261,7 @@ def _trajectory(
             "contact_friction": _contact_friction(poses.force),
             "largest_curvature": float(np.max(np.abs(curvature))),
             "warnings": said["warnings"],
+            **relaxed,
         },
         shape=shape,
         twist=poses.twist,
@@ -529,6 +537,22 @@ def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -
         f"length {inputs.suspended_length[node]:.3f} L_gb, curvature "
         f"{inputs.curvature[node]:.3f} / L_gb, stretch ratio {inputs.stretch_ratio:.0f}; "
         f"{np.sum(~good)} nodes in all); make the pattern gentler there or the rod longer"
+    )
+
+
+def _warn_relaxed(poses: GraspPoses, s: np.ndarray) -> None:
+    if poses.natural_share is None:
+        return
+    less = np.concatenate([[False], poses.natural_share < 1.0, [False]])
+    ends = np.flatnonzero(np.diff(less.astype(int)))
+    where = ", ".join(f"{s[a]:.3f} to {s[b - 1]:.3f}" for a, b in ends.reshape(-1, 2))
+    warnings.warn(
+        f"{np.sum(less)} of {len(s)} grasps (s from {where} m) are of a rod with less natural "
+        f"curvature, down to {np.min(poses.natural_share):.0%} of it: bent at rest as this one is, "
+        "it would dip under the table there, so that it rests on the table beyond the contact; "
+        "expect it to lie off the pattern",
+        WrodWarning,
+        stacklevel=3,
     )
 
 
