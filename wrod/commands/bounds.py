@@ -60,6 +60,8 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "manifold --nudge": (1e-6, 1e3),
     "dataset --size": (1, 2**30),
     "dataset --shard-size": (1, 2**20),
+    "distil --size": (16, 10**6),
+    "distil --steps": (1, 10**7),
     "train --generate": (100, 2**29),
     "train --steps": (1, 10**8),
     "train --batch": (1, 2**20),

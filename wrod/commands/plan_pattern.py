@@ -30,6 +30,15 @@ SHAPE = (
 
 
 @dataclass(frozen=True)
+class Shaping:
+    """What `SHAPE`'s options say."""
+
+    resize: float | None
+    tolerance: float
+    hold: float | None
+
+
+@dataclass(frozen=True)
 class Prepared:
     """A pattern ready for planning, the rod as it is held, and what was done to them."""
 
@@ -39,7 +48,7 @@ class Prepared:
     figures: dict
 
 
-def fit(curve, rod, resize: float | None, tolerance: float, hold: float | None) -> Prepared:
+def fit(curve, rod, shaping: Shaping) -> Prepared:
     """Resize a pattern, hold the rod at a length, round what bends too much for the rod.
 
     Raises:
@@ -49,6 +58,7 @@ def fit(curve, rod, resize: float | None, tolerance: float, hold: float | None) 
     from wrod.errors import PatternError, RodError
     from wrod.patterns.rounding import round_corners
 
+    resize, tolerance, hold = shaping.resize, shaping.tolerance, shaping.hold
     if not tolerance > 0:
         raise PatternError(f"--tolerance is {tolerance:g}; give a positive number of metres")
     notes, figures = [], {}

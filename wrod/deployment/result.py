@@ -115,3 +115,14 @@ def deployment_error(
     those of `errors_along`."""
     error = errors_along(pattern, arc_length, centerline)[1]
     return float(error.mean()), float(error.std())
+
+
+def interpolation(at: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(point, node) weights that interpolate linearly between ascending nodes (node,) at (point,),
+    beyond them along the last edges."""
+    i = np.clip(np.searchsorted(nodes, at) - 1, 0, len(nodes) - 2)
+    share = (at - nodes[i]) / (nodes[i + 1] - nodes[i])
+    out = np.zeros((len(at), len(nodes)))
+    rows = np.arange(len(at))
+    out[rows, i], out[rows, i + 1] = 1.0 - share, share
+    return out
