@@ -175,8 +175,8 @@ class PatternOptions:
         from wrod.patterns.pattern import Pattern, pattern, pattern_names
 
         path, units = Path(name), self.units
-        drawing = {"layer": self.layer, "stroke": self.stroke}
-        of_picture = {k: v for k, v in self.given.items() if k not in ("units", *drawing)}
+        elsewhere = ("units", "layer", "stroke")
+        of_picture = {k: v for k, v in self.given.items() if k not in elsewhere}
         if path.suffix.lower() in _PICTURES:
             if self.layer is not None or self.stroke is not None:
                 raise PatternError(f"{name}: --layer and --stroke belong to SVG and DXF drawings")
@@ -190,7 +190,7 @@ class PatternOptions:
             return pattern(name)
         if not path.suffix and not path.exists():
             return pattern(name)
-        return Pattern.load(path, units=units, **drawing)
+        return Pattern.load(path, units=units, layer=self.layer, stroke=self.stroke)
 
 
 def parse_start(text: str) -> str | tuple[float, float]:
