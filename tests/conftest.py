@@ -1,6 +1,7 @@
 """Fixtures that several test files use."""
 
 import os
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -33,3 +34,28 @@ def letter_path(letter):
 
     torch.set_num_threads(1)
     return wrod.solve_joint_path(letter)
+
+
+@pytest.fixture
+def tried(record_property):
+    """Kind of hostile input -> (how many were tried, how many of them were refused)."""
+    counts: dict[str, tuple[int, int]] = {}
+    yield counts
+    record_property("tried", counts)
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Which hostile inputs were tried, over all tests."""
+    tried, refused = Counter(), Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if getattr(report, "when", None) != "teardown":
+                continue
+            for kind, (count, out_of) in dict(report.user_properties).get("tried", {}).items():
+                tried[kind] += count
+                refused[kind] += out_of
+    if tried:
+        said = ", ".join(
+            f"{n} {kind} ({refused[kind]} refused)" for kind, n in sorted(tried.items())
+        )
+        terminalreporter.line(f"hostile inputs tried: {tried.total()}: {said}")

@@ -20,7 +20,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import click
@@ -31,8 +32,9 @@ COMMANDS = {
     "--device cpu",
     "deploy": "deploy line --rod green-vps --method intuitive --trials 2 --speed 0.1 --device cpu "
     "--out {out}",
-    "table3": "bench table3 --trials 1 --spacing 0.1 --step 0.2 --speed 1 --batch 6 "
-    "--closure zero_tension --device cpu --out {out}",
+    "table3": "bench table3 --rod green-vps --substrate steel --pattern letter-U --trials 6 "
+    "--spacing 0.02 --step 0.05 --speed 0.1 --batch 1 --closure zero_tension --device cpu "
+    "--out {out}",
     "identify": "bench identify --hidden 1 --only none --out {out}",
     "applications": "bench applications --case trefoil --trials 2 --batch 1 --device cpu "
     "--out {out}",
@@ -54,12 +56,28 @@ def same(folder: Path) -> dict[str, str]:
             if path.suffix in (".json", ".jsonl", ".md"):
                 text = _TIMES.sub("", content.decode())
                 text = re.sub(r"^.*(cores|seconds| s ).*$", "", text, flags=re.M)
+                text = _without_seconds(text)
                 content = "\n".join(sorted(text.splitlines())).encode()
             if path.name == "history.csv":
                 rows = [row.split(",") for row in content.decode().splitlines()]
                 content = "\n".join(",".join(row[:1] + row[2:]) for row in rows).encode()
             found[str(path.relative_to(folder))] = hashlib.sha256(content).hexdigest()[:16]
     return found
+
+
+def _without_seconds(text: str) -> str:
+    """Markdown without the columns of its tables that tell seconds."""
+    lines, drop = [], None
+    for line in text.splitlines():
+        cells = line.split(" | ")
+        if not line.startswith("|"):
+            drop = None
+        elif drop is None and any("CPU s" in cell for cell in cells):
+            drop = next(k for k, cell in enumerate(cells) if "CPU s" in cell)
+        if drop is not None and drop < len(cells):
+            del cells[drop]
+        lines.append(" | ".join(cells))
+    return "\n".join(lines)
 
 
 def _tensors(path: Path) -> bytes:
@@ -129,6 +147,16 @@ def series(
     return done, wrong + ([f"differ: {differ}"] if differ else [])
 
 
+@dataclass
+class Tally:
+    """What one command came to."""
+
+    seconds: float
+    kills: int = 0
+    folders: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+
 @click.command()
 @click.option("--kills", default=100, show_default=True, help="In all.")
 @click.option("--each", default=3, show_default=True, help="Most kills in one folder.")
@@ -141,38 +169,44 @@ def main(
 ) -> None:
     """Kill, resume, compare."""
     names = list(only or COMMANDS)
-    first = ["dataset"] * ("train" in names and "dataset" not in names)
-    per_name = -(-kills // len(names))
-    with (
-        tempfile.TemporaryDirectory() as place,
-        ThreadPoolExecutor(workers) as pool,
-    ):
-        folder = Path(place)
-        took = {}
-        if first or "dataset" in names:  # training reads it
-            took["dataset"] = whole("dataset", folder)
-        good, total = True, 0
-        for name in names:
-            done, number, wrong = 0, 0, []
-            if name not in took:
-                took[name] = whole(name, folder)
-            while done < per_name:
-                wave = range(number, number + max(1, min(workers, -(-(per_name - done) // each))))
-                jobs = [
-                    pool.submit(series, name, k, folder, took[name], each, seed, interrupt)
-                    for k in wave
-                ]
-                for job in jobs:
-                    kills_done, said = job.result()
-                    done, wrong = done + kills_done, wrong + said
-                number = wave.stop
-            total, good = total + done, good and not wrong
-            click.echo(
-                f"{name}: {took[name]:.0f} s whole, {done} kills in {number} folders, "
-                + ("same bytes" if not wrong else "; ".join(sorted(set(wrong)))[:3000])
-            )
-        click.echo(f"{total} kills")
-    sys.exit(not good)
+    with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor(workers) as pool:
+        folder, tallies = Path(place), {}
+        if {"train", "dataset"} & set(names):  # training reads it
+            tallies["dataset"] = Tally(whole("dataset", folder))
+        others = [name for name in names if name not in tallies]
+        for name, took in zip(others, pool.map(lambda n: whole(n, folder), others), strict=True):
+            tallies[name] = Tally(took)
+        tallies = {name: tallies[name] for name in names}
+        click.echo("whole: " + ", ".join(f"{n} {t.seconds:.0f} s" for n, t in tallies.items()))
+        wanted = -(-kills // len(names))
+        # The slowest begin first; a folder whose command was faster than its kill asks for another.
+        slowest = sorted(names, key=lambda name: -tallies[name].seconds)
+        jobs: dict[Future, str] = {}
+
+        def begin(name: str, count: int) -> None:
+            tally = tallies[name]
+            for _ in range(count):
+                number, tally.folders = tally.folders, tally.folders + 1
+                arguments = (name, number, folder, tally.seconds, each, seed, interrupt)
+                jobs[pool.submit(series, *arguments)] = name
+
+        for name in slowest:
+            begin(name, -(-wanted // each))
+        while jobs:
+            for job in wait(jobs, return_when=FIRST_COMPLETED).done:
+                name, (done, said) = jobs.pop(job), job.result()
+                tally = tallies[name]
+                tally.kills, tally.wrong = tally.kills + done, tally.wrong + said
+                at_work = sum(other == name for other in jobs.values())
+                click.echo(f"{name}: {tally.kills} kills, {at_work} folders at work", err=True)
+                if not at_work and tally.kills < wanted:
+                    begin(name, -(-(wanted - tally.kills) // each))
+    click.echo(f"{'command':14} {'whole s':>8} {'kills':>6} {'folders':>8}  same bytes")
+    for name, tally in tallies.items():
+        verdict = "no: " + "; ".join(sorted(set(tally.wrong)))[:3000] if tally.wrong else "yes"
+        click.echo(f"{name:14} {tally.seconds:8.0f} {tally.kills:6} {tally.folders:8}  {verdict}")
+    click.echo(f"{sum(tally.kills for tally in tallies.values())} kills")
+    sys.exit(any(tally.wrong for tally in tallies.values()))
 
 
 if __name__ == "__main__":

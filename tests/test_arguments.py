@@ -485,41 +485,42 @@ def test_every_public_callable_is_here():
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_only_typed_errors(name, tmp_path, monkeypatch):
+def test_only_typed_errors(name, tmp_path, monkeypatch, tried):
     monkeypatch.chdir(tmp_path)
     function, valid = CALLS[name]()
-    bad, tried = [], 0
+    bad, count, refused = [], 0, 0
     draw = random.Random(name)
     for parameter in valid:
         kinds = list(WRONG.items())
         for kind, value in kinds if FUZZ > 1 else draw.sample(kinds, SHARE):
             changed = {**valid, parameter: value}
             places = [changed.pop(key) for key in list(changed) if key.startswith("*")]
-            tried += 1
-            said, seconds = _called(function, places, changed)
+            count += 1
+            end, said, seconds = _called(function, places, changed)
             if seconds > 5.0:  # the first call of a machine also compiles kernels
-                said, seconds = _called(function, places, changed)
+                end, said, seconds = _called(function, places, changed)
+            refused += end
             if said:
                 bad.append(f"{parameter} {kind}: {said}")
             if seconds > 5.0:
                 bad.append(f"{parameter} {kind}: {seconds:.0f} s")
-    print(f"{name}: {tried} wrong calls, {len(bad)} without a typed error")
+    tried["wrong arguments"] = (count, refused)
     assert not bad, "\n".join(bad)
 
 
-def _called(function, places: list, changed: dict) -> tuple[str, float]:
-    """What is wrong with how a call ended ("" is nothing), and its CPU time [s]."""
-    began, said = time.process_time(), ""
+def _called(function, places: list, changed: dict) -> tuple[bool, str, float]:
+    """Whether a call was refused, what is wrong with its end ("" is nothing), its CPU time [s]."""
+    began, said, refused = time.process_time(), "", False
     try:
         with warnings.catch_warnings(), at_most(1.0):
             warnings.simplefilter("ignore")
             function(*places, **changed)
     except WrodError as error:
-        said = "" if str(error) else "says nothing"
+        refused, said = True, "" if str(error) else "says nothing"
     except _Enough:
         pass  # it works: the argument was taken
     except OSError as error:  # of what is written: it names the file
         said = "" if error.filename else repr(error)
     except BaseException as error:
         said = f"{type(error).__name__}: {str(error).partition(chr(10))[0][:100]}"
-    return said, time.process_time() - began
+    return refused, said, time.process_time() - began

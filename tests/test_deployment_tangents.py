@@ -101,3 +101,66 @@ def test_what_a_tangent_cannot_know_is_refused(bend):
     with pytest.raises(RodError, match="one for each pose"):
         still = replace(trial, friction=Friction(0.5))
         lay([still], [Directions.of_path(np.zeros((1, 3, 6)))], **OPTIONS)
+
+
+def test_torch_gradients_are_limits_of_differences(bend):
+    torch = pytest.importorskip("torch")
+    from wrod.training.autograd import lay_differentiable
+
+    torch.set_num_threads(1)
+    pattern, trajectory = bend
+    trials = [Trial(pattern, ROD, trajectory, Friction(mu)) for mu in (1.5, 0.3)]
+    options = OPTIONS | {"tolerance": 1e-9, "points": 12}
+    rng = np.random.default_rng(3)
+    start = [
+        5e-4 * rng.standard_normal((2, 4, 6)) * [1, 1, 1, 20, 20, 20],
+        np.array([1.5, 0.3]),
+        np.array([0.032, 0.033]),
+        np.array([0.0, 0.3]),
+    ]
+    weights = torch.tensor(rng.standard_normal((2, 12, 3)))
+
+    def objective(*tensors):
+        return (weights * lay_differentiable(trials, *tensors, **options)).sum(dim=(1, 2))
+
+    tensors = [torch.tensor(value, requires_grad=True) for value in start]
+    objective(*tensors).sum().backward()
+    # Along a random direction of each tensor, so little that no node changes between sticking and
+    # sliding on the way.
+    for k, (value, tensor) in enumerate(zip(start, tensors, strict=True)):
+        way = rng.standard_normal(value.shape) * (1e-8 if k < 3 else 1e-6)
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = [torch.tensor(v + sign * way if j == k else v) for j, v in enumerate(start)]
+            ends.append(objective(*moved).numpy())
+        difference = 0.5 * (ends[0] - ends[1])
+        along = (tensor.grad.numpy() * way).reshape(2, -1).sum(axis=1)
+        print(k, along, difference)
+        assert np.abs(along).min() > 0.0
+        np.testing.assert_allclose(along, difference, rtol=1e-3, atol=1e-13)
+
+
+def test_torch_asks_for_no_more_than_it_needs(bend):
+    torch = pytest.importorskip("torch")
+    from wrod.training.autograd import lay_differentiable
+
+    pattern, trajectory = bend
+    trials = [Trial(pattern, ROD, trajectory, Friction(0.3))]
+    friction = torch.tensor(0.4, requires_grad=True)
+    laid = lay_differentiable(trials, friction=friction, **OPTIONS)
+    same = lay([replace(trials[0], friction=Friction(0.4))], **OPTIONS)[0]
+    s = np.linspace(0.0, pattern.length, 50) + trajectory.metadata["remainder_length"]
+    for c in range(3):
+        expected = np.interp(s, same.arc_length, same.centerline[:, c])
+        np.testing.assert_allclose(laid[0, :, c].detach().numpy(), expected, atol=1e-6)
+    assert laid.dtype == torch.float32
+    laid.square().sum().backward()
+    assert friction.grad.shape == () and friction.grad != 0.0
+    with pytest.raises(RodError, match="2 knots"):
+        lay_differentiable(trials, torch.zeros(1, 1, 6))
+    with pytest.raises(RodError, match="not positive"):
+        lay_differentiable(trials, friction=torch.tensor([-0.1]))
+    with pytest.raises(RodError, match="give a tensor"):
+        lay_differentiable(trials)
+    with pytest.raises(RodError, match="shape"):
+        lay_differentiable(trials, friction=torch.ones(2))

@@ -38,12 +38,10 @@ def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend):
     left, before = (
         errors_along(pattern, x.arc_length, x.centerline)[1] for x in (followed.laid, blind)
     )
+    # Seen before the free end is let go: what was held is put down again where it belongs.
+    assert followed.looks[0].offset == pytest.approx((0.0, 0.004), abs=1e-3)
     assert followed.looks[-1].offset == pytest.approx((0.0, 0.004), abs=1e-3)
-    # What had been laid at the first look stays; the last third comes nearer to where it belongs.
-    assert left[:10].mean() == pytest.approx(before[:10].mean(), rel=0.1)
-    assert left[-15:].mean() < 0.6 * before[-15:].mean()
-    moved = np.linalg.norm(followed.trajectory.position - trajectory.position, axis=1)
-    assert moved[trajectory.arc_length < 0.1].max() == 0.0 and moved[-1] > 1e-3
+    assert left.mean() < 0.3 * before.mean() and left[:10].mean() < 0.3 * before[:10].mean()
 
 
 def test_looks_that_never_come_are_refused(bend):

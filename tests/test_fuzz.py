@@ -10,6 +10,7 @@ import os
 import random
 import resource
 import signal
+import time
 import warnings
 from contextlib import contextmanager
 from pathlib import Path
@@ -49,13 +50,32 @@ from wrod.robot.urdf import read_urdf
 FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 SECONDS, BYTES = 10, 2 * 2**30
 SCENES = Path(sawyer.__file__).parent
-fuzzed = settings(
-    derandomize=FUZZ == 1,
-    deadline=None,
-    database=None,
-    phases=[Phase.generate],
-    suppress_health_check=list(HealthCheck),
-)
+# Of a test of many files, so that `make fuzz` ends [s].
+LONGEST = 100
+
+
+def tries(count):
+    """Calls it with so many seeds, FUZZ times as often where there is time for that."""
+
+    def decorate(attempt):
+        end = time.monotonic() + LONGEST
+
+        @settings(
+            max_examples=count * FUZZ,
+            derandomize=FUZZ == 1,
+            deadline=None,
+            database=None,
+            phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
+        )
+        @given(st.integers(0, 2**32))
+        def one(seed):
+            if time.monotonic() < end:
+                attempt(seed)
+
+        return one
+
+    return decorate
 
 
 @contextmanager
@@ -127,15 +147,6 @@ JSON_FILES = {
 
 
 @pytest.fixture(scope="module")
-def tried():
-    """What was tried, by kind, said at the end."""
-    counts: dict = {}
-    yield counts
-    said = ", ".join(f"{n} {kind} ({r} refused)" for kind, (n, r) in sorted(counts.items()))
-    print(f"\nhostile inputs tried: {sum(n for n, _ in counts.values())}: {said}")
-
-
-@pytest.fixture(scope="module")
 def foreign(tmp_path_factory):
     """Files that nothing reads, by kind."""
     return foreign_files(tmp_path_factory.mktemp("foreign") / "files")
@@ -156,8 +167,7 @@ def test_json_files(kind, tmp_path, tried):
     path.write_text(json.dumps(valid))
     assert not taken_or_refused(load, path, f"a valid {kind}")
 
-    @settings(fuzzed, max_examples=60 * FUZZ)
-    @given(st.integers(0, 2**32))
+    @tries(60)
     def attempt(seed):
         draw = random.Random(seed)
         what, text = broken_json(valid, draw)
@@ -211,8 +221,7 @@ def test_array_files(kind, tmp_path, tried):
     load, make = loads[kind]
     valid, path = make(tmp_path), tmp_path / "file.npz"
 
-    @settings(fuzzed, max_examples=60 * FUZZ)
-    @given(st.integers(0, 2**32))
+    @tries(60)
     def attempt(seed):
         what, arrays = broken_arrays(valid, random.Random(seed))
         save_arrays(path, arrays)
@@ -233,8 +242,7 @@ def test_urdf_files(tmp_path, tried):
         urdf.shapes("visual")
         urdf.shapes("collision")
 
-    @settings(fuzzed, max_examples=60 * FUZZ)
-    @given(st.integers(0, 2**32))
+    @tries(60)
     def attempt(seed):
         what, text = broken_xml(valid, random.Random(seed))
         path.write_text(text, encoding="utf-8", errors="replace")
@@ -248,8 +256,7 @@ def test_point_files(tmp_path, tried):
     rows = [f"{x:.6f} {0.05 * np.sin(9 * x):.6f}" for x in s]
     path = tmp_path / "points.txt"
 
-    @settings(fuzzed, max_examples=60 * FUZZ)
-    @given(st.integers(0, 2**32))
+    @tries(60)
     def attempt(seed):
         draw = random.Random(seed)
         lines, k = list(rows), draw.randrange(len(rows))

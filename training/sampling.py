@@ -82,7 +82,7 @@ class RodInputs:
             stretch_ratio = rod.stretch_ratio
         lgb, size = rod.gravito_bending_length, math.hypot(*rod.natural_curvature)
         words = {"up": (0.0, size), "plane": (size, 0.0)}
-        held = words[roll] if roll in words else rod.curvature_held(roll)
+        held = words[roll] if isinstance(roll, str) else rod.curvature_held(roll)
         own = (float(lgb * held[0]), float(lgb * held[1]))
         return cls(rod.length / lgb, stretch_ratio, own, rod.poisson)
 

@@ -32,11 +32,22 @@ _cache: dict[int, Border] = {}
 
 def make_border(size: int) -> Border:
     """For blocks of `size`, 3 or 4."""
-    if size in _cache:
-        return _cache[size]
+    if size not in _cache:
+        count = size + 2
+        matrix = wp.types.matrix(shape=(count, count), dtype=wp.float64)
+        vector = wp.types.vector(length=count, dtype=wp.float64)
+        _cache[size] = Border(
+            vector,
+            *_balances(size, matrix, vector),
+            *_forces_at_grip(size, vector),
+            _gauss(count, matrix, vector),
+        )
+    return _cache[size]
+
+
+def _balances(size: int, matrix: type, vector: type) -> tuple[wp.Function, wp.Function]:
+    """The border equations' derivative and their residual."""
     count = size + 2
-    matrix = wp.types.matrix(shape=(count, count), dtype=wp.float64)
-    vector = wp.types.vector(length=count, dtype=wp.float64)
     first = size - 3
 
     @wp.func
@@ -72,6 +83,13 @@ def make_border(size: int) -> Border:
         f[size] = f[size] + thrust
         return f
 
+    return border_matrix, border_residual
+
+
+def _forces_at_grip(size: int, vector: type) -> tuple[wp.Function, wp.Function]:
+    """The gradient at the grip and its rate."""
+    first = size - 3
+
     @wp.func
     def grip_rate(
         condensed: wp.array2d(dtype=wp.float64), slot: int, node_1: wp.vec3d, v: vector
@@ -94,6 +112,10 @@ def make_border(size: int) -> Border:
         k = 4 * size * size + size + first
         return wp.vec3d(condensed[slot, k], condensed[slot, k + 1], condensed[slot, k + 2])
 
+    return grip_rate, grip_gradient
+
+
+def _gauss(count: int, matrix: type, vector: type) -> wp.Function:
     @wp.func
     def solve_border(matrix_in: matrix, rhs_in: vector) -> vector:
         """Gaussian elimination with partial pivoting."""
@@ -125,7 +147,4 @@ def make_border(size: int) -> Border:
             x[p] = value / m[p, p]
         return x
 
-    _cache[size] = Border(
-        vector, border_matrix, border_residual, grip_rate, grip_gradient, solve_border
-    )
-    return _cache[size]
+    return solve_border

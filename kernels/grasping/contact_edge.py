@@ -48,3 +48,17 @@ def ghost_motion(
     s = wp.sin(angle)
     turned = length * angle_rate
     return wp.vec3d(-length_rate * c + turned * s, length_rate * s + turned * c, ZERO)
+
+
+@wp.func
+def ghost_load(stiffness: wp.array3d(dtype=wp.float64), slot: int, ghost: wp.vec3d) -> wp.vec3d:
+    """Rate of the first free node's gradient when the ghost moves."""
+    # Rows of the edge before the contact, columns of that after it.
+    rate = wp.vec3d(ZERO, ZERO, ZERO)
+    for b in range(3):
+        rate[b] = -(
+            stiffness[slot, 0, 3 + b] * ghost[0]
+            + stiffness[slot, 0, 8 + b] * ghost[1]
+            + stiffness[slot, 0, 12 + b] * ghost[2]
+        )
+    return rate

@@ -7,7 +7,7 @@ rod itself; in between properties change linearly.
 """
 
 import warp as wp
-from wrod.kernels.elastic.bending import make_bending
+from wrod.kernels.elastic.bending import Bending, make_bending
 from wrod.kernels.elastic.curvature import Stencil
 from wrod.kernels.elastic.frames import (
     HALF,
@@ -19,7 +19,7 @@ from wrod.kernels.elastic.frames import (
 )
 from wrod.kernels.elastic.softened_bending import softening_law
 from wrod.kernels.elastic.stretching import stretching
-from wrod.kernels.elastic.twisting import twisting, twisting_hessian
+from wrod.kernels.elastic.twisting import Twisting, twisting, twisting_hessian
 from wrod.kernels.grasping.contact_edge import first_direction, ghost_direction, half_turn
 from wrod.kernels.grasping.straight_rod import WEIGHT, point, put_point, worse
 
@@ -58,6 +58,66 @@ def director(state: wp.array3d(dtype=wp.float64), r: int, j: int) -> wp.vec3d:
 
 
 @wp.func
+def before_contact(
+    curvature: wp.float64, length: wp.float64, state: wp.array3d(dtype=wp.float64), r: int
+) -> Stencil:
+    """The contact's stencil as far as its ghost edge, which shares the first edge's roll."""
+    s = Stencil()
+    s.t = ghost_direction(half_turn(curvature, length))
+    s.length_e = length
+    first = wp.normalize(point(state, r, 1) - point(state, r, 0))
+    s.m1e = parallel_transport(director(state, r, 0), first, s.t)
+    s.m2e = wp.cross(s.t, s.m1e)
+    return s
+
+
+@wp.func
+def put_second_derivatives(
+    s: Stencil,
+    q: Bending,
+    twist: Twisting,
+    stretching_after: wp.mat33d,
+    slot: int,
+    j: int,
+    # Out:
+    stiffness: wp.array3d(dtype=wp.float64),
+):
+    """Of stencil j; the upper triangle by (te, e, tf, f), row by row."""
+    ie = ONE / s.length_e
+    jf = ONE / s.length_f
+    t_ee, t_ef, t_ff = twisting_hessian(s, twist)
+    ee = (ie * ie) * q.ee + t_ee
+    ef = (ie * jf) * q.ef + t_ef
+    ff = (jf * jf) * q.ff + t_ff + stretching_after
+    c = twist.stiffness
+    e_te = ie * q.e_te - c * twist.e
+    f_te = jf * q.f_te - c * twist.f
+    e_tf = ie * q.e_tf + c * twist.e
+    f_tf = jf * q.f_tf + c * twist.f
+    stiffness[slot, j, 0] = q.te_te + c
+    stiffness[slot, j, 4] = q.te_tf - c
+    stiffness[slot, j, 26] = q.tf_tf + c
+    at = int(8)
+    for a in range(3):
+        stiffness[slot, j, 1 + a] = e_te[a]
+        stiffness[slot, j, 5 + a] = f_te[a]
+        stiffness[slot, j, 27 + a] = f_tf[a]
+        for d in range(a, 3):
+            stiffness[slot, j, at] = ee[a, d]
+            at += 1
+        stiffness[slot, j, at] = e_tf[a]
+        at += 1
+        for d in range(3):
+            stiffness[slot, j, at] = ef[a, d]
+            at += 1
+    at = int(30)
+    for a in range(3):
+        for d in range(a, 3):
+            stiffness[slot, j, at] = ff[a, d]
+            at += 1
+
+
+@wp.func
 def evaluate_general(
     rod: GeneralRod,
     progress: wp.float64,
@@ -75,14 +135,8 @@ def evaluate_general(
 
     `state` has the position of every node, and the director of the edge and the twist after it.
     """
-    s = Stencil()
-    s.t = ghost_direction(half_turn(curvature, rod.rest[r, 0]))
-    s.length_e = rod.rest[r, 0]
-    # The ghost edge and the first share one roll.
-    first = wp.normalize(point(state, r, 1) - point(state, r, 0))
-    s.m1e = parallel_transport(director(state, r, 0), first, s.t)
-    s.m2e = wp.cross(s.t, s.m1e)
     h = rod.rest[r, 0]
+    s = before_contact(curvature, h, state, r)
     x = point(state, r, 0)
     before = wp.vec3d(ZERO, ZERO, ZERO)
     here = wp.vec3d(ZERO, ZERO, ZERO)
@@ -114,37 +168,7 @@ def evaluate_general(
         g_f = jf * q.g_f + twist.moment * twist.f + after.gradient
         g_te = q.g_te - twist.moment
         g_tf = q.g_tf + twist.moment
-        t_ee, t_ef, t_ff = twisting_hessian(s, twist)
-        ee = (ie * ie) * q.ee + t_ee
-        ef = (ie * jf) * q.ef + t_ef
-        ff = (jf * jf) * q.ff + t_ff + after.hessian
-        c = twist.stiffness
-        e_te = ie * q.e_te - c * twist.e
-        f_te = jf * q.f_te - c * twist.f
-        e_tf = ie * q.e_tf + c * twist.e
-        f_tf = jf * q.f_tf + c * twist.f
-        # Upper triangle by (te, e, tf, f), row by row.
-        stiffness[slot, j, 0] = q.te_te + c
-        stiffness[slot, j, 4] = q.te_tf - c
-        stiffness[slot, j, 26] = q.tf_tf + c
-        at = int(8)
-        for a in range(3):
-            stiffness[slot, j, 1 + a] = e_te[a]
-            stiffness[slot, j, 5 + a] = f_te[a]
-            stiffness[slot, j, 27 + a] = f_tf[a]
-            for d in range(a, 3):
-                stiffness[slot, j, at] = ee[a, d]
-                at += 1
-            stiffness[slot, j, at] = e_tf[a]
-            at += 1
-            for d in range(3):
-                stiffness[slot, j, at] = ef[a, d]
-                at += 1
-        at = int(30)
-        for a in range(3):
-            for d in range(a, 3):
-                stiffness[slot, j, at] = ff[a, d]
-                at += 1
+        put_second_derivatives(s, q, twist, after.hessian, slot, j, stiffness)
         # Loads; those of the node before are complete.
         before = before - g_e
         m = moment + g_te

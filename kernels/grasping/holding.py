@@ -82,6 +82,44 @@ def condense_grip(
     stiffness_out[r] = stiffness
 
 
+@wp.func
+def walk_on(
+    start: wp.vec3d,
+    target: wp.vec3d,
+    limit: wp.float64,
+    free: wp.array2d(dtype=wp.int32),
+    r: int,
+    # State in and out:
+    solution: wp.array3d(dtype=wp.float64),
+    dof: wp.array2d(dtype=wp.float64),
+    progress: wp.array(dtype=wp.float64),
+    increment: wp.array(dtype=wp.float64),
+):
+    """From an equilibrium on along the exact tangent of the grip's way."""
+    n = dof.shape[1]
+    grip = node(dof, r, n // 4)
+    ahead = wp.min(ONE, progress[r] + increment[r])
+    change = point_on_way(start, target, ahead) - grip
+    for a in range(n):
+        value = wp.float64(0.0)
+        if free[r, a] != 0:
+            for j in range(3):
+                value -= solution[r, 1 + j, a] * change[j]
+        solution[r, 0, a] = value
+    for j in range(3):
+        solution[r, 0, n - 3 + j] = change[j]
+    fraction = largest_safe_fraction(dof, solution, r, limit)
+    if fraction < ONE:
+        ahead = progress[r] + fraction * (ahead - progress[r])
+        increment[r] = ahead - progress[r]
+        change = point_on_way(start, target, ahead) - grip
+    for a in range(n - 3):
+        dof[r, a] = dof[r, a] + fraction * solution[r, 0, a]
+    for j in range(3):
+        dof[r, n - 3 + j] = grip[j] + change[j]
+    progress[r] = ahead
+
+
 @wp.kernel
 def walk_grip(
     # Model:
@@ -137,27 +175,7 @@ def walk_grip(
         if waited[r] <= 3:
             increment[r] = wp.float64(1.7) * increment[r]
         waited[r] = 0
-        grip = node(dof, r, n // 4)
-        ahead = wp.min(ONE, progress[r] + increment[r])
-        change = point_on_way(start[r], target[r], ahead) - grip
-        for a in range(n):
-            value = ZERO
-            if free[r, a] != 0:
-                for j in range(3):
-                    value -= solution[r, 1 + j, a] * change[j]
-            solution[r, 0, a] = value
-        for j in range(3):
-            solution[r, 0, n - 3 + j] = change[j]
-        fraction = largest_safe_fraction(dof, solution, r, limit)
-        if fraction < ONE:
-            ahead = progress[r] + fraction * (ahead - progress[r])
-            increment[r] = ahead - progress[r]
-            change = point_on_way(start[r], target[r], ahead) - grip
-        for a in range(n - 3):
-            dof[r, a] = dof[r, a] + fraction * solution[r, 0, a]
-        for j in range(3):
-            dof[r, n - 3 + j] = grip[j] + change[j]
-        progress[r] = ahead
+        walk_on(start[r], target[r], limit, free, r, solution, dof, progress, increment)
         return
 
     waited[r] = waited[r] + 1

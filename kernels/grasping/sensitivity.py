@@ -6,15 +6,13 @@ from wrod.kernels.grasping.bordered import make_border
 from wrod.kernels.grasping.closures import CONVERGED
 from wrod.kernels.grasping.contact_edge import (
     first_direction,
+    ghost_load,
     ghost_motion,
     half_turn,
     half_turn_rate,
 )
-from wrod.kernels.grasping.iteration import (
-    Scratch,
-    ghost_load,
-)
 from wrod.kernels.grasping.reading import rotation_rate
+from wrod.kernels.grasping.step import Scratch
 from wrod.kernels.grasping.straight_rod import (
     WEIGHT,
     evaluate,

@@ -410,6 +410,20 @@ def record_frames(
 
 
 @wp.kernel
+def set_until(
+    # Model:
+    duration: wp.float64,
+    # State in:
+    time: wp.array(dtype=wp.float64),
+    # State out:
+    until_out: wp.array(dtype=wp.float64),
+):
+    """Let every rod go on by a duration."""
+    r = wp.tid()
+    until_out[r] = time[r] + duration
+
+
+@wp.kernel
 def begin_advance(
     # Model:
     largest_step: wp.float64,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -137,8 +138,9 @@ def _knots(axes, case: str, rows: list[dict], cells: dict) -> None:
         if not mine:
             continue
         ends = [row["why"] for row in mine]
-        mine.sort(key=lambda row, ends=ends: (-ends.count(row["why"]), row["trial"]))
-        row = mine[0]
+        commonest = max(map(ends.count, ends))
+        usual = [row for row in mine if ends.count(row["why"]) == commonest]
+        row = min(usual, key=itemgetter("trial"))
         note = row["why"]
         if stage == "end":
             # Only what was tied has been pulled.

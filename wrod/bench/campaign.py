@@ -76,7 +76,7 @@ def run(
 
 
 def _counted(bar, count: int) -> Callable[[float], None]:
-    return lambda fraction: bar.update(fraction * count)
+    return lambda fraction: bar.update(min(fraction * count, bar.total - bar.n))
 
 
 def figures_of(deployment, pattern) -> dict:
@@ -96,6 +96,21 @@ def figures_of(deployment, pattern) -> dict:
         "steps": deployment.steps,
         "curve": np.round(np.column_stack(laid), 5).tolist(),
     }
+
+
+@dataclass(frozen=True)
+class Common:
+    """What `options` say."""
+
+    out: Path
+    patterns: Path | None
+    release: float
+    speed: float
+    step: float
+    spacing: float
+    batch: int | None
+    device: str
+    as_json: bool
 
 
 def options(*, speed: float, step: float, spacing: float) -> Callable:

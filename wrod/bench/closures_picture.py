@@ -30,7 +30,7 @@ def draw(path: Path, table: dict) -> Path:
     drawn = [rod for rod in rods if rod not in arcs]
     figure = Figure(figsize=(13.0, 8.2), facecolor="white")
     FigureCanvasAgg(figure)
-    above, below = figure.subfigures(2, 1, height_ratios=[1.08, 1.0])
+    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=[1.08, 1.0])[:, 0]
     if arcs:
         grid = above.subplots(1, len(arcs), squeeze=False)[0]
         above.subplots_adjust(0.06, 0.13, 0.985, 0.76, 0.13)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_bvp
@@ -242,13 +243,13 @@ def _guess_of(rod: RodMaterial, position, matrices, force):
 
 
 def measured(
-    data: dict[str, np.ndarray],
+    data: dict[str, Any],
     world: World,
     *,
     seed: int = 0,
     noise: float = 5e-4,
     steps: int = 10,
-) -> dict[str, np.ndarray]:
+) -> dict[str, Any]:
     """A set of measurements of the rod and at the poses in `data` (fields of a measured file).
 
     Args:
@@ -282,10 +283,11 @@ def measured(
         guess, share, step = guesses[i], 0.0, 1.0 / steps
         while share < 1.0:
             ahead = share + step if share + step < 1.0 - 1e-9 else 1.0
-            ends = (*held("clamp", i, ahead), *held("grip", i, ahead))
+            (a, ra), (b, rb) = held("clamp", i, ahead), held("grip", i, ahead)
+            tolerance = 1e-6 if ahead == 1.0 else 1e-4
             try:
                 # On the way a rough solution keeps to the branch as well.
-                found = _solve(rod, world, ahead, *ends, guess, 1e-6 if ahead == 1.0 else 1e-4)
+                found = _solve(rod, world, ahead, a, ra, b, rb, guess, tolerance)
             except DataError:
                 step *= 0.5
                 if step < _SMALLEST_STEP:

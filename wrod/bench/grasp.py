@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from typing import Any
 
 import click
 
@@ -62,7 +63,7 @@ def command(count: int, device: str, threads: int, as_json: bool) -> None:
     rows = [measure(n) for n in (count // 4, count // 2, count)]
     rows += [measure(count // 2, edge_count=n) for n in (64, 256)]
     rows += [measure(count // 2, closure=c) for c in ("min_force", "min_friction")]
-    figures = {"machine": machine_line(device), "device": device, "rows": rows}
+    figures: dict[str, Any] = {"machine": machine_line(device), "device": device, "rows": rows}
     if on_gpu:
         figures["gpu"] = gpu_work(whole_range(count), device)
     if as_json:

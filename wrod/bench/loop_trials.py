@@ -148,6 +148,7 @@ def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
         "closure": metadata["closure"],
         **{name: 100.0 * getattr(deployment, name) for name in names},
         "contact_friction": metadata["contact_friction"],
+        "natural_share": metadata.get("natural_share", 1.0),
         "slip": 100.0 * float(deployment.slip.max()),
         "diverged": deployment.diverged,
         "curve": np.round(np.column_stack(laid), 5).tolist(),
@@ -164,7 +165,7 @@ def varied_rod(believed: RodMaterial) -> RodModel:
     """Half as stiff after 30 cm as at the first, a third softer across than along the section's
     stiffer direction, and softening from 20 /m on."""
     model = believed.model()
-    stiffness = Profile([1.3, 0.7], [0.0, 0.30]) * model.mean_bending_stiffness
+    stiffness = Profile((1.3, 0.7), (0.0, 0.30)) * model.mean_bending_stiffness
     return replace(
         model,
         bending_stiffness=(stiffness * 1.2, stiffness * 0.8),

@@ -43,6 +43,9 @@ def _numbers(context, parameter, value: str) -> list[int]:
 @click.option("--periods", default=4.0, show_default=True, help="Time to come to rest.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--bodies", is_flag=True, help="Only cables that pull bodies, and a pile.")
+@click.option("--many", is_flag=True, help="Only many worlds, a step in a graph, a large pile.")
+@click.option("--worlds", default=1024, show_default=True, help="Worlds of --many.")
+@click.option("--cables", default=40, show_default=True, help="Cables of the pile of --many.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for table and picture.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
@@ -55,6 +58,9 @@ def command(
     periods: float,
     device: str,
     bodies: bool,
+    many: bool,
+    worlds: int,
+    cables: int,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -62,20 +68,18 @@ def command(
 
     SolverDER, Newton's cable (SolverVBD) and, where it is installed, PyElastica, in one run.
     With --bodies: SolverDER's coupling with free bodies and an arm against closed forms and
-    statics, and a pile, on the CPU.
+    statics, and a pile, on the CPU. With --many: lines of JSON, as they come.
     """
     if bodies:
         _measure_bodies(as_json)
         return
+    if many:
+        _measure_many(device, worlds, cables, edges[-1])
+        return
     import importlib.util
-    import warnings
-    from dataclasses import asdict
     from importlib.metadata import version
 
-    from tqdm import tqdm
-
-    from wrod.bench.cantilever import Cantilever, Start, come_to_rest, swing
-    from wrod.bench.cantilever_solvers import Der, Elastica, Vbd
+    from wrod.bench.cantilever import Cantilever
     from wrod.bench.newton_report import draw, markdown
     from wrod.errors import RodError
     from wrod.machine import machine_line
@@ -95,6 +99,41 @@ def command(
     with_elastica = importlib.util.find_spec("elastica") is not None
     if not with_elastica:
         click.echo("PyElastica is not installed; for its rows: pip install wrod[peers]", err=True)
+
+    rows, speed = _compare(problem, edges, iterations, rods, duration, device, with_elastica)
+    versions = f"newton {version('newton')}"
+    if with_elastica:
+        versions += f"; pyelastica {version('pyelastica')}"
+    figures = {
+        "machine": f"{machine_line(device)}; {versions}",
+        "device": device,
+        "problem": {
+            "rod": rod_name, "scale": scale, "length": problem.length, "tip": problem.tip.tolist(),
+            "period": problem.period,
+        },
+        "rows": rows,
+        "speed": speed,
+    }  # fmt: skip
+    text = markdown(figures)
+    click.echo(json.dumps(figures) if as_json else text)
+    if out is not None:
+        from wrod.files import write_atomically
+
+        out.mkdir(parents=True, exist_ok=True)
+        write_atomically(out / "newton.md", lambda file: file.write(text + "\n"))
+        for path in (out / "newton.md", draw(out / "newton.png", figures)):
+            click.echo(f"wrote {path}", err=as_json)
+
+
+def _compare(problem, edges, iterations, rods: int, duration, device, with_elastica) -> tuple:
+    """Rows of accuracy, one for each solver and mesh, and of speed with one rod and with many."""
+    import warnings
+    from dataclasses import asdict
+
+    from tqdm import tqdm
+
+    from wrod.bench.cantilever import Start, come_to_rest, swing
+    from wrod.bench.cantilever_solvers import Der, Elastica, Vbd
 
     def der(mesh, start):
         return Der(problem, mesh, _DER_STEP * problem.period, start, device)
@@ -140,28 +179,7 @@ def command(
                     "error": row["rest"]["error"], "drift": row["rest"]["drift"],
                 }
             )  # fmt: skip
-    versions = f"newton {version('newton')}"
-    if with_elastica:
-        versions += f"; pyelastica {version('pyelastica')}"
-    figures = {
-        "machine": f"{machine_line(device)}; {versions}",
-        "device": device,
-        "problem": {
-            "rod": rod_name, "scale": scale, "length": problem.length, "tip": problem.tip.tolist(),
-            "period": problem.period,
-        },
-        "rows": rows,
-        "speed": speed,
-    }  # fmt: skip
-    text = markdown(figures)
-    click.echo(json.dumps(figures) if as_json else text)
-    if out is not None:
-        from wrod.files import write_atomically
-
-        out.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / "newton.md", lambda file: file.write(text + "\n"))
-        for path in (out / "newton.md", draw(out / "newton.png", figures)):
-            click.echo(f"wrote {path}", err=as_json)
+    return rows, speed
 
 
 def _measure_bodies(as_json: bool) -> None:
@@ -181,3 +199,18 @@ def _measure_bodies(as_json: bool) -> None:
     click.echo("\n| what | found | expected |\n| --- | --- | --- |")
     for row in rows:
         click.echo(f"| {' | '.join(row)} |")
+
+
+def _measure_many(device: str, worlds: int, cables: int, edges: int) -> None:
+    import warnings
+
+    from wrod.bench.newton_many import measure
+    from wrod.machine import machine_line
+    from wrod.rods.batch import resolve_device
+
+    device = resolve_device(device)
+    click.echo(json.dumps({"machine": machine_line(device)}))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Newton corrects the inertia of thin capsules
+        for row in measure(device, worlds, cables, edges):
+            click.echo(json.dumps(row))

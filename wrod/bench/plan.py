@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -35,7 +36,7 @@ def command(patterns: Path | None, method: str, device: str, as_json: bool) -> N
         curves = [wrod.Pattern.load(file) for file in files]
     rods = wrod.rod_names()[:3]
     wrod.plan(curves[0], wrod.rod(rods[0]), method, device=device, spacing=0.1)  # compile
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name in rods:
         for curve in curves:
             clock = time.perf_counter()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -151,7 +152,7 @@ def run_case(
     import wrod
     from wrod.errors import WrodError, WrodWarning
 
-    row = {"robot": robot, "pattern": pattern, "rod": rod_name}
+    row: dict[str, Any] = {"robot": robot, "pattern": pattern, "rod": rod_name}
     started = time.process_time()
     try:
         with warnings.catch_warnings():

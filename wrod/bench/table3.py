@@ -11,6 +11,18 @@ import click
 from wrod import cost
 from wrod.bench import campaign, side_by_side
 from wrod.bench.ledger import Ledger
+from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
+
+
+def _only(what: str, parameter: str, names: tuple[str, ...]):
+    """An option that leaves out all rows or columns of the table but those that are named."""
+    return click.option(
+        f"--{what}",
+        parameter,
+        multiple=True,
+        type=click.Choice(names),
+        help=f"Only this {what}; may be given again.",
+    )
 
 
 @click.command(name="table3")
@@ -28,6 +40,9 @@ from wrod.bench.ledger import Ledger
     show_default=True,
     help="Known table: processes that plan side by side.",
 )
+@_only("rod", "rods", RODS)
+@_only("substrate", "substrates", SUBSTRATES)
+@_only("pattern", "names", PATTERNS)
 @campaign.options(speed=0.02, step=0.01, spacing=0.005)
 @cost.force_option
 def command(as_json: bool, **given) -> None:
@@ -45,6 +60,9 @@ def _table(
     closure: str | None,
     known_table: bool,
     workers: int,
+    rods: tuple[str, ...],
+    substrates: tuple[str, ...],
+    names: tuple[str, ...],
     patterns: Path | None,
     batch: int | None,
     device: str,
@@ -54,7 +72,7 @@ def _table(
 ) -> tuple[dict, campaign.Spent]:
     """What the command tells, and what the trials cost; `how` they are simulated: release, speed,
     step and spacing."""
-    from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, read_pattern
+    from wrod.bench.table3_paper import read_pattern
     from wrod.bench.table3_report import KEYS
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.errors import RodError
@@ -71,30 +89,34 @@ def _table(
         "patterns": "built-in" if patterns is None else patterns.name,
     }
     settings |= {"known_table": True} if known_table else {}
-    curves = {name: read_pattern(name, patterns) for name in PATTERNS}
+    # In the table's own order, whatever the order in which they were asked for.
+    rods = tuple(name for name in RODS if name in (rods or RODS))
+    substrates = tuple(name for name in SUBSTRATES if name in (substrates or SUBSTRATES))
+    curves = {
+        name: read_pattern(name, patterns) for name in PATTERNS if name in (names or PATTERNS)
+    }
     if closure is not None and closure not in CLOSURES:
         raise RodError(f"unknown closure {closure!r:.60}; use one of {', '.join(CLOSURES)}")
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", schemas.Table3Row)
-    cells = len(RODS) * len(SUBSTRATES) * len(PATTERNS) * len(METHODS)
-    lay = {name: how[name] for name in ("speed", "step", "spacing")}
-    pending = max(trials * cells - len(ledger.rows), 0)
-    cost.settle(
-        cost.deployments(pending, max(rod(name).length for name in RODS), device=device, **lay),
-        f"{pending} deployments", out, "ask for fewer --trials, or a larger --spacing or --step",
-        force=force, quiet=quiet,
-    )  # fmt: skip
-    start = time.perf_counter()
-    plans = _plans(curves, closure, device, quiet)
-    if known_table:
-        plans |= _corrected_plans(plans, out / "plans", device, workers, quiet)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
         (material, substrate, name, method, trial)
         for trial, material, substrate, name, method in product(
-            range(trials), RODS, SUBSTRATES, PATTERNS, METHODS
+            range(trials), rods, substrates, curves, METHODS
         )
     ]
+    lay = {name: how[name] for name in ("speed", "step", "spacing")}
+    pending = len(set(keys) - ledger.done())
+    cost.settle(
+        cost.deployments(pending, max(rod(name).length for name in rods), device=device, **lay),
+        f"{pending} deployments", out, "ask for fewer --trials, or a larger --spacing or --step",
+        force=force, quiet=quiet,
+    )  # fmt: skip
+    start = time.perf_counter()
+    plans = _plans(rods, curves, closure, device, quiet)
+    if known_table:
+        plans |= _corrected_plans(plans, substrates, out / "plans", device, workers, quiet)
     first = [_trial(key, plans) for key in keys[: len(keys) // trials]]
     nodes = nodes_needed(first, how["spacing"])
     planned = time.perf_counter() - start
@@ -140,17 +162,16 @@ def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str]
     ]
 
 
-def _plans(curves: dict, closure: str | None, device: str, quiet: bool) -> dict:
+def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) -> dict:
     """(rod, pattern, method) -> pattern with remainder, rod, trajectory, tail."""
     from tqdm import tqdm
 
-    from wrod.bench.table3_paper import METHODS, RODS
     from wrod.deployment.setup import tail
     from wrod.planning.plan import favoured_closure, plan, prepare
     from wrod.rods.material import rod
 
     plans = {}
-    jobs = list(product(RODS, curves, METHODS))
+    jobs = list(product(rods, curves, METHODS))
     for name, curve, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
         material = rod(name)
         led = prepare(curves[curve], material, None)
@@ -160,16 +181,18 @@ def _plans(curves: dict, closure: str | None, device: str, quiet: bool) -> dict:
     return plans
 
 
-def _corrected_plans(plans: dict, folder: Path, device: str, workers: int, quiet: bool) -> dict:
+def _corrected_plans(
+    plans: dict, substrates, folder: Path, device: str, workers: int, quiet: bool
+) -> dict:
     """(rod, substrate, pattern, "numeric") -> the same as `_plans`, corrected for the table."""
     from tqdm import tqdm
 
-    from wrod.bench.table3_paper import SUBSTRATES, friction
+    from wrod.bench.table3_paper import friction
     from wrod.deployment.setup import tail
     from wrod.planning.trajectory import Trajectory
 
     paths, jobs = {}, []
-    for key, substrate in product([key for key in plans if key[2] == "numeric"], SUBSTRATES):
+    for key, substrate in product([key for key in plans if key[2] == "numeric"], substrates):
         name, curve, method = key
         led, material, trajectory, _ = plans[key]
         path = paths[name, substrate, curve, method] = folder / f"{name}-{substrate}-{curve}.npz"
@@ -200,7 +223,7 @@ def _plan_of(key: tuple, plans: dict) -> tuple:
 
 def _trial(key: tuple, plans: dict):
     """INT and OPT meet the same disturbances, every cell others."""
-    from wrod.bench.table3_paper import PATTERNS, RODS, SUBSTRATES, friction
+    from wrod.bench.table3_paper import friction
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial
     from wrod.solvers.contact import Friction

@@ -86,6 +86,8 @@ def markdown(table: dict, head: str) -> str:
     for rod in RODS:
         for substrate in SUBSTRATES:
             for method in METHODS:
+                if not any((rod, substrate, name, method) in table for name in PATTERNS):
+                    continue
                 row = [rod, f"{substrate}, {friction(rod, substrate):g}", SHORT[method]]
                 for name in PATTERNS:
                     cell = table.get((rod, substrate, name, method))
@@ -127,7 +129,13 @@ def summary(table: dict) -> list[str]:
 
 
 def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
-    """Every laid curve of every trial, one panel a pattern and rod (like the paper's figure)."""
+    """Every laid curve of every trial, one panel a pattern and rod (like the paper's figure).
+
+    Args:
+        path: of the picture.
+        rows: of the ledger.
+        patterns: name -> pattern; those that lack leave their panels empty.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -139,6 +147,9 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
     for i, rod in enumerate(RODS):
         for j, name in enumerate(PATTERNS):
             panel = axes[i, j]
+            panel.set_axis_off()
+            if name not in patterns:
+                continue
             target = patterns[name].sample(np.linspace(0.0, patterns[name].length, 300))[0]
             panel.plot(target[:, 0], target[:, 1], color="#0b5fa5", lw=4.0, alpha=0.35)
             for method in METHODS:
@@ -149,7 +160,6 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
                     panel.plot(*curve.T, color=colors[method], lw=0.7, alpha=0.6)
             panel.set_aspect("equal", adjustable="datalim")
             panel.margins(0.12)
-            panel.set_axis_off()
             if i == 0:
                 panel.set_title(name, fontsize=11, color="#22262b")
         figure.text(0.012, 0.77 - 0.29 * i, rod, fontsize=11, color="#22262b", rotation=90)

@@ -28,6 +28,7 @@ COMMANDS = (
     "laid",
     "dataset",
     "train",
+    "distil",
     "render",
     "bench",
 )

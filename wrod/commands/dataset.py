@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, options, read_rod
+from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, RodOptions, gathered, options
 
 
 @click.command(name="dataset")
@@ -21,7 +21,7 @@ from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, options, read_rod
     default=True,
     help="Store the derivatives by the inputs (zero_tension only).",
 )
-@options(ROD)
+@gathered("rod_options", RodOptions, ROD)
 @options(ROLL)
 @click.option("--shard-size", type=click.IntRange(min=1), help="Samples per file; default 2048.")
 @options(DEVICE)
@@ -33,10 +33,7 @@ def command(
     seed: int,
     closure: str,
     sensitivities: bool,
-    rod_name: str | None,
-    radius: float | None,
-    lgb: float | None,
-    length: float | None,
+    rod_options: RodOptions,
     roll_text: str | None,
     shard_size: int | None,
     device: str,
@@ -60,14 +57,13 @@ def command(
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
     from wrod.training.store import row_bytes
 
-    given = (rod_name, radius, lgb, length)
-    rod = None if given == (None,) * 4 else read_rod(*given)
+    rod = rod_options.read() if rod_options.given else None
     rank = Rank.from_environment()
     label = "grasps" if rank.count == 1 else f"grasps of rank {rank.index}"
-    many = min(shard_size or SHARD_SIZE, size)
+    shard_size = shard_size or SHARD_SIZE
     cost.settle(
         cost.grasps(
-            size, row_bytes(sensitivities), many, sensitivities=sensitivities,
+            size, row_bytes(sensitivities), min(shard_size, size), sensitivities=sensitivities,
             device=rank.device(device), ranks=rank.count,
         ),
         f"{size} grasps", out, "ask for fewer, or for a smaller --shard-size", force=force,
@@ -84,9 +80,8 @@ def command(
         try:
             outcome = generate(
                 out, size, seed=seed, closure=closure, sensitivities=sensitivities,
-                shard_size=shard_size or SHARD_SIZE, rod=rod,
-                roll=read_roll(roll_text, rod), device=device, rank=rank,
-                progress=progress,
+                shard_size=shard_size, rod=rod, roll=read_roll(roll_text, rod),
+                device=device, rank=rank, progress=progress,
             )  # fmt: skip
         except OSError as error:
             raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None

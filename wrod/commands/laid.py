@@ -3,13 +3,83 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
 
-from wrod.commands.options import DEVICE, ROD, UNITS, options, read_pattern, read_rod
+from wrod.commands.options import (
+    DEVICE,
+    ROD,
+    UNITS,
+    PatternOptions,
+    RodOptions,
+    gathered,
+    options,
+)
 from wrod.rods.model_file import rod_as_json
+
+_FIT = (
+    click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient."),
+    click.option(
+        "--holding", is_flag=True, help="Measured with the grip holding, not after it let go."
+    ),
+    click.option(
+        "--iterations", default=2, show_default=True, help="Steps of the fit; 0: residual."
+    ),
+    click.option("--fit-friction", is_flag=True, help="Find the table's friction, too."),
+    click.option(
+        "--table", type=click.Path(dir_okay=False, path_type=Path), help="Its file (.json)."
+    ),
+    click.option(
+        "--out", type=click.Path(dir_okay=False, path_type=Path), help="Fitted rod (.json)."
+    ),
+)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """What is fitted, and where it goes; see `_FIT`."""
+
+    friction: float
+    holding: bool
+    iterations: int
+    fit_friction: bool
+    table: Path | None
+    out: Path | None
+
+    def check(self) -> None:
+        """Refuse files of what is not fitted."""
+        from wrod.errors import DataError
+
+        if self.table is not None and not (self.fit_friction and self.iterations > 0):
+            raise DataError("--table is for the friction found; add --fit-friction and iterations")
+        if self.iterations == 0 and self.out is not None:
+            raise DataError("--out is for the fitted rod, and --iterations 0 fits none; drop one")
+
+    def run(self, laid, rod, path, device: str, quiet: bool):
+        """The `LaidFit`."""
+        from tqdm import tqdm
+
+        from wrod.identification.laid.fit import fit_laid
+
+        shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+        with tqdm(total=1.0, leave=False, desc="laid", disable=quiet, bar_format=shown) as bar:
+            return fit_laid(
+                laid, rod, path, self.friction, released=not self.holding,
+                iterations=self.iterations, fit_friction=self.fit_friction, device=device,
+                progress=lambda share: bar.update(min(share, bar.total - bar.n)),
+            )  # fmt: skip
+
+    def save(self, found) -> list[str]:
+        """Write the rod and the table that were asked for."""
+        from wrod.deployment.table import Table
+
+        written = [] if self.out is None else [str(found.rod.save(self.out))]
+        if self.table is not None:
+            error = found.estimates["log_friction"].stderr
+            written.append(str(Table(found.friction, error, found.correlation).save(self.table)))
+        return written
 
 
 @click.command(name="laid")
@@ -21,34 +91,20 @@ from wrod.rods.model_file import rod_as_json
     type=click.Path(dir_okay=False, path_type=Path),
     help="Trajectory (.npz) of `wrod plan` that laid them.",
 )
-@options(ROD, UNITS)
+@gathered("rod_options", RodOptions, ROD)
+@gathered("reading", PatternOptions, UNITS)
 @click.option("--noise", type=float, help="Of a coordinate [m]; default: the rods' scatter.")
-@click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient.")
-@click.option(
-    "--holding", is_flag=True, help="Measured with the grip holding, not after it let go."
-)
-@click.option("--iterations", default=2, show_default=True, help="Steps of the fit; 0: residual.")
-@click.option("--fit-friction", is_flag=True, help="Find the table's friction, too.")
-@click.option("--table", type=click.Path(dir_okay=False, path_type=Path), help="Its file (.json).")
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Fitted rod (.json).")
+@gathered("fit", _Fit, _FIT)
 @options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     rods: tuple[Path, ...],
     pattern: str,
     trajectory: Path,
-    rod_name: str | None,
-    radius: float | None,
-    lgb: float | None,
-    length: float | None,
-    units: str | None,
+    rod_options: RodOptions,
+    reading: PatternOptions,
     noise: float | None,
-    friction: float,
-    holding: bool,
-    iterations: int,
-    fit_friction: bool,
-    table: Path | None,
-    out: Path | None,
+    fit: _Fit,
     device: str,
     as_json: bool,
 ) -> None:
@@ -58,22 +114,14 @@ def command(
     one trajectory. The residual is explained by simulated deployments with another natural
     curvature and another L_gb, with --fit-friction also with another friction.
     """
-    from tqdm import tqdm
-
     from wrod.deployment.simulate import with_remainder_of
-    from wrod.deployment.table import Table
-    from wrod.errors import DataError
-    from wrod.identification.laid.fit import fit_laid
     from wrod.identification.laid.measurements import load_laid
     from wrod.planning.trajectory import Trajectory
 
-    if table is not None and not (fit_friction and iterations > 0):
-        raise DataError("--table is for the friction found; add --fit-friction and iterations")
-    if iterations == 0 and out is not None:
-        raise DataError("--out is for the fitted rod, and --iterations 0 fits none; drop one")
+    fit.check()
     path = Trajectory.load(trajectory)
-    curve = with_remainder_of(read_pattern(pattern, units), path)
-    laid = load_laid(list(rods), curve, units=units, noise=noise)
+    curve = with_remainder_of(reading.read(pattern), path)
+    laid = load_laid(list(rods), curve, units=reading.units, noise=noise)
     along, left = 1e3 * laid.residual().mean(axis=0).T
     figures = {
         "rods": [str(rod) for rod in rods],
@@ -83,33 +131,20 @@ def command(
         "along_mm": along.tolist(),
         "left_mm": left.tolist(),
     }
-    if iterations > 0:
-        rod = read_rod(rod_name, radius, lgb, length)
-        shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-        with tqdm(total=1.0, leave=False, desc="laid", disable=as_json, bar_format=shown) as bar:
-            fit = fit_laid(
-                laid, rod, path, friction, released=not holding, iterations=iterations,
-                fit_friction=fit_friction,
-                device=device,
-                progress=lambda share: bar.update(min(share, bar.total - bar.n)),
-            )  # fmt: skip
+    if fit.iterations > 0:
+        found = fit.run(laid, rod_options.read(), path, device, as_json)
         figures |= {
-            "verdict": fit.verdict,
-            "reason": fit.reason,
-            "before_mm": 1e3 * fit.before,
-            "after_mm": 1e3 * fit.after,
-            "alone_mm": {name: 1e3 * value for name, value in fit.alone.items()},
-            "parameters": {name: asdict(value) for name, value in fit.estimates.items()},
-            "rod": rod_as_json(fit.rod),
-            "friction": fit.friction,
-            "correlation": fit.correlation,
+            "verdict": found.verdict,
+            "reason": found.reason,
+            "before_mm": 1e3 * found.before,
+            "after_mm": 1e3 * found.after,
+            "alone_mm": {name: 1e3 * value for name, value in found.alone.items()},
+            "parameters": {name: asdict(value) for name, value in found.estimates.items()},
+            "rod": rod_as_json(found.rod),
+            "friction": found.friction,
+            "correlation": found.correlation,
         }
-        written = [] if out is None else [str(fit.rod.save(out))]
-        if table is not None:
-            error = fit.estimates["log_friction"].stderr
-            found = Table(fit.friction, error, fit.correlation)
-            written.append(str(found.save(table)))
-        if written:
+        if written := fit.save(found):
             figures["written"] = written
     if as_json:
         click.echo(json.dumps(figures, indent=2))
@@ -119,9 +154,9 @@ def command(
         f"{figures['noise_floor_mm']:.2f} mm; mean {along.mean():+.2f} mm along, "
         f"{left.mean():+.2f} mm to the left"
     )
-    if iterations > 0:
-        click.echo(f"{fit.verdict}: {fit.reason}")
-        for name, value in fit.estimates.items():
+    if fit.iterations > 0:
+        click.echo(f"{found.verdict}: {found.reason}")
+        for name, value in found.estimates.items():
             click.echo(f"  {name}: {value.value:.4g} ± {value.stderr:.2g} {value.unit}".rstrip())
         for name in figures.get("written", []):
             click.echo(f"wrote {name}")

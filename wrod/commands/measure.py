@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from wrod.commands.options import PICTURE, UNITS, options, read_pattern
+from wrod.commands.options import PICTURE, UNITS, PatternOptions, gathered
 
 
 @click.command(name="measure")
@@ -18,7 +18,7 @@ from wrod.commands.options import PICTURE, UNITS, options, read_pattern
 @click.option("--radius", type=float, required=True, help="Radius of the section [m].")
 @click.option("--length", type=float, required=True, help="Total length of the rod [m].")
 @click.option("--density", type=float, default=1180.0, show_default=True, help="Density [kg/m^3].")
-@options(UNITS, PICTURE)
+@gathered("picture", PatternOptions, UNITS, PICTURE)
 @click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -33,12 +33,7 @@ def command(
     radius: float,
     length: float,
     density: float,
-    units: str | None,
-    markers: Path | None,
-    sheet: str | None,
-    scale: float | None,
-    camera: Path | None,
-    start: str | None,
+    picture: PatternOptions,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -54,8 +49,6 @@ def command(
 
     A third way needs no edge and no camera: see `wrod loop`.
     """
-    import numpy as np
-
     from wrod.errors import DataError, RodError
     from wrod.rods.material import RodMaterial
 
@@ -63,27 +56,10 @@ def command(
         raise DataError("give either --overhang and --fall, or the picture of a hanging loop")
     if out is not None and out.suffix != ".json":
         raise RodError(f"{out}: is not a .json file name; `wrod plan --rod` knows rods by it")
-    if curve is None:
-        unused = {
-            "--units": units, "--markers": markers, "--sheet": sheet, "--scale": scale,
-            "--camera": camera, "--start": start,
-        }  # fmt: skip
-        if given := [name for name, value in unused.items() if value is not None]:
-            raise DataError(f"{given[0]} belongs to a picture of a hanging loop; leave it out")
-        if overhang is None or fall is None:
-            raise DataError("--overhang and --fall belong together; give both")
-        from wrod.identification.ruler import measure_overhang
-
-        found, way = measure_overhang(overhang, fall, reading), "overhanging end"
+    if curve is not None:
+        found, way = _of_loop(curve, picture), "hanging loop"
     else:
-        from wrod.identification.hanging_loop import measure_hanging_loop
-
-        seen = {
-            "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
-        }  # fmt: skip
-        loop = read_pattern(curve, units, seen)
-        points = loop.sample(np.linspace(0.0, loop.length, 200))[0][:, :2]
-        found, way = measure_hanging_loop(points), "hanging loop"
+        found, way = _of_overhang(overhang, fall, reading, picture), "overhanging end"
     rod = RodMaterial(radius, found.gravito_bending_length, length, density=density)
     written = []
     if out is not None:
@@ -117,3 +93,23 @@ def command(
         click.echo(f"wrod: warning: {found.warning}", err=True)
     for path in written:
         click.echo(f"wrote {path}")
+
+
+def _of_overhang(overhang: float | None, fall: float | None, reading: float, picture):
+    from wrod.errors import DataError
+    from wrod.identification.ruler import measure_overhang
+
+    for name in picture.given:
+        raise DataError(f"--{name} belongs to a picture of a hanging loop; leave it out")
+    if overhang is None or fall is None:
+        raise DataError("--overhang and --fall belong together; give both")
+    return measure_overhang(overhang, fall, reading)
+
+
+def _of_loop(curve: str, picture: PatternOptions):
+    import numpy as np
+
+    from wrod.identification.hanging_loop import measure_hanging_loop
+
+    loop = picture.read(curve)
+    return measure_hanging_loop(loop.sample(np.linspace(0.0, loop.length, 200))[0][:, :2])

@@ -1,11 +1,14 @@
 """Options that several commands share, and what they mean: a rod, a pattern, method and closure.
 
-`options(ROD, METHOD)` is a decorator that adds whole groups to a command.
+`options(ROD, METHOD)` is a decorator that adds whole groups to a command, and
+`gathered("rod", RodOptions, ROD)` one that hands their values on as one `RodOptions`.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
@@ -80,77 +83,137 @@ def options(*groups: tuple) -> Callable:
     return add
 
 
-def read_rod(name: str | None, radius: float | None, lgb: float | None, length: float | None):
-    """The `RodMaterial`, or `RodModel`, that `ROD`'s options name.
+def gathered(name: str, kind: type, *groups: tuple) -> Callable:
+    """Decorator that adds groups of options and hands their values on as one `kind`, by `name`."""
 
-    Raises:
-        RodError: none, or more than one is named.
-    """
-    from wrod.errors import RodError
-    from wrod.rods.material import RodMaterial, rod
-    from wrod.rods.model_file import load_rod
+    def add(function):
+        @functools.wraps(function)
+        def run(*args, **values):
+            values[name] = kind(**{key: values.pop(key) for key in keys})
+            return function(*args, **values)
 
-    own = {"--radius": radius, "--lgb": lgb, "--length": length}
-    given = [option for option, value in own.items() if value is not None]
-    from_file = name is not None and name.endswith(".json")
-    if from_file and "--lgb" not in given:
-        # Measurements between clamps know the stretch between them only, those of motion no radius.
-        return load_rod(name, radius=radius, length=length)
-    if name is not None and given:
-        raise RodError(
-            f"--rod {name} and {', '.join(given)} were both given; give one or the other"
-        )
-    if name is not None:
-        return load_rod(name) if from_file else rod(name)
-    missing = [option for option in own if option not in given]
-    if missing == list(own):
-        raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")
-    if missing:
-        raise RodError(f"{', '.join(missing)} missing; a rod of your own needs all three")
-    return RodMaterial(radius, lgb, length)
+        before = len(getattr(run, "__click_params__", ()))
+        options(*groups)(run)
+        keys = [option.name for option in run.__click_params__[before:]]
+        return run
+
+    return add
 
 
-def read_pattern(
-    name: str,
-    units: str | None,
-    reading: dict | None = None,
-    layer: str | None = None,
-    stroke: int | None = None,
-):
-    """The `Pattern` of that name, file of points, drawing, or picture.
+@dataclass(frozen=True)
+class RodOptions:
+    """What `ROD`'s options say."""
 
-    Args:
-        name: what the command was given.
-        units: of a file of points.
-        reading: values of `PICTURE`'s options by name; None where not given.
-        layer, stroke: `DRAWING`'s options.
+    rod_name: str | None
+    radius: float | None
+    lgb: float | None
+    length: float | None
 
-    Raises:
-        PatternError, PerceptionError: unknown, unreadable, or an option does not belong to it.
-    """
-    from wrod.errors import PatternError
-    from wrod.patterns.pattern import Pattern, pattern, pattern_names
+    @property
+    def given(self) -> bool:
+        """Whether any of them was given."""
+        return self != RodOptions(None, None, None, None)
 
-    path = Path(name)
-    given = {option: value for option, value in (reading or {}).items() if value is not None}
-    if path.suffix.lower() in _PICTURES:
-        if layer is not None or stroke is not None:
-            raise PatternError(f"{name}: --layer and --stroke belong to SVG and DXF drawings")
-        return _scanned(path, units, given)
-    if given:
-        named = ", ".join(f"--{option}" for option in given)
-        raise PatternError(f"{named} belong to a picture, and {name} is none; drop them")
-    if name in pattern_names() and not path.is_file():
-        if units is not None:
-            raise PatternError(f"{name} is built in and has its size in metres; drop --units")
-        return pattern(name)
-    if not path.suffix and not path.exists():
-        return pattern(name)
-    return Pattern.load(path, units=units, layer=layer, stroke=stroke)
+    def read(self):
+        """The `RodMaterial`, or `RodModel`, that they name.
+
+        Raises:
+            RodError: none, or more than one is named.
+        """
+        from wrod.errors import RodError
+        from wrod.rods.material import RodMaterial, rod
+        from wrod.rods.model_file import load_rod
+
+        name = self.rod_name
+        own = {"--radius": self.radius, "--lgb": self.lgb, "--length": self.length}
+        given = [option for option, value in own.items() if value is not None]
+        from_file = name is not None and name.endswith(".json")
+        if from_file and "--lgb" not in given:
+            # Measurements between clamps know the stretch between them only, those of motion no
+            # radius.
+            return load_rod(name, radius=self.radius, length=self.length)
+        if name is not None and given:
+            raise RodError(
+                f"--rod {name} and {', '.join(given)} were both given; give one or the other"
+            )
+        if name is not None:
+            return load_rod(name) if from_file else rod(name)
+        missing = [option for option in own if option not in given]
+        if missing == list(own):
+            raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")
+        if missing:
+            raise RodError(f"{', '.join(missing)} missing; a rod of your own needs all three")
+        return RodMaterial(self.radius, self.lgb, self.length)
+
+
+@dataclass(frozen=True)
+class PatternOptions:
+    """What `UNITS`, `DRAWING`'s and `PICTURE`'s options say, where a command has them."""
+
+    units: str | None = None
+    layer: str | None = None
+    stroke: int | None = None
+    markers: Path | None = None
+    sheet: str | None = None
+    scale: float | None = None
+    camera: Path | None = None
+    start: str | None = None
+
+    @property
+    def given(self) -> dict:
+        """What was given, by name."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+    def read(self, name: str):
+        """The `Pattern` of that name, file of points, drawing, or picture.
+
+        Raises:
+            PatternError, PerceptionError: unknown, unreadable, or an option does not belong to it.
+        """
+        from wrod.errors import PatternError
+        from wrod.patterns.pattern import Pattern, pattern, pattern_names
+
+        path, units = Path(name), self.units
+        elsewhere = ("units", "layer", "stroke")
+        of_picture = {k: v for k, v in self.given.items() if k not in elsewhere}
+        if path.suffix.lower() in _PICTURES:
+            if self.layer is not None or self.stroke is not None:
+                raise PatternError(f"{name}: --layer and --stroke belong to SVG and DXF drawings")
+            return _scanned(path, units, of_picture)
+        if of_picture:
+            named = ", ".join(f"--{option}" for option in of_picture)
+            raise PatternError(f"{named} belong to a picture, and {name} is none; drop them")
+        if name in pattern_names() and not path.is_file():
+            if units is not None:
+                raise PatternError(f"{name} is built in and has its size in metres; drop --units")
+            return pattern(name)
+        if not path.suffix and not path.exists():
+            return pattern(name)
+        return Pattern.load(path, units=units, layer=self.layer, stroke=self.stroke)
+
+
+def parse_start(text: str) -> str | tuple[float, float]:
+    """A point "x,y" [m], or a name as it is."""
+    if "," not in text:
+        return text
+    x, y = parse_numbers(text, 2, "--start")
+    return x, y
+
+
+def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> tuple[float, ...]:
+    """`count` numbers, separated; raises a PerceptionError that names the option."""
+    from wrod.errors import PerceptionError
+
+    try:
+        numbers = tuple(float(part) for part in text.lower().split(separator))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise PerceptionError(f"{option} {text}: give {count} numbers separated by {separator!r}")
+    return numbers
 
 
 def _scanned(path: Path, units: str | None, given: dict):
-    from wrod.commands.scan import parse_numbers, parse_start
     from wrod.errors import PatternError
     from wrod.perception.scan import scan
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -15,80 +16,106 @@ from wrod.commands.options import (
     ROD,
     ROLL,
     UNITS,
+    PatternOptions,
+    RodOptions,
+    gathered,
     options,
-    read_pattern,
-    read_rod,
     refuse_idle_options,
 )
-from wrod.commands.plan_pattern import SHAPE, fit, too_long
+from wrod.commands.plan_pattern import SHAPE, Shaping, fit, too_long
 from wrod.commands.plan_steps import NO_JOINT_PATH, arm_steps, save_plan, solve_grasps_of
 from wrod.commands.plan_summary import read_friction, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
 from wrod.errors import PatternError
 
+_GRASPS = (
+    *METHOD,
+    click.option(
+        "--controller",
+        "controller_file",
+        type=click.Path(path_type=Path),
+        help="Controller that `wrod train` made, of this naturally curved rod for one; default: "
+        "the one that ships, for straight rods.",
+    ),
+    click.option(
+        "--spacing", default=0.0025, show_default=True, help="Distance between nodes [m]."
+    ),
+    click.option(
+        "--friction",
+        "friction_text",
+        help="Of the table: a coefficient (0.3) or a range (0.2:0.6). The path is corrected until "
+        "what stays lies on the pattern, and what is expected there is said; takes a minute or "
+        "two.",
+    ),
+    click.option(
+        "--shapes/--no-shapes",
+        default=True,
+        help="Let the rod solver compute the rod's shapes where the method gives none (default).",
+    ),
+    click.option(
+        "--remainder/--no-remainder",
+        default=None,
+        help="Lay a lead-in of growing curvature first; by default where the pattern starts "
+        "curved.",
+    ),
+    *ROLL,
+)
+
+
+@dataclass(frozen=True)
+class _GraspRequest:
+    """How grasps are found; see `_GRASPS`."""
+
+    method: str
+    closure: str | None
+    controller_file: Path | None
+    spacing: float
+    friction_text: str | None
+    shapes: bool
+    remainder: bool | None
+    roll_text: str | None
+
+    def read(self) -> dict:
+        """What `solve_grasps_of` takes, but for roll and friction.
+
+        Raises:
+            RodError, DataError: an option that does nothing, or a controller that is none.
+        """
+        from wrod.controller.controller import Controller
+
+        if self.method == "intuitive":
+            refuse_idle_options("--method intuitive", "closure")
+        file = self.controller_file
+        return {
+            "method": self.method,
+            "closure": self.closure,
+            "spacing": self.spacing,
+            "remainder": self.remainder,
+            "shapes": self.shapes,
+            "controller": None if file is None else Controller.load(file),
+        }
+
 
 @click.command(name="plan")
 @click.argument("pattern")
-@options(ROD)
+@gathered("rod_options", RodOptions, ROD)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@options(METHOD)
-@click.option(
-    "--controller",
-    "controller_file",
-    type=click.Path(path_type=Path),
-    help="Controller that `wrod train` made, of this naturally curved rod for one; default: the "
-    "one that ships, for straight rods.",
-)
-@click.option("--spacing", default=0.0025, show_default=True, help="Distance between nodes [m].")
-@options(UNITS, DRAWING, PICTURE)
-@click.option(
-    "--friction",
-    "friction_text",
-    help="Of the table: a coefficient (0.3) or a range (0.2:0.6). The path is corrected until what "
-    "stays lies on the pattern, and what is expected there is said; takes a minute or two.",
-)
-@click.option(
-    "--shapes/--no-shapes",
-    default=True,
-    help="Let the rod solver compute the rod's shapes where the method gives none (default).",
-)
-@click.option(
-    "--remainder/--no-remainder",
-    default=None,
-    help="Lay a lead-in of growing curvature first; by default where the pattern starts curved.",
-)
-@options(ROLL, SHAPE, ROBOT)
+@gathered("grasps", _GraspRequest, _GRASPS)
+@gathered("reading", PatternOptions, UNITS, DRAWING, PICTURE)
+@gathered("shaping", Shaping, SHAPE)
+@gathered("request", RobotRequest, ROBOT)
 @options(DEVICE)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     pattern: str,
-    rod_name: str | None,
-    radius: float | None,
-    lgb: float | None,
-    length: float | None,
+    rod_options: RodOptions,
     out: Path,
-    method: str,
-    closure: str | None,
-    controller_file: Path | None,
-    spacing: float,
-    units: str | None,
-    layer: str | None,
-    stroke: int | None,
-    markers: Path | None,
-    sheet: str | None,
-    scale: float | None,
-    camera: Path | None,
-    start: str | None,
-    friction_text: str | None,
-    shapes: bool,
-    remainder: bool | None,
-    roll_text: str | None,
-    resize: float | None,
-    tolerance: float,
-    hold: float | None,
+    grasps: _GraspRequest,
+    reading: PatternOptions,
+    shaping: Shaping,
+    request: RobotRequest,
     device: str,
     as_json: bool,
-    **arm,
 ) -> None:
     """Plan how the grip moves to lay a rod along PATTERN.
 
@@ -99,44 +126,34 @@ def command(
     Corners are rounded to what the rod can lie in. What is finished is kept: without a joint path
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
-    from wrod.controller.controller import Controller
     from wrod.planning.plan import prepare, read_roll
 
-    if method == "intuitive":
-        refuse_idle_options("--method intuitive", "closure")
-    request = RobotRequest(**arm)
+    how = grasps.read()
     request.check()
-    rod = read_rod(rod_name, radius, lgb, length)
-    controller = None if controller_file is None else Controller.load(controller_file)
-    reading = {
-        "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
-    }  # fmt: skip
-    drawn = read_pattern(pattern, units, reading, layer, stroke)
-    chosen = None if device == "auto" else device
-
-    friction = None if friction_text is None else read_friction(friction_text)
+    rod, drawn = rod_options.read(), reading.read(pattern)
+    friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
 
     def planned(resize: float | None, hold: float | None, friction=None):
         """Pattern, rod and trajectory at a size and a hold."""
-        fitted = fit(drawn, rod, resize, tolerance, hold)
+        fitted = fit(drawn, rod, replace(shaping, resize=resize, hold=hold))
         try:
-            curve = prepare(fitted.pattern, fitted.rod, remainder)
+            curve = prepare(fitted.pattern, fitted.rod, grasps.remainder)
         except PatternError as error:
             remedy = too_long(fitted.pattern, fitted.rod, arm=not request.no_robot)
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
         trajectory = solve_grasps_of(
-            curve, fitted.rod, as_json, method=method, closure=closure, spacing=spacing,
-            remainder=remainder, roll=read_roll(roll_text, fitted.rod), controller=controller,
-            device=chosen, shapes=shapes, friction=friction,
+            curve, fitted.rod, as_json, roll=read_roll(grasps.roll_text, fitted.rod),
+            device=None if device == "auto" else device, friction=friction, **how,
         )  # fmt: skip
         return fitted, curve, trajectory
 
-    fitted, curve, trajectory = planned(resize, hold, friction)
+    size = (shaping.resize, shaping.hold)
+    fitted, curve, trajectory = planned(*size, friction)
     written = save_plan(out, curve, trajectory)
     joint_path, reason = None, None
     if not request.no_robot:
         joint_path, reason, more = arm_steps(
-            request, out, trajectory, curve, fitted.rod, as_json, planned, (resize, hold)
+            request, out, trajectory, curve, fitted.rod, as_json, planned, size
         )
         written += more
     figures = {

@@ -6,6 +6,10 @@ from dataclasses import dataclass, replace
 
 import click
 
+from wrod.patterns.pattern import Pattern
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+
 # Curvature [1/L_gb] that grasps of every closure exist for, and up to which rods lie well.
 LARGEST_CURVATURE = 3.0
 
@@ -26,16 +30,25 @@ SHAPE = (
 
 
 @dataclass(frozen=True)
+class Shaping:
+    """What `SHAPE`'s options say."""
+
+    resize: float | None
+    tolerance: float
+    hold: float | None
+
+
+@dataclass(frozen=True)
 class Prepared:
     """A pattern ready for planning, the rod as it is held, and what was done to them."""
 
-    pattern: object
-    rod: object
+    pattern: Pattern
+    rod: RodModel | RodMaterial
     notes: tuple[str, ...]
     figures: dict
 
 
-def fit(curve, rod, resize: float | None, tolerance: float, hold: float | None) -> Prepared:
+def fit(curve, rod, shaping: Shaping) -> Prepared:
     """Resize a pattern, hold the rod at a length, round what bends too much for the rod.
 
     Raises:
@@ -45,6 +58,7 @@ def fit(curve, rod, resize: float | None, tolerance: float, hold: float | None) 
     from wrod.errors import PatternError, RodError
     from wrod.patterns.rounding import round_corners
 
+    resize, tolerance, hold = shaping.resize, shaping.tolerance, shaping.hold
     if not tolerance > 0:
         raise PatternError(f"--tolerance is {tolerance:g}; give a positive number of metres")
     notes, figures = [], {}

@@ -3,30 +3,68 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
 from wrod import cost
+from wrod.commands.options import gathered, parse_numbers, parse_start
+
+_READING = (
+    click.option("--mask", is_flag=True, help="The pictures are masks, white on black."),
+    click.option(
+        "--kind",
+        type=click.Choice(["auto", "rod", "ink"]),
+        default="auto",
+        show_default=True,
+        help="Rods on a plain table, or strokes on paper.",
+    ),
+    click.option("--color", help="Colour of the rods as R,G,B; default: all that differs."),
+    click.option("--markers", type=click.Path(path_type=Path), help="Layout of the ArUco markers."),
+    click.option("--sheet", help="Size of the bright sheet drawn on, as WIDTHxHEIGHT [m]."),
+    click.option(
+        "--scale", type=float, help="Metres per pixel of a camera that looks down [m/px]."
+    ),
+    click.option("--camera", type=click.Path(path_type=Path), help="Camera matrix and distortion."),
+)
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """How pictures are read; see `_READING`."""
+
+    mask: bool
+    kind: str
+    color: str | None
+    markers: Path | None
+    sheet: str | None
+    scale: float | None
+    camera: Path | None
+
+    def of_pictures(self) -> dict:
+        """What `read_scan` takes.
+
+        Raises:
+            PerceptionError: an option, or a file that it names, cannot be understood.
+        """
+        from wrod.perception.metric import Camera, MarkerLayout
+
+        return {
+            "markers": None if self.markers is None else MarkerLayout.load(self.markers),
+            "sheet": None if self.sheet is None else parse_numbers(self.sheet, 2, "--sheet", "x"),
+            "scale": self.scale,
+            "camera": None if self.camera is None else Camera.load(self.camera),
+            "mask": self.mask,
+            "kind": self.kind,
+            "color": None if self.color is None else parse_numbers(self.color, 3, "--color"),
+        }
 
 
 @click.command(name="scan")
 @click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
-@click.option("--mask", is_flag=True, help="The pictures are masks, white on black.")
-@click.option(
-    "--kind",
-    type=click.Choice(["auto", "rod", "ink"]),
-    default="auto",
-    show_default=True,
-    help="Rods on a plain table, or strokes on paper.",
-)
-@click.option("--color", help="Colour of the rods as R,G,B; default: all that differs.")
-@click.option("--markers", type=click.Path(path_type=Path), help="Layout of the ArUco markers.")
-@click.option("--sheet", help="Size of the bright sheet drawn on, as WIDTHxHEIGHT [m].")
-@click.option("--scale", type=float, help="Metres per pixel of a camera that looks down [m/px].")
-@click.option("--camera", type=click.Path(path_type=Path), help="Camera matrix and distortion.")
+@gathered("reading", _Reading, _READING)
 @click.option(
     "--start",
     default="lower-left",
@@ -40,13 +78,7 @@ from wrod import cost
 def command(
     images: tuple[Path, ...],
     out: Path,
-    mask: bool,
-    kind: str,
-    color: str | None,
-    markers: Path | None,
-    sheet: str | None,
-    scale: float | None,
-    camera: Path | None,
+    reading: _Reading,
     start: str,
     several: bool,
     overlay: bool,
@@ -60,14 +92,8 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.errors import DataError, PerceptionError
-    from wrod.perception.crossings import find_crossings
-    from wrod.perception.export import write_scan
+    from wrod.errors import PerceptionError
     from wrod.perception.image import picture_pixels
-    from wrod.perception.metric import Camera, MarkerLayout
-    from wrod.perception.overlay import draw_overlay, write_picture
-    from wrod.perception.refine import arc_length
-    from wrod.perception.scan import read_scan
 
     stems = [image.stem for image in images]
     twice = sorted({stem for stem in stems if stems.count(stem) > 1})
@@ -75,16 +101,7 @@ def command(
         raise PerceptionError(
             f"several pictures are called {', '.join(twice)}; scan them into different folders"
         )
-    reading: dict[str, Any] = {
-        "markers": None if markers is None else MarkerLayout.load(markers),
-        "sheet": None if sheet is None else parse_numbers(sheet, 2, "--sheet", "x"),
-        "scale": scale,
-        "camera": None if camera is None else Camera.load(camera),
-        "mask": mask,
-        "kind": kind,
-        "color": None if color is None else parse_numbers(color, 3, "--color"),
-    }
-    begin = parse_start(start)
+    how, begin = reading.of_pictures(), parse_start(start)
     rows, failures = [], []
     pixels = sum(map(picture_pixels, images))
     cost.settle(
@@ -93,27 +110,10 @@ def command(
     )  # fmt: skip
     for image in cost.progress_bar(images, unit="picture", quiet=as_json):
         try:
-            result = read_scan(image, **reading)
-            crossings = find_crossings(result.lines, None if mask else result.image)
-            written = [write_scan(out / f"{image.stem}.npz", result, crossings, begin, several)]
+            row = _scan(image, out, how, begin, several, overlay)
         except PerceptionError as error:
             failures.append(str(error) if str(image) in str(error) else f"{image}: {error}")
             continue  # one bad picture must not cost the others
-        except OSError as error:
-            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
-        if overlay:
-            picture = draw_overlay(result.image, result.lines, crossings)
-            written.append(write_picture(out / f"{image.stem}-overlay.png", picture))
-        row = {
-            "image": str(image),
-            "curves": len(result.lines),
-            "crossings": len(crossings),
-            "length_px": [round(line.length, 1) for line in result.lines],
-            "radius_px": [round(line.radius, 2) for line in result.lines],
-            "written": [str(path) for path in written],
-        }
-        if result.plane is not None:
-            row["length_m"] = [float(arc_length(p)[-1]) for p in result.metric_lines()]
         rows.append(row)
         if not as_json:
             tqdm.write(_summary(row))
@@ -123,22 +123,35 @@ def command(
         raise PerceptionError("\nwrod: ".join(failures))
 
 
-def parse_start(text: str) -> str | tuple[float, float]:
-    """A point "x,y" [m], or a name as it is."""
-    return parse_numbers(text, 2, "--start") if "," in text else text
+def _scan(image: Path, out: Path, how: dict, start, several: bool, overlay: bool) -> dict:
+    """Scan one picture, write what was found, and say what it is."""
+    from wrod.errors import DataError
+    from wrod.perception.crossings import find_crossings
+    from wrod.perception.export import write_scan
+    from wrod.perception.overlay import draw_overlay, write_picture
+    from wrod.perception.refine import arc_length
+    from wrod.perception.scan import read_scan
 
-
-def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> tuple[float, ...]:
-    """`count` numbers, separated; raises a PerceptionError that names the option."""
-    from wrod.errors import PerceptionError
-
+    result = read_scan(image, **how)
+    crossings = find_crossings(result.lines, None if how["mask"] else result.image)
     try:
-        numbers = tuple(float(part) for part in text.lower().split(separator))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count:
-        raise PerceptionError(f"{option} {text}: give {count} numbers separated by {separator!r}")
-    return numbers
+        written = [write_scan(out / f"{image.stem}.npz", result, crossings, start, several)]
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    if overlay:
+        picture = draw_overlay(result.image, result.lines, crossings)
+        written.append(write_picture(out / f"{image.stem}-overlay.png", picture))
+    row = {
+        "image": str(image),
+        "curves": len(result.lines),
+        "crossings": len(crossings),
+        "length_px": [round(line.length, 1) for line in result.lines],
+        "radius_px": [round(line.radius, 2) for line in result.lines],
+        "written": [str(path) for path in written],
+    }
+    if result.plane is not None:
+        row["length_m"] = [float(arc_length(p)[-1]) for p in result.metric_lines()]
+    return row
 
 
 def _summary(row: dict) -> str:

@@ -7,30 +7,29 @@ from pathlib import Path
 
 import click
 
-from wrod.commands.options import DRAWING, PICTURE, ROD, UNITS, options, read_pattern, read_rod
+from wrod.commands.options import (
+    DRAWING,
+    PICTURE,
+    ROD,
+    UNITS,
+    PatternOptions,
+    RodOptions,
+    gathered,
+)
 
 
 @click.command(name="show")
 @click.argument("pattern")
-@options(ROD, UNITS, DRAWING, PICTURE)
+@gathered("rod_options", RodOptions, ROD)
+@gathered("reading", PatternOptions, UNITS, DRAWING, PICTURE)
 @click.option("--resize", type=float, help="Draw the pattern this many times as large.")
 @click.option("--tolerance", default=0.01, show_default=True, help="Of rounded corners [m].")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="A picture (PNG).")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     pattern: str,
-    rod_name: str | None,
-    radius: float | None,
-    lgb: float | None,
-    length: float | None,
-    units: str | None,
-    layer: str | None,
-    stroke: int | None,
-    markers: Path | None,
-    sheet: str | None,
-    scale: float | None,
-    camera: Path | None,
-    start: str | None,
+    rod_options: RodOptions,
+    reading: PatternOptions,
     resize: float | None,
     tolerance: float,
     out: Path | None,
@@ -42,17 +41,14 @@ def command(
     """
     import numpy as np
 
-    from wrod.commands.plan_pattern import fit, too_long
+    from wrod.commands.plan_pattern import Shaping, fit, too_long
     from wrod.errors import DataError
 
-    reading = {
-        "markers": markers, "sheet": sheet, "scale": scale, "camera": camera, "start": start,
-    }  # fmt: skip
-    first = read_pattern(pattern, units, reading, layer, stroke)
+    first = reading.read(pattern)
     curve, notes = first, []
-    if (rod_name, radius, lgb, length) != (None,) * 4:
-        rod = read_rod(rod_name, radius, lgb, length)
-        fitted = fit(first, rod, resize, tolerance, None)
+    if rod_options.given:
+        rod = rod_options.read()
+        fitted = fit(first, rod, Shaping(resize, tolerance, None))
         curve, notes = fitted.pattern, list(fitted.notes)
         remedy = too_long(curve, rod)
         if remedy is not None:

@@ -86,7 +86,8 @@ class Controller:
                     f"{' and '.join(SHIPPED)}; train one with `wrod dataset --closure` and "
                     "`wrod train`"
                 )
-            path = resources.files("wrod.scenes") / "controller" / f"{SHIPPED[closure]}.safetensors"
+            shipped = resources.files("wrod.scenes") / "controller"
+            path = str(shipped / f"{SHIPPED[closure]}.safetensors")
         what = "a controller that `wrod train` wrote"
         label, parameters = read_tensors(path, what)
         metadata = decode_labels(label, schemas.Controller, str(path), what)

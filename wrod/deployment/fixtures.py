@@ -291,7 +291,8 @@ def _fixture(entry: schemas.Fixture, where: str) -> Fixture:
         (x, y, z), half = entry.cylinder.center, entry.cylinder.height / 2
         return Fixture(entry.name, Cylinder((x, y, z + half), entry.cylinder.radius, half))
     x, y, z = entry.box.center
-    half = tuple(v / 2 for v in entry.box.size)
+    width, depth, height = entry.box.size
+    half = (width / 2, depth / 2, height / 2)
     turn = math.radians(entry.box.yaw) / 2
     rotation = (0.0, 0.0, math.sin(turn), math.cos(turn))
     return Fixture(entry.name, Box((x, y, z + half[2]), half, rotation))

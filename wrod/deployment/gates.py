@@ -192,8 +192,9 @@ def _choose(places: np.ndarray, side: np.ndarray, pitch: float, length: float) -
 
 def _check(scene: Fixtures, pattern: Pattern, rod: RodMaterial) -> None:
     line = pattern.sample(np.linspace(0.0, pattern.length, 600))[0][:, :2]
-    centers = np.array([item.shape.center[:2] for item in scene.items])
-    radius = np.array([item.shape.radius for item in scene.items])
+    posts = [item.shape for item in scene.items if isinstance(item.shape, Cylinder)]
+    centers = np.array([post.center[:2] for post in posts])
+    radius = np.array([post.radius for post in posts])
     free = np.linalg.norm(line[:, None] - centers, axis=2).min(axis=0) - radius - rod.radius
     apart = np.linalg.norm(centers[:, None] - centers, axis=2) - radius[:, None] - radius
     np.fill_diagonal(apart, np.inf)

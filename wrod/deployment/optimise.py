@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import BSpline
 
-from wrod.deployment.result import METRIC_POINTS
+from wrod.deployment.result import METRIC_POINTS, interpolation
 from wrod.deployment.setup import DEVIATIONS, Disturbance, tail
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Directions, Laid, lay
@@ -252,7 +252,7 @@ def expect(
     s = np.linspace(0.0, pattern.length, METRIC_POINTS)
     slid = np.array([np.interp(s + pattern.remainder_length, x.arc_length, x.slip) for x in laid])
     off = []
-    for start, stop in _stretches(s, (error > _OFF).any(axis=0)):
+    for start, stop in _stretches(s, np.any(error > _OFF, axis=0)):
         inside = (s >= start) & (s <= stop)
         bad = (error[:, inside] > _OFF).any(axis=1)
         last = int(np.flatnonzero(bad)[-1])
@@ -327,17 +327,7 @@ def misplacement(pattern: Pattern, laid: Laid) -> tuple[np.ndarray, np.ndarray]:
     column) its derivatives."""
     s = np.linspace(0.0, pattern.length, METRIC_POINTS)
     target = pattern.sample(s)[0][:, :2]
-    weights = _interpolation(s + pattern.remainder_length, laid.arc_length)
+    weights = interpolation(s + pattern.remainder_length, laid.arc_length)
     error = (weights @ laid.centerline[:, :2] - target).T.ravel()
     rates = np.einsum("pn,cnd->dpc", weights, laid.tangent[:, :, :2])
     return error, rates.reshape(2 * len(s), -1)
-
-
-def _interpolation(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """(x, node) weights of linear interpolation."""
-    i = np.clip(np.searchsorted(nodes, x) - 1, 0, len(nodes) - 2)
-    share = (x - nodes[i]) / (nodes[i + 1] - nodes[i])
-    out = np.zeros((len(x), len(nodes)))
-    rows = np.arange(len(x))
-    out[rows, i], out[rows, i + 1] = 1.0 - share, share
-    return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,8 @@ class Deployment:
             raise DataError(f"{path}: is not of the format {_FORMAT}; give {what}")
         check_arrays(data, "Deployment", str(path))
         names = [f.name for f in fields(cls) if f.name in data]
-        return cls(**{name: data[name][()] for name in names})
+        values: dict[str, Any] = {name: data[name][()] for name in names}
+        return cls(**values)
 
 
 def errors_along(
@@ -113,3 +115,14 @@ def deployment_error(
     those of `errors_along`."""
     error = errors_along(pattern, arc_length, centerline)[1]
     return float(error.mean()), float(error.std())
+
+
+def interpolation(at: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(point, node) weights that interpolate linearly between ascending nodes (node,) at (point,),
+    beyond them along the last edges."""
+    i = np.clip(np.searchsorted(nodes, at) - 1, 0, len(nodes) - 2)
+    share = (at - nodes[i]) / (nodes[i + 1] - nodes[i])
+    out = np.zeros((len(at), len(nodes)))
+    rows = np.arange(len(at))
+    out[rows, i], out[rows, i + 1] = 1.0 - share, share
+    return out

@@ -143,12 +143,12 @@ def lay(
         friction_field=friction_field,
     )
     if columns is not None:
-        dynamics.follower = Tangents(batch, contact, *columns)
+        dynamics.follower = tangents = Tangents(batch, contact, *columns)
     end = dynamics.advance(np.array([s.measure_time for s in setups]), step)
     positions, slip = batch.positions(), contact.slip.numpy()
     rates = np.zeros((len(trials), 0, *positions.shape[1:]))
-    if dynamics.follower is not None:
-        rates = dynamics.follower.values()
+    if columns is not None:
+        rates = tangents.values()
     laid = []
     for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
         pattern = with_remainder_of(trial.pattern, trial.trajectory)

@@ -27,7 +27,8 @@ links, 50 000 elements and 16 MiB. Pipes, devices and folders are no files.
 _ROOTS = (
     schemas.RodFile, schemas.RodModelFile, schemas.Fixtures, schemas.Table, schemas.Obstacle,
     schemas.MarkerLayout, schemas.Camera, schemas.KnotPlan,
-    schemas.Manifest, schemas.Shard, schemas.Controller, schemas.TrajectoryMetadata,
+    schemas.Manifest, schemas.Shard, schemas.Controller, schemas.Corrector,
+    schemas.TrajectoryMetadata,
     schemas.Table3Row, schemas.ApplicationsRow, schemas.HiddenRow,
 )  # fmt: skip
 

@@ -214,6 +214,22 @@ class Controller(_Open, frozen=True):
     rod: RodInputs | None = None
 
 
+class CorrectorRange(_File, frozen=True):
+    """Smallest and largest of what a corrector learnt."""
+
+    friction: Range
+    curvature: Range
+    rod_length: Range
+    stretch_ratio: Range
+
+
+class Corrector(_Open, frozen=True):
+    """What a corrector of plans says of itself (text "wrod" of its metadata)."""
+
+    format: Literal["wrod-corrector-1"]
+    range: CorrectorRange
+
+
 Positive = Annotated[float, Meta(gt=0.0, le=1e12)]
 
 

@@ -8,14 +8,14 @@ import tempfile
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import Any
 
 # The last of what was written whole, for the message of a command that ends early.
 _FINISHED: deque[Path] = deque(maxlen=1000)
 
 
 def write_atomically(
-    path: str | os.PathLike[str], write: Callable[[IO], object], mode: str = "w"
+    path: str | os.PathLike[str], write: Callable[[Any], object], mode: str = "w"
 ) -> Path:
     """Call `write(file)` on a temporary file beside `path`, then move it there.
 

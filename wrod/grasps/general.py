@@ -16,16 +16,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import warp as wp
 
-from wrod.grasps.levels import (
-    _MAX_ITERATIONS,
-    _PATIENCE,
-    _STEP_LIMIT,
-    Ladder,
-    MeshLevel,
-    make_scratch,
-    per_rod,
-    put,
-)
+from wrod.grasps.levels import Ladder, MeshLevel, make_scratch, make_task, per_rod, put
 from wrod.grasps.mesh import node_weights, two_sided_rest_lengths
 from wrod.grasps.results import empty_results
 from wrod.kernels.grasping import general_rod, iteration, reading
@@ -223,33 +214,19 @@ class _GeneralLevel:
         )
         slots = 1 if wp.get_device(device).is_cpu else n
         read = level.read
+        # The curvature is the target's by now.
+        model = [self.model.stretch_ratio, level.curvature, self.weight]
+        state = [self.state, level.curvature, level.thrust, self.family]
         ladder.work.launch(
             iteration.solve_general,
             [
                 edges,
                 self.model,
-                level.curvature,
-                self.weight,
-                level.tolerance,
-                closure,
-                wp.float64(_STEP_LIMIT),
-                self.increment,
-                _PATIENCE,
-                _MAX_ITERATIONS,
+                make_task(model, level.tolerance, self.increment, closure),
                 make_scratch(slots, edges, device, 4),
-                self.state,
-                level.curvature,
-                level.thrust,
-                self.family,
+                *state,
             ],
-            [
-                read.status,
-                read.iterations,
-                read.negative,
-                read.residual,
-                read.force,
-                read.jacobian,
-            ],
+            [read],
         )
         read.shape = self.state
         wp.launch(

@@ -31,8 +31,8 @@ class RodsOverTable(RodBatch):
 
     table_stiffness = 0.0
 
-    def evaluate(self, *, order=2, state=None, out=None, active=None) -> Derivatives:
-        out = super().evaluate(order=order, state=state, out=out, active=active)
+    def evaluate(self, *, order=2, state=None, out=None, active=None, model=None) -> Derivatives:
+        out = super().evaluate(order=order, state=state, out=out, active=active, model=model)
         if self.table_stiffness > 0.0:
             state = self.state if state is None else state
             wp.launch(

@@ -5,11 +5,14 @@ Nothing here asks the device anything: every method launches and returns. Dimens
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import warp as wp
 
 from wrod.kernels.grasping import iteration, mesh, reading, sensitivity
 from wrod.kernels.grasping.closures import CONVERGED
+from wrod.kernels.grasping.step import Scratch
 from wrod.kernels.linear.frontal import row_width, stencil_entries
 
 # Largest change of an edge in one step, as a fraction of its length.
@@ -39,10 +42,10 @@ def put(array: wp.array, value) -> None:
     wp.copy(array, wp.array(value, device=array.device))
 
 
-def make_scratch(slots: int, edges: int, device: str, size: int = 3) -> iteration.Scratch:
+def make_scratch(slots: int, edges: int, device: str, size: int = 3) -> Scratch:
     """Room to iterate `slots` rods at a time on meshes of up to `edges` edges; `size` is 3 for
     straight isotropic rods, 4 for general ones."""
-    scratch = iteration.Scratch()
+    scratch = Scratch()
     scratch.stiffness = per_rod(device, slots, edges, stencil_entries(size))
     scratch.load = per_rod(device, slots, edges + 1, size)
     scratch.factor = per_rod(device, slots, size * edges, row_width(size))
@@ -50,6 +53,18 @@ def make_scratch(slots: int, edges: int, device: str, size: int = 3) -> iteratio
     scratch.motion = per_rod(device, slots, edges + 1, size)
     scratch.saved = per_rod(device, slots, edges + 1, 3 if size == 3 else 7)
     return scratch
+
+
+def make_task(
+    model: list[wp.array], tolerance: wp.array, increment: wp.array, closure: int
+) -> iteration.Task:
+    """`model` are (stretch ratio, target curvature, weight), (rod,) each."""
+    task = iteration.Task()
+    _, task.target, task.weight = model
+    task.tolerance, task.increment, task.closure = tolerance, increment, closure
+    task.step_limit, task.patience = _STEP_LIMIT, _PATIENCE
+    task.most_iterations = _MAX_ITERATIONS
+    return task
 
 
 class WorkList:
@@ -60,7 +75,7 @@ class WorkList:
         self.index = wp.zeros(rods, dtype=wp.int32, device=device)
         self.count = wp.zeros(1, dtype=wp.int32, device=device)
 
-    def launch(self, kernel, inputs: list, outputs: list = ()) -> None:
+    def launch(self, kernel, inputs: list, outputs: Sequence = ()) -> None:
         wp.launch(
             kernel,
             dim=self.rods,
@@ -162,39 +177,16 @@ class MeshLevel:
             self.state,
         )
 
-    def solve(
-        self, work: WorkList, model: list[wp.array], closure: int, scratch: iteration.Scratch
-    ) -> None:
+    def solve(self, work: WorkList, model: list[wp.array], closure: int, scratch: Scratch) -> None:
         """Iterate every rod of the list until it has converged or failed.
 
         `model` are (stretch ratio, target curvature, weight), (rod,) each.
         """
-        level = self.read
         rod = iteration.StraightRod()
         rod.rest, rod.stretch_ratio = self.rest, model[0]
+        task = make_task(model, self.tolerance, self.increment, closure)
         work.launch(
-            iteration.solve_straight,
-            [
-                self.edges,
-                rod,
-                *model[1:],
-                self.tolerance,
-                closure,
-                wp.float64(_STEP_LIMIT),
-                self.increment,
-                _PATIENCE,
-                _MAX_ITERATIONS,
-                scratch,
-                *self.state,
-            ],
-            [
-                level.status,
-                level.iterations,
-                level.negative,
-                level.residual,
-                level.force,
-                level.jacobian,
-            ],
+            iteration.solve_straight, [self.edges, rod, task, scratch, *self.state], [self.read]
         )
 
     def read_out(self, rods: int) -> None:
@@ -208,9 +200,7 @@ class MeshLevel:
             device=self.device,
         )
 
-    def find_sensitivities(
-        self, rods: int, stretch_ratio: wp.array, scratch: iteration.Scratch
-    ) -> None:
+    def find_sensitivities(self, rods: int, stretch_ratio: wp.array, scratch: Scratch) -> None:
         """Derivatives by the inputs of the first rods, after `read_out`."""
         level = self.read
         wp.launch(

@@ -8,11 +8,14 @@ import pkgutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any, TypeVar
 
 import numpy as np
 
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.setup import Setup
+
+AnySetup = TypeVar("AnySetup")  # Setup or MotionSetup
 
 
 @dataclass(frozen=True)
@@ -73,8 +76,8 @@ class Effect:
         """Values to start fits from; more than one where the fit has several optima."""
         return [np.zeros(len(self.parameters))]
 
-    def apply(self, setup: Setup, values: np.ndarray) -> None:
-        """Change the model in place."""
+    def apply(self, setup: Any, values: np.ndarray) -> None:
+        """Change the model in place, a `Setup` or, of kind "motion", a `MotionSetup`."""
 
     def measure(
         self, position: np.ndarray, frame: np.ndarray, values: np.ndarray, setup: Setup
@@ -138,7 +141,7 @@ class Model:
         ends = np.cumsum([len(e.parameters) for e in self.effects])
         return np.split(values, ends[:-1]) if len(ends) else []
 
-    def setup(self, base: Setup, values: np.ndarray) -> Setup:
+    def setup(self, base: AnySetup, values: np.ndarray) -> AnySetup:
         """The base model changed by every effect."""
         setup = copy.copy(base)
         order = sorted(zip(self.effects, self.split(values), strict=True), key=lambda e: e[0].stage)

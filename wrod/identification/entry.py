@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import Any, overload
 
 from wrod.errors import DataError
 from wrod.identification.clamped.measurements import ClampedMeasurements
@@ -16,8 +17,16 @@ from wrod.identification.motion.report import MotionReport, identify_motion
 Measurements = ClampedMeasurements | MotionMeasurements | LaidMeasurements
 
 
+@overload
+def identify(measurements: ClampedMeasurements, **options: Any) -> IdentificationReport: ...
+@overload
+def identify(measurements: LaidMeasurements, **options: Any) -> LaidFit: ...
+@overload
 def identify(
-    measurements: Measurements | str | os.PathLike[str], **options
+    measurements: MotionMeasurements | str | os.PathLike[str], **options: Any
+) -> IdentificationReport | MotionReport: ...
+def identify(
+    measurements: Measurements | str | os.PathLike[str], **options: Any
 ) -> IdentificationReport | MotionReport | LaidFit:
     """Find what the model of a rod lacks, and prove it on data that were not fitted.
 

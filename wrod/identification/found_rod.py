@@ -90,6 +90,7 @@ def rod_of(setup, arc_length: np.ndarray, *, like: RodModel, line_mass: float = 
         return float(np.mean(np.real(values)))
 
     first, second = np.real(setup.bending).T
+    left, up = setup.natural_curvature.T
     return replace(
         like,
         bending_stiffness=(along(first, line_mass), along(second, line_mass)),
@@ -97,7 +98,7 @@ def rod_of(setup, arc_length: np.ndarray, *, like: RodModel, line_mass: float = 
         stretching_stiffness=along(setup.stretching, line_mass, middle),
         line_mass=along(setup.line_mass, line_mass),
         principal_angle=float(np.real(setup.principal_angle)),
-        natural_curvature=tuple(along(c) for c in setup.natural_curvature.T),
+        natural_curvature=(along(left), along(up)),
         natural_twist=along(setup.natural_twist),
         point_masses=_lumps(s, line_mass * np.real(setup.node_mass), like.length),
         law=_law(np.real(setup.softening)),

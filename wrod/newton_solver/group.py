@@ -14,7 +14,7 @@ from wrod.newton_solver.shapes import ModelShapes
 from wrod.rods.batch import RodState
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.contact import Contact, Friction
-from wrod.solvers.dynamics import Dynamics, Progress
+from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
 
 # Under its own weight a rod on a shape sinks in by this fraction of its radius.
@@ -76,7 +76,12 @@ class RodGroup:
         )
         count, nodes = self.place.shape
         self.changed = wp.zeros(count, dtype=wp.int32, device=device)
-        self.until = wp.zeros(count, dtype=wp.float64, device=device)
+        # What a device tells the host without being waited for.
+        self._diverged, self._overflow = (
+            wp.zeros(count, dtype=wp.int32, device="cpu", pinned=self.place.device.is_cuda)
+            for _ in range(2)
+        )
+        self._heard, self._heard_overflow = self._diverged.numpy(), self._overflow.numpy()
         self.written_director = wp.zeros((count, nodes - 1), dtype=wp.vec3d, device=device)
         self.no_force = wp.zeros((count, nodes), dtype=wp.vec3d, device=device)
         self.held_position = wp.zeros(self.hold.shape, dtype=wp.vec3d, device=device)
@@ -140,11 +145,9 @@ class RodGroup:
             self.shape_place.assign(place)
             self.shape_turn.assign(turn)
 
-    def step(self, state_in: State, duration: float, step: float) -> Progress:
+    def step(self, state_in: State, duration: float, step: float) -> None:
         """Take up what changed in `state_in`, and move on by `duration` [s]."""
         batch, dynamics = self.batch, self.dynamics
-        now = dynamics.time.numpy() + duration
-        self.until.assign(now)
         if duration != self.duration:
             self.duration = duration
             dynamics.forget_recording()
@@ -156,7 +159,20 @@ class RodGroup:
             outputs=[self.held_position, self.held_rotation],
             device=self.device,
         )
-        return dynamics.advance(now, step)
+        dynamics.advance_by(duration, step)
+        wp.copy(self._diverged, dynamics.diverged)
+        if self.rod_contact is not None:
+            wp.copy(self._overflow, self.rod_contact.overflow)
+
+    @property
+    def diverged(self) -> np.ndarray:
+        """(row,) whether rows were cut out, as far as the host has heard without waiting."""
+        return self._heard != 0
+
+    def check_capacity(self) -> None:
+        """As `RodContact.check_capacity`, of what the host has heard without waiting."""
+        if self.rod_contact is not None and self._heard_overflow.any():
+            self.rod_contact.check_capacity()
 
     def _take_up(self, state_in: State) -> None:
         """Read rows of which the state is not what was written last; they start anew."""
@@ -288,7 +304,7 @@ class RodGroup:
                 wp.float64(self.duration),
                 running,
                 self.changed,
-                self.until,
+                self.dynamics.until,
                 time,
                 step,
                 self.body_q,
@@ -311,7 +327,7 @@ class RodGroup:
                     wp.float64(self.duration),
                     running,
                     self.changed,
-                    self.until,
+                    self.dynamics.until,
                     time,
                     step,
                     self.body_before,

@@ -153,7 +153,7 @@ class SolverDER(SolverBase):
         self._holds = Holds(model)
         self._own = self._choose_bodies(bodies)
         self._initial = {name: wp.clone(getattr(der, name)) for name in _STATE}
-        self._diverged = np.zeros(self.rod_count, dtype=bool)
+        self._mourned = np.zeros(self.rod_count, dtype=bool)
         self._poses = wp.clone(model.body_q), wp.clone(model.body_q)
         self._force, self._torque = (
             wp.zeros(model.body_count, dtype=wp.vec3d, device=model.device) for _ in range(2)
@@ -203,7 +203,10 @@ class SolverDER(SolverBase):
     def diverged(self) -> np.ndarray:
         """(rod_count,) whether the rod was cut out because no step converged. Its state is the
         last good one; it goes on when that state is changed, or after `reset`."""
-        return self._diverged.copy()
+        out = np.zeros(self.rod_count, dtype=bool)
+        for group in self._groups:
+            out[group.rows] = group.dynamics.diverged.numpy()[:, None] != 0
+        return out
 
     def step(
         self,
@@ -243,15 +246,19 @@ class SolverDER(SolverBase):
         parts = 1 if self.max_step is None else int(np.ceil(dt / self.max_step * (1 - 1e-9)))
         before, after = self._poses
         wp.copy(after, state_in.body_q)
+        device = self.model.device
+        if device.is_cuda and not device.is_capturing:
+            self._listen()  # What earlier steps have told by now.
         for group in self._groups:
-            progress = group.step(state_in, dt, dt / parts)
-            self._note_diverged(group, progress)
+            group.step(state_in, dt, dt / parts)
         wp.copy(before, after)
         self._force.zero_()
         self._torque.zero_()
         for group in self._groups:
             group.write(state_out)
             group.add_loads(self._force, self._torque)
+        if device.is_cpu and not device.is_capturing:
+            self._listen()
         self._steps += 1
         if self._others and self._steps == _PATIENCE and not self._loads_taken:
             names = ", ".join(repr(self.model.body_label[b]) for b in self._others[:3])
@@ -292,15 +299,18 @@ class SolverDER(SolverBase):
             device=self.model.device,
         )
 
-    def _note_diverged(self, group: RodGroup, progress) -> None:
-        rods = group.rows
-        new = progress.diverged[:, None] & ~self._diverged[rods]
-        self._diverged[rods] = progress.diverged[:, None]
-        if new.any():
-            rods = ", ".join(map(str, rods[new]))
+    def _listen(self) -> None:
+        """Speak of rods that were cut out since last heard of, without waiting for the device."""
+        new = []
+        for group in self._groups:
+            group.check_capacity()
+            cut = np.broadcast_to(group.diverged[:, None], group.rows.shape)
+            new += group.rows[cut & ~self._mourned[group.rows]].tolist()
+            self._mourned[group.rows] = cut
+        if new:
             warnings.warn(
-                f"rods cut out because no time step converged: {rods}; the others go on. Take "
-                "a shorter dt, or reset(state) them",
+                f"rods cut out because no time step converged: {', '.join(map(str, new))}; the "
+                "others go on. Take a shorter dt, or reset(state) them",
                 WrodWarning,
                 stacklevel=3,
             )
@@ -333,7 +343,6 @@ class SolverDER(SolverBase):
             else:
                 chosen = mask.numpy()[group.worlds].astype(bool)
             group.reset(state, self._initial, chosen)
-            self._diverged[group.rows[chosen]] = False
 
     @classmethod
     def register_custom_attributes(cls, builder: newton.ModelBuilder) -> None:

@@ -50,7 +50,8 @@ def heading_with_corners(
             heading, _, noise = fit_heading(piece, smoothing)
             runs.append((float(heading.x[-1]), heading, 0.0, noise))
     starts = np.concatenate([[0.0], np.cumsum([run[0] for run in runs])])
-    places, values = [], []
+    places: list[np.ndarray] = []
+    values: list[np.ndarray] = []
     for number, (length, heading, angle, _) in enumerate(runs):
         before = 0.0 if number == 0 else _width(runs[number - 1][0], length) / 2
         after = 0.0 if number == len(runs) - 1 else _width(length, runs[number + 1][0]) / 2

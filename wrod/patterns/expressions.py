@@ -5,12 +5,13 @@ from __future__ import annotations
 import ast
 import operator
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 
 from wrod.errors import PatternError
 
-_OPERATORS = {
+_OPERATORS: dict[type[ast.AST], Callable] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
@@ -49,7 +50,7 @@ def compile_expression(text: str, variable: str) -> Callable[[np.ndarray], np.nd
 
     def build(node: ast.AST):
         if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-            value = float(node.value)
+            value = float(cast(float, node.value))
             return lambda t: value
         if isinstance(node, ast.Name):
             if node.id == variable:

@@ -104,6 +104,7 @@ class Pattern:
         units=arguments.text,
         smoothing=arguments.optional(arguments.number(0.0, 100.0)),
         name=arguments.text,
+        traced=arguments.flag,
     )
     def from_points(
         cls,
@@ -112,6 +113,7 @@ class Pattern:
         units: str = "m",
         smoothing: float | None = None,
         name: str = "pattern",
+        traced: bool = False,
     ) -> Pattern:
         """Pattern along points in deployment order.
 
@@ -121,6 +123,8 @@ class Pattern:
             smoothing: standard deviation of the points' noise [m]; None estimates it from the
                 points by generalised cross-validation, 0 interpolates them.
             name: what to call the pattern.
+            traced: the points sample one unbroken line that was seen, so that a sharp turn is the
+                line's own and no slip of a point.
 
         Raises:
             PatternError: not finite, fewer than 3 distinct points, repeated, not planar, unknown
@@ -132,17 +136,23 @@ class Pattern:
             raise PatternError(
                 "points are not an array of numbers of shape (n, 2) or (n, 3)"
             ) from None
-        return cls._from_raw(RawPoints(values, name), units, smoothing, name)
+        return cls._from_raw(RawPoints(values, name), units, smoothing, name, traced)
 
     @classmethod
     def _from_raw(
-        cls, raw: RawPoints, units: str | None, smoothing: float | None, name: str
+        cls,
+        raw: RawPoints,
+        units: str | None,
+        smoothing: float | None,
+        name: str,
+        traced: bool = False,
     ) -> Pattern:
         if smoothing is not None and not (np.isfinite(smoothing) and smoothing >= 0.0):
             raise PatternError(f"smoothing is {smoothing!r}; give a noise level in metres, or None")
         points = checked_points(raw, units)
         corners = find_corners(points[:, :2])
-        refuse_spikes(points, raw, corners)
+        if not traced:
+            refuse_spikes(points, raw, corners)
         if len(corners):
             heading, origin, noise = heading_with_corners(points[:, :2], corners, smoothing)
         else:
@@ -244,7 +254,7 @@ class Pattern:
         """d^order kappa / ds^order (n,) [1/m^(1 + order)] at s (n,) [m], order 0, 1 or 2."""
         return self._heading(self._checked(s), nu=1 + order)
 
-    def _checked(self, s: np.ndarray) -> np.ndarray:
+    def _checked(self, s: ArrayLike) -> np.ndarray:
         s = np.atleast_1d(arguments.floats(s, f"{self.source}: s", PatternError))
         first, last = self._heading.x[0], self._heading.x[-1]
         slack = 1e-9 * (last - first)

@@ -56,9 +56,10 @@ def find_crossings(lines: list[Centerline], image: np.ndarray | None = None) -> 
     found = []
     for p, q, s, t in zip(i[hit], j[hit], a[hit], b[hit], strict=True):
         point = starts[p] + s * (ends[p] - starts[p])
-        lengths = tuple(
+        length, other = (
             float(arc[k] + f * np.hypot(*(ends[k] - starts[k]))) for k, f in ((p, s), (q, t))
         )
+        lengths = (length, other)
         strands = (int(owner[p]), int(owner[q]))
         if (strands[1], lengths[1]) < (strands[0], lengths[0]):
             strands, lengths = strands[::-1], lengths[::-1]

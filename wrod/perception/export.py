@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def write_scan(
     Raises:
         PerceptionError: the scan has a scale, holds several curves, and `several` is not set.
     """
-    data = {
+    data: dict[str, Any] = {
         "paths": _ragged([line.points for line in result.lines]),
         "radius_px": np.array([line.radius for line in result.lines]),
         "closed": np.array([line.closed for line in result.lines]),

@@ -121,14 +121,10 @@ def _misfits(network: Network, junction: Junction, close: list, mask: np.ndarray
 
     skeleton, radius = network.skeleton, network.radius
     bridges = {
-        pair: np.vstack(
-            [
-                junction.ports[pair[0]].position,
-                bridge(junction, *pair, radius),
-                junction.ports[pair[1]].position,
-            ]
+        (a, b): np.vstack(
+            [junction.ports[a].position, bridge(junction, a, b, radius), junction.ports[b].position]
         )
-        for pair in {pair for _, pairs in close for pair in pairs}
+        for a, b in {pair for _, pairs in close for pair in pairs}
     }
     everything = np.vstack([skeleton.points[junction.pixels], *bridges.values()])
     pad = int(3 * radius) + 2
@@ -160,7 +156,7 @@ def _misfits(network: Network, junction: Junction, close: list, mask: np.ndarray
         for pair in pairs:
             covered |= drawn[pair] > 0
             beside += np.count_nonzero((drawn[pair] > 0) & ~patch)
-        misfits.append((np.count_nonzero(zone & ~covered) + beside) / extent)
+        misfits.append(float((np.count_nonzero(zone & ~covered) + beside) / extent))
     return misfits
 
 

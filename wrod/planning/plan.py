@@ -120,6 +120,8 @@ def plan(
         friction that the laid pattern asks for ("required_friction") and that the rod asks for
         where it touches down ("contact_friction"), and the warnings given; with `friction`,
         "optimised" and "expected": what simulated deployments say (`wrod.deployment.optimise`).
+        Where a rod that varies along itself has no grasp of its own, "natural_share" is the
+        smallest share of its natural curvature that a grasp was made with (`wrod.grasps.relaxed`).
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
@@ -129,21 +131,18 @@ def plan(
 
     Warns:
         StabilityWarning: some grasps are elastically unstable, or close to it.
+        WrodWarning: some grasps are of a rod closer to straight.
         OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
     if friction is not None:
-        how = dict(
-            method=method, closure=closure, spacing=spacing, remainder=remainder, roll=roll,
-            controller=controller, device=device, progress=progress,
+        return _corrected(
+            pattern, rod, friction, method=method, closure=closure, spacing=spacing, roll=roll,
+            remainder=remainder, controller=controller, device=device, progress=progress,
         )  # fmt: skip
-        return _corrected(pattern, rod, friction, how)
     pattern = prepare(pattern, rod, remainder)
-    if closure is None and controller is not None and method in ("auto", "neural"):
-        closure = controller.closure
-    elif closure is None:
-        closure = favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
+    closure = closure or _usual_closure(pattern, rod, method, controller)
     s = _contacts(pattern, spacing)
     _, _, curvature = course = pattern.sample(s)
     _refuse_tight_bends(pattern, rod, s, curvature)
@@ -152,9 +151,22 @@ def plan(
         rod, rod.length - (s - s[0]), curvature,
         roll=roll, closure=closure, device=device, progress=progress, controller=controller,
     )  # fmt: skip
+    poses, said = _solved(method, inputs, s)
+    return _trajectory(pattern, rod, s - s[0], course, poses, roll, said)
+
+
+def _usual_closure(pattern: Pattern, rod, method: str, controller: Controller | None) -> str:
+    """The closure where none is asked for."""
+    if controller is not None and method in ("auto", "neural"):
+        return controller.closure
+    return favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
+
+
+def _solved(method: str, inputs: GraspInputs, s: np.ndarray) -> tuple[GraspPoses, dict]:
+    """Grasps at the contacts s [m], and what the trajectory says of them."""
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
-        if method == "neural" and controller is None and not inputs.is_straight:
+        if method == "neural" and inputs.controller is None and not inputs.is_straight:
             method = "numeric"
             own = "curved at rest" if inputs.rod is None else "not uniform, isotropic and linear"
             warnings.warn(
@@ -166,21 +178,21 @@ def plan(
         poses = SOURCES[method](inputs)
         _refuse_unconverged(poses, inputs, s)
         _warn_unstable(poses, inputs, s)
+        _warn_relaxed(poses, s)
     for reservation in reservations:
-        warnings.warn(reservation.message, reservation.category, stacklevel=2)
-    said = {
+        warnings.warn(reservation.message, reservation.category, stacklevel=3)
+    return poses, {
         "method": method,
-        "closure": closure if method != "intuitive" else None,
+        "closure": inputs.closure if method != "intuitive" else None,
         "warnings": [
             f"{warning.category.__name__}: {warning.message}"
             for warning in reservations
             if issubclass(warning.category, WrodWarning)
         ],
     }
-    return _trajectory(pattern, rod, s - s[0], course, poses, roll, said)
 
 
-def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, how: dict) -> Trajectory:
+def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, **how) -> Trajectory:
     """The plan that `how` asks for, corrected through simulated deployments on such a table."""
     from wrod.deployment.optimise import Spread, optimise
 
@@ -189,9 +201,9 @@ def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, how: dic
         raise GraspError(
             "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
         )
-    start = plan(pattern, rod, **how)
-    held = prepare(pattern, rod, how["remainder"])
-    return optimise(held, rod, start, spread, device=how["device"])
+    led = prepare(pattern, rod, how["remainder"])
+    start = plan(led, rod, **{**how, "remainder": False})
+    return optimise(led, rod, start, spread, device=how["device"])
 
 
 def _contacts(pattern: Pattern, spacing: float) -> np.ndarray:
@@ -228,6 +240,9 @@ def _trajectory(
     lgb, frame = rod.gravito_bending_length, _contact_frame(tangent)
     force_unit = 2.0 * rod.weight * lgb
     shape = None if poses.shape is None else _placed(poses.shape, contact, frame, lgb)
+    relaxed = {}
+    if poses.natural_share is not None:
+        relaxed["natural_share"] = float(np.min(poses.natural_share))
     return Trajectory(
         arc_length=laid,
         contact=contact,
@@ -246,6 +261,7 @@ def _trajectory(
             "contact_friction": _contact_friction(poses.force),
             "largest_curvature": float(np.max(np.abs(curvature))),
             "warnings": said["warnings"],
+            **relaxed,
         },
         shape=shape,
         twist=poses.twist,
@@ -347,9 +363,9 @@ def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray
     s = trajectory.pattern_arc_length
     if pattern.remainder_length == 0.0 and s[0] < 0.0:
         pattern = pattern.with_remainder(-float(s[0]))
-    contact, *course = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
+    contact, tangent, bent = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
     laid = np.abs(contact - trajectory.contact).max() < 1e-6
-    return tuple(course) if laid else own
+    return (tangent, bent) if laid else own
 
 
 def roll_angle(roll: float | str, pattern: Pattern, rod: RodModel | RodMaterial) -> float:
@@ -521,6 +537,22 @@ def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -
         f"length {inputs.suspended_length[node]:.3f} L_gb, curvature "
         f"{inputs.curvature[node]:.3f} / L_gb, stretch ratio {inputs.stretch_ratio:.0f}; "
         f"{np.sum(~good)} nodes in all); make the pattern gentler there or the rod longer"
+    )
+
+
+def _warn_relaxed(poses: GraspPoses, s: np.ndarray) -> None:
+    if poses.natural_share is None:
+        return
+    less = np.concatenate([[False], poses.natural_share < 1.0, [False]])
+    ends = np.flatnonzero(np.diff(less.astype(int)))
+    where = ", ".join(f"{s[a]:.3f} to {s[b - 1]:.3f}" for a, b in ends.reshape(-1, 2))
+    warnings.warn(
+        f"{np.sum(less)} of {len(s)} grasps (s from {where} m) are of a rod with less natural "
+        f"curvature, down to {np.min(poses.natural_share):.0%} of it: bent at rest as this one is, "
+        "it would dip under the table there, so that it rests on the table beyond the contact; "
+        "expect it to lie off the pattern",
+        WrodWarning,
+        stacklevel=3,
     )
 
 

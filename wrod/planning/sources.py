@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -92,7 +92,9 @@ class GraspPoses:
 
     position, rotation (vector) and force are (T, 3); converged, stable and eigenvalue (of the
     softest motion, see `Grasps`) are (T,) or None where the source does not say; shape is
-    (T, nodes, 3) or None; twist (T,) from contact to grip [rad], or None where there is none.
+    (T, nodes, 3) or None; twist (T,) from contact to grip [rad], or None where there is none;
+    natural_share (T,) is the share of its natural curvature that the rod has in each grasp, or None
+    where it has all of it.
     """
 
     position: np.ndarray
@@ -103,6 +105,7 @@ class GraspPoses:
     shape: np.ndarray | None = None
     eigenvalue: np.ndarray | None = None
     twist: np.ndarray | None = None
+    natural_share: np.ndarray | None = None
 
 
 def _intuitive(inputs: GraspInputs) -> GraspPoses:
@@ -115,8 +118,9 @@ def _intuitive(inputs: GraspInputs) -> GraspPoses:
 
 
 def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
-    """Optimal grasps of a rod whose properties depend on where it touches the table."""
-    from wrod.grasps.rod_grasps import solve_rod_grasps
+    """Optimal grasps of a rod whose properties depend on where it touches the table; where it has
+    none, of a rod closer to straight."""
+    from wrod.grasps.relaxed import solve_relaxed
 
     model, watch, count = inputs.rod, inputs.progress, len(inputs.suspended_length)
     lgb = model.gravito_bending_length
@@ -124,7 +128,7 @@ def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
     at = np.maximum(model.length - inputs.suspended_length * lgb, 0.0)
     # Where the rod is twisted at rest its first director turns along the laid part.
     rolled = model.rolled(at)
-    grasps = solve_rod_grasps(
+    grasps, share = solve_relaxed(
         model,
         at,
         inputs.curvature / lgb,
@@ -145,6 +149,7 @@ def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
         grasps.shape / lgb,
         grasps.eigenvalue * lgb**2 / force,
         grasps.twist + rolled,
+        None if (share == 1.0).all() else share,
     )
 
 
@@ -157,7 +162,7 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
 
     count = len(inputs.suspended_length)
     watch = inputs.progress
-    own = {}
+    own: dict[str, Any] = {}
     if not inputs.is_straight:
         own = {"natural_curvature": inputs.natural_curvature, "poisson": inputs.poisson}
     grasps = solve_grasps(

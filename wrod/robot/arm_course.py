@@ -29,7 +29,7 @@ class Course:
         self.interval = float(np.median(np.diff(film.time)))
         self._time: list[float] = []
         self._frame: list[int] = []
-        self._positions: list[list[np.ndarray]] = []
+        self._positions: list[np.ndarray] = []
 
     def run(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Times (F,) [s], frames of the film (F,) and joint positions (arm, F, n) [rad]."""

@@ -17,6 +17,8 @@ from wrod.robot.exact import ExactShapes
 from wrod.robot.model import Robot
 
 if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
     import torch
 
 _MOST_EXACT = 4000  # distances between true shapes in one report
@@ -79,7 +81,7 @@ class CollisionModel:
         self.moving = np.flatnonzero(self.depth >= 1)
         self.before_hand = np.flatnonzero((self.depth >= 2) & (self.depth < len(robot.joint_names)))
 
-    def _parents(self) -> dict[str, tuple[str, object]]:
+    def _parents(self) -> dict[str, tuple[str, Element]]:
         return {
             j.find("child").get("link"): (j.find("parent").get("link"), j)
             for j in self.robot.urdf.joints

@@ -121,11 +121,11 @@ class JointPath:
             raise DataError(f"{path}: {unknown} holds values that are not finite; give {what}")
         return cls(
             tuple(map(str, data["names"])),
-            *(data[name] for name in names),
-            Placement(*map(float, data["placement"])),
-            Grip(*map(float, data["grip"])),
-            robot,
-            decode_labels(str(data["metadata"]), dict, f"{path}: metadata", what),
+            placement=Placement(*map(float, data["placement"])),
+            grip=Grip(*map(float, data["grip"])),
+            robot=robot,
+            metadata=decode_labels(str(data["metadata"]), dict, f"{path}: metadata", what),
+            **{name: data[name] for name in names},
         )
 
 

@@ -51,7 +51,8 @@ class Obstacles:
             found += _bars(shape) if shape.kind == "box" else capsules_of(shape)
         if not found:
             return None
-        return tuple(np.array([capsule[k] for capsule in found]) for k in range(3))
+        start, end, radius = (np.array(part) for part in zip(*found, strict=True))
+        return start, end, radius
 
 
 def _shape(path: Path, number: int, entry) -> LinkShape:

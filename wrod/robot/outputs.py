@@ -7,7 +7,9 @@ import io
 import json
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -63,9 +65,11 @@ def export(path: JointPath, folder: str | os.PathLike[str], formats: list[str]) 
     }
     # All are made before any is written: nothing is left behind half.
     made = [(Path(folder) / FORMATS[name], writers[name](path)) for name in formats]
-    return [
-        write_atomically(file, lambda out, data=data: out.write(data), "wb") for file, data in made
-    ]
+    return [write_atomically(file, partial(_write, data), "wb") for file, data in made]
+
+
+def _write(data: bytes, file: IO[bytes]) -> None:
+    file.write(data)
 
 
 def suited(path: JointPath) -> list[str]:

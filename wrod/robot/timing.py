@@ -71,8 +71,8 @@ def schedule(robot: Robot, spline, length: float, grip_speed: float = GRIP_SPEED
         limits = limits / np.array([slow, slow**2, slow**3])
         profile = _profile(length, limits)
         factors = _slowdown(robot, spline, profile, limits[2])
-    load = (factors[0], factors[1] ** 2, factors[2] ** 3)
-    return Timing(float(profile.duration), float(limits[0]), tuple(map(float, load)), profile)
+    load = (float(factors[0]), float(factors[1] ** 2), float(factors[2] ** 3))
+    return Timing(float(profile.duration), float(limits[0]), load, profile)
 
 
 def _profile(length: float, limits: np.ndarray):

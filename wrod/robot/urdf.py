@@ -279,4 +279,7 @@ def _floats(text: str) -> list[float]:
 
 def _color(material: ElementTree.Element) -> tuple[float, float, float] | None:
     color = material.find("color")
-    return None if color is None else tuple(_floats(color.get("rgba", "0.5 0.5 0.5 1"))[:3])
+    if color is None:
+        return None
+    red, green, blue, *_ = _floats(color.get("rgba", "0.5 0.5 0.5 1"))
+    return red, green, blue

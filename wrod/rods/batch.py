@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -551,7 +552,7 @@ class RodBatch:
         return out
 
     def walk(
-        self, kernel: wp.Kernel, inputs: list, outputs: list = (), *, rods: int | None = None
+        self, kernel: wp.Kernel, inputs: list, outputs: Sequence = (), *, rods: int | None = None
     ) -> None:
         """Launch a kernel that walks along the rods, over (rod, lane); see `kernels.lanes`."""
         count = lanes(self.device)

@@ -35,9 +35,9 @@ class _Law:
         """(law, share, scale [1/m], time [s]) that `RodBatch` takes."""
         return _ELASTIC, 0.0, 0.0, 1.0
 
-    def scaled(self, length_unit: float, time_unit: float) -> _Law:
+    def scaled(self, length_unit: float, time_unit: float) -> Law:
         """The law with lengths [m] and times [s] in other units."""
-        return self
+        return cast("Law", self)
 
     def _check(self, wanted: str, good: bool) -> None:
         if not good:

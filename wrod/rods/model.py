@@ -17,9 +17,12 @@ from wrod.rods.profile import Profile
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Sequence
     from pathlib import Path
 
     from wrod.rods.material import RodMaterial
+
+    AnyProfile = Profile | float | dict[str, list[float]]
 
 _MOST_POINT_MASSES = 1000
 _NONE, _LINEAR = Profile((0.0,)), Linear()
@@ -76,6 +79,27 @@ class RodModel:
     quadratic_drag: float = 0.0
     gravity: float = 9.81
 
+    if TYPE_CHECKING:  # what it takes, which becomes profiles
+
+        def __init__(
+            self,
+            length: float,
+            bending_stiffness: AnyProfile | tuple[AnyProfile, AnyProfile],
+            twisting_stiffness: AnyProfile,
+            stretching_stiffness: AnyProfile,
+            line_mass: AnyProfile,
+            radius: float,
+            principal_angle: float = 0.0,
+            natural_curvature: tuple[AnyProfile, AnyProfile] = (_NONE, _NONE),
+            natural_twist: AnyProfile = _NONE,
+            point_masses: Sequence[tuple[float, float]] = (),
+            law: Law = _LINEAR,
+            internal_damping: float = 0.0,
+            air_damping: float = 0.0,
+            quadratic_drag: float = 0.0,
+            gravity: float = 9.81,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         def put(name, value):
             object.__setattr__(self, name, value)
@@ -125,7 +149,7 @@ class RodModel:
         Raises:
             RodError: it is neither.
         """
-        if isinstance(rod, cls):
+        if isinstance(rod, RodModel):
             return rod
         if not hasattr(rod, "model"):
             raise RodError(
@@ -177,6 +201,7 @@ class RodModel:
                 raise RodError(f"{said}; use the wrod.RodModel itself")
             warnings.warn(f"{said}; their means are kept, or nothing", WrodWarning, stacklevel=2)
         area = math.pi * self.radius**2
+        first, second = self.natural_curvature
         return RodMaterial(
             self.radius,
             self.gravito_bending_length,
@@ -184,7 +209,7 @@ class RodModel:
             min(max(self.poisson, -1.0 + 1e-9), 0.5),
             self.weight / self.gravity / area,
             self.gravity,
-            tuple(self._mean(c) for c in self.natural_curvature),
+            (self._mean(first), self._mean(second)),
         )
 
     # ---- figures ------------------------------------------------------------------------------

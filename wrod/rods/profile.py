@@ -6,8 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wrod import arguments
 from wrod.errors import RodError
@@ -32,6 +34,10 @@ class Profile:
 
     values: tuple[float, ...]
     knots: tuple[float, ...] = (0.0,)
+
+    if TYPE_CHECKING:  # what it takes, which becomes tuples
+
+        def __init__(self, values: ArrayLike, knots: ArrayLike = (0.0,)) -> None: ...
 
     def __post_init__(self) -> None:
         try:
@@ -63,7 +69,7 @@ class Profile:
         if isinstance(value, cls):
             return value
         if isinstance(value, Real) and not isinstance(value, bool):
-            return cls((value,))
+            return cls((float(value),))
         if isinstance(value, dict) and set(value) == {"knots", "values"}:
             return cls(value["values"], value["knots"])
         raise RodError(

@@ -55,7 +55,7 @@ class Renderer:
         self._camera = self.scene.camera(camera)
         self._sensor = SensorCamera(self.scene.model)
         self._sensor.create_default_light(
-            direction=wp.normalize(wp.vec3f(*_SUN)), color=(0.72, 0.71, 0.68)
+            direction=wp.normalize(wp.vec3(*_SUN)), color=(0.72, 0.71, 0.68)
         )
         self._sensor.set_ambient_light(_SKY, _GROUND)
         red, green, blue = _BACKGROUND

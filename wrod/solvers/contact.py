@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -82,10 +83,16 @@ class FrictionField:
             raise RodError("a field of friction has factors that are negative or not finite")
 
     @classmethod
-    def of(cls, function, x, y, shape: tuple[int, int] = (65, 65)) -> FrictionField:
+    def of(
+        cls,
+        function: Callable,
+        x: tuple[float, float],
+        y: tuple[float, float],
+        shape: tuple[int, int] = (65, 65),
+    ) -> FrictionField:
         """`function` of x and y arrays [length], sampled at (ny, nx) points."""
-        grid = np.meshgrid(np.linspace(*x, shape[1]), np.linspace(*y, shape[0]))
-        return cls(np.broadcast_to(function(*grid), shape), tuple(x), tuple(y))
+        grid = np.meshgrid(np.linspace(x[0], x[1], shape[1]), np.linspace(y[0], y[1], shape[0]))
+        return cls(np.broadcast_to(function(*grid), shape), (x[0], x[1]), (y[0], y[1]))
 
     def _place(self) -> tuple[float, float, float, float]:
         ny, nx = np.shape(self.factor)

@@ -31,7 +31,7 @@ _SMALLEST_STEP = 1.0 / 4096.0
 _GROWTH = 1.3
 # Rounds that are taken without looking whether to go on: on end where a device decides by itself,
 # and one after the other where it cannot.
-_ROUNDS, _ROUNDS_BLIND = 128, 16
+_ROUNDS, _ROUNDS_BLIND, _ENDLESS = 128, 16, 2**31 - 1
 
 
 class Motion(Protocol):
@@ -167,12 +167,9 @@ class Dynamics:
         self.start = RodState.zeros(rods, batch.node_count, device)
         self.start.assign(batch.state)
 
-        def floats(value=0.0, name="value"):
+        def floats(value, name="value"):
             value = arguments.spread(value, (rods,), f"Dynamics: {name}", RodError)
             return wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=device)
-
-        def ints(value=0):
-            return wp.full(rods, value, dtype=wp.int32, device=device)
 
         self.mass = wp.array(_masses(batch, radius), dtype=wp.float64, device=device)
         self.refuses_saddles = int(refuses_saddles)
@@ -189,8 +186,25 @@ class Dynamics:
         scale = _force_scale(batch) if force_scale is None else force_scale
         self.force_scale = floats(scale, "force_scale")
         self.length_scale = floats(batch.rest_length.numpy().sum(axis=1))
-        self.tolerance, self.step_tolerance, self.residual = tolerance, floats(), floats()
+        self.tolerance = tolerance
         self.rounding = wp.array(self._rounding(), dtype=wp.vec2d, device=device)
+        self._allocate()
+        for one in self.contacts:
+            one.time_step = self.span
+        self.keeps_recording = keeps_recording
+        self._recording: tuple[tuple, object] | None = None
+
+    def _allocate(self) -> None:
+        """What every rod carries from step to step."""
+        rods, device = self.batch.rod_count, self.batch.device
+
+        def floats(value=0.0):
+            return wp.full(rods, value, dtype=wp.float64, device=device)
+
+        def ints():
+            return wp.zeros(rods, dtype=wp.int32, device=device)
+
+        self.step_tolerance, self.residual = floats(), floats()
         self.time, self.until, self.step, self.step_before = (floats() for _ in range(4))
         # Time from the start of the step to where its forces are; why a rod leaves its scheme.
         self.span, self._no_step = floats(), floats()
@@ -205,17 +219,15 @@ class Dynamics:
         # Rounds since last asked; whether to take another, and whether any rod still runs.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)
-        shape = (rods, batch.dof_count)
+        self._goes_on = self._going[:1]  # a condition of a graph is one number
+        shape = (rods, self.batch.dof_count)
         self.velocity, self.velocity_older = (
             wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
         )
-        self.dof_older = wp.clone(batch.state.dof)
-        self._end = wp.clone(batch.state.dof)
-        for contact in self.contacts:
-            contact.time_step = self.span
+        self.dof_older = wp.clone(self.batch.state.dof)
+        self._end = wp.clone(self.batch.state.dof)
         # (rod, dof): forces that held prescribed degrees of freedom at the end of the last step.
         self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
-        self.keeps_recording, self._recording = keeps_recording, None
 
     def forget_recording(self) -> None:
         """Record afresh: what `motion` or contacts launch has changed."""
@@ -293,40 +305,23 @@ class Dynamics:
         self.until.assign(
             arguments.spread(until, (batch.rod_count,), "Dynamics.advance: until", RodError)
         )
-        self._per_rod(
-            kernels.begin_advance,
-            [wp.float64(step), self.until, self.time, self.diverged],
-            [self.wanted_step, self.running, self.starting],
-        )
-
-        on_cpu = wp.get_device(batch.device).is_cpu
+        self._begin_advance(step)
 
         def take_round() -> None:
-            # A CPU's launches cost more than looking whether they have anything to do, unless they
-            # are recorded.
-            looks = on_cpu and not wp.get_device(batch.device).is_capturing
-            if not looks or self.starting.numpy().any():
-                self._begin()
-            self._iterate(step, smallest)
-            if not looks or self.active.numpy().any():
-                self._correct()
-            if not looks or self.accepted.numpy().any() or self.rejected.numpy().any():
-                self._finish(frames, frame_interval)
-            self._ask()
+            self._take_round(step, smallest, frames, frame_interval)
+            self._ask(_ROUNDS)
 
         array = None if frames is None else frames.ptr
         key = (step, smallest, self.tolerance, array, frame_interval)
-        graph = None
-        if self._recording is not None and self._recording[0] == key:
-            graph = self._recording[1]
+        graph = self._recorded(key)
         taken = 0
         if graph is None:
-            self._ask()
+            self._ask(_ROUNDS)
         going = graph is not None or self._going.numpy()[1] != 0
         while going:
             # Launches are replayed faster than they can be made, but recording costs as much as
             # taking them; the first round has compiled the kernels.
-            if graph is None and taken > 0 and (self.keeps_recording or not on_cpu):
+            if graph is None and taken > 0 and (self.keeps_recording or not self._on_cpu):
                 graph = self._record(take_round)
                 self._recording = (key, graph) if self.keeps_recording else None
             self._rounds.zero_()
@@ -347,6 +342,76 @@ class Dynamics:
             self.iteration_count.numpy().copy(),
         )
 
+    def advance_by(self, duration: float, step: float) -> None:
+        """Let every rod that has not diverged move on by a duration, as `advance` does, but tell
+        nothing: from the second call on nothing is allocated, and nothing comes back to the host.
+        May be captured into a graph of the caller's, after a first call.
+
+        Args:
+            duration: time to go on by.
+            step: largest time step.
+
+        Raises:
+            RodError: it is captured on a device that cannot decide by itself how often to iterate
+                (CUDA before 12.4).
+        """
+        smallest = step * _SMALLEST_STEP
+        self._per_rod(kernels.set_until, [wp.float64(duration), self.time], [self.until])
+        self._begin_advance(step)
+
+        def take_rounds() -> None:
+            def take_round() -> None:
+                self._take_round(step, smallest, None, 1.0)
+                self._ask(_ENDLESS)
+
+            self._rounds.zero_()
+            self._ask(_ENDLESS)
+            wp.capture_while(self._goes_on, take_round)
+
+        device = wp.get_device(self.batch.device)
+        decides = device.is_cpu or wp.is_conditional_graph_supported()
+        if device.is_capturing and not decides:
+            raise RodError("a step in a CUDA graph needs CUDA 12.4 or newer; step without a graph")
+        key = (duration, step, smallest, self.tolerance)
+        graph = self._recorded(key)
+        if graph is not None and not device.is_capturing:
+            wp.capture_launch(graph)
+            return
+        take_rounds()
+        if self.keeps_recording and decides and not device.is_capturing:
+            with wp.ScopedCapture(device) as capture:
+                take_rounds()
+            self._recording = (key, capture.graph)
+
+    def _begin_advance(self, step: float) -> None:
+        self._per_rod(
+            kernels.begin_advance,
+            [wp.float64(step), self.until, self.time, self.diverged],
+            [self.wanted_step, self.running, self.starting],
+        )
+
+    def _recorded(self, key: tuple) -> wp.Graph | None:
+        """What was recorded for the same numbers."""
+        if self._recording is not None and self._recording[0] == key:
+            return self._recording[1]
+        return None
+
+    @property
+    def _on_cpu(self) -> bool:
+        return wp.get_device(self.batch.device).is_cpu
+
+    def _take_round(self, step, smallest, frames, frame_interval) -> None:
+        # A CPU's launches cost more than looking whether they have anything to do, unless they
+        # are recorded.
+        looks = self._on_cpu and not wp.get_device(self.batch.device).is_capturing
+        if not looks or self.starting.numpy().any():
+            self._begin()
+        self._iterate(step, smallest)
+        if not looks or self.active.numpy().any():
+            self._correct()
+        if not looks or self.accepted.numpy().any() or self.rejected.numpy().any():
+            self._finish(frames, frame_interval)
+
     def _rounding(self) -> np.ndarray:
         """(rod, 2) relative residuals that rounding leaves: of stretching, and of inertia for a
         step of unit rate."""
@@ -356,10 +421,10 @@ class Dynamics:
         unit = 4 * np.finfo(float).eps * extent / self.force_scale.numpy()
         return np.stack([unit * edge, unit * batch.node_mass.numpy().max(axis=1)], axis=1)
 
-    def _ask(self) -> None:
-        """Find out on the device whether to take another round."""
+    def _ask(self, most: int) -> None:
+        """Find out on the device whether to take another round, `most` of them at a time."""
         outputs = [self._rounds, self._going]
-        self.batch.walk(kernels.ask_on, [self.running, _ROUNDS], outputs, rods=1)
+        self.batch.walk(kernels.ask_on, [self.running, most], outputs, rods=1)
 
     def _record(self, take_round: Callable[[], None]) -> wp.Graph:
         """What takes rounds until all rods are there, or for a while; asking a GPU from outside
@@ -368,8 +433,8 @@ class Dynamics:
         decides = wp.get_device(device).is_cpu or wp.is_conditional_graph_supported()
         with wp.ScopedCapture(device) as capture:
             if decides:
-                self._ask()
-                wp.capture_while(self._going, take_round)
+                self._ask(_ROUNDS)
+                wp.capture_while(self._goes_on, take_round)
             else:
                 for _ in range(_ROUNDS_BLIND):
                     take_round()
@@ -499,6 +564,10 @@ class Dynamics:
             )
             for contact in self.contacts:
                 contact.find_touching(self.converged, self._end, start.dof, self.touching)
+        self._judge(largest, smallest)
+
+    def _judge(self, largest: float, smallest: float) -> None:
+        """What becomes of every rod's step: taken, gone on with, or cut."""
         self._per_rod(
             kernels.judge_step,
             [

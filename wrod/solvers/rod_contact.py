@@ -141,7 +141,7 @@ class RodContact:
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
-        self.configuration = ()
+        self.configuration: tuple[wp.array, ...] = ()
         self.system = CoupledSystem(self)
         self._check_start()
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -112,7 +113,7 @@ def force_map(
 
 def save_map(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
     """Write a force map as NPZ: plain arrays, dimensionless. Returns the path."""
-    arrays: dict[str, np.ndarray] = {
+    arrays: dict[str, Any] = {
         "suspended_length": np.array(manifold.suspended_length),
         "stretch_ratio": np.array(manifold.stretch_ratio),
         "closure": np.array(manifold.closure),

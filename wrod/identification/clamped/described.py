@@ -6,7 +6,10 @@ None of them is a candidate of its own accord: each is built where the non-param
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
 
@@ -31,7 +34,7 @@ class Described(Effect):
         first: parameter vectors to start fits from.
     """
 
-    def __init__(self, first: list[np.ndarray]):
+    def __init__(self, first: Sequence[ArrayLike]):
         self.first = [np.asarray(v, dtype=float) for v in first]
 
     def starts(self, measurements):

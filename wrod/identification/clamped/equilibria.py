@@ -117,7 +117,8 @@ class ClampedSolver:
         self._assign(setups)
         self._turn_principal(setups)
         twist = self.total_twist()
-        targets = self._prescribed(*end_poses(setups), setups)
+        clamp, grip = end_poses(setups)
+        targets = self._prescribed(clamp, grip, setups)
         if not walk:
             batch, before = (
                 self.batch,
@@ -185,8 +186,8 @@ class ClampedSolver:
     def shape_to(self, setups: Sequence[Setup], shape: np.ndarray, state=None) -> None:
         """Put the rods' (rod, node, 3) nodes between the clamps somewhere, the clamps to their
         poses, and the twist evenly along them; or leave it as in a saved `state`."""
-        poses = end_poses(setups)
-        (a, ra), (b, rb) = poses
+        clamp, grip = end_poses(setups)
+        (a, ra), (b, rb) = clamp, grip
         batch = self.batch
         h = batch.rest_length.numpy()[:, :1]
         nodes = np.concatenate(
@@ -195,7 +196,7 @@ class ClampedSolver:
         nodes[:, 1], nodes[:, -2] = a, b
         if state is None:
             batch.set_configuration(nodes, director=ra[:, :, 0])
-            dof = self._prescribed(*poses, setups)
+            dof = self._prescribed(clamp, grip, setups)
             share = np.linspace(0.0, 1.0, dof[:, 3::4].shape[1])
             dof[:, 3::4] = dof[:, 3:4] + share * (dof[:, -4:-3] - dof[:, 3:4])
             batch.state.dof.assign(dof)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -101,15 +102,14 @@ def measurements_from_arrays(
         )
     if both := sorted(set(train) & set(test)):
         raise DataError(f"{where}: trial {both[0]} is in train_idx and in test_idx")
+    measured: dict[str, Any] = {"grip_force": None, "grip_torque": None, **values}
     measurements = ClampedMeasurements(
         name=name,
         material=material,
-        grip_force=values.pop("grip_force", None),
-        grip_torque=values.pop("grip_torque", None),
         train=train,
         test=test,
         noise=scalars["noise_std"],
-        **values,
+        **measured,
     )
     check_geometry(measurements, where)
     return measurements

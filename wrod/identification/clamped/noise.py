@@ -240,15 +240,16 @@ class _Restricted:
                     found.append((self.value(size, share, length, own) + price, noise))
         return min(found, key=lambda f: f[0])[1]
 
-    def _needed(self, along, scatter) -> np.ndarray:
+    def _needed(self, along: tuple[float, float, float], scatter: np.ndarray) -> np.ndarray:
         """The scatters without those that are not worth their price."""
         scatter = scatter.copy()
-        now = self.value(*along, scatter)
+        size, share, length = along
+        now = self.value(size, share, length, scatter)
         for k in np.argsort(scatter):
             if scatter[k] > 0.0:
                 less = scatter.copy()
                 less[k] = 0.0
-                without = self.value(*along, less)
+                without = self.value(size, share, length, less)
                 if without < now + _PRICE:
                     scatter, now = less, without
         return scatter

@@ -81,7 +81,7 @@ def _linearised(laboratory: Laboratory, group: list[Effect]):
     state = tuple(a[m.train] for a in laboratory.base_state)
     solver = ClampedSolver([base] * len(chosen), device=laboratory.device, start=state)
     setups = [model.setup(base, start) for model, start in zip(models, starts, strict=True)]
-    reached = solver.solve(setups).all(axis=1)
+    reached = np.all(solver.solve(setups), axis=1)
     prediction = solver.predict(setups)
     rates = laboratory.rates(solver, models, starts, base)
     for c, (effect, start) in enumerate(chosen):

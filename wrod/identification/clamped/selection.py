@@ -150,7 +150,7 @@ def _search(laboratory: Laboratory, candidates, progress):
         # The one that does most by itself comes first.
         alone = [f.model.names[0] for f in rounds[0].fits]
         order = [alone.index(name) if name in alone else len(alone) for name in current.model.names]
-        current = _reordered(current, np.argsort(order, kind="stable"))
+        current = _reordered(current, sorted(range(len(order)), key=order.__getitem__))
     return current, rounds, (base_held_out[0], held_out[0])
 
 

@@ -63,7 +63,7 @@ class View:
             np.zeros((count, trials, 3), dtype=complex),
         )
         i = 1j * COMPLEX_STEP
-        for c in range(count) if wanted is None else np.flatnonzero(wanted):
+        for c in range(count) if wanted is None else np.flatnonzero(wanted).tolist():
             rods, setup = slice(c * trials, (c + 1) * trials), setups[c]
             q = self.position[rods] + i * node_part(step[rods])
             tangent, m1 = self._edge_frames(rods, step[rods], setup.principal_angle)

@@ -20,6 +20,7 @@ from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.fit import MotionLaboratory
 from wrod.identification.motion.loading import load_motion
+from wrod.identification.motion.pace import check_pace
 from wrod.identification.motion.residual import Residual, residual_of
 from wrod.identification.motion.selection import (
     BASE,
@@ -33,6 +34,7 @@ from wrod.identification.motion.windows import Windows
 from wrod.rods.batch import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+from wrod.rods.profile import Profile
 
 METRIC = (
     "mean |difference| over coordinates and all markers, held ones as zero, from frame 2 to the "
@@ -203,7 +205,10 @@ class MotionReport:
             rod = rod_of(setup, arc_length, like=whole, line_mass=line_mass)
             if stretches:
                 return rod
-            return replace(rod, stretching_stiffness=4.0 * rod.mean_bending_stiffness / radius**2)
+            return replace(
+                rod,
+                stretching_stiffness=Profile((4.0 * rod.mean_bending_stiffness / radius**2,)),
+            )
 
         assumed = ("radius", "line_mass") + ("stretching_stiffness",) * (not stretches)
         base = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
@@ -264,7 +269,9 @@ def identify_motion(
     chosen = list(known.values())
     if candidates is not None:
         chosen = [c if isinstance(c, Effect) else _known(c, known) for c in candidates]
-    laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=resolve_device(device))
+    device = resolve_device(device)
+    check_pace(m, device=device)
+    laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=device)
     selection = select_motion(laboratory, chosen, progress=progress)
     if progress:
         progress("force print")

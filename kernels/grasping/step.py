@@ -1,0 +1,156 @@
+"""One step of a grasp's iteration: where each rod stands out of balance, and its motion."""
+
+import warp as wp
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO
+from wrod.kernels.grasping.bordered import make_border
+from wrod.kernels.grasping.general_rod import advance_general, evaluate_general
+from wrod.kernels.grasping.reading import Level
+from wrod.kernels.grasping.straight_rod import evaluate, point
+from wrod.kernels.grasping.walk import make_walk
+from wrod.kernels.linear.frontal import make_elimination
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Scratch:
+    """What the iteration of a rod needs while it runs; one slot a thread."""
+
+    stiffness: wp.array3d(dtype=wp.float64)
+    load: wp.array3d(dtype=wp.float64)
+    factor: wp.array3d(dtype=wp.float64)
+    condensed: wp.array2d(dtype=wp.float64)
+    motion: wp.array3d(dtype=wp.float64)
+    saved: wp.array3d(dtype=wp.float64)
+
+
+@wp.func
+def advance_straight(
+    shape: wp.array3d(dtype=wp.float64),
+    motion: wp.array3d(dtype=wp.float64),
+    r: int,
+    slot: int,
+    edges: int,
+    fraction: wp.float64,
+):
+    for i in range(1, edges + 1):
+        for c in range(3):
+            shape[r, i, c] = shape[r, i, c] + fraction * motion[slot, i, c]
+
+
+def make_balance(size: int, model: type) -> wp.Function:
+    """What evaluates a rod where its iteration stands and leaves its border."""
+    general = size == 4
+    eliminate = make_elimination(size)[0]
+    walk = make_walk(size).struct
+    first = size - 3
+
+    @wp.func
+    def find_balance(
+        w: wp.ref[walk],
+        rod: model,
+        kappa: wp.float64,
+        state: wp.array3d(dtype=wp.float64),
+        r: int,
+        slot: int,
+        edges: int,
+        scratch: Scratch,
+    ):
+        w.iterations += 1
+        imbalance = wp.float64(0.0)
+        if wp.static(general):
+            imbalance = evaluate_general(
+                rod, w.place, kappa, state, r, slot, edges, scratch.stiffness, scratch.load
+            )
+        else:
+            imbalance = evaluate(
+                rod.rest, rod.stretch_ratio[r], kappa, state, r, slot, edges,
+                scratch.stiffness, scratch.load,
+            )  # fmt: skip
+        w.worst = wp.max(imbalance, wp.abs(scratch.load[slot, edges, first] + w.pull))
+        w.negative = eliminate(
+            scratch.stiffness, scratch.load, slot, edges, scratch.factor, scratch.condensed
+        )
+
+    return find_balance
+
+
+def make_step(size: int) -> tuple[wp.Function, wp.Function]:
+    """What moves a rod by what its border does, no further than is safe, and what reads the forces
+    at the grip."""
+    general = size == 4
+    recover = make_elimination(size)[1]
+    border = make_border(size)
+    vector = border.vector
+    first = size - 3
+    advance = advance_general if general else advance_straight
+
+    @wp.func
+    def safe_fraction(
+        state: wp.array3d(dtype=wp.float64),
+        motion: wp.array3d(dtype=wp.float64),
+        r: int,
+        slot: int,
+        edges: int,
+        limit: wp.float64,
+    ) -> wp.float64:
+        """Fraction of the step after which no edge has changed by more than `limit` of its length,
+        nor any angle by more than 2 `limit` radians."""
+        largest = wp.float64(0.0)
+        x = point(state, r, 0)
+        dx = wp.vec3d(ZERO, ZERO, ZERO)
+        for j in range(edges):
+            y = point(state, r, j + 1)
+            dy = wp.vec3d(ZERO, ZERO, ZERO)
+            for c in range(3):
+                dy[c] = motion[slot, j + 1, first + c]
+            e = y - x
+            d = dy - dx
+            largest = wp.max(largest, wp.dot(d, d) / wp.dot(e, e))
+            if wp.static(general):
+                half = HALF * motion[slot, j + 1, 0]
+                if j > 0:
+                    largest = wp.max(largest, half * half)
+            x = y
+            dx = dy
+        if largest > limit * limit:
+            return limit / wp.sqrt(largest)
+        return ONE
+
+    @wp.func
+    def take_step(
+        state: wp.array3d(dtype=wp.float64),
+        scratch: Scratch,
+        r: int,
+        slot: int,
+        edges: int,
+        node_1: wp.vec3d,
+        v: vector,
+        limit: wp.float64,
+    ) -> wp.float64:
+        """Move the rod; the fraction of the step that was taken."""
+        for c in range(size):
+            scratch.motion[slot, 0, c] = ZERO
+            scratch.motion[slot, 1, c] = ZERO
+            scratch.motion[slot, edges, c] = v[1 + c]
+        for c in range(3):
+            scratch.motion[slot, 1, first + c] = node_1[c]
+        recover(scratch.factor, slot, edges, ONE, scratch.motion)
+        fraction = safe_fraction(state, scratch.motion, r, slot, edges, limit)
+        advance(state, scratch.motion, r, slot, edges, fraction)
+        return fraction
+
+    @wp.func
+    def put_force(
+        condensed: wp.array2d(dtype=wp.float64), r: int, slot: int, weight: wp.float64, out: Level
+    ):
+        """The force at the contact, and its derivative by the grip's position."""
+        held = border.grip_gradient(condensed, slot)
+        for i in range(3):
+            out.force[r, i] = -held[i]
+            at = (size + first + i) * 2 * size + size + first
+            for c in range(3):
+                out.jacobian[r, 3 * i + c] = -condensed[slot, at + c]
+        out.force[r, 2] = out.force[r, 2] + weight
+
+    return take_step, put_force

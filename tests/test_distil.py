@@ -1,0 +1,100 @@
+"""Optimised plans as a dataset, and the network that learns them."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import wrod
+from wrod.commands import main
+from wrod.controller.corrector import Corrector, Course
+from wrod.errors import DataError, OutOfRangeWarning
+
+plans = pytest.importorskip("wrod.training.plans")
+pytest.importorskip("torch")
+
+
+def synthetic(index, seed=0):
+    """A plan whose correction is a simple function of what lies ahead."""
+    rng = np.random.default_rng([seed, index])
+    laid = np.arange(0.0, 14.0, 0.2)
+    curvature = np.sin(laid * rng.uniform(0.3, 0.8) + rng.uniform(0.0, 6.0))
+    friction = float(rng.uniform(0.2, 0.6))
+    ahead = np.interp(laid + 1.0, laid, curvature, right=0.0)
+    slides = 0.1 / friction
+    moved = np.column_stack([slides * ahead**2, slides * ahead, -0.1 * ahead**2])
+    return plans.Sample(laid, curvature, moved, 26.0, 2000.0, friction, 0.1, 0.02)
+
+
+def test_random_patterns_leave_some_rod_and_bend_within_reason():
+    for index in range(40):
+        held = wrod.rod(wrod.rod_names()[index % 3])
+        one = plans.random_pattern(np.random.default_rng(index), held)
+        lgb = held.gravito_bending_length
+        s = np.linspace(0.0, one.length, 500)
+        assert one.length <= held.length - 3.0 * lgb * (1.0 - 1e-9)
+        assert np.abs(one.sample(s)[2]).max() * lgb < 2.2
+        place, tangent, _ = one.sample(s)
+        steps = np.diff(place, axis=0)
+        assert np.einsum("ij,ij->i", steps, tangent[:-1]).min() > 0.0
+
+
+def test_plans_are_shared_by_ranks_and_kept(tmp_path, monkeypatch):
+    asked = []
+
+    def solve(index, seed):
+        asked.append(index)
+        if index == 3:
+            raise wrod.errors.GraspError("no such grasp")
+        return synthetic(index, seed)
+
+    monkeypatch.setattr(plans, "solve", solve)
+    assert plans.generate(tmp_path, 6, rank=plans.Rank(1, 2, 1, 2)) == (2, 1)
+    assert plans.generate(tmp_path, 6) == (5, 1) and sorted(asked) == [0, 1, 2, 3, 4, 5]
+    found = plans.load(tmp_path)
+    assert len(found) == 5
+    for one, index in zip(found, (0, 1, 2, 4, 5), strict=True):
+        wanted = synthetic(index)
+        assert one.correction == pytest.approx(wanted.correction, abs=1e-6)
+        assert one.friction == wanted.friction
+    with pytest.raises(DataError, match="another seed"):
+        plans.generate(tmp_path, 6, seed=1)
+    (tmp_path / "plan-000002.npz").write_bytes(b"PK")
+    with pytest.raises(DataError, match="is no optimised plan"):
+        plans.load(tmp_path)
+
+
+def test_a_network_learns_what_plans_do_and_mirrors_it(tmp_path):
+    from wrod.training.distil import course_of, distil
+
+    corrector = distil([synthetic(i) for i in range(32)], steps=400)
+    assert corrector.metadata["error"] < 0.2 * corrector.metadata["correction"]
+    path = corrector.save(tmp_path / "corrections.safetensors")
+    fresh = synthetic(1000)
+    course = replace(course_of(fresh), friction=0.3)
+    found = Corrector.load(path).predict(course)
+    assert found == pytest.approx(corrector.predict(course), abs=0.0)
+    apart = Corrector.load(path).predict(course_of(fresh)) - fresh.correction
+    assert np.sqrt(np.mean(apart**2)) < 0.3 * np.sqrt(np.mean(fresh.correction**2))
+    mirrored = corrector.predict(replace(course, curvature=-course.curvature))
+    assert mirrored == pytest.approx(found * [1.0, -1.0, 1.0], abs=1e-12)
+    with pytest.warns(OutOfRangeWarning, match=r"friction 0\.05"):
+        corrector.predict(replace(course, friction=0.05))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        corrector.predict(course)
+
+
+def test_a_corrector_sees_no_curvature_where_nothing_is_laid():
+    course = Course(np.linspace(0.0, 12.0, 60), np.ones(60), 20.0, 1500.0, 0.3)
+    seen = course.features()[:, : len(wrod.controller.corrector.WINDOW)]
+    assert seen[0, 0] == 0.0 and seen[-1, -1] == 0.0 and seen[28].min() == 1.0
+
+
+def test_too_few_plans_are_refused(tmp_path):
+    arguments = ["distil", "--size", "3", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2 and "--size" in result.output
+    assert not (tmp_path / "out").exists()

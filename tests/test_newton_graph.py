@@ -1,0 +1,98 @@
+"""Steps of SolverDER that ask nothing: no read-back, no allocation, in a graph of the caller's."""
+
+import newton
+import numpy as np
+import pytest
+import warp as wp
+
+import wrod
+
+ROD = wrod.RodMaterial(radius=0.0016, gravito_bending_length=0.032, length=0.2)
+SolverDER = wrod.SolverDER
+DT = 0.004
+
+
+def scene(with_bodies: bool):
+    """Cables over a cylinder, on each other and on the ground, one of them held by a free body."""
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    builder.add_ground_plane()
+    turn = wp.quat_from_axis_angle(wp.vec3(1.0, 0.0, 0.0), 0.5 * np.pi)
+    builder.add_shape_cylinder(-1, xform=wp.transform((0.05, 0.0, 0.02), turn), radius=0.01)
+    line = np.linspace(0.0, 0.12, 13)[:, None]
+    along = line * [1.0, 0.0, 0.0] + [0.0, 0.0, 0.034]
+    across = (line - 0.06) * [0.0, 1.0, 0.0] + [0.05, 0.0, 0.040]
+    held = {}
+    if with_bodies:
+        inertia = wp.mat33(*np.diag([1e-6] * 3).ravel())
+        at = wp.transform((0.12, 0.0, 0.034), wp.quat_identity())
+        bob = builder.add_body(xform=at, mass=0.005, inertia=inertia)
+        held = dict(end="pinned", end_body=bob)
+    SolverDER.add_rod(builder, along, ROD, **held)
+    SolverDER.add_rod(builder, across, ROD)
+    return builder.finalize(device="cpu")
+
+
+def run(model, steps, graph):
+    solver, states = SolverDER(model, rod_contact=0.3), (model.state(), model.state())
+
+    def pair():
+        solver.step(*states, None, None, DT)
+        solver.step(*states[::-1], None, None, DT)
+
+    pair()
+    if graph:
+        with wp.ScopedCapture(device="cpu") as capture:
+            pair()
+    for _ in range(steps):
+        wp.capture_launch(capture.graph) if graph else pair()
+    return solver, states[0]
+
+
+@pytest.mark.parametrize("with_bodies", [False, True])
+def test_captured_steps_are_the_same(with_bodies):
+    """Two steps captured and replayed do what they do when launched one by one, to the last bit."""
+    model = scene(with_bodies)
+    (plain, a), (captured, b) = run(model, 20, False), run(model, 20, True)
+    start = model.der.node_q.numpy()
+    assert np.abs(a.der.node_q.numpy() - start).max() > 0.01
+    assert (a.der.node_contact_f.numpy() != 0).any()
+    for name in ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin"):
+        assert np.array_equal(getattr(a.der, name).numpy(), getattr(b.der, name).numpy()), name
+    assert np.array_equal(a.body_q.numpy(), b.body_q.numpy())
+    assert not (plain.diverged.any() or captured.diverged.any())
+
+
+def test_a_step_reads_and_allocates_nothing(monkeypatch):
+    model = scene(with_bodies=True)
+    solver, state = SolverDER(model, rod_contact=0.3), model.state()
+    for _ in range(2):
+        solver.step(state, state, None, None, DT)
+    before = state.der.node_q.numpy().copy()
+
+    def refuse(*_args, **_options):
+        raise AssertionError("a step read back or allocated")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(wp.array, "numpy", refuse)
+        patched.setattr(wp.array, "__init__", refuse)
+        patched.setattr(wp, "synchronize_device", refuse)
+        for _ in range(5):
+            solver.step(state, state, None, None, DT)
+    assert np.abs(state.der.node_q.numpy() - before).max() > 1e-4
+
+
+def test_a_rod_that_is_cut_out_of_a_graph_is_spoken_of():
+    """What diverges in a replay is told by `diverged`, and in a warning of the next own step."""
+    model = scene(with_bodies=False)
+    solver, state = SolverDER(model), model.state()
+    solver.step(state, state, None, None, DT)
+    with wp.ScopedCapture(device="cpu") as capture:
+        solver.step(state, state, None, None, DT)
+    velocity = state.der.node_qd.numpy()
+    velocity[0] = 1e9
+    state.der.node_qd.assign(velocity)
+    wp.capture_launch(capture.graph)
+    assert solver.diverged.tolist() == [True, False]
+    with pytest.warns(wrod.errors.WrodWarning, match="rods cut out.*: 0;"):
+        solver.step(state, state, None, None, DT)

@@ -1,0 +1,213 @@
+"""Optimised plans at scale: random smooth patterns, the corrections of the grip's path that lay
+them on tables of all sorts, one small file a plan, split over ranks."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import PPoly, make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+from wrod.training.dataset import Rank
+
+from wrod.deployment.optimise import Corrections, optimise
+from wrod.errors import DataError, WrodError, WrodWarning
+from wrod.files import write_atomically
+from wrod.patterns.pattern import Pattern
+from wrod.planning.plan import plan, prepare
+from wrod.rods.material import RodMaterial, rod, rod_names
+
+_FORMAT = "wrod-plans-1"
+# Least and largest friction coefficient of the tables, and length of the patterns [L_gb].
+FRICTION = (0.15, 0.8)
+_LENGTH = (9.0, 24.0)
+# Largest curvature that patterns reach, smallest and largest [1/L_gb].
+_SHARPEST = (0.2, 1.8)
+# What a pattern leaves of its rod [L_gb].
+_SPARE = 3.0
+_NODES, _SPACING, _HOLD = 600, 0.005, 0.05
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One optimised plan, dimensionless.
+
+    Attributes:
+        laid: (T,) laid length [L_gb].
+        curvature: (T,) signed, of the pattern at the contacts [1/L_gb].
+        correction: (T, 3) of the grip's position (forward, left, up) in the contact's frame
+            [L_gb].
+        length: of the rod [L_gb].
+        stretch_ratio: k_s [-].
+        friction: of the table [-].
+        static, optimised: mean error of the plan without and with the corrections, of the rods
+            that were optimised for [L_gb].
+    """
+
+    laid: np.ndarray
+    curvature: np.ndarray
+    correction: np.ndarray
+    length: float
+    stretch_ratio: float
+    friction: float
+    static: float
+    optimised: float
+
+
+def random_pattern(rng: np.random.Generator, held: RodMaterial) -> Pattern:
+    """A smooth pattern that leaves 3 L_gb of the rod: straights and bends as letters have, or
+    curvature that wanders."""
+    lgb = held.gravito_bending_length
+    most = min(_LENGTH[1], held.length / lgb - _SPARE)
+    length = rng.uniform(min(_LENGTH[0], 0.7 * most), most)
+    s = np.linspace(0.0, length, _NODES)
+    cell = s[1] - s[0]
+    if rng.random() < 0.5:
+        curvature = np.zeros(_NODES)
+        at = rng.uniform(1.0, 5.0)
+        while at < length:
+            width = rng.uniform(1.0, 6.0)
+            inside = (s > at) & (s < at + width)
+            curvature[inside] += rng.uniform(-2.5, 2.5) / width
+            at += width + rng.exponential(2.0)
+        curvature = gaussian_filter1d(curvature, rng.uniform(0.3, 0.9) / cell, mode="nearest")
+    else:
+        width = rng.uniform(0.7, 2.5)
+        curvature = gaussian_filter1d(rng.standard_normal(_NODES), width / cell, mode="reflect")
+        if rng.random() < 0.7:  # others begin in a bend, and get a remainder
+            curvature *= 1.0 - np.exp(-((s / rng.uniform(1.5, 4.0)) ** 2))
+    largest = np.exp(rng.uniform(*np.log(_SHARPEST)))
+    curvature *= largest / max(np.abs(curvature).max(), 1e-9)
+    heading = np.concatenate([[0.0], np.cumsum(0.5 * cell * (curvature[1:] + curvature[:-1]))])
+    course = PPoly.from_spline(make_interp_spline(lgb * s, heading, 5))
+    # Knots that coincide at the ends leave pieces of no length.
+    kept = np.diff(course.x) > 0.0
+    course = PPoly(course.c[:, kept], np.append(course.x[:-1][kept], course.x[-1]))
+    return Pattern(course, np.zeros(2), name="random")
+
+
+def solve(index: int, seed: int) -> Sample:
+    """The sample of that index: a rod, a pattern, a table, and the plan that is optimised for it.
+
+    Raises:
+        WrodError: the pattern is none that can be laid.
+    """
+    rng = np.random.default_rng([seed, index])
+    names = rod_names()
+    held = rod(names[rng.integers(len(names))])
+    held = replace(held, length=held.length * rng.uniform(0.8, 1.2))
+    pattern = random_pattern(rng, held)
+    friction = float(np.exp(rng.uniform(*np.log(FRICTION))))
+    course, lgb = prepare(pattern, held, None), held.gravito_bending_length
+    start = plan(course, held, spacing=_SPACING, remainder=False, device="cpu")
+    best = optimise(course, held, start, friction, hold=_HOLD, device="cpu")
+    frame = Corrections(course, start, lgb, _HOLD).frame
+    moved = np.einsum("tij,ti->tj", frame, best.position - start.position)
+    errors = best.metadata["optimised"]["errors"]
+    return Sample(
+        start.arc_length / lgb,
+        course.sample(start.pattern_arc_length)[2] * lgb,
+        moved / lgb,
+        held.length / lgb,
+        held.stretch_ratio,
+        friction,
+        errors[0] / lgb,
+        (min(errors) if moved.any() else errors[0]) / lgb,
+    )
+
+
+def generate(
+    folder: str | os.PathLike[str],
+    size: int,
+    *,
+    seed: int = 0,
+    rank: Rank | None = None,
+    progress: Callable[[], object] | None = None,
+) -> tuple[int, int]:
+    """Optimise the first `size` plans of a random sequence into `folder`.
+
+    What is there already is kept, so a killed call goes on where it was. Every rank takes every
+    rank.count-th plan.
+
+    Args:
+        folder: made if missing.
+        size: number of plans.
+        seed: of the sequence.
+        rank: this process's part; by default read from the environment.
+        progress: called after each plan.
+
+    Returns:
+        Plans that this rank has, and those of its part that could not be laid.
+
+    Raises:
+        DataError: the folder holds plans of another seed.
+    """
+    import warnings
+
+    if size < 1:
+        raise DataError(f"size is {size}; give a positive number of plans")
+    folder = Path(folder)
+    rank = rank or Rank.from_environment()
+    _claim(folder, seed)
+    good = bad = 0
+    for index in range(rank.index, size, rank.count):
+        path = folder / f"plan-{index:06d}.npz"
+        if not path.exists():
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", WrodWarning)
+                _store(path, index, seed)
+        fine = path.stat().st_size > 0
+        good, bad = good + fine, bad + (not fine)
+        if progress is not None:
+            progress()
+    return good, bad
+
+
+def load(folder: str | os.PathLike[str]) -> list[Sample]:
+    """All plans of a folder, by index.
+
+    Raises:
+        DataError: there are none, or one is damaged.
+    """
+    out = []
+    for path in sorted(Path(folder).glob("plan-*.npz")):
+        if not path.stat().st_size:
+            continue
+        try:
+            with np.load(path) as data:
+                arrays = [data[name].astype(float) for name in ("laid", "curvature", "correction")]
+                out.append(Sample(*arrays, *map(float, data["figures"])))
+        except (OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile):
+            raise DataError(f"{path}: is no optimised plan; delete the file") from None
+    if not out:
+        raise DataError(f"{folder}: holds no optimised plan; let `wrod distil` make some")
+    return out
+
+
+def _claim(folder: Path, seed: int) -> None:
+    path = folder / "plans.json"
+    content = {"format": _FORMAT, "seed": seed}
+    folder.mkdir(parents=True, exist_ok=True)
+    if not path.exists():
+        write_atomically(path, lambda file: file.write(json.dumps(content)))
+    if json.loads(path.read_text()) != content:
+        raise DataError(f"{folder}: holds plans of another seed; choose another --out")
+
+
+def _store(path: Path, index: int, seed: int) -> None:
+    """Write a plan, or an empty file where the pattern cannot be laid."""
+    try:
+        one = solve(index, seed)
+    except WrodError:
+        write_atomically(path, lambda file: file.write(b""), "wb")
+        return
+    arrays = {n: getattr(one, n).astype(np.float32) for n in ("laid", "curvature", "correction")}
+    figures = [
+        one.length, one.stretch_ratio, one.friction, one.static, one.optimised,
+    ]  # fmt: skip
+    write_atomically(path, lambda file: np.savez_compressed(file, **arrays, figures=figures), "wb")

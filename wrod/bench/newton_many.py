@@ -1,0 +1,228 @@
+"""Scenes of `wrod bench newton --many`: many worlds, a graph of a step, a pile."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from functools import cache
+
+import newton
+import numpy as np
+import warp as wp
+
+from wrod.bench.cantilever import Cantilever, Start
+from wrod.bench.cantilever_solvers import Vbd
+from wrod.bench.newton_bodies import Pile
+from wrod.newton_solver import SolverDER
+from wrod.rods.material import RodMaterial
+
+# A soft cable of the size that Newton's examples have, hung from a hand that goes to and fro.
+CABLE = RodMaterial.from_youngs_modulus(5e6, radius=0.005, length=0.8, density=1150.0)
+_AMPLITUDE, _RATE = 0.05, 2.0 * np.pi  # of the hand [m], [rad/s]
+_WARM_UP = 4  # steps that compile and record
+_PATIENCE = 60.0  # seconds of a pile
+
+
+@wp.kernel
+def move_hands(
+    # Model:
+    step: wp.float64,
+    amplitude: wp.float64,
+    rate: wp.float64,
+    stride: int,
+    start: wp.array[wp.transform],
+    # State in and out:
+    time: wp.array[wp.float64],
+    # State out:
+    body_q: wp.array[wp.transform],
+):
+    """Put every world's first body to where it is at the end of the step."""
+    w = wp.tid()
+    time[w] = time[w] + step
+    way = amplitude * (wp.float64(1.0) - wp.cos(rate * time[w]))
+    pose = start[stride * w]
+    offset = wp.vec3(0.0, 0.0, wp.float32(way))
+    body_q[stride * w] = wp.transform(
+        wp.transform_get_translation(pose) + offset, wp.transform_get_rotation(pose)
+    )
+
+
+class _Hands:
+    """What moves the first body of every world, of which each has `stride` bodies."""
+
+    def __init__(self, model, worlds: int, dt: float):
+        self._start, self._worlds, self._dt = wp.clone(model.body_q), worlds, dt
+        self._stride = model.body_count // worlds
+        self._time = wp.zeros(worlds, dtype=wp.float64, device=model.device)
+
+    def move(self, state) -> None:
+        wp.launch(
+            move_hands,
+            self._worlds,
+            [wp.float64(self._dt), wp.float64(_AMPLITUDE), wp.float64(_RATE), self._stride]
+            + [self._start, self._time],
+            [state.body_q],
+            device=self._start.device,
+        )
+
+
+class HeldDer:
+    """Worlds of one cable that hangs along x, its upper end clamped by a kinematic body."""
+
+    def __init__(self, worlds: int, edges: int, dt: float, device: str):
+        x = np.linspace(0.0, CABLE.length, edges + 1)
+        world = newton.ModelBuilder(gravity=(CABLE.gravity, 0.0, 0.0))
+        SolverDER.register_custom_attributes(world)
+        hand = world.add_body(is_kinematic=True)
+        SolverDER.add_rod(
+            world, np.column_stack([x, 0 * x, 0 * x]), CABLE, start="clamped", start_body=hand,
+            visible=False,
+        )  # fmt: skip
+        builder = newton.ModelBuilder()
+        SolverDER.register_custom_attributes(builder)
+        builder.replicate(world, worlds)
+        model = builder.finalize(device=device)
+        self.dt, self._solver = dt, SolverDER(model)
+        self._states = [model.state(), model.state()]
+        self._hands = _Hands(model, worlds, dt)
+        self._last = (edges + 1) * (np.arange(worlds) + 1) - 1
+
+    def step(self) -> None:
+        """Two steps, there and back between the states: what a graph can hold."""
+        for _ in range(2):
+            self._hands.move(self._states[0])
+            self._solver.step(self._states[0], self._states[1], None, None, self.dt)
+            self._states.reverse()
+
+    def advance(self, steps: int) -> None:
+        for _ in range(steps // 2):
+            self.step()
+
+    def tips(self) -> np.ndarray:
+        if self._solver.diverged.any():
+            return np.full((1, 3), np.nan)
+        return self._states[0].der.node_q.numpy()[self._last]
+
+
+class HeldVbd(Vbd):
+    """The same under Newton's own cable solver."""
+
+    def __init__(self, worlds: int, edges: int, dt: float, device: str, iterations: int):
+        super().__init__(
+            Cantilever(CABLE, CABLE.length), edges, dt,
+            Start(rods=worlds, gravity=False, damping=False), device, iterations,
+        )  # fmt: skip
+        model = self._solver.model
+        model.gravity.assign(np.tile([CABLE.gravity, 0.0, 0.0], (len(model.gravity), 1)))
+        self._hands = _Hands(model, worlds, dt)
+
+    def _step(self) -> None:
+        self._hands.move(self._states[0])
+        super()._step()
+
+
+def tip_after(held, seconds: float) -> tuple[np.ndarray, float]:
+    """Where the first world's tip is after a while [m], and the seconds that all of them took."""
+    steps = 2 * round(0.5 * seconds / held.dt)
+    held.advance(_WARM_UP)
+    wp.synchronize()
+    start = time.perf_counter()
+    held.advance(steps - _WARM_UP)
+    wp.synchronize()
+    took = (time.perf_counter() - start) * steps / (steps - _WARM_UP)
+    tips = held.tips()
+    if not np.allclose(tips, tips[0], atol=1e-4):
+        return np.full(3, np.nan), took
+    return tips[0], took
+
+
+@cache
+def _fine_tip(device: str, edges: int, seconds: float) -> np.ndarray:
+    return tip_after(HeldDer(1, 4 * edges, seconds / 1920, device), seconds)[0]
+
+
+def worlds_of_cables(
+    device: str, worlds: int, edges: int, seconds: float, iterations: tuple[int, ...] = ()
+) -> Iterator[dict]:
+    """Speed and error of the tip over the length after a while: of `SolverDER`, or of VBD with so
+    many iterations."""
+    fine = _fine_tip(device, edges, seconds)
+    for rate, effort in [(600, i) for i in iterations] or [(60, None), (120, None)]:
+        if effort is None:
+            held = HeldDer(worlds, edges, 1.0 / rate, device)
+        else:
+            held = HeldVbd(worlds, edges, 1.0 / rate, device, effort)
+        tip, took = tip_after(held, seconds)
+        yield {
+            "scene": "cable held by a driven body",
+            "solver": "SolverDER" if effort is None else "SolverVBD", "worlds": worlds,
+            "edges": edges, "steps_per_second": rate, "iterations": effort,
+            "simulated_seconds_per_second": worlds * seconds / took,
+            "tip_error_over_length": float(np.linalg.norm(tip - fine) / CABLE.length),
+        }  # fmt: skip
+
+
+def graph_of_a_step(device: str, worlds: int, edges: int, steps: int = 120) -> Iterator[dict]:
+    """A step captured into a graph beside steps launched one by one."""
+    tips, took = [], []
+    for captured in (False, True):
+        held = HeldDer(worlds, edges, 1.0 / 120, device)
+        held.advance(_WARM_UP)
+        graph = None
+        if captured:
+            with wp.ScopedCapture(device=device) as capture:
+                held.step()
+            graph = capture.graph
+        wp.synchronize()
+        start = time.perf_counter()
+        for _ in range(steps // 2):
+            held.step() if graph is None else wp.capture_launch(graph)
+        wp.synchronize()
+        took.append(1e3 * (time.perf_counter() - start) / steps)
+        tips.append(held.tips())
+    yield {
+        "scene": "step in a graph", "worlds": worlds, "edges": edges, "steps": steps,
+        "launched_ms": took[0], "captured_ms": took[1],
+        "largest_difference_m": float(np.abs(tips[0] - tips[1]).max()),
+    }  # fmt: skip
+
+
+def pile(device: str, cables: int, edges: int, frames: int) -> Iterator[dict]:
+    """Cables that fall on each other: how deep they are in each other, and energy gained."""
+    heap = Pile(cables, edges, device=device)
+    heap.step(1.0 / 60.0)  # compiles
+    dynamics = heap.solver._groups[0].dynamics
+    highest = last = dynamics.energy()[0]
+    scale, rise, took, frame = abs(last), 0.0, 0.0, 0
+    while frame < frames and took < _PATIENCE:
+        start = time.perf_counter()
+        heap.step(1.0 / 60.0)
+        wp.synchronize()
+        took += time.perf_counter() - start
+        frame += 1
+        now = dynamics.energy()[0]
+        rise, last = max(rise, now - last), now
+    yield {
+        "scene": "pile", "cables": cables, "edges": edges, "frames": frame,
+        "seconds_per_simulated_second": 60.0 * took / frame,
+        "deepest_over_radius": heap.deepest, "energy_start_J": float(highest),
+        "energy_end_J": float(last), "largest_rise_over_energy": float(rise / scale),
+        "diverged": bool(heap.solver.diverged.any()),
+    }  # fmt: skip
+
+
+def measure(
+    device: str, worlds: int, cables: int, edges: int, seconds: float = 1.0
+) -> Iterator[dict]:
+    """Rows of all scenes, as they come; a scene that fails yields its error."""
+    scenes = [
+        lambda: worlds_of_cables(device, worlds, edges, seconds),
+        lambda: graph_of_a_step(device, worlds, edges),
+        lambda: pile(device, cables, edges, round(120 * seconds)),
+        lambda: worlds_of_cables(device, worlds, edges, seconds, (10, 40)),
+    ]
+    for scene in scenes:
+        try:
+            yield from scene()
+        except Exception as error:
+            yield {"scene": "failed", "error": f"{type(error).__name__}: {error}"}

@@ -1,0 +1,178 @@
+"""What `wrod deploy` lays, and how: its options and what they say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from wrod import cost
+from wrod.commands.options import METHOD, refuse_idle_options
+
+# How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
+_SAME_PATTERN, _SAME_ROD = 2e-3, 0.01
+_PAGE_INTERVAL = 0.25  # [s] between the states that the page shows
+
+PLANNED = (
+    click.option(
+        "--trajectory",
+        type=click.Path(dir_okay=False, path_type=Path),
+        help="Trajectory (.npz) that `wrod plan` wrote, instead of a new plan.",
+    ),
+    click.option(
+        "--another-rod",
+        is_flag=True,
+        help="Lay another rod than that of the trajectory, on purpose.",
+    ),
+    *METHOD,
+)
+LAYING = (
+    click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient."),
+    click.option(
+        "--kinetic", type=float, help="Kinetic friction coefficient; default: the static."
+    ),
+    click.option(
+        "--fixtures",
+        "fixtures_file",
+        type=click.Path(dir_okay=False, path_type=Path),
+        help="Scene file (.json) of posts and clips to lay the rod between.",
+    ),
+    click.option("--rolling", is_flag=True, help="Let the laid rod roll freely."),
+    click.option(
+        "--trials", default=1, show_default=True, help="Disturbed trials; 1 is the ideal."
+    ),
+    click.option("--speed", default=0.02, show_default=True, help="Speed of the contact [m/s]."),
+    click.option(
+        "--release",
+        default=0.05,
+        show_default=True,
+        help="Laid length at which the free end, held for 5 cm, is let go [m].",
+    ),
+    click.option("--frames", type=float, help="Keep the rod's states at this interval [s]."),
+)
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What the grip follows; see `PLANNED`."""
+
+    trajectory: Path | None
+    another_rod: bool
+    method: str
+    closure: str | None
+
+    def check(self) -> None:
+        """Refuse options that would do nothing."""
+        if self.trajectory is not None:
+            refuse_idle_options("--trajectory", "method", "closure")
+        if self.method == "intuitive":
+            refuse_idle_options("--method intuitive", "closure")
+
+    def path(self, curve, rod, device: str):
+        """The trajectory, read or made, and the pattern with its remainder."""
+        from wrod.deployment.simulate import with_remainder_of
+        from wrod.planning.plan import plan
+        from wrod.planning.trajectory import Trajectory
+
+        if self.trajectory is None:
+            chosen = None if device == "auto" else device
+            path = plan(curve, rod, self.method, closure=self.closure, device=chosen)
+            return path, with_remainder_of(curve, path)
+        path = Trajectory.load(self.trajectory)
+        curve = with_remainder_of(curve, path)
+        _refuse_another_plan(path, curve, rod, self.another_rod)
+        return path, curve
+
+
+@dataclass(frozen=True)
+class Laying:
+    """The world that the rod is laid in, and how; see `LAYING`."""
+
+    friction: float
+    kinetic: float | None
+    fixtures_file: Path | None
+    rolling: bool
+    trials: int
+    speed: float
+    release: float
+    frames: float | None
+
+    @property
+    def interval(self) -> float | None:
+        """Time between the states that are kept [s], if only for the page."""
+        return _PAGE_INTERVAL if self.frames is None and self.paged else self.frames
+
+    @property
+    def paged(self) -> bool:
+        """Whether a page shows the laying."""
+        from importlib.util import find_spec
+
+        return find_spec("viser") is not None and self.trials == 1
+
+    def settle(self, rod, out: Path, device: str, *, force: bool, quiet: bool) -> None:
+        """Say what it costs, and refuse what costs too much."""
+        cost.settle(
+            cost.deployments(
+                self.trials, rod.length, speed=self.speed, step=0.01, spacing=0.005, device=device
+            ),
+            f"{self.trials} deployments", out, "ask for fewer --trials or a larger --speed",
+            force=force, quiet=quiet,
+        )  # fmt: skip
+
+    def lay(self, curve, rod, path, fixtures, device: str, quiet: bool) -> list:
+        """The deployments, one for each trial."""
+        from wrod.deployment.setup import Disturbance, tail
+        from wrod.deployment.simulate import Trial, simulate_deployments
+        from wrod.solvers.contact import Friction
+
+        law, rest = Friction(self.friction, self.kinetic, self.rolling), tail(curve, rod, path)
+        ideal = self.trials == 1
+        jobs = [
+            Trial(
+                curve,
+                rod,
+                path,
+                law,
+                Disturbance() if ideal else Disturbance.random(seed),
+                rest,
+                fixtures,
+            )
+            for seed in range(self.trials)
+        ]
+        shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+        with cost.progress_bar(total=100, desc="laid", quiet=quiet, bar_format=shown) as bar:
+            return simulate_deployments(
+                jobs,
+                speed=self.speed,
+                release=self.release,
+                frame_interval=self.interval,
+                device=device,
+                progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
+            )
+
+
+def _refuse_another_plan(path, curve, rod, another_rod: bool) -> None:
+    """Refuse a trajectory that was planned for another pattern, or for another rod."""
+    import numpy as np
+
+    from wrod.errors import PatternError, RodError
+
+    s = np.clip(path.pattern_arc_length, -curve.remainder_length, curve.length)
+    apart = np.linalg.norm(curve.sample(s)[0] - path.contact, axis=1).max()
+    apart = max(apart, abs(path.pattern_arc_length[-1] - curve.length))
+    if apart > _SAME_PATTERN:
+        raise PatternError(
+            f"the trajectory is of {path.metadata.get('pattern', 'another pattern')}, up to "
+            f"{apart:.3f} m from {curve.name}; give the pattern that it was planned for"
+        )
+    planned = path.metadata.get("rod")
+    if planned is None or another_rod:
+        return
+    for name in ("length", "radius", "gravito_bending_length"):
+        before, now = float(planned[name]), getattr(rod, name)
+        if abs(now - before) > _SAME_ROD * before:
+            raise RodError(
+                f"the trajectory is of a rod whose {name} is {before:g} m, and this one's is "
+                f"{now:g} m; give that rod, or --another-rod to lay this one all the same"
+            )

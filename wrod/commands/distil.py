@@ -1,0 +1,75 @@
+"""`wrod distil`: from optimised plans of random patterns to a network that corrects plans."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from wrod import cost
+
+# Processor time of one optimised plan [s].
+_PLAN = 45.0
+
+
+@click.command(name="distil")
+@click.option(
+    "--size", type=click.IntRange(min=1), required=True, help="Optimised plans to learn from."
+)
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--steps", type=click.IntRange(min=1), default=6000, show_default=True)
+@cost.force_option
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(size: int, out: Path, seed: int, steps: int, force: bool, as_json: bool) -> None:
+    """Optimise plans of random patterns for random tables, and train a network on them.
+
+    `wrod plan --friction 0.3 --method distilled` asks the network instead of optimising. Plans are
+    kept in OUT/plans: the same command goes on where a killed one was. Every process that torchrun
+    starts takes its share of them, and the same command without it trains on all.
+
+    \b
+      torchrun --nproc-per-node 32 --no-python wrod distil --size 400 --out DIR
+    """
+    from wrod.errors import DataError
+    from wrod.training.dataset import Rank
+    from wrod.training.plans import generate, load
+
+    rank = Rank.from_environment()
+    cost.settle(
+        cost.Cost(_PLAN * size / rank.count, 1e9, 3e4 * size),
+        f"{size} optimised plans", out, "ask for fewer", force=force, quiet=as_json,
+    )  # fmt: skip
+    with cost.progress_bar(
+        unit="plan", desc="plans", position=rank.local_index, total=-(-size // rank.count),
+        quiet=as_json,
+    ) as bar:  # fmt: skip
+        try:
+            good, bad = generate(
+                out / "plans", size, seed=seed, rank=rank, progress=lambda: bar.update(1)
+            )
+        except OSError as error:
+            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    figures: dict = {"plans": good, "not_laid": bad, "written": [str(out / "plans")]}
+    if rank.count == 1:
+        from wrod.training.distil import distil
+
+        with cost.progress_bar(unit="step", desc="steps", total=steps, quiet=as_json) as bar:
+            corrector = distil(
+                load(out / "plans"), steps=steps, seed=seed, progress=lambda: bar.update(1)
+            )
+        path = corrector.save(out / "corrections.safetensors")
+        figures |= corrector.metadata | {"plans": good}
+        figures["written"].append(str(path))
+    if as_json:
+        click.echo(json.dumps(figures))
+        return
+    click.echo(f"plans {good}, {bad} patterns could not be laid")
+    if rank.count == 1:
+        click.echo(
+            f"corrections of {figures['held_out']} plans held out: {figures['correction']:.3f} "
+            f"L_gb, learnt to {figures['error']:.3f}"
+        )
+    for one in figures["written"]:
+        click.echo(f"wrote {one}")
