@@ -201,9 +201,9 @@ def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, **how) -
         raise GraspError(
             "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
         )
-    start = plan(pattern, rod, **how)
-    held = prepare(pattern, rod, how["remainder"])
-    return optimise(held, rod, start, spread, device=how["device"])
+    led = prepare(pattern, rod, how["remainder"])
+    start = plan(led, rod, **{**how, "remainder": False})
+    return optimise(led, rod, start, spread, device=how["device"])
 
 
 def _contacts(pattern: Pattern, spacing: float) -> np.ndarray:

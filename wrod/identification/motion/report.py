@@ -20,6 +20,7 @@ from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.fit import MotionLaboratory
 from wrod.identification.motion.loading import load_motion
+from wrod.identification.motion.pace import check_pace
 from wrod.identification.motion.residual import Residual, residual_of
 from wrod.identification.motion.selection import (
     BASE,
@@ -268,7 +269,9 @@ def identify_motion(
     chosen = list(known.values())
     if candidates is not None:
         chosen = [c if isinstance(c, Effect) else _known(c, known) for c in candidates]
-    laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=resolve_device(device))
+    device = resolve_device(device)
+    check_pace(m, device=device)
+    laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=device)
     selection = select_motion(laboratory, chosen, progress=progress)
     if progress:
         progress("force print")
