@@ -123,10 +123,7 @@ def generate(
         GraspError: unknown closure.
     """
     start = time.perf_counter()
-    if size < 1 or shard_size < 1:
-        raise DataError(f"size is {size} and shard size {shard_size}; give positive numbers")
-    if size > MAX_INDEX:
-        raise DataError(f"size is {size}; the sampling sequence ends at {MAX_INDEX}")
+    _check_size(size, shard_size)
     folder = Path(folder)
     rank = rank or Rank.from_environment()
     if closure not in CLOSURES:
@@ -150,12 +147,10 @@ def generate(
     store.sweep(folder, mine)
     tally = _Tally(sum(manifest.rows(shard)[1] for shard in mine), progress)
 
-    waiting = []
-    for shard in mine:
-        if store.is_solved(folder, manifest, shard):
-            tally.add(store.read_shard(folder, manifest, shard), solved=False)
-        else:
-            waiting.append(shard)
+    there = {shard for shard in mine if store.is_solved(folder, manifest, shard)}
+    for shard in sorted(there):
+        tally.add(store.read_shard(folder, manifest, shard), solved=False)
+    waiting = [shard for shard in mine if shard not in there]
     group_size = 1 if device == "cpu" else max(1, _CUDA_BATCH // shard_size)
     threads = max(1, (os.cpu_count() or 1) // rank.local_count)
     for first in range(0, len(waiting), group_size):
@@ -166,6 +161,13 @@ def generate(
     return Outcome(
         tally.samples, tally.solved, tally.unconverged, tally.unstable, time.perf_counter() - start
     )
+
+
+def _check_size(size: int, shard_size: int) -> None:
+    if size < 1 or shard_size < 1:
+        raise DataError(f"size is {size} and shard size {shard_size}; give positive numbers")
+    if size > MAX_INDEX:
+        raise DataError(f"size is {size}; the sampling sequence ends at {MAX_INDEX}")
 
 
 @dataclass

@@ -18,8 +18,10 @@ from wrod.errors import RodError
 
 KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
 ENGINES = ("wrod", "mujoco")
-PUT_DOWN = "put_down"
-METHODS = ("intuitive", "zero_tension", "min_friction", "optimised", PUT_DOWN)
+# A rod that is put down exactly, and one that lies exactly where a robot that stands elsewhere, and
+# does not know it, has the pattern: what no plan can be better than on average.
+PUT_DOWN, MISPLACED = "put_down", "misplaced"
+METHODS = ("intuitive", "zero_tension", "min_friction", "optimised", PUT_DOWN, MISPLACED)
 # Seeds of disturbances that no plan was fitted to or judged by.
 _FIRST_SEED = 9_000
 _PLAN_SPACING = 0.005
@@ -184,10 +186,14 @@ def _laid(shelf: Shelf, key: tuple, spacing: float, device: str, how: dict):
         job = (led, material, Friction(mu))
         s, place, diverged, steps = put_down([job], node_count=nodes, step=0.02, device=device)[0]
         return s, place, steps, diverged
-    trajectory = shelf.plan(rod_name, name, mu, method)
     how = dict(how)
     bare, chain_step = how.pop("undisturbed"), how.pop("chain_step")
     disturbance = Disturbance() if bare else Disturbance.random(_FIRST_SEED + trial)
+    if method == MISPLACED:
+        s = np.linspace(-led.remainder_length, led.length, 400)
+        place = led.sample(s)[0]
+        return s + led.remainder_length, disturbance.displaced(place, place[0]), 0, False
+    trajectory = shelf.plan(rod_name, name, mu, method)
     one = Trial(led, material, trajectory, Friction(mu), disturbance)
     if engine == "mujoco":
         asked = dict(release=how["release"], speed=how["speed"], step=chain_step)

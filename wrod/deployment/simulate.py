@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -184,13 +185,9 @@ def simulate_deployments(
     _refuse_endless(trials, speed, spacing, step, frame_interval)
     setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     options: dict[str, Any] = dict(
-        scheme=scheme,
-        air_damping=air_damping,
-        internal_damping=internal_damping,
-        tolerance=tolerance,
-        device=device,
-        friction_field=friction_field,
-    )
+        scheme=scheme, air_damping=air_damping, internal_damping=internal_damping,
+        tolerance=tolerance, device=device, friction_field=friction_field,
+    )  # fmt: skip
     chunks, workers = _chunks(len(trials), device, threads)
     parallel = workers > 1 and len(chunks) > 1
     # Recording is the process's: threads would record each other's launches.
@@ -201,22 +198,19 @@ def simulate_deployments(
             progress(fraction * count / len(trials))
 
     def run(chunk: list[int]) -> list[Deployment]:
-        part = [trials[i] for i in chunk]
         return _simulate(
-            part,
+            [trials[i] for i in chunk],
             [setups[i] for i in chunk],
             step,
             frame_interval,
-            lambda fraction: report(fraction, len(part)),
+            lambda fraction: report(fraction, len(chunk)),
             **options,
         )
 
     if parallel:
         with ThreadPoolExecutor(workers) as pool:
-            parts = list(pool.map(run, chunks))
-    else:
-        parts = [run(chunk) for chunk in chunks]
-    return [deployment for part in parts for deployment in part]
+            return list(chain.from_iterable(pool.map(run, chunks)))
+    return list(chain.from_iterable(map(run, chunks)))
 
 
 def _check_pace(speed: float, spacing: float, hold: float, release: float) -> None:

@@ -201,9 +201,9 @@ def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, **how) -
         raise GraspError(
             "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
         )
-    start = plan(pattern, rod, **how)
-    held = prepare(pattern, rod, how["remainder"])
-    return optimise(held, rod, start, spread, device=how["device"])
+    led = prepare(pattern, rod, how["remainder"])
+    start = plan(led, rod, **{**how, "remainder": False})
+    return optimise(led, rod, start, spread, device=how["device"])
 
 
 def _contacts(pattern: Pattern, spacing: float) -> np.ndarray:
@@ -275,8 +275,8 @@ def favoured_closure(pattern: Pattern, rod: RodModel | RodMaterial) -> str:
     "min_friction" where the pattern's largest curvature is over 0.4 / L_gb, "zero_tension"
     elsewhere. In bends the first asks the table for less: at 1 / L_gb for a tangential force of
     0.55 instead of 0.93 of the normal one, so that less slides on slippery tables. On a straight
-    pattern both are the same grasps; in gentle bends both lay as well, and the trained controller
-    knows the second. Evidence: `wrod bench closures`, docs/deployment.md, and for naturally curved
+    pattern both are the same grasps; in gentle bends both lay as well, and the second are the
+    paper's. Evidence: `wrod bench closures`, docs/deployment.md, and for naturally curved
     rods docs/loop.md. Of a rod curved by more than 0.3 / L_gb not all grasps exist that ask for the
     least, and it gets "zero_tension".
     """
