@@ -24,7 +24,7 @@ def bend():
     heading = 0.8 * (1.0 + np.tanh((s - 0.11) / 0.04))
     points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
     pattern = wrod.Pattern.from_points(points)
-    return pattern, wrod.plan(pattern, ROD, spacing=0.005)
+    return pattern, wrod.plan(pattern, ROD, "numeric", closure="min_friction", spacing=0.005)
 
 
 def test_a_corrected_plan_lays_better_than_the_best_grasps(bend):
