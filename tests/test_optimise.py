@@ -96,6 +96,21 @@ def test_a_sample_covers_what_is_declared():
     np.testing.assert_allclose(Spread.of(0.5).friction, (0.45, 0.55))
 
 
+def test_a_sample_stretches_by_what_a_path_can_hold():
+    """The stiffer double of a rod that stretches much differs by 0.15 L_gb where both hang."""
+
+    def longer(rod):  # strain is the weight below over the stretching stiffness, along the rod
+        stretch = rod.weight * rod.length**2 / (2.0 * rod.stretching_stiffness)
+        return stretch / rod.gravito_bending_length
+
+    soft, stiff = wrod.rod("pink-vps"), wrod.rod("cable")
+    doubles = [Spread.of(0.5).sample(2, rod)[1][0] for rod in (soft, stiff)]
+    assert longer(soft) > 1.0
+    assert longer(soft) - longer(doubles[0]) == pytest.approx(0.15)
+    assert longer(doubles[1]) == pytest.approx(0.09 * longer(stiff))
+    assert [d.gravito_bending_length for d in doubles] == [0.018, stiff.gravito_bending_length]
+
+
 @pytest.mark.parametrize("friction", [0.0, -1.0, np.nan, (0.6, 0.2), (0.1, 0.2, 0.3)])
 def test_friction_that_is_none_is_refused(friction):
     with pytest.raises((PatternError, GraspError), match="friction is"):

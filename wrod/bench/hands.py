@@ -66,6 +66,7 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     if hanging.is_dir() and not quick:
         figures["loops"], predictions["loops"] = hands_loops.explain(hanging, device)
     written = [out / "hands.json"]
+    written += hands_swings.draw(data / "swing", out, statics, predictions["swings"])
     if not quick:
         written.append(out / "hands-prediction.json")
         text = json.dumps(predictions, indent=1) + "\n"

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod.files import write_atomically
 from wrod.identification.held.fit import HeldFit
 from wrod.identification.held.measurements import HeldSwing, load_swing
 from wrod.identification.held.swings import SwingFit, SwingModel, fit_swings, predict_swings
+from wrod.identification.style import AFTER, FAINT, INK, MEASURED, as_png, dress, new_figure
 
 LOADS = ("unweighted", "weighted")
 _STAGES = ((), ("damping",), ("damping", "bend"), ("damping", "friction"))
@@ -47,6 +49,36 @@ def explain(
         pieces = [name for name, source in others.items() if source == cable]
         predictions |= _others(folder, pieces, swings, fits[_STAGES.index(_PREDICTS)], device)
     return figures, predictions
+
+
+def draw(folder: Path, out: Path, statics: dict[str, HeldFit], predictions: dict) -> list[Path]:
+    """OUT/swings.png: sideways places of the ends, seen, by the hanging cable's model, and as the
+    other swing's damping predicts them."""
+    shown = [(cable, k, f"{cable}-{load}") for cable in statics for k, load in enumerate(LOADS)]
+    shown = [one for one in shown if one[2] in predictions]
+    if not shown:
+        return []
+    figure = new_figure(9.0, 5.0)
+    axes = figure.subplots(2, -(-len(shown) // 2), squeeze=False)
+    for axis, (cable, which, name) in zip(axes.T.ravel(), shown, strict=False):
+        swing, said = load_swing(folder / f"{name}-swing.npz"), predictions[name]
+        rest = SwingModel(statics[cable].model(which, 0.0))
+        (alone,) = predict_swings([(swing, rest)])
+        time, end = np.array(said["time"]), 100.0 * np.array(said["end"])[:, 0]
+        reach = 100.0 * _EIGHTY * np.array(said["end_sigma"])[:, 0]
+        axis.plot(time, 100.0 * alone[:, 1, 0], color=FAINT, lw=0.8, label="hanging cable's model")
+        axis.fill_between(time, end - reach, end + reach, color=AFTER, alpha=0.15, lw=0)
+        axis.plot(time, end, color=AFTER, lw=1.2, label="the other swing's damping, 80 %")
+        axis.plot(swing.time, 100.0 * swing.cable.end[:, 0], ".", color=MEASURED, ms=2.5,
+                  label="seen")  # fmt: skip
+        axis.set_title(name, fontsize=9, color=INK)
+        axis.set_ylabel("end, sideways [cm]", fontsize=8)
+        dress(axis)
+    axes[0, 0].legend(fontsize=7, frameon=False)
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]", fontsize=8)
+    path = out / "swings.png"
+    return [write_atomically(path, lambda file: file.write(as_png(figure)), "wb")]
 
 
 def _left_out(swings, statics, device) -> tuple[dict, dict]:
@@ -127,13 +159,19 @@ def table(figures: dict) -> str:
         return ", ".join(f"{name} {value:.1f}" for name, value in rms.items())
 
     for cable, own in figures.items():
+        before = own["stages"][0]["rms_mm"]
         for stage in own["stages"]:
             found = ", ".join(
                 f"{name} {e['value']:.2f} ± {e['stderr']:.2f}"
                 for name, e in stage["parameters"].items()
             )
             label = ", ".join(stage["effects"]) or "the hanging cable's model"
-            lines.append(f"{cable}: {label}: {said(stage['rms_mm'])}; {found}".rstrip("; "))
+            takes = ""
+            if stage["effects"]:
+                # Of the squares that the hanging cable's model leaves.
+                shares = (1.0 - (v / before[name]) ** 2 for name, v in stage["rms_mm"].items())
+                takes = "; takes " + ", ".join(f"{100.0 * share:.1f} %" for share in shares)
+            lines.append(f"{cable}: {label}: {said(stage['rms_mm'])}{takes}; {found}".rstrip("; "))
         if "left_out" in own:
             lines.append(f"{cable}: by the other's damping: {said(own['left_out'])}")
             lines.append(f"{cable}: and friction: {said(own['left_out_friction'])}")

@@ -17,7 +17,7 @@ ROD = (
     click.option(
         "--rod",
         "rod_name",
-        help="Rod by name (green-vps, ...), rod.json, or the model.json of `wrod identify`.",
+        help="Rod by name (see `wrod rods`), rod.json, or the model.json of `wrod identify`.",
     ),
     click.option("--radius", type=float, help="Radius of a rod of your own, or a rod file's [m]."),
     click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`)."),
@@ -121,7 +121,8 @@ class RodOptions:
             RodError: none, or more than one is named.
         """
         from wrod.errors import RodError
-        from wrod.rods.material import RodMaterial, rod
+        from wrod.rods.catalogue import find
+        from wrod.rods.material import RodMaterial
         from wrod.rods.model_file import load_rod
 
         name = self.rod_name
@@ -137,7 +138,7 @@ class RodOptions:
                 f"--rod {name} and {', '.join(given)} were both given; give one or the other"
             )
         if name is not None:
-            return load_rod(name) if from_file else rod(name)
+            return load_rod(name) if from_file else find(name).rod
         missing = [option for option in own if option not in given]
         if missing == list(own):
             raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")

@@ -275,8 +275,8 @@ def favoured_closure(pattern: Pattern, rod: RodModel | RodMaterial) -> str:
     "min_friction" where the pattern's largest curvature is over 0.4 / L_gb, "zero_tension"
     elsewhere. In bends the first asks the table for less: at 1 / L_gb for a tangential force of
     0.55 instead of 0.93 of the normal one, so that less slides on slippery tables. On a straight
-    pattern both are the same grasps; in gentle bends both lay as well, and the trained controller
-    knows the second. Evidence: `wrod bench closures`, docs/deployment.md, and for naturally curved
+    pattern both are the same grasps; in gentle bends both lay as well, and the second are the
+    paper's. Evidence: `wrod bench closures`, docs/deployment.md, and for naturally curved
     rods docs/loop.md. Of a rod curved by more than 0.3 / L_gb not all grasps exist that ask for the
     least, and it gets "zero_tension".
     """
@@ -549,7 +549,7 @@ def _warn_relaxed(poses: GraspPoses, s: np.ndarray) -> None:
     warnings.warn(
         f"{np.sum(less)} of {len(s)} grasps (s from {where} m) are of a rod with less natural "
         f"curvature, down to {np.min(poses.natural_share):.0%} of it: bent at rest as this one is, "
-        "it would dip under the table there, so that it rests on the table beyond the contact; "
+        "it would dip under the table there, pull at it or snap; "
         "expect it to lie off the pattern",
         WrodWarning,
         stacklevel=3,

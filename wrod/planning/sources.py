@@ -233,8 +233,7 @@ def _auto(inputs: GraspInputs) -> GraspPoses:
     if inputs.rod is not None:
         _refuse_varying(inputs)
         return _numeric(inputs)
-    # Others do not know the thrust, and with it what a plan asks of the table.
-    controller = inputs.controller or _of_closure("zero_tension")
+    controller = inputs.controller or _shipped("zero_tension", inputs.closure)
     known = ~controller.out_of_range(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     )
@@ -271,8 +270,7 @@ def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
     position, rotation, force, twist = controller.predict_with_twist(
         inputs.suspended_length, side * inputs.curvature, inputs.stretch_ratio
     )
-    # The chain that controllers learn has no thrust at the contact.
-    if force is None or controller.closure != "zero_tension":
+    if force is None:
         force = np.full_like(position, np.nan)
     if side < 0.0:
         position, rotation, force = MIRROR * position, MIRROR_ROTATION * rotation, MIRROR * force
