@@ -5,16 +5,8 @@ import numpy as np
 import pytest
 
 from wrod.errors import GraspError
+from wrod.grasps.inputs import whole_range
 from wrod.grasps.optimal import solve_grasps
-
-
-def whole_range(count, seed):
-    """Inputs over the whole range of the physics: half of them short, half long."""
-    rng = np.random.default_rng(seed)
-    ls = np.concatenate(
-        [rng.uniform(1, 50, count - count // 2), np.exp(rng.uniform(0, np.log(50), count // 2))]
-    )
-    return ls, rng.uniform(-3.5, 3.5, count), np.exp(rng.uniform(*np.log([150, 15000]), count))
 
 
 def errors(a, b):

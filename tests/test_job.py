@@ -149,3 +149,42 @@ def test_hand_leaves_the_rod_aside_where_it_cannot_go_back(job, monkeypatch):
     moved = (poses[-1, :3, 3] - poses[0, :3, 3]) @ poses[0, :3, :3]
     np.testing.assert_allclose(np.abs(moved), [transfer._ASIDE, 0.0, 0.0], atol=1e-4)
     np.testing.assert_allclose(poses[-1, :3, :3], poses[0, :3, :3], atol=1e-4)
+
+
+def test_scene_shows_every_phase(line, job, tmp_path):
+    from wrod.scene.rod_shapes import whole_rod
+    from wrod.scene.validate import open_stage, validation_errors
+
+    path = wrod.export_usd(
+        tmp_path / "job.usdc", trajectory=line, joint_path=job, rod=wrod.rod("green-vps")
+    )
+    assert validation_errors(path) == []
+    stage = open_stage(path)
+    first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    assert first < -5 and last > len(line) + 5
+    prim = stage.GetPrimAtPath("/World/Deployment_000")
+    time, phase = prim.GetAttribute("wrod:time"), prim.GetAttribute("wrod:phase")
+    assert time.Get(first) == 0.0 and time.Get(last) == pytest.approx(job.time[-1])
+    codes = np.arange(first, last + 1)
+    assert (np.diff([time.Get(code) for code in codes]) > 0).all()
+    assert [p["name"] for p in job.phases] == list(dict.fromkeys(phase.Get(c) for c in codes))
+    rod = stage.GetPrimAtPath("/World/Deployment_000/rod").GetAttribute("points")
+    shapes = whole_rod(line)
+    for code, shape in ((first, shapes[0]), (0, shapes[0]), (len(line) - 1, shapes[-1])):
+        assert np.abs(np.array(rod.Get(code)) - shape).max() < 1e-6
+    lying = np.array(rod.Get(last))
+    assert np.abs(lying[:, 2]).max() < 1e-3
+    length = np.linalg.norm(np.diff(lying, axis=0), axis=1).sum()
+    assert length == pytest.approx(np.linalg.norm(np.diff(shapes[-1], axis=0), axis=1).sum())
+    # The hand is away from the rod when the scene begins and ends, and on it in between.
+    reached = line.position[[0, -1]]
+    for code, grip in ((first, reached[0]), (last, reached[1])):
+        place = hand_at(job, time.Get(code))
+        assert np.linalg.norm(place - grip) > 0.05
+
+
+def hand_at(job, time):
+    from wrod.robot.kinematics import grasp_poses
+
+    q = np.array([[np.interp(time, job.time, column) for column in job.positions.T]])
+    return (job.placement.world_from_base @ grasp_poses(job.robot, q)[0])[:3, 3]

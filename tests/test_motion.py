@@ -301,6 +301,20 @@ def test_markers_in_another_order_are_named(recorded):
         motion_from_arrays(_with(recorded, positions=x))
 
 
+@pytest.mark.parametrize("share", [1.0, 0.05])
+@pytest.mark.parametrize("markers", ["inner", "two"])
+def test_markers_shuffled_anew_in_every_frame_are_named(recorded, markers, share):
+    rng = np.random.default_rng(0)
+    x = recorded["positions"].copy()
+    part = np.arange(2, MARKERS - 2) if markers == "inner" else np.array([3, 4])
+    for frames in x:
+        for frame in frames:
+            if rng.random() < share:
+                frame[part] = frame[rng.permutation(part)]
+    with pytest.raises(DataError, match=r"apart in frame .* sort the markers"):
+        motion_from_arrays(_with(recorded, positions=x))
+
+
 def test_bad_data_end_a_command_with_one_sentence(recorded, tmp_path):
     path = tmp_path / "motion.npz"
     np.savez(path, **_with(recorded, positions=1e3 * recorded["positions"]))

@@ -1,11 +1,16 @@
 """The force print of motion: what is hidden in known motions leaves the right print."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from wrod.errors import DataError
 from wrod.identification.effect import Effect, Model, Parameter, effects
 from wrod.identification.motion.fit import MotionLaboratory
 from wrod.identification.motion.loading import motion_from_arrays
+from wrod.identification.motion.pace import check_pace, pace
+from wrod.identification.motion.report import identify_motion
 from wrod.identification.motion.trace import trace_motion
 
 RATE, GRAVITY, MARKERS, FRAMES, SETTLING = 100.0, 9.81, 11, 130, 50
@@ -65,8 +70,8 @@ def grips(rods: int, seed: int) -> np.ndarray:
     return np.einsum("rij,rfkj->rfki", rotation, ends)
 
 
-def moved(hidden=None, rods=8, seed=1):
-    """Recordings of a viscous rod with something hidden.
+def moved(hidden=None, rods=8, seed=1, rate=RATE):
+    """Recordings of a viscous rod with something hidden, each frame's grips the same at any rate.
 
     They are on the mesh of the print, whose own error would be a stiffness that is missing.
     """
@@ -76,7 +81,7 @@ def moved(hidden=None, rods=8, seed=1):
     loop = (1 - u) * a + u * b - np.array([0, 0, 0.22]) * np.sin(np.pi * u)
     data = {
         "positions": np.concatenate([ends[:, :, :1], loop, ends[:, :, 3:]], axis=2),
-        "rate_hz": np.float64(RATE),
+        "rate_hz": np.float64(rate),
         "held": np.array([0, 1, MARKERS - 2, MARKERS - 1]),
         "gravity": np.float64(GRAVITY),
     }
@@ -179,3 +184,22 @@ def test_the_trace_is_plain_data(traces):
     assert content["together"][0]["share"] == pytest.approx(content["prints"][0]["share_of_excess"])
     assert len(content["missing_force"]["mean_in_material"]["value"]) == MARKERS - 2
     assert content["marker_placement_mm"] < 0.2
+
+
+def test_frames_that_follow_one_another_faster_than_told_are_refused():
+    """The rod's weight is the clock: at a tenth of the rate it would accelerate a hundred times as
+    much as its markers do."""
+    m = moved()
+    square, bound = pace(m)
+    assert abs(square - 1.0) < 0.5 and bound < 0.6
+    check_pace(m)
+    slow = replace(m, rate=m.rate / 10)
+    assert pace(slow)[0] == pytest.approx(100 * square, rel=0.1)
+    with pytest.raises(DataError, match=r"at rate_hz .* more than \d\.\d times as fast"):
+        identify_motion(slow)
+
+
+@pytest.mark.parametrize("hidden", [None, "bend", "weight"])
+def test_slow_motion_is_not_taken_for_a_wrong_rate(hidden):
+    """Grips that take ten times as long: the inertia is a hundredth, and what is hidden is not."""
+    check_pace(moved(HIDDEN.get(hidden), rate=RATE / 10))

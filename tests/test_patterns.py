@@ -196,3 +196,16 @@ def test_published_patterns_have_published_lengths_and_rounding_noise(shared):
         curvature = pattern.sample(np.linspace(0.0, pattern.length, 2000))[2]
         if name in largest:
             assert np.max(np.abs(curvature)) == pytest.approx(largest[name], rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["letter-A", "circle"])
+def test_reversed_pattern_is_the_same_curve_from_its_other_end(name):
+    there = wrod.pattern(name)
+    back = there.reversed()
+    s = np.linspace(0.0, there.length, 500)
+    (p, t, k), (q, u, m) = there.sample(s), back.sample(there.length - s)
+    assert np.abs(p - q).max() < 1e-12
+    assert np.abs(t + u).max() < 1e-12
+    assert np.abs(k + m).max() < 1e-9
+    with pytest.raises(PatternError, match="has a remainder"):
+        there.with_remainder(0.05).reversed()

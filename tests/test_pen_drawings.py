@@ -4,12 +4,15 @@ from scipy.spatial import cKDTree
 
 import wrod
 from tests.pen_drawings import CASES, photograph
+from wrod.perception.gaps import join_gaps
+from wrod.perception.trace import Centerline
 
 MM = 1e-3
 _SHARP = {"corners"}  # rounded by what sees them: the tip is cut by millimetres
 
 
-@pytest.mark.parametrize("name", [name for name in CASES if name != "skips"])
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.filterwarnings("ignore:.*the stroke is broken")
 def test_photograph_of_a_drawing_gives_the_drawn_curve(name, tmp_path):
     image, sheet = photograph(name)
     sheet.save(tmp_path)
@@ -21,3 +24,25 @@ def test_photograph_of_a_drawing_gives_the_drawn_curve(name, tmp_path):
     assert apart.max() < (3.0 if name in _SHARP else 0.6) * MM
     length = np.hypot(*np.diff(drawn, axis=0).T).sum()
     assert pattern.length == pytest.approx(length, rel=0.03 if name in _SHARP else 0.01)
+
+
+def stroke(*points):
+    points = np.array(points, float)
+    along = np.linspace(0.0, 1.0, 100)[:, None]
+    return Centerline(points[0] + along * (points[1] - points[0]), np.full(100, 1.5))
+
+
+def test_only_ends_that_go_on_in_each_other_are_joined():
+    left, right = stroke((0, 0), (100, 0)), stroke((215, 8), (115, 2))
+    (joined,), (gap,) = join_gaps([left, right])
+    assert gap == pytest.approx(np.hypot(15, 2))
+    assert joined.length == pytest.approx(215.5, abs=1.0)
+    assert np.hypot(*np.diff(joined.points, axis=0).T).max() < 2.1
+    beside = stroke((0, 12), (100, 12))
+    assert join_gaps([left, beside])[1] == []
+    corner = stroke((110, 5), (110, 100))
+    assert join_gaps([left, corner])[1] == []
+    far = stroke((160, 0), (260, 0))
+    assert join_gaps([left, far])[1] == []
+    # A fork: either branch could be meant.
+    assert join_gaps([left, right, stroke((113, -4), (215, -12))])[1] == []

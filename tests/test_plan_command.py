@@ -197,7 +197,7 @@ def test_a_pattern_cut_to_the_rod_leaves_the_fingers_off_the_table(tmp_path):
     points = np.column_stack([np.linspace(0.0, 1.0, 200), np.zeros(200)])
     np.savetxt(tmp_path / "long.csv", points, delimiter=",")
     words = [str(tmp_path / "long.csv"), "--rod", "green-vps", "--out", str(tmp_path / "o")]
-    result = CliRunner().invoke(main, ["plan", *words])
+    result = CliRunner().invoke(main, ["plan", *words, "--no-remedy"])
     factor = float(result.output.split("`--resize ")[1].split("`")[0])
     assert result.exit_code == 2 and factor * 1.0 <= rod.length - least
     alone = CliRunner().invoke(main, ["plan", *words, "--no-robot"])
@@ -212,3 +212,53 @@ def test_a_closure_beside_a_method_that_has_none_is_refused(tmp_path):
     assert result.exit_code == 2
     assert "--closure does nothing beside --method intuitive" in result.output
     assert not out.exists()
+
+
+def test_a_pattern_is_laid_from_its_other_end(tmp_path):
+    options = ("letter-A", "--rod", "green-vps", "--method", "intuitive")
+    run(*options, "--out", tmp_path / "a")
+    result = run(*options, "--reverse", "--json", "--out", tmp_path / "b")
+    figures = json.loads(result.stdout)
+    assert figures["notes"][0] == "laid from its other end"
+    there, back = (Trajectory.load(tmp_path / name / "trajectory.npz") for name in "ab")
+    assert np.abs(there.contact[[0, -1]] - back.contact[[-1, 0]]).max() < 2e-3
+
+
+def test_what_is_tried_for_an_arm_lays_tight_bends_last():
+    from wrod.commands.plan_pattern import Shaping, shorter
+
+    angle = np.linspace(0.0, 5 * np.pi, 2000)
+    out = (0.02 + 0.008 * angle)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    spiral, rod = wrod.Pattern.from_points(out), wrod.rod("green-vps")
+    wanted = Shaping(None, 0.01, None)
+    first, second, *_ = shorter(spiral, rod, wanted)
+    assert first.reverse and not second.reverse
+    left = rod.length - first.resize * spiral.length
+    assert left > 5.5 * rod.gravito_bending_length - 1e-9
+    assert not shorter(spiral.reversed(), rod, wanted)[0].reverse
+    # A pattern that is reversed already stays so, or is turned back.
+    assert shorter(spiral, rod, Shaping(None, 0.01, None, reverse=True))[0].reverse is False
+
+
+def test_only_what_was_solved_is_said_to_help(capsys):
+    from types import SimpleNamespace
+
+    from wrod.commands.plan_pattern import Shaping
+    from wrod.commands.plan_steps import fitting
+    from wrod.errors import PatternError, RobotError
+
+    def solve(trajectory, rod):
+        if trajectory > 0.7:
+            raise RobotError("no joint path")
+
+    def planned(resize, hold, tried=None):
+        if tried.resize < 0.65:
+            raise PatternError("bends too much")
+        return SimpleNamespace(rod=None), None, tried.resize
+
+    request = SimpleNamespace(robot="sawyer", solve=solve)
+    tries = [Shaping(size, 0.01, None, reverse=True) for size in (0.6, 0.8, 0.7)]
+    said = fitting(request, tries, planned, "too long")
+    assert said == ("with `--resize 0.7 --no-remainder --reverse` a joint path of sawyer is found")
+    assert "too long; looking" in capsys.readouterr().err
+    assert fitting(request, tries[:2], planned, "too long").startswith("no joint path of sawyer")

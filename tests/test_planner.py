@@ -321,7 +321,11 @@ def test_default_plan_takes_the_closure_that_lays_best():
     plan = wrod.plan(bent, ROD, spacing=0.05, device="cpu")
     assert (plan.metadata["method"], plan.metadata["closure"]) == ("auto", "min_friction")
     numeric = wrod.plan(bent, ROD, "numeric", closure="min_friction", spacing=0.05, device="cpu")
-    np.testing.assert_allclose(plan.position, numeric.position, atol=1e-12)
+    # A network answers, within what it errs by, and tells the force at the contact as well.
+    np.testing.assert_allclose(plan.position, numeric.position, atol=2e-5)
+    assert not np.array_equal(plan.position, numeric.position)
+    asked = numeric.metadata["contact_friction"]
+    assert plan.metadata["contact_friction"] == pytest.approx(asked, rel=2e-3)
     paper = wrod.plan(bent, ROD, "numeric", spacing=0.05, device="cpu")
     assert paper.metadata["closure"] == "zero_tension"
     line = wrod.plan(straight, ROD, spacing=0.1, device="cpu")

@@ -122,3 +122,50 @@ def test_a_mirrored_rod_has_mirrored_grasps():
 def test_bad_input_is_named(change, word):
     with pytest.raises(GraspError, match=word):
         solve_rod_grasps(**{"rod": GREEN, "arc_length": [0.4], "curvature": 1.0, **change})
+
+
+def bent_cable() -> RodModel:
+    """L_gb 3.2 cm; bends at rest of up to 1.5 / L_gb that change sign every 3 cm."""
+    model = RodModel.of(GREEN)
+    knots = np.arange(0.0, model.length, 0.03)
+    bends = 45.0 * np.random.default_rng(2).uniform(-1.0, 1.0, (2, len(knots)))
+    return replace(model, natural_curvature=tuple(Profile(b, knots) for b in bends))
+
+
+def test_where_a_bent_rod_cannot_hang_a_straighter_one_does():
+    from wrod.grasps.relaxed import solve_relaxed
+
+    model, contact = bent_cable(), np.linspace(0.3, 0.7, 60)
+    own = solve_rod_grasps(model, contact, 0.0, edge_count=32)
+    lacking = ~own.converged
+    assert 5 < lacking.sum() < 55
+    # Most are in balance and stable all the same, but under the table.
+    dips = own.stable & (own.residual < 1e-6 * own.force_unit)
+    dips &= own.shape[..., 2].min(axis=1) < -1e-6 * own.length_unit
+    assert dips.sum() > 0.5 * lacking.sum() and not own.converged[dips].any()
+    grasps, share = solve_relaxed(model, contact, np.zeros(60), roll=0.0, edge_count=32)
+    assert grasps.converged.all()
+    assert (share[lacking] < 1.0).all() and (share > 0.0).all()
+    assert grasps.shape[..., 2].min() >= -1e-6 * grasps.length_unit
+    whole = share == 1.0
+    assert np.array_equal(grasps.position[whole], own.position[whole])
+    # Half as much again of a share is too much somewhere: no less was taken than needed.
+    more = solve_rod_grasps(
+        model, contact, 0.0, edge_count=32, natural_share=np.minimum(1.5 * share, 1.0)
+    )
+    assert not more.converged[lacking].all()
+
+
+def test_a_plan_says_which_grasps_are_of_a_straighter_rod():
+    import wrod
+    from wrod.errors import WrodWarning
+    from wrod.patterns.pattern import Pattern
+    from wrod.patterns.shapes import straight, strokes
+
+    model = bent_cable()
+    line = Pattern(*strokes(0.0, straight(0.4), []), name="line")
+    with pytest.warns(WrodWarning, match="of a rod with less natural curvature"):
+        path = wrod.plan(line, model, spacing=0.02, remainder=False)
+    assert 0.0 < path.metadata["natural_share"] < 1.0
+    straighter = replace(model, natural_curvature=(Profile((0.0,)), Profile((0.0,))))
+    assert "natural_share" not in wrod.plan(line, straighter, spacing=0.02).metadata

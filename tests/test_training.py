@@ -184,16 +184,17 @@ def test_paper_network_is_the_paper_s(table):
     np.testing.assert_allclose(network.mean, table.inputs.mean(axis=0))
 
 
-def test_encoding_inverts_decoding(table):
+@pytest.mark.parametrize("columns", [controller_model.OUTPUTS, controller_model.WITH_THRUST])
+def test_encoding_inverts_decoding(table, columns):
     rng = np.random.default_rng(0)
     inputs = table.inputs[table.inputs[:, 1] > 0.05]
-    raw = rng.uniform(0.2, 1.0, (len(inputs), controller_model.OUTPUTS))
+    raw = rng.uniform(0.2, 1.0, (len(inputs), columns))
     position, quaternion, force = controller_model.decode(np, inputs, raw)
     # Quaternions come back normalised.
     odd = inputs[:, 1] / np.hypot(1.0, inputs[:, 1])
     size = np.sqrt(raw[:, 5] ** 2 + raw[:, 7] ** 2 + odd**2 * (raw[:, 6] ** 2 + raw[:, 8] ** 2))
-    raw[:, 5:] /= size[:, None]
-    back = controller_model.encode(np, inputs, position, quaternion, force)
+    raw[:, 5:9] /= size[:, None]
+    back = controller_model.encode(np, inputs, position, quaternion, force, columns)
     np.testing.assert_allclose(back, raw, atol=1e-9)
 
 
@@ -201,9 +202,7 @@ def test_long_rods_hang_as_chains(table):
     """What the network adds to the chain stays bounded; the chain grows with the rod."""
     inputs = np.array([[ls, 2.0, 1000.0] for ls in (30.0, 40.0, 50.0)])
     grasps = solve_grasps(*inputs.T)
-    y, z = controller_model.hanging_chain(
-        np, inputs[:, 0], inputs[:, 2], grasps.force[:, 1], grasps.force[:, 2]
-    )
+    _, y, z = controller_model.end_of_chain(np, inputs, grasps.force)
     beyond = np.stack([grasps.position[:, 1] - y, grasps.position[:, 2] - z], axis=1)
     assert np.ptp(grasps.position[:, 2]) > 15.0
     assert np.abs(beyond).max() < 1.0 and np.ptp(beyond, axis=0).max() < 0.05

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -123,10 +123,7 @@ def generate(
         GraspError: unknown closure.
     """
     start = time.perf_counter()
-    if size < 1 or shard_size < 1:
-        raise DataError(f"size is {size} and shard size {shard_size}; give positive numbers")
-    if size > MAX_INDEX:
-        raise DataError(f"size is {size}; the sampling sequence ends at {MAX_INDEX}")
+    _check_size(size, shard_size)
     folder = Path(folder)
     rank = rank or Rank.from_environment()
     if closure not in CLOSURES:
@@ -134,9 +131,6 @@ def generate(
     device = rank.device(device)
     one = None if rod is None else RodInputs.of(rod, roll)
     curved = one is not None and not one.is_straight
-    own = {"natural_curvature": one.natural_curvature, "poisson": one.poisson} if curved else {}
-    # A list is what the manifest's file gives back.
-    content = None if one is None else json.loads(json.dumps(asdict(one)))
     manifest = store.Manifest(
         size=size,
         shard_size=shard_size,
@@ -145,55 +139,78 @@ def generate(
         edge_count=edge_count,
         sensitivities=sensitivities and closure == "zero_tension" and not curved,
         solver=__version__,
-        rod=content,
+        # A list is what the manifest's file gives back.
+        rod=None if one is None else json.loads(json.dumps(asdict(one))),
     )
     store.create(folder, manifest)
     mine = range(rank.index, manifest.shard_count, rank.count)
     store.sweep(folder, mine)
-    samples = sum(manifest.rows(shard)[1] for shard in mine)
-    counts = np.zeros(3, dtype=int)  # solved, unconverged, unstable
+    tally = _Tally(sum(manifest.rows(shard)[1] for shard in mine), progress)
 
-    def count(columns: dict, solved: bool) -> None:
-        converged, stable = columns["converged"], columns["stable"]
-        rows = len(converged)
-        counts[:] += [rows * solved, np.sum(~converged), np.sum(converged & ~stable)]
-        if progress is not None:
-            progress(rows, samples)
-
-    def solve(group: list[int]) -> None:
-        inputs = np.concatenate([sample(*manifest.rows(shard), seed, one) for shard in group])
-        grasps = solve_grasps(
-            *inputs.T,
-            closure=closure,
-            device=device,
-            sensitivities=manifest.sensitivities,
-            shapes=False,
-            edge_count=edge_count,
-            **own,
-            threads=max(1, (os.cpu_count() or 1) // rank.local_count),
-        )
-        columns, begin = _columns(inputs, grasps, manifest), 0
-        for shard in group:
-            rows = manifest.rows(shard)[1]
-            part = {name: column[begin : begin + rows] for name, column in columns.items()}
-            store.write_shard(folder, manifest, shard, part)
-            count(part, True)
-            begin += rows
-
+    there = {shard for shard in mine if store.is_solved(folder, manifest, shard)}
+    for shard in sorted(there):
+        tally.add(store.read_shard(folder, manifest, shard), solved=False)
+    waiting = [shard for shard in mine if shard not in there]
     group_size = 1 if device == "cpu" else max(1, _CUDA_BATCH // shard_size)
-    group: list[int] = []
-    for shard in mine:
-        if store.is_solved(folder, manifest, shard):
-            count(store.read_shard(folder, manifest, shard), False)
-            continue
-        group.append(shard)
-        if len(group) == group_size:
-            solve(group)
-            group = []
-    if group:
-        solve(group)
-    solved, unconverged, unstable = map(int, counts)
-    return Outcome(samples, solved, unconverged, unstable, time.perf_counter() - start)
+    threads = max(1, (os.cpu_count() or 1) // rank.local_count)
+    for first in range(0, len(waiting), group_size):
+        group = waiting[first : first + group_size]
+        for shard, part in _solve(manifest, group, one, device, threads):
+            store.write_shard(folder, manifest, shard, part)
+            tally.add(part, solved=True)
+    return Outcome(
+        tally.samples, tally.solved, tally.unconverged, tally.unstable, time.perf_counter() - start
+    )
+
+
+def _check_size(size: int, shard_size: int) -> None:
+    if size < 1 or shard_size < 1:
+        raise DataError(f"size is {size} and shard size {shard_size}; give positive numbers")
+    if size > MAX_INDEX:
+        raise DataError(f"size is {size}; the sampling sequence ends at {MAX_INDEX}")
+
+
+@dataclass
+class _Tally:
+    """Counts what the shards of a rank hold."""
+
+    samples: int
+    progress: Callable[[int, int], object] | None
+    solved: int = 0
+    unconverged: int = 0
+    unstable: int = 0
+
+    def add(self, columns: dict, *, solved: bool) -> None:
+        converged, stable = columns["converged"], columns["stable"]
+        self.solved += len(converged) * solved
+        self.unconverged += int(np.sum(~converged))
+        self.unstable += int(np.sum(converged & ~stable))
+        if self.progress is not None:
+            self.progress(len(converged), self.samples)
+
+
+def _solve(
+    manifest: store.Manifest, shards: list[int], one: RodInputs | None, device: str, threads: int
+) -> Iterator[tuple[int, dict]]:
+    """Shards solved at once, and the columns of each."""
+    curved = one is not None and not one.is_straight
+    own = {"natural_curvature": one.natural_curvature, "poisson": one.poisson} if curved else {}
+    inputs = np.concatenate([sample(*manifest.rows(k), manifest.seed, one) for k in shards])
+    grasps = solve_grasps(
+        *inputs.T,
+        closure=manifest.closure,
+        device=device,
+        sensitivities=manifest.sensitivities,
+        shapes=False,
+        edge_count=manifest.edge_count,
+        **own,
+        threads=threads,
+    )
+    columns, begin = _columns(inputs, grasps, manifest), 0
+    for shard in shards:
+        rows = manifest.rows(shard)[1]
+        yield shard, {name: column[begin : begin + rows] for name, column in columns.items()}
+        begin += rows
 
 
 def _columns(inputs: np.ndarray, grasps: Grasps, manifest: store.Manifest) -> dict:

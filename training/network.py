@@ -14,6 +14,8 @@ from wrod.controller import model as controller_model
 from wrod.controller.controller import ARCHITECTURES
 
 _LEAST = 1e-9
+# Below it a thrust at the contact is the solver's rounding.
+_NO_THRUST = 1e-6
 
 
 class GraspNetwork(torch.nn.Module):
@@ -41,8 +43,9 @@ class GraspNetwork(torch.nn.Module):
         self.formula = ARCHITECTURES[architecture]
         known = {}
         if architecture == "chain":
-            first, last, gain = controller_model.FEATURES, controller_model.OUTPUTS, 5.0 / 3.0
+            first, gain = controller_model.FEATURES, 5.0 / 3.0
             known["mean"], known["scale"] = _moments(_raw_outputs(table))
+            last = len(known["mean"])
         elif architecture == "curved":
             first, last, gain = controller_curved.FEATURES, controller_curved.OUTPUTS, 5.0 / 3.0
             seen = controller_curved.features(np, table.inputs)
@@ -93,8 +96,11 @@ def _quaternions(table: GraspTable) -> np.ndarray:
 
 def _raw_outputs(table: GraspTable) -> np.ndarray:
     rows = table.take(np.abs(table.inputs[:, 1]) > 1e-2)
+    force = rows.outputs[:, 6:]
+    thrust = np.abs(force[:, 0]).max() > _NO_THRUST
+    columns = controller_model.WITH_THRUST if thrust else controller_model.OUTPUTS
     return controller_model.encode(
-        np, rows.inputs, rows.outputs[:, :3], _quaternions(rows), rows.outputs[:, 6:]
+        np, rows.inputs, rows.outputs[:, :3], _quaternions(rows), force, columns
     )
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from wrod.training.sampling import RodInputs
 
-from wrod.bench.grasp import whole_range
 from wrod.controller.controller import Controller
+from wrod.grasps.inputs import whole_range
 from wrod.grasps.optimal import Grasps, solve_grasps
 
 

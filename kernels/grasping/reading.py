@@ -130,7 +130,8 @@ def read_general(
     turning_out: wp.array(dtype=wp.float64),
     twist_out: wp.array(dtype=wp.float64),
 ):
-    """As `read_straight` for a rod with directors of its own, and the twist from contact to grip.
+    """As `read_straight` for a rod with directors of its own, and the twist from contact to grip;
+    of the turning what is more than the rod's own at rest.
 
     Over the last half edge the curvature falls linearly to the natural one, and the twist goes on
     as it was. The frame stands `roll` before the first director, as at the contact.
@@ -144,6 +145,7 @@ def read_general(
     for j in range(1, edges):
         u = wp.normalize(point(state, r, j + 1) - point(state, r, j))
         turning += wp.atan2(wp.length(wp.cross(t, u)), wp.dot(t, u))
+        turning -= HALF * (rest[r, j - 1] + rest[r, j]) * wp.length(natural_curvature[r, j])
         lowest = wp.min(lowest, state[r, j + 1, 2])
         twist += state[r, j, 6]
         before = t

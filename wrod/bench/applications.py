@@ -60,12 +60,11 @@ def command(
     OUT/trials.jsonl: a run that was stopped goes on from there.
     """
     from wrod.bench.applications_cables import disturbances_text
-    from wrod.bench.applications_cables_picture import draw_cables
-    from wrod.bench.applications_report import draw, markdown, table
-    from wrod.bench.applications_trials import METHODS, run_trials
+    from wrod.bench.applications_report import markdown, table
+    from wrod.bench.applications_trials import METHODS
     from wrod.bench.ledger import Ledger
     from wrod.errors import RodError
-    from wrod.files import schemas, write_atomically
+    from wrod.files import schemas
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
 
@@ -76,45 +75,25 @@ def command(
     device = resolve_device(device)
     cases = chosen or CASES
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(
-        out / "trials.jsonl",
-        {},
-        ("case", "method", "trial"),
-        "applications",
-        schemas.ApplicationsRow,
-    )
+    kind = schemas.ApplicationsRow
+    ledger = Ledger(out / "trials.jsonl", {}, ("case", "method", "trial"), "applications", kind)
     keys = list(product(range(first, first + trials), cases, METHODS))
     done = ledger.done()
     pending = [key for key in keys if (key[1], key[2], key[0]) not in done]
     size = batch or (5 if device == "cpu" else max(trials, 1))
     start = time.perf_counter()
-    written: list[Path] = []
     seconds = sum(cost.APPLICATION[case] for _, case, _ in pending)
     cost.settle(
         cost.Cost(seconds, 2e7 * size, 1e5 * len(pending)), f"{len(pending)} trials", out,
         "ask for fewer --trials or for one --case", force=force, quiet=as_json,
     )  # fmt: skip
-    with cost.progress_bar(
-        total=len(keys), initial=len(keys) - len(pending), unit="trial", quiet=as_json
-    ) as bar:
-        for case, method in product(cases, METHODS):
-            mine = [trial for trial, c, m in pending if (c, m) == (case, method)]
-            for start_at in range(0, len(mine), size):
-                part = mine[start_at : start_at + size]
-                bar.set_postfix_str(f"{case} {method}")
-                rows, scenes = run_trials(case, method, part, device=device, folder=usd)
-                ledger.add(rows)
-                written += scenes
-                bar.update(len(part))
+    written = _run(pending, len(keys), cases, size, ledger, device, usd, as_json)
     seconds = time.perf_counter() - start
     wanted = {(case, method, trial) for trial, case, method in keys}
     rows = [r for r in ledger.rows if (r["case"], r["method"], r["trial"]) in wanted]
     cells = table(rows)
     text = markdown(cells) + "\n" + disturbances_text(rows)
-    write_atomically(out / "applications.md", lambda file: file.write(text))
-    written += [out / "applications.md", draw(out / "applications.png", rows), ledger.path]
-    cables = draw_cables(out / "cables.png", rows)
-    written += [] if cables is None else [cables]
+    written += [*_write(out, text, rows), ledger.path]
     figures: dict[str, Any] = {
         "machine": machine_line(device),
         "device": device,
@@ -134,3 +113,35 @@ def command(
     click.echo(text)
     for path in written:
         click.echo(f"wrote {path}")
+
+
+def _run(pending: list, total: int, cases, size: int, ledger, device, usd, quiet) -> list[Path]:
+    """Run the trials that are left into the ledger; the scenes written."""
+    from wrod.bench.applications_trials import METHODS, run_trials
+
+    written: list[Path] = []
+    with cost.progress_bar(
+        total=total, initial=total - len(pending), unit="trial", quiet=quiet
+    ) as bar:
+        for case, method in product(cases, METHODS):
+            mine = [trial for trial, c, m in pending if (c, m) == (case, method)]
+            for start_at in range(0, len(mine), size):
+                part = mine[start_at : start_at + size]
+                bar.set_postfix_str(f"{case} {method}")
+                rows, scenes = run_trials(case, method, part, device=device, folder=usd)
+                ledger.add(rows)
+                written += scenes
+                bar.update(len(part))
+    return written
+
+
+def _write(out: Path, text: str, rows: list[dict]) -> list[Path]:
+    """The report and its pictures."""
+    from wrod.bench.applications_cables_picture import draw_cables
+    from wrod.bench.applications_report import draw
+    from wrod.files import write_atomically
+
+    write_atomically(out / "applications.md", lambda file: file.write(text))
+    cables = draw_cables(out / "cables.png", rows)
+    written = [out / "applications.md", draw(out / "applications.png", rows)]
+    return written if cables is None else [*written, cables]

@@ -98,6 +98,21 @@ def figures_of(deployment, pattern) -> dict:
     }
 
 
+@dataclass(frozen=True)
+class Common:
+    """What `options` say."""
+
+    out: Path
+    patterns: Path | None
+    release: float
+    speed: float
+    step: float
+    spacing: float
+    batch: int | None
+    device: str
+    as_json: bool
+
+
 def options(*, speed: float, step: float, spacing: float) -> Callable:
     """Adds the options that all campaigns have, with these defaults."""
     folder = click.Path(file_okay=False, path_type=Path)

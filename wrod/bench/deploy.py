@@ -96,6 +96,11 @@ def command(
         return
     click.echo(figures["machine"])
     click.echo(f"{material.length} m of {rod_name} along {name}, friction {friction:g}, {device}")
+    _say(rows)
+
+
+def _say(rows: dict[str, list[dict]]) -> None:
+    """Print the figures for people."""
     for row in rows["speed"]:
         click.echo(
             f"{row['rods']} rods of {row['nodes']} nodes: {row['seconds']:.2f} s "

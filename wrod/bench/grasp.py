@@ -9,17 +9,6 @@ from typing import Any
 import click
 
 
-def whole_range(count: int, seed: int = 0):
-    """(l_s, kappa, k_s): l_s uniform and log-uniform in 1...50, k_s log-uniform."""
-    import numpy as np
-
-    rng = np.random.default_rng(seed)
-    short, long = count // 2, count - count // 2
-    ls = np.concatenate([rng.uniform(1, 50, long), np.exp(rng.uniform(0, np.log(50), short))])
-    kappa = rng.uniform(-3.5, 3.5, count)
-    return ls, kappa, np.exp(rng.uniform(np.log(150), np.log(15000), count))
-
-
 @click.command(name="grasp")
 @click.option("--count", default=512, show_default=True, help="Grasps in the main measurement.")
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
@@ -29,6 +18,7 @@ def command(count: int, device: str, threads: int, as_json: bool) -> None:
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
     import warp as wp
 
+    from wrod.grasps.inputs import whole_range
     from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, solve_grasps
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device

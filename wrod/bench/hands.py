@@ -34,13 +34,13 @@ _EIGHTY = 1.2816
 def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json: bool) -> None:
     """Explain where cables hang at each angle of the hand; predict other angles, other lengths.
     Thin cables hung as loops follow: their stiffness, an arm's poses, the twist at which they
-    buckle.
+    buckle. And the thick cables' swings: by the statics' model, then with internal damping.
 
     A straight cable of one stiffness first, then with natural curvature, with what the last turn
     left of it (lag), and with a tilted clamp, each fitted to both loads of a cable together. Angles
     are left out in folds, every FOLDS-th of each set; intervals come from other folds.
     """
-    from wrod.bench import hands_loops
+    from wrod.bench import hands_loops, hands_swings
     from wrod.errors import DataError
     from wrod.files import write_atomically
     from wrod.identification.held.measurements import load_held
@@ -50,17 +50,23 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
         raise DataError(f"folds is {folds}; give 2 or more")
     out.mkdir(parents=True, exist_ok=True)
     figures: dict = {"machine": machine_line(device), "cables": {}}
-    predictions = {}
+    predictions, statics = {}, {}
     for cable in CABLES[: 1 if quick else None]:
         sets = [load_held(data / "swing" / f"{cable}-{load}-static.npz") for load in LOADS]
         figures["cables"][cable], fit = _explain(sets, None if quick else folds, device)
+        statics[cable] = fit
         if not quick:
             spread = figures["cables"][cable]["left_out"]["sigma_mm"]
             predictions |= _predict(cable, sets, fit, spread, device)
+    figures["swings"], predictions["swings"] = hands_swings.explain(
+        data / "swing", statics, {name: source for name, (source, *_) in OTHERS.items()},
+        quick, device,
+    )  # fmt: skip
     hanging = data / "hanging"
     if hanging.is_dir() and not quick:
         figures["loops"], predictions["loops"] = hands_loops.explain(hanging, device)
     written = [out / "hands.json"]
+    written += hands_swings.draw(data / "swing", out, statics, predictions["swings"])
     if not quick:
         written.append(out / "hands-prediction.json")
         text = json.dumps(predictions, indent=1) + "\n"
@@ -70,6 +76,7 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
         click.echo(json.dumps(figures, indent=2))
         return
     click.echo(_table(figures["cables"]))
+    click.echo(hands_swings.table(figures["swings"]))
     if "loops" in figures:
         click.echo(hands_loops.table(figures["loops"], predictions["loops"]))
     click.echo(figures["machine"])

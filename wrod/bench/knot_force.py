@@ -85,23 +85,26 @@ def command(
         f"{tightest:g} h: {wall:.0f} s (cpu {cpu:.0f} s); contact force of the braid {contact:.3f} "
         "(Clauvelin et al. 2009: 0.492)"
     )
-    for k, f in enumerate(friction):
-        click.echo(
-            f"mu = {f:g}: deepest penetration {rows[k]['penetration']:.3f} h, "
-            f"{rows[k]['iterations']} iterations\n"
-            "  R/h      T h^2/B    over law  over next order  contact force over c"
-        )
-        table = zip(
-            knots.radius[:, k], knots.force[:, k], law[:, k], next_order[:, k], knots.contact[:, k],
-            strict=True,
-        )  # fmt: skip
-        for radius, tension, expected, better, normal in table:
-            click.echo(
-                f"  {radius:<8.2f} {tension:<10.3g} {tension / expected:<9.2f} "
-                f"{tension / better:<16.2f} {normal * radius**1.5 / contact:.2f}"
-            )
+    for row in rows:
+        _say(row, contact)
     if out:
         click.echo(f"wrote {out}")
+
+
+def _say(row: dict, contact: float) -> None:
+    """Print one knot's figures for people."""
+    click.echo(
+        f"mu = {row['friction']:g}: deepest penetration {row['penetration']:.3f} h, "
+        f"{row['iterations']} iterations\n"
+        "  R/h      T h^2/B    over law  over next order  contact force over c"
+    )
+    names = ("radius", "tension", "law", "law_next_order", "contact_force")
+    table = zip(*(row[name] for name in names), strict=True)
+    for radius, tension, expected, better, normal in table:
+        click.echo(
+            f"  {radius:<8.2f} {tension:<10.3g} {tension / expected:<9.2f} "
+            f"{tension / better:<16.2f} {normal * radius**1.5 / contact:.2f}"
+        )
 
 
 def draw(path: str, friction: list[float], knots, contact: float, energy: float) -> None:

@@ -31,6 +31,7 @@ _COLUMNS = {
     "released_error_std": "released sigma [cm]",
     "slip": "largest slip [cm]",
     "contact_friction": "largest friction asked for by the plan [-]",
+    "natural_share": "least share of the natural curvature in a grasp [-]",
 }
 _NAMES = ("effect", "controller", "pattern", "plan", "method", "closure")
 

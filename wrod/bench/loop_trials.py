@@ -148,6 +148,7 @@ def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
         "closure": metadata["closure"],
         **{name: 100.0 * getattr(deployment, name) for name in names},
         "contact_friction": metadata["contact_friction"],
+        "natural_share": metadata.get("natural_share", 1.0),
         "slip": 100.0 * float(deployment.slip.max()),
         "diverged": deployment.diverged,
         "curve": np.round(np.column_stack(laid), 5).tolist(),

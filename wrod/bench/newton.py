@@ -77,14 +77,9 @@ def command(
         _measure_many(device, worlds, cables, edges[-1])
         return
     import importlib.util
-    import warnings
-    from dataclasses import asdict
     from importlib.metadata import version
 
-    from tqdm import tqdm
-
-    from wrod.bench.cantilever import Cantilever, Start, come_to_rest, swing
-    from wrod.bench.cantilever_solvers import Der, Elastica, Vbd
+    from wrod.bench.cantilever import Cantilever
     from wrod.bench.newton_report import draw, markdown
     from wrod.errors import RodError
     from wrod.machine import machine_line
@@ -104,6 +99,41 @@ def command(
     with_elastica = importlib.util.find_spec("elastica") is not None
     if not with_elastica:
         click.echo("PyElastica is not installed; for its rows: pip install wrod[peers]", err=True)
+
+    rows, speed = _compare(problem, edges, iterations, rods, duration, device, with_elastica)
+    versions = f"newton {version('newton')}"
+    if with_elastica:
+        versions += f"; pyelastica {version('pyelastica')}"
+    figures = {
+        "machine": f"{machine_line(device)}; {versions}",
+        "device": device,
+        "problem": {
+            "rod": rod_name, "scale": scale, "length": problem.length, "tip": problem.tip.tolist(),
+            "period": problem.period,
+        },
+        "rows": rows,
+        "speed": speed,
+    }  # fmt: skip
+    text = markdown(figures)
+    click.echo(json.dumps(figures) if as_json else text)
+    if out is not None:
+        from wrod.files import write_atomically
+
+        out.mkdir(parents=True, exist_ok=True)
+        write_atomically(out / "newton.md", lambda file: file.write(text + "\n"))
+        for path in (out / "newton.md", draw(out / "newton.png", figures)):
+            click.echo(f"wrote {path}", err=as_json)
+
+
+def _compare(problem, edges, iterations, rods: int, duration, device, with_elastica) -> tuple:
+    """Rows of accuracy, one for each solver and mesh, and of speed with one rod and with many."""
+    import warnings
+    from dataclasses import asdict
+
+    from tqdm import tqdm
+
+    from wrod.bench.cantilever import Start, come_to_rest, swing
+    from wrod.bench.cantilever_solvers import Der, Elastica, Vbd
 
     def der(mesh, start):
         return Der(problem, mesh, _DER_STEP * problem.period, start, device)
@@ -149,28 +179,7 @@ def command(
                     "error": row["rest"]["error"], "drift": row["rest"]["drift"],
                 }
             )  # fmt: skip
-    versions = f"newton {version('newton')}"
-    if with_elastica:
-        versions += f"; pyelastica {version('pyelastica')}"
-    figures = {
-        "machine": f"{machine_line(device)}; {versions}",
-        "device": device,
-        "problem": {
-            "rod": rod_name, "scale": scale, "length": problem.length, "tip": problem.tip.tolist(),
-            "period": problem.period,
-        },
-        "rows": rows,
-        "speed": speed,
-    }  # fmt: skip
-    text = markdown(figures)
-    click.echo(json.dumps(figures) if as_json else text)
-    if out is not None:
-        from wrod.files import write_atomically
-
-        out.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / "newton.md", lambda file: file.write(text + "\n"))
-        for path in (out / "newton.md", draw(out / "newton.png", figures)):
-            click.echo(f"wrote {path}", err=as_json)
+    return rows, speed
 
 
 def _measure_bodies(as_json: bool) -> None:

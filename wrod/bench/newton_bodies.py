@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import time
 
 import newton
@@ -128,14 +129,21 @@ def hanging(mass: float) -> tuple[float, float]:
 
 
 class Arm:
-    """Two links that Newton's Featherstone solver moves, and a cable from their tip to a pin.
+    """Two links that a solver of Newton's moves, and a cable from their tip to a pin.
+
+    Args:
+        mujoco: SolverMuJoCo moves the links, on the CPU; otherwise SolverFeatherstone.
+        visible: the cable is shown by capsules, which are bodies for the links' solver too.
 
     Attributes:
         model, state, arm, cable: Newton's, at rest after `settle`.
         links: indices of the bodies.
     """
 
-    def __init__(self, reach: float = 0.4, length: float = 0.8, edges: int = 24):
+    def __init__(
+        self, reach: float = 0.4, length: float = 0.8, edges: int = 24, *, mujoco: bool = False,
+        visible: bool = False,
+    ):  # fmt: skip
         builder = newton.ModelBuilder()
         SolverDER.register_custom_attributes(builder)
         cfg = newton.ModelBuilder.ShapeConfig(density=800.0, has_shape_collision=False)
@@ -162,15 +170,18 @@ class Arm:
         self.rest = length / edges
         SolverDER.add_rod(
             builder, points, self.material, start="clamped", start_body=self.links[1],
-            end="pinned", air_damping=3.0, visible=False,
+            end="pinned", air_damping=3.0, visible=visible,
         )  # fmt: skip
         self.model = builder.finalize(device="cpu")
-        self.arm = newton.solvers.SolverFeatherstone(self.model)
+        if mujoco:
+            self.arm = newton.solvers.SolverMuJoCo(self.model, use_mujoco_cpu=True)
+        else:
+            self.arm = newton.solvers.SolverFeatherstone(self.model)
         self.cable = SolverDER(self.model, scheme="euler")
         self.state, self._other = self.model.state(), self.model.state()
         newton.eval_fk(self.model, self.model.joint_q, self.model.joint_qd, self.state)
 
-    def settle(self, steps: int = 1800, dt: float = 0.001) -> None:
+    def settle(self, steps: int = 3600, dt: float = 0.001) -> None:
         """Let both move on, turn by turn."""
         control = self.model.control()
         for _ in range(steps):
@@ -270,12 +281,15 @@ def measure() -> list[tuple[str, str, str]]:
     for scheme in ("bdf2", "midpoint"):
         found, expected = torsion(scheme)
         rows.append((f"torsional period, {scheme} [s]", f"{found:.5f}", f"{expected:.5f}"))
-    arm = Arm()
-    arm.settle()
-    for name, found, expected in zip(
-        ("shoulder", "elbow"), arm.torques(), arm.statics(), strict=True
-    ):
-        rows.append((f"{name} that holds a cable [N m]", f"{found:.4f}", f"{expected:.4f}"))
+    for mujoco in (False, True) if importlib.util.find_spec("mujoco_warp") else (False,):
+        arm = Arm(mujoco=mujoco)
+        arm.settle()
+        mover = "MuJoCo" if mujoco else "Featherstone"
+        for name, found, expected in zip(
+            ("shoulder", "elbow"), arm.torques(), arm.statics(), strict=True
+        ):
+            what = f"{name} that holds a cable, {mover} [N m]"
+            rows.append((what, f"{found:.4f}", f"{expected:.4f}"))
     pile = Pile()
     cost = pile.run(90)
     rows.append(("pile of 6 cables of 20 edges: deepest over radius", f"{pile.deepest:.4f}", "0"))

@@ -168,6 +168,23 @@ class _Ends:
         self.batch.state.dof.assign(dof)
 
 
+def _loose_knots(count: int, radius: float, spacing: float) -> RodBatch:
+    """Overhand knots of a loop of that radius, of nodes that far apart, in radii of section."""
+    position = open_trefoil(2 * np.pi * radius, 2 * radius, spacing)
+    edge = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    arc_length = np.concatenate([[0.0], np.cumsum(edge)])
+    rod = RodModel(
+        length=arc_length[-1],
+        bending_stiffness=1.0,
+        twisting_stiffness=1 / 1.5,
+        stretching_stiffness=40.0,  # inextensible against the tension of a knot
+        line_mass=1.0,
+        radius=1.0,
+    )
+    places = np.repeat(position[None], count, axis=0)
+    return RodBatch.of(rod, arc_length, places, gravity=(0.0, 0.0, 0.0))
+
+
 def pull(
     friction: list[float],
     *,
@@ -187,21 +204,7 @@ def pull(
     tails to stop swinging, before anything is recorded."""
     start = (1.0 + RUN_IN) * loosest
     speed, period = 1 / (slowness * loosest**2), loosest**2
-    shortening = 2 * np.pi * start
-    position = open_trefoil(shortening, 2 * start, spacing)
-    edge = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    arc_length = np.concatenate([[0.0], np.cumsum(edge)])
-    rod = RodModel(
-        length=arc_length[-1],
-        bending_stiffness=1.0,
-        twisting_stiffness=1 / 1.5,
-        stretching_stiffness=40.0,  # inextensible against the tension of a knot
-        line_mass=1.0,
-        radius=1.0,
-    )
-    batch = RodBatch.of(
-        rod, arc_length, np.repeat(position[None], len(friction), axis=0), gravity=(0.0, 0.0, 0.0)
-    )
+    batch = _loose_knots(len(friction), start, spacing)
     smooth, rough = (
         RodContact(batch, 1.0, [Friction(f) for f in coefficients], stiffness=stiffness)
         for coefficients in ([0.0] * len(friction), friction)

@@ -50,10 +50,7 @@ def command(
     """
     from wrod.bench.photographs_deployments import Deployments
     from wrod.bench.photographs_judge import judge
-    from wrod.bench.photographs_plans import plans_in_worlds_found
-    from wrod.bench.photographs_report import draw, draw_lines, left_out_table, write_predictions
-    from wrod.bench.photographs_table3 import table3
-    from wrod.bench.photographs_waves import waves
+    from wrod.bench.photographs_report import left_out_table
     from wrod.errors import DataError
     from wrod.files import write_atomically
     from wrod.identification.laid.photographs import load_photographs
@@ -86,15 +83,7 @@ def command(
             for row, camera in zip(verdicts[0].rows, verdicts[0].cameras, strict=True)
         },
     }
-    written = []
-    if not quick:
-        predicted, files = write_predictions(out, photographs, verdicts, laid, data)
-        figures["predictions"], figures["table3"] = predicted, table3(photographs, laid)
-        figures["plans"] = plans_in_worlds_found(photographs, verdicts, laid)
-        written = [*files, *draw(out, photographs, verdicts)]
-        written += draw_lines(out, photographs, verdicts, laid)
-        figures["waves"], files = waves(photographs, verdicts, laid, out)
-        written += files
+    written = [] if quick else _add_predictions(figures, out, photographs, verdicts, laid, data)
     summary = out / "photographs.json"
     write_atomically(summary, lambda file: file.write(json.dumps(figures, indent=2) + "\n"))
     figures["written"] = [str(path) for path in (*written, summary, laid.path)]
@@ -106,7 +95,25 @@ def command(
         click.echo(figures["table3"]["text"])
         click.echo(figures["plans"]["text"])
         click.echo(figures["waves"]["text"])
-        click.echo(f"practice (green VPS, letter L, optimal path): {predicted['practice']}")
+        click.echo(
+            f"practice (green VPS, letter L, optimal path): {figures['predictions']['practice']}"
+        )
     click.echo(figures["machine"])
     for path in figures["written"]:
         click.echo(f"wrote {path}")
+
+
+def _add_predictions(figures: dict, out: Path, photographs, verdicts, laid, data: Path) -> list:
+    """What the worlds that were found foretell, added to the figures; the files written."""
+    from wrod.bench.photographs_plans import plans_in_worlds_found
+    from wrod.bench.photographs_report import draw, draw_lines, write_predictions
+    from wrod.bench.photographs_table3 import table3
+    from wrod.bench.photographs_waves import waves
+
+    figures["predictions"], files = write_predictions(out, photographs, verdicts, laid, data)
+    figures["table3"] = table3(photographs, laid)
+    figures["plans"] = plans_in_worlds_found(photographs, verdicts, laid)
+    written = [*files, *draw(out, photographs, verdicts)]
+    written += draw_lines(out, photographs, verdicts, laid)
+    figures["waves"], files = waves(photographs, verdicts, laid, out)
+    return [*written, *files]

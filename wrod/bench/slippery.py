@@ -14,11 +14,22 @@ import numpy as np
 
 from wrod.bench import campaign
 from wrod.bench.ledger import Ledger
+from wrod.errors import RodError
 
 KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
 ENGINES = ("wrod", "mujoco")
-PUT_DOWN = "put_down"
-METHODS = ("intuitive", "zero_tension", "min_friction", "optimised", "distilled", PUT_DOWN)
+# A rod that is put down exactly, and one that lies exactly where a robot that stands elsewhere, and
+# does not know it, has the pattern: what no plan can be better than on average.
+PUT_DOWN, MISPLACED = "put_down", "misplaced"
+METHODS = (
+    "intuitive",
+    "zero_tension",
+    "min_friction",
+    "optimised",
+    "distilled",
+    PUT_DOWN,
+    MISPLACED,
+)
 # Seeds of disturbances that no plan was fitted to or judged by.
 _FIRST_SEED = 9_000
 _PLAN_SPACING = 0.005
@@ -48,15 +59,7 @@ def command(
     engines: str,
     chain_step: float,
     undisturbed: bool,
-    out: Path,
-    patterns: Path | None,
-    release: float,
-    speed: float,
-    step: float,
-    spacing: float,
-    batch: int | None,
-    device: str,
-    as_json: bool,
+    **common,
 ) -> None:
     """Lay patterns by plans that do not know their table and by plans that do.
 
@@ -65,31 +68,28 @@ def command(
     """
     from wrod.bench.closures import _numbers
     from wrod.bench.mujoco_chain import require_mujoco
-    from wrod.errors import RodError
     from wrod.rods.batch import resolve_device
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
-    chosen = methods.split(",")
-    played = engines.split(",")
-    for what, given, known in (("method", chosen, METHODS), ("engine", played, ENGINES)):
-        if unknown := [name for name in given if name not in known]:
-            raise RodError(f"unknown {what} {unknown[0]!r}; use some of {', '.join(known)}")
+    asked = campaign.Common(**common)
+    out, spacing, as_json = asked.out, asked.spacing, asked.as_json
+    chosen, played = _some(methods, "method", METHODS), _some(engines, "engine", ENGINES)
     if "mujoco" in played:
         require_mujoco()
-    device = resolve_device(device)
-    shelf = Shelf(out / "plans", patterns, device)
+    device = resolve_device(asked.device)
+    shelf = Shelf(out / "plans", asked.patterns, device)
     mus = _numbers(frictions, "frictions", 0.01, 10.0)
+    pace = {"speed": asked.speed, "step": asked.step, "release": asked.release}
     settings = {
-        "speed": speed, "step": step, "spacing": spacing, "release": release,
-        "patterns": "built-in" if patterns is None else patterns.name,
+        **pace,
+        "spacing": spacing,
+        "patterns": "built-in" if asked.patterns is None else asked.patterns.name,
         "undisturbed": undisturbed,
-    }  # fmt: skip
+    }
     if "mujoco" in played:
         settings["chain_step"] = chain_step
-    how = dict(
-        release=release, speed=speed, step=step, undisturbed=undisturbed, chain_step=chain_step
-    )  # fmt: skip
+    how = {**pace, "undisturbed": undisturbed, "chain_step": chain_step}
     for rod_name, name in product(rods.split(","), names.split(",")):
         shelf.course(rod_name, name)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
@@ -111,7 +111,7 @@ def command(
             progress(1.0 / len(part))
         return rows
 
-    campaign.run(ledger, keys, simulate, device=device, batch=batch or 1, quiet=as_json)
+    campaign.run(ledger, keys, simulate, device=device, batch=asked.batch or 1, quiet=as_json)
     rows = ledger.of(keys)
     written = [write_csv(out / "slippery.csv", rows), ledger.path]
     written.append(draw(out / "slippery.png", rows, shelf))
@@ -127,6 +127,14 @@ def command(
         )
     for path in written:
         click.echo(f"wrote {path}")
+
+
+def _some(names: str, what: str, known: tuple[str, ...]) -> list[str]:
+    """The names, with commas between, all of which must be known."""
+    given = names.split(",")
+    if unknown := [name for name in given if name not in known]:
+        raise RodError(f"unknown {what} {unknown[0]!r}; use some of {', '.join(known)}")
+    return given
 
 
 @dataclass
@@ -187,10 +195,14 @@ def _laid(shelf: Shelf, key: tuple, spacing: float, device: str, how: dict):
         job = (led, material, Friction(mu))
         s, place, diverged, steps = put_down([job], node_count=nodes, step=0.02, device=device)[0]
         return s, place, steps, diverged
-    trajectory = shelf.plan(rod_name, name, mu, method)
     how = dict(how)
     bare, chain_step = how.pop("undisturbed"), how.pop("chain_step")
     disturbance = Disturbance() if bare else Disturbance.random(_FIRST_SEED + trial)
+    if method == MISPLACED:
+        s = np.linspace(-led.remainder_length, led.length, 400)
+        place = led.sample(s)[0]
+        return s + led.remainder_length, disturbance.displaced(place, place[0]), 0, False
+    trajectory = shelf.plan(rod_name, name, mu, method)
     one = Trial(led, material, trajectory, Friction(mu), disturbance)
     if engine == "mujoco":
         asked = dict(release=how["release"], speed=how["speed"], step=chain_step)

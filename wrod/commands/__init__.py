@@ -21,6 +21,7 @@ COMMANDS = (
     "deploy",
     "loop",
     "measure",
+    "rods",
     "scan",
     "markers",
     "manifold",

@@ -60,10 +60,10 @@ def command(
     rod = rod_options.read() if rod_options.given else None
     rank = Rank.from_environment()
     label = "grasps" if rank.count == 1 else f"grasps of rank {rank.index}"
-    many = min(shard_size or SHARD_SIZE, size)
+    shard_size = shard_size or SHARD_SIZE
     cost.settle(
         cost.grasps(
-            size, row_bytes(sensitivities), many, sensitivities=sensitivities,
+            size, row_bytes(sensitivities), min(shard_size, size), sensitivities=sensitivities,
             device=rank.device(device), ranks=rank.count,
         ),
         f"{size} grasps", out, "ask for fewer, or for a smaller --shard-size", force=force,
@@ -80,9 +80,8 @@ def command(
         try:
             outcome = generate(
                 out, size, seed=seed, closure=closure, sensitivities=sensitivities,
-                shard_size=shard_size or SHARD_SIZE, rod=rod,
-                roll=read_roll(roll_text, rod), device=device, rank=rank,
-                progress=progress,
+                shard_size=shard_size, rod=rod, roll=read_roll(roll_text, rod),
+                device=device, rank=rank, progress=progress,
             )  # fmt: skip
         except OSError as error:
             raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None

@@ -17,7 +17,7 @@ ROD = (
     click.option(
         "--rod",
         "rod_name",
-        help="Rod by name (green-vps, ...), rod.json, or the model.json of `wrod identify`.",
+        help="Rod by name (see `wrod rods`), rod.json, or the model.json of `wrod identify`.",
     ),
     click.option("--radius", type=float, help="Radius of a rod of your own, or a rod file's [m]."),
     click.option("--lgb", type=float, help="Its gravito-bending length [m] (see `wrod loop`)."),
@@ -124,7 +124,8 @@ class RodOptions:
             RodError: none, or more than one is named.
         """
         from wrod.errors import RodError
-        from wrod.rods.material import RodMaterial, rod
+        from wrod.rods.catalogue import find
+        from wrod.rods.material import RodMaterial
         from wrod.rods.model_file import load_rod
 
         name = self.rod_name
@@ -140,7 +141,7 @@ class RodOptions:
                 f"--rod {name} and {', '.join(given)} were both given; give one or the other"
             )
         if name is not None:
-            return load_rod(name) if from_file else rod(name)
+            return load_rod(name) if from_file else find(name).rod
         missing = [option for option in own if option not in given]
         if missing == list(own):
             raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")
@@ -177,8 +178,8 @@ class PatternOptions:
         from wrod.patterns.pattern import Pattern, pattern, pattern_names
 
         path, units = Path(name), self.units
-        drawing = {"layer": self.layer, "stroke": self.stroke}
-        of_picture = {k: v for k, v in self.given.items() if k not in ("units", *drawing)}
+        elsewhere = ("units", "layer", "stroke")
+        of_picture = {k: v for k, v in self.given.items() if k not in elsewhere}
         if path.suffix.lower() in _PICTURES:
             if self.layer is not None or self.stroke is not None:
                 raise PatternError(f"{name}: --layer and --stroke belong to SVG and DXF drawings")
@@ -192,11 +193,31 @@ class PatternOptions:
             return pattern(name)
         if not path.suffix and not path.exists():
             return pattern(name)
-        return Pattern.load(path, units=units, **drawing)
+        return Pattern.load(path, units=units, layer=self.layer, stroke=self.stroke)
+
+
+def parse_start(text: str) -> str | tuple[float, float]:
+    """A point "x,y" [m], or a name as it is."""
+    if "," not in text:
+        return text
+    x, y = parse_numbers(text, 2, "--start")
+    return x, y
+
+
+def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> tuple[float, ...]:
+    """`count` numbers, separated; raises a PerceptionError that names the option."""
+    from wrod.errors import PerceptionError
+
+    try:
+        numbers = tuple(float(part) for part in text.lower().split(separator))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise PerceptionError(f"{option} {text}: give {count} numbers separated by {separator!r}")
+    return numbers
 
 
 def _scanned(path: Path, units: str | None, given: dict):
-    from wrod.commands.scan import parse_numbers, parse_start
     from wrod.errors import PatternError
     from wrod.perception.scan import scan
 

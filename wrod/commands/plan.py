@@ -22,8 +22,8 @@ from wrod.commands.options import (
     options,
     refuse_idle_options,
 )
-from wrod.commands.plan_pattern import SHAPE, Shaping, fit, too_long
-from wrod.commands.plan_steps import NO_JOINT_PATH, arm_steps, save_plan, solve_grasps_of
+from wrod.commands.plan_pattern import SHAPE, Shaping, fit, shorter, too_long
+from wrod.commands.plan_steps import NO_JOINT_PATH, arm_steps, fitting, save_plan, solve_grasps_of
 from wrod.commands.plan_summary import read_friction, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
 from wrod.errors import PatternError
@@ -133,16 +133,19 @@ def command(
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
 
-    def planned(resize: float | None, hold: float | None, friction=None):
-        """Pattern, rod and trajectory at a size and a hold."""
-        fitted = fit(drawn, rod, replace(shaping, resize=resize, hold=hold))
+    def planned(resize: float | None, hold: float | None, friction=None, tried=None):
+        """Pattern, rod and trajectory at a size and a hold; or shaped as is `tried`."""
+        fitted = fit(drawn, rod, tried or replace(shaping, resize=resize, hold=hold))
         try:
-            curve = prepare(fitted.pattern, fitted.rod, grasps.remainder)
+            curve = prepare(fitted.pattern, fitted.rod, False if tried else grasps.remainder)
         except PatternError as error:
             remedy = too_long(fitted.pattern, fitted.rod, arm=not request.no_robot)
+            if remedy and request.remedy and not (tried or request.no_robot):
+                whole = fit(drawn, rod, replace(shaping, resize=None, tolerance=1.0)).pattern
+                remedy = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
         trajectory = solve_grasps_of(
-            curve, fitted.rod, as_json, roll=read_roll(grasps.roll_text, fitted.rod),
+            curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),
             device=None if device == "auto" else device, friction=friction, **how,
         )  # fmt: skip
         return fitted, curve, trajectory

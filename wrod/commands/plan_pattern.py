@@ -26,6 +26,7 @@ SHAPE = (
         type=float,
         help="Grip the rod at this length from its free end instead of at its other end [m].",
     ),
+    click.option("--reverse", is_flag=True, help="Lay the pattern from its other end."),
 )
 
 
@@ -36,6 +37,7 @@ class Shaping:
     resize: float | None
     tolerance: float
     hold: float | None
+    reverse: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,9 @@ def fit(curve, rod, shaping: Shaping) -> Prepared:
     if not tolerance > 0:
         raise PatternError(f"--tolerance is {tolerance:g}; give a positive number of metres")
     notes, figures = [], {}
+    if shaping.reverse:
+        curve = curve.reversed()
+        notes.append("laid from its other end")
     if hold is not None:
         if not 0 < hold <= rod.length:
             raise RodError(
@@ -122,3 +127,23 @@ def too_long(curve, rod, arm: bool = False) -> str | None:
         f"`--resize {factor:g}` draws it smaller; a rod as stiff of {needed + 0.005:.3f} m "
         "lays it as it is"
     )
+
+
+def shorter(curve, rod, wanted: Shaping) -> list[Shaping]:
+    """What to try where the rod is too short for the pattern and an arm, most likely first.
+
+    The arm does best with a rod that is long where the pattern bends least: tight bends last, and
+    a good piece left over.
+    """
+    import numpy as np
+
+    s = np.linspace(0.0, curve.length, 400)
+    bent = np.abs(curve.sample(s)[2])
+    reverse = bool(bent @ s < 0.5 * bent.sum() * curve.length) != wanted.reverse
+    tries = []
+    for kept, turned in ((5.5, reverse), (5.5, not reverse), (8.0, reverse), (8.0, not reverse)):
+        room = rod.length - kept * rod.gravito_bending_length
+        if room > 0.2 * curve.length:
+            resize = int(100.0 * min(room / curve.length, 1.0)) / 100.0
+            tries.append(replace(wanted, resize=resize, reverse=turned))
+    return tries

@@ -133,3 +133,44 @@ def _remedy(request, failed, rod, curve, planned, size) -> str | None:
             return f"held {value:g} m from its free end, --hold {value:g}, it is found"
         return f"drawn {value:g} times as large, --resize {value:g}, it is found"
     return None
+
+
+_SEARCH = 600.0  # [s] of looking for a size that an arm can lay
+
+
+def fitting(request, tries, planned, reason) -> str:
+    """Options with which a pattern that is too long for its rod was laid, or that none were found.
+
+    Args:
+        tries: `Shaping`s, most likely first.
+        planned: as in `arm_steps`, with `tried`.
+        reason: why this is looked for; said at once.
+    """
+    import time
+    import warnings
+
+    import click
+
+    from wrod.errors import WrodError
+
+    click.echo(
+        f"wrod: {reason}; looking for a size that the arm can lay, for {_SEARCH / 60:.0f} minutes "
+        "at most (--no-remedy leaves that out)",
+        err=True,
+    )
+    begun, said = time.monotonic(), []
+    for shaping in tries:
+        if time.monotonic() - begun > _SEARCH:
+            break
+        options = f"--resize {shaping.resize:g} --no-remainder"
+        options += " --reverse" if shaping.reverse else ""
+        said.append(options)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                fitted, _, trajectory = planned(None, None, tried=shaping)
+                request.solve(trajectory, fitted.rod)
+        except WrodError:
+            continue
+        return f"with `{options}` a joint path of {request.robot} is found"
+    return f"no joint path of {request.robot} was found with {', '.join(said)}"

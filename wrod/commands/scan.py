@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.options import gathered
+from wrod.commands.options import gathered, parse_numbers, parse_start
 
 _READING = (
     click.option("--mask", is_flag=True, help="The pictures are masks, white on black."),
@@ -152,27 +152,6 @@ def _scan(image: Path, out: Path, how: dict, start, several: bool, overlay: bool
     if result.plane is not None:
         row["length_m"] = [float(arc_length(p)[-1]) for p in result.metric_lines()]
     return row
-
-
-def parse_start(text: str) -> str | tuple[float, float]:
-    """A point "x,y" [m], or a name as it is."""
-    if "," not in text:
-        return text
-    x, y = parse_numbers(text, 2, "--start")
-    return x, y
-
-
-def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> tuple[float, ...]:
-    """`count` numbers, separated; raises a PerceptionError that names the option."""
-    from wrod.errors import PerceptionError
-
-    try:
-        numbers = tuple(float(part) for part in text.lower().split(separator))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count:
-        raise PerceptionError(f"{option} {text}: give {count} numbers separated by {separator!r}")
-    return numbers
 
 
 def _summary(row: dict) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from wrod import arguments
 from wrod.controller.curved import curved, twisted
-from wrod.controller.model import chain, paper
+from wrod.controller.model import WITH_THRUST, chain, paper
 from wrod.errors import DataError, GraspError, OutOfRangeWarning
 from wrod.files import decode_labels, read_tensors, schemas, write_atomically
 
@@ -59,6 +59,12 @@ class Controller:
         self.poisson = float(rod["poisson"]) if twists else None
         self._parameters = parameters
         self._network = ARCHITECTURES[metadata["architecture"]]
+        # One that learnt a closure with a thrust at the contact before thrusts were learnt.
+        self._lacks_thrust = (
+            metadata["architecture"] == "chain"
+            and self.closure != "zero_tension"
+            and len(parameters["mean"]) != WITH_THRUST
+        )
         self._on_device: dict = {}
 
     @classmethod
@@ -151,7 +157,7 @@ class Controller:
         position, rotation, force, twist = self._network(xp, self._tensors(xp, inputs), inputs)
         if twist is not None:
             rotation = twisted(xp, rotation, twist)
-        return position, rotation, force, twist
+        return position, rotation, None if self._lacks_thrust else force, twist
 
     def side_of(self, natural_curvature: tuple[float, float], poisson: float) -> float:
         """1 for a rod that is held with the natural curvature (left, up) [1/L_gb] that the

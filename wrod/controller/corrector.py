@@ -109,7 +109,8 @@ class Corrector:
             DataError: the file is missing, truncated or not a corrector.
         """
         if path is None:
-            path = str(resources.files("wrod.scenes") / "controller" / "corrections.safetensors")
+            shipped = resources.files("wrod.scenes") / "controller"
+            path = str(shipped / "corrections.safetensors")
         what = "a corrector that `wrod distil` wrote"
         label, parameters = read_tensors(path, what)
         metadata = decode_labels(label, schemas.Corrector, str(path), what)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from wrod.controller.model import hanging_chain, layers, rotation_vector
+from wrod.controller.model import end_of_chain, layers, rotation_vector
 
 FEATURES = 7
 # Slow parts: x, y, z beyond the chain; F_x, F_y over kappa, F_z; quaternion; twist; rest of F_y.
@@ -32,13 +32,6 @@ def features(xp, inputs):
     )  # fmt: skip
 
 
-def _carried(xp, inputs, force_x, force_y, force_z):
-    """(x, y, z) end of the chain that carries this force at its start."""
-    across = xp.sqrt(force_x * force_x + force_y * force_y + _TINY)
-    reach, rise = hanging_chain(xp, inputs[:, 0], inputs[:, 2], across, force_z)
-    return force_x * reach / across, force_y * reach / across, rise
-
-
 def decode(xp, inputs, raw):
     """(position (n, 3), untwisted quaternion (n, 4), force (n, 3), twist (n,)) of raw outputs."""
     kappa, twist = inputs[:, 1], raw[:, 10]
@@ -47,7 +40,7 @@ def decode(xp, inputs, raw):
         + xp.sin(twist)[:, None] * raw[:, SLOW + _WINDING :]
     )
     force = xp.stack([raw[:, 3], kappa * raw[:, 4] + raw[:, 11], raw[:, 5]], -1)
-    chain = xp.stack(_carried(xp, inputs, force[:, 0], force[:, 1], force[:, 2]), -1)
+    chain = xp.stack(end_of_chain(xp, inputs, force), -1)
     position = chain + raw[:, :3] + winding[:, :3]
     quaternion = raw[:, 6:10] + winding[:, 3:]
     quaternion = quaternion / xp.sqrt(xp.sum(quaternion * quaternion, -1))[:, None]
@@ -56,7 +49,7 @@ def decode(xp, inputs, raw):
 
 def encode(xp, inputs, position, quaternion, force, twist):
     """(n, SLOW) raw outputs that `decode` turns into these grasps; kappa must not be zero."""
-    chain = _carried(xp, inputs, force[:, 0], force[:, 1], force[:, 2])
+    chain = end_of_chain(xp, inputs, force)
     columns = [position[:, i] - chain[i] for i in range(3)]
     columns += [force[:, 0], force[:, 1] / inputs[:, 1], force[:, 2]]
     columns += [quaternion[:, i] for i in range(4)]

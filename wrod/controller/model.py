@@ -1,10 +1,10 @@
 """The neural controller's formula, once for NumPy and torch: `xp` is either module.
 
 A chain hangs from a learnt boundary layer: the network gives the forces F_y, F_z at the contact,
-the closed form of the elastic catenary carries them up to the grip, and the network adds what
-bending changes, which no longer grows with the length. Even outputs see kappa squared only and odd
-ones carry a factor kappa, so right turns mirror left turns exactly. The rotation is a normalised
-quaternion, so it is one. Everything is dimensionless.
+and F_x where the closure leaves a thrust, the closed form of the elastic catenary carries them up
+to the grip, and the network adds what bending changes, which no longer grows with the length. Even
+outputs see kappa squared only and odd ones carry a factor kappa, so right turns mirror left turns
+exactly. The rotation is a normalised quaternion, so it is one. Everything is dimensionless.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 
 WEIGHT = 0.5
-OUTPUTS = 9  # x, y and z beyond the catenary; F_y, F_z; quaternion (w, x, y, z)
+# x, y and z beyond the catenary; F_y, F_z; quaternion (w, x, y, z); F_x, if there is one.
+OUTPUTS, WITH_THRUST = 9, 10
 FEATURES = 8
 _LONGEST, _SOFTEST = 50.0, 150.0
 _THREADED, _TRAJECTORY = 2**18, 4096
@@ -39,51 +40,55 @@ def features(xp, inputs):
     )
 
 
-def hanging_chain(xp, ls, ks, force_y, force_z):
-    """(y, z) end of an elastic chain that carries -F at its start and its weight above.
+def end_of_chain(xp, inputs, force):
+    """(x, y, z) end of an elastic chain that carries -F at its start and its weight above, of
+    inputs (n, 3) and forces (n, 3).
 
-    Its slope is ((0, -F_y, w s - F_z) rounded by bending) / T, stretched by T / k_s.
+    Its slope is (-F_x, -F_y, w s - F_z), rounded by bending, over T, stretched by T / k_s.
     """
-    pull = xp.sqrt(force_y * force_y + _ROUNDING**2)
+    ls, ks = inputs[:, 0], inputs[:, 2]
+    force_x, force_y, force_z = force[:, 0], force[:, 1], force[:, 2]
+    pull = xp.sqrt(force_x * force_x + force_y * force_y + _ROUNDING**2)
     top = WEIGHT * ls - force_z
     angle = xp.asinh(top / pull) + xp.asinh(force_z / pull)
     rise = xp.sqrt(top * top + pull * pull) - xp.sqrt(force_z * force_z + pull * pull)
-    y = -force_y * (angle / WEIGHT + ls / ks)
-    z = rise / WEIGHT + 0.5 * ls * (top - force_z) / ks
-    return y, z
+    reach = angle / WEIGHT + ls / ks
+    return -force_x * reach, -force_y * reach, rise / WEIGHT + 0.5 * ls * (top - force_z) / ks
 
 
 def decode(xp, inputs, raw):
-    """Outputs (position (n, 3), quaternion (n, 4), force (n, 3)) of `raw` (n, OUTPUTS)."""
-    ls, ks = inputs[:, 0], inputs[:, 2]
-    odd = inputs[:, 1] / xp.sqrt(1.0 + inputs[:, 1] ** 2)
-    force_y, force_z = inputs[:, 1] * raw[:, 3], raw[:, 4]
-    y, z = hanging_chain(xp, ls, ks, force_y, force_z)
-    position = xp.stack([raw[:, 0], y + odd * raw[:, 1], z + raw[:, 2]], -1)
+    """Outputs (position (n, 3), quaternion (n, 4), force (n, 3)) of `raw` (n, OUTPUTS), or (n,
+    WITH_THRUST)."""
+    kappa = inputs[:, 1]
+    odd = kappa / xp.sqrt(1.0 + kappa**2)
+    thrust = kappa * odd * raw[:, OUTPUTS] if raw.shape[1] == WITH_THRUST else 0.0 * kappa
+    force = xp.stack([thrust, kappa * raw[:, 3], raw[:, 4]], -1)
+    x, y, z = end_of_chain(xp, inputs, force)
+    position = xp.stack([x + raw[:, 0], y + odd * raw[:, 1], z + raw[:, 2]], -1)
     quaternion = xp.stack([raw[:, 5], odd * raw[:, 6], raw[:, 7], odd * raw[:, 8]], -1)
     quaternion = quaternion / xp.sqrt(xp.sum(quaternion * quaternion, -1))[:, None]
-    return position, quaternion, xp.stack([0.0 * force_y, force_y, force_z], -1)
+    return position, quaternion, force
 
 
-def encode(xp, inputs, position, quaternion, force):
-    """The raw outputs that `decode` turns into these grasps; kappa must not be zero."""
-    ls, kappa, ks = inputs[:, 0], inputs[:, 1], inputs[:, 2]
+def encode(xp, inputs, position, quaternion, force, columns=OUTPUTS):
+    """The raw outputs (n, columns) that `decode` turns into these grasps; kappa must not be
+    zero."""
+    kappa = inputs[:, 1]
     odd = kappa / xp.sqrt(1.0 + kappa**2)
-    y, z = hanging_chain(xp, ls, ks, force[:, 1], force[:, 2])
-    return xp.stack(
-        [
-            position[:, 0],
-            (position[:, 1] - y) / odd,
-            position[:, 2] - z,
-            force[:, 1] / kappa,
-            force[:, 2],
-            quaternion[:, 0],
-            quaternion[:, 1] / odd,
-            quaternion[:, 2],
-            quaternion[:, 3] / odd,
-        ],
-        -1,
-    )
+    x, y, z = end_of_chain(xp, inputs, force)
+    raw = [
+        position[:, 0] - x,
+        (position[:, 1] - y) / odd,
+        position[:, 2] - z,
+        force[:, 1] / kappa,
+        force[:, 2],
+        quaternion[:, 0],
+        quaternion[:, 1] / odd,
+        quaternion[:, 2],
+        quaternion[:, 3] / odd,
+        force[:, 0] / (kappa * odd),
+    ]
+    return xp.stack(raw[:columns], -1)
 
 
 def rotation_vector(xp, quaternion):

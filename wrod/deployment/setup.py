@@ -97,6 +97,12 @@ class Disturbance:
             slip=slip * float(rng.standard_normal()),
         )
 
+    def displaced(self, points: np.ndarray, origin: np.ndarray) -> np.ndarray:
+        """Points (n, 3) that the robot means, where it has them: turned about `origin` (3,) and
+        shifted [m]."""
+        turn = Rotation.from_euler("z", self.yaw)
+        return turn.apply(points - origin) + origin + np.array([*self.offset, 0.0])
+
 
 def mesh(rod: RodModel | RodMaterial, laid: float, spacing: float, node_count: int | None = None):
     """(node,) rest arc lengths: fine where the rod is laid or about to be, coarse beyond.
@@ -279,7 +285,6 @@ def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
     """The same deployment by a robot that shakes and stands elsewhere; the shaking begins once the
     grip has come to the trajectory."""
     turn = Rotation.from_euler("z", disturbance.yaw)
-    shift = setup.origin + np.array([*disturbance.offset, 0.0])
     schedule = setup.schedule
     position = schedule.position
     if disturbance.jitter > 0.0:
@@ -292,11 +297,11 @@ def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
         position = position + _slipped(setup, disturbance)
     return replace(
         setup,
-        position=turn.apply(setup.position - setup.origin) + shift,
+        position=disturbance.displaced(setup.position, setup.origin),
         director=turn.apply(setup.director),
         schedule=replace(
             schedule,
-            position=turn.apply(position - setup.origin) + shift,
+            position=disturbance.displaced(position, setup.origin),
             rotation=one_hemisphere((turn * Rotation.from_quat(schedule.rotation)).as_quat()),
         ),
     )

@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import chain
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -175,36 +177,18 @@ def simulate_deployments(
         friction_field: how the table's friction varies over x and y; default: it does not.
         progress: called with the fraction done since the last call, of all trials.
     """
-    for name, value in (("speed", speed), ("spacing", spacing)):
-        if not (np.isfinite(value) and value > 0):
-            raise RodError(f"{name} is {value!r}; give a positive finite number")
-    if not (np.isfinite(hold) and hold >= 0):
-        raise RodError(f"hold is {hold!r}; give a length in metres, or 0 for a free end")
+    release = hold if release is None else release
+    _check_pace(speed, spacing, hold, release)
     if not trials:
         return []
     device = resolve_device(device)
-    release = hold if release is None else release
-    if not release >= hold:
-        raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
     _refuse_endless(trials, speed, spacing, step, frame_interval)
     setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
-    options = dict(
-        step=step,
-        scheme=scheme,
-        air_damping=air_damping,
-        internal_damping=internal_damping,
-        tolerance=tolerance,
-        frame_interval=frame_interval,
-        device=device,
-        friction_field=friction_field,
-    )
-    cores = os.cpu_count() or 1
-    workers = (threads or (cores if cores >= _MANY_CORES else 1)) if device == "cpu" else 1
-    size = len(trials)
-    if device == "cpu":
-        size = max(1, min(_CPU_CHUNK, -(-size // workers)))
-    every = list(range(len(trials)))
-    chunks = [every[first : first + size] for first in range(0, len(trials), size)]
+    options: dict[str, Any] = dict(
+        scheme=scheme, air_damping=air_damping, internal_damping=internal_damping,
+        tolerance=tolerance, device=device, friction_field=friction_field,
+    )  # fmt: skip
+    chunks, workers = _chunks(len(trials), device, threads)
     parallel = workers > 1 and len(chunks) > 1
     # Recording is the process's: threads would record each other's launches.
     options["keeps_recording"] = device == "cpu" and not parallel
@@ -214,20 +198,39 @@ def simulate_deployments(
             progress(fraction * count / len(trials))
 
     def run(chunk: list[int]) -> list[Deployment]:
-        part = [trials[i] for i in chunk]
         return _simulate(
-            part,
+            [trials[i] for i in chunk],
             [setups[i] for i in chunk],
-            report=lambda fraction: report(fraction, len(part)),
+            step,
+            frame_interval,
+            lambda fraction: report(fraction, len(chunk)),
             **options,
         )
 
     if parallel:
         with ThreadPoolExecutor(workers) as pool:
-            parts = list(pool.map(run, chunks))
-    else:
-        parts = [run(chunk) for chunk in chunks]
-    return [deployment for part in parts for deployment in part]
+            return list(chain.from_iterable(pool.map(run, chunks)))
+    return list(chain.from_iterable(map(run, chunks)))
+
+
+def _check_pace(speed: float, spacing: float, hold: float, release: float) -> None:
+    for name, value in (("speed", speed), ("spacing", spacing)):
+        if not (np.isfinite(value) and value > 0):
+            raise RodError(f"{name} is {value!r}; give a positive finite number")
+    if not (np.isfinite(hold) and hold >= 0):
+        raise RodError(f"hold is {hold!r}; give a length in metres, or 0 for a free end")
+    if not release >= hold:
+        raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
+
+
+def _chunks(count: int, device: str, threads: int | None) -> tuple[list[list[int]], int]:
+    """Trials that are simulated at once, and the threads that do."""
+    cores, size, workers = os.cpu_count() or 1, count, 1
+    if device == "cpu":
+        workers = threads or (cores if cores >= _MANY_CORES else 1)
+        size = max(1, min(_CPU_CHUNK, -(-count // workers)))
+    every = list(range(count))
+    return [every[first : first + size] for first in range(0, count, size)], workers
 
 
 def _refuse_endless(trials: list[Trial], speed, spacing, step, frame_interval) -> None:
@@ -292,37 +295,19 @@ def prepare_trials(trials: list[Trial], hold, release, speed, spacing, node_coun
 def _simulate(
     trials: list[Trial],
     setups: list[Setup],
-    *,
-    step,
-    scheme,
-    air_damping,
-    internal_damping,
-    tolerance,
-    frame_interval,
-    device,
-    keeps_recording,
-    friction_field,
-    report,
+    step: float,
+    frame_interval: float | None,
+    report: Callable[[float], object],
+    **options,
 ) -> list[Deployment]:
-    batch, contact, dynamics = assemble(
-        trials,
-        setups,
-        scheme=scheme,
-        air_damping=air_damping,
-        internal_damping=internal_damping,
-        tolerance=tolerance,
-        device=device,
-        keeps_recording=keeps_recording,
-        friction_field=friction_field,
-    )
+    batch, contact, dynamics = assemble(trials, setups, **options)
     ends = np.array([setup.end_time for setup in setups])
     frames = None
     if frame_interval is not None:
         count = int(np.floor(ends.max() / frame_interval + 1e-9)) + 1
-        frames = wp.zeros((len(trials), count, batch.dof_count), dtype=wp.float64, device=device)
         first = np.zeros((len(trials), count, batch.dof_count))
         first[:, 0] = batch.state.dof.numpy()
-        frames.assign(first)
+        frames = wp.array(first, dtype=wp.float64, device=batch.device)
     done = 0.0
 
     def note(times: np.ndarray) -> None:
@@ -333,14 +318,14 @@ def _simulate(
 
     advance = dict(frames=frames, frame_interval=frame_interval or 1.0, progress=note)
     dynamics.advance(np.array([s.measure_time for s in setups]), step, **advance)
-    held, force, slip = batch.positions().copy(), contact.force.numpy(), contact.slip.numpy()
-    force, slip = force.copy(), slip.copy()
+    held, force, slip = (
+        part.copy() for part in (batch.positions(), contact.force.numpy(), contact.slip.numpy())
+    )
     end = dynamics.advance(ends, step, **advance)
     note(ends)
-    released = batch.positions()
+    released, film = batch.positions(), None if frames is None else frames.numpy()
     speed = np.linalg.norm(dynamics.velocities(), axis=2).max(axis=1)
     penetration = contact.penetration()
-    film = None if frames is None else frames.numpy()
     deployments = []
     for k, (trial, setup) in enumerate(zip(trials, setups, strict=True)):
         pattern = with_remainder_of(trial.pattern, trial.trajectory)

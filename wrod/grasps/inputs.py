@@ -20,6 +20,15 @@ LIMITS = {
 }
 
 
+def whole_range(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(l_s, kappa, k_s): l_s uniform and log-uniform in 1...50, k_s log-uniform."""
+    rng = np.random.default_rng(seed)
+    short, long = count // 2, count - count // 2
+    ls = np.concatenate([rng.uniform(1, 50, long), np.exp(rng.uniform(0, np.log(50), short))])
+    kappa = rng.uniform(-3.5, 3.5, count)
+    return ls, kappa, np.exp(rng.uniform(np.log(150), np.log(15000), count))
+
+
 @dataclass(frozen=True)
 class GraspArrays:
     """(l_s, kappa, k_s) on a device, (n,) float64 each.

@@ -72,6 +72,7 @@ class RodGrasps:
     curvature=arguments.array((), (None,)),
     closure=arguments.text,
     roll=arguments.array((), (None,), finite=False),
+    natural_share=arguments.array((), (None,)),
     device=arguments.optional(arguments.text),
     edge_count=arguments.whole(4, 4096),
     extrapolate=arguments.flag,
@@ -84,6 +85,7 @@ def solve_rod_grasps(
     *,
     closure: str = "zero_tension",
     roll: np.ndarray | float = 0.0,
+    natural_share: np.ndarray | float = 1.0,
     device: str | None = None,
     edge_count: int = EDGE_COUNT,
     extrapolate: bool = True,
@@ -98,6 +100,8 @@ def solve_rod_grasps(
         closure: "zero_tension", "min_force" or "min_friction".
         roll: angle of the laid rod about its tangent at the contact, from up to its first material
             director m_1, (n,) or one for all [rad]; positive leans to the right.
+        natural_share: of the rod's natural curvature, (n,) or one for all: with less than 1 the
+            grasps are those of a rod that is closer to straight (see `wrod.grasps.relaxed`).
         device, edge_count, extrapolate, threads: see `wrod.solve_grasps`.
 
     Raises:
@@ -127,8 +131,12 @@ def solve_rod_grasps(
         (model.length - contact) / lgb, scaled, stretch * lgb**2 / bending
     )
 
+    share = np.broadcast_to(np.asarray(natural_share, dtype=np.float64), contact.shape)
+
     def rods(edges: int) -> RodArrays:
-        return _on_meshes(model, contact, length, edges, lgb, bending)
+        arrays = _on_meshes(model, contact, length, edges, lgb, bending)
+        own = arrays.natural_curvature * share[:, None, None]
+        return replace(arrays, natural_curvature=own)
 
     fields = solve_general(
         length,

@@ -5,16 +5,19 @@ from __future__ import annotations
 import copy
 import importlib
 import pkgutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
 
+from wrod import arguments
+from wrod.errors import DataError
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.setup import Setup
 
+Asks = TypeVar("Asks", bound=Callable[..., Any])
 AnySetup = TypeVar("AnySetup")  # Setup or MotionSetup
 
 
@@ -106,6 +109,20 @@ def magnitude_and_angle(
     radial = np.sqrt(along @ covariance @ along)
     turning = np.sqrt(across @ covariance @ across) / max(size, 1e-300)
     return (size, float(radial)), (float(np.degrees(np.arctan2(y, x))), float(np.degrees(turning)))
+
+
+def checked_as_identification(data: Callable) -> Callable[[Asks], Asks]:
+    """Decorator that checks what an identification is asked; `data` checks measurements."""
+    given = arguments.either(arguments.path, data)
+    an_effect = arguments.either(arguments.text, arguments.like("an Effect", "name"))
+    return arguments.checked(
+        DataError,
+        measurements=given,
+        test=arguments.optional(given),
+        candidates=arguments.optional(arguments.several(an_effect)),
+        device=arguments.optional(arguments.text),
+        progress=arguments.optional(arguments.callback),
+    )
 
 
 @cache

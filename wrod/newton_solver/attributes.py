@@ -309,13 +309,22 @@ def _points(points) -> np.ndarray:
 
 
 def _directors(points: np.ndarray, rest: np.ndarray, director) -> np.ndarray:
-    """(node - 1, 3) first material directors, carried along the rod without twist."""
+    """(node - 1, 3) first material directors: those given, or one carried along without twist."""
     tangents = np.diff(points, axis=0) / rest[:, None]
+    if np.shape(director) == tangents.shape:
+        across = director - np.sum(director * tangents, axis=1)[:, None] * tangents
+        size = np.linalg.norm(across, axis=1)
+        if not (size > 1e-9).all():
+            raise RodError("a director is along its edge; give one across it")
+        return across / size[:, None]
     if director is None:
         director = np.eye(3)[np.argmin(np.abs(tangents[0]))]
     before = np.asarray(director, dtype=float)
     if before.shape != (3,) or not np.isfinite(before).all():
-        raise RodError("director must be three finite numbers: a direction across the first edge")
+        raise RodError(
+            "director must be three finite numbers: a direction across the first edge; or one "
+            "across every edge"
+        )
     out = np.empty_like(tangents)
     last = tangents[0]
     for i, t in enumerate(tangents):
@@ -332,7 +341,12 @@ def _directors(points: np.ndarray, rest: np.ndarray, director) -> np.ndarray:
 
 
 def _add_bodies(builder, points, directors, radius, visible, color, label) -> int:
-    """A kinematic capsule on every edge, or one body without shape; the first one's index."""
+    """A kinematic capsule on every edge, or one body without shape; the first one's index.
+
+    A joint without axes ties each to the world: SolverMuJoCo takes no body without a joint, and
+    makes such ones mocap bodies, which cost no degree of freedom; a fixed joint would be lost in
+    `collapse_fixed_joints`, and in an articulation forward kinematics would put it back.
+    """
     config = ModelBuilder.ShapeConfig(
         density=0.0, has_shape_collision=False, has_particle_collision=False, collision_group=0
     )
@@ -343,10 +357,9 @@ def _add_bodies(builder, points, directors, radius, visible, color, label) -> in
         frame = np.column_stack([directors[i], np.cross(z, directors[i]), z])
         turn = wp.quat_from_matrix(wp.mat33(*frame.ravel()))
         middle = wp.vec3(*(0.5 * (points[i] + points[i + 1])))
-        # A link without a joint: nothing but the solver moves it.
-        body = builder.add_link(
-            xform=wp.transform(middle, turn), is_kinematic=True, label=f"{label}/edge_{i}"
-        )
+        place = wp.transform(middle, turn)
+        body = builder.add_link(xform=place, is_kinematic=True, label=f"{label}/edge_{i}")
+        builder.add_joint_d6(-1, body, parent_xform=place, label=f"{label}/joint_{i}")
         if visible:
             builder.add_shape_capsule(
                 body,

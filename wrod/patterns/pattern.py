@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -331,6 +332,35 @@ class Pattern:
             height=self._height,
             points=points,
             noise=self.noise * factor,
+        )
+
+    def reversed(self) -> Pattern:
+        """The pattern from its last point to its first.
+
+        Raises:
+            PatternError: it has a remainder, which leads in to its first point.
+        """
+        if self.remainder_length > 0.0:
+            raise PatternError(f"{self.name}: has a remainder; reverse it before it gets one")
+        x, widths = self._heading.x, np.diff(self._heading.x)
+        terms, flipped = self._heading.c, np.empty_like(self._heading.c)
+        # Each piece about its other end: Taylor's coefficients there, odd ones negated.
+        for power in range(len(terms)):
+            value = np.zeros_like(widths)
+            for k, term in enumerate(terms[: len(terms) - power]):
+                degree = len(terms) - 1 - k
+                value = value + math.comb(degree, power) * term * widths ** (degree - power)
+            flipped[len(terms) - 1 - power] = (-1) ** power * value
+        flipped = flipped[:, ::-1]
+        flipped[-1] += np.pi
+        return Pattern(
+            PPoly(flipped, x[-1] - x[::-1]),
+            self._position(x[-1]),
+            name=self.name,
+            source=self.source,
+            height=self._height,
+            points=None if self.points is None else self.points[::-1],
+            noise=self.noise,
         )
 
     @arguments.checked(PatternError, path=arguments.path, spacing=arguments.number(1e-6, 1e3))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+import warnings
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import PerceptionError
+from wrod.errors import PerceptionError, WrodWarning
+from wrod.perception.gaps import join_gaps
 from wrod.perception.image import as_image, is_mask, read_image
 from wrod.perception.metric import Camera, MarkerLayout, Plane
 from wrod.perception.refine import arc_length, resample
@@ -162,6 +164,7 @@ def scan(
         image, markers=markers, sheet=sheet, scale=scale, camera=camera, mask=mask, kind=kind,
         color=color,
     )  # fmt: skip
+    result = _without_gaps(result)
     points = oriented(result, start)
     # Errors of the centreline are alike over a strand's width. Points closer than that would look
     # exact to the pattern's estimate of their noise, which would then fit it.
@@ -169,6 +172,23 @@ def scan(
     spacing = max(2.0 * line.radius * length / line.length, length / PATTERN_POINTS)
     (points,) = resample(points, spacing)
     return Pattern.from_points(points, smoothing=smoothing, name=result.name, traced=True)
+
+
+def _without_gaps(result: Scan) -> Scan:
+    """A scan whose strokes go on in each other as one, with a warning; else as it is."""
+    if len(result.lines) < 2:
+        return result
+    lines, gaps = join_gaps(result.lines)
+    if len(lines) != 1:
+        return result
+    warnings.warn(
+        WrodWarning(
+            f"{result.name}: the stroke is broken in {len(gaps)} places, by {max(gaps):.0f} px at "
+            "most; taken for one where its ends go on in each other"
+        ),
+        stacklevel=4,
+    )
+    return replace(result, lines=lines)
 
 
 def oriented(result: Scan, start: str | tuple[float, float] = "lower-left") -> np.ndarray:

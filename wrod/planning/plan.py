@@ -124,6 +124,8 @@ def plan(
         where it touches down ("contact_friction"), and the warnings given; with `friction`,
         "optimised" and "expected": what simulated deployments say (`wrod.deployment.optimise`), or
         "distilled".
+        Where a rod that varies along itself has no grasp of its own, "natural_share" is the
+        smallest share of its natural curvature that a grasp was made with (`wrod.grasps.relaxed`).
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
@@ -133,6 +135,7 @@ def plan(
 
     Warns:
         StabilityWarning: some grasps are elastically unstable, or close to it.
+        WrodWarning: some grasps are of a rod closer to straight.
         OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
     if method not in (*SOURCES, DISTILLED):
@@ -141,16 +144,12 @@ def plan(
     if method == DISTILLED and friction is None:
         raise GraspError(f"method {DISTILLED!r} corrects a plan for a table; say its friction")
     if friction is not None:
-        how = dict(
-            method=method, closure=closure, spacing=spacing, remainder=remainder, roll=roll,
-            controller=controller, device=device, progress=progress,
+        return _corrected(
+            pattern, rod, friction, method=method, closure=closure, spacing=spacing, roll=roll,
+            remainder=remainder, controller=controller, device=device, progress=progress,
         )  # fmt: skip
-        return _corrected(pattern, rod, friction, how)
     pattern = prepare(pattern, rod, remainder)
-    if closure is None and controller is not None and method in ("auto", "neural"):
-        closure = controller.closure
-    elif closure is None:
-        closure = favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
+    closure = closure or _usual_closure(pattern, rod, method, controller)
     s = _contacts(pattern, spacing)
     _, _, curvature = course = pattern.sample(s)
     _refuse_tight_bends(pattern, rod, s, curvature)
@@ -159,9 +158,22 @@ def plan(
         rod, rod.length - (s - s[0]), curvature,
         roll=roll, closure=closure, device=device, progress=progress, controller=controller,
     )  # fmt: skip
+    poses, said = _solved(method, inputs, s)
+    return _trajectory(pattern, rod, s - s[0], course, poses, roll, said)
+
+
+def _usual_closure(pattern: Pattern, rod, method: str, controller: Controller | None) -> str:
+    """The closure where none is asked for."""
+    if controller is not None and method in ("auto", "neural"):
+        return controller.closure
+    return favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
+
+
+def _solved(method: str, inputs: GraspInputs, s: np.ndarray) -> tuple[GraspPoses, dict]:
+    """Grasps at the contacts s [m], and what the trajectory says of them."""
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
-        if method == "neural" and controller is None and not inputs.is_straight:
+        if method == "neural" and inputs.controller is None and not inputs.is_straight:
             method = "numeric"
             own = "curved at rest" if inputs.rod is None else "not uniform, isotropic and linear"
             warnings.warn(
@@ -173,21 +185,21 @@ def plan(
         poses = SOURCES[method](inputs)
         _refuse_unconverged(poses, inputs, s)
         _warn_unstable(poses, inputs, s)
+        _warn_relaxed(poses, s)
     for reservation in reservations:
-        warnings.warn(reservation.message, reservation.category, stacklevel=2)
-    said = {
+        warnings.warn(reservation.message, reservation.category, stacklevel=3)
+    return poses, {
         "method": method,
-        "closure": closure if method != "intuitive" else None,
+        "closure": inputs.closure if method != "intuitive" else None,
         "warnings": [
             f"{warning.category.__name__}: {warning.message}"
             for warning in reservations
             if issubclass(warning.category, WrodWarning)
         ],
     }
-    return _trajectory(pattern, rod, s - s[0], course, poses, roll, said)
 
 
-def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, how: dict) -> Trajectory:
+def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, **how) -> Trajectory:
     """The plan that `how` asks for, corrected through simulated deployments on such a table."""
     from wrod.deployment.optimise import Spread, optimise
 
@@ -196,14 +208,14 @@ def _corrected(pattern: Pattern, rod: RodModel | RodMaterial, friction, how: dic
         raise GraspError(
             "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
         )
+    led = prepare(pattern, rod, how["remainder"])
     base = "auto" if how["method"] == DISTILLED else how["method"]
-    start = plan(pattern, rod, **{**how, "method": base})
-    held = prepare(pattern, rod, how["remainder"])
+    start = plan(led, rod, **{**how, "method": base, "remainder": False})
     if how["method"] == DISTILLED:
         from wrod.deployment.distilled import distilled
 
-        return distilled(held, rod, start, float(np.mean(spread.friction)))
-    return optimise(held, rod, start, spread, device=how["device"])
+        return distilled(led, rod, start, float(np.mean(spread.friction)))
+    return optimise(led, rod, start, spread, device=how["device"])
 
 
 def _contacts(pattern: Pattern, spacing: float) -> np.ndarray:
@@ -240,6 +252,9 @@ def _trajectory(
     lgb, frame = rod.gravito_bending_length, _contact_frame(tangent)
     force_unit = 2.0 * rod.weight * lgb
     shape = None if poses.shape is None else _placed(poses.shape, contact, frame, lgb)
+    relaxed = {}
+    if poses.natural_share is not None:
+        relaxed["natural_share"] = float(np.min(poses.natural_share))
     return Trajectory(
         arc_length=laid,
         contact=contact,
@@ -258,6 +273,7 @@ def _trajectory(
             "contact_friction": _contact_friction(poses.force),
             "largest_curvature": float(np.max(np.abs(curvature))),
             "warnings": said["warnings"],
+            **relaxed,
         },
         shape=shape,
         twist=poses.twist,
@@ -271,8 +287,8 @@ def favoured_closure(pattern: Pattern, rod: RodModel | RodMaterial) -> str:
     "min_friction" where the pattern's largest curvature is over 0.4 / L_gb, "zero_tension"
     elsewhere. In bends the first asks the table for less: at 1 / L_gb for a tangential force of
     0.55 instead of 0.93 of the normal one, so that less slides on slippery tables. On a straight
-    pattern both are the same grasps; in gentle bends both lay as well, and the trained controller
-    knows the second. Evidence: `wrod bench closures`, docs/deployment.md, and for naturally curved
+    pattern both are the same grasps; in gentle bends both lay as well, and the second are the
+    paper's. Evidence: `wrod bench closures`, docs/deployment.md, and for naturally curved
     rods docs/loop.md. Of a rod curved by more than 0.3 / L_gb not all grasps exist that ask for the
     least, and it gets "zero_tension".
     """
@@ -533,6 +549,22 @@ def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -
         f"length {inputs.suspended_length[node]:.3f} L_gb, curvature "
         f"{inputs.curvature[node]:.3f} / L_gb, stretch ratio {inputs.stretch_ratio:.0f}; "
         f"{np.sum(~good)} nodes in all); make the pattern gentler there or the rod longer"
+    )
+
+
+def _warn_relaxed(poses: GraspPoses, s: np.ndarray) -> None:
+    if poses.natural_share is None:
+        return
+    less = np.concatenate([[False], poses.natural_share < 1.0, [False]])
+    ends = np.flatnonzero(np.diff(less.astype(int)))
+    where = ", ".join(f"{s[a]:.3f} to {s[b - 1]:.3f}" for a, b in ends.reshape(-1, 2))
+    warnings.warn(
+        f"{np.sum(less)} of {len(s)} grasps (s from {where} m) are of a rod with less natural "
+        f"curvature, down to {np.min(poses.natural_share):.0%} of it: bent at rest as this one is, "
+        "it would dip under the table there, pull at it or snap; "
+        "expect it to lie off the pattern",
+        WrodWarning,
+        stacklevel=3,
     )
 
 

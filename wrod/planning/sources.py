@@ -92,7 +92,9 @@ class GraspPoses:
 
     position, rotation (vector) and force are (T, 3); converged, stable and eigenvalue (of the
     softest motion, see `Grasps`) are (T,) or None where the source does not say; shape is
-    (T, nodes, 3) or None; twist (T,) from contact to grip [rad], or None where there is none.
+    (T, nodes, 3) or None; twist (T,) from contact to grip [rad], or None where there is none;
+    natural_share (T,) is the share of its natural curvature that the rod has in each grasp, or None
+    where it has all of it.
     """
 
     position: np.ndarray
@@ -103,6 +105,7 @@ class GraspPoses:
     shape: np.ndarray | None = None
     eigenvalue: np.ndarray | None = None
     twist: np.ndarray | None = None
+    natural_share: np.ndarray | None = None
 
 
 def _intuitive(inputs: GraspInputs) -> GraspPoses:
@@ -115,8 +118,9 @@ def _intuitive(inputs: GraspInputs) -> GraspPoses:
 
 
 def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
-    """Optimal grasps of a rod whose properties depend on where it touches the table."""
-    from wrod.grasps.rod_grasps import solve_rod_grasps
+    """Optimal grasps of a rod whose properties depend on where it touches the table; where it has
+    none, of a rod closer to straight."""
+    from wrod.grasps.relaxed import solve_relaxed
 
     model, watch, count = inputs.rod, inputs.progress, len(inputs.suspended_length)
     lgb = model.gravito_bending_length
@@ -124,7 +128,7 @@ def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
     at = np.maximum(model.length - inputs.suspended_length * lgb, 0.0)
     # Where the rod is twisted at rest its first director turns along the laid part.
     rolled = model.rolled(at)
-    grasps = solve_rod_grasps(
+    grasps, share = solve_relaxed(
         model,
         at,
         inputs.curvature / lgb,
@@ -145,6 +149,7 @@ def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
         grasps.shape / lgb,
         grasps.eigenvalue * lgb**2 / force,
         grasps.twist + rolled,
+        None if (share == 1.0).all() else share,
     )
 
 
@@ -228,8 +233,7 @@ def _auto(inputs: GraspInputs) -> GraspPoses:
     if inputs.rod is not None:
         _refuse_varying(inputs)
         return _numeric(inputs)
-    # Others do not know the thrust, and with it what a plan asks of the table.
-    controller = inputs.controller or _of_closure("zero_tension")
+    controller = inputs.controller or _shipped("zero_tension", inputs.closure)
     known = ~controller.out_of_range(
         inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     )
@@ -266,8 +270,7 @@ def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
     position, rotation, force, twist = controller.predict_with_twist(
         inputs.suspended_length, side * inputs.curvature, inputs.stretch_ratio
     )
-    # The chain that controllers learn has no thrust at the contact.
-    if force is None or controller.closure != "zero_tension":
+    if force is None:
         force = np.full_like(position, np.nan)
     if side < 0.0:
         position, rotation, force = MIRROR * position, MIRROR_ROTATION * rotation, MIRROR * force

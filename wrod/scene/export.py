@@ -17,6 +17,7 @@ from wrod.errors import SceneError
 from wrod.files import write_atomically
 from wrod.robot.grip import Grip, GripPath
 from wrod.scene.arm import add_arm, add_visuals
+from wrod.scene.phases import film
 from wrod.scene.primitives import Materials, set_pose
 from wrod.scene.rod_shapes import whole_rod
 from wrod.scene.stage import add_cameras, add_lights, new_stage
@@ -67,10 +68,14 @@ def export_usd(
     """Write a stage of one deployment, or of many side by side, for review in any USD viewer.
 
     Metres, Z up, the trajectory's frame (table at z = 0); time code k is node k of the trajectory.
+    A joint path of the whole job goes on around them: codes below 0 are approach and grasp, the
+    rod hanging where it is presented, codes beyond the last node release and retreat, the rod
+    lying; what was suspended is drawn as fallen straight ahead, which nothing has simulated.
+
     Under /World/Deployment_000: `robot` (its links as nested Xforms) or, without a joint path, the
     `gripper` alone; `table`, `pattern`, `rod`, `grip_path`; the plan's figures as custom data and
-    the attributes `wrod:arcLength` [m] and `wrod:time` [s] over time. Cameras `top` and
-    `perspective` are under /World/Cameras.
+    the attributes `wrod:arcLength` [m], `wrod:time` [s] and `wrod:phase` over time. Cameras `top`
+    and `perspective` are under /World/Cameras.
 
     Each argument may be a sequence, one entry per deployment; they are then laid out in a
     grid, each turned so that its arm faces +x.
@@ -98,7 +103,8 @@ def export_usd(
     deployments = _deployments(
         trajectory=trajectory, joint_path=joint_path, shapes=shapes, pattern=pattern, rod=rod
     )
-    stage = new_stage(max(len(item.trajectory) for item in deployments))
+    codes = [item.film.code for item in deployments]
+    stage = new_stage(min(code[0] for code in codes), max(code[-1] for code in codes))
     materials = Materials(stage)
     pitch = _pitch(deployments)
     columns = math.ceil(math.sqrt(len(deployments)))
@@ -185,6 +191,7 @@ def _complete(item: SimpleNamespace, number: int) -> SimpleNamespace:
         raise SceneError(f"{where}shapes are {shape}; give ({count}, points, 3), one rod per node")
     if not np.isfinite(item.shapes).all():
         raise SceneError(f"{where}shapes hold numbers that are not finite")
+    item.film = film(joint_path, item.shapes)
     item.points = _pattern_points(item.pattern, trajectory)
     item.radius = _DEFAULT_RADIUS if item.rod is None else float(item.rod.radius)
     placement = None if joint_path is None else joint_path.placement
@@ -232,7 +239,7 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
     from pxr import Sdf, UsdGeom
 
     trajectory, joint_path, table = item.trajectory, item.joint_path, item.table
-    times = np.arange(len(trajectory), dtype=float)
+    shown, times = item.film, item.film.code
     root = f"/World/Deployment_{number:03d}"
     prim = UsdGeom.Xform.Define(stage, root).GetPrim()
     pose = np.eye(4)
@@ -241,7 +248,7 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
     add_table(stage, f"{root}/table", table, materials)
     add_pattern(stage, f"{root}/pattern", item.points, item.radius, materials)
     name = _rod_name(trajectory, item.rod)
-    add_rod(stage, f"{root}/rod", item.shapes, item.radius, name, times, materials)
+    add_rod(stage, f"{root}/rod", shown.shapes, item.radius, name, times, materials)
     smooth = GripPath(trajectory)
     way = smooth.poses(smooth.samples(0.005))[:, :3, 3]
     add_grip_path(stage, f"{root}/grip_path", way, materials)
@@ -250,7 +257,7 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
         table.corners(),
         table.corners() + below,
         trajectory.position,
-        item.shapes.reshape(-1, 3),
+        shown.shapes.reshape(-1, 3),
     ]
     base = np.eye(4)
     if joint_path is None:
@@ -259,11 +266,11 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
     else:
         robot = joint_path.robot
         base = joint_path.placement.world_from_base
-        add_arm(stage, f"{root}/robot", robot, base, joint_path.node_positions, times, materials)
+        add_arm(stage, f"{root}/robot", robot, base, shown.positions, times, materials)
         if robot.name != "sawyer":  # Sawyer brings its pedestal
             add_stand(stage, f"{root}/stand", base, BASE_HEIGHT, materials)
         front = base[:2, 0]
-        poses = robot.link_poses(joint_path.node_positions[:: max(1, len(trajectory) // 20)])
+        poses = robot.link_poses(shown.positions[:: max(1, len(times) // 20)])
         for link in poses.values():
             seen.append(link[:, :3, 3] @ base[:3, :3].T + base[:3, 3])
         feet = [[x, y, -BASE_HEIGHT] for x in (-0.3, 0.3) for y in (-0.3, 0.3)]
@@ -274,9 +281,13 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
     if joint_path is not None:
         figures["joint_path"] = joint_path.metadata
     prim.SetCustomDataByKey("wrod", _plain(figures))
-    _sampled(prim, "wrod:arcLength", trajectory.arc_length, times, Sdf)
+    _sampled(prim, "wrod:arcLength", trajectory.arc_length[shown.node], times, Sdf)
     if joint_path is not None:
-        _sampled(prim, "wrod:time", joint_path.node_time, times, Sdf)
+        _sampled(prim, "wrod:time", shown.time, times, Sdf)
+        phase = prim.CreateAttribute("wrod:phase", Sdf.ValueTypeNames.Token, custom=True)
+        for k, name in enumerate(shown.phase):
+            if k == 0 or name != shown.phase[k - 1]:
+                phase.Set(name, float(times[k]))
     return np.concatenate(seen) @ item.turn.T + shift
 
 

@@ -20,6 +20,7 @@ from wrod.errors import SceneError
 from wrod.files import write_atomically
 from wrod.robot.mesh import read_mesh
 from wrod.robot.urdf import LinkShape
+from wrod.scene.phases import with_release
 from wrod.scene.rod_shapes import whole_rod
 from wrod.scene.workplace import BASE_HEIGHT, TABLE_THICKNESS, table_under
 
@@ -71,6 +72,9 @@ def write_deployment_page(
             if joint_path is None
             else joint_path.node_time
         )
+    at_nodes = len(time) == len(trajectory)
+    if joint_path is not None and at_nodes and errors is None:
+        shapes, time = with_release(joint_path, shapes, time)
     duration = float(time[-1]) if joint_path is None else float(joint_path.time[-1])
     count = int(np.clip(np.ceil(duration * 10.0) + 1, 2, _FRAMES))
     at = np.linspace(0.0, duration, count)
@@ -96,8 +100,8 @@ def write_deployment_page(
             if k % 5 == 0 or k == count - 1:
                 doing = "" if joint_path is None else f"{joint_path.phase_at(at[k])}: "
                 label.text = f"{doing}{at[k]:.1f} s of {duration:.0f} s"
-                if len(time) == len(trajectory):
-                    laid = np.interp(node, np.arange(len(time)), trajectory.arc_length)
+                if at_nodes:
+                    laid = np.interp(node, np.arange(len(trajectory)), trajectory.arc_length)
                     label.text += f", {100 * laid:.1f} cm laid"
             recording.insert_sleep(duration / max(count - 1, 1))
         page = recording.as_html(dark_mode=False)

@@ -7,8 +7,8 @@ import numpy as np
 FRAMES_PER_SECOND = 24.0
 
 
-def new_stage(frames: int):
-    """In-memory stage whose time codes 0 ... frames - 1 are the nodes of a trajectory."""
+def new_stage(first: float, last: float):
+    """In-memory stage of time codes `first` to `last`."""
     from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.CreateInMemory("scene.usda")
@@ -16,8 +16,8 @@ def new_stage(frames: int):
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
     stage.SetFramesPerSecond(FRAMES_PER_SECOND)
-    stage.SetStartTimeCode(0.0)
-    stage.SetEndTimeCode(float(max(frames - 1, 0)))
+    stage.SetStartTimeCode(float(first))
+    stage.SetEndTimeCode(float(last))
     world = UsdGeom.Xform.Define(stage, "/World")
     stage.SetDefaultPrim(world.GetPrim())
     return stage

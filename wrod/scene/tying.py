@@ -112,7 +112,7 @@ def export_scene(
         with_waiting(rod[frame], clock, ground, radius)
         for rod, radius in zip(rods, radii, strict=True)
     ]
-    stage = new_stage(len(frame))
+    stage = new_stage(0.0, max(len(frame) - 1.0, 0.0))
     across = _fill(stage, clock, time[frame], shown, names, radii, drawn, ground, arms, fixtures)
     moments = {} if arms is None else _moments(find_holds(film), arms)
     _add_close(stage, np.concatenate(drawn), across, shown, radii, moments)

@@ -167,12 +167,9 @@ class Dynamics:
         self.start = RodState.zeros(rods, batch.node_count, device)
         self.start.assign(batch.state)
 
-        def floats(value=0.0, name="value"):
+        def floats(value, name="value"):
             value = arguments.spread(value, (rods,), f"Dynamics: {name}", RodError)
             return wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=device)
-
-        def ints(value=0):
-            return wp.full(rods, value, dtype=wp.int32, device=device)
 
         self.mass = wp.array(_masses(batch, radius), dtype=wp.float64, device=device)
         self.refuses_saddles = int(refuses_saddles)
@@ -189,8 +186,25 @@ class Dynamics:
         scale = _force_scale(batch) if force_scale is None else force_scale
         self.force_scale = floats(scale, "force_scale")
         self.length_scale = floats(batch.rest_length.numpy().sum(axis=1))
-        self.tolerance, self.step_tolerance, self.residual = tolerance, floats(), floats()
+        self.tolerance = tolerance
         self.rounding = wp.array(self._rounding(), dtype=wp.vec2d, device=device)
+        self._allocate()
+        for one in self.contacts:
+            one.time_step = self.span
+        self.keeps_recording = keeps_recording
+        self._recording: tuple[tuple, object] | None = None
+
+    def _allocate(self) -> None:
+        """What every rod carries from step to step."""
+        rods, device = self.batch.rod_count, self.batch.device
+
+        def floats(value=0.0):
+            return wp.full(rods, value, dtype=wp.float64, device=device)
+
+        def ints():
+            return wp.zeros(rods, dtype=wp.int32, device=device)
+
+        self.step_tolerance, self.residual = floats(), floats()
         self.time, self.until, self.step, self.step_before = (floats() for _ in range(4))
         # Time from the start of the step to where its forces are; why a rod leaves its scheme.
         self.span, self._no_step = floats(), floats()
@@ -206,18 +220,14 @@ class Dynamics:
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)
         self._goes_on = self._going[:1]  # a condition of a graph is one number
-        shape = (rods, batch.dof_count)
+        shape = (rods, self.batch.dof_count)
         self.velocity, self.velocity_older = (
             wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
         )
-        self.dof_older = wp.clone(batch.state.dof)
-        self._end = wp.clone(batch.state.dof)
-        for contact in self.contacts:
-            contact.time_step = self.span
+        self.dof_older = wp.clone(self.batch.state.dof)
+        self._end = wp.clone(self.batch.state.dof)
         # (rod, dof): forces that held prescribed degrees of freedom at the end of the last step.
         self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
-        self.keeps_recording = keeps_recording
-        self._recording: tuple[tuple, object] | None = None
 
     def forget_recording(self) -> None:
         """Record afresh: what `motion` or contacts launch has changed."""
@@ -554,6 +564,10 @@ class Dynamics:
             )
             for contact in self.contacts:
                 contact.find_touching(self.converged, self._end, start.dof, self.touching)
+        self._judge(largest, smallest)
+
+    def _judge(self, largest: float, smallest: float) -> None:
+        """What becomes of every rod's step: taken, gone on with, or cut."""
         self._per_rod(
             kernels.judge_step,
             [

@@ -24,7 +24,13 @@ from wrod.identification.clamped.selection import select
 from wrod.identification.clamped.setup import Setup
 from wrod.identification.clamped.trace import Print, trace
 from wrod.identification.clamped.verdict import Selection
-from wrod.identification.effect import Effect, Estimate, Model, effects
+from wrod.identification.effect import (
+    Effect,
+    Estimate,
+    Model,
+    checked_as_identification,
+    effects,
+)
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.rods.batch import resolve_device
 from wrod.rods.material import RodMaterial
@@ -174,18 +180,7 @@ class IdentificationReport:
         ]
 
 
-@arguments.checked(
-    DataError,
-    measurements=arguments.either(arguments.path, arguments.like("measurements", "clamp_position")),
-    test=arguments.optional(
-        arguments.either(arguments.path, arguments.like("measurements", "clamp_position"))
-    ),
-    candidates=arguments.optional(
-        arguments.several(arguments.either(arguments.text, arguments.like("an Effect", "name")))
-    ),
-    device=arguments.optional(arguments.text),
-    progress=arguments.optional(arguments.callback),
-)
+@checked_as_identification(arguments.like("measurements", "clamp_position"))
 def identify_clamped(
     measurements: ClampedMeasurements | str | os.PathLike[str],
     *,

@@ -116,14 +116,41 @@ def trace(laboratory: Laboratory) -> list[Print]:
     trials = m.train
     residual = laboratory.target[trials] - laboratory.observe(Model(), np.zeros(0), trials=trials)
     residual = laboratory.whiten(residual, trials).ravel()
-    weight = m.material.weight
     solver, _ = laboratory.solver_at(Model(), np.zeros(0))
-    frames = _node_frames(solver)
-    lab = np.broadcast_to(np.eye(3), frames.shape)
-    known = effects()
+    prints = []
+    for name, title, unit, points_to, model, components in _plans(
+        _node_frames(solver), m.material.weight
+    ):
+        scale = np.array([p.scale for p in model.parameters])
+        _, rates = laboratory.jacobian(model, np.zeros(len(scale)))
+        jacobian = laboratory.whiten(rates[trials] * scale, trials).reshape(-1, len(scale))
+        profile = isinstance(model.effects[0], Profile)
+        prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
+        evidence, _, share, value, stderr = infer(jacobian, residual, prior)
+        value, stderr = value * scale, stderr * scale
+        arc_length = None
+        if profile:
+            arc_length = np.linspace(0.0, m.material.length, KNOTS)
+            value, stderr = (a.reshape(KNOTS, -1) for a in (value, stderr))
+        prints.append(
+            Print(
+                name, title, unit, points_to, evidence, share, arc_length, components, value, stderr
+            )
+        )
+    return sorted(prints, key=lambda p: -p.evidence)
+
+
+def _plans(frames: np.ndarray, weight: float) -> list[tuple]:
+    """What may leave a print: its name, title, unit, effects that it points to, model, components.
+
+    Args:
+        frames: (trial, node, 3, 3) material frames.
+        weight: of the rod per length [N/m].
+    """
+    known, lab = effects(), np.broadcast_to(np.eye(3), frames.shape)
     axes, own = ("x", "y", "z"), ("m1", "m2", "tangent")
     force_unit = "N/m"
-    plans = [
+    return [
         (
             "force_in_laboratory",
             "force per length, fixed in the laboratory",
@@ -184,25 +211,6 @@ def trace(laboratory: Laboratory) -> list[Print]:
             own,
         ),
     ]
-    prints = []
-    for name, title, unit, points_to, model, components in plans:
-        scale = np.array([p.scale for p in model.parameters])
-        _, rates = laboratory.jacobian(model, np.zeros(len(scale)))
-        jacobian = laboratory.whiten(rates[trials] * scale, trials).reshape(-1, len(scale))
-        profile = isinstance(model.effects[0], Profile)
-        prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
-        evidence, _, share, value, stderr = infer(jacobian, residual, prior)
-        value, stderr = value * scale, stderr * scale
-        arc_length = None
-        if profile:
-            arc_length = np.linspace(0.0, m.material.length, KNOTS)
-            value, stderr = (a.reshape(KNOTS, -1) for a in (value, stderr))
-        prints.append(
-            Print(
-                name, title, unit, points_to, evidence, share, arc_length, components, value, stderr
-            )
-        )
-    return sorted(prints, key=lambda p: -p.evidence)
 
 
 def _node_frames(solver) -> np.ndarray:

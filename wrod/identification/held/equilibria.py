@@ -52,7 +52,7 @@ def markers(
             is thought to turn from hanging straight down to its angle, the cable following.
     """
     count = len(cases)
-    batch = _batch(cases, device)
+    batch = batch_of(cases, device=device)
     solver = EquilibriumSolver(batch)
     good = np.ones(count, dtype=bool)
     angle = np.array([angle for _, angle, _ in cases])
@@ -64,47 +64,60 @@ def markers(
         )
         batch.gravity.assign(pull)
         good &= solver.solve(ramp_loads=k == 1, tolerance=1e-7).converged
-    nodes = node_positions(batch.state.dof.numpy())
+    scale = np.array([model.scale for *_, model in cases])[:, None, None]
+    return scale * marked(node_positions(batch.state.dof.numpy())), good
+
+
+def marked(nodes: np.ndarray) -> np.ndarray:
+    """(..., 2, 2) middle and end, in the plane, of (..., node, 3)."""
     half = _EDGES // 2
     # The first node is half an edge behind the clamp, so markers are between two nodes.
-    mid = 0.5 * (nodes[:, half] + nodes[:, half + 1])
-    end = nodes[:, -1]
-    scale = np.array([model.scale for *_, model in cases])[:, None, None]
-    return scale * np.stack([mid, end], axis=1)[..., [0, 2]], good
+    mid = 0.5 * (nodes[..., half, :] + nodes[..., half + 1, :])
+    return np.stack([mid, nodes[..., -1, :]], axis=-2)[..., [0, 2]]
 
 
-def _batch(cases, device) -> RodBatch:
-    rods, edges = len(cases), _EDGES + 1
-    position = np.zeros((rods, edges + 1, 3))
-    mass = np.zeros((rods, edges + 1))
-    stiffness, natural, softening, stretching = [], [], [], []
-    for k, (cable, _, model) in enumerate(cases):
-        edge = cable.length / _EDGES
-        s = np.concatenate([[-0.5 * edge, 0.5 * edge], edge * np.arange(1.5, _EDGES)])
-        s = np.append(s, cable.length)[: edges + 1]
-        direction = np.array([np.sin(model.tilt), 0.0, -np.cos(model.tilt)])
-        position[k] = s[:, None] * direction
-        rest = np.diff(s)
-        line = cable.cable_mass * model.mass_ratio / cable.length
-        mass[k, :-1] += 0.5 * line * rest
-        mass[k, 1:] += 0.5 * line * rest
-        mass[k, -1] += cable.tip_mass
-        stiffness.append(model.stiffness)
-        natural.append(model.curvature)
-        softening.append((model.softening, model.kept))
+def mesh(length: float) -> np.ndarray:
+    """(node,) distance of the nodes from the clamp along a cable [m]; the first is behind it."""
+    edge = length / _EDGES
+    return np.concatenate([[-0.5 * edge, 0.5 * edge], edge * np.arange(1.5, _EDGES), [length]])
+
+
+def batch_of(
+    cases: Sequence[tuple[HeldCable, float, CableModel]],
+    *,
+    position: np.ndarray | None = None,
+    inelastic: np.ndarray | float = 0.0,
+    device: str = "cpu",
+) -> RodBatch:
+    """The cables as rods clamped at their first edge, without gravity.
+
+    Args:
+        cases: see `markers`; the angle does not matter.
+        position: (case, node, 3) first shapes [m], edges of the mesh's lengths; default: straight.
+        inelastic: (case, 1, 4) law of bending that remembers, see `RodBatch`.
+    """
+    rods = len(cases)
+    mass, straight, stretching = [], [], []
+    for cable, _, model in cases:
+        s = mesh(cable.length)
+        straight.append(s[:, None] * [np.sin(model.tilt), 0.0, -np.cos(model.tilt)])
+        half = 0.5 * cable.cable_mass * model.mass_ratio / cable.length * np.diff(s)
+        mass.append(np.append(half, cable.tip_mass) + np.append(0.0, half))
         stretching.append(_STRETCH * model.stiffness / cable.length**2)
-    bend = np.array(stiffness)[:, None]
+    bend = np.array([model.stiffness for *_, model in cases])[:, None]
     curvature = np.zeros((rods, 1, 2))
     # First director across the plane (+y), second in it towards +x.
-    curvature[:, 0, 1] = natural
+    curvature[:, 0, 1] = [model.curvature for *_, model in cases]
+    softening = np.array([(model.softening, model.kept) for *_, model in cases])
     batch = RodBatch(
-        position,
+        np.array(straight) if position is None else position,
         stretching_stiffness=np.array(stretching)[:, None],
         bending_stiffness=bend,
         twisting_stiffness=bend,
         natural_curvature=curvature,
-        softening=np.array(softening)[:, None, :],
-        node_mass=mass,
+        softening=softening[:, None, :],
+        inelastic=inelastic,
+        node_mass=np.array(mass),
         gravity=np.zeros((rods, 3)),
         director=np.array([0.0, 1.0, 0.0]),
         device=device,

@@ -11,9 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from wrod.errors import DataError
 from wrod.files import read_arrays
+
+# Points by which a fitted curve is integrated.
+_CURVE_POINTS = 401
 
 
 @dataclass(frozen=True)
@@ -69,10 +73,26 @@ class HeldSwing:
     Attributes:
         cable: its set, with the hand's angle per frame and the markers (T,) in place of (K,).
         time: (T,) [s].
+        bend: (T, 2) of the curve that was fitted: its curvature is (b0 + b1 s / L) / L at the
+            distance s from the clamp [-].
     """
 
     cable: HeldCable
     time: np.ndarray
+    bend: np.ndarray
+
+    def curve(self, frame: int, s: np.ndarray) -> np.ndarray:
+        """(n, 2) places of a frame's fitted curve [m]; behind the clamp it is straight."""
+        v = np.linspace(0.0, 1.0, _CURVE_POINTS)
+        angle = self.bend[frame, 0] * v + 0.5 * self.bend[frame, 1] * v**2
+        length = self.cable.length
+        x, z = (
+            -length * cumulative_trapezoid(f, v, initial=0.0)
+            for f in (np.sin(angle), np.cos(angle))
+        )
+        s = np.asarray(s, dtype=float)
+        at = np.clip(s / length, 0.0, 1.0)
+        return np.column_stack([np.interp(at, v, x), np.interp(at, v, z) - np.minimum(s, 0.0)])
 
 
 @dataclass(frozen=True)
@@ -119,11 +139,15 @@ def load_held(path: str | os.PathLike[str]) -> HeldCable:
 
 def load_swing(path: str | os.PathLike[str]) -> HeldSwing:
     """Read SET-swing.npz; raises as `load_hanging`."""
-    data = _read(path, ("time", "base_angle", "mid_fitted", "end_fitted", *_CABLE))
+    names = ("time", "base_angle", "mid_fitted", "end_fitted", "curvature_fit", *_CABLE)
+    data = _read(path, names)
     cable = _held(path, data, "mid_fitted", "end_fitted", "-swing")
+    bend = data["curvature_fit"]
+    if bend.shape != (*cable.angle.shape, 2) or not np.isfinite(bend).all():
+        raise DataError(f"{path}: curvature_fit is {bend.shape}; give finite (frame, 2)")
     if data["time"].shape != cable.angle.shape or not (np.diff(data["time"]) > 0).all():
         raise DataError(f"{path}: time does not grow with the frames")
-    return HeldSwing(cable, data["time"])
+    return HeldSwing(cable, data["time"], bend)
 
 
 def load_poses(path: str | os.PathLike[str]) -> HeldPoses:

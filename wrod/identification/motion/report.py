@@ -15,11 +15,18 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import DataError, WrodWarning
 from wrod.files import write_atomically
-from wrod.identification.effect import Effect, Estimate, Model, effects
+from wrod.identification.effect import (
+    Effect,
+    Estimate,
+    Model,
+    checked_as_identification,
+    effects,
+)
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.fit import MotionLaboratory
 from wrod.identification.motion.loading import load_motion
+from wrod.identification.motion.pace import check_pace
 from wrod.identification.motion.residual import Residual, residual_of
 from wrod.identification.motion.selection import (
     BASE,
@@ -226,18 +233,7 @@ class MotionReport:
             return self.model.material()
 
 
-@arguments.checked(
-    DataError,
-    measurements=arguments.either(arguments.path, arguments.like("recordings", "positions")),
-    test=arguments.optional(
-        arguments.either(arguments.path, arguments.like("recordings", "positions"))
-    ),
-    candidates=arguments.optional(
-        arguments.several(arguments.either(arguments.text, arguments.like("an Effect", "name")))
-    ),
-    device=arguments.optional(arguments.text),
-    progress=arguments.optional(arguments.callback),
-)
+@checked_as_identification(arguments.like("recordings", "positions"))
 def identify_motion(
     measurements: MotionMeasurements | str | os.PathLike[str],
     *,
@@ -268,7 +264,9 @@ def identify_motion(
     chosen = list(known.values())
     if candidates is not None:
         chosen = [c if isinstance(c, Effect) else _known(c, known) for c in candidates]
-    laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=resolve_device(device))
+    device = resolve_device(device)
+    check_pace(m, device=device)
+    laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=device)
     selection = select_motion(laboratory, chosen, progress=progress)
     if progress:
         progress("force print")

@@ -1,0 +1,94 @@
+"""Bodies that Newton's own solvers move, and cables that pull at them."""
+
+import warnings
+
+import newton
+import numpy as np
+import pytest
+import warp as wp
+
+import wrod
+from wrod.bench.newton_bodies import Arm
+
+SolverDER = wrod.SolverDER
+
+
+def test_an_arm_under_mujoco_feels_its_cable():
+    """Joint torques against statics that `solve_equilibria` finds, within 1 %; rods add no degree
+    of freedom, and their capsules are where their edges are."""
+    pytest.importorskip("mujoco_warp")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", newton.NewtonWarning)  # joints outside articulations
+        arm = Arm(mujoco=True, visible=True)
+    assert arm.arm.mj_model.nv == 2
+    arm.settle(900, 0.002)
+    torques = arm.torques()
+    assert np.abs(torques).min() > 2.0
+    assert torques == pytest.approx(arm.statics(), rel=0.01)
+    nodes = arm.state.der.node_q.numpy()
+    middles = 0.5 * (nodes[1:] + nodes[:-1])
+    assert arm.state.body_q.numpy()[2:, :3] == pytest.approx(middles, abs=1e-6)
+
+
+def test_fixed_joints_collapse_without_the_rods():
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    post = builder.add_link(mass=1.0)
+    builder.add_articulation([builder.add_joint_fixed(-1, post)])
+    points = np.linspace(0.0, 0.1, 6)[:, None] * np.array([1.0, 0.0, 0.0])
+    material = wrod.RodMaterial(radius=0.0016, gravito_bending_length=0.032, length=0.2)
+    SolverDER.add_rod(builder, points, material)
+    builder.collapse_fixed_joints()
+    assert builder.body_count == 5
+    model = builder.finalize(device="cpu")
+    solver, state = SolverDER(model), model.state()
+    solver.step(state, state, None, None, 0.01)
+    fallen = state.body_q.numpy()[:, 2]
+    assert (fallen < -1e-4).all()
+
+
+def test_a_box_is_dragged_over_the_floor():
+    """Newton's XPBD moves the box and knows the floor; the cable's tension is the friction, of the
+    box's weight and of what the cable presses it down with, within 1 %."""
+    friction, speed, dt, length = 0.4, 0.1, 0.001, 0.3
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    builder.default_shape_cfg.mu = friction
+    builder.add_ground_plane()
+    box = builder.add_body(xform=wp.transform((0.0, 0.0, 0.03), wp.quat_identity()))
+    builder.add_shape_box(
+        box, hx=0.05, hy=0.05, hz=0.03,
+        cfg=newton.ModelBuilder.ShapeConfig(density=400.0, mu=friction),
+    )  # fmt: skip
+    start = np.array([0.05 + length, 0.0, 0.005])
+    hand = builder.add_body(xform=wp.transform(tuple(start), wp.quat_identity()), is_kinematic=True)
+    points = np.linspace(0.0, length, 13)[:, None] * [1.0, 0.0, 0.0] + [0.05, 0.0, 0.005]
+    SolverDER.add_rod(
+        builder, points,
+        wrod.RodMaterial.from_youngs_modulus(1e8, 0.002, length, density=1150.0),
+        start="pinned", start_body=box, end="pinned", end_body=hand,
+        air_damping=2.0, internal_damping=0.002,
+    )  # fmt: skip
+    model = builder.finalize(device="cpu")
+    floor, cable = newton.solvers.SolverXPBD(model, iterations=8), SolverDER(model, bodies="none")
+    pipeline = newton.CollisionPipeline(model)
+    contacts = pipeline.contacts()
+    state, other = model.state(), model.state()
+    pulls, places = [], []
+    for k in range(800):
+        state.clear_forces()
+        cable.add_body_forces(state)
+        pipeline.collide(state, contacts)
+        floor.step(state, other, None, contacts, dt)
+        poses = other.body_q.numpy()
+        poses[hand] = [*(start + [speed * (k + 1) * dt, 0.0, 0.0]), 0.0, 0.0, 0.0, 1.0]
+        other.body_q.assign(poses)
+        cable.step(other, other, None, None, dt)
+        pulls.append(cable.body_wrenches()[box, :3])
+        places.append(poses[box, 0])
+        state, other = other, state
+    pull = np.mean(pulls[500:], axis=0)
+    assert (places[-1] - places[500]) / (299 * dt) == pytest.approx(speed, rel=0.01)
+    weight = 9.81 * float(model.body_mass.numpy()[box])
+    assert pull[0] == pytest.approx(friction * (weight - pull[2]), rel=0.01)
+    assert abs(pull[2]) < 0.02 * weight

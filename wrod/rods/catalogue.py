@@ -1,0 +1,86 @@
+"""Rods, cables and ropes that were measured, with where their stiffness comes from and its spread.
+
+Stiffness of ready-made cables is hardly published: what is here was identified from recordings that
+others made public, by commands of this repository, or is the paper's. A cable of the same name from
+another maker may differ by a factor of two; measure your own (`wrod loop`, `wrod measure`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from wrod.errors import RodError
+from wrod.rods.material import RodMaterial, rod, rod_names
+
+_PAPER = "Tong et al., Sim2Real neural controllers for physics-based robotic deployment, Table 2"
+_LOOPS = "hanging loops published with Chen, Bretl, Pham, arXiv 2310.00911, by `wrod bench hands`"
+_HELD = "held poses published with arXiv 2402.16114 (dlo_parameter_id), by `wrod bench hands`"
+
+
+@dataclass(frozen=True)
+class CatalogueRod:
+    """One entry.
+
+    Attributes:
+        name: that `find` and `--rod` take.
+        what: it is.
+        rod: `RodMaterial`; its density gives the weight per length that was measured.
+        spread: relative standard error of the bending stiffness within the measured pieces, None
+            where the source gives none.
+        note: what is assumed or odd.
+        source: who measured, and what computed the stiffness.
+    """
+
+    name: str
+    what: str
+    rod: RodMaterial
+    spread: float | None
+    note: str
+    source: str
+
+
+def _weighed(radius: float, mass_per_length: float, stiffness: float, length: float) -> RodMaterial:
+    """A rod of its mass per length [kg/m] and bending stiffness [N m^2]."""
+    density = mass_per_length / (math.pi * radius**2)
+    lgb = (stiffness / (2.0 * mass_per_length * 9.81)) ** (1 / 3)
+    return RodMaterial(radius, lgb, length, density=density)
+
+
+_WHAT = {
+    "pink-vps": "vinyl polysiloxane, pink", "green-vps": "vinyl polysiloxane, green",
+    "rope": "rope", "pink-vps-thick": "vinyl polysiloxane, pink, 6.4 mm", "cable": "USB cable",
+}  # fmt: skip
+_THIN = "radius of 3 mm assumed, as the source's own simulation does"
+_BENT = "bent at rest; another piece may differ by more than the error"
+_MEASURED = (
+    ("thin-cable-white", "thin cable", (3e-3, 0.0174, 0.097e-3, 1.5), 0.12, _THIN, _LOOPS),
+    ("thin-cable-black", "thin cable", (3e-3, 0.02718, 0.92e-3, 1.5), 0.30, _THIN, _LOOPS),
+    ("thin-cable-red", "thin cable", (3e-3, 0.0215, 1.19e-3, 1.5), 0.33, _THIN, _LOOPS),
+    ("power-cable-15mm", "electric cable", (7.5e-3, 0.40 / 0.75, 0.059, 0.75), 0.014, _BENT, _HELD),
+    ("power-cable-20mm", "electric cable", (10e-3, 0.42 / 0.40, 0.107, 0.40), 0.014, _BENT, _HELD),
+)  # fmt: skip
+
+
+def catalogue() -> list[CatalogueRod]:
+    """Every entry: the paper's rods, then cables by their stiffness."""
+    table = [
+        CatalogueRod(name, _WHAT[name], rod(name), None, "density of 1180 kg/m^3 assumed", _PAPER)
+        for name in rod_names()
+    ]
+    return table + [
+        CatalogueRod(name, what, _weighed(*numbers), spread, note, source)
+        for name, what, numbers, spread, note, source in _MEASURED
+    ]
+
+
+def find(name: str) -> CatalogueRod:
+    """The entry of a name.
+
+    Raises:
+        RodError: there is none.
+    """
+    entries = {entry.name: entry for entry in catalogue()}
+    if name not in entries:
+        raise RodError(f"unknown rod {name!r}; known rods: {', '.join(entries)}")
+    return entries[name]
