@@ -309,13 +309,22 @@ def _points(points) -> np.ndarray:
 
 
 def _directors(points: np.ndarray, rest: np.ndarray, director) -> np.ndarray:
-    """(node - 1, 3) first material directors, carried along the rod without twist."""
+    """(node - 1, 3) first material directors: those given, or one carried along without twist."""
     tangents = np.diff(points, axis=0) / rest[:, None]
+    if np.shape(director) == tangents.shape:
+        across = director - np.sum(director * tangents, axis=1)[:, None] * tangents
+        size = np.linalg.norm(across, axis=1)
+        if not (size > 1e-9).all():
+            raise RodError("a director is along its edge; give one across it")
+        return across / size[:, None]
     if director is None:
         director = np.eye(3)[np.argmin(np.abs(tangents[0]))]
     before = np.asarray(director, dtype=float)
     if before.shape != (3,) or not np.isfinite(before).all():
-        raise RodError("director must be three finite numbers: a direction across the first edge")
+        raise RodError(
+            "director must be three finite numbers: a direction across the first edge; or one "
+            "across every edge"
+        )
     out = np.empty_like(tangents)
     last = tangents[0]
     for i, t in enumerate(tangents):

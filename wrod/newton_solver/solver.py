@@ -21,6 +21,7 @@ from newton.solvers import SolverBase
 
 from wrod.kernels.stepping.carrying import add_wrenches
 from wrod.newton_solver import attributes
+from wrod.newton_solver.described import add_described
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.holds import Holds, free_bodies
 from wrod.newton_solver.rows import find_rows
@@ -412,7 +413,7 @@ class SolverDER(SolverBase):
             end: How the last node is held.
             end_body: What holds it.
             director: (3,) first material director of the first edge, carried along the rod without
-                twist. Defaults to any direction across it.
+                twist, or (node - 1, 3) those of all edges. Defaults to any direction across it.
             velocity: (node, 3) first velocities [m/s].
             natural_curvature: (2,) or (node, 2) curvature at rest (c_1, c_2) with
                 dt/ds = c_1 m_1 + c_2 m_2 in the material frame [1/m]. Defaults to the rod's;
@@ -453,6 +454,37 @@ class SolverDER(SolverBase):
             color=color,
             label=label,
         )
+
+    @staticmethod
+    @arguments.checked(
+        RodError,
+        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
+        rod=arguments.like("a newton.Rod", "points", "edges", "quaternions"),
+        density=arguments.number(0.0, 1e6),
+    )
+    def add_newton_rod(
+        builder: newton.ModelBuilder, rod: newton.Rod, *, density: float = 1000.0, **options
+    ) -> list[int]:
+        """Add what a `newton.Rod` describes: a chain, a ring (`closed`) or branches (`edges`).
+
+        Rigidities, initial and rest shape and twist are the description's. Shear rigidity is not
+        used: edges do not shear. Where a ring closes or branches meet, a body that weighs a
+        hundredth of an edge clamps their ends, as they lie first.
+
+        Args:
+            builder: The model builder.
+            rod: The description, with a stiffness.
+            density: Mass per volume of the rod [kg/m^3].
+            options: Of `add_rod`: air_damping, internal_damping, visible, color, label,
+                touches_rods; of a chain start, start_body, end, end_body too.
+
+        Returns:
+            The indices of the rods, one for each chain between branches.
+
+        Raises:
+            RodError: The description has no stiffness, or an option is unusable.
+        """
+        return add_described(builder, rod, density, SolverDER.add_rod, **options)
 
     @staticmethod
     @arguments.checked(

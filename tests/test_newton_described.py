@@ -1,0 +1,119 @@
+"""`newton.Rod` descriptions in `SolverDER`: chains, rings, branches."""
+
+import newton
+import numpy as np
+import pytest
+
+import wrod
+from wrod.errors import RodError
+
+SolverDER = wrod.SolverDER
+STIFF = dict(radius=0.004, youngs_modulus=2e6, poissons_ratio=0.25)
+
+
+def built(*rods, gravity=0.0, **options):
+    builder = newton.ModelBuilder(gravity=(0.0, 0.0, gravity))
+    SolverDER.register_custom_attributes(builder)
+    indices = [SolverDER.add_newton_rod(builder, rod, **options) for rod in rods]
+    model = builder.finalize(device="cpu")
+    return model, SolverDER(model, scheme="euler"), model.state(), indices
+
+
+def settle(solver, state, steps=60, dt=0.02):
+    for _ in range(steps):
+        solver.step(state, state, None, None, dt)
+    assert not solver.diverged.any()
+    return state.der.node_q.numpy()
+
+
+def helix(turns=1.5, count=31):
+    a = np.linspace(0.0, 2 * np.pi * turns, count)
+    return np.column_stack([0.05 * np.cos(a), 0.05 * np.sin(a), 0.01 * a])
+
+
+def test_what_is_described_at_rest_stays():
+    """A helix with a twist of its own is its rest shape: nothing moves without gravity; and the
+    stiffnesses are those of the section."""
+    rod = newton.Rod(helix(), **STIFF)
+    model, solver, state, _ = built(rod, air_damping=5.0)
+    area = np.pi * STIFF["radius"] ** 2
+    bending = STIFF["youngs_modulus"] * area * STIFF["radius"] ** 2 / 4
+    assert model.der.node_bending_stiffness.numpy()[5] == pytest.approx([bending] * 2)
+    assert model.der.node_twisting_stiffness.numpy()[5] == pytest.approx(bending * 0.8)
+    assert model.der.edge_stretching_stiffness.numpy()[3] == pytest.approx(2e6 * area)
+    assert model.der.node_mass.numpy().sum() == pytest.approx(
+        1000.0 * area * rod.segment_lengths.sum()
+    )
+    first = state.der.node_q.numpy().copy()
+    assert settle(solver, state) == pytest.approx(first, abs=1e-6)
+
+
+def test_rest_shapes_are_taken():
+    """A straight rod that wants to be an arc becomes one; an arc that wants to be straight, too."""
+    s = np.linspace(0.0, 0.2, 21)
+    line = np.column_stack([s, 0 * s, 0 * s])
+    arc = 0.1 * np.column_stack([np.sin(s / 0.1), 1.0 - np.cos(s / 0.1), 0 * s])
+    long = np.linalg.norm(arc[1] - arc[0]) * 20
+    bends = newton.Rod(line * long / 0.2, rest_points=arc, **STIFF)
+    opens = newton.Rod(arc + [0.0, 0.0, 1.0], rest_straight=True, **STIFF)
+    _, solver, state, _ = built(bends, opens, air_damping=5.0)
+    q = settle(solver, state, 200).reshape(2, 21, 3)
+    chord = np.linalg.norm(q[:, -1] - q[:, 0], axis=1)
+    assert chord == pytest.approx([np.linalg.norm(arc[-1] - arc[0]), long], rel=1e-4)
+
+
+@pytest.mark.parametrize("straight", [False, True])
+def test_a_ring_has_no_seam(straight):
+    """A pre-bent ring stays; one that is straight at rest stays round too, its bending the same
+    all around, within what a clamped seam of 24 edges leaves."""
+    a = np.linspace(0.0, 2 * np.pi, 25)
+    circle = 0.06 * np.column_stack([np.cos(a), np.sin(a), 0 * a])
+    rod = newton.Rod(circle, closed=True, rest_straight=straight, **STIFF)
+    _, solver, state, indices = built(rod, air_damping=5.0)
+    assert indices == [[0]]
+    q = settle(solver, state, 100)
+    assert q[0] == pytest.approx(q[-1], abs=1e-6)
+    radii = np.linalg.norm(q[:-1] - q[:-1].mean(axis=0), axis=1)
+    assert radii == pytest.approx(0.06, rel=2e-3)
+
+
+def test_branches_hang_from_their_junction():
+    """Three arms of a Y, one held: it carries the weight of all, and the junction keeps its
+    angles."""
+    points = [[0.0, 0.0, 0.0]]
+    edges = []
+    for way in ([0.0, 0.0, 1.0], [0.8, 0.0, -0.6], [-0.8, 0.0, -0.6]):
+        before = 0
+        for k in range(1, 7):
+            points.append([0.01 * k * c for c in way])
+            edges.append((before, len(points) - 1))
+            before = len(points) - 1
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    rod = newton.Rod(np.array(points), edges=edges, **STIFF)
+    rods = SolverDER.add_newton_rod(builder, rod, air_damping=5.0, label="wye")
+    assert rods == [0, 1, 2]
+    SolverDER.attach(builder, 0, -1, node=6, kind="pinned")
+    model = builder.finalize(device="cpu")
+    solver, state = SolverDER(model, scheme="euler"), model.state()
+    q = settle(solver, state, 150)
+    arms = q.reshape(3, 7, 3)
+    centre = arms[:, 0]
+    assert np.ptp(centre, axis=0) == pytest.approx(0.0, abs=1e-6)
+    ways = arms[:, 1] - arms[:, 0]
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    assert ways[1] @ ways[2] == pytest.approx(0.36 - 0.64, abs=0.05)
+    (group,) = solver._groups
+    total = (model.der.node_mass.numpy().sum() + model.body_mass.numpy().sum()) * 9.81
+    (pin,) = [h for h in group.hold.numpy()[0] if h["kind"] == 1]
+    reaction = group.dynamics.reaction.numpy()[0]
+    assert reaction[4 * pin["node"] + 2] == pytest.approx(total, rel=1e-3)
+
+
+def test_descriptions_that_say_too_little():
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    with pytest.raises(RodError, match="no stiffness"):
+        SolverDER.add_newton_rod(builder, newton.Rod(helix(), radius=0.004))
+    with pytest.raises(RodError, match=r"must be a newton\.Rod"):
+        SolverDER.add_newton_rod(builder, helix())

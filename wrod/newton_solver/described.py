@@ -1,0 +1,182 @@
+"""`newton.Rod` descriptions as discrete elastic rods: chains, rings and branches."""
+
+from __future__ import annotations
+
+import newton
+import numpy as np
+import warp as wp
+from scipy.spatial.transform import Rotation
+
+from wrod.errors import RodError
+from wrod.rods.model import RodModel
+
+# What joins the ends of a ring or of branches is a body; its share of the mass of one edge.
+_JOINT_MASS = 0.01
+
+
+def add_described(builder, described: newton.Rod, density: float, add, **options) -> list[int]:
+    """`SolverDER.add_newton_rod`, which documents the arguments; `add` is `SolverDER.add_rod`."""
+    points = np.array(described.points, dtype=np.float64)
+    edges = [(int(a), int(b)) for a, b in described.edges]
+    if described.closed:
+        edges[-1] = (edges[-1][0], edges[0][0])
+    frames = Rotation.from_quat(described.quaternions)
+    directors, rest_points, rest_directors = frames.as_matrix()[:, :, 0], points, None
+    if described.rest_points is not None:
+        rest_points = np.array(described.rest_points, dtype=np.float64)
+    if described.rest_quaternions is not None:
+        rest_directors = Rotation.from_quat(described.rest_quaternions).as_matrix()[:, :, 0]
+    chains = _chains(edges)
+    ends = [node for chain in chains for node in (chain[0][0], chain[-1][1])]
+    joints = {node: -1 for node in ends if ends.count(node) > 1}
+    model = _model(described, points, edges, density)
+    for node in joints:
+        joints[node] = _add_joint(builder, points, edges, node, model)
+    added = []
+    label = options.pop("label", None)
+    for k, chain in enumerate(chains):
+        nodes = [chain[0][0], *(edge[1] for edge in chain)]
+        rows = [edge[2] for edge in chain]
+        shape = _Shape(points[nodes], directors[rows])
+        rest = _Shape(
+            rest_points[nodes], (directors if rest_directors is None else rest_directors)[rows]
+        )
+        if rest_directors is None and described.rest_points is not None:
+            rest = _Shape(rest.points, shape.carried_to(rest.points))
+        ring = nodes[0] == nodes[-1]
+        curvature, twist = rest.strains(shape, ring, straight=described.rest_straight)
+        held = {}
+        for side, node in (("start", nodes[0]), ("end", nodes[-1])):
+            if node in joints:
+                held |= {side: "clamped", f"{side}_body": joints[node]}
+        name = label if label is None or len(chains) == 1 else f"{label}/{k}"
+        added.append(
+            add(
+                builder, shape.points, model, director=shape.directors, rest_length=rest.lengths,
+                natural_curvature=curvature, natural_twist=twist, label=name, **held, **options,
+            )
+        )  # fmt: skip
+    return added
+
+
+class _Shape:
+    """A polygon (node, 3) with a director (node - 1, 3) on every edge; single edges are halved."""
+
+    def __init__(self, points: np.ndarray, directors: np.ndarray):
+        if len(points) == 2:
+            points = np.array([points[0], points.mean(axis=0), points[1]])
+            directors = np.repeat(directors, 2, axis=0)
+        self.points = points
+        steps = np.diff(points, axis=0)
+        self.lengths = np.linalg.norm(steps, axis=1)
+        self.tangents = steps / self.lengths[:, None]
+        across = directors - np.sum(directors * self.tangents, axis=1)[:, None] * self.tangents
+        self.directors = across / np.linalg.norm(across, axis=1)[:, None]
+
+    def carried_to(self, points: np.ndarray) -> np.ndarray:
+        """Directors turned the shortest way to the tangents of another polygon."""
+        steps = np.diff(points, axis=0)
+        ways = steps / np.linalg.norm(steps, axis=1)[:, None]
+        before = zip(self.tangents, ways, self.directors, strict=True)
+        return np.array([_turned(d, t, u) for t, u, d in before])
+
+    def strains(self, first: _Shape, ring: bool, straight: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Curvature (node, 2) and twist (node,) of this shape as `RodBatch` measures them [1/m], or
+        none. At the ends of a ring, which a joint holds as they first lie: those beyond what
+        `first` has there."""
+        count = len(self.points)
+        curvature, twist = np.zeros((count, 2)), np.zeros(count)
+        for i in range(1, count - 1):
+            if not straight:
+                curvature[i], twist[i] = self._bend(i - 1, i)
+        if ring:
+            mine = (0.0, 0.0) if straight else self._bend(count - 2, 0)
+            theirs = first._bend(count - 2, 0)
+            for i in (0, count - 1):
+                curvature[i], twist[i] = mine[0] - theirs[0], mine[1] - theirs[1]
+        return curvature, twist
+
+    def _bend(self, e: int, f: int) -> tuple[np.ndarray, float]:
+        t, u, a, b = self.tangents[e], self.tangents[f], self.directors[e], self.directors[f]
+        length = 0.5 * (self.lengths[e] + self.lengths[f])
+        kappa = [a @ u - b @ t, np.cross(t, a) @ u - np.cross(u, b) @ t]
+        along = _turned(a, t, u)
+        angle = np.arctan2(np.cross(along, b) @ u, along @ b)
+        return np.array(kappa) / ((1.0 + t @ u) * length), float(angle / length)
+
+
+def _turned(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """A vector turned with t to u, the shortest way."""
+    axis, cosine = np.cross(t, u), t @ u
+    return cosine * v + np.cross(axis, v) + (axis @ v) / max(1.0 + cosine, 1e-12) * axis
+
+
+def _chains(edges: list[tuple[int, int]]) -> list[list[tuple[int, int, int]]]:
+    """Edges (from, to, index) in chains between nodes where others than two edges meet."""
+    at: dict[int, list[int]] = {}
+    for k, edge in enumerate(edges):
+        for node in edge:
+            at.setdefault(node, []).append(k)
+    left, out = set(range(len(edges))), []
+
+    def walk(node: int, k: int) -> None:
+        chain = []
+        while k in left:
+            left.remove(k)
+            a, b = edges[k]
+            after = b if node == a else a
+            chain.append((node, after, k))
+            node = after
+            if len(at[node]) != 2:
+                break
+            k = next((j for j in at[node] if j in left), -1)
+        out.append(chain)
+
+    for node, around in at.items():
+        if len(around) != 2:
+            for k in around:
+                if k in left:
+                    walk(node, k)
+    for k in range(len(edges)):  # rings without a branch
+        if k in left:
+            walk(edges[k][0], k)
+    return out
+
+
+def _model(described: newton.Rod, points, edges, density: float) -> RodModel:
+    radius = 0.1 if described.radius is None else described.radius
+    if described.bend_rigidity is not None:
+        stretch, bend, twist = (
+            getattr(described, f"{name}_rigidity") for name in ("stretch", "bend", "twist")
+        )
+    elif described.youngs_modulus is not None:
+        young, shear = described.youngs_modulus, described.shear_modulus
+        if shear is None:
+            shear = young / (2.0 * (1.0 + described.poissons_ratio))
+        area = np.pi * radius**2
+        stretch, bend, twist = (
+            young * area,
+            young * area * radius**2 / 4,
+            shear * area * radius**2 / 2,
+        )
+    else:
+        raise RodError(
+            "the newton.Rod has no stiffness; give it youngs_modulus and poissons_ratio, or its "
+            "four section rigidities"
+        )
+    ends = points[np.array(edges)]
+    return RodModel(
+        length=float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum()),
+        bending_stiffness=(bend, bend), twisting_stiffness=twist, stretching_stiffness=stretch,
+        line_mass=density * np.pi * radius**2, radius=radius,
+    )  # fmt: skip
+
+
+def _add_joint(builder, points, edges, node: int, model: RodModel) -> int:
+    """A light body that joins the ends at a node."""
+    step = min(np.linalg.norm(points[a] - points[b]) for a, b in edges if node in (a, b))
+    mass = _JOINT_MASS * float(model.line_mass.values[0]) * step
+    return builder.add_body(
+        xform=wp.transform(tuple(points[node]), wp.quat_identity()), mass=mass,
+        inertia=wp.mat33(*np.diag([mass * step**2] * 3).ravel()),
+    )  # fmt: skip
