@@ -30,7 +30,7 @@ test-slow: $(STAMP)
 # Fifty times the hostile inputs that the tests try, and other ones each time; then every file of
 # an adversary into every option, and every wrong argument into every public callable.
 fuzz: $(STAMP)
-	WROD_FUZZ=50 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -v -n auto --dist worksteal \
+	WROD_FUZZ=50 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -vv --tb=short -n auto --dist worksteal \
 		tests/test_fuzz.py tests/test_bombs.py tests/test_arguments.py
 
 # A hundred kills at random moments; every run has to end in the same bytes.

@@ -55,8 +55,8 @@ def same(folder: Path) -> dict[str, str]:
                 content = _tensors(path)
             if path.suffix in (".json", ".jsonl", ".md"):
                 text = _TIMES.sub("", content.decode())
-                text = re.sub(r"^.*(cores|seconds| s ).*$", "", text, flags=re.M)
                 text = _without_seconds(text)
+                text = re.sub(r"^.*(cores|seconds| s ).*$", "", text, flags=re.M)
                 content = "\n".join(sorted(text.splitlines())).encode()
             if path.name == "history.csv":
                 rows = [row.split(",") for row in content.decode().splitlines()]

@@ -51,7 +51,7 @@ FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 SECONDS, BYTES = 10, 2 * 2**30
 SCENES = Path(sawyer.__file__).parent
 # Of a test of many files, so that `make fuzz` ends [s].
-LONGEST = 100
+LONGEST = 60
 
 
 def tries(count):

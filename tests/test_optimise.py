@@ -24,7 +24,7 @@ def bend():
     heading = 0.8 * (1.0 + np.tanh((s - 0.11) / 0.04))
     points = np.cumsum(np.column_stack([np.cos(heading), np.sin(heading)]), axis=0) * s[1]
     pattern = wrod.Pattern.from_points(points)
-    return pattern, wrod.plan(pattern, ROD, spacing=0.005)
+    return pattern, wrod.plan(pattern, ROD, "numeric", closure="min_friction", spacing=0.005)
 
 
 def test_a_corrected_plan_lays_better_than_the_best_grasps(bend):
@@ -94,6 +94,21 @@ def test_a_sample_covers_what_is_declared():
     assert max(d.lgb_error for d in disturbances) > 0.02
     assert len({rod.stretch_ratio for rod in rods}) == 2
     np.testing.assert_allclose(Spread.of(0.5).friction, (0.45, 0.55))
+
+
+def test_a_sample_stretches_by_what_a_path_can_hold():
+    """The stiffer double of a rod that stretches much differs by 0.15 L_gb where both hang."""
+
+    def longer(rod):  # strain is the weight below over the stretching stiffness, along the rod
+        stretch = rod.weight * rod.length**2 / (2.0 * rod.stretching_stiffness)
+        return stretch / rod.gravito_bending_length
+
+    soft, stiff = wrod.rod("pink-vps"), wrod.rod("cable")
+    doubles = [Spread.of(0.5).sample(2, rod)[1][0] for rod in (soft, stiff)]
+    assert longer(soft) > 1.0
+    assert longer(soft) - longer(doubles[0]) == pytest.approx(0.15)
+    assert longer(doubles[1]) == pytest.approx(0.09 * longer(stiff))
+    assert [d.gravito_bending_length for d in doubles] == [0.018, stiff.gravito_bending_length]
 
 
 @pytest.mark.parametrize("friction", [0.0, -1.0, np.nan, (0.6, 0.2), (0.1, 0.2, 0.3)])

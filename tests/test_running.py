@@ -185,3 +185,29 @@ def test_a_ledger_that_vanishes_is_written_anew(tmp_path):
     path.unlink()
     ledger.add([{"trial": 2}])
     assert Ledger(path, {"step": 1}, ("trial",)).done() == {(1,), (2,)}
+
+
+@pytest.mark.parametrize("kind", ["loop", "dangling", "pipe", "below_a_file"])
+def test_an_output_that_cannot_be_made_is_refused_before_the_work(kind, tmp_path):
+    out = tmp_path / "out"
+    if kind == "pipe":
+        os.mkfifo(out)
+    elif kind == "below_a_file":
+        out.write_text("x")
+        out = out / "inside"
+    else:
+        out.symlink_to(out if kind == "loop" else tmp_path / "nowhere")
+    began = []
+    command = click.Command(
+        "x",
+        params=[click.Option(["--out"], type=click.Path(file_okay=False, path_type=Path))],
+        callback=lambda out: began.append(out),
+    )
+    with pytest.raises(OSError, match="Not a directory"):
+        holding_output(command).callback(out=out)
+    assert not began
+
+
+def test_a_name_in_no_encoding_is_locked(tmp_path):
+    with locked(tmp_path / os.fsdecode(b"o\xff")):
+        pass

@@ -118,11 +118,28 @@ def stop(ctx: click.Context, error: BaseException) -> None:
     ctx.exit(code)
 
 
+def refuse_unwritable(folder: Path) -> None:
+    """Refuse a folder that cannot be made or written to, before any work.
+
+    Raises:
+        OSError: names what stands in its way.
+    """
+    place = Path(os.path.abspath(folder))
+    while not os.path.lexists(place):
+        place = place.parent
+    if not place.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(place))
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))
+
+
 def holding_output(command: click.Command) -> click.Command:
     """The command, which now holds its --out against other processes while it runs."""
     run: Callable | None = command.callback
-    if run is None or not any(option.name == "out" for option in command.params):
+    option = next((option for option in command.params if option.name == "out"), None)
+    if run is None or option is None:
         return command
+    is_file = not getattr(option.type, "dir_okay", True)
 
     @functools.wraps(run)
     def guarded(*args, **kwargs):
@@ -132,6 +149,7 @@ def holding_output(command: click.Command) -> click.Command:
         if out is None:
             return run(*args, **kwargs)
         existing = Path(out).exists()
+        refuse_unwritable(Path(out).parent if is_file else Path(out))
         try:
             with locked(out, os.environ.get("RANK", "")):
                 return run(*args, **kwargs)

@@ -31,6 +31,8 @@ _KNOTS = 1.0
 # How the optimisation lays: laid curves differ by 0.05 cm from those of the finest.
 COARSE: dict[str, Any] = {"spacing": 0.01, "step": 0.02, "speed": 0.04}
 FINE: dict[str, Any] = {"spacing": 0.005, "step": 0.02, "speed": 0.04}
+# Largest edges of both [L_gb]: a correction must not be for what a coarse mesh does.
+_COARSE_EDGE, _FINE_EDGE = 1.0 / 3.0, 1.0 / 6.0
 # Cost of a correction of 1 L_gb along the whole path, and of its second differences, over that of
 # an error of 1 L_gb.
 _SIZE, _ROUGHNESS = 2e-3, 2e-3
@@ -46,8 +48,9 @@ _WORTH = DEVIATIONS["jitter"]
 _UNCERTAIN = 0.1
 # Deviations of uniform variables, in those of normal ones whose middle 90 % they cover.
 _REACH = 1.65
-# Radius of a rod that hardly stretches, over the rod's.
-_THIN = 0.3
+# Least radius of a rod that stretches less, over the rod's, and by how much less it does at most
+# where it hangs from its end [L_gb]: no path lays rods alike that differ by more.
+_THIN, _LESS_STRETCH = 0.3, 0.15
 # Disturbed rods that are laid by the finished plan, none of which the optimisation has seen.
 _UNSEEN = 6
 _FIRST_SEED = 77_000
@@ -63,7 +66,7 @@ class Spread:
         friction: least and largest coefficient [-].
         lgb_error: relative, of L_gb.
         natural_curvature: [1/m].
-        stretch: whether every second rod of the sample hardly stretches.
+        stretch: whether every second rod of the sample stretches less, hardly if it may.
     """
 
     friction: tuple[float, float]
@@ -102,9 +105,16 @@ class Spread:
                 lgb_error=_REACH * self.lgb_error * one,
                 natural_curvature=_REACH * self.natural_curvature * two,
             )
-            held = replace(rod, radius=_THIN * rod.radius) if self.stretch and i % 2 else rod
+            held = _stretching_less(rod) if self.stretch and i % 2 else rod
             out.append((held, Friction(low + (high - low) * float(x)), disturbance))
         return out
+
+
+def _stretching_less(rod: RodMaterial) -> RodMaterial:
+    """A thinner rod with the same L_gb."""
+    hanging = (rod.length / rod.gravito_bending_length) ** 2 / (4.0 * rod.stretch_ratio)
+    part = np.sqrt(max(1.0 - _LESS_STRETCH / hanging, 0.0))
+    return replace(rod, radius=max(_THIN, float(part)) * rod.radius)
 
 
 def _radical_inverse(i: int, base: int) -> float:
@@ -172,7 +182,7 @@ def optimise(
             [columns] * samples,
             hold=hold,
             device=device,
-            **COARSE,
+            **_edged(COARSE, _COARSE_EDGE * lgb),
         )
         parts = [misplacement(pattern, one) for one in laid]
         errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
@@ -246,7 +256,7 @@ def expect(
         ],
         hold=hold,
         device=device,
-        **FINE,
+        **_edged(FINE, _FINE_EDGE * rod.gravito_bending_length),
     )
     error = np.array([np.hypot(*misplacement(pattern, one)[0].reshape(2, -1)) for one in laid])
     s = np.linspace(0.0, pattern.length, METRIC_POINTS)
@@ -267,6 +277,11 @@ def expect(
         "off": off,
         "diverged": int(sum(one.diverged for one in laid)),
     }
+
+
+def _edged(how: dict[str, Any], longest: float) -> dict[str, Any]:
+    """Options of `lay` with edges of at most that length [m]."""
+    return {**how, "spacing": min(how["spacing"], longest)}
 
 
 def _stretches(s: np.ndarray, chosen: np.ndarray) -> list[list[float]]:

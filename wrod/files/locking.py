@@ -32,7 +32,7 @@ def locked(output: str | os.PathLike[str], part: str = "") -> Iterator[None]:
     if fcntl is None:
         yield
         return
-    name = hashlib.sha256(f"{os.path.realpath(output)}\0{part}".encode()).hexdigest()[:32]
+    name = hashlib.sha256(os.fsencode(f"{os.path.realpath(output)}\0{part}")).hexdigest()[:32]
     folder = Path(tempfile.gettempdir()) / f"wrod-locks-{os.getuid()}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)

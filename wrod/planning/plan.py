@@ -549,7 +549,7 @@ def _warn_relaxed(poses: GraspPoses, s: np.ndarray) -> None:
     warnings.warn(
         f"{np.sum(less)} of {len(s)} grasps (s from {where} m) are of a rod with less natural "
         f"curvature, down to {np.min(poses.natural_share):.0%} of it: bent at rest as this one is, "
-        "it would dip under the table there, so that it rests on the table beyond the contact; "
+        "it would dip under the table there, pull at it or snap; "
         "expect it to lie off the pattern",
         WrodWarning,
         stacklevel=3,
