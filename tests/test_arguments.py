@@ -471,7 +471,18 @@ CALLS = {
             visible=True, color=None, label=None,
         ),
     ),
+    "SolverDER.add_newton_rod": lambda: (
+        wrod.SolverDER.add_newton_rod,
+        dict(builder=builder(), rod=described(), density=1000.0),
+    ),
 }  # fmt: skip
+
+
+def described():
+    import newton
+
+    points = batch()["position"][0]
+    return newton.Rod(points, radius=0.002, youngs_modulus=1e6, poissons_ratio=0.3)
 
 
 def test_every_public_callable_is_here():

@@ -231,10 +231,12 @@ def test_what_is_tried_for_an_arm_lays_tight_bends_last():
     out = (0.02 + 0.008 * angle)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     spiral, rod = wrod.Pattern.from_points(out), wrod.rod("green-vps")
     wanted = Shaping(None, 0.01, None)
-    first, second, *_ = shorter(spiral, rod, wanted)
-    assert first.reverse and not second.reverse
-    left = rod.length - first.resize * spiral.length
-    assert left > 5.5 * rod.gravito_bending_length - 1e-9
+    tries = shorter(spiral, rod, wanted)
+    assert all(tried.reverse for tried in tries) and len(tries) == 4
+    for tried in tries:
+        left = tried.hold - tried.resize * spiral.length
+        assert left == pytest.approx(5.6 * rod.gravito_bending_length, abs=1e-3)
+        assert tried.hold <= rod.length
     assert not shorter(spiral.reversed(), rod, wanted)[0].reverse
     # A pattern that is reversed already stays so, or is turned back.
     assert shorter(spiral, rod, Shaping(None, 0.01, None, reverse=True))[0].reverse is False
@@ -257,8 +259,10 @@ def test_only_what_was_solved_is_said_to_help(capsys):
         return SimpleNamespace(rod=None), None, tried.resize
 
     request = SimpleNamespace(robot="sawyer", solve=solve)
-    tries = [Shaping(size, 0.01, None, reverse=True) for size in (0.6, 0.8, 0.7)]
+    tries = [Shaping(size, 0.01, 0.5, reverse=True) for size in (0.6, 0.8, 0.7)]
     said = fitting(request, tries, planned, "too long")
-    assert said == ("with `--resize 0.7 --no-remainder --reverse` a joint path of sawyer is found")
+    assert said == (
+        "with `--resize 0.7 --hold 0.5 --no-remainder --reverse` a joint path of sawyer is found"
+    )
     assert "too long; looking" in capsys.readouterr().err
     assert fitting(request, tries[:2], planned, "too long").startswith("no joint path of sawyer")

@@ -12,6 +12,8 @@ from wrod.rods.model import RodModel
 
 # Curvature [1/L_gb] that grasps of every closure exist for, and up to which rods lie well.
 LARGEST_CURVATURE = 3.0
+# Sizes tried for an arm, as shares of the largest, and rod left over at each [L_gb].
+_SHARES, _LEFT_OVER = (1.0, 0.86, 0.72, 0.57), 5.6
 
 SHAPE = (
     click.option("--resize", type=float, help="Draw the pattern this many times as large."),
@@ -132,18 +134,20 @@ def too_long(curve, rod, arm: bool = False) -> str | None:
 def shorter(curve, rod, wanted: Shaping) -> list[Shaping]:
     """What to try where the rod is too short for the pattern and an arm, most likely first.
 
-    The arm does best with a rod that is long where the pattern bends least: tight bends last, and
-    a good piece left over.
+    An arm does best with tight bends laid last and a good piece left over; and with no more rod
+    than that, which would hang from higher than it reaches.
     """
     import numpy as np
 
     s = np.linspace(0.0, curve.length, 400)
     bent = np.abs(curve.sample(s)[2])
     reverse = bool(bent @ s < 0.5 * bent.sum() * curve.length) != wanted.reverse
+    left = _LEFT_OVER * rod.gravito_bending_length
+    largest = min((rod.length - left) / curve.length, 1.0)
     tries = []
-    for kept, turned in ((5.5, reverse), (5.5, not reverse), (8.0, reverse), (8.0, not reverse)):
-        room = rod.length - kept * rod.gravito_bending_length
-        if room > 0.2 * curve.length:
-            resize = int(100.0 * min(room / curve.length, 1.0)) / 100.0
-            tries.append(replace(wanted, resize=resize, reverse=turned))
+    for share in _SHARES:
+        resize = int(100.0 * share * largest) / 100.0
+        if resize > 0.2:
+            hold = min(round(resize * curve.length + left, 3), rod.length)
+            tries.append(replace(wanted, resize=resize, hold=hold, reverse=reverse))
     return tries

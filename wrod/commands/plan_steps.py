@@ -162,7 +162,7 @@ def fitting(request, tries, planned, reason) -> str:
     for shaping in tries:
         if time.monotonic() - begun > _SEARCH:
             break
-        options = f"--resize {shaping.resize:g} --no-remainder"
+        options = f"--resize {shaping.resize:g} --hold {shaping.hold:g} --no-remainder"
         options += " --reverse" if shaping.reverse else ""
         said.append(options)
         try:
