@@ -203,7 +203,7 @@ def test_an_output_that_cannot_be_made_is_refused_before_the_work(kind, tmp_path
         params=[click.Option(["--out"], type=click.Path(file_okay=False, path_type=Path))],
         callback=lambda out: began.append(out),
     )
-    with pytest.raises(OSError, match="Not a directory"):
+    with pytest.raises(DataError, match="is no folder"):
         holding_output(command).callback(out=out)
     assert not began
 

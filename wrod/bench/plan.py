@@ -1,4 +1,4 @@
-"""`wrod bench plan`: time of numeric plans, pattern by pattern and rod by rod."""
+"""`wrod bench plan`: time of plans, pattern by pattern and rod by rod."""
 
 from __future__ import annotations
 
@@ -50,7 +50,10 @@ def command(patterns: Path | None, method: str, device: str, as_json: bool) -> N
         click.echo(json.dumps({"machine": machine_line(device), "rows": rows, "seconds": total}))
         return
     click.echo(machine_line(device))
-    click.echo(f"{'rod':>12} {'pattern':>12} {'nodes':>6} {'seconds':>8}")
+    click.echo(f"{'rod':>12} {'pattern':>12} {'nodes':>6} {'ms':>8}")
     for row in rows:
-        click.echo(f"{row['rod']:>12} {row['pattern']:>12} {row['nodes']:6d} {row['seconds']:8.2f}")
-    click.echo(f"{len(rows)} plans in {total:.1f} s")
+        click.echo(
+            f"{row['rod']:>12} {row['pattern']:>12} {row['nodes']:6d} {1e3 * row['seconds']:8.1f}"
+        )
+    longest = 1e3 * max(row["seconds"] for row in rows)
+    click.echo(f"{len(rows)} plans in {total:.2f} s, {longest:.1f} ms at most")

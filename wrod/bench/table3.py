@@ -85,7 +85,7 @@ def _table(
         raise RodError(f"trials is {trials}; give 1 or more")
     device = resolve_device(device)
     settings = {name: how[name] for name in ("speed", "step", "spacing", "release")} | {
-        "closure": closure or "favoured",
+        "closure": "favoured" if closure is None else closure,
         "patterns": "built-in" if patterns is None else patterns.name,
     }
     settings |= {"known_table": True} if known_table else {}
@@ -175,7 +175,9 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
     for name, curve, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
         material = rod(name)
         led = prepare(curves[curve], material, None)
-        chosen = (closure or favoured_closure(led, material)) if method == "numeric" else None
+        chosen = None
+        if method == "numeric":
+            chosen = favoured_closure(led, material) if closure is None else closure
         trajectory = plan(led, material, method, closure=chosen, device=device)
         plans[name, curve, method] = (led, material, trajectory, tail(led, material, trajectory))
     return plans

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from wrod.errors import WrodError
+from wrod.errors import DataError, WrodError
 
 # Exit codes: of input that cannot be used, of an interruption, and of a fault of ours.
 REFUSED, INTERRUPTED, FAULT = 2, 130, 70
@@ -122,15 +122,17 @@ def refuse_unwritable(folder: Path) -> None:
     """Refuse a folder that cannot be made or written to, before any work.
 
     Raises:
-        OSError: names what stands in its way.
+        DataError: names what stands in its way.
     """
     place = Path(os.path.abspath(folder))
     while not os.path.lexists(place):
         place = place.parent
     if not place.is_dir():
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(place))
+        raise DataError(f"{folder}: cannot be written ({place} is no folder); choose another --out")
     if not os.access(place, os.W_OK | os.X_OK):
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))
+        raise DataError(
+            f"{folder}: cannot be written (no permission for {place}); choose another --out"
+        )
 
 
 def holding_output(command: click.Command) -> click.Command:

@@ -149,7 +149,8 @@ def plan(
             remainder=remainder, controller=controller, device=device, progress=progress,
         )  # fmt: skip
     pattern = prepare(pattern, rod, remainder)
-    closure = closure or _usual_closure(pattern, rod, method, controller)
+    if closure is None:
+        closure = _usual_closure(pattern, rod, method, controller)
     s = _contacts(pattern, spacing)
     _, _, curvature = course = pattern.sample(s)
     _refuse_tight_bends(pattern, rod, s, curvature)
