@@ -69,7 +69,7 @@ class Profile:
         if isinstance(value, cls):
             return value
         if isinstance(value, Real) and not isinstance(value, bool):
-            return cls(np.atleast_1d(value))
+            return cls(np.array([value]))
         if isinstance(value, dict) and set(value) == {"knots", "values"}:
             return cls(value["values"], value["knots"])
         raise RodError(
