@@ -16,6 +16,7 @@ from wrod.errors import DataError, WrodError
 
 # Exit codes: of input that cannot be used, of an interruption, and of a fault of ours.
 REFUSED, INTERRUPTED, FAULT = 2, 130, 70
+_MOST_SAID = 2000  # letters
 # Set it to see where a fault of ours is.
 TRACEBACK = "WROD_TRACEBACK"
 # Modules that a base install lacks, and the extra that brings each.
@@ -110,6 +111,8 @@ def stop(ctx: click.Context, error: BaseException) -> None:
             FAULT,
         )
     text, code = said
+    if len(text) > _MOST_SAID:  # the names of some files are thousands of letters long
+        text = f"{text[: _MOST_SAID // 2]} … {text[-_MOST_SAID // 2 :]}"
     whole = [str(path) for path in finished() if path.exists()]
     if whole:
         more = f" and {len(whole) - 3} more" if len(whole) > 3 else ""

@@ -19,6 +19,10 @@ from wrod.perception.segment import segment
 from wrod.perception.trace import Centerline, trace_mask
 
 PATTERN_POINTS = 400
+# A traced centreline is trusted to this share of the stroke's half-width, and this length [m], at
+# best: nobody draws better, and a curve through every point of it bends to and fro, and the grip's
+# path with it.
+_LEAST_SHARE, _LEAST_NOISE = 0.03, 5e-5
 CORNERS = ("lower-left", "lower-right", "upper-left", "upper-right")
 
 
@@ -171,7 +175,11 @@ def scan(
     length, line = arc_length(points)[-1], result.lines[0]
     spacing = max(2.0 * line.radius * length / line.length, length / PATTERN_POINTS)
     (points,) = resample(points, spacing)
-    return Pattern.from_points(points, smoothing=smoothing, name=result.name, traced=True)
+    pattern = Pattern.from_points(points, smoothing=smoothing, name=result.name, traced=True)
+    least = max(_LEAST_SHARE * line.radius * length / line.length, _LEAST_NOISE)
+    if smoothing is None and pattern.noise < least:
+        return Pattern.from_points(points, smoothing=least, name=result.name, traced=True)
+    return pattern
 
 
 def _without_gaps(result: Scan) -> Scan:

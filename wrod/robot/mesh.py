@@ -56,6 +56,8 @@ def _read(path: Path, stamp: int) -> tuple[np.ndarray, np.ndarray]:
         raise RobotError(f"{path}: the mesh has no triangle, or a vertex that is not finite")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise RobotError(f"{path}: a face of the mesh names a vertex that is not there")
+    if not np.ptp(vertices[faces.ravel()], axis=0).any():
+        raise RobotError(f"{path}: all triangles of the mesh are one point; give another")
     return vertices, faces
 
 
