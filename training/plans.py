@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from wrod.training.dataset import Rank
 
 from wrod.deployment.optimise import Corrections, optimise
 from wrod.errors import DataError, WrodError, WrodWarning
-from wrod.files import write_atomically
+from wrod.files import read_fields, read_json, schemas, write_atomically
 from wrod.patterns.pattern import Pattern
 from wrod.planning.plan import plan, prepare
 from wrod.rods.material import RodMaterial, rod, rod_names
@@ -178,12 +177,9 @@ def load(folder: str | os.PathLike[str]) -> list[Sample]:
     for path in sorted(Path(folder).glob("plan-*.npz")):
         if not path.stat().st_size:
             continue
-        try:
-            with np.load(path) as data:
-                arrays = [data[name].astype(float) for name in ("laid", "curvature", "correction")]
-                out.append(Sample(*arrays, *map(float, data["figures"])))
-        except (OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile):
-            raise DataError(f"{path}: is no optimised plan; delete the file") from None
+        found = read_fields(path, "OptimisedPlan")
+        figures = map(float, found.pop("figures"))
+        out.append(Sample(*found.values(), *figures))
     if not out:
         raise DataError(f"{folder}: holds no optimised plan; let `wrod distil` make some")
     return out
@@ -195,7 +191,7 @@ def _claim(folder: Path, seed: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if not path.exists():
         write_atomically(path, lambda file: file.write(json.dumps(content)))
-    if json.loads(path.read_text()) != content:
+    if read_json(path, schemas.Plans, "the label of optimised plans").seed != seed:
         raise DataError(f"{folder}: holds plans of another seed; choose another --out")
 
 
