@@ -299,7 +299,10 @@ ARRAYS = {
         {
             "laid": Field(("T",), "L_gb", order="rising"),
             "curvature": Field(("T",), "1/L_gb"),
-            "correction": Field(("T", 3), "L_gb"),
+            "basis": Field(("T", "P"), about="splines over the laid length"),
+            "values": Field(("P", 3), "L_gb", about="their coefficients"),
+            "around": Field(("B",), about="value, slope, matrix's upper triangle of the error"),
+            "near_static": Field(("B",), about="the same without corrections"),
             "figures": Field((5,), about="length, k_s, friction, error before and after"),
         },
         least={"T": 2},
