@@ -11,7 +11,7 @@ from wrod.newton_solver.holds import Holds
 from wrod.newton_solver.layout import Layout
 from wrod.newton_solver.owned import find_owned
 from wrod.newton_solver.shapes import ModelShapes
-from wrod.rods.batch import RodState
+from wrod.rods.state import RodState
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
@@ -23,7 +23,7 @@ _STANDARD_GRAVITY = 9.81
 
 
 class RodGroup:
-    """Rows that share a batch (a `wrod.solvers.dynamics.Motion`: it carries what is held).
+    """Rows that share a batch (a `wrod.solvers.steps.Motion`: it carries what is held).
 
     Args:
         model: the Newton model.

@@ -16,7 +16,7 @@ from wrod.solvers.banded import BandedSystem
 if TYPE_CHECKING:
     from wrod.identification.motion.windows import Windows
     from wrod.rods.batch import RodBatch
-    from wrod.solvers.dynamics import Dynamics
+    from wrod.solvers.newton_steps import NewtonSteps
 
 COMPLEX_STEP = 1e-30
 # Inertia of an edge about its axis, per line mass: far too small to be seen.
@@ -191,7 +191,7 @@ class Tangents:
         self.velocity.assign((now - earlier) / h)
         wp.copy(self.velocity_older, self.velocity)
 
-    def follow(self, dynamics: Dynamics) -> None:
+    def follow(self, dynamics: NewtonSteps) -> None:
         """Tangents of the steps that have been accepted."""
         accepted, batch, model = dynamics.accepted, self.batch, self.run.model
         if wp.get_device(batch.device).is_cpu and not accepted.numpy().any():
