@@ -23,7 +23,7 @@ def _floats(name: str, value) -> np.ndarray:
     return arguments.floats(value, name, RodError)
 
 
-class RodArrays:
+class BatchArrays:
     """What changes a batch's arrays; see `wrod.rods.batch.RodBatch`."""
 
     device: str

@@ -14,12 +14,12 @@ from wrod.kernels.elastic.frames import transport_reference_frames
 from wrod.kernels.elastic.loads import dead_loads
 from wrod.kernels.elastic.softened_bending import softened_elasticity
 from wrod.kernels.lanes import lanes
-from wrod.rods.arrays import RodArrays
+from wrod.rods.arrays import BatchArrays
 from wrod.rods.device import resolve_device
 from wrod.rods.state import Derivatives, RodState, node_positions
 
 
-class RodBatch(RodArrays):
+class RodBatch(BatchArrays):
     """Many rods of one node count; everything else may differ from rod to rod.
 
     The quantities carry any consistent units: SI, or the dimensionless ones of a plan. Every array
