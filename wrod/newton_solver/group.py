@@ -111,7 +111,7 @@ class RodGroup:
             out["internal_damping"] = np.repeat(internal[:, :, None], 4, axis=2)
         return out
 
-    def _make_contact(self, stiffness: float | None) -> Contact:
+    def _make_contact(self, stiffness: float | np.ndarray | None) -> Contact:
         layout, batch = self.layout, self.batch
         radius = layout.node_values("radius")
         if stiffness is None:
@@ -124,7 +124,13 @@ class RodGroup:
         self._shapes_move = bool((carrier >= 0).any())
         curved = (batch.natural_curvature.numpy() != 0).any(axis=(1, 2))
         return Contact(
-            batch, radius, stiffness, friction, shapes, keeps_roll=curved, passive=layout.ghost
+            batch,
+            radius,
+            np.asarray(stiffness),
+            friction,
+            shapes,
+            keeps_roll=curved,
+            passive=layout.ghost,
         )
 
     def _make_rod_contact(self, friction: float | None, holds: np.ndarray) -> RodContact | None:
