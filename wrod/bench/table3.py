@@ -77,7 +77,7 @@ def _table(
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.errors import RodError
     from wrod.files import schemas
-    from wrod.grasps.optimal import CLOSURES
+    from wrod.grasps.inputs import CLOSURES
     from wrod.rods.device import resolve_device
     from wrod.rods.material import rod
 

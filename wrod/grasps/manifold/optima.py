@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.grasps.held_rods import HeldRods
+from wrod.grasps.inputs import CLOSURES
 from wrod.grasps.manifold.sampler import Patch
 from wrod.grasps.nudge import Nudges, nudge
-from wrod.grasps.optimal import CLOSURES
 from wrod.grasps.solver import GraspSolution, GraspSolver
 
 
