@@ -101,7 +101,7 @@ def test_minimising_closures_are_minima_of_the_family(closure):
             guess=best.shape,
             thrust=thrust,
         )
-        force = solver.run().solution().force
+        force = solver.run().grasps().force
         if closure == "min_friction":
             force[:, 2] = 0.0
         return np.linalg.norm(force, axis=1)
@@ -149,7 +149,7 @@ def test_force_jacobian_against_differences():
     solver = GraspSolver(
         np.array([8.0]), np.array([1.0]), np.array([900.0]), edge_count=64, closure=0, device="cpu"
     ).run()
-    jacobian = solver.solution().force_jacobian[0]
+    jacobian = solver.grasps().force_jacobian[0]
     batch = solver.batch()
     dof = batch.state.dof.numpy().copy()
     h = 1e-4

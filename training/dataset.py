@@ -17,7 +17,8 @@ from wrod import __version__
 from wrod.controller.curved import untwisted
 from wrod.errors import DataError
 from wrod.grasps.inputs import CLOSURES
-from wrod.grasps.optimal import EDGE_COUNT, Grasps, solve_grasps
+from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
+from wrod.grasps.results import Grasps
 from wrod.rods.material import RodMaterial
 
 SHARD_SIZE = 2048

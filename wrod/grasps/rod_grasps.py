@@ -15,7 +15,8 @@ from wrod.errors import GraspError
 from wrod.grasps.general import RodArrays, solve_general
 from wrod.grasps.inputs import GraspOptions, check_inputs, closure_number
 from wrod.grasps.mesh import WEIGHT, two_sided_rest_lengths
-from wrod.grasps.optimal import EDGE_COUNT, Grasps
+from wrod.grasps.optimal import EDGE_COUNT
+from wrod.grasps.results import Grasps
 from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import Rod, mesh_arrays, models_of
 from wrod.rods.model import RodModel
