@@ -54,7 +54,7 @@ class Rank:
 
     def device(self, wanted: str) -> str:
         """Device of this rank: with several to a machine, "auto" gives each a GPU of its own."""
-        from wrod.rods.batch import resolve_device
+        from wrod.rods.device import resolve_device
 
         device = resolve_device(None if wanted == "auto" else wanted)
         if wanted == "auto" and device != "cpu":

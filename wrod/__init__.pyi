@@ -32,7 +32,7 @@ from .planning.friction import friction_bound as friction_bound
 from .planning.plan import plan as plan
 from .planning.trajectory import Trajectory as Trajectory
 from .robot.joint_path import JointPath as JointPath
-from .robot.joint_path import solve_joint_path as solve_joint_path
+from .robot.solve import solve_joint_path as solve_joint_path
 from .rods.batch import RodBatch as RodBatch
 from .rods.material import RodMaterial as RodMaterial
 from .rods.material import rod as rod

@@ -21,7 +21,7 @@ def command(count: int, device: str, threads: int, as_json: bool) -> None:
     from wrod.grasps.inputs import whole_range
     from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, solve_grasps
     from wrod.machine import machine_line
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
 

@@ -78,7 +78,7 @@ def _table(
     from wrod.errors import RodError
     from wrod.files import schemas
     from wrod.grasps.optimal import CLOSURES
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
     from wrod.rods.material import rod
 
     if trials < 1:

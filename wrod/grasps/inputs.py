@@ -9,7 +9,7 @@ import warp as wp
 
 from wrod.errors import GraspError
 from wrod.kernels.grasping.inputs import find_outside
-from wrod.rods.batch import resolve_device
+from wrod.rods.device import resolve_device
 
 # Inputs that are solved; beyond them grasps do not exist, or have never been checked.
 LIMITS = {

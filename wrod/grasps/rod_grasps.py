@@ -16,7 +16,7 @@ from wrod.grasps.general import RodArrays, solve_general
 from wrod.grasps.inputs import check_inputs
 from wrod.grasps.mesh import WEIGHT, two_sided_rest_lengths
 from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, Grasps
-from wrod.rods.batch import resolve_device
+from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import Rod, mesh_arrays, models_of
 from wrod.rods.model import RodModel
 

@@ -19,7 +19,7 @@ from wrod.grasps.manifold.optima import Optimum, find_optima
 from wrod.grasps.manifold.sampler import Patch, Sampler
 from wrod.grasps.nudge import Nudges
 from wrod.grasps.optimal import CLOSURES
-from wrod.rods.batch import resolve_device
+from wrod.rods.device import resolve_device
 
 # The sideways offset of the paper's Fig. 2Dschematic (d) [L_gb].
 OFFSET = 0.12
