@@ -10,9 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.errors import DataError
-from wrod.files import decode_labels, read_arrays, write_atomically
-from wrod.files.array_schemas import check_arrays
+from wrod.files import decode_labels, read_fields, write_atomically
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
@@ -108,20 +106,13 @@ class JointPath:
         Raises:
             DataError: the file is missing, truncated or not a joint path.
         """
-        names = ("time", "positions", "velocities", "arc_length", "node_time", "node_positions")
-        what = "the .npz of a joint path that `wrod plan` wrote"
-        data = read_arrays(path, what)
-        if str(data.get("format")) != _FORMAT:
-            raise DataError(f"{path}: is not of the format {_FORMAT}; give {what}")
-        check_arrays(data, "JointPath", str(path))
-        unknown = next((n for n in names if not np.isfinite(data[n]).all()), None)
-        if unknown is not None:
-            raise DataError(f"{path}: {unknown} holds values that are not finite; give {what}")
+        data = read_fields(path, "JointPath")
+        label, what = data.pop("metadata"), "the metadata of a joint path"
+        placement, grip = data.pop("placement"), data.pop("grip")
         return cls(
-            tuple(map(str, data["names"])),
-            placement=Placement(*map(float, data["placement"])),
-            grip=Grip(*map(float, data["grip"])),
+            placement=Placement(*map(float, placement)),
+            grip=Grip(*map(float, grip)),
             robot=robot,
-            metadata=decode_labels(str(data["metadata"]), dict, f"{path}: metadata", what),
-            **{name: data[name] for name in names},
+            metadata=decode_labels(label, dict, f"{path}: metadata", what),
+            **data,
         )
