@@ -7,8 +7,8 @@ from .deployment.setup import Disturbance as Disturbance
 from .deployment.simulate import Trial as Trial
 from .deployment.simulate import simulate_deployment as simulate_deployment
 from .deployment.simulate import simulate_deployments as simulate_deployments
-from .grasps.optimal import Grasps as Grasps
 from .grasps.optimal import solve_grasps as solve_grasps
+from .grasps.results import Grasps as Grasps
 from .grasps.rod_grasps import RodGrasps as RodGrasps
 from .grasps.rod_grasps import solve_rod_grasps as solve_rod_grasps
 from .identification import IdentificationReport as IdentificationReport
