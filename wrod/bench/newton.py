@@ -84,7 +84,8 @@ def command(
     from wrod.errors import RodError
     from wrod.machine import machine_line
     from wrod.rods.batch import resolve_device
-    from wrod.rods.material import RodMaterial, rod
+    from wrod.rods.catalogue import rod
+    from wrod.rods.material import RodMaterial
 
     device = resolve_device(device)
     if not (scale > 0 and length > 0 and periods > 0):

@@ -10,13 +10,13 @@ import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_judge import Verdict
-from wrod.deployment.setup import Tail
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.identification.laid.camera import Camera
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.placement import Placement, rigid
 from wrod.identification.laid.world import HELD, LaidRod, World, plan_without_lead_in
-from wrod.rods.material import rod as preset
+from wrod.planning.tail import Tail
+from wrod.rods.catalogue import rod as preset
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 from wrod.solvers.contact import Friction

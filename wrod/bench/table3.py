@@ -79,7 +79,7 @@ def _table(
     from wrod.files import schemas
     from wrod.grasps.optimal import CLOSURES
     from wrod.rods.batch import resolve_device
-    from wrod.rods.material import rod
+    from wrod.rods.catalogue import rod
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
@@ -166,9 +166,9 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
     """(rod, pattern, method) -> pattern with remainder, rod, trajectory, tail."""
     from tqdm import tqdm
 
-    from wrod.deployment.setup import tail
     from wrod.planning.plan import favoured_closure, plan, prepare
-    from wrod.rods.material import rod
+    from wrod.planning.tail import tail
+    from wrod.rods.catalogue import rod
 
     plans = {}
     jobs = list(product(rods, curves, METHODS))
@@ -190,7 +190,7 @@ def _corrected_plans(
     from tqdm import tqdm
 
     from wrod.bench.table3_paper import friction
-    from wrod.deployment.setup import tail
+    from wrod.planning.tail import tail
     from wrod.planning.trajectory import Trajectory
 
     paths, jobs = {}, []

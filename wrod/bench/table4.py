@@ -100,7 +100,7 @@ def command(patterns: Path, weights: Path | None, device: str, as_json: bool) ->
     from wrod.machine import machine_line
     from wrod.patterns.pattern import Pattern
     from wrod.rods.batch import resolve_device
-    from wrod.rods.material import rod
+    from wrod.rods.catalogue import rod
 
     device = resolve_device(device)
     controller = Controller.load(weights)
