@@ -41,6 +41,7 @@ def command(
     from wrod.machine import machine_line
     from wrod.patterns.pattern import pattern
     from wrod.planning.plan import plan
+    from wrod.planning.tail import tail
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
     from wrod.solvers.contact import Friction
