@@ -15,11 +15,13 @@ from scipy.interpolate import PPoly, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from wrod.training.dataset import Rank
 
-from wrod.deployment.optimise import Corrections, optimise
+from wrod.deployment.corrections import Corrections
+from wrod.deployment.optimise import optimise
+from wrod.deployment.plan import plan
 from wrod.errors import DataError, WrodError, WrodWarning
 from wrod.files import write_atomically
 from wrod.patterns.pattern import Pattern
-from wrod.planning.plan import plan, prepare
+from wrod.planning.plan import prepare
 from wrod.rods.material import RodMaterial, rod, rod_names
 
 _FORMAT = "wrod-plans-1"

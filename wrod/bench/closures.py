@@ -232,9 +232,9 @@ def _plans(curves: list[Curve], methods, device: str, quiet: bool) -> tuple[dict
     """(rod, curve, method) -> trajectory and tail; and sentences on what could not be planned."""
     from tqdm import tqdm
 
+    from wrod.deployment.plan import plan
     from wrod.deployment.setup import tail
     from wrod.errors import GraspError
-    from wrod.planning.plan import plan
 
     plans, lacking = {}, []
     jobs = list(product(curves, methods))

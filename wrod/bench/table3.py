@@ -166,8 +166,9 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
     """(rod, pattern, method) -> pattern with remainder, rod, trajectory, tail."""
     from tqdm import tqdm
 
+    from wrod.deployment.plan import plan
     from wrod.deployment.setup import tail
-    from wrod.planning.plan import favoured_closure, plan, prepare
+    from wrod.planning.plan import favoured_closure, prepare
     from wrod.rods.material import rod
 
     plans = {}

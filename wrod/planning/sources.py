@@ -94,7 +94,7 @@ class GraspPoses:
     softest motion, see `Grasps`) are (T,) or None where the source does not say; shape is
     (T, nodes, 3) or None; twist (T,) from contact to grip [rad], or None where there is none;
     natural_share (T,) is the share of its natural curvature that the rod has in each grasp, or None
-    where it has all of it.
+    where it has all of it; predicted (T,) says which are a controller's, None: none of them.
     """
 
     position: np.ndarray
@@ -106,6 +106,7 @@ class GraspPoses:
     eigenvalue: np.ndarray | None = None
     twist: np.ndarray | None = None
     natural_share: np.ndarray | None = None
+    predicted: np.ndarray | None = None
 
 
 def _intuitive(inputs: GraspInputs) -> GraspPoses:
@@ -262,7 +263,7 @@ def _auto(inputs: GraspInputs) -> GraspPoses:
     # Nobody has looked how close the predicted ones are to instability.
     whole["eigenvalue"] = np.full(len(known), np.inf)
     whole["eigenvalue"][~known] = solved.eigenvalue
-    return GraspPoses(**whole)
+    return GraspPoses(**whole, predicted=known)
 
 
 def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
@@ -275,7 +276,9 @@ def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
     if side < 0.0:
         position, rotation, force = MIRROR * position, MIRROR_ROTATION * rotation, MIRROR * force
         twist = None if twist is None else -twist
-    return GraspPoses(position, rotation, force, twist=twist)
+    return GraspPoses(
+        position, rotation, force, twist=twist, predicted=np.ones(len(position), dtype=bool)
+    )
 
 
 # A source takes the dimensionless inputs of every node and returns poses in the contact frame.
