@@ -41,7 +41,7 @@ def command(
     from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
     from wrod.machine import machine_line
     from wrod.patterns.pattern import pattern
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
     from wrod.rods.material import rod
     from wrod.solvers.contact import Friction
 

@@ -31,7 +31,7 @@ from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.setup import tail
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
-from wrod.deployment.tangents import Directions, lay
+from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
@@ -61,6 +61,7 @@ def optimise(
     *,
     samples: int | None = None,
     hold: float = 0.05,
+    judge: bool = True,
     device: str | None = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> Trajectory:
@@ -82,6 +83,8 @@ def optimise(
         friction: a coefficient, known to a tenth, a range, or a `Spread`.
         samples: rods that are laid at a time; None: two, or four for a range that is wide.
         hold: length of the free end that is held at first [m].
+        judge: whether to lay the unseen rods, without which nothing is expected of the plan and
+            every correction is kept.
         device: "cpu", "cuda:0" or "auto".
         progress: called with the fraction done since the last call.
 
@@ -98,7 +101,7 @@ def optimise(
         samples = 4 if spread.friction[1] > _WIDE * spread.friction[0] else 2
     lgb = rod.gravito_bending_length
     corrections = Corrections(pattern, trajectory, lgb, hold)
-    problem = _Problem(pattern, rod, corrections, spread.sample(samples, rod), hold, device)
+    problem = _Problem(pattern, rod, corrections, spread, samples, hold, device)
     rounds = (
         (edged(COARSE, COARSE_EDGE * lgb), _COARSE_ITERATIONS),
         (edged(FINE, FINE_EDGE * lgb), _FINE_ITERATIONS),
@@ -118,11 +121,13 @@ def optimise(
         done(count)
     corrected = corrections.apply(x)
     plain = history[0] - left > _PLAIN
-    candidates = [corrected] if plain else [corrected, trajectory]
-    expected, *others = expect_each(pattern, rod, candidates, spread, hold=hold, device=device)
-    kept = plain or is_better(expected, others[0])
-    if not kept:
-        corrected, x, expected = corrections.apply(0.0 * x), 0.0 * x, others[0]
+    expected, kept = None, True
+    if judge:
+        candidates = [corrected] if plain else [corrected, trajectory]
+        expected, *others = expect_each(pattern, rod, candidates, spread, hold=hold, device=device)
+        kept = plain or is_better(expected, others[0])
+        if not kept:
+            corrected, x, expected = corrections.apply(0.0 * x), 0.0 * x, others[0]
     done(2)
     said = {
         "friction": list(spread.friction),
@@ -150,35 +155,57 @@ class _State:
 class _Problem:
     """The squared errors of a sample of rods, and what corrections cost, near some corrections."""
 
-    def __init__(self, pattern, rod, corrections: Corrections, cases, hold, device):
-        self.pattern, self.rod, self.corrections, self.cases = pattern, rod, corrections, cases
-        self.hold, self.device = hold, device
-        self.columns = Directions.of_path(corrections.columns())
+    def __init__(self, pattern, rod, corrections: Corrections, spread, samples, hold, device):
+        self.pattern, self.rod, self.corrections = pattern, rod, corrections
+        self.spread, self.samples = spread, samples
+        self.options = {"hold": hold, "device": device}
         self.cost = corrections.cost(_SIZE, _ROUGHNESS)
 
     def at(self, how: dict, values: np.ndarray) -> _State:
-        pattern, corrections = self.pattern, self.corrections
-        now = corrections.apply(values)
-        rest = tail(pattern, self.rod, now)
-        laid = lay(
-            [Trial(pattern, held, now, law, told, rest) for held, law, told in self.cases],
-            [self.columns] * len(self.cases),
-            hold=self.hold,
-            device=self.device,
-            tolerance=TOLERANCE,
-            **how,
-        )
-        parts = [misplacement(pattern, one) for one in laid]
+        laid = laid_sample(
+            self.pattern, self.rod, self.corrections, self.spread, values,
+            samples=self.samples, **self.options, **how,
+        )  # fmt: skip
+        parts = [misplacement(self.pattern, one) for one in laid]
         errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
         errors[[one.diverged for one in laid]] = np.inf
         matrix, slope = self.cost.copy(), self.cost @ values
         if np.isfinite(errors).all():
             weights = 0.5 + 0.5 * errors / max(errors.mean(), 1e-12)
             for (error, rates), weight in zip(parts, weights, strict=True):
-                scale = weight / (len(parts) * METRIC_POINTS * corrections.lgb**2)
+                scale = weight / (len(parts) * METRIC_POINTS * self.corrections.lgb**2)
                 matrix += scale * rates.T @ rates
                 slope += scale * rates.T @ error
         return _State(values, errors, 0.5 * float(errors.mean() + errors.max()), matrix, slope)
+
+
+def laid_sample(
+    pattern: Pattern,
+    rod: RodModel | RodMaterial,
+    corrections: Corrections,
+    spread: Spread,
+    values: np.ndarray,
+    *,
+    samples: int = 2,
+    hold: float = 0.05,
+    device: str | None = "cpu",
+    **how,
+) -> list[Laid]:
+    """The rods that cover a spread, laid by a corrected path, with their derivatives by each of the
+    corrections' values (3 count,) [L_gb]; `how` as for `lay`, by default on coarse meshes."""
+    now = corrections.apply(values)
+    rest = tail(pattern, rod, now)
+    return lay(
+        [
+            Trial(pattern, held, now, law, told, rest)
+            for held, law, told in spread.sample(samples, rod)
+        ],
+        [Directions.of_path(corrections.columns())] * samples,
+        hold=hold,
+        device=device,
+        tolerance=TOLERANCE,
+        **(how or edged(COARSE, COARSE_EDGE * rod.gravito_bending_length)),
+    )
 
 
 def _descend(

@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from wrod.errors import GraspError, PatternError, RodError, StabilityWarning, WrodWarning
 from wrod.grasps.mesh import WEIGHT
+from wrod.grasps.results import Grasps
 from wrod.patterns.pattern import Pattern
 from wrod.planning.friction import friction_bound
-from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs, GraspPoses
+from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -92,7 +93,7 @@ def _usual_closure(pattern: Pattern, rod, method: str, controller: Controller | 
     return favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
 
 
-def _solved(method: str, inputs: GraspInputs, s: np.ndarray) -> tuple[GraspPoses, dict]:
+def _solved(method: str, inputs: GraspInputs, s: np.ndarray) -> tuple[Grasps, dict]:
     """Grasps at the contacts s [m], and what the trajectory says of them."""
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
@@ -123,13 +124,14 @@ def _solved(method: str, inputs: GraspInputs, s: np.ndarray) -> tuple[GraspPoses
     }
 
 
-def _solver(poses: GraspPoses) -> str:
+def _solver(poses: Grasps) -> str:
     """Who found the grasps, in words."""
-    known = 0 if poses.predicted is None else int(np.sum(poses.predicted))
-    count = len(poses.position)
-    if known in (0, count):
-        return "trained controller" if known else "rod solver"
-    return f"trained controller, rod solver for {count - known} of {count}"
+    count, solved = len(poses.position), 0
+    if poses.eigenvalue is not None:  # of those that a controller predicts nobody knows it
+        solved = int(np.sum(np.isfinite(poses.eigenvalue)))
+    if solved in (0, count):
+        return "rod solver" if solved else "trained controller"
+    return f"trained controller, rod solver for {solved} of {count}"
 
 
 def _contacts(pattern: Pattern, spacing: float) -> np.ndarray:
@@ -149,7 +151,7 @@ def _trajectory(
     rod: RodModel | RodMaterial,
     laid: np.ndarray,
     course: tuple[np.ndarray, np.ndarray, np.ndarray],
-    poses: GraspPoses,
+    poses: Grasps,
     roll: float,
     said: dict,
 ) -> Trajectory:
@@ -453,7 +455,7 @@ def _refuse_tight_bends(
         )
 
 
-def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -> None:
+def _refuse_unconverged(poses: Grasps, inputs: GraspInputs, s: np.ndarray) -> None:
     finite = np.all(np.isfinite(poses.position) & np.isfinite(poses.rotation), axis=1)
     good = finite if poses.converged is None else finite & poses.converged
     if np.all(good):
@@ -467,7 +469,7 @@ def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -
     )
 
 
-def _warn_relaxed(poses: GraspPoses, s: np.ndarray) -> None:
+def _warn_relaxed(poses: Grasps, s: np.ndarray) -> None:
     if poses.natural_share is None:
         return
     less = np.concatenate([[False], poses.natural_share < 1.0, [False]])
@@ -483,7 +485,7 @@ def _warn_relaxed(poses: GraspPoses, s: np.ndarray) -> None:
     )
 
 
-def _warn_unstable(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -> None:
+def _warn_unstable(poses: Grasps, inputs: GraspInputs, s: np.ndarray) -> None:
     if poses.stable is not None and not np.all(poses.stable):
         where = s[~np.asarray(poses.stable, dtype=bool)]
         warnings.warn(
