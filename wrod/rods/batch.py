@@ -201,6 +201,7 @@ class RodBatch:
         self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
         self.set_softening(softening)
         self.energies: list[tuple[wp.Kernel, wp.array]] = []
+        self.layers: list[tuple[wp.array, wp.array]] = []
         self.inelastic = self._inelastic(inelastic)
         self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
         self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)
@@ -290,6 +291,34 @@ class RodBatch:
                 f"{name} has shape {value.shape}, which does not broadcast to {shape}"
             ) from None
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
+
+    def set_layers(self, layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+        """Parallel layers beside `bending_stiffness`, each with a softening of its own, whose
+        moments add up to a law of another form: (rod, node, 2) stiffness, of either sign but not 0,
+        and (rod, node, 2) softening of each. They share the natural curvature."""
+        shape = (self.rod_count, self.node_count, 2)
+        self.layers = [
+            (
+                self._array("layer", stiffness, shape, wp.vec2d),
+                self._array("softening", softening, shape, wp.vec2d),
+            )
+            for stiffness, softening in layers
+        ]
+
+    def layer_model(self, layer: tuple[wp.array, wp.array]) -> list[wp.array]:
+        """`elastic_model` of one of the `layers`: it bends, it neither stretches nor twists."""
+        stiffness, softening = layer
+        nothing = wp.zeros_like(self.twisting_stiffness)
+        return [
+            self.rest_length,
+            wp.zeros_like(self.stretching_stiffness),
+            stiffness,
+            stiffness,
+            self.natural_curvature,
+            softening,
+            nothing,
+            nothing,
+        ]
 
     def set_softening(self, softening) -> None:
         """Give every rod its law: (rod, node, 2) as in the constructor, broadcast.
@@ -513,18 +542,21 @@ class RodBatch:
 
         nodes = self.node_count
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
-        launch(
-            softened_elasticity if self.softens else elasticity,
-            nodes - 2,
-            [
-                *(self.elastic_model if model is None else model),
-                active,
-                state.dof,
-                state.director,
-                state.reference_twist,
-                order,
-            ],
-        )
+        terms = [(softened_elasticity if self.softens else elasticity, model or self.elastic_model)]
+        terms += [(softened_elasticity, self.layer_model(layer)) for layer in self.layers]
+        for kernel, numbers in terms:
+            launch(
+                kernel,
+                nodes - 2,
+                [
+                    *numbers,
+                    active,
+                    state.dof,
+                    state.director,
+                    state.reference_twist,
+                    order,
+                ],
+            )
         for kernel, number in self.energies:
             launch(
                 kernel,

@@ -25,6 +25,7 @@ from wrod.errors import DataError
 from wrod.identification.clamped.described import Described
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
 from wrod.identification.clamped.noise import estimate
 from wrod.identification.clamped.profiles import built_effects
 from wrod.identification.clamped.steps import (
@@ -45,6 +46,8 @@ from wrod.identification.effect import Effect
 LEAST_SHARE = 0.005
 MOST_EFFECTS = 3
 _FINE = 4 / 3
+# Effects that a law of bending of unknown form may be taken for.
+_LAWS = ("softening", "stiffening", "stiffness", "anisotropic_bending")
 # How often to choose at most, each time with the noise that the last choice has left.
 _NOISE_PASSES = 3
 
@@ -86,10 +89,17 @@ class _Opening:
 
 
 def _opening(laboratory: Laboratory, pool: list[Effect], progress) -> _Opening:
+    """The first fits, and a law of unknown form in the `pool` where a known one comes nearest."""
     empty = base_fit(laboratory)
     singles = extensions(laboratory, empty, pool, progress)
     if not singles or any(_reaches_noise(laboratory, f) for f in (empty, singles[0])):
         return _Opening(singles, [], True)
+    if singles[0].model.names[0] in _LAWS and all(e.name != MomentLaw.name for e in pool):
+        # A law is what is missing, but not that one.
+        pool.append(moment_law_of(laboratory))
+        singles = best_of_each([*singles, *extensions(laboratory, empty, pool[-1:], progress)])
+        if _reaches_noise(laboratory, singles[0]):
+            return _Opening(singles, [], True)
     pairs = best_of_each(pairs_beside(laboratory, singles[0], pool, progress))
     return _Opening(singles, pairs, bool(pairs) and _reaches_noise(laboratory, pairs[0]))
 
@@ -104,9 +114,11 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
         known: what a search among the known effects has found; None: it has not been made.
     """
     built = built_effects(laboratory)[0]
+    if all(e.name != MomentLaw.name for e in pool):
+        built.append(moment_law_of(laboratory))
     other = _search(laboratory, built, progress)
     effects = other[0].model.effects
-    few = bool(effects) and all(isinstance(e, Described) for e in effects)
+    few = bool(effects) and all(isinstance(e, (Described, MomentLaw)) for e in effects)
     if known is None and few and _reaches_noise(laboratory, other[0]):
         pool += built
         alone, bic = opening.singles, base_fit(laboratory).bic
