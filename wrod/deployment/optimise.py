@@ -134,6 +134,7 @@ def optimise(
     samples: int = 3,
     iterations: int = _ITERATIONS,
     hold: float = 0.05,
+    judge: bool = True,
     device: str | None = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> Trajectory:
@@ -154,6 +155,7 @@ def optimise(
         samples: rods that are laid at a time.
         iterations: times that they are laid.
         hold: length of the free end that is held at first [m].
+        judge: whether to lay the unseen rods, without which nothing is expected of the plan.
         device: "cpu", "cuda:0" or "auto".
         progress: called with the fraction done since the last call.
 
@@ -168,21 +170,13 @@ def optimise(
     spread = Spread.of(friction)
     lgb = rod.gravito_bending_length
     corrections = Corrections(pattern, trajectory, lgb, hold)
-    columns = Directions.of_path(corrections.columns())
-    cases = spread.sample(samples, rod)
     cost = corrections.cost(_SIZE, _ROUGHNESS)
     x = np.zeros(3 * corrections.count)
     best, radius = None, _STEP
     history = []
     for _ in range(iterations):
-        now = corrections.apply(x)
-        rest = tail(pattern, rod, now)
-        laid = lay(
-            [Trial(pattern, held, now, law, how, rest) for held, law, how in cases],
-            [columns] * samples,
-            hold=hold,
-            device=device,
-            **_edged(COARSE, _COARSE_EDGE * lgb),
+        laid = laid_sample(
+            pattern, rod, corrections, spread, x, samples=samples, hold=hold, device=device
         )
         parts = [misplacement(pattern, one) for one in laid]
         errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
@@ -211,7 +205,9 @@ def optimise(
     if history[0] - best[2].mean() < _WORTH:
         best = best[0], np.zeros_like(x), best[2]
     corrected = corrections.apply(best[1])
-    expected = expect(pattern, rod, corrected, spread, hold=hold, device=device)
+    expected = None
+    if judge:
+        expected = expect(pattern, rod, corrected, spread, hold=hold, device=device)
     if progress is not None:
         progress(1.0 / (iterations + 1))
     said = {
@@ -222,6 +218,33 @@ def optimise(
     }
     metadata = {**corrected.metadata, "optimised": said, "expected": expected}
     return replace(corrected, metadata=metadata)
+
+
+def laid_sample(
+    pattern: Pattern,
+    rod: RodMaterial,
+    corrections: Corrections,
+    spread: Spread,
+    values: np.ndarray,
+    *,
+    samples: int = 3,
+    hold: float = 0.05,
+    device: str | None = "cpu",
+) -> list[Laid]:
+    """The rods that cover a spread, laid by a corrected path, with their derivatives by each of the
+    corrections' values (3 count,) [L_gb]."""
+    now = corrections.apply(values)
+    rest = tail(pattern, rod, now)
+    return lay(
+        [
+            Trial(pattern, held, now, law, how, rest)
+            for held, law, how in spread.sample(samples, rod)
+        ],
+        [Directions.of_path(corrections.columns())] * samples,
+        hold=hold,
+        device=device,
+        **_edged(COARSE, _COARSE_EDGE * rod.gravito_bending_length),
+    )
 
 
 def expect(
