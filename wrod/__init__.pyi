@@ -34,9 +34,9 @@ from .planning.trajectory import Trajectory as Trajectory
 from .robot.joint_path import JointPath as JointPath
 from .robot.solve import solve_joint_path as solve_joint_path
 from .rods.batch import RodBatch as RodBatch
+from .rods.catalogue import rod as rod
+from .rods.catalogue import rod_names as rod_names
 from .rods.material import RodMaterial as RodMaterial
-from .rods.material import rod as rod
-from .rods.material import rod_names as rod_names
 from .rods.model import RodModel as RodModel
 from .rods.profile import Profile as Profile
 from .rods.rows import join_rods as join_rods

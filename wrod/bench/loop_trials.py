@@ -107,8 +107,8 @@ def trials_along(
     differs. `law` is the table's `Friction`. All cases believe in one rod.
     """
     from wrod.deployment.plan import plan
-    from wrod.deployment.setup import tail
     from wrod.deployment.simulate import Trial, with_remainder_of
+    from wrod.planning.tail import tail
 
     def trial(rod, model, controller, network=None, roll="plane"):
         method = {"network": "neural", "numeric": "numeric", "default": "auto"}[controller]

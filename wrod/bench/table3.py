@@ -78,8 +78,8 @@ def _table(
     from wrod.errors import RodError
     from wrod.files import schemas
     from wrod.grasps.inputs import CLOSURES
+    from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
-    from wrod.rods.material import rod
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
@@ -168,9 +168,9 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
     from tqdm import tqdm
 
     from wrod.deployment.plan import plan
-    from wrod.deployment.setup import tail
     from wrod.planning.plan import prepare
-    from wrod.rods.material import rod
+    from wrod.planning.tail import tail
+    from wrod.rods.catalogue import rod
 
     plans = {}
     jobs = list(product(rods, curves, METHODS))
@@ -192,7 +192,7 @@ def _corrected_plans(
     from tqdm import tqdm
 
     from wrod.bench.table3_paper import friction
-    from wrod.deployment.setup import tail
+    from wrod.planning.tail import tail
     from wrod.planning.trajectory import Trajectory
 
     paths, jobs = {}, []

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from wrod.deployment.result import METRIC_POINTS, interpolation
-from wrod.deployment.setup import Disturbance, tail
+from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Laid, lay
 from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel

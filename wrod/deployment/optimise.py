@@ -28,11 +28,11 @@ from wrod.deployment.expectation import (
     misplacement,
 )
 from wrod.deployment.result import METRIC_POINTS
-from wrod.deployment.setup import tail
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
