@@ -19,7 +19,7 @@ from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.general import curved_rods, solve_general
 from wrod.grasps.inputs import LIMITS, GraspArrays
-from wrod.grasps.levels import Ladder
+from wrod.grasps.levels import Ladder, compile_kernels
 from wrod.grasps.results import SENSITIVITIES, empty_results
 from wrod.grasps.solver import held_batch
 from wrod.kernels.grasping import closures
@@ -189,6 +189,7 @@ def solve_grasps(
         if progress is not None:
             progress(count)
 
+    compile_kernels(inputs.device, sensitivities)
     spare: queue.SimpleQueue[Ladder] = queue.SimpleQueue()
     for _ in range(min(workers, -(-rods // size))):
         spare.put(_ladder(size, edge_count, inputs.device, sensitivities))
