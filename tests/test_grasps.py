@@ -88,7 +88,7 @@ def test_published_closures_of_the_straight_pattern(closure, position, size):
 @pytest.mark.parametrize("closure", ["min_force", "min_friction"])
 def test_minimising_closures_are_minima_of_the_family(closure):
     """Neighbouring grasps of the same family, by their thrust, are all worse."""
-    from wrod.grasps.optimal import CLOSURES
+    from wrod.grasps.inputs import CLOSURES
     from wrod.grasps.solver import GraspSolver
 
     inputs = [np.array(v) for v in ([17.68, 6.0], [2.0, 0.8], [2087.0, 500.0])]
@@ -102,7 +102,7 @@ def test_minimising_closures_are_minima_of_the_family(closure):
             guess=best.shape,
             thrust=thrust,
         )
-        force = solver.run().solution().force
+        force = solver.run().grasps().force
         if closure == "min_friction":
             force[:, 2] = 0.0
         return np.linalg.norm(force, axis=1)
@@ -162,7 +162,7 @@ def test_force_jacobian_against_differences():
     solver = GraspSolver(
         np.array([8.0]), np.array([1.0]), np.array([900.0]), edge_count=64, closure=0, device="cpu"
     ).run()
-    jacobian = solver.solution().force_jacobian[0]
+    jacobian = solver.grasps().force_jacobian[0]
     batch = solver.batch()
     dof = batch.state.dof.numpy().copy()
     h = 1e-4

@@ -1,4 +1,5 @@
 import json
+import shlex
 from importlib.util import find_spec
 
 import numpy as np
@@ -232,7 +233,7 @@ def test_what_is_tried_for_an_arm_lays_tight_bends_last():
     spiral, rod = wrod.Pattern.from_points(out), wrod.rod("green-vps")
     wanted = Shaping(None, 0.01, None)
     tries = shorter(spiral, rod, wanted)
-    assert all(tried.reverse for tried in tries) and len(tries) == 4
+    assert all(tried.reverse for tried in tries) and len({tried.resize for tried in tries}) == 7
     for tried in tries:
         left = tried.hold - tried.resize * spiral.length
         assert left == pytest.approx(5.6 * rod.gravito_bending_length, abs=1e-3)
@@ -260,9 +261,24 @@ def test_only_what_was_solved_is_said_to_help(capsys):
 
     request = SimpleNamespace(robot="sawyer", solve=solve)
     tries = [Shaping(size, 0.01, 0.5, reverse=True) for size in (0.6, 0.8, 0.7)]
-    said = fitting(request, tries, planned, "too long")
-    assert said == (
-        "with `--resize 0.7 --hold 0.5 --no-remainder --reverse` a joint path of sawyer is found"
-    )
-    assert "too long; looking" in capsys.readouterr().err
-    assert fitting(request, tries[:2], planned, "too long").startswith("no joint path of sawyer")
+    words = ["my drawing.csv", "--rod", "rope", "--hold", "0.8", "--out", "o", "--export", "poses"]
+    with planning(*words):
+        said = fitting(request, tries, planned, "too long")
+        assert "too long; looking" in capsys.readouterr().err
+        none = fitting(request, tries[:2], planned, "too long")
+        assert none.startswith("no joint path of sawyer")
+    # The whole command, to be copied: what was given, and what helps.
+    command = shlex.split(said.split("is found: ")[1])
+    assert command[:3] == ["wrod", "plan", "my drawing.csv"]
+    with planning(*command[2:]) as context:
+        now = context.params
+    assert (now["resize"], now["hold"], now["reverse"], now["remainder"]) == (0.7, 0.5, True, False)
+    assert (now["rod_name"], str(now["out"]), now["exports"]) == ("rope", "o", ("poses",))
+    assert now["robot"] == "sawyer" and "--robot" not in command
+
+
+def planning(*words):
+    """The context of `wrod plan` with these words."""
+    from wrod.commands.plan import command
+
+    return command.make_context("plan", list(words))

@@ -16,7 +16,9 @@ from wrod.training.sampling import MAX_INDEX, RodInputs, sample
 from wrod import __version__
 from wrod.controller.curved import untwisted
 from wrod.errors import DataError
-from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
+from wrod.grasps.inputs import CLOSURES
+from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
+from wrod.grasps.results import Grasps
 from wrod.rods.material import RodMaterial
 
 SHARD_SIZE = 2048

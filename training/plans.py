@@ -20,7 +20,7 @@ from wrod.errors import DataError, WrodError, WrodWarning
 from wrod.files import read_fields, read_json, schemas, write_atomically
 from wrod.patterns.pattern import Pattern
 from wrod.planning.plan import plan, prepare
-from wrod.rods.material import RodMaterial, rod, rod_names
+from wrod.rods.material import TABLE_2, RodMaterial
 
 _FORMAT = "wrod-plans-2"
 # Least and largest friction coefficient of the tables, and length of the patterns [L_gb].
@@ -129,8 +129,8 @@ def solve(index: int, seed: int) -> Sample:
         WrodError: the pattern is none that can be laid.
     """
     rng = np.random.default_rng([seed, index])
-    names = rod_names()
-    held = rod(names[rng.integers(len(names))])
+    rods = list(TABLE_2.values())
+    held = rods[rng.integers(len(rods))]
     held = replace(held, length=held.length * rng.uniform(0.8, 1.2))
     pattern = random_pattern(rng, held)
     friction = float(np.exp(rng.uniform(*np.log(FRICTION))))

@@ -9,7 +9,8 @@ import numpy as np
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.setup import DEVIATIONS, Disturbance
 from wrod.patterns.pattern import Pattern
-from wrod.rods.material import RodMaterial, rod
+from wrod.rods.catalogue import rod
+from wrod.rods.material import RodMaterial
 
 # Distance p between gates: 0.56 L_gb. Between two gates only friction holds a bend of curvature
 # kappa, which on a slippery table is little; were it to straighten, it would be kappa p^2 / 2 off.

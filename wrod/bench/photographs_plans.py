@@ -13,7 +13,7 @@ from wrod.errors import WrodError
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.world import World
 from wrod.planning.plan import plan
-from wrod.rods.material import rod as preset
+from wrod.rods.catalogue import rod as preset
 
 _PLANS = ("rod believed", "rod found", "rod and table found")
 

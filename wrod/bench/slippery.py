@@ -149,7 +149,7 @@ class Shelf:
         """The pattern as `plan` lays it, and the rod."""
         from wrod.bench.table3_paper import read_pattern
         from wrod.planning.plan import prepare
-        from wrod.rods.material import rod
+        from wrod.rods.catalogue import rod
 
         material = rod(rod_name)
         return prepare(read_pattern(name, self.patterns), material, None), material

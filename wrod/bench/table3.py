@@ -77,9 +77,9 @@ def _table(
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.errors import RodError
     from wrod.files import schemas
-    from wrod.grasps.optimal import CLOSURES
+    from wrod.grasps.inputs import CLOSURES
+    from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
-    from wrod.rods.material import rod
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")
@@ -167,9 +167,9 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
     plan, or the rod solver's with a closure that was asked for."""
     from tqdm import tqdm
 
-    from wrod.deployment.setup import tail
     from wrod.planning.plan import plan, prepare
-    from wrod.rods.material import rod
+    from wrod.planning.tail import tail
+    from wrod.rods.catalogue import rod
 
     plans = {}
     jobs = list(product(rods, curves, METHODS))
@@ -191,7 +191,7 @@ def _corrected_plans(
     from tqdm import tqdm
 
     from wrod.bench.table3_paper import friction
-    from wrod.deployment.setup import tail
+    from wrod.planning.tail import tail
     from wrod.planning.trajectory import Trajectory
 
     paths, jobs = {}, []

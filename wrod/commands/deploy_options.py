@@ -122,8 +122,9 @@ class Laying:
 
     def lay(self, curve, rod, path, fixtures, device: str, quiet: bool) -> list:
         """The deployments, one for each trial."""
-        from wrod.deployment.setup import Disturbance, tail
+        from wrod.deployment.setup import Disturbance
         from wrod.deployment.simulate import Trial, simulate_deployments
+        from wrod.planning.tail import tail
         from wrod.solvers.contact import Friction
 
         law, rest = Friction(self.friction, self.kinetic, self.rolling), tail(curve, rod, path)

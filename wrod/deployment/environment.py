@@ -16,9 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.result import errors_along
-from wrod.deployment.setup import Disturbance, Tail, one_hemisphere
+from wrod.deployment.setup import Disturbance, one_hemisphere
 from wrod.deployment.simulate import Trial, assemble, prepare_trials, with_remainder_of
 from wrod.errors import RodError
+from wrod.planning.tail import Tail
 from wrod.solvers.contact import Friction
 
 try:

@@ -14,11 +14,12 @@ import numpy as np
 
 from wrod.deployment.optimise import COARSE, Corrections, misplacement
 from wrod.deployment.result import METRIC_POINTS
-from wrod.deployment.setup import Disturbance, Tail
+from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Friction, FrictionField

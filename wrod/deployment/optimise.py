@@ -17,11 +17,12 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from wrod.deployment.result import METRIC_POINTS, interpolation
-from wrod.deployment.setup import DEVIATIONS, Disturbance, tail
+from wrod.deployment.setup import DEVIATIONS, Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.errors import PatternError
 from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Friction

@@ -8,8 +8,8 @@ import numpy as np
 
 from wrod.errors import RobotError
 from wrod.robot.solve import UnreachedError, attempt
+from wrod.robot.tail import FINGERS
 
-FINGERS = 0.012  # [m] from the grasp point to the outside of the gripper's fingers
 _STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
 
 
