@@ -187,7 +187,8 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
     plan, or the rod solver's with a closure that was asked for."""
     from tqdm import tqdm
 
-    from wrod.planning.plan import plan, prepare
+    from wrod.deployment.plan import plan
+    from wrod.planning.plan import prepare
     from wrod.planning.tail import tail
     from wrod.rods.catalogue import rod
 

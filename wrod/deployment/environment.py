@@ -96,7 +96,7 @@ class LayingVectorEnv(VectorEnv):
         self.friction, self.disturbed, self.interval = (low, high), disturbed, interval
         self.scale = np.repeat([reach, turn], 3)
         if isinstance(plan, str):
-            from wrod.planning.plan import plan as plan_of
+            from wrod.deployment.plan import plan as plan_of
 
             plan = plan_of(pattern, rod, plan, device=None if device == "auto" else device)
         self.trajectory = plan

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from wrod.deployment.optimise import COARSE, Corrections, misplacement
+from wrod.deployment.corrections import Corrections
+from wrod.deployment.expectation import COARSE, misplacement
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial

@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from wrod.deployment.plan import plan
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError
 from wrod.patterns.pattern import Pattern
-from wrod.planning.plan import plan
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
