@@ -328,7 +328,7 @@ def _at(arc_length: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarra
 
 def _rest(path: Trajectory) -> Tail:
     """The grip stays where the path ends: what lies is looked at there, and no tail is laid."""
-    return Tail(path.arc_length[-1:], path.position[-1:], path.rotation[-1:])
+    return Tail.none(path)
 
 
 def _until(trajectory: Trajectory, s: float) -> Trajectory:

@@ -116,7 +116,7 @@ def lay(
     if not worlds:
         return []
     # Nothing is laid after the pattern: what the photographs show was laid before.
-    end = Tail(trajectory.arc_length[-1:], trajectory.position[-1:], trajectory.rotation[-1:])
+    end = Tail.none(trajectory)
     trials = [
         Trial(pattern, world.rod(believed), trajectory, Friction(world.friction), tail=end)
         for world in worlds
