@@ -118,6 +118,46 @@ def test_a_sample_stretches_less_than_is_believed(kind):
     assert replace(Spread.of(0.5), stretch=False).sample(2, soft)[0][0] is soft
 
 
+def test_an_arm_follows_as_much_of_a_correction_as_it_can(bend):
+    from wrod.commands.plan_steps import _followed
+    from wrod.deployment.corrections import with_share
+    from wrod.robot.solve import UnreachedError
+
+    pattern, start = bend
+    corrections = Corrections(pattern, start, ROD.gravito_bending_length, 0.05)
+    corrected = corrections.apply(np.full(3 * corrections.count, 0.5))
+    corrected.metadata["optimised"] = {"largest_correction": 0.016, "kept": True}
+    tried = []
+
+    class Arm:
+        """Reaches so far beside what was planned at first [m]."""
+
+        def __init__(self, reach):
+            self.reach = reach
+
+        def solve(self, trajectory, rod):
+            tried.append(np.linalg.norm(trajectory.position - start.position, axis=1).max())
+            if tried[-1] > self.reach:
+                raise UnreachedError.__new__(UnreachedError)
+            return "joint path"
+
+    def softer(share):
+        return with_share(start, corrected, share)
+
+    most = 0.016 * np.sqrt(3.0)
+    for reach, share in ((0.1, None), (0.6 * most, 0.5), (1e-9, 0.0)):
+        tried.clear()
+        path, followed = _followed(Arm(reach), corrected, ROD, softer)
+        assert path == "joint path"
+        assert followed.metadata["optimised"].get("share") == share
+        assert tried[-1] == pytest.approx(most * (1.0 if share is None else share), abs=1e-12)
+    assert followed.metadata["optimised"]["largest_correction"] == 0.0
+    with pytest.raises(UnreachedError):
+        _followed(Arm(-1.0), corrected, ROD, softer)
+    with pytest.raises(UnreachedError):  # nothing to take back
+        _followed(Arm(0.001), corrected, ROD, None)
+
+
 @pytest.mark.parametrize("friction", [0.0, -1.0, np.nan, (0.6, 0.2), (0.1, 0.2, 0.3)])
 def test_friction_that_is_none_is_refused(friction):
     with pytest.raises((PatternError, GraspError), match="friction is"):
