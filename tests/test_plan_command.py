@@ -126,7 +126,7 @@ def test_what_cannot_work_is_refused_before_anything_is_solved(
     def solved(*_, **__):
         raise AssertionError("solved")
 
-    monkeypatch.setattr("wrod.planning.plan.plan", solved)
+    monkeypatch.setattr("wrod.deployment.plan.plan", solved)
     out = tmp_path / "out"
     result = CliRunner().invoke(
         main, ["plan", "line", "--rod", "rope", "--out", str(out), *arguments]

@@ -14,7 +14,8 @@ def solve_grasps_of(
     """The trajectory, with the rod's shapes where they are wanted."""
     from tqdm import tqdm
 
-    from wrod.planning.plan import plan, with_shapes
+    from wrod.deployment.plan import plan
+    from wrod.planning.plan import with_shapes
 
     with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=quiet or None) as bar:
 
@@ -27,7 +28,7 @@ def solve_grasps_of(
             friction=None if method == "intuitive" else friction, **options,
         )  # fmt: skip
         if friction is not None and method == "intuitive":
-            from wrod.deployment.optimise import expect
+            from wrod.deployment.expectation import expect
 
             expected = expect(curve, rod, trajectory, friction, device=device or "auto")
             trajectory.metadata["expected"] = expected
