@@ -25,7 +25,14 @@ def synthetic(index, seed=0):
     ahead = np.interp(laid + 1.0, laid, curvature, right=0.0)
     slides = 0.1 / friction
     moved = np.column_stack([slides * ahead**2, slides * ahead, -0.1 * ahead**2])
-    return plans.Sample(laid, curvature, moved, 26.0, 2000.0, friction, 0.1, 0.02)
+    count = moved.size
+    matrix, static = np.eye(count) / len(moved), float(np.mean(moved**2) * 3)
+    around = plans.Bowl(0.0, np.zeros(count), matrix)
+    near_static = plans.Bowl(static, -matrix @ moved.ravel(), matrix)
+    basis = np.eye(len(moved))
+    return plans.Sample(
+        laid, curvature, basis, moved, 26.0, 2000.0, friction, 0.1, 0.02, around, near_static
+    )
 
 
 def test_random_patterns_leave_some_rod_and_bend_within_reason():
@@ -59,10 +66,17 @@ def test_plans_are_shared_by_ranks_and_kept(tmp_path, monkeypatch):
         wanted = synthetic(index)
         assert one.correction == pytest.approx(wanted.correction, abs=1e-6)
         assert one.friction == wanted.friction
+        for found_bowl, bowl in (
+            (one.around, wanted.around),
+            (one.near_static, wanted.near_static),
+        ):
+            assert found_bowl.value == pytest.approx(bowl.value, abs=1e-6)
+            assert found_bowl.slope == pytest.approx(bowl.slope, abs=1e-6)
+            assert found_bowl.matrix == pytest.approx(bowl.matrix, abs=1e-6)
     with pytest.raises(DataError, match="another seed"):
         plans.generate(tmp_path, 6, seed=1)
     (tmp_path / "plan-000002.npz").write_bytes(b"PK")
-    with pytest.raises(DataError, match="is no optimised plan"):
+    with pytest.raises(DataError, match="is not readable"):
         plans.load(tmp_path)
 
 

@@ -116,11 +116,14 @@ def probe(effect: Effect) -> np.ndarray:
     return 0.1 * signs * [min(p.scale, 2.0) for p in effect.parameters]
 
 
-@pytest.mark.parametrize("name", sorted(effects()))
-def test_derivatives_are_exact(laboratory, name):
+COUPLED = ("bend_twist", "natural_curvature", "natural_twist", "grip_slip", "anisotropic_bending")
+
+
+@pytest.mark.parametrize("names", [*((n,) for n in sorted(effects())), COUPLED], ids="+".join)
+def test_derivatives_are_exact(laboratory, names):
     """Implicit differentiation against central differences of whole solutions."""
-    model = Model((effects()[name],))
-    values = probe(model.effects[0])
+    model = Model(tuple(effects()[name] for name in names))
+    values = np.concatenate([probe(effect) for effect in model.effects])
     _, rates = laboratory.jacobian(model, values)
     for j, parameter in enumerate(model.parameters):
         # A mass must not pass from one spline piece to the next while it is differenced.
@@ -371,9 +374,9 @@ BAD = {
     ),
     "against the tangent of grip_rotation": lambda d: d["grip_rotation"].__imul__([-1, 1, -1]),
     "centerline measures .*millimetres": lambda d: d["centerline"].__imul__(1e3),
-    "length is 500 m; metres .millimetres": lambda d: d.update({k: 1e3 * d[k] for k in LENGTHS}),
+    "length is 500 m; .*millimetres": lambda d: d.update({k: 1e3 * d[k] for k in LENGTHS}),
     "the clamps are .* apart": lambda d: d["grip_position"].__imul__(1e3),
-    "radius 1.8 m is over a tenth": lambda d: d["radius"].__imul__(1e3),
+    "radius is 1.8 m; .*millimetres": lambda d: d["radius"].__imul__(1e3),
     "L_gb is 60 m": lambda d: d["L_gb"].__imul__(1e3),
     "noise_std 0.5 is over a tenth": lambda d: d["noise_std"].__imul__(1e3),
     "not a rotation": lambda d: d["grip_rotation"].__setitem__((2, 0, 0), 2.0),
@@ -383,10 +386,10 @@ BAD = {
     "different trials": lambda d: d.__setitem__("train_idx", np.array([0, 99])),
     "is in train_idx": lambda d: d.__setitem__("test_idx", np.array([0])),
     "only one of": lambda d: d.pop("grip_force"),
-    "has no field noise_std": lambda d: d.pop("noise_std"),
-    "rod radius": lambda d: d.__setitem__("radius", -1.0),
-    "holds 1 trial; one shape": only_first_trial,
-    "train_idx holds 1 trial": lambda d: d.__setitem__("train_idx", np.array([0])),
+    "lacks the array noise_std": lambda d: d.pop("noise_std"),
+    "radius is -1 m; it must be above 0": lambda d: d.__setitem__("radius", -1.0),
+    "centerline has 1 trial; at least 2": only_first_trial,
+    "train_idx has 1 trial; at least 2": lambda d: d.__setitem__("train_idx", np.array([0])),
 }
 
 

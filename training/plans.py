@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,14 +14,19 @@ from scipy.interpolate import PPoly, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from wrod.training.dataset import Rank
 
-from wrod.deployment.optimise import Corrections, optimise
+from wrod.deployment.corrections import Corrections
+from wrod.deployment.expectation import misplacement
+from wrod.deployment.optimise import laid_sample, optimise
+from wrod.deployment.plan import plan
+from wrod.deployment.result import METRIC_POINTS
+from wrod.deployment.spread import Spread
 from wrod.errors import DataError, WrodError, WrodWarning
-from wrod.files import write_atomically
+from wrod.files import read_fields, read_json, schemas, write_atomically
 from wrod.patterns.pattern import Pattern
-from wrod.planning.plan import plan, prepare
-from wrod.rods.material import RodMaterial, rod, rod_names
+from wrod.planning.plan import prepare
+from wrod.rods.material import TABLE_2, RodMaterial
 
-_FORMAT = "wrod-plans-1"
+_FORMAT = "wrod-plans-2"
 # Least and largest friction coefficient of the tables, and length of the patterns [L_gb].
 FRICTION = (0.15, 0.8)
 _LENGTH = (9.0, 24.0)
@@ -33,6 +37,26 @@ _SPARE = 3.0
 _NODES, _SPACING, _HOLD = 600, 0.005, 0.05
 
 
+_ARRAYS = ("laid", "curvature", "basis", "values")
+_BOWLS = ("around", "near_static")
+
+
+@dataclass(frozen=True)
+class Bowl:
+    """Gauss and Newton's model of the mean squared error of what lies [L_gb^2], for coefficients
+    that differ by d (3 n,): `value` + 2 `slope` . d + d . `matrix` d.
+
+    Attributes:
+        value: [L_gb^2].
+        slope: (3 n,) [L_gb].
+        matrix: (3 n, 3 n) [-].
+    """
+
+    value: float
+    slope: np.ndarray
+    matrix: np.ndarray
+
+
 @dataclass(frozen=True)
 class Sample:
     """One optimised plan, dimensionless.
@@ -40,23 +64,34 @@ class Sample:
     Attributes:
         laid: (T,) laid length [L_gb].
         curvature: (T,) signed, of the pattern at the contacts [1/L_gb].
-        correction: (T, 3) of the grip's position (forward, left, up) in the contact's frame
-            [L_gb].
+        basis: (T, n) cubic splines over the laid length [-].
+        values: (n, 3) coefficients of the correction of the grip's position (forward, left, up) in
+            the contact's frame [L_gb].
         length: of the rod [L_gb].
         stretch_ratio: k_s [-].
         friction: of the table [-].
         static, optimised: mean error of the plan without and with the corrections, of the rods
             that were optimised for [L_gb].
+        around: the mean squared error of these rods near the corrections.
+        near_static: the same near none.
     """
 
     laid: np.ndarray
     curvature: np.ndarray
-    correction: np.ndarray
+    basis: np.ndarray
+    values: np.ndarray
     length: float
     stretch_ratio: float
     friction: float
     static: float
     optimised: float
+    around: Bowl
+    near_static: Bowl
+
+    @property
+    def correction(self) -> np.ndarray:
+        """(T, 3) of the grip's position [L_gb]."""
+        return self.basis @ self.values
 
 
 def random_pattern(rng: np.random.Generator, held: RodMaterial) -> Pattern:
@@ -98,26 +133,49 @@ def solve(index: int, seed: int) -> Sample:
         WrodError: the pattern is none that can be laid.
     """
     rng = np.random.default_rng([seed, index])
-    names = rod_names()
-    held = rod(names[rng.integers(len(names))])
+    rods = list(TABLE_2.values())
+    held = rods[rng.integers(len(rods))]
     held = replace(held, length=held.length * rng.uniform(0.8, 1.2))
     pattern = random_pattern(rng, held)
     friction = float(np.exp(rng.uniform(*np.log(FRICTION))))
     course, lgb = prepare(pattern, held, None), held.gravito_bending_length
     start = plan(course, held, spacing=_SPACING, remainder=False, device="cpu")
-    best = optimise(course, held, start, friction, hold=_HOLD, device="cpu")
-    frame = Corrections(course, start, lgb, _HOLD).frame
-    moved = np.einsum("tij,ti->tj", frame, best.position - start.position)
+    best = optimise(course, held, start, friction, hold=_HOLD, judge=False, device="cpu")
+    corrections = Corrections(course, start, lgb, _HOLD)
+    moved = np.einsum("tij,ti->tj", corrections.frame, best.position - start.position)
+    values = np.linalg.lstsq(corrections.basis, moved / lgb, rcond=None)[0]
+    static = _bowl(course, held, corrections, friction, np.zeros_like(values))
+    around = _bowl(course, held, corrections, friction, values) if moved.any() else static
     errors = best.metadata["optimised"]["errors"]
     return Sample(
         start.arc_length / lgb,
         course.sample(start.pattern_arc_length)[2] * lgb,
-        moved / lgb,
+        corrections.basis,
+        values,
         held.length / lgb,
         held.stretch_ratio,
         friction,
         errors[0] / lgb,
         (min(errors) if moved.any() else errors[0]) / lgb,
+        around,
+        static,
+    )
+
+
+def _bowl(course, held, corrections: Corrections, friction: float, values: np.ndarray) -> Bowl:
+    """Of the rods that `optimise` lays."""
+    lgb = held.gravito_bending_length
+    parts = [
+        misplacement(course, one)
+        for one in laid_sample(
+            course, held, corrections, Spread.of(friction), values.ravel(), hold=_HOLD, device="cpu"
+        )
+    ]
+    scale = 1.0 / (len(parts) * METRIC_POINTS * lgb**2)
+    return Bowl(
+        scale * sum(float(e @ e) for e, _ in parts),
+        scale * sum(rates.T @ e for e, rates in parts),
+        scale * sum(rates.T @ rates for _, rates in parts),
     )
 
 
@@ -178,12 +236,13 @@ def load(folder: str | os.PathLike[str]) -> list[Sample]:
     for path in sorted(Path(folder).glob("plan-*.npz")):
         if not path.stat().st_size:
             continue
-        try:
-            with np.load(path) as data:
-                arrays = [data[name].astype(float) for name in ("laid", "curvature", "correction")]
-                out.append(Sample(*arrays, *map(float, data["figures"])))
-        except (OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile):
-            raise DataError(f"{path}: is no optimised plan; delete the file") from None
+        found = read_fields(path, "OptimisedPlan")
+        count = found["values"].size
+        if len(found["around"]) != 1 + count + count * (count + 1) // 2:
+            raise DataError(f"{path}: around and values do not fit together; delete the file")
+        bowls = [_unpacked(found[name]) for name in _BOWLS]
+        figures = map(float, found["figures"])
+        out.append(Sample(*(found[name] for name in _ARRAYS), *figures, *bowls))
     if not out:
         raise DataError(f"{folder}: holds no optimised plan; let `wrod distil` make some")
     return out
@@ -195,7 +254,7 @@ def _claim(folder: Path, seed: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if not path.exists():
         write_atomically(path, lambda file: file.write(json.dumps(content)))
-    if json.loads(path.read_text()) != content:
+    if read_json(path, schemas.Plans, "the label of optimised plans").seed != seed:
         raise DataError(f"{folder}: holds plans of another seed; choose another --out")
 
 
@@ -206,8 +265,24 @@ def _store(path: Path, index: int, seed: int) -> None:
     except WrodError:
         write_atomically(path, lambda file: file.write(b""), "wb")
         return
-    arrays = {n: getattr(one, n).astype(np.float32) for n in ("laid", "curvature", "correction")}
+    arrays = {name: getattr(one, name) for name in _ARRAYS}
+    arrays |= {name: _packed(getattr(one, name)) for name in _BOWLS}
+    arrays = {name: values.astype(np.float32) for name, values in arrays.items()}
     figures = [
         one.length, one.stretch_ratio, one.friction, one.static, one.optimised,
     ]  # fmt: skip
     write_atomically(path, lambda file: np.savez_compressed(file, **arrays, figures=figures), "wb")
+
+
+def _packed(bowl: Bowl) -> np.ndarray:
+    """Value, slope and the matrix's upper triangle in a row."""
+    upper = bowl.matrix[np.triu_indices(len(bowl.slope))]
+    return np.concatenate([[bowl.value], bowl.slope, upper])
+
+
+def _unpacked(row: np.ndarray) -> Bowl:
+    n = int(np.sqrt(2.0 * len(row) + 0.25) - 1.5)
+    matrix = np.zeros((n, n))
+    matrix[np.triu_indices(n)] = row[1 + n :]
+    matrix = matrix + np.triu(matrix, 1).T
+    return Bowl(float(row[0]), row[1 : 1 + n], matrix)

@@ -13,7 +13,7 @@ from wrod import cost
 _SHOWN = 8
 
 
-@click.command(name="identify")
+@click.command(name="identify", short_help="Find what the model of a rod lacks, from measurements.")
 @click.argument("data", required=False, type=click.Path(path_type=Path))
 @click.option("--test", type=click.Path(path_type=Path), help="More data of the rod to score on.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
@@ -82,17 +82,15 @@ def command(
 
 
 def _write_template(kind: str, out: Path, as_json: bool) -> None:
-    import numpy as np
-
     from wrod.errors import DataError
+    from wrod.files import read_arrays
     from wrod.identification.template import write_template
 
     try:
         path = write_template(kind, out / f"{kind}.npz")
     except OSError as error:
         raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
-    with np.load(path) as data:
-        fields = {name: list(data[name].shape) for name in data.files}
+    fields = {name: list(value.shape) for name, value in read_arrays(path).items()}
     if as_json:
         click.echo(json.dumps({"fields": fields, "written": [str(path)]}, indent=2))
         return

@@ -12,7 +12,7 @@ import click
 from wrod import cost
 
 
-@click.command(name="train")
+@click.command(name="train", short_help="Train a controller and score it.")
 @click.option(
     "--dataset",
     type=click.Path(file_okay=False, path_type=Path),
@@ -70,7 +70,7 @@ def command(
     --minutes) it gives the same weights on the same machine.
     """
     from wrod.errors import DataError
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
     from wrod.training.dataset import GraspTable, load
     from wrod.training.finish import finished
     from wrod.training.loop import Training
