@@ -30,7 +30,7 @@ def command(
     from wrod.bench.bend_shapes import BENDS
     from wrod.errors import RodError
     from wrod.machine import machine_line
-    from wrod.rods.material import rod
+    from wrod.rods.catalogue import rod
 
     try:
         friction = [float(f) for f in frictions.split(",")]

@@ -83,8 +83,9 @@ def command(
     from wrod.bench.newton_report import draw, markdown
     from wrod.errors import RodError
     from wrod.machine import machine_line
+    from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
-    from wrod.rods.material import RodMaterial, rod
+    from wrod.rods.material import RodMaterial
 
     device = resolve_device(device)
     if not (scale > 0 and length > 0 and periods > 0):

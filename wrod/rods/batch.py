@@ -108,6 +108,7 @@ class RodBatch(BatchArrays):
         self.natural_twist = self._array("natural_twist", natural_twist, (rods, nodes))
         self.set_softening(softening)
         self.energies = []
+        self.layers = []
         self.inelastic = self._inelastic(inelastic)
         self.node_mass = self._array("node_mass", node_mass, (rods, nodes))
         self.gravity = self._array("gravity", gravity, (rods, 3), wp.vec3d)
@@ -243,18 +244,21 @@ class RodBatch(BatchArrays):
 
         nodes = self.node_count
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
-        launch(
-            softened_elasticity if self.softens else elasticity,
-            nodes - 2,
-            [
-                *(self.elastic_model if model is None else model),
-                active,
-                state.dof,
-                state.director,
-                state.reference_twist,
-                order,
-            ],
-        )
+        terms = [(softened_elasticity if self.softens else elasticity, model or self.elastic_model)]
+        terms += [(softened_elasticity, self.layer_model(layer)) for layer in self.layers]
+        for kernel, numbers in terms:
+            launch(
+                kernel,
+                nodes - 2,
+                [
+                    *numbers,
+                    active,
+                    state.dof,
+                    state.director,
+                    state.reference_twist,
+                    order,
+                ],
+            )
         for kernel, number in self.energies:
             launch(
                 kernel,
