@@ -14,12 +14,16 @@ from scipy.interpolate import PPoly, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from wrod.training.dataset import Rank
 
-from wrod.deployment.optimise import Corrections, Spread, laid_sample, misplacement, optimise
+from wrod.deployment.corrections import Corrections
+from wrod.deployment.expectation import misplacement
+from wrod.deployment.optimise import laid_sample, optimise
+from wrod.deployment.plan import plan
 from wrod.deployment.result import METRIC_POINTS
+from wrod.deployment.spread import Spread
 from wrod.errors import DataError, WrodError, WrodWarning
 from wrod.files import read_fields, read_json, schemas, write_atomically
 from wrod.patterns.pattern import Pattern
-from wrod.planning.plan import plan, prepare
+from wrod.planning.plan import prepare
 from wrod.rods.material import TABLE_2, RodMaterial
 
 _FORMAT = "wrod-plans-2"

@@ -2,6 +2,7 @@
 
 from .controller.controller import Controller as Controller
 from .deployment.fixtures import Fixtures as Fixtures
+from .deployment.plan import plan as plan
 from .deployment.result import Deployment as Deployment
 from .deployment.setup import Disturbance as Disturbance
 from .deployment.simulate import Trial as Trial
@@ -29,7 +30,6 @@ from .perception.measure import measure_deployment as measure_deployment
 from .perception.scan import scan as scan
 from .perception.trace import trace_centerlines as trace_centerlines
 from .planning.friction import friction_bound as friction_bound
-from .planning.plan import plan as plan
 from .planning.trajectory import Trajectory as Trajectory
 from .robot.joint_path import JointPath as JointPath
 from .robot.solve import solve_joint_path as solve_joint_path

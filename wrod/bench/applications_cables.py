@@ -33,7 +33,7 @@ def believed(cable: RodMaterial) -> RodMaterial:
 def plan_cable(pattern: Pattern, cable: RodMaterial, method: str):
     """OPT is `wrod.plan`'s default, which in bends asks for the least friction (min_friction), with
     the allowance for L_gb; INT goes by the pattern alone."""
-    from wrod.planning.plan import plan
+    from wrod.deployment.plan import plan
 
     if method == "intuitive":
         return plan(pattern, cable, "intuitive")

@@ -232,8 +232,8 @@ def _plans(curves: list[Curve], methods, device: str, quiet: bool) -> tuple[dict
     """(rod, curve, method) -> trajectory and tail; and sentences on what could not be planned."""
     from tqdm import tqdm
 
+    from wrod.deployment.plan import plan
     from wrod.errors import GraspError
-    from wrod.planning.plan import plan
     from wrod.planning.tail import tail
 
     plans, lacking = {}, []

@@ -138,7 +138,7 @@ def waves(
 def _lay(photograph: LaidPhotograph, one: Mechanism) -> LaidRod:
     believed = preset(ROD)
     path = plan_without_lead_in(photograph.pattern, believed, "intuitive")
-    end = Tail(path.arc_length[-1:], path.position[-1:], path.rotation[-1:])
+    end = Tail.none(path)
     mu = one.world.friction
     law = Friction(mu, one.kinetic * mu, rolling=one.rolling)
     fast = one.speed > 0.05

@@ -71,8 +71,8 @@ class Planned:
 
     def path(self, curve, rod, device: str):
         """The trajectory, read or made, and the pattern with its remainder."""
+        from wrod.deployment.plan import plan
         from wrod.deployment.simulate import with_remainder_of
-        from wrod.planning.plan import plan
         from wrod.planning.trajectory import Trajectory
 
         if self.trajectory is None:

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from wrod.deployment.optimise import COARSE, Corrections, misplacement
+from wrod.deployment.corrections import Corrections
+from wrod.deployment.expectation import COARSE, misplacement
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
@@ -327,7 +328,7 @@ def _at(arc_length: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarra
 
 def _rest(path: Trajectory) -> Tail:
     """The grip stays where the path ends: what lies is looked at there, and no tail is laid."""
-    return Tail(path.arc_length[-1:], path.position[-1:], path.rotation[-1:])
+    return Tail.none(path)
 
 
 def _until(trajectory: Trajectory, s: float) -> Trajectory:

@@ -33,6 +33,11 @@ class Tail:
     rotation: np.ndarray
     shape: np.ndarray | None = None
 
+    @classmethod
+    def none(cls, path: Trajectory) -> Tail:
+        """The grip stays where the trajectory ends."""
+        return cls(path.arc_length[-1:], path.contact[-1:], path.position[-1:], path.rotation[-1:])
+
 
 def tail(
     pattern: Pattern | None,
