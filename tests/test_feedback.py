@@ -12,6 +12,7 @@ from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import lay
+from wrod.deployment.way import Way
 from wrod.errors import RodError
 from wrod.solvers.contact import Friction
 
@@ -60,22 +61,40 @@ def test_an_unknown_effect_is_refused(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_finished_rows_are_kept_and_the_floor_stands_beside_them(tmp_path, monkeypatch):
+def test_finished_rows_are_kept_and_ratios_stand_beside_them(tmp_path, monkeypatch):
     from wrod.bench import feedback, slippery
 
     asked = []
 
-    def laid(way, *rest):
-        asked.append(way)
-        return {"error_mean": {"blind": 0.5, "followed": 0.04, "known": 0.03}[way], "looks": []}
+    def laid(shelf, key, how):
+        asked.append((key[2], key[3]))
+        size = {"none": 0.02, "friction": 0.03}[key[2]] * {"blind": 10.0, "followed": 1.0}[key[3]]
+        return dict(zip(feedback.KEYS, key, strict=True)) | {"error_mean": size, "looks": []}
 
     monkeypatch.setattr(feedback, "_laid", laid)
     monkeypatch.setattr(slippery.Shelf, "plan", lambda *args: None)
-    arguments = ["bench", "feedback", "--device", "cpu", "--out", str(tmp_path), "--effects"]
+    arguments = ["bench", "feedback", "--device", "cpu", "--names", "letter-U"]
+    arguments += ["--out", str(tmp_path), "--effects"]
     first = CliRunner().invoke(main, [*arguments, "none", "--ways", "blind"])
-    assert first.exit_code == 0 and asked == ["blind"], first.output
+    assert first.exit_code == 0 and asked == [("none", "blind")], first.output
     both = CliRunner().invoke(main, [*arguments, "none,friction"])
-    assert asked == ["blind", "followed", "known", "blind", "followed", "known"]
-    assert "friction halved: blind 0.500, followed 0.040, known 0.030" in both.output
+    assert len(asked) == len(set(asked)) == 4
+    assert "halved: blind 0.300 (1.50, 1.50), followed 0.030 (1.50, 0.15)" in both.output
     other = CliRunner().invoke(main, [*arguments, "none", "--every", "0.1"])
     assert other.exit_code == 2 and "other settings" in other.output
+
+
+def test_a_grip_goes_back_and_on_as_it_would_have_gone(bend):
+    _, trajectory = bend
+    way, turn = Way(trajectory).back(0.2, 0.12)
+    # 8 cm back, and the same forth; its poses are those of the laid length, turned or not.
+    assert way.end == pytest.approx(trajectory.arc_length[-1] + 0.16, abs=0.02)
+    assert way.laid_at(turn) == pytest.approx(0.12, abs=1e-3)
+    assert way.laid.min() >= 0.0 and way.laid[-1] == trajectory.arc_length[-1]
+    along = np.stack(
+        [np.interp(way.laid, trajectory.arc_length, c) for c in trajectory.position.T], axis=1
+    )
+    assert np.abs(way.path.position - along).max() < 5e-4
+    again, turn = way.back(turn + 0.05, 0.0)
+    # Not beyond where it came forwards for the last time.
+    assert again.laid_at(turn) == pytest.approx(0.12, abs=2e-3)

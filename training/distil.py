@@ -1,25 +1,33 @@
-"""Distillation: a network learns what optimised plans do to the grip's path."""
+"""Distillation: a network learns what optimised plans do to the grip's path.
+
+Many corrections lay a rod alike, and others do harm that are as small. What counts is therefore not
+how far the network is from an optimised plan's corrections but what would lie: every plan brings
+Gauss and Newton's model of its error along, around its corrections and around none.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import torch
-from wrod.training.plans import Sample
+from wrod.training.plans import Bowl, Sample
 
 from wrod.controller.corrector import FEATURES, OUTPUTS, Corrector, Course, formula
 from wrod.errors import DataError
 
-_WIDTH, _DEPTH, _BATCH, _RATE, _DECAY = 32, 2, 512, 2e-3, 0.1
+_WIDTH, _DEPTH, _BATCH, _RATE, _DECAY = 48, 2, 32, 3e-3, 0.05
 # Plans that leave a larger error than this do not lie, and teach nothing [L_gb].
 _LAID = 0.1
-# Largest friction that a corrector may be asked about: beyond it most corrections are next to
-# nothing, and fifty plans taught ones that do harm.
-_MOST_FRICTION = 0.4
+# Cost of the mean squared distance from the optimised corrections, of which the models of the error
+# know only what is near, and of what no optimised plan could do: kinks between knots.
+_APART, _KINKS = 3e-3, 0.1
+# Error below which a plan counts as well laid [L_gb].
+_ENOUGH = 0.02
 # Every so many plans one is held out, and every so many steps it is looked at.
-_HELD_OUT, _LOOK = 8, 100
+_HELD_OUT, _LOOK = 8, 50
 
 
 def course_of(sample: Sample) -> Course:
@@ -36,8 +44,8 @@ def distil(
     seed: int = 0,
     progress: Callable[[], object] | None = None,
 ) -> Corrector:
-    """Train a corrector; of every eight plans one is held out, and the weights that err least on
-    these are kept.
+    """Train a corrector; of every eight plans one is held out, and the weights whose corrections
+    lay these best are kept.
 
     Args:
         samples: optimised plans.
@@ -46,8 +54,8 @@ def distil(
         progress: called after each step.
 
     Returns:
-        The corrector. `metadata` says the root mean square of its error on the plans held out and
-        of their corrections [L_gb].
+        The corrector. `metadata` says the mean error of what lies [L_gb] by the models of the plans
+        held out: "static" without corrections, "error" by the network's, "optimised" by the plans'.
 
     Raises:
         DataError: fewer than eight plans are left without those that err by more than 0.1 L_gb.
@@ -59,32 +67,26 @@ def distil(
             "the least to learn from"
         )
     generator = torch.Generator().manual_seed(seed)
-    held = samples[_HELD_OUT - 1 :: _HELD_OUT]
-    rest = [sample for i, sample in enumerate(samples) if (i + 1) % _HELD_OUT]
-    (seen, wanted), (x, y) = _table(held), _table(rest)
-    scale = y.std(dim=0)
-    sizes = [FEATURES, *[_WIDTH] * _DEPTH, OUTPUTS]
-    weights = {"scale": scale}
-    for layer, (fan_in, fan_out) in enumerate(pairwise(sizes)):
-        noise = torch.randn(fan_out, fan_in, generator=generator, dtype=torch.float64)
-        weights[f"weight.{layer}"] = (noise * fan_in**-0.5).requires_grad_()
-        weights[f"bias.{layer}"] = torch.zeros(fan_out, dtype=torch.float64).requires_grad_()
+    held = _Table.of(samples[_HELD_OUT - 1 :: _HELD_OUT])
+    rest = _Table.of([one for i, one in enumerate(samples) if (i + 1) % _HELD_OUT])
+    weights = _first(rest, generator)
     learnt = [value for name, value in weights.items() if name != "scale"]
     optimiser = torch.optim.AdamW(learnt, lr=_RATE, weight_decay=_DECAY)
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     best: tuple[float, dict[str, np.ndarray]] | None = None
     for step in range(1, steps + 1):
-        rows = torch.randint(len(x), (min(_BATCH, len(x)),), generator=generator)
-        loss = (((formula(torch, weights, x[rows]) - y[rows]) / scale) ** 2).mean()
+        chosen = rest[torch.randperm(len(rest), generator=generator)[:_BATCH]]
+        error, besides = chosen.laid(weights)
+        loss = (torch.sqrt(error + _ENOUGH**2) + besides).mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         falling.step()
         if step % _LOOK == 0 or step == steps:
             with torch.no_grad():
-                error = float(((formula(torch, weights, seen) - wanted) ** 2).mean().sqrt())
-            if best is None or error < best[0]:
-                best = error, {k: v.detach().numpy().copy() for k, v in weights.items()}
+                mean = float(held.laid(weights)[0].sqrt().mean())
+            if best is None or mean < best[0]:
+                best = mean, {k: v.detach().numpy().copy() for k, v in weights.items()}
         if progress is not None:
             progress()
     assert best is not None
@@ -93,20 +95,117 @@ def distil(
         name: [min(f[name] for f in figures), max(f[name] for f in figures)] for name in figures[0]
     }
     limits["curvature"][0] = 0.0
-    limits["friction"][1] = min(limits["friction"][1], _MOST_FRICTION)
     metadata = {
         "range": limits,
         "plans": len(samples),
         "held_out": len(held),
         "steps": steps,
         "seed": seed,
+        "static": float(held.near_static.value.sqrt().mean()),
         "error": best[0],
-        "correction": float((wanted**2).mean().sqrt()),
+        "optimised": float(held.around.value.sqrt().mean()),
     }
     return Corrector(best[1], metadata)
 
 
-def _table(samples: list[Sample]) -> tuple[torch.Tensor, torch.Tensor]:
-    x = np.concatenate([course_of(s).features() for s in samples])
-    y = np.concatenate([s.correction for s in samples])
-    return torch.from_numpy(x), torch.from_numpy(y)
+def _first(table: _Table, generator: torch.Generator) -> dict[str, torch.Tensor]:
+    """Weights to start from, whose corrections are small."""
+    sizes = [FEATURES, *[_WIDTH] * _DEPTH, OUTPUTS]
+    wanted = (table.basis @ table.values)[table.there]
+    weights = {"scale": wanted.std(dim=0)}
+    for layer, (fan_in, fan_out) in enumerate(pairwise(sizes)):
+        noise = torch.randn(fan_out, fan_in, generator=generator, dtype=torch.float64)
+        size = fan_in**-0.5 * (0.1 if fan_out == OUTPUTS else 1.0)
+        weights[f"weight.{layer}"] = (size * noise).requires_grad_()
+        weights[f"bias.{layer}"] = torch.zeros(fan_out, dtype=torch.float64).requires_grad_()
+    return weights
+
+
+@dataclass(frozen=True)
+class _Bowls:
+    """`Bowl` of each plan: value (plan,), slope (plan, 3 n), matrix (plan, 3 n, 3 n)."""
+
+    value: torch.Tensor
+    slope: torch.Tensor
+    matrix: torch.Tensor
+
+    @classmethod
+    def of(cls, bowls: list[Bowl]) -> _Bowls:
+        slope, matrix = _padded([b.slope for b in bowls]), _padded([b.matrix for b in bowls])
+        return cls(torch.tensor([b.value for b in bowls], dtype=torch.float64), slope, matrix)
+
+    def __getitem__(self, chosen: torch.Tensor) -> _Bowls:
+        return _Bowls(self.value[chosen], self.slope[chosen], self.matrix[chosen])
+
+    def at(self, apart: torch.Tensor) -> torch.Tensor:
+        """(plan,) mean squared error of coefficients that differ by (plan, n, 3) [L_gb^2]."""
+        flat = apart.flatten(1)
+        half = torch.einsum("pij,pj->pi", self.matrix, flat)
+        return (self.value + ((2.0 * self.slope + half) * flat).sum(dim=1)).clamp(min=0.0)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Plans side by side, padded with nothing to the longest.
+
+    features (plan, T, FEATURES), there (plan, T) whether there is a pose, basis (plan, T, n),
+    inverse (plan, n, T) its pseudo-inverse, values (plan, n, 3), and the models of their errors.
+    """
+
+    features: torch.Tensor
+    there: torch.Tensor
+    basis: torch.Tensor
+    inverse: torch.Tensor
+    values: torch.Tensor
+    around: _Bowls
+    near_static: _Bowls
+
+    @classmethod
+    def of(cls, samples: list[Sample]) -> _Table:
+        return cls(
+            _padded([course_of(s).features() for s in samples]),
+            _padded([np.ones(len(s.laid)) for s in samples]) > 0.0,
+            _padded([s.basis for s in samples]),
+            _padded([np.linalg.pinv(s.basis) for s in samples]),
+            _padded([s.values for s in samples]),
+            _Bowls.of([s.around for s in samples]),
+            _Bowls.of([s.near_static for s in samples]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.features)
+
+    def __getitem__(self, chosen: torch.Tensor) -> _Table:
+        return _Table(
+            self.features[chosen],
+            self.there[chosen],
+            self.basis[chosen],
+            self.inverse[chosen],
+            self.values[chosen],
+            self.around[chosen],
+            self.near_static[chosen],
+        )
+
+    def laid(self, weights: dict) -> tuple[torch.Tensor, torch.Tensor]:
+        """(plan,) mean squared error of what lies by the network's corrections [L_gb^2], and what
+        else they cost. Of the two models of the error each counts the more the nearer it is."""
+        moved = formula(torch, weights, self.features[self.there])
+        corrections = torch.zeros(*self.there.shape, OUTPUTS, dtype=moved.dtype)
+        corrections[self.there] = moved
+        values = self.inverse @ corrections
+        kinks = ((corrections - self.basis @ values) ** 2).sum(dim=(1, 2))
+        apart = values - self.values
+        far, size = (apart**2).sum(dim=(1, 2)), (values**2).sum(dim=(1, 2))
+        share = size / (size + far + 1e-12)
+        error = share * self.around.at(apart) + (1.0 - share) * self.near_static.at(values)
+        poses = self.there.sum(dim=1)
+        return error, _APART * far / self.values.shape[1] + _KINKS * kinks / poses
+
+
+def _padded(parts: list[np.ndarray]) -> torch.Tensor:
+    """Arrays side by side, with zeros at the ends of those that are shorter."""
+    shape = np.max([part.shape for part in parts], axis=0)
+    out = np.zeros((len(parts), *shape))
+    for row, part in zip(out, parts, strict=True):
+        row[tuple(slice(n) for n in part.shape)] = part
+    return torch.from_numpy(out)

@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
@@ -31,10 +32,12 @@ _FORMAT = "wrod-plans-2"
 FRICTION = (0.15, 0.8)
 _LENGTH = (9.0, 24.0)
 # Largest curvature that patterns reach, smallest and largest [1/L_gb].
-_SHARPEST = (0.2, 1.8)
+_SHARPEST = (0.5, 1.8)
 # What a pattern leaves of its rod [L_gb].
 _SPARE = 3.0
 _NODES, _SPACING, _HOLD = 600, 0.005, 0.05
+# One rod a plan: a network gains more from many patterns than from rods that differ by little.
+_HOW: dict[str, Any] = {"samples": 1, "hold": _HOLD, "device": "cpu"}
 
 
 _ARRAYS = ("laid", "curvature", "basis", "values")
@@ -70,9 +73,9 @@ class Sample:
         length: of the rod [L_gb].
         stretch_ratio: k_s [-].
         friction: of the table [-].
-        static, optimised: mean error of the plan without and with the corrections, of the rods
-            that were optimised for [L_gb].
-        around: the mean squared error of these rods near the corrections.
+        static, optimised: mean error of the plan without and with the corrections, of the rod
+            that was optimised for [L_gb].
+        around: the mean squared error of this rod near the corrections.
         near_static: the same near none.
     """
 
@@ -140,7 +143,7 @@ def solve(index: int, seed: int) -> Sample:
     friction = float(np.exp(rng.uniform(*np.log(FRICTION))))
     course, lgb = prepare(pattern, held, None), held.gravito_bending_length
     start = plan(course, held, spacing=_SPACING, remainder=False, device="cpu")
-    best = optimise(course, held, start, friction, hold=_HOLD, judge=False, device="cpu")
+    best = optimise(course, held, start, friction, judge=False, **_HOW)
     corrections = Corrections(course, start, lgb, _HOLD)
     moved = np.einsum("tij,ti->tj", corrections.frame, best.position - start.position)
     values = np.linalg.lstsq(corrections.basis, moved / lgb, rcond=None)[0]
@@ -163,12 +166,19 @@ def solve(index: int, seed: int) -> Sample:
 
 
 def _bowl(course, held, corrections: Corrections, friction: float, values: np.ndarray) -> Bowl:
-    """Of the rods that `optimise` lays."""
+    """Of what `optimise` lays."""
     lgb = held.gravito_bending_length
     parts = [
         misplacement(course, one)
         for one in laid_sample(
-            course, held, corrections, Spread.of(friction), values.ravel(), hold=_HOLD, device="cpu"
+            course,
+            held,
+            corrections,
+            Spread.of(friction),
+            values.ravel(),
+            samples=_HOW["samples"],
+            hold=_HOLD,
+            device="cpu",
         )
     ]
     scale = 1.0 / (len(parts) * METRIC_POINTS * lgb**2)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -17,16 +20,28 @@ EFFECTS = {
     "offset": "robot 2 mm beside its place",
     "half": "half the table with half the friction",
 }
-# Without looking; looking on; and knowing the truth from the first look on, which no looking beats.
-WAYS = ("blind", "followed", "known")
-KEYS = ("rod", "pattern", "effect", "way")
+# How, and what `lay_with_feedback` is told for it besides; "known" is a floor, not a way.
+WAYS: dict[str, dict[str, Any]] = {
+    "blind": {},
+    "forwards": {"again": False},
+    "followed": {},
+    "above": {"hanging": float("inf")},
+    "known": {"known": True},
+}
+KEYS = ("rod", "pattern", "effect", "way", "seed")
 _OFFSET = 2e-3 / np.sqrt(2.0)
 _FAR, _GRID = 1.0, 401
+# Seeds of disturbances that no plan was fitted to or judged by.
+_FIRST_SEED = 9_000
 
 
 @click.command(name="feedback")
-@click.option("--rod", "rod_name", default="green-vps", show_default=True)
-@click.option("--name", default="letter-U", show_default=True, help="The pattern.")
+@click.option("--rods", default="green-vps", show_default=True, help="With commas between them.")
+@click.option(
+    "--names", default="letter-U,letter-A,letter-C,sine", show_default=True, help="Patterns."
+)
+@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Trials a cell: each its own disturbance and noise.")  # fmt: skip
 @click.option(
     "--patterns",
     type=click.Path(file_okay=False, exists=True, path_type=Path),
@@ -34,77 +49,115 @@ _FAR, _GRID = 1.0, 401
 )
 @click.option("--friction", default=0.4, show_default=True, help="That is believed in.")
 @click.option("--effects", default=",".join(EFFECTS), show_default=True, help="Rows of the table.")
-@click.option("--ways", default=",".join(WAYS), show_default=True, help="Columns of the table.")
-@click.option("--every", default=0.03, show_default=True, help="Laid length between two looks [m].")
+@click.option(
+    "--ways", default="blind,followed", show_default=True,
+    help=f"Columns of the table, of {', '.join(WAYS)}: without looking; looking on, without going "
+    "back; and going back; the same without a camera at the side; and "
+    "with the truth known from the first look on.",
+)  # fmt: skip
+@click.option("--every", default=0.03, show_default=True, help="Way between two looks [m].")
+@click.option("--undisturbed", is_flag=True, help="The effect alone, without shaking and the rest.")
+@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes.")  # fmt: skip
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
-    rod_name: str,
-    name: str,
-    patterns: Path | None,
-    friction: float,
-    effects: str,
-    ways: str,
-    every: float,
-    device: str,
-    out: Path,
-    as_json: bool,
-) -> None:
-    """Lay a pattern with rods and tables that differ from the plan's, blindly and looking on.
+    rods: str, names: str, effects: str, ways: str, seeds: int, out: Path, workers: int,
+    device: str, as_json: bool, **how,
+) -> None:  # fmt: skip
+    """Lay patterns with rods and tables that differ from the plan's, blindly and looking on.
 
-    The plan knows the table that is believed in; it is kept in OUT/plans, and finished deployments
-    in OUT/feedback.jsonl: a run that was stopped goes on from there. Beside them stands the floor:
-    what is left where the truth is known from the first look on.
+    Plans know the table that is believed in. They are kept in OUT/plans, and finished deployments
+    in OUT/feedback.jsonl: a run that was stopped goes on from there. Every trial is disturbed as in
+    a careful laboratory, and the effect comes on top. An effect is made up for where it leaves no
+    more than 1.5 times the error of trials without it.
     """
+    from wrod.bench import side_by_side
     from wrod.bench.ledger import Ledger
     from wrod.bench.slippery import Shelf
     from wrod.errors import RodError
-    from wrod.rods.device import resolve_device
+    from wrod.rods.batch import resolve_device
 
     chosen, asked = effects.split(","), ways.split(",")
-    for what, given, known in (("effect", chosen, tuple(EFFECTS)), ("way", asked, WAYS)):
+    for what, given, known in (("effect", chosen, EFFECTS), ("way", asked, WAYS)):
         if unknown := [one for one in given if one not in known]:
             raise RodError(f"unknown {what} {unknown[0]!r}; use some of {', '.join(known)}")
     device = resolve_device(device)
-    shelf = Shelf(out / "plans", patterns, device)
-    led, material = shelf.course(rod_name, name)
+    shelf = Shelf(out / "plans", how.pop("patterns"), device)
+    places = list(product(rods.split(","), names.split(",")))
+    for place in places:
+        shelf.course(*place)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
-    settings = {
-        "friction": friction, "every": every,
-        "patterns": "built-in" if patterns is None else patterns.name,
-    }  # fmt: skip
-    ledger = Ledger(out / "feedback.jsonl", settings, KEYS, "feedback")
-    done, keys = ledger.done(), [(rod_name, name, e, way) for e in chosen for way in asked]
-    for key in keys:
-        if key not in done:
-            trajectory = shelf.plan(rod_name, name, friction, "optimised")
-            world = _world(key[2], led, material, friction)
-            figures = _laid(key[3], led, material, trajectory, friction, world, every, device)
-            ledger.add([dict(zip(KEYS, key, strict=True)) | figures])
+    patterns = "built-in" if shelf.patterns is None else shelf.patterns.name
+    ledger = Ledger(out / "feedback.jsonl", how | {"patterns": patterns}, KEYS, "feedback")
+    done = ledger.done()
+    keys = [
+        (*place, effect, way, seed)
+        for seed, way, effect, place in product(range(seeds), asked, chosen, places)
+    ]
+    jobs = [(shelf, key, how) for key in keys if key not in done]
+    unplanned = sorted({job[1][:2] for job in jobs})
+    plans = [(shelf, *place, how["friction"], "optimised") for place in unplanned]
+    for _ in side_by_side.run(Shelf.plan, plans, workers):
+        pass
+    for _, row in side_by_side.run(_laid, jobs, workers):
+        ledger.add([row])
     rows = ledger.of(keys)
+    table = summary(rows)
     if as_json:
-        click.echo(json.dumps({"rows": rows, "written": [str(ledger.path)]}, indent=2))
+        told = {"rows": rows, "table": table, "written": [str(ledger.path)]}
+        click.echo(json.dumps(told, indent=2))
         return
-    click.echo(f"{rod_name}, {name}, friction {friction:g} believed; e_mean [cm]")
-    for effect in chosen:
-        errors = {row["way"]: row["error_mean"] for row in rows if row["effect"] == effect}
-        said = ", ".join(f"{way} {errors[way]:.3f}" for way in asked)
-        click.echo(f"{EFFECTS[effect]}: {said}")
+    trials = len(places) * seeds
+    click.echo(f"friction {how['friction']:g} believed; mean of {trials} trials, e_mean [cm]")
+    click.echo("in brackets: over the same way's and over the blind trials without an effect")
+    for line in table:
+        click.echo(f"{EFFECTS[line['effect']]}: " + ", ".join(
+            f"{way} {one['error_mean']:.3f}" + _ratios(one) for way, one in line["ways"].items()
+        ))  # fmt: skip
     click.echo(f"wrote {ledger.path}")
 
 
-def _world(effect: str, led, material, friction: float):
+def _ratios(one: dict) -> str:
+    said = ["-" if one[k] is None else f"{one[k]:.2f}" for k in ("over_same", "over_blind")]
+    return f" ({', '.join(said)})"
+
+
+def summary(rows: list[dict]) -> list[dict]:
+    """Mean error [cm] of each effect and way, and its ratio to the way's own mean without an effect
+    and to the blind one (None where these are not there)."""
+    errors: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        errors.setdefault((row["effect"], row["way"]), []).append(row["error_mean"])
+    means = {key: float(np.mean(values)) for key, values in errors.items()}
+
+    def over(key: tuple[str, str], base: tuple[str, str]) -> float | None:
+        return means[key] / means[base] if means.get(base) else None
+
+    table: dict[str, dict] = {}
+    for key, mean in means.items():
+        table.setdefault(key[0], {})[key[1]] = {
+            "error_mean": mean,
+            "over_same": over(key, ("none", key[1])),
+            "over_blind": over(key, ("none", "blind")),
+        }
+    return [{"effect": effect, "ways": ways} for effect, ways in table.items()]
+
+
+def _world(effect: str, led, material, friction: float, seed: int, undisturbed: bool):
     from wrod.deployment.feedback import World
     from wrod.deployment.setup import Disturbance
     from wrod.solvers.contact import Friction, FrictionField
 
     law = Friction(0.5 * friction if effect == "friction" else friction)
-    how = {
-        "stiffness": Disturbance(lgb_error=0.15),
-        "curvature": Disturbance(natural_curvature=4.0),
-        "offset": Disturbance(offset=(_OFFSET, _OFFSET)),
-    }.get(effect, Disturbance())
+    how = Disturbance() if undisturbed else Disturbance.random(_FIRST_SEED + seed)
+    if effect == "stiffness":
+        how = replace(how, lgb_error=1.15 * (1.0 + how.lgb_error) - 1.0)
+    if effect == "curvature":
+        how = replace(how, natural_curvature=how.natural_curvature + 4.0)
+    if effect == "offset":
+        how = replace(how, offset=(how.offset[0] + _OFFSET, how.offset[1] + _OFFSET))
     field = None
     if effect == "half":
         x = led.sample(np.linspace(0.0, led.length, 200))[0][:, 0]
@@ -116,27 +169,34 @@ def _world(effect: str, led, material, friction: float):
     return World(material, law, how, field)
 
 
-def _laid(way, led, material, trajectory, friction, world, every, device) -> dict:
+def _laid(shelf, key: tuple, how: dict) -> dict:
     from dataclasses import asdict
 
     from wrod.deployment.expectation import FINE
     from wrod.deployment.feedback import lay_with_feedback
     from wrod.deployment.result import errors_along
+    from wrod.deployment.sight import Sight
     from wrod.deployment.simulate import Trial
     from wrod.deployment.tangents import lay
 
+    rod_name, name, effect, way, seed = key
+    led, material = shelf.course(rod_name, name)
+    trajectory = shelf.plan(rod_name, name, how["friction"], "optimised")
+    world = _world(effect, led, material, how["friction"], seed, how["undisturbed"])
     looks: list = []
     if way == "blind":
         trial = Trial(led, world.rod, trajectory, world.friction, world.disturbance)
-        (laid,) = lay([trial], friction_field=world.friction_field, device=device, **FINE)
+        (laid,) = lay([trial], friction_field=world.friction_field, device=shelf.device, **FINE)
     else:
+        told = dict(WAYS[way])
+        seeing = {k: told.pop(k) for k in ("hanging",) if k in told}
         followed = lay_with_feedback(
-            led, material, trajectory, friction, world,
-            every=every, known=way == "known", device=device, **FINE,
+            led, material, trajectory, how["friction"], world, every=how["every"],
+            sight=Sight(seed=seed, **seeing), device=shelf.device, **told, **FINE,
         )  # fmt: skip
         laid, looks = followed.laid, followed.looks
     error = 100.0 * errors_along(led, laid.arc_length, laid.centerline)[1]
-    return {
+    return dict(zip(KEYS, key, strict=True)) | {
         "error_mean": float(error.mean()),
         "error_by_tenth": error.reshape(10, -1).mean(axis=1).tolist(),
         "diverged": laid.diverged,

@@ -15,19 +15,30 @@ _KNOTS = 1.0
 
 
 class Corrections:
-    """Smooth displacements of a trajectory's positions: cubic splines over the laid length, in the
-    frame of the contact (forward, left, up) and in L_gb."""
+    """Smooth displacements of a trajectory's positions: cubic splines over the laid length from
+    `first` to `last` [m], constant beyond, in the frame of the contact (forward, left, up) and in
+    L_gb. `laid` is the laid length at each pose where it is not the trajectory's arc length."""
 
-    def __init__(self, pattern: Pattern, trajectory: Trajectory, lgb: float, first: float):
+    def __init__(
+        self,
+        pattern: Pattern,
+        trajectory: Trajectory,
+        lgb: float,
+        first: float,
+        laid: np.ndarray | None = None,
+        last: float = np.inf,
+    ):
         s = trajectory.arc_length
-        on = np.clip(trajectory.pattern_arc_length, -pattern.remainder_length, pattern.length)
+        last = min(last, float(s[-1]))
+        on = (s if laid is None else laid) - float(trajectory.metadata.get("remainder_length", 0.0))
+        on = np.clip(on, -pattern.remainder_length, pattern.length)
         tangent = pattern.sample(on)[1]
         up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
         self.frame = np.stack([tangent, np.cross(up, tangent), up], axis=-1)
-        pieces = max(int(np.ceil((s[-1] - first) / (_KNOTS * lgb))), 2)
-        inner = np.linspace(first, s[-1], pieces + 1)
+        pieces = max(int(np.ceil((last - first) / (_KNOTS * lgb))), 2)
+        inner = np.linspace(first, last, pieces + 1)
         knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
-        self.basis = BSpline.design_matrix(np.clip(s, first, s[-1]), knots, 3).toarray()
+        self.basis = BSpline.design_matrix(np.clip(s, first, last), knots, 3).toarray()
         self.count, self.lgb, self.trajectory = self.basis.shape[1], lgb, trajectory
 
     def displacement(self, values: np.ndarray) -> np.ndarray:

@@ -3,7 +3,8 @@
 After every so many centimetres a camera sees the laid part, without what the arm hides. What it
 sees, against what the believed rod would have laid, updates the beliefs (friction, L_gb, natural
 curvature, where the robot stands) through the derivatives of the deployment; then the path that is
-left is corrected for the rod that is believed in now. What is laid already stays as it is.
+left is corrected for the rod that is believed in now. Where that says that what lies already has
+gone wrong, and that it can be laid better, the grip goes back, lifts it, and lays it anew.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from wrod.deployment.corrections import Corrections
-from wrod.deployment.expectation import COARSE, misplacement
+from wrod.deployment.beliefs import Beliefs, beside
+from wrod.deployment.expectation import misplacement
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.setup import Disturbance
+from wrod.deployment.sight import Seen, Sight
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Directions, Laid, lay
+from wrod.deployment.way import Way
 from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
@@ -25,26 +28,20 @@ from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Friction, FrictionField
 
-# Standard deviations of what may be wrong and nobody declared: of the logarithms of friction and
-# stiffness [-], natural curvature [1/m], and the robot's place [m].
-_DOUBT = np.array([0.5, 0.5, 3.0, 2e-3, 2e-3])
-# How much less sure these are at every look, and the largest change of a belief, in these.
-_DRIFT = np.array([0.4, 0.05, 0.05, 0.1, 0.1])
-_MOST_CHANGE = 1.5
-# What a point differs by though the beliefs are right: mesh, shaking, whatever else [m]; and how
-# far behind the contact a look tells of beliefs [m]: what lies there has told of them before.
-_MODEL_ERROR, _MODEL_ERROR_HANGING = 1e-3, 3e-3
-_MEMORY = 0.12
-# Length before the contact over which what lies is compared with what is believed to [m].
-_NEAR = 0.1
 # Poses of the grip that a deployment has at least.
 _LEAST_POSES = 3
 # Costs of the corrections, a tenth of those in `optimise`: one rod is laid, not a sample of them;
 # and the largest change of a correction in an iteration [L_gb].
 _SIZE, _ROUGHNESS, _STEP = 2e-4, 2e-4, 0.35
-_ITERATIONS = 1
+# How far beyond the contact the path is corrected after a look: others follow [L_gb].
+_HORIZON = 6.0
 # Of a spline that begins at the contact, so many first coefficients are its value and slope there.
 _FIXED = 2
+# What lies is laid anew where it errs by more than this on average over so much rod before the
+# contact, from where it begins to err by a share of that on, and a little before [m]; if the mean
+# error of all is less by so much then [m]; so many times at most.
+_WRONG, _LOOKED_AT, _BEGINS, _BEFORE = 4e-4, 0.1, 0.5, 0.02
+_GAIN, _MOST_TIMES = 5e-5, 8
 
 
 @dataclass(frozen=True)
@@ -65,27 +62,6 @@ class World:
 
 
 @dataclass(frozen=True)
-class Sight:
-    """How a camera sees what lies.
-
-    Attributes:
-        noise: standard deviation of each coordinate of a point [m].
-        spacing: between points along the rod [m].
-        hidden: length of rod before and after the contact, and before the grip, that the arm hides
-            [m].
-        hanging: standard deviation of each of three coordinates of the rod that hangs, as a camera
-            at the side measures it [m]; infinite: nothing looks there.
-        seed: of the noise.
-    """
-
-    noise: float = 0.5e-3
-    spacing: float = 0.01
-    hidden: float = 0.03
-    hanging: float = 1e-3
-    seed: int = 0
-
-
-@dataclass(frozen=True)
 class Look:
     """What was believed after a look.
 
@@ -96,6 +72,7 @@ class Look:
         natural_curvature: [1/m].
         offset: (2,) of the robot [m].
         misfit: root mean square of what was seen against what had been believed [m].
+        back: laid length to which the grip went back then [m]; None: it went on.
     """
 
     laid: float
@@ -104,11 +81,12 @@ class Look:
     natural_curvature: float
     offset: tuple[float, float]
     misfit: float
+    back: float | None = None
 
 
 @dataclass(frozen=True)
 class Followed:
-    """A deployment with feedback: the path that was gone, what lies in the end, and the looks."""
+    """A deployment with feedback: the way that was gone, what lies in the end, and the looks."""
 
     trajectory: Trajectory
     laid: Laid
@@ -125,6 +103,7 @@ def lay_with_feedback(
     every: float = 0.03,
     sight: Sight | None = None,
     known: bool = False,
+    again: bool = True,
     hold: float = 0.05,
     device: str | None = "cpu",
     **options,
@@ -140,10 +119,11 @@ def lay_with_feedback(
         trajectory: planned for it.
         friction: that is believed in.
         world: what is really there; only its rod is looked at.
-        every: length that is laid between two looks [m].
+        every: length that the grip goes between two looks [m].
         sight: how the camera sees; default: `Sight()`.
         known: believe the truth from the first look on: what is left then is the share of control,
             and of what cannot be laid any better.
+        again: whether the grip may go back and lay anew what has gone wrong.
         hold: length of the free end that is held at first [m].
         device: "cpu", "cuda:0" or "auto".
         options: of `wrod.deployment.tangents.lay`, for the world.
@@ -155,189 +135,111 @@ def lay_with_feedback(
         raise RodError(f"every is {every!r} m; give the positive length between two looks")
     sight = sight or Sight()
     rng = np.random.default_rng(sight.seed)
-    one = _Replanner(pattern, rod, trajectory, friction, hold, device)
+    beliefs = Beliefs(pattern, rod, friction, hold, device)
+    way = Way(trajectory)
 
     def really(path: Trajectory, **more) -> Laid:
         how = world.disturbance
-        how = replace(how, offset=tuple(np.asarray(how.offset) + one.placed))
-        trial = Trial(pattern, world.rod, path, world.friction, how, _rest(path))
+        how = replace(how, offset=tuple(np.asarray(how.offset) + beliefs.placed))
+        trial = Trial(pattern, world.rod, path, world.friction, how, Tail.none(path))
         given = {"friction_field": world.friction_field, **options, **more}
         return lay([trial], hold=hold, device=device, **given)[0]
 
-    s, end = trajectory.arc_length, float(trajectory.arc_length[-1])
-    first = float(s[min(int(np.searchsorted(s, hold)) + _LEAST_POSES, len(s) - 1)])
-    looks = []
-    for at in [first, *np.arange(first + every, end - 0.5 * every, every)]:
-        held = {"release": at + hold} if at == first else {}
-        seen = _Seen.of(really(_until(one.path, at), **held), at, sight, rng)
-        misfit = one.believe(at, seen, held)
+    s = trajectory.arc_length
+    gone = first = float(s[min(int(np.searchsorted(s, hold)) + _LEAST_POSES, len(s) - 1)])
+    looks: list[Look] = []
+    while gone == first or gone < way.end - 0.5 * every:
+        path, at = way.until(gone).path, way.laid_at(gone)
+        held = {"release": at + hold} if gone == first else {}
+        seen = Seen.of(really(path, **held), at, sight, rng)
+        misfit = beliefs.update(at, path, seen, **held)
         if known:
-            one.know(world)
-        if at == first:
-            one.placed -= one.offset
-        one.replan(at, seen)
-        looks.append(one.look(at, misfit))
-    return Followed(one.path, really(one.path), looks)
+            beliefs.know(world.friction.static, world.disturbance, world.friction_field)
+        if gone == first:
+            beliefs.placed -= beliefs.offset
+        times = sum(look.back is not None for look in looks)
+        now = _Now(beliefs, way, gone, seen)
+        way, gone, back = now.replanned(again and gone > first and times < _MOST_TIMES)
+        looks.append(_look(beliefs, path, at, misfit, back))
+        gone += every
+    return Followed(way.path, really(way.path), looks)
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """Arc lengths (n,) and places (n, 3) of what is seen [m], and deviations (n, 3) of its noise
-    [m], infinite for heights of what lies; the first `laid` points lie."""
+class _Now:
+    """A moment of a deployment: what is believed, the way, how much of it is gone [m], and what is
+    seen."""
 
-    arc_length: np.ndarray
-    place: np.ndarray
-    deviation: np.ndarray
-    laid: int
+    beliefs: Beliefs
+    way: Way
+    gone: float
+    seen: Seen
 
-    @classmethod
-    def of(cls, laid: Laid, s: float, sight: Sight, rng: np.random.Generator) -> _Seen:
-        """The rod as the camera sees it when a length `s` [m] is laid."""
-        on = np.arange(0.0, s - sight.hidden, sight.spacing)
-        off = np.arange(s + sight.hidden, laid.arc_length[-1] - sight.hidden, sight.spacing)
-        at = np.concatenate([on, off if np.isfinite(sight.hanging) else off[:0]])
-        deviation = np.full((len(at), 3), sight.hanging)
-        deviation[: len(on)] = [sight.noise, sight.noise, np.inf]
-        noise = np.where(np.isfinite(deviation), deviation, 0.0)
-        place = _at(laid.arc_length, laid.centerline, at)
-        return cls(at, place + noise * rng.standard_normal(place.shape), deviation, len(on))
+    def replanned(self, again: bool) -> tuple[Way, float, float | None]:
+        """The way from now on; how much of it is gone where it begins to lay [m]; and the laid
+        length to which it goes back, if it does [m]."""
+        beliefs, pattern = self.beliefs, self.beliefs.pattern
+        at = self.way.laid_at(self.gone)
+        aside = beside(beliefs.lay(self.way.until(self.gone).path), at, self.seen)
+        before, after, way = self._corrected(self.way, self.gone, at, aside)
+        s = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
+        lately = (s > at - _LOOKED_AT) & (s <= at)
+        if not again or not lately.any() or before[lately].mean() < _WRONG:
+            return way, self.gone, None
+        begins = float(s[lately & (before > _BEGINS * _WRONG)][0]) - _BEFORE
+        back, turn = self.way.back(self.gone, max(begins, beliefs.hold + _BEFORE))
+        to = back.laid_at(turn)
+        _, better, back = self._corrected(back, turn, to, aside)
+        if not (after - better)[s <= at].sum() > _GAIN * METRIC_POINTS:
+            return way, self.gone, None
+        return back, turn, to
 
-
-class _Replanner:
-    """Beliefs and the path that goes with them."""
-
-    def __init__(self, pattern, rod, trajectory, friction, hold, device):
-        self.pattern, self.rod, self.hold, self.device = pattern, rod, hold, device
-        self.friction, self.field = friction, None
-        # In deviations: logarithms of friction and stiffness, natural curvature, offset.
-        self.belief, self.covariance = np.zeros(5), np.eye(5)
-        # How far the robot has moved all that it does, because of an offset that was seen [m].
-        self.placed = np.zeros(2)
-        self.path = trajectory
-
-    @property
-    def offset(self) -> np.ndarray:
-        return (self.belief * _DOUBT)[3:]
-
-    def know(self, world: World) -> None:
-        """Believe the truth."""
-        how = world.disturbance
-        mu = np.log(world.friction.static / self.friction)
-        stiffness = 3.0 * np.log1p(how.lgb_error)
-        self.belief = np.array([mu, stiffness, how.natural_curvature, *how.offset]) / _DOUBT
-        self.field = world.friction_field
-
-    def _trial(self, path: Trajectory) -> Trial:
-        mu, stiffness, natural, *_ = self.belief * _DOUBT
-        x, y = self.offset + self.placed
-        how = Disturbance(
-            lgb_error=float(np.exp(stiffness / 3.0) - 1.0),
-            natural_curvature=float(natural),
-            offset=(float(x), float(y)),
-        )
-        law = Friction(float(self.friction * np.exp(mu)))
-        return Trial(self.pattern, self.rod, path, law, how, _rest(path))
-
-    def _lay(self, path: Trajectory, columns: Directions | None, **options) -> Laid:
-        given = {"friction_field": self.field, **COARSE, **options}
-        directions = None if columns is None else [columns]
-        return lay([self._trial(path)], directions, hold=self.hold, device=self.device, **given)[0]
-
-    def believe(self, s: float, seen: _Seen, held: dict) -> float:
-        """Update the beliefs by what is seen; root mean square of what lies, before [m]."""
-        path = _until(self.path, s)
-        laid = self._lay(path, Directions.of_rod(len(path)), **held)
-        residual = seen.place - _at(laid.arc_length, laid.centerline, seen.arc_length)
-        rates = [_at(laid.arc_length, column, seen.arc_length) for column in laid.tangent]
-        rates[0] *= self._trial(path).friction.static  # by its logarithm
-        shifts = np.zeros((2, *residual.shape))
-        shifts[0, :, 0] = shifts[1, :, 1] = 1.0
-        matrix = np.concatenate([rates, shifts]).reshape(5, -1).T * _DOUBT
-        model = np.where(np.arange(len(residual)) < seen.laid, _MODEL_ERROR, _MODEL_ERROR_HANGING)
-        weight = 1.0 / (seen.deviation**2 + model[:, None] ** 2)
-        weight[seen.arc_length < s - _MEMORY] = 0.0
-        weight = weight.ravel()
-        # What was believed before is a little less sure by now: tables differ from place to place.
-        before = np.linalg.inv(self.covariance + np.diag(_DRIFT**2))
-        self.covariance = np.linalg.inv((matrix.T * weight) @ matrix + before)
-        step = self.covariance @ ((matrix.T * weight) @ residual.ravel())
-        self.belief = self.belief + step * min(1.0, _MOST_CHANGE / np.abs(step).max())
-        return float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
-
-    def replan(self, s: float, seen: _Seen) -> None:
-        """Correct what is left of the path beyond `s`, at first without a step or a kink."""
-        c = Corrections(self.pattern, self.path, self.rod.gravito_bending_length, s)
+    def _corrected(self, way: Way, gone: float, s: float, aside: np.ndarray):
+        """(50,) error that is expected along the pattern before and after [m], and the way
+        corrected beyond `gone`, where `s` is laid, at first without a step or a kink. What lies
+        near or beyond there comes to lie by `aside` (2,) beside what is believed [m]."""
+        beliefs, pattern = self.beliefs, self.beliefs.pattern
+        lgb = beliefs.rod.gravito_bending_length
+        last = gone + _HORIZON * lgb
+        c = way.corrections(pattern, lgb, gone, last)
         free = np.arange(3 * c.count) >= 3 * _FIXED
-        columns = Directions.of_path(c.columns()[free])
-        cost = c.cost(_SIZE, _ROUGHNESS)[np.ix_(free, free)]
-        scale = 1.0 / (METRIC_POINTS * c.lgb**2)
-        points = np.linspace(0.0, self.pattern.length, METRIC_POINTS)
-        ahead = points + self.pattern.remainder_length > s
-        values, best, beside = np.zeros(3 * c.count), None, None
-        for i in range(_ITERATIONS + 1):
-            laid = self._lay(c.apply(values), columns if i < _ITERATIONS else None)
-            error = misplacement(self.pattern, laid)[0].reshape(2, -1)
-            if beside is None:
-                beside = _beside(laid, s, seen)
-            error = (error + beside[:, None] * ahead).ravel()
-            value = np.inf if laid.diverged else float(error @ error)
-            if best is not None and value >= best[0]:
+        near = way.until(last)
+        columns = Directions.of_path(c.columns()[free][:, : len(near.laid)])
+        laid = beliefs.lay(near.path, columns)
+        along = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
+        there = np.tile(along <= near.laid[-1], 2)
+        beyond = np.outer(aside, along > s - _LOOKED_AT).ravel()
+
+        def errs(laid: Laid) -> np.ndarray:
+            lost = np.inf if laid.diverged else 0.0
+            return (misplacement(pattern, laid)[0] + beyond) * there + lost
+
+        laid = beliefs.lay(near.path, columns)
+        before, rates = errs(laid), misplacement(pattern, laid)[1] * there[:, None]
+        after, values = before, np.zeros(3 * c.count)
+        scale = 1.0 / (METRIC_POINTS * lgb**2)
+        matrix = c.cost(_SIZE, _ROUGHNESS)[np.ix_(free, free)] + scale * rates.T @ rates
+        for size in (1.0, 0.3) if np.isfinite(before).all() else ():
+            step = -np.linalg.solve(matrix, scale * rates.T @ before)
+            trial = np.zeros_like(values)
+            trial[free] = size * step * min(1.0, _STEP / np.abs(step).max(initial=1e-12))
+            tried = errs(beliefs.lay(Way(c.apply(trial), way.laid).until(last).path))
+            if tried @ tried < after @ after:
+                after, values = tried, trial
                 break
-            best = value, values
-            if i == _ITERATIONS:
-                break
-            rates = misplacement(self.pattern, laid)[1]
-            matrix = cost + scale * rates.T @ rates
-            slope = cost @ values[free] + scale * rates.T @ error
-            step = -np.linalg.solve(matrix, slope)
-            values = values.copy()
-            values[free] += step * min(1.0, _STEP / np.abs(step).max())
-        self.path = c.apply(best[1])
-
-    def look(self, s: float, misfit: float) -> Look:
-        trial = self._trial(self.path)
-        how = trial.disturbance
-        x, y = self.offset
-        return Look(
-            float(s),
-            trial.friction.static,
-            how.lgb_error,
-            how.natural_curvature,
-            (float(x), float(y)),
-            misfit,
-        )
+        said = (np.hypot(*e.reshape(2, -1)) for e in (before, after))
+        return *said, Way(c.apply(values), way.laid)
 
 
-def _beside(laid: Laid, s: float, seen: _Seen) -> np.ndarray:
-    """(2,) how far what lies near the contact is beside what is believed to lie there [m]: what the
-    beliefs cannot say is taken to go on."""
-    near = np.arange(len(seen.arc_length)) < seen.laid
-    near &= seen.arc_length > s - _NEAR
-    if not near.any():
-        return np.zeros(2)
-    at = seen.arc_length[near]
-    apart = (seen.place[near] - _at(laid.arc_length, laid.centerline, at))[:, :2]
-    noise = seen.deviation[0, 0] ** 2
-    return apart.sum(axis=0) / (len(at) + noise / _MODEL_ERROR**2)
-
-
-def _at(arc_length: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """(n, 3) values (node, 3) at arc lengths (n,)."""
-    return np.stack([np.interp(at, arc_length, column) for column in values.T], axis=1)
-
-
-def _rest(path: Trajectory) -> Tail:
-    """The grip stays where the path ends: what lies is looked at there, and no tail is laid."""
-    return Tail.none(path)
-
-
-def _until(trajectory: Trajectory, s: float) -> Trajectory:
-    """Its beginning, up to that laid length [m]."""
-    n = int(np.searchsorted(trajectory.arc_length, s, side="right"))
-    names = ("arc_length", "contact", "position", "rotation", "force", "shape", "twist")
-    cut = {
-        name: getattr(trajectory, name)[:n]
-        for name in names
-        if getattr(trajectory, name) is not None
-    }
-    return replace(trajectory, **cut)
+def _look(beliefs: Beliefs, path: Trajectory, s: float, misfit: float, back: float | None) -> Look:
+    trial = beliefs.trial(path)
+    x, y = beliefs.offset
+    return Look(
+        s,
+        trial.friction.static,
+        trial.disturbance.lgb_error,
+        trial.disturbance.natural_curvature,
+        (float(x), float(y)),
+        misfit,
+        back,
+    )

@@ -1,0 +1,123 @@
+"""What is believed of a rod and its table while it is laid, and how looks change it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrod.deployment.expectation import COARSE
+from wrod.deployment.setup import Disturbance
+from wrod.deployment.sight import Seen, interpolated
+from wrod.deployment.simulate import Trial
+from wrod.deployment.tangents import Directions, Laid, lay
+from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import Tail
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.solvers.contact import Friction, FrictionField
+
+# Standard deviations of what may be wrong and nobody declared: of the logarithms of friction and
+# stiffness [-], natural curvature [1/m], and the robot's place [m].
+_DOUBT = np.array([0.5, 0.5, 3.0, 2e-3, 2e-3])
+# How much less sure these are at every look, and the largest change of a belief, in these.
+_DRIFT = np.array([0.4, 0.05, 0.05, 0.1, 0.1])
+_MOST_CHANGE = 1.5
+# What a point differs by though the beliefs are right: mesh, shaking, whatever else [m]; and how
+# far behind the contact a look tells of beliefs [m]: what lies there has told of them before.
+_MODEL_ERROR, _MODEL_ERROR_HANGING = 1e-3, 3e-3
+_MEMORY = 0.12
+# Length before the contact over which what lies is compared with what is believed to [m].
+_NEAR, _STEP = 0.1, 1e-3
+
+
+class Beliefs:
+    """Friction, stiffness, natural curvature and place of the robot, with their covariance.
+
+    Args:
+        pattern: that is laid.
+        rod: that is believed in at first.
+        friction: likewise.
+        hold: length of the free end that is held at first [m].
+        device: where the believed rod is laid.
+    """
+
+    def __init__(
+        self, pattern: Pattern, rod: RodMaterial, friction: float, hold: float, device: str | None
+    ):
+        self.pattern, self.rod, self.hold, self.device = pattern, rod, hold, device
+        self.friction = friction
+        self.field: FrictionField | None = None
+        # In deviations: logarithms of friction and stiffness, natural curvature, offset.
+        self.mean, self.covariance = np.zeros(5), np.eye(5)
+        # How far the robot has moved all that it does, because of an offset that was seen [m].
+        self.placed = np.zeros(2)
+
+    @property
+    def offset(self) -> np.ndarray:
+        """(2,) of the robot, before it moved all that it does [m]."""
+        return (self.mean * _DOUBT)[3:]
+
+    def know(self, friction: float, how: Disturbance, field: FrictionField | None) -> None:
+        """Believe the truth."""
+        stiffness = 3.0 * np.log1p(how.lgb_error)
+        mu = np.log(friction / self.friction)
+        self.mean = np.array([mu, stiffness, how.natural_curvature, *how.offset]) / _DOUBT
+        self.field = field
+
+    def trial(self, path: Trajectory) -> Trial:
+        """The deployment that is believed in; the grip stays where the path ends."""
+        mu, stiffness, natural, *_ = self.mean * _DOUBT
+        x, y = self.offset + self.placed
+        how = Disturbance(
+            lgb_error=float(np.exp(stiffness / 3.0) - 1.0),
+            natural_curvature=float(natural),
+            offset=(float(x), float(y)),
+        )
+        law = Friction(float(self.friction * np.exp(mu)))
+        return Trial(self.pattern, self.rod, path, law, how, Tail.none(path))
+
+    def lay(self, path: Trajectory, columns: Directions | None = None, **options) -> Laid:
+        """What is believed to lie at the end of a path."""
+        given = {"friction_field": self.field, **COARSE, **options}
+        directions = None if columns is None else [columns]
+        return lay([self.trial(path)], directions, hold=self.hold, device=self.device, **given)[0]
+
+    def update(self, s: float, path: Trajectory, seen: Seen, **options) -> float:
+        """By what is seen when `s` [m] is laid, at the end of a path; root mean square of what
+        lies against what was believed before [m]."""
+        laid = self.lay(path, Directions.of_rod(len(path)), **options)
+        residual = seen.place - interpolated(laid.arc_length, laid.centerline, seen.arc_length)
+        rates = [interpolated(laid.arc_length, c, seen.arc_length) for c in laid.tangent]
+        rates[0] *= self.trial(path).friction.static  # by its logarithm
+        shifts = np.zeros((2, *residual.shape))
+        shifts[0, :, 0] = shifts[1, :, 1] = 1.0
+        matrix = np.concatenate([rates, shifts]).reshape(5, -1).T * _DOUBT
+        model = np.where(np.arange(len(residual)) < seen.laid, _MODEL_ERROR, _MODEL_ERROR_HANGING)
+        weight = 1.0 / (seen.deviation**2 + model[:, None] ** 2)
+        weight[seen.arc_length < s - _MEMORY] = 0.0
+        weight = weight.ravel()
+        # What was believed before is a little less sure by now: tables differ from place to place.
+        before = np.linalg.inv(self.covariance + np.diag(_DRIFT**2))
+        self.covariance = np.linalg.inv((matrix.T * weight) @ matrix + before)
+        step = self.covariance @ ((matrix.T * weight) @ residual.ravel())
+        self.mean = self.mean + step * min(1.0, _MOST_CHANGE / np.abs(step).max())
+        return float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
+
+
+def beside(laid: Laid, s: float, seen: Seen) -> np.ndarray:
+    """(2,) how far what lies near the contact, `s` [m] along, is beside what is believed to lie
+    there [m]: what the beliefs cannot say is taken to go on. Only across the rod: how far along it
+    a point is, a picture does not tell well."""
+    near = np.arange(len(seen.arc_length)) < seen.laid
+    near &= seen.arc_length > s - _NEAR
+    if not near.any():
+        return np.zeros(2)
+    at = seen.arc_length[near]
+    place, ahead = (
+        interpolated(laid.arc_length, laid.centerline, at + step) for step in (0.0, _STEP)
+    )
+    tangent = (ahead - place)[:, :2]
+    across = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    apart = np.einsum("ni,ni->n", across, (seen.place[near] - place)[:, :2])
+    noise = seen.deviation[0, 0] ** 2 / _MODEL_ERROR**2
+    return np.linalg.solve(across.T @ across + noise * np.eye(2), across.T @ apart)
