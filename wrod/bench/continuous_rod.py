@@ -165,7 +165,7 @@ def excess_of(moment: np.ndarray, stiffness: np.ndarray, law: Callable | None, s
 def _coupled(moment, torque, bending, twisting, coupling) -> np.ndarray:
     """(3, K) curvatures and twist of a section whose bending and twisting are coupled."""
     section = np.zeros((moment.shape[1], 3, 3))
-    section[:, 0, 0], section[:, 1, 1], section[:, 2, 2] = *bending, twisting
+    section[:, 0, 0], section[:, 1, 1], section[:, 2, 2] = bending[0], bending[1], twisting
     section[:, :2, 2] = section[:, 2, :2] = coupling
     return np.linalg.solve(section, np.concatenate([moment, torque[None]]).T[:, :, None])[:, :, 0].T
 

@@ -126,7 +126,8 @@ def command(
     Corners are rounded to what the rod can lie in. What is finished is kept: without a joint path
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
-    from wrod.planning.plan import prepare, read_roll
+    from wrod.planning.remainder import prepare
+    from wrod.planning.roll import read_roll
 
     how = grasps.read()
     request.check()

@@ -75,8 +75,9 @@ def law_layers(setups: Sequence[Setup]) -> list[tuple[np.ndarray, np.ndarray]]:
             share[[0, -1]] = 0.5
             stiffness.append(_with_ghosts((p + _NO_LAYER) * s.bending / share))
             softening.append(_with_ghosts(c / share**2 * [1.0, 0.0]))
-        pair = (np.repeat(np.stack(v), trials, axis=0) for v in (stiffness, softening))
-        layers.append(tuple(pair))
+        stack = (np.repeat(np.stack(v), trials, axis=0) for v in (stiffness, softening))
+        first, second = stack
+        layers.append((first, second))
     return layers
 
 
