@@ -1,7 +1,6 @@
 import sys
 import types
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,7 +29,7 @@ def fake_grasps(length, curvature, ratio, *, closure, device, eigenvalues, progr
     rotation = np.column_stack([0.1 * curvature, -1.4 + 0 * length, 0.2 * curvature])
     force = np.column_stack([0 * length, -curvature, 0.75 + 0 * length])
     good = np.ones(len(length), dtype=bool)
-    return SimpleNamespace(
+    return wrod.Grasps(
         position=position,
         rotation=rotation,
         force=force,
@@ -207,8 +206,7 @@ def test_unconverged_grasp_is_named(grasps, field):
 def test_unstable_grasps_warn(grasps):
     def solve(*args, **options):
         result = fake_grasps(*args, **options)
-        result.stable = result.stable & (np.arange(len(result.stable)) != 3)
-        return result
+        return replace(result, stable=np.arange(len(result)) != 3)
 
     grasps(solve)
     with pytest.warns(StabilityWarning, match=r"1 of 101 .*0\.015"):
