@@ -282,3 +282,50 @@ def planning(*words):
     from wrod.commands.plan import command
 
     return command.make_context("plan", list(words))
+
+
+def test_sizes_are_tried_as_the_printed_command_plans_them(tmp_path, monkeypatch):
+    from wrod.commands.robot_options import RobotRequest
+
+    angle = np.linspace(0.0, 5 * np.pi, 2000)
+    out = (0.02 + 0.012 * angle)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    np.savetxt(tmp_path / "spiral.csv", out, delimiter=",")
+    tried = []
+    monkeypatch.setattr(RobotRequest, "solve", lambda self, path, rod: tried.append(path))
+    words = ["plan", str(tmp_path / "spiral.csv"), "--rod", "green-vps", "--spacing", "0.02"]
+    words += ["--no-shapes", "--device", "cpu", "--out", str(tmp_path / "o")]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 2 and len(tried) == 1
+    command = shlex.split(result.stderr.strip().split("is found: ")[1])
+    again = CliRunner().invoke(main, [*command[1:], "--no-robot"])
+    assert again.exit_code == 0, again.stderr
+    laid = Trajectory.load(tmp_path / "o" / "trajectory.npz")
+    assert laid.metadata["remainder_length"] == tried[0].metadata["remainder_length"] == 0.0
+    np.testing.assert_allclose(laid.position, tried[0].position, atol=1e-9)
+
+
+def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(monkeypatch):
+    from types import SimpleNamespace
+
+    from wrod.robot import remedy
+    from wrod.robot.model import load_robot
+
+    angle = np.linspace(0.0, 2.2 * np.pi, 300)
+    ring = 0.1 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    above = ring + [0.0, 0.0, 0.5]
+    monkeypatch.setattr(remedy, "other_height", lambda *a: None)
+
+    def tried(robot, led):
+        trajectory = SimpleNamespace(
+            contact=ring, position=above, metadata={"remainder_length": led}, arc_length=angle
+        )
+        task = SimpleNamespace(trajectory=trajectory, robot=load_robot(robot), clearance=0.005)
+        failed = SimpleNamespace(task=task)
+        return list(remedy.remedies(failed, wrod.rod("green-vps"), 0.6, None))
+
+    panda = tried("panda", 0.1)
+    assert panda[0] == {"remainder": False}
+    others = [change["robot"] for change in panda if "robot" in change]
+    assert "gen3" in others and "panda" not in others and "iiwa" not in others
+    assert {"remainder": False} not in tried("panda", 0.0)
+    assert not any("robot" in change for change in tried("gen3", 0.1))

@@ -134,20 +134,25 @@ def command(
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
 
-    def planned(resize: float | None, hold: float | None, friction=None, tried=None):
-        """Pattern, rod and trajectory at a size and a hold; or shaped as is `tried`."""
+    def planned(resize: float | None, hold: float | None, friction=None, tried=None, led=None):
+        """Pattern, rod and trajectory at a size and a hold, or shaped as is `tried`; `led` is the
+        remainder where it is not as asked for."""
         fitted = fit(drawn, rod, tried or replace(shaping, resize=resize, hold=hold))
         try:
-            curve = prepare(fitted.pattern, fitted.rod, False if tried else grasps.remainder)
+            remainder = grasps.remainder if led is None else led
+            curve = prepare(fitted.pattern, fitted.rod, False if tried else remainder)
         except PatternError as error:
             remedy = too_long(fitted.pattern, fitted.rod, arm=not request.no_robot)
             if remedy and request.remedy and not (tried or request.no_robot):
                 whole = fit(drawn, rod, replace(shaping, resize=None, tolerance=1.0)).pattern
-                remedy = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
+                said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
+                raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
+        # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),
-            device=None if device == "auto" else device, friction=friction, **how,
+            device=None if device == "auto" else device, friction=friction,
+            **{**how, "remainder": False},
         )  # fmt: skip
         return fitted, curve, trajectory
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 NO_JOINT_PATH = 3  # exit code: the plan stands, the arm cannot follow it
@@ -118,14 +119,26 @@ def _remedy(request, failed, rod, curve, planned, size) -> str | None:
                     way = "higher" if lift > 0 else "lower"
                     command = again(table_height=value, placement="auto")
                     return f"with the table {abs(lift):.0f} cm {way} it is found: {command}"
+                wanted = request
                 if name == "resize":
                     value = round(value * (resize or 1.0), 3)
                     fitted, _, trajectory = planned(value, hold)
-                else:
+                elif name == "hold":
                     fitted, _, trajectory = planned(resize, value)
-                request.solve(trajectory, fitted.rod)
+                else:
+                    led = False if name == "remainder" else None
+                    fitted, _, trajectory = planned(resize, hold, led=led)
+                if name == "robot":
+                    if {request.flange, request.tip, request.gripper_length} != {None}:
+                        continue  # they are of the arm that was asked for
+                    wanted = replace(request, robot=value)
+                wanted.solve(trajectory, fitted.rod)
         except WrodError:
             continue
+        if name == "remainder":
+            return f"without a lead-in, which turns the hand, it is found: {again(remainder=False)}"
+        if name == "robot":
+            return f"the last joint of {value} turns far enough: {again(robot=value)}"
         if name == "hold":
             return f"held {value:g} m from its free end it is found: {again(hold=value)}"
         return f"drawn {value:g} times as large it is found: {again(resize=value)}"
