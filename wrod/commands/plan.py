@@ -177,12 +177,7 @@ def command(
         "notes": list(fitted.notes),
         "written": [str(path) for path in written],
     }
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
-    else:
-        click.echo(summary(figures))
-        for path in written:
-            click.echo(f"wrote {path}")
+    _say(figures, as_json)
     if reason is not None:
         click.echo(f"wrod: {reason}", err=True)
         click.get_current_context().exit(NO_JOINT_PATH)
@@ -190,3 +185,12 @@ def command(
         from wrod.scene.view import view as show
 
         show(out / "scene.usdc")
+
+
+def _say(figures: dict, as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(figures, indent=2))
+        return
+    click.echo(summary(figures))
+    for path in figures["written"]:
+        click.echo(f"wrote {path}")
