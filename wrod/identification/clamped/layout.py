@@ -75,9 +75,12 @@ def law_layers(setups: Sequence[Setup]) -> list[tuple[np.ndarray, np.ndarray]]:
             share[[0, -1]] = 0.5
             stiffness.append(_with_ghosts((p + _NO_LAYER) * s.bending / share))
             softening.append(_with_ghosts(c / share**2 * [1.0, 0.0]))
-        stack = (np.repeat(np.stack(v), trials, axis=0) for v in (stiffness, softening))
-        first, second = stack
-        layers.append((first, second))
+        layers.append(
+            (
+                np.repeat(np.stack(stiffness), trials, axis=0),
+                np.repeat(np.stack(softening), trials, axis=0),
+            )
+        )
     return layers
 
 

@@ -46,8 +46,9 @@ from wrod.identification.effect import Effect
 LEAST_SHARE = 0.005
 MOST_EFFECTS = 3
 _FINE = 4 / 3
-# Effects that a law of bending of unknown form may be taken for.
-_LAWS = ("softening", "stiffening", "stiffness", "anisotropic_bending")
+# Laws of bending, and effects that one of unknown form may be taken for.
+_LAWS = ("softening", "stiffening")
+_LIKE_A_LAW = (*_LAWS, "stiffness", "anisotropic_bending")
 # How often to choose at most, each time with the noise that the last choice has left.
 _NOISE_PASSES = 3
 
@@ -92,14 +93,17 @@ def _opening(laboratory: Laboratory, pool: list[Effect], progress) -> _Opening:
     """The first fits, and a law of unknown form in the `pool` where a known one comes nearest."""
     empty = base_fit(laboratory)
     singles = extensions(laboratory, empty, pool, progress)
-    if not singles or any(_reaches_noise(laboratory, f) for f in (empty, singles[0])):
+    if not singles or _reaches_noise(laboratory, empty):
         return _Opening(singles, [], True)
-    if singles[0].model.names[0] in _LAWS and all(e.name != MomentLaw.name for e in pool):
-        # A law is what is missing, but not that one.
+    near, best = _reaches_noise(laboratory, singles[0]), singles[0].model.names[0]
+    # Its form may be another one even where the nearest known law leaves no more than noise: what
+    # mends a law's form passes for a second effect.
+    if best in (_LAWS if near else _LIKE_A_LAW) and all(e.name != MomentLaw.name for e in pool):
         pool.append(moment_law_of(laboratory))
         singles = best_of_each([*singles, *extensions(laboratory, empty, pool[-1:], progress)])
-        if _reaches_noise(laboratory, singles[0]):
-            return _Opening(singles, [], True)
+        near = _reaches_noise(laboratory, singles[0])
+    if near:
+        return _Opening(singles, [], True)
     pairs = best_of_each(pairs_beside(laboratory, singles[0], pool, progress))
     return _Opening(singles, pairs, bool(pairs) and _reaches_noise(laboratory, pairs[0]))
 
