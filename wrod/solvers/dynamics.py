@@ -397,6 +397,11 @@ class Dynamics:
         return None
 
     @property
+    def is_recorded(self) -> bool:
+        """Whether launches of a round are recorded and kept."""
+        return self._recording is not None
+
+    @property
     def _on_cpu(self) -> bool:
         return wp.get_device(self.batch.device).is_cpu
 
