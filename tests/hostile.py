@@ -12,6 +12,8 @@ import zipfile
 
 import numpy as np
 
+from wrod.files.array_schemas import ARRAYS
+
 # Values for an entry of JSON whose own value is of another kind or size.
 VALUES = (
     None, True, False, 0, -1, 1, 2.5, -1e-300, 1e300, -1e300, 1e12, 10**400, -(10**400), 2**63,
@@ -125,6 +127,31 @@ def broken_arrays(valid: dict, draw: random.Random) -> tuple[str, dict]:
     elif kind == "falling":
         data[name] = array[::-1] if array.ndim else -array
     return f"{kind} of {name}", data
+
+
+def arrays_of(kind):
+    """Arrays that are as the table of that kind says."""
+    table, made = ARRAYS[kind], {}
+    sizes = {letter: max(table.least.get(letter, 0), 4) for letter in "ABCFHIJKMNOPQRT"}
+    for name, field in table.fields.items():
+        shape = [2 if one == "2 or 3" else one for one in field.shape]
+        shape = [one if isinstance(one, int) else sizes[one[0]] for one in shape]
+        if field.kind in ("text", "names"):
+            made[name.format(k=0)] = np.full(shape, "x")
+        elif field.kind == "rotations":
+            made[name] = np.tile(np.eye(3), (shape[0], 1, 1))
+        elif field.kind == "truths":
+            made[name] = np.ones(shape, bool)
+        else:
+            low = field.low if field.above is None else field.above + 1e-3
+            value = np.full(shape, max(low, min(0.0, field.high)))
+            if field.order:
+                value += np.linspace(0.0, 0.3, shape[0]).reshape(-1, *[1] * (len(shape) - 1))
+            whole = field.kind == "whole numbers"
+            made[name.format(k=0) if "+1" not in name else name] = (
+                value.astype(int) if whole else value
+            )
+    return made | ({"format": np.array(table.format)} if table.format else {})
 
 
 def save_arrays(path, arrays: dict) -> None:

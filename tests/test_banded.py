@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 from wrod.kernels.linear import banded, banded_lanes
 
-from wrod.rods.batch import full_hessian
+from wrod.rods.state import full_hessian
 
 needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 SIZES = (7, 11, 31, 32, 33, 42, 43, 64, 95, 179)

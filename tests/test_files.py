@@ -2,15 +2,26 @@
 
 import json
 import os
+import re
 import time
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hostile import arrays_of
 
 from wrod.errors import DataError, SceneError
-from wrod.files import decode_json, decode_labels, read_arrays, read_json, read_text, schemas
+from wrod.files import (
+    check_arrays,
+    decode_json,
+    decode_labels,
+    read_arrays,
+    read_json,
+    read_text,
+    schemas,
+)
+from wrod.files.array_schemas import ARRAYS
 
 SCENE = {
     "format": "wrod-fixtures-1",
@@ -204,21 +215,77 @@ def test_the_docs_say_what_the_schemas_say():
     assert page.read_text(encoding="utf-8") == document()
 
 
-def test_arrays_are_as_their_table_says():
-    from wrod.files.array_schemas import check_arrays
+@pytest.mark.parametrize("kind", ARRAYS)
+def test_arrays_are_as_their_table_says(kind):
+    """Every field of every table, each wrong in every way that the table excludes."""
+    table, good = ARRAYS[kind], arrays_of(kind)
+    found = check_arrays(good | {"beside": np.array([None])}, kind, "a.npz")
+    assert found.keys() == good.keys() - {"format"}
 
-    good = {
-        "positions": np.zeros((2, 30, 8, 3)), "rate_hz": np.array(100.0),
-        "held": np.array([0, 1, 6, 7]), "gravity": np.array(9.81), "beside": np.array("x"),
-    }  # fmt: skip
-    check_arrays(good, "MotionMeasurements", "a.npz")
+    def refused(says, name, value):
+        wrong = good | {name: value}
+        if value is None:
+            del wrong[name]
+        with pytest.raises(DataError, match=rf"^a\.npz: .*{says}"):
+            check_arrays(wrong, kind, "a.npz")
+
+    if table.format:
+        refused("is not of the format", "format", np.array("another"))
+    for name, field in table.fields.items():
+        name, grouped = name.format(k=0), any(name in group for group in table.together)
+        if field.needed:
+            refused(f"lacks the array {re.escape(name)}", name, None)
+        if grouped:
+            refused("only one of", name, None)
+        value = np.asarray(good[name])
+        refused("must hold|no array", name, np.array(None))
+        refused("it must have", name, value[None, None])
+        if field.kind in ("text", "names", "truths"):
+            continue
+        if field.kind != "whole numbers":
+            for bad in (np.inf, np.nan)[: 1 if field.gaps else 2]:
+                refused("not a number that can be used", name, _with(value, bad))
+            if field.gaps:
+                check_arrays(good | {name: _with(value, np.nan)}, kind, "a.npz")
+        if field.kind == "rotations":
+            refused("is not a rotation", name, -value)
+            continue
+        if np.isfinite(field.high):
+            refused("at most", name, _with(value, 2 * field.high + 1))
+        if field.above is not None:
+            refused("above", name, _with(value, field.above))
+        elif np.isfinite(field.low):
+            refused("at least", name, _with(value, int(field.low) - 1))
+        if field.order:
+            refused("does not", name, value[::-1])
+    for letter, least in table.least.items():
+        short = dict(good)
+        for name, field in table.fields.items():
+            axes = [str(one).rstrip("?") for one in field.shape]
+            if letter in axes:
+                short[name] = np.take(good[name], range(least - 1), axis=axes.index(letter))
+        with pytest.raises(DataError, match=f"at least {least} are needed"):
+            check_arrays(short, kind, "a.npz")
+
+
+def _with(array, value):
+    """A copy whose last value is that one."""
+    array = np.array(array, dtype=float if array.dtype.kind == "f" else array.dtype)
+    array.reshape(-1)[-1] = value
+    return array
+
+
+def test_lengths_agree_between_arrays():
+    good = arrays_of("MotionMeasurements")
     for name, value, says in (
-        ("held", None, "lacks the array held"),
-        ("held", np.array([0.5] * 4), "must hold whole numbers"),
-        ("rate_hz", np.zeros(2), r"must have \(\)"),
-        ("positions", np.zeros((2, 30, 8)), r"must have \(R, T, M, 3\)"),
-        ("file_ids", np.zeros(3, int), "positions is 2 long there"),
+        ("positions", np.zeros((2, 30, 8)), r"it must have \(recording, frame, marker, 3\)"),
+        ("file_ids", np.zeros(3, int), "positions is 4 long there"),
     ):
-        wrong = {k: v for k, v in {**good, name: value}.items() if v is not None}
-        with pytest.raises(DataError, match=f"a.npz: .*{says}"):
-            check_arrays(wrong, "MotionMeasurements", "a.npz")
+        with pytest.raises(DataError, match=says):
+            check_arrays(good | {name: value}, "MotionMeasurements", "a.npz")
+    one = check_arrays(arrays_of("HangingLoops") | {"shape": np.zeros((4, 2))}, "HangingLoops", "")
+    assert one["shape"].shape == (1, 4, 2)
+    layers = {"weight.0": np.ones((5, 2)), "bias.0": np.ones(5), "weight.1": np.ones((3, 4)),
+              "bias.1": np.ones(3), "scale": np.ones(3)}  # fmt: skip
+    with pytest.raises(DataError, match=r"weight\.1 has shape \(3, 4\).*weight\.0 is 5 long there"):
+        check_arrays(layers, "Corrector", "c")

@@ -22,6 +22,7 @@ from click.testing import CliRunner
 from hostile import (
     NUMBERS,
     WORDS,
+    arrays_of,
     broken_arrays,
     broken_json,
     broken_xml,
@@ -41,10 +42,18 @@ from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.result import Deployment
 from wrod.errors import WrodError
 from wrod.identification import is_motion, load_measurements, load_motion
+from wrod.identification.held.measurements import (
+    load_hanging,
+    load_held,
+    load_poses,
+    load_swing,
+)
+from wrod.identification.laid.photographs import load_photograph
 from wrod.knots.plan import KnotPlan
 from wrod.perception.image import read_image
 from wrod.perception.metric import Camera, MarkerLayout
 from wrod.planning.trajectory import Trajectory
+from wrod.robot.joint_path import JointPath
 from wrod.robot.urdf import read_urdf
 
 FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
@@ -208,18 +217,40 @@ def motion_arrays():
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", ["trajectory", "deployment", "clamped", "motion", "points"])
-def test_array_files(kind, tmp_path, tried):
-    loads = {
-        "trajectory": (Trajectory.load, plan_arrays),
-        "deployment": (Deployment.load, plan_arrays),
-        "clamped": (load_measurements, lambda _: clamped_arrays()),
-        "motion": (load_motion, lambda _: motion_arrays()),
-        "points": (wrod.Pattern.load, lambda _: {"points": wrod.pattern("sine").sample(
-            np.linspace(0, wrod.pattern("sine").length, 60))[0]}),
+def photograph_arrays(_):
+    curve = np.column_stack([np.linspace(0, 0.3, 40), np.zeros(40)])
+    return {
+        "centerline_filled": curve, "hidden": np.zeros(40), "sigma": np.full(40, 5e-4),
+        "pattern": curve, "size_factor": 1.0, "px_from_pattern": np.eye(2, 3), "pixels": curve,
     }  # fmt: skip
-    load, make = loads[kind]
-    valid, path = make(tmp_path), tmp_path / "file.npz"
+
+
+def sine_points(_):
+    curve = wrod.pattern("sine")
+    return {"points": curve.sample(np.linspace(0, curve.length, 60))[0]}
+
+
+ARRAY_FILES = {
+    "trajectory": (Trajectory.load, plan_arrays),
+    "deployment": (Deployment.load, lambda _: arrays_of("Deployment")),
+    "joint path": (JointPath.load, lambda _: arrays_of("JointPath") | {"metadata": np.array("{}")}),
+    "clamped": (load_measurements, lambda _: clamped_arrays()),
+    "motion": (load_motion, lambda _: motion_arrays()),
+    "points": (wrod.Pattern.load, sine_points),
+    "hanging": (load_hanging, lambda _: arrays_of("HangingLoops")),
+    "held": (load_held, lambda _: arrays_of("HeldCable")),
+    "swing": (load_swing, lambda _: arrays_of("HeldSwing")),
+    "poses": (load_poses, lambda _: arrays_of("HeldPoses")),
+    "photograph": (load_photograph, photograph_arrays),
+}
+
+
+@pytest.mark.parametrize("kind", ARRAY_FILES)
+def test_array_files(kind, tmp_path, tried):
+    load, make = ARRAY_FILES[kind]
+    valid, path = make(tmp_path), tmp_path / "rope-line-int.npz"
+    save_arrays(path, valid)
+    assert not taken_or_refused(load, path, f"a valid {kind}")
 
     @tries(60)
     def attempt(seed):

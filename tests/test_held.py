@@ -87,8 +87,8 @@ def test_bad_measurements_are_named(tmp_path):
     )  # fmt: skip
     path = tmp_path / "made-static.npz"
     for changes, says in (
-        ({"mid": np.zeros((5, 2))}, "mid is"),
-        ({"end": np.full((6, 2), np.nan)}, "end is"),
+        ({"mid": np.zeros((5, 2))}, r"mid has shape \(5, 2\)"),
+        ({"end": np.full((6, 2), np.nan)}, "end of angle 0 is nan"),
         ({"length": -1.0}, "length"),
         ({"tip_mass": np.inf}, "tip_mass"),
     ):
@@ -96,7 +96,7 @@ def test_bad_measurements_are_named(tmp_path):
         with pytest.raises(DataError, match=rf"made-static\.npz: {says}"):
             load_held(path)
     np.savez(path, mid=np.zeros(3))
-    with pytest.raises(DataError, match="has no base_angle"):
+    with pytest.raises(DataError, match="lacks the array base_angle"):
         load_held(path)
     path.write_bytes(b"PK\x03\x04torn")
     for load in (load_held, load_swing, load_hanging, load_poses):

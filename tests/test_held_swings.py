@@ -100,5 +100,5 @@ def test_refuses_what_it_cannot_take(tmp_path):
     np.savez(path, **good)
     assert load_swing(path).bend.shape == (60, 2)
     np.savez(path, **(good | {"curvature_fit": swing.bend[:-1]}))
-    with pytest.raises(DataError, match=r"made-swing\.npz: curvature_fit is"):
+    with pytest.raises(DataError, match=r"made-swing\.npz: curvature_fit has shape"):
         load_swing(path)

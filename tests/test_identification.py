@@ -371,9 +371,9 @@ BAD = {
     ),
     "against the tangent of grip_rotation": lambda d: d["grip_rotation"].__imul__([-1, 1, -1]),
     "centerline measures .*millimetres": lambda d: d["centerline"].__imul__(1e3),
-    "length is 500 m; metres .millimetres": lambda d: d.update({k: 1e3 * d[k] for k in LENGTHS}),
+    "length is 500 m; .*millimetres": lambda d: d.update({k: 1e3 * d[k] for k in LENGTHS}),
     "the clamps are .* apart": lambda d: d["grip_position"].__imul__(1e3),
-    "radius 1.8 m is over a tenth": lambda d: d["radius"].__imul__(1e3),
+    "radius is 1.8 m; .*millimetres": lambda d: d["radius"].__imul__(1e3),
     "L_gb is 60 m": lambda d: d["L_gb"].__imul__(1e3),
     "noise_std 0.5 is over a tenth": lambda d: d["noise_std"].__imul__(1e3),
     "not a rotation": lambda d: d["grip_rotation"].__setitem__((2, 0, 0), 2.0),
@@ -383,10 +383,10 @@ BAD = {
     "different trials": lambda d: d.__setitem__("train_idx", np.array([0, 99])),
     "is in train_idx": lambda d: d.__setitem__("test_idx", np.array([0])),
     "only one of": lambda d: d.pop("grip_force"),
-    "has no field noise_std": lambda d: d.pop("noise_std"),
-    "rod radius": lambda d: d.__setitem__("radius", -1.0),
-    "holds 1 trial; one shape": only_first_trial,
-    "train_idx holds 1 trial": lambda d: d.__setitem__("train_idx", np.array([0])),
+    "lacks the array noise_std": lambda d: d.pop("noise_std"),
+    "radius is -1 m; it must be above 0": lambda d: d.__setitem__("radius", -1.0),
+    "centerline has 1 trial; at least 2": only_first_trial,
+    "train_idx has 1 trial; at least 2": lambda d: d.__setitem__("train_idx", np.array([0])),
 }
 
 

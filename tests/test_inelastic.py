@@ -13,9 +13,10 @@ from wrod.kernels.elastic.bend_twist import bend_twist_energy
 
 import wrod
 from wrod.errors import GraspError, RodError
-from wrod.rods.batch import RodBatch, full_hessian
+from wrod.rods.batch import RodBatch
 from wrod.rods.law import Dahl, Plastic, StandardLinearSolid, law_as_json, law_of
 from wrod.rods.model import RodModel
+from wrod.rods.state import full_hessian
 
 LAWS = (Plastic(7.0, 0.2), StandardLinearSolid(0.6, 0.3), Dahl(5.0, 0.4))
 

@@ -5,7 +5,8 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from wrod.rods.batch import RodBatch, full_hessian, node_positions
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import full_hessian, node_positions
 
 
 def deformed_rods(rod_count=4, node_count=7, seed=0, **changes):
@@ -39,7 +40,7 @@ KINDS = [(seed, {}) for seed in range(3)] + [(3, ISOTROPIC)]
 
 def displaced(batch, change, order):
     """Derivatives after a change of the degrees of freedom, frames carried along in time."""
-    from wrod.rods.batch import Derivatives, RodState
+    from wrod.rods.state import Derivatives, RodState
 
     state = RodState.zeros(batch.rod_count, batch.node_count, batch.device)
     state.assign(batch.state)
@@ -177,7 +178,7 @@ def test_rods_far_apart_in_a_batch_do_not_mix():
 
 def test_frames_of_inactive_rods_are_left_alone():
     """A rod that has converged keeps its twist while others are tried again."""
-    from wrod.rods.batch import RodState
+    from wrod.rods.state import RodState
 
     batch = deformed_rods(rod_count=2, seed=9)
     target = RodState.zeros(2, batch.node_count, batch.device)

@@ -250,15 +250,21 @@ def mixed(data, recording, markers, order):
     ("change", "sentence"),
     [
         (lambda d: {"positions": 1e3 * d["positions"]}, "must be in metres"),
-        (lambda d: {"positions": d["positions"][:1]}, "at least two are needed"),
-        (lambda d: {"positions": d["positions"][..., :2]}, "give \\(recording, frame, M, 3\\)"),
+        (lambda d: {"positions": d["positions"][:1]}, "has 1 recording; at least 2 are needed"),
+        (
+            lambda d: {"positions": d["positions"][..., :2]},
+            "it must have \\(recording, frame, marker, 3\\)",
+        ),
         (lambda d: {"held": np.array([0, 1, 2, 3])}, "held is"),
-        (lambda d: {"rate_hz": np.float64(0.0)}, "rate_hz is 0; it must be positive"),
+        (lambda d: {"rate_hz": np.float64(0.0)}, "rate_hz is 0 Hz; it must be at least 2"),
         (lambda d: {"rate_hz": np.float64(1e5)}, "check rate_hz"),
-        (lambda d: {"gravity": np.array("g")}, "gravity does not hold numbers"),
-        (lambda d: {"gravity": np.float64(981.0)}, "gravity is 981; it must be in m/s"),
-        (lambda d: {"gravity": np.float64(-9.81)}, "gravity is -9.81; it must be positive"),
-        (lambda d: {"positions": d["positions"][0]}, "give \\(recording, frame, M, 3\\)"),
+        (lambda d: {"gravity": np.array("g")}, "gravity holds .* values; it must hold numbers"),
+        (lambda d: {"gravity": np.float64(981.0)}, "gravity is 981 m/s.2; .*at most 30 .mm/s.2"),
+        (lambda d: {"gravity": np.float64(-9.81)}, "gravity is -9.81 m/s.2; it must be above 0"),
+        (
+            lambda d: {"positions": d["positions"][0]},
+            "it must have \\(recording, frame, marker, 3\\)",
+        ),
         (
             lambda d: {"positions": mixed(d, slice(None), HELD_MARKERS, HELD_MARKERS[::-1])},
             "are the markers of the two grips exchanged",
@@ -327,5 +333,5 @@ def test_bad_data_end_a_command_with_one_sentence(recorded, tmp_path):
 def test_a_file_without_a_field_is_named(recorded, tmp_path):
     path = tmp_path / "motion.npz"
     np.savez(path, **{k: v for k, v in recorded.items() if k != "gravity"})
-    with pytest.raises(DataError, match="lacks gravity"):
+    with pytest.raises(DataError, match="lacks the array gravity"):
         load_motion(path)

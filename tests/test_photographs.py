@@ -63,8 +63,8 @@ def test_bad_photographs_are_named(tmp_path):
         ({"size_factor": -1.0}, "size_factor"),
         ({"hidden": np.ones(300)}, "fewer than 3"),
         ({"sigma": np.zeros(300)}, "sigma is not positive"),
-        ({"hidden": np.zeros(4)}, "differ in their points"),
-        ({"px_from_pattern": np.zeros((2, 2))}, "wrong shape"),
+        ({"hidden": np.zeros(4)}, "is 300 long there"),
+        ({"px_from_pattern": np.zeros((2, 2))}, "it must have"),
     ):
         with pytest.raises(DataError, match=rf"rope-line-int\.npz: .*{says}"):
             load_photograph(write(good, **changes))

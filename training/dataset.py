@@ -16,7 +16,9 @@ from wrod.training.sampling import MAX_INDEX, RodInputs, sample
 from wrod import __version__
 from wrod.controller.curved import untwisted
 from wrod.errors import DataError
-from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, Grasps, solve_grasps
+from wrod.grasps.inputs import CLOSURES
+from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
+from wrod.grasps.results import Grasps
 from wrod.rods.material import RodMaterial
 
 SHARD_SIZE = 2048
@@ -54,7 +56,7 @@ class Rank:
 
     def device(self, wanted: str) -> str:
         """Device of this rank: with several to a machine, "auto" gives each a GPU of its own."""
-        from wrod.rods.batch import resolve_device
+        from wrod.rods.device import resolve_device
 
         device = resolve_device(None if wanted == "auto" else wanted)
         if wanted == "auto" and device != "cpu":

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from wrod.training.dataset import Rank
 from wrod.deployment.optimise import Corrections, Spread, laid_sample, misplacement, optimise
 from wrod.deployment.result import METRIC_POINTS
 from wrod.errors import DataError, WrodError, WrodWarning
-from wrod.files import write_atomically
+from wrod.files import read_fields, read_json, schemas, write_atomically
 from wrod.patterns.pattern import Pattern
 from wrod.planning.plan import plan, prepare
 from wrod.rods.material import RodMaterial, rod, rod_names
@@ -233,13 +232,13 @@ def load(folder: str | os.PathLike[str]) -> list[Sample]:
     for path in sorted(Path(folder).glob("plan-*.npz")):
         if not path.stat().st_size:
             continue
-        try:
-            with np.load(path) as data:
-                arrays = [data[name].astype(float) for name in _ARRAYS]
-                bowls = [_unpacked(data[name]) for name in _BOWLS]
-                out.append(Sample(*arrays, *map(float, data["figures"]), *bowls))
-        except (OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile):
-            raise DataError(f"{path}: is no optimised plan; delete the file") from None
+        found = read_fields(path, "OptimisedPlan")
+        count = found["values"].size
+        if len(found["around"]) != 1 + count + count * (count + 1) // 2:
+            raise DataError(f"{path}: around and values do not fit together; delete the file")
+        bowls = [_unpacked(found[name]) for name in _BOWLS]
+        figures = map(float, found["figures"])
+        out.append(Sample(*(found[name] for name in _ARRAYS), *figures, *bowls))
     if not out:
         raise DataError(f"{folder}: holds no optimised plan; let `wrod distil` make some")
     return out
@@ -251,7 +250,7 @@ def _claim(folder: Path, seed: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if not path.exists():
         write_atomically(path, lambda file: file.write(json.dumps(content)))
-    if json.loads(path.read_text()) != content:
+    if read_json(path, schemas.Plans, "the label of optimised plans").seed != seed:
         raise DataError(f"{folder}: holds plans of another seed; choose another --out")
 
 
@@ -278,7 +277,6 @@ def _packed(bowl: Bowl) -> np.ndarray:
 
 
 def _unpacked(row: np.ndarray) -> Bowl:
-    row = row.astype(float)
     n = int(np.sqrt(2.0 * len(row) + 0.25) - 1.5)
     matrix = np.zeros((n, n))
     matrix[np.triu_indices(n)] = row[1 + n :]

@@ -8,7 +8,8 @@ from wrod.training.sampling import RodInputs
 
 from wrod.controller.controller import Controller
 from wrod.grasps.inputs import whole_range
-from wrod.grasps.optimal import Grasps, solve_grasps
+from wrod.grasps.optimal import solve_grasps
+from wrod.grasps.results import Grasps
 
 
 def figures(error: np.ndarray) -> dict:

@@ -19,7 +19,7 @@ from msgspec import to_builtins
 from wrod.training.sampling import INPUTS, RodInputs
 
 from wrod.errors import DataError
-from wrod.files import decode_json, read_json, read_tensors, schemas, write_atomically
+from wrod.files import check_arrays, decode_json, read_json, read_tensors, schemas, write_atomically
 
 FORMAT = "wrod-grasps-1"
 MANIFEST = "manifest.json"
@@ -212,13 +212,13 @@ def read_shard(folder: Path, manifest: Manifest, shard: int, count: int | None =
         raise DataError(f"{path}: belongs to another dataset or place; delete it to solve it again")
     if label.get("count") != (whole if count is None else count):
         raise DataError(f"{path}: holds {label.get('count')} of {whole} rows; run `wrod dataset`")
-    for name, (kind, shape) in manifest.columns.items():
-        array = arrays.get(name)
-        if array is None or array.dtype != kind or array.shape != (label["count"], *shape):
-            raise DataError(f"{path}: column {name} is missing or misshapen; delete the file")
+    found = check_arrays(arrays, "ShardColumns", str(path))
+    missing = manifest.columns.keys() - found.keys()
+    if missing or len(found["inputs"]) != label["count"]:
+        raise DataError(f"{path}: {min(missing, default='a row')} is missing; delete the file")
     if label.get("sha256") != _checksum(arrays):
         raise DataError(f"{path}: is damaged (checksum); delete it to solve it again")
-    return arrays
+    return found
 
 
 def is_solved(folder: Path, manifest: Manifest, shard: int) -> bool:

@@ -7,8 +7,8 @@ from .deployment.setup import Disturbance as Disturbance
 from .deployment.simulate import Trial as Trial
 from .deployment.simulate import simulate_deployment as simulate_deployment
 from .deployment.simulate import simulate_deployments as simulate_deployments
-from .grasps.optimal import Grasps as Grasps
 from .grasps.optimal import solve_grasps as solve_grasps
+from .grasps.results import Grasps as Grasps
 from .grasps.rod_grasps import RodGrasps as RodGrasps
 from .grasps.rod_grasps import solve_rod_grasps as solve_rod_grasps
 from .identification import IdentificationReport as IdentificationReport
@@ -32,7 +32,7 @@ from .planning.friction import friction_bound as friction_bound
 from .planning.plan import plan as plan
 from .planning.trajectory import Trajectory as Trajectory
 from .robot.joint_path import JointPath as JointPath
-from .robot.joint_path import solve_joint_path as solve_joint_path
+from .robot.solve import solve_joint_path as solve_joint_path
 from .rods.batch import RodBatch as RodBatch
 from .rods.material import RodMaterial as RodMaterial
 from .rods.material import rod as rod

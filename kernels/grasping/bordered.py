@@ -24,7 +24,9 @@ class Border(NamedTuple):
     residual: wp.Function
     grip_rate: wp.Function
     grip_gradient: wp.Function
+    put_grip_gradient: wp.Function
     solve: wp.Function
+    put_motion: wp.Function
 
 
 _cache: dict[int, Border] = {}
@@ -41,6 +43,7 @@ def make_border(size: int) -> Border:
             *_balances(size, matrix, vector),
             *_forces_at_grip(size, vector),
             _gauss(count, matrix, vector),
+            _motion(size, vector),
         )
     return _cache[size]
 
@@ -86,7 +89,7 @@ def _balances(size: int, matrix: type, vector: type) -> tuple[wp.Function, wp.Fu
     return border_matrix, border_residual
 
 
-def _forces_at_grip(size: int, vector: type) -> tuple[wp.Function, wp.Function]:
+def _forces_at_grip(size: int, vector: type) -> tuple[wp.Function, wp.Function, wp.Function]:
     """The gradient at the grip and its rate."""
     first = size - 3
 
@@ -112,7 +115,12 @@ def _forces_at_grip(size: int, vector: type) -> tuple[wp.Function, wp.Function]:
         k = 4 * size * size + size + first
         return wp.vec3d(condensed[slot, k], condensed[slot, k + 1], condensed[slot, k + 2])
 
-    return grip_rate, grip_gradient
+    @wp.func
+    def put_grip_gradient(condensed: wp.array2d(dtype=wp.float64), slot: int, g: wp.vec3d):
+        for i in range(3):
+            condensed[slot, 4 * size * size + size + first + i] = g[i]
+
+    return grip_rate, grip_gradient, put_grip_gradient
 
 
 def _gauss(count: int, matrix: type, vector: type) -> wp.Function:
@@ -148,3 +156,22 @@ def _gauss(count: int, matrix: type, vector: type) -> wp.Function:
         return x
 
     return solve_border
+
+
+def _motion(size: int, vector: type) -> wp.Function:
+    first = size - 3
+
+    @wp.func
+    def put_motion(
+        motion: wp.array3d(dtype=wp.float64), slot: int, edges: int, node_1: wp.vec3d, v: vector
+    ):
+        """The border's part of the blocks' motion: the first node moves by `node_1`, the last block
+        as in `v`."""
+        for c in range(size):
+            motion[slot, 0, c] = ZERO
+            motion[slot, 1, c] = ZERO
+            motion[slot, edges, c] = v[1 + c]
+        for c in range(3):
+            motion[slot, 1, first + c] = node_1[c]
+
+    return put_motion

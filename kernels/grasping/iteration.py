@@ -19,7 +19,8 @@ from wrod.kernels.grasping.contact_edge import (
 )
 from wrod.kernels.grasping.general_rod import GeneralRod
 from wrod.kernels.grasping.reading import Level
-from wrod.kernels.grasping.step import Scratch, make_balance, make_step
+from wrod.kernels.grasping.scratch import Scratch
+from wrod.kernels.grasping.step import make_balance, make_step
 from wrod.kernels.grasping.straight_rod import StraightRod, place_contact, point
 from wrod.kernels.grasping.walk import make_walk
 
@@ -28,9 +29,14 @@ wp.set_module_options({"enable_backward": False})
 
 # Balance that is enough at the target to look along the family.
 AT_TARGET = wp.constant(wp.float64(5.0e-3))
-# Change of the force that no longer matters, and its part of what rounding leaves out of balance.
-FORCE_DONE = wp.constant(wp.float64(1.0e-11))
-FORCE_ROUNDING = wp.constant(wp.float64(0.01))
+# Change of the force that no longer matters, and its part of what rounding leaves out of balance;
+# then those of general rods, whose slopes are not refined.
+FORCE_DONE = wp.constant(wp.float64(1.0e-12))
+FORCE_ROUNDING = wp.constant(wp.float64(1.0e-5))
+GENERAL_FORCE_DONE = wp.constant(wp.float64(1.0e-11))
+GENERAL_FORCE_ROUNDING = wp.constant(wp.float64(0.01))
+# A slope that has been refined so often is as good as it gets.
+MOST_REFINED = wp.constant(8)
 
 
 @wp.struct
@@ -196,7 +202,10 @@ def make_solver(size: int):
         r = work[thread]
         slot = thread % scratch.condensed.shape[0]
         h0 = rod.rest[r, 0]
-        force_done = wp.max(FORCE_DONE, FORCE_ROUNDING * task.tolerance[r])
+        force_done = wp.max(
+            wp.static(GENERAL_FORCE_DONE if general else FORCE_DONE),
+            wp.static(GENERAL_FORCE_ROUNDING if general else FORCE_ROUNDING) * task.tolerance[r],
+        )
         kappa = wp.float64(curvature[r])
         w = walk.begin(r, kappa, task.target[r], task.increment[r], thrust[r], family)
         if wp.static(general):
@@ -214,9 +223,9 @@ def make_solver(size: int):
             if task.closure != ZERO_TENSION and balanced:
                 d = first_direction(half_turn(kappa, h0))
                 change = walk.follow_family(
-                    w, scratch.condensed, slot, d, turn, v, task.closure, task.weight[r]
+                    w, scratch, slot, edges, d, turn, v, task.closure, task.weight[r]
                 )
-            settled = at_target and wp.abs(change) <= force_done
+            settled = at_target and (wp.abs(change) <= force_done or w.refined > MOST_REFINED)
             lost = not wp.isfinite(w.worst) or w.waited > task.patience
             if balanced and settled and w.worst <= task.tolerance[r]:
                 w.status = CONVERGED

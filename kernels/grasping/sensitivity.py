@@ -12,7 +12,7 @@ from wrod.kernels.grasping.contact_edge import (
     half_turn_rate,
 )
 from wrod.kernels.grasping.reading import rotation_rate
-from wrod.kernels.grasping.step import Scratch
+from wrod.kernels.grasping.scratch import Scratch
 from wrod.kernels.grasping.straight_rod import (
     WEIGHT,
     evaluate,
@@ -24,7 +24,7 @@ from wrod.kernels.linear.frontal import make_elimination
 
 wp.set_module_options({"enable_backward": False})
 
-eliminate, recover = make_elimination(3)
+eliminate, recover, _ = make_elimination(3)
 border = make_border(3)
 vector5 = border.vector
 

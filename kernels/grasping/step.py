@@ -5,23 +5,12 @@ from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.grasping.bordered import make_border
 from wrod.kernels.grasping.general_rod import advance_general, evaluate_general
 from wrod.kernels.grasping.reading import Level
+from wrod.kernels.grasping.scratch import Scratch
 from wrod.kernels.grasping.straight_rod import evaluate, point
 from wrod.kernels.grasping.walk import make_walk
 from wrod.kernels.linear.frontal import make_elimination
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.struct
-class Scratch:
-    """What the iteration of a rod needs while it runs; one slot a thread."""
-
-    stiffness: wp.array3d(dtype=wp.float64)
-    load: wp.array3d(dtype=wp.float64)
-    factor: wp.array3d(dtype=wp.float64)
-    condensed: wp.array2d(dtype=wp.float64)
-    motion: wp.array3d(dtype=wp.float64)
-    saved: wp.array3d(dtype=wp.float64)
 
 
 @wp.func
@@ -129,12 +118,7 @@ def make_step(size: int) -> tuple[wp.Function, wp.Function]:
         limit: wp.float64,
     ) -> wp.float64:
         """Move the rod; the fraction of the step that was taken."""
-        for c in range(size):
-            scratch.motion[slot, 0, c] = ZERO
-            scratch.motion[slot, 1, c] = ZERO
-            scratch.motion[slot, edges, c] = v[1 + c]
-        for c in range(3):
-            scratch.motion[slot, 1, first + c] = node_1[c]
+        border.put_motion(scratch.motion, slot, edges, node_1, v)
         recover(scratch.factor, slot, edges, ONE, scratch.motion)
         fraction = safe_fraction(state, scratch.motion, r, slot, edges, limit)
         advance(state, scratch.motion, r, slot, edges, fraction)

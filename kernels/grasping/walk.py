@@ -9,11 +9,17 @@ from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 from wrod.kernels.grasping.bordered import make_border
 from wrod.kernels.grasping.closures import FAILED, RUNNING, counted
 from wrod.kernels.grasping.reading import Level
+from wrod.kernels.grasping.scratch import Scratch
+from wrod.kernels.grasping.straight_rod import motion_load
+from wrod.kernels.linear.frontal import make_elimination
 
 wp.set_module_options({"enable_backward": False})
 
 # How much better balanced two grasps are than they are apart, for their slopes to be compared.
 SHARP = wp.constant(wp.float64(2.0e-2))
+# So near to the closure's minimum rounding counts, and nearer than this it is all that counts.
+NEAR = wp.constant(wp.float64(1.0e-6))
+LEAST_SECANT = wp.constant(wp.float64(1.0e-9))
 # The smallest step of a continuation.
 LEAST_INCREMENT = wp.constant(wp.float64(1.0e-4))
 
@@ -74,6 +80,8 @@ def _struct(size: int) -> type:
         along_saved: vector
         # Steps since then.
         waited: int
+        # How often the slope has been refined.
+        refined: int
         status: int
         iterations: int
         negative: int
@@ -123,13 +131,47 @@ def _ends(size: int, walk: type) -> tuple[wp.Function, wp.Function]:
 def _family(size: int, walk: type) -> wp.Function:
     border = make_border(size)
     vector = border.vector
+    _, recover, condense = make_elimination(size)
     last = size + 1
+
+    @wp.func
+    def rate_of_force(
+        along: vector, condensed: wp.array2d(dtype=wp.float64), slot: int, direction: wp.vec3d
+    ) -> wp.vec3d:
+        """Of the force at the contact along the family."""
+        rate = border.grip_rate(condensed, slot, along[0] * direction, along)
+        return wp.vec3d(along[last], -rate[1], -rate[2])
+
+    @wp.func
+    def refined_rate_of_force(
+        w: wp.ref[walk],
+        along: vector,
+        scratch: Scratch,
+        slot: int,
+        edges: int,
+        direction: wp.vec3d,
+    ) -> wp.vec3d:
+        """The same without what cancels in the elimination of stiff edges: of the motion along the
+        family, as it was rounded, the load that is left is eliminated in its turn."""
+        condensed = scratch.condensed
+        held = border.grip_gradient(condensed, slot)
+        border.put_motion(scratch.motion, slot, edges, along[0] * direction, along)
+        recover(scratch.factor, slot, edges, ZERO, scratch.motion)
+        motion_load(scratch.stiffness, scratch.motion, slot, edges, scratch.load)
+        condense(scratch.factor, scratch.load, slot, edges, condensed)
+        f = border.residual(condensed, slot, wp.vec3d(ZERO, ZERO, ZERO), along[last])
+        v = border.solve(border.matrix(condensed, slot, direction, w.along), -f)
+        rate = border.grip_gradient(condensed, slot)
+        rate += border.grip_rate(condensed, slot, v[0] * direction, v)
+        border.put_grip_gradient(condensed, slot, held)
+        return wp.vec3d(along[last] + v[last], -rate[1], -rate[2])
 
     @wp.func
     def follow_family(
         w: wp.ref[walk],
-        condensed: wp.array2d(dtype=wp.float64),
+        scratch: Scratch,
         slot: int,
+        edges: int,
         direction: wp.vec3d,
         turn: wp.vec3d,
         v: vector,
@@ -138,6 +180,7 @@ def _family(size: int, walk: type) -> wp.Function:
     ) -> wp.float64:
         """The way along the family to the closure's minimum from where the Newton step `v` leads:
         the slope of what it makes small over the slope's derivative, by two grasps' secant."""
+        condensed = scratch.condensed
         rate = vector()
         rate[last] = ONE
         rate = border.solve(border.matrix(condensed, slot, direction, w.along), rate)
@@ -145,8 +188,13 @@ def _family(size: int, walk: type) -> wp.Function:
         gradient = border.grip_gradient(condensed, slot)
         gradient += border.grip_rate(condensed, slot, turn + v[0] * direction, v)
         force = counted(closure, wp.vec3d(w.pull + v[last], -gradient[1], weight - gradient[2]))
-        way = border.grip_rate(condensed, slot, along[0] * direction, along)
-        way = counted(closure, wp.vec3d(along[last], -way[1], -way[2]))
+        way = counted(closure, rate_of_force(along, condensed, slot, direction))
+        if wp.static(size == 3):
+            slope = wp.abs(wp.dot(force, way)) / wp.length(way)
+            if w.place == w.goal and slope < NEAR:
+                w.refined += 1
+                way = refined_rate_of_force(w, along, scratch, slot, edges, direction)
+                way = counted(closure, way)
         length = wp.length(way)
         if wp.dot(way, w.heading) < ZERO:
             length = -length
@@ -154,7 +202,7 @@ def _family(size: int, walk: type) -> wp.Function:
         slope = wp.dot(force, heading)
         if w.place != w.goal:
             w.steepness = ONE
-        elif w.worst + w.worst_before < SHARP * wp.abs(w.moved):
+        elif w.worst + w.worst_before < SHARP * wp.abs(w.moved) and wp.abs(w.moved) > LEAST_SECANT:
             # What is out of balance is in the slope too.
             secant = (slope - w.slope) / w.moved
             if secant > wp.float64(0.1) and secant < wp.float64(10.0):

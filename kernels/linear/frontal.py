@@ -8,9 +8,10 @@ holds the upper triangle of its second derivatives, row by row; `load` the gradi
 
 `eliminate` brings the blocks 2...edges - 1 to balance, so that a small system is left of the first
 free block and the last, the border: `condensed` holds its matrix (2 size, 2 size), row by row, then
-its right-hand side (2 size). `recover` gives the motion of the blocks between for one of these.
+its right-hand side (2 size). `recover` gives the motion of the blocks between for one of these, and
+`condense` the border's right-hand side for another load.
 
-Both take a rod a thread. Three blocks at a time are in the front, in turn at three fixed places. A
+All take a rod a thread. Three blocks at a time are in the front, in turn at three fixed places. A
 front's row is its own, the border's and the right-hand side's entries in one run, which a CPU
 updates as a whole; a GPU keeps the front in registers and updates one triangle. No entry depends on
 other rods, so that neither does the last digit of a result.
@@ -254,11 +255,59 @@ _RECOVER = (
 """
 )
 
+_CONDENSE = (
+    _COMMON
+    + """
+    const char* in = (const char*)factor.data + (size_t)slot * factor.strides[0];
+#define WROD_IN(j, a, k) (*(const double*)(in + (size_t)(D * (j) + (a)) * factor.strides[1] + \\
+        (size_t)(k) * factor.strides[2]))
+    const char* loads = (const char*)load.data + (size_t)slot * load.strides[0];
+#define WROD_G(j, a) (*(const double*)(loads + (size_t)(j) * load.strides[1] + \\
+        (size_t)(a) * load.strides[2]))
+    const int n = edges;
+    double rest[F], corner[D];
+    WROD_UNROLL for (int a = 0; a < D; ++a) {{
+        corner[a] = WROD_G(1, a);
+        rest[a] = WROD_G(2, a);
+        rest[D + a] = n > 2 ? WROD_G(3, a) : 0.0;
+        rest[2 * D + a] = 0.0;
+    }}
+    for (int first = 2; first < n; first += 3) {{
+        WROD_UNROLL for (int turn = 0; turn < 3; ++turn) {{
+            const int x = turn * D, z = (turn + 2) % 3 * D;
+            const int j = first + turn;
+            if (j < n) {{
+                WROD_UNROLL for (int a = 0; a < D; ++a)
+                    rest[z + a] = j + 1 < n ? WROD_G(j + 2, a) : 0.0;
+                WROD_UNROLL for (int t = 0; t < D; ++t) {{
+                    const double value = rest[x + t] * WROD_IN(j, t, RHS + 1);
+                    WROD_UNROLL for (int m = 0; m < F; ++m)
+                        if (m / D != turn || m > x + t) rest[m] -= WROD_IN(j, t, m) * value;
+                    WROD_UNROLL for (int b = 0; b < D; ++b)
+                        corner[b] -= WROD_IN(j, t, C + b) * value;
+                }}
+            }}
+        }}
+    }}
+    double* small = condensed_out.data;
+    const size_t step = condensed_out.strides[1] / sizeof(double);
+    small += (size_t)slot * (condensed_out.strides[0] / sizeof(double));
+    WROD_UNROLL for (int turn = 0; turn < 3; ++turn) {{
+        if (turn == (n - 2) % 3) {{
+            WROD_UNROLL for (int a = 0; a < D; ++a) {{
+                small[(size_t)(4 * D * D + a) * step] = corner[a];
+                small[(size_t)(4 * D * D + D + a) * step] = rest[turn * D + a];
+            }}
+        }}
+    }}
+"""
+)
+
 _cache: dict = {}
 
 
 def make_elimination(size: int):
-    """The functions (eliminate, recover) for blocks of `size`, 3 or 4."""
+    """The functions (eliminate, recover, condense) for blocks of `size`, 3 or 4."""
     if size in _cache:
         return _cache[size]
 
@@ -286,5 +335,16 @@ def make_elimination(size: int):
         the right-hand side is brought to balance."""
         ...
 
-    _cache[size] = (eliminate, recover)
+    @wp.func_native(_CONDENSE.format(size=size))
+    def condense(
+        factor: wp.array3d(dtype=wp.float64),
+        load: wp.array3d(dtype=wp.float64),
+        slot: int,
+        edges: int,
+        condensed_out: wp.array2d(dtype=wp.float64),
+    ):
+        """Replace the border's right-hand side by that of another `load`; `factor` stays."""
+        ...
+
+    _cache[size] = (eliminate, recover, condense)
     return _cache[size]

@@ -8,9 +8,10 @@ import pytest
 from scipy.linalg import eigh
 
 from wrod.errors import RodError
-from wrod.rods.batch import RodBatch, full_hessian
+from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import quadratic_drag
 from wrod.rods.model import RodModel
+from wrod.rods.state import full_hessian
 from wrod.solvers.dynamics import SCHEMES, Dynamics
 from wrod.solvers.statics import prescribe, solve_equilibria
 

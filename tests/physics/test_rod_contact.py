@@ -7,6 +7,7 @@ import warp as wp
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
 from wrod.solvers.contact import Friction
+from wrod.solvers.coupled import CoupledSystem
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.statics import prescribe
@@ -111,7 +112,7 @@ def test_derivatives_of_the_contact_energy(turn):
     assert got == pytest.approx(force, abs=1e-8)
 
     # The skyline solver, column by column, of the matrix shifted away from singular.
-    system, shift = contact.system, 0.7
+    system, shift = CoupledSystem(contact), 0.7
     system.shift.fill_(shift)
     batch.derivatives.hessian.zero_()
     system.factorise(batch.derivatives.hessian, ones)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from wrod.rods.batch import RodBatch, full_hessian
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import full_hessian
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.stability import smallest_eigenvalue
 from wrod.solvers.statics import prescribe, solve_equilibria

@@ -66,7 +66,7 @@ def command(
     from wrod.errors import RodError
     from wrod.files import schemas
     from wrod.machine import machine_line
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     if first < 0:
         raise RodError(f"first is {first}; give 0 or more")

@@ -146,7 +146,7 @@ def command(
     from wrod.files import write_atomically
     from wrod.identification.motion.loading import is_motion, load_motion
     from wrod.machine import machine_line
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     paths = [p for p in sorted(folder.glob("*.npz")) if is_motion(p)]
     if not paths:

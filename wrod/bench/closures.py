@@ -70,7 +70,7 @@ def _compared(
     from wrod.bench.closures_report import KEYS, METHODS, PUT_DOWN
     from wrod.errors import RodError
     from wrod.files import schemas
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")

@@ -33,7 +33,7 @@ def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_js
     """
     from wrod.controller.controller import SHIPPED, Controller
     from wrod.machine import machine_line
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
     from wrod.training.score import held_out, score
 
     device = resolve_device(device)

@@ -41,7 +41,7 @@ def command(
     from wrod.machine import machine_line
     from wrod.patterns.pattern import pattern
     from wrod.planning.plan import plan
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
     from wrod.rods.material import rod
     from wrod.solvers.contact import Friction
 

@@ -60,7 +60,7 @@ def command(
     from wrod.bench.ledger import Ledger
     from wrod.bench.slippery import Shelf
     from wrod.errors import RodError
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     chosen, asked = effects.split(","), ways.split(",")
     for what, given, known in (("effect", chosen, tuple(EFFECTS)), ("way", asked, WAYS)):

@@ -18,10 +18,10 @@ def command(count: int, device: str, threads: int, as_json: bool) -> None:
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
     import warp as wp
 
-    from wrod.grasps.inputs import whole_range
-    from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, solve_grasps
+    from wrod.grasps.inputs import CLOSURES, whole_range
+    from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
     from wrod.machine import machine_line
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
 

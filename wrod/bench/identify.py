@@ -56,7 +56,7 @@ def command(
     no plug-in covers; with --out, OUT/rows.jsonl keeps what is finished and a stopped run goes on.
     """
     from wrod.errors import DataError
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     if (folder is None) == (not seeds):
         raise click.UsageError("give either --sets FOLDER or --hidden SEED")

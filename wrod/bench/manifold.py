@@ -37,7 +37,7 @@ def command(count: int, lengths: int, device: str, threads: int, as_json: bool) 
     from wrod.grasps.manifold.grips import equilibrium
     from wrod.grasps.optimal import solve_grasps
     from wrod.machine import machine_line
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
     options: dict[str, Any] = {"device": device, "threads": threads or None}

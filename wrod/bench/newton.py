@@ -83,7 +83,7 @@ def command(
     from wrod.bench.newton_report import draw, markdown
     from wrod.errors import RodError
     from wrod.machine import machine_line
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
     from wrod.rods.material import RodMaterial, rod
 
     device = resolve_device(device)
@@ -206,7 +206,7 @@ def _measure_many(device: str, worlds: int, cables: int, edges: int) -> None:
 
     from wrod.bench.newton_many import measure
     from wrod.machine import machine_line
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
     click.echo(json.dumps({"machine": machine_line(device)}))

@@ -55,7 +55,7 @@ def command(
     from wrod.files import write_atomically
     from wrod.identification.laid.photographs import load_photographs
     from wrod.machine import machine_line
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     if worlds < 0 or workers < 1:
         raise DataError(f"worlds is {worlds} and workers {workers}; give 0 or more, and 1 or more")

@@ -11,7 +11,7 @@ from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_judge import Verdict, worlds_for_optimal
 from wrod.bench.photographs_worlds import worlds_of
 from wrod.deployment.result import deployment_error
-from wrod.files import write_atomically
+from wrod.files import read_fields, write_atomically
 from wrod.identification.laid.camera import Camera
 from wrod.identification.laid.photographs import LaidPhotograph, load_photograph
 from wrod.identification.laid.placement import raw, rigid
@@ -152,8 +152,7 @@ def _practice(out: Path, data: Path) -> str:
     if not path.exists() or not prediction.exists():
         return "no practice photograph"
     photograph = load_photograph(path)
-    with np.load(prediction) as file:
-        curve = file["as_seen"]
+    curve = read_fields(prediction, "Prediction")["as_seen"]
     fine = np.linspace(0, len(curve) - 1, 20 * len(curve))
     curve = np.column_stack([np.interp(fine, np.arange(len(curve)), c) for c in curve.T])
     return (
@@ -193,8 +192,8 @@ def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) 
             above.set_title(f"{p.pattern_name}: {1e3 * place.mean:.1f} mm", fontsize=8)
             prediction = out / f"{p.rod}-{p.pattern_name}-opt.npz"
             if prediction.exists():
-                with np.load(prediction) as file:
-                    below.plot(*file["as_seen"].T, color="tab:green", lw=1.2)
+                seen = read_fields(prediction, "Prediction")["as_seen"]
+                below.plot(*seen.T, color="tab:green", lw=1.2)
             below.set_title("optimal path, predicted", fontsize=8)
         figure.suptitle(
             f"{verdict.rod}: red seen, blue predicted from the rod's other pictures [m]", fontsize=9

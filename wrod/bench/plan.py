@@ -24,7 +24,7 @@ def command(patterns: Path | None, method: str, device: str, as_json: bool) -> N
     import wrod
     from wrod.errors import PatternError
     from wrod.machine import machine_line
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
     if patterns is None:

@@ -68,7 +68,7 @@ def command(
     """
     from wrod.bench.closures import _numbers
     from wrod.bench.mujoco_chain import require_mujoco
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
 
     if trials < 1:
         raise RodError(f"trials is {trials}; give 1 or more")

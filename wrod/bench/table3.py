@@ -77,8 +77,8 @@ def _table(
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
     from wrod.errors import RodError
     from wrod.files import schemas
-    from wrod.grasps.optimal import CLOSURES
-    from wrod.rods.batch import resolve_device
+    from wrod.grasps.inputs import CLOSURES
+    from wrod.rods.device import resolve_device
     from wrod.rods.material import rod
 
     if trials < 1:
@@ -163,11 +163,12 @@ def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str]
 
 
 def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) -> dict:
-    """(rod, pattern, method) -> pattern with remainder, rod, trajectory, tail."""
+    """(rod, pattern, method) -> pattern with remainder, rod, trajectory, tail; OPT is a default
+    plan, or the rod solver's with a closure that was asked for."""
     from tqdm import tqdm
 
     from wrod.deployment.setup import tail
-    from wrod.planning.plan import favoured_closure, plan, prepare
+    from wrod.planning.plan import plan, prepare
     from wrod.rods.material import rod
 
     plans = {}
@@ -175,10 +176,10 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
     for name, curve, method in tqdm(jobs, desc="plans", leave=False, disable=quiet):
         material = rod(name)
         led = prepare(curves[curve], material, None)
-        chosen = None
-        if method == "numeric":
-            chosen = favoured_closure(led, material) if closure is None else closure
-        trajectory = plan(led, material, method, closure=chosen, device=device)
+        optimal = method == "numeric"
+        how = "auto" if optimal and closure is None else method
+        chosen = closure if optimal else None
+        trajectory = plan(led, material, how, closure=chosen, device=device)
         plans[name, curve, method] = (led, material, trajectory, tail(led, material, trajectory))
     return plans
 

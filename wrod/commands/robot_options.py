@@ -161,8 +161,8 @@ class RobotRequest:
         Raises:
             RobotError: there is none.
         """
-        from wrod.robot.joint_path import solve_joint_path
         from wrod.robot.obstacles import Obstacles
+        from wrod.robot.solve import solve_joint_path
 
         options = {
             "flange": self.flange,

@@ -70,7 +70,7 @@ def command(
     --minutes) it gives the same weights on the same machine.
     """
     from wrod.errors import DataError
-    from wrod.rods.batch import resolve_device
+    from wrod.rods.device import resolve_device
     from wrod.training.dataset import GraspTable, load
     from wrod.training.finish import finished
     from wrod.training.loop import Training

@@ -16,7 +16,7 @@ from wrod import arguments
 from wrod.controller.curved import curved, twisted
 from wrod.controller.model import WITH_THRUST, chain, paper
 from wrod.errors import DataError, GraspError, OutOfRangeWarning
-from wrod.files import decode_labels, read_tensors, schemas, write_atomically
+from wrod.files import check_arrays, decode_labels, read_tensors, schemas, write_atomically
 
 _FORMAT = "wrod-controller-1"
 # Networks by name, each of (xp, parameters, (n, 3) inputs): position, rotation vector and force or
@@ -91,13 +91,13 @@ class Controller:
         what = "a controller that `wrod train` wrote"
         label, parameters = read_tensors(path, what)
         metadata = decode_labels(label, schemas.Controller, str(path), what)
+        parameters = check_arrays(parameters, "Controller", str(path))
         try:
             controller = cls(parameters, metadata)
             probe = np.array([[low for low, _ in controller.range.values()]])
             position, rotation, *_ = controller._network(np, parameters, probe)
             whole = position.shape == rotation.shape == (1, 3)
             whole &= bool(np.isfinite(position).all() and np.isfinite(rotation).all())
-            whole &= all(bool(np.isfinite(value).all()) for value in parameters.values())
         except (AttributeError, KeyError, TypeError, ValueError, IndexError):
             whole = False
         if not whole:

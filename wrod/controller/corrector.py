@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError, OutOfRangeWarning
-from wrod.files import decode_labels, read_tensors, schemas, write_atomically
+from wrod.files import check_arrays, decode_labels, read_tensors, schemas, write_atomically
 
 _FORMAT = "wrod-corrector-1"
 # Where the curvature is seen, from behind the contact to ahead of it [L_gb].
@@ -114,11 +114,11 @@ class Corrector:
         what = "a corrector that `wrod distil` wrote"
         label, parameters = read_tensors(path, what)
         metadata = decode_labels(label, schemas.Corrector, str(path), what)
+        parameters = check_arrays(parameters, "Corrector", str(path))
         try:
             one = cls(parameters, metadata)
             found = formula(np, parameters, np.zeros((1, FEATURES)))
             whole = found.shape == (1, OUTPUTS)
-            whole &= all(bool(np.isfinite(value).all()) for value in parameters.values())
         except (AttributeError, KeyError, TypeError, ValueError, IndexError):
             whole = False
         if not whole:

@@ -12,7 +12,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from wrod.kernels.stepping import grip as kernels
-from wrod.rods.batch import RodBatch, RodState
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import RodState
 
 # Spacing of the keys between which the grip moves smoothly [s].
 KEY_INTERVAL = 0.02
@@ -119,7 +120,7 @@ class GripSchedule:
 
 
 class GripMotion:
-    """Carries the last edge of every rod of a batch (a `wrod.solvers.dynamics.Motion`).
+    """Carries the last edge of every rod of a batch (a `wrod.solvers.steps.Motion`).
 
     Args:
         batch: the rods.

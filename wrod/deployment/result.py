@@ -5,13 +5,10 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from wrod.errors import DataError
-from wrod.files import read_arrays, write_atomically
-from wrod.files.array_schemas import check_arrays
+from wrod.files import read_fields, write_atomically
 from wrod.patterns.pattern import Pattern
 
 # Points of the accuracy metric (Eq. metric, N = 50).
@@ -79,14 +76,7 @@ class Deployment:
         Raises:
             DataError: the file is missing, truncated or not a deployment.
         """
-        what = "the .npz of a deployment that `wrod deploy` wrote"
-        data = read_arrays(path, what)
-        if str(data.get("format")) != _FORMAT:
-            raise DataError(f"{path}: is not of the format {_FORMAT}; give {what}")
-        check_arrays(data, "Deployment", str(path))
-        names = [f.name for f in fields(cls) if f.name in data]
-        values: dict[str, Any] = {name: data[name][()] for name in names}
-        return cls(**values)
+        return cls(**read_fields(path, "Deployment"))
 
 
 def errors_along(

@@ -29,10 +29,12 @@ from wrod.errors import RodError
 from wrod.machine import require_memory
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.batch import RodBatch, node_positions, resolve_device
+from wrod.rods.batch import RodBatch
+from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import quadratic_drag
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+from wrod.rods.state import node_positions
 from wrod.solvers.contact import Contact, Friction, FrictionField, Plane
 from wrod.solvers.dynamics import Dynamics
 

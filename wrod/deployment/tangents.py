@@ -14,11 +14,12 @@ from wrod.deployment.setup import Setup, blend, one_hemisphere
 from wrod.deployment.simulate import Trial, assemble, prepare_trials, with_remainder_of
 from wrod.errors import RodError
 from wrod.kernels.stepping import deployment_tangents as kernels
-from wrod.rods.batch import RodBatch, resolve_device
+from wrod.rods.batch import RodBatch
+from wrod.rods.device import resolve_device
 from wrod.rods.model import RodModel
 from wrod.rods.rotation import left_jacobian
 from wrod.solvers.contact import Contact, FrictionField
-from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.newton_steps import NewtonSteps
 
 _PACK = kernels.PACK
 
@@ -236,7 +237,7 @@ def _displaced(setup: Setup, move: np.ndarray) -> Setup:
 
 
 class Tangents:
-    """Tangents of a batch of deployments (a `wrod.solvers.dynamics.Follower`).
+    """Tangents of a batch of deployments (a `wrod.solvers.newton_steps.Follower`).
 
     Args:
         batch: the rods.
@@ -307,7 +308,7 @@ class Tangents:
         self.turned = zeros(nodes)
         self.packs = packs
 
-    def follow(self, dynamics: Dynamics) -> None:
+    def follow(self, dynamics: NewtonSteps) -> None:
         """Carry the tangents over the accepted steps."""
         batch, accepted = self.batch, dynamics.accepted
         state, start, out = batch.state, dynamics.start, batch.derivatives

@@ -3,6 +3,7 @@
 Everything may import this room; it imports the errors alone.
 """
 
+from wrod.files.array_checks import check_arrays, read_fields
 from wrod.files.arrays import read_arrays, read_tensors
 from wrod.files.reading import (
     checked_path,
@@ -15,11 +16,13 @@ from wrod.files.reading import (
 from wrod.files.writing import write_atomically
 
 __all__ = [
+    "check_arrays",
     "checked_path",
     "decode_json",
     "decode_labels",
     "read_arrays",
     "read_bytes",
+    "read_fields",
     "read_json",
     "read_tensors",
     "read_text",

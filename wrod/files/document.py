@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -19,15 +20,17 @@ reader checks against; a test compares the two. JSON is UTF-8, at most 4 MiB and
 deep; numbers are finite, whole ones at most 2^53; entries that a table does not name are refused
 unless it says so. A refusal names the file, and the line or the entry.
 
-Arrays (`.npz`, `.npy`) hold numbers or text, at most 512 MiB unpacked; their headers are checked
-before anything is unpacked, and nothing in a file is executed. Points of a pattern are at most
+Arrays (`.npz`, `.npy`, `.safetensors`) hold numbers or text, at most 512 MiB unpacked (weights and
+shards 2 GiB); their headers are checked before anything is unpacked, nothing in a file is executed,
+and every array is checked against its table in `wrod/files/array_schemas.py`: type, shape, range,
+order, and finite but where NaN stands for what is not known. Points of a pattern are at most
 20 000, within 100 m of the origin; pictures have at most 36 million pixels; a URDF at most 500
 links, 50 000 elements and 16 MiB. Pipes, devices and folders are no files.
 """
 _ROOTS = (
     schemas.RodFile, schemas.RodModelFile, schemas.Fixtures, schemas.Table, schemas.Obstacle,
     schemas.MarkerLayout, schemas.Camera, schemas.KnotPlan,
-    schemas.Manifest, schemas.Shard, schemas.Controller, schemas.Corrector,
+    schemas.Manifest, schemas.Shard, schemas.Controller, schemas.Corrector, schemas.Plans,
     schemas.TrajectoryMetadata,
     schemas.Table3Row, schemas.ApplicationsRow, schemas.HiddenRow,
 )  # fmt: skip
@@ -64,10 +67,26 @@ def _arrays(name: str, kind: ArrayFile) -> str:
     for key, field in kind.fields.items():
         shape = f"({', '.join(map(str, field.shape))})" if field.shape else "one"
         unit = f" [{field.unit}]" if field.unit else ""
-        about = f": {field.about}" if field.about else ""
-        optional = "" if field.needed else "; may be left out"
-        rows.append(f"| `{key}` | {shape} | {field.kind}{unit}{about}{optional} |")
-    return f"## {name} (.npz)\n\n{kind.about}\n\n" + "\n".join(rows) + "\n"
+        said = [f"{field.kind}{unit}" + (f": {field.about}" if field.about else "")]
+        low, high = field.low if field.above is None else field.above, field.high
+        said += [f"above {low:g}" if field.above is not None else f"at least {low:g}"] * (
+            low > -math.inf
+        )
+        said += [f"at most {high:g}"] * (high < math.inf)
+        said += [field.order] * bool(field.order)
+        said += ["NaN where not known"] * field.gaps + ["may be left out"] * (not field.needed)
+        rows.append(f"| `{key}` | {shape} | {'; '.join(said)} |")
+    notes = [f"`format` is `{kind.format}`."] * bool(kind.format)
+    least = ", ".join(f"{letter} >= {count}" for letter, count in kind.least.items())
+    notes += ["; ".join(f"{letter}: {axis}" for letter, axis in kind.axes.items()) + "."] * bool(
+        kind.axes
+    )
+    notes += [f"{least}."] * bool(least)
+    notes += [
+        f"{' and '.join(f'`{one}`' for one in group)} come together." for group in kind.together
+    ]
+    said = " ".join([kind.about, *notes])
+    return f"## {name} ({kind.suffix})\n\n{said}\n\n" + "\n".join(rows) + "\n"
 
 
 def _said(entry: dict[str, Any]) -> str:

@@ -161,6 +161,13 @@ class RodInputs(_File, frozen=True):
     poisson: Annotated[float, Meta(gt=-1.0, le=0.5)] = 0.5
 
 
+class Plans(_File, frozen=True):
+    """What the optimised plans of a folder are (`plans/plans.json` of `wrod distil`)."""
+
+    format: Literal["wrod-plans-2"]
+    seed: Annotated[int, Meta(ge=0, le=2**53)]
+
+
 Closure = Literal["zero_tension", "least_force", "least_friction"]
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import warp as wp
 
+from wrod.grasps.inputs import GraspOptions
 from wrod.grasps.levels import Ladder, MeshLevel, make_scratch, make_task, per_rod, put
 from wrod.grasps.mesh import node_weights, two_sided_rest_lengths
 from wrod.grasps.results import empty_results
@@ -104,16 +105,8 @@ def solve_general(
     curvature: np.ndarray,
     stretch_ratio: np.ndarray,
     rods: Callable[[int], RodArrays],
-    *,
     roll: np.ndarray,
-    closure: int,
-    device: str,
-    edge_count: int,
-    extrapolate: bool = True,
-    eigenvalues: bool = False,
-    shapes: bool = True,
-    threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
+    options: GraspOptions,
 ) -> dict[str, np.ndarray]:
     """Fields of `Grasps` for rods given by their arrays.
 
@@ -122,14 +115,13 @@ def solve_general(
             and stretch ratio of the uniform straight rod that the solver starts from.
         rods: the rods on meshes of so many edges.
         roll: (n,) angle about the tangent, at the contact, from up to the first director [rad].
-        closure, device, edge_count, extrapolate, eigenvalues, shapes, threads, progress: see
-            `wrod.solve_grasps`.
     """
+    edges = options.edge_count
     right = curvature < 0.0
-    meshes = [rods(count).mirrored(right) for count in (edge_count // 2, edge_count)]
+    meshes = [rods(count).mirrored(right) for count in (edges // 2, edges)]
     roll = np.where(right, -roll, roll)
-    on_cpu = device == "cpu"
-    workers = (threads or os.cpu_count() or 1) if on_cpu else 1
+    on_cpu = options.device == "cpu"
+    workers = (options.threads or os.cpu_count() or 1) if on_cpu else 1
     n = len(length)
     size = max(1, min(_CPU_CHUNK if on_cpu else _CUDA_CHUNK, -(-n // workers)))
 
@@ -141,14 +133,10 @@ def solve_general(
             stretch_ratio[rows],
             [mesh[rows] for mesh in meshes],
             roll[rows],
-            closure,
-            device,
-            extrapolate,
-            eigenvalues,
-            shapes,
+            options,
         )
-        if progress is not None:
-            progress(len(part["position"]))
+        if options.progress is not None:
+            options.progress(len(part["position"]))
         return part
 
     with ThreadPoolExecutor(workers) as pool:
@@ -281,17 +269,9 @@ class _GeneralLevel:
 
 
 def _solve_chunk(
-    length,
-    curvature,
-    stretch_ratio,
-    meshes,
-    roll,
-    closure,
-    device,
-    extrapolate,
-    eigenvalues,
-    shapes,
+    length, curvature, stretch_ratio, meshes, roll, options: GraspOptions
 ) -> dict[str, np.ndarray]:
+    device, closure = options.device, options.closure
     n, edges = meshes[1].rest_length.shape
     inputs = [
         wp.array(value, dtype=wp.float64, device=device)
@@ -303,14 +283,14 @@ def _solve_chunk(
     coarse, fine = (_GeneralLevel(mesh, roll, device, ladder) for mesh in meshes)
     for level in (coarse, fine):
         level.solve(ladder, closure)
-    out = empty_results(n, edges, device, sensitivities=False, shapes=shapes)
+    out = empty_results(n, edges, device, sensitivities=False, shapes=options.shapes)
     wp.launch(
         reading.judge,
         dim=n,
         inputs=[
             coarse.straight.read,
             fine.straight.read,
-            int(extrapolate),
+            int(options.extrapolate),
             edges,
             fine.straight.rest,
             inputs[1],
@@ -320,11 +300,11 @@ def _solve_chunk(
         device=device,
     )
     names = ["position", "rotation", "force", "force_jacobian", "converged", "stable"]
-    names += ["iterations", "residual", *(["shape", "arc_length"] if shapes else [])]
+    names += ["iterations", "residual", *(["shape", "arc_length"] if options.shapes else [])]
     result = {name: getattr(out, name).numpy() for name in names}
-    share = 1.0 / 3.0 if extrapolate else 0.0
+    share = 1.0 / 3.0 if options.extrapolate else 0.0
     twist = fine.twist.numpy()
     result["twist"] = twist + share * (twist - coarse.twist.numpy())
-    if eigenvalues:
+    if options.eigenvalues:
         result["eigenvalue"] = fine.eigenvalue()
     return result

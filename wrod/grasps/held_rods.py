@@ -9,7 +9,8 @@ from wrod.grasps.mesh import WEIGHT, node_weights, rest_lengths
 from wrod.kernels.contact.table import table
 from wrod.kernels.grasping import closures as grasping
 from wrod.kernels.grasping import holding
-from wrod.rods.batch import Derivatives, RodBatch
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import Derivatives
 from wrod.solvers.banded import BorderedSystem
 from wrod.solvers.stability import smallest_eigenvalue
 from wrod.solvers.statics import EquilibriumSolver

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
 from wrod.errors import GraspError
+from wrod.kernels.grasping import closures
 from wrod.kernels.grasping.inputs import find_outside
-from wrod.rods.batch import resolve_device
+from wrod.rods.device import resolve_device
 
 # Inputs that are solved; beyond them grasps do not exist, or have never been checked.
 LIMITS = {
@@ -18,6 +20,38 @@ LIMITS = {
     "stretch_ratio": (50.0, 1e5),
     "natural_curvature": (-1.0, 1.0),
 }
+
+CLOSURES = {
+    "zero_tension": int(closures.ZERO_TENSION),
+    "min_force": int(closures.MIN_FORCE),
+    "min_friction": int(closures.MIN_FRICTION),
+}
+
+
+@dataclass(frozen=True)
+class GraspOptions:
+    """How grasps are solved; what is not said here is in `wrod.solve_grasps`.
+
+    Attributes:
+        closure: its number.
+        device: Warp's name of it.
+    """
+
+    closure: int
+    device: str
+    edge_count: int
+    extrapolate: bool
+    eigenvalues: bool
+    shapes: bool
+    threads: int | None
+    progress: Callable[[int], object] | None
+
+
+def closure_number(closure: str) -> int:
+    """Raises GraspError where there is none of that name."""
+    if closure not in CLOSURES:
+        raise GraspError(f"unknown closure {closure!r}; use one of {', '.join(CLOSURES)}")
+    return CLOSURES[closure]
 
 
 def whole_range(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

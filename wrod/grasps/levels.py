@@ -12,7 +12,7 @@ import warp as wp
 
 from wrod.kernels.grasping import iteration, mesh, reading, sensitivity
 from wrod.kernels.grasping.closures import CONVERGED
-from wrod.kernels.grasping.step import Scratch
+from wrod.kernels.grasping.scratch import Scratch
 from wrod.kernels.linear.frontal import row_width, stencil_entries
 
 # Largest change of an edge in one step, as a fraction of its length.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.grasps.held_rods import HeldRods
-from wrod.rods.batch import resolve_device
+from wrod.rods.device import resolve_device
 
 OFFSETS = np.concatenate([[0.0, 1e-3, 5e-3], np.linspace(0.01, 0.5, 50)])
 # Nodes of a rod that has snapped are further than this from the branch [L_gb].

@@ -10,7 +10,6 @@ import os
 import queue
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -18,71 +17,19 @@ import warp as wp
 from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.general import curved_rods, solve_general
-from wrod.grasps.inputs import LIMITS, GraspArrays
+from wrod.grasps.inputs import LIMITS, GraspArrays, GraspOptions, closure_number
 from wrod.grasps.levels import Ladder
-from wrod.grasps.results import SENSITIVITIES, empty_results
+from wrod.grasps.results import SENSITIVITIES, Grasps, empty_results
 from wrod.grasps.solver import held_batch
-from wrod.kernels.grasping import closures
 from wrod.kernels.grasping.reading import Results
 from wrod.solvers.stability import smallest_eigenvalue
 
-CLOSURES = {
-    "zero_tension": int(closures.ZERO_TENSION),
-    "min_force": int(closures.MIN_FORCE),
-    "min_friction": int(closures.MIN_FRICTION),
-}
 EDGE_COUNT = 128
 
 # Grasps solved at once: few on a CPU, whose cache they should not leave; many on a GPU.
 _CPU_CHUNK, _CUDA_CHUNK = 128, 65536
 # Most of a GPU's memory that is kept from call to call.
 _KEPT_SHARE = 0.1
-
-
-@dataclass(frozen=True)
-class Grasps:
-    """Optimal grasps, one per input (float64 NumPy, or tensors or Warp arrays
-    on the device as the inputs were; dimensionless).
-
-    Attributes:
-        position: (n, 3) grip position in the contact frame [L_gb].
-        rotation: (n, 3) rotation vector of the rod's material frame at the grip: R x is the tangent
-            there. A naturally straight rod has no twist between contact and grip [rad].
-        force: (n, 3) force on the suspended rod at the contact [k_b/L_gb^2].
-        converged: (n,) an admissible and stable equilibrium to the tolerance: z >= 0 everywhere,
-            F_z >= 0. Only these are results.
-        stable: (n,) the held grasp is stable (no negative eigenvalue of the constrained Hessian).
-        eigenvalue: (n,) how far the held grasp is from instability: the smallest eigenvalue of that
-            Hessian, the stiffness per length of its softest motion [k_b/L_gb^4]; or None.
-        iterations: (n,) Newton iterations, all meshes together.
-        residual: (n,) largest unbalanced force on the finest mesh [k_b/L_gb^2].
-        force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact held.
-        shape: (n, node, 3) the rod from contact to grip on the finest mesh [L_gb], or None.
-        arc_length: (n, node) unstretched arc length of its nodes [L_gb], or None.
-        twist: (n,) angle by which the rod is twisted between contact and grip, which may be more
-            than a turn [rad]; None for naturally straight rods, which are not twisted.
-        position_sensitivity, rotation_sensitivity, force_sensitivity: (n, 3, 3) derivatives of
-            component i by input j of (suspended_length, curvature, stretch_ratio), or None.
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-    force: np.ndarray
-    converged: np.ndarray
-    stable: np.ndarray
-    iterations: np.ndarray
-    residual: np.ndarray
-    force_jacobian: np.ndarray
-    shape: np.ndarray | None = None
-    arc_length: np.ndarray | None = None
-    twist: np.ndarray | None = None
-    eigenvalue: np.ndarray | None = None
-    position_sensitivity: np.ndarray | None = None
-    rotation_sensitivity: np.ndarray | None = None
-    force_sensitivity: np.ndarray | None = None
-
-    def __len__(self) -> int:
-        return len(self.position)
 
 
 @arguments.checked(
@@ -147,68 +94,61 @@ def solve_grasps(
     Raises:
         GraspError: an input is not finite or outside `LIMITS`, or an unknown closure.
     """
-    if closure not in CLOSURES:
-        raise GraspError(f"unknown closure {closure!r}; use one of {', '.join(CLOSURES)}")
+    number = closure_number(closure)
     if sensitivities and closure != "zero_tension":
         raise GraspError(f"sensitivities need closure 'zero_tension', not {closure!r}")
     if edge_count < 16 or edge_count % 2:
         raise GraspError(f"edge_count is {edge_count}; use an even number from 16")
     inputs = GraspArrays.of(suspended_length, curvature, stretch_ratio, device=device)
     natural = _natural_curvature(natural_curvature, len(inputs))
-    if natural is not None:
-        if sensitivities:
-            raise GraspError("sensitivities are known for naturally straight rods only")
-        if not -1.0 < poisson <= 0.5:
-            raise GraspError(f"poisson is {poisson!r}; an elastic rod needs a value in (-1, 0.5]")
-        return _solve_curved(
-            inputs, natural, poisson, closure, edge_count, extrapolate, eigenvalues, shapes,
-            threads, progress,
-        )  # fmt: skip
-    rods = len(inputs)
-    out = empty_results(
-        rods,
-        edge_count,
-        inputs.device,
-        sensitivities=sensitivities,
-        shapes=shapes or eigenvalues,
+    options = GraspOptions(
+        number, inputs.device, edge_count, extrapolate, eigenvalues, shapes, threads, progress
     )
-    workers = 1 if inputs.device != "cpu" else (threads or os.cpu_count() or 1)
-    size = _CPU_CHUNK if inputs.device == "cpu" else _CUDA_CHUNK
-    size = max(1, min(size, -(-rods // workers)))
+    if natural is None:
+        return _solve_straight(inputs, sensitivities, options)
+    if sensitivities:
+        raise GraspError("sensitivities are known for naturally straight rods only")
+    if not -1.0 < poisson <= 0.5:
+        raise GraspError(f"poisson is {poisson!r}; an elastic rod needs a value in (-1, 0.5]")
+    return _solve_curved(inputs, natural, poisson, options)
 
-    def solve(first: int, ladder: Ladder) -> None:
-        count = min(size, rods - first)
+
+def _solve_straight(inputs: GraspArrays, sensitivities: bool, options: GraspOptions) -> Grasps:
+    rods, device, edges = len(inputs), inputs.device, options.edge_count
+    room = options.shapes or options.eigenvalues
+    out = empty_results(rods, edges, device, sensitivities=sensitivities, shapes=room)
+    workers = 1 if device != "cpu" else (options.threads or os.cpu_count() or 1)
+    size = _CPU_CHUNK if device == "cpu" else _CUDA_CHUNK
+    size = max(1, min(size, -(-rods // workers)))
+    spare: queue.SimpleQueue[Ladder] = queue.SimpleQueue()
+    for _ in range(min(workers, -(-rods // size))):
+        spare.put(_ladder(size, edges, device, sensitivities))
+
+    def solve(first: int) -> None:
+        count, ladder = min(size, rods - first), spare.get()
         ladder.solve(
             inputs.arrays,
             first,
             count,
-            closure=CLOSURES[closure],
-            extrapolate=extrapolate,
+            closure=options.closure,
+            extrapolate=options.extrapolate,
             out=out,
         )
-        if progress is not None:
-            progress(count)
-
-    spare: queue.SimpleQueue[Ladder] = queue.SimpleQueue()
-    for _ in range(min(workers, -(-rods // size))):
-        spare.put(_ladder(size, edge_count, inputs.device, sensitivities))
-
-    def solve_with_spare(first: int) -> None:
-        ladder = spare.get()
-        solve(first, ladder)
+        if options.progress is not None:
+            options.progress(count)
         spare.put(ladder)
 
     firsts = range(0, rods, size)
     if workers > 1 and len(firsts) > 1:
         with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(solve_with_spare, firsts))
+            list(pool.map(solve, firsts))
     else:
         for first in firsts:
-            solve_with_spare(first)
-    if inputs.device != "cpu":
+            solve(first)
+    if device != "cpu":
         _keep(spare.get())
-    eigenvalue = _eigenvalues(inputs, out, edge_count) if eigenvalues else None
-    return _grasps(inputs, out, eigenvalue, shapes)
+    eigenvalue = _eigenvalues(inputs, out) if options.eigenvalues else None
+    return _grasps(inputs, out, eigenvalue, options.shapes)
 
 
 # Room on a GPU that the last call left, for the next of its kind: taking it from the driver costs
@@ -249,25 +189,15 @@ def _natural_curvature(value, count: int) -> np.ndarray | None:
     return value
 
 
-def _solve_curved(
-    inputs, natural, poisson, closure, edge_count, extrapolate, eigenvalues, shapes, threads,
-    progress,
-) -> Grasps:  # fmt: skip
+def _solve_curved(inputs: GraspArrays, natural, poisson: float, options: GraspOptions) -> Grasps:
     length, curvature, stretch_ratio = inputs.numpy()
     fields = solve_general(
         length,
         curvature,
         stretch_ratio,
         lambda edges: curved_rods(length, stretch_ratio, natural, poisson, edges),
-        roll=np.zeros(len(length)),
-        closure=CLOSURES[closure],
-        device=inputs.device,
-        edge_count=edge_count,
-        extrapolate=extrapolate,
-        eigenvalues=eigenvalues,
-        shapes=shapes,
-        threads=threads,
-        progress=progress,
+        np.zeros(len(length)),
+        options,
     )
     if inputs.kind == "numpy":
         return Grasps(**fields)
@@ -286,7 +216,7 @@ def _grasps(inputs: GraspArrays, out: Results, eigenvalue, shapes: bool) -> Gras
     return Grasps(**values, eigenvalue=eigenvalue)
 
 
-def _eigenvalues(inputs: GraspArrays, out: Results, edge_count: int):
+def _eigenvalues(inputs: GraspArrays, out: Results):
     """(n,) smallest eigenvalue of the Hessian of every rod, held at the contact and at the grip."""
     _, kappa, ks = inputs.numpy()
     shape, arc_length = out.shape.numpy(), out.arc_length.numpy()

@@ -1,12 +1,65 @@
-"""Where the results of grasps go on a device."""
+"""Results of grasps, and where they go on a device."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numpy as np
 import warp as wp
 
 from wrod.kernels.grasping.reading import Results
 
 SENSITIVITIES = ("position_sensitivity", "rotation_sensitivity", "force_sensitivity")
+
+
+@dataclass(frozen=True)
+class Grasps:
+    """Optimal grasps, one per input (float64 NumPy, or tensors or Warp arrays
+    on the device as the inputs were; dimensionless). `solve_grasps` fills all but the sensitivities
+    and what it is not asked for; what another source does not say is None.
+
+    Attributes:
+        position: (n, 3) grip position in the contact frame [L_gb].
+        rotation: (n, 3) rotation vector of the rod's material frame at the grip: R x is the tangent
+            there. A naturally straight rod has no twist between contact and grip [rad].
+        force: (n, 3) force on the suspended rod at the contact [k_b/L_gb^2].
+        converged: (n,) an admissible and stable equilibrium to the tolerance: z >= 0 everywhere,
+            F_z >= 0. Only these are results.
+        stable: (n,) the held grasp is stable (no negative eigenvalue of the constrained Hessian).
+        eigenvalue: (n,) how far the held grasp is from instability: the smallest eigenvalue of that
+            Hessian, the stiffness per length of its softest motion [k_b/L_gb^4]; or None.
+        iterations: (n,) Newton iterations, all meshes together.
+        residual: (n,) largest unbalanced force on the finest mesh [k_b/L_gb^2].
+        force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact held.
+        shape: (n, node, 3) the rod from contact to grip on the finest mesh [L_gb], or None.
+        arc_length: (n, node) unstretched arc length of its nodes [L_gb], or None.
+        twist: (n,) angle by which the rod is twisted between contact and grip, which may be more
+            than a turn [rad]; None for naturally straight rods, which are not twisted.
+        position_sensitivity, rotation_sensitivity, force_sensitivity: (n, 3, 3) derivatives of
+            component i by input j of (suspended_length, curvature, stretch_ratio), or None.
+        natural_share: (n,) share of its natural curvature that the rod has in each grasp
+            (`wrod.grasps.relaxed`), or None where it has all of it.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    force: np.ndarray
+    converged: np.ndarray | None = None
+    stable: np.ndarray | None = None
+    iterations: np.ndarray | None = None
+    residual: np.ndarray | None = None
+    force_jacobian: np.ndarray | None = None
+    shape: np.ndarray | None = None
+    arc_length: np.ndarray | None = None
+    twist: np.ndarray | None = None
+    eigenvalue: np.ndarray | None = None
+    position_sensitivity: np.ndarray | None = None
+    rotation_sensitivity: np.ndarray | None = None
+    force_sensitivity: np.ndarray | None = None
+    natural_share: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
 
 
 def empty_results(

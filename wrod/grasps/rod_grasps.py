@@ -13,10 +13,11 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.general import RodArrays, solve_general
-from wrod.grasps.inputs import check_inputs
+from wrod.grasps.inputs import GraspOptions, check_inputs, closure_number
 from wrod.grasps.mesh import WEIGHT, two_sided_rest_lengths
-from wrod.grasps.optimal import CLOSURES, EDGE_COUNT, Grasps
-from wrod.rods.batch import resolve_device
+from wrod.grasps.optimal import EDGE_COUNT
+from wrod.grasps.results import Grasps
+from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import Rod, mesh_arrays, models_of
 from wrod.rods.model import RodModel
 
@@ -108,22 +109,14 @@ def solve_rod_grasps(
         GraspError: a contact is not on the rod, a value is not finite or, in L_gb, outside what can
             be solved, an unknown closure, or the rod's shape depends on how it was bent before.
     """
-    if closure not in CLOSURES:
-        raise GraspError(f"unknown closure {closure!r}; use one of {', '.join(CLOSURES)}")
+    number = closure_number(closure)
     if edge_count < 16 or edge_count % 4:
         raise GraspError(f"edge_count is {edge_count}; use a multiple of four from 16")
     roll = np.asarray(roll, dtype=np.float64)
     if not np.isfinite(roll).all() or roll.shape not in ((), (1,), np.shape(arc_length)):
         raise GraspError(f"roll is {roll!r:.80}; give an angle in radians, or one for each contact")
     model = _at_rest(models_of(rod)[0])
-    contact = np.atleast_1d(np.asarray(arc_length, dtype=np.float64))
-    if np.shape(curvature) not in ((), (1,), contact.shape):
-        raise GraspError(
-            f"curvature has shape {np.shape(curvature)} for {len(contact)} contacts; give one for "
-            "each, or one for all"
-        )
-    if contact.ndim != 1 or not ((contact >= 0.0) & (contact < model.length)).all():
-        raise GraspError(f"arc_length must be (n,) from 0 to below the rod's {model.length:g} m")
+    contact = _contacts(model, arc_length, curvature)
     lgb, bending = _units(model)
     stretch = mesh_arrays(model, np.linspace(0.0, model.length, 257))["stretching_stiffness"].mean()
     scaled = np.asarray(curvature, dtype=np.float64) * lgb
@@ -138,24 +131,32 @@ def solve_rod_grasps(
         own = arrays.natural_curvature * share[:, None, None]
         return replace(arrays, natural_curvature=own)
 
-    fields = solve_general(
-        length,
-        kappa,
-        ratio,
-        rods,
-        roll=np.broadcast_to(roll + model.principal_angle, length.shape).copy(),
-        closure=CLOSURES[closure],
-        device=resolve_device(device),
-        edge_count=edge_count,
-        extrapolate=extrapolate,
-        eigenvalues=True,
-        threads=threads,
+    turned = np.broadcast_to(roll + model.principal_angle, length.shape).copy()
+    options = GraspOptions(
+        number, resolve_device(device), edge_count, extrapolate, True, True, threads, None
     )
-    grasps = Grasps(**fields)
-    force = bending / lgb**2
+    grasps = Grasps(**solve_general(length, kappa, ratio, rods, turned, options))
+    return _in_si(grasps, contact, kappa, lgb, bending / lgb**2)
+
+
+def _contacts(model: RodModel, arc_length, curvature) -> np.ndarray:
+    """(n,) arc lengths of the contacts [m], checked."""
+    contact = np.atleast_1d(np.asarray(arc_length, dtype=np.float64))
+    if np.shape(curvature) not in ((), (1,), contact.shape):
+        raise GraspError(
+            f"curvature has shape {np.shape(curvature)} for {len(contact)} contacts; give one for "
+            "each, or one for all"
+        )
+    if contact.ndim != 1 or not ((contact >= 0.0) & (contact < model.length)).all():
+        raise GraspError(f"arc_length must be (n,) from 0 to below the rod's {model.length:g} m")
+    return contact
+
+
+def _in_si(grasps: Grasps, contact, curvature, lgb: float, force: float) -> RodGrasps:
+    """Dimensionless grasps in SI, by the units of length [m] and force [N]."""
     return RodGrasps(
         arc_length=contact,
-        curvature=kappa / lgb,
+        curvature=curvature / lgb,
         position=lgb * grasps.position,
         rotation=grasps.rotation,
         force=force * grasps.force,

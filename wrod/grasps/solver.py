@@ -5,39 +5,14 @@ Dimensionless, straight isotropic rods.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import warp as wp
 
 from wrod.grasps.levels import MeshLevel, WorkList, make_scratch, put
 from wrod.grasps.mesh import WEIGHT, node_weights
+from wrod.grasps.results import Grasps
 from wrod.kernels.grasping.closures import CONVERGED
 from wrod.rods.batch import RodBatch
-
-
-@dataclass
-class GraspSolution:
-    """Grasps on one mesh (NumPy); n grasps.
-
-    Attributes:
-        position, force: (n, 3) grip position, force on the suspended rod at the contact.
-        force_jacobian: (n, 3, 3) derivative of `force` by the grip position, contact edge held.
-        shape: (n, node, 3) nodes from contact to grip.
-        lowest, turning: (n,) lowest node and total turning of the rod [rad].
-        converged, stable: (n,) bool.
-        thrust: (n,) F_x.
-    """
-
-    position: np.ndarray
-    force: np.ndarray
-    force_jacobian: np.ndarray
-    shape: np.ndarray
-    lowest: np.ndarray
-    turning: np.ndarray
-    converged: np.ndarray
-    stable: np.ndarray
-    thrust: np.ndarray
 
 
 class GraspSolver:
@@ -113,20 +88,31 @@ class GraspSolver:
         fine.refine(self.work, level)
         return fine.shape.contiguous().numpy()
 
-    def solution(self) -> GraspSolution:
+    def grasps(self) -> Grasps:
+        """What was found, on this mesh."""
         level, read = self.level, self.level.read
         shape = level.shape.contiguous().numpy()
-        return GraspSolution(
+        return Grasps(
             position=shape[:, -1].copy(),
+            rotation=read.rotation.contiguous().numpy().copy(),
             force=read.force.contiguous().numpy().copy(),
             force_jacobian=read.jacobian.contiguous().numpy().reshape(-1, 3, 3).copy(),
             shape=shape.copy(),
-            lowest=read.lowest.numpy(),
-            turning=read.turning.numpy(),
             converged=read.status.numpy() == CONVERGED,
             stable=read.negative.numpy() == 0,
-            thrust=level.thrust.numpy().copy(),
         )
+
+    def lowest(self) -> np.ndarray:
+        """(n,) height of the lowest node."""
+        return self.level.read.lowest.numpy()
+
+    def turning(self) -> np.ndarray:
+        """(n,) total turning of each rod [rad]."""
+        return self.level.read.turning.numpy()
+
+    def thrust(self) -> np.ndarray:
+        """(n,) F_x at the contact."""
+        return self.level.thrust.numpy().copy()
 
     def batch(self) -> RodBatch:
         """The rods as a batch, held at contact and grip."""

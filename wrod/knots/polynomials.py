@@ -8,32 +8,29 @@ of the diagram, not two to the power of its crossings.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from wrod.knots.topology import Diagram
-
+# For each curve, the (crossing, over) pairs that it meets, in its own order.
+Visits = tuple[tuple[tuple[int, bool], ...], ...]
 # Products of two residues fit into 64 bits; coefficients must stay below half of it.
 _PRIME = 2**31 - 1
 
 
-def alexander(diagram: Diagram) -> dict[int, int]:
-    """Alexander polynomial in one variable; see `Diagram.alexander_polynomial`."""
+def alexander(visits: Visits, sign: np.ndarray) -> dict[int, int]:
+    """Alexander polynomial in one variable of a diagram (`wrod.knots.topology.Diagram`)."""
     arcs, rows = 0, {}
     whole = False
-    for visits in diagram.visits:
-        under = [k for k, (_, over) in enumerate(visits) if not over]
+    for curve in visits:
+        under = [k for k, (_, over) in enumerate(curve) if not over]
         if not under:  # passes over everything: its arc has no end
             whole = True
-            for crossing, _ in visits:
+            for crossing, _ in curve:
                 rows.setdefault(crossing, {})["over"] = arcs
             arcs += 1
             continue
         first = arcs
-        for step in range(len(visits)):
-            crossing, over = visits[(under[0] + 1 + step) % len(visits)]
+        for step in range(len(curve)):
+            crossing, over = curve[(under[0] + 1 + step) % len(curve)]
             row = rows.setdefault(crossing, {})
             if over:
                 row["over"] = arcs
@@ -41,7 +38,7 @@ def alexander(diagram: Diagram) -> dict[int, int]:
                 row["in"] = arcs
                 arcs += 1
                 row["out"] = arcs if arcs < first + len(under) else first
-    if whole and len(diagram.visits) > 1:
+    if whole and len(visits) > 1:
         return {}  # lies above the others: they are not linked
     count = len(rows)
     if count < 2:
@@ -49,7 +46,7 @@ def alexander(diagram: Diagram) -> dict[int, int]:
     points = np.arange(2, count + 2)
     matrix = np.zeros((len(points), count, count), dtype=np.int64)
     for number, (crossing, row) in enumerate(sorted(rows.items())):
-        into, out = ("in", "out") if diagram.sign[crossing] > 0 else ("out", "in")
+        into, out = ("in", "out") if sign[crossing] > 0 else ("out", "in")
         matrix[:, number, row["over"]] += 1 - points
         matrix[:, number, row[into]] += points
         matrix[:, number, row[out]] -= 1
@@ -100,9 +97,9 @@ def _normalised(coefficients: list[int]) -> dict[int, int]:
     return {k - present[0]: sign * coefficients[k] for k in present}
 
 
-def jones(diagram: Diagram) -> dict[float, int]:
-    """Jones polynomial; see `Diagram.jones_polynomial`."""
-    corners, loops = _planar_diagram(diagram)
+def jones(visits: Visits, sign: np.ndarray) -> dict[float, int]:
+    """Jones polynomial of a diagram."""
+    corners, loops = _planar_diagram(visits, sign)
     # {how the open ends are joined: {power of A: coefficient}}
     states: dict[tuple, dict[int, int]] = {(): {0: 1}}
     for _ in range(loops):
@@ -126,20 +123,20 @@ def jones(diagram: Diagram) -> dict[float, int]:
         states = glued
     bracket = {e: v for e, v in states[()].items() if v}
     bracket = _without_loop(bracket)
-    writhe = diagram.writhe
+    writhe = int(sign.sum())
     odd = -1 if writhe % 2 else 1
     return {-(e - 3 * writhe) / 4: odd * v for e, v in sorted(bracket.items(), reverse=True) if v}
 
 
-def _planar_diagram(diagram: Diagram) -> tuple[list[tuple[int, int, int, int]], int]:
+def _planar_diagram(visits: Visits, sign) -> tuple[list[tuple[int, int, int, int]], int]:
     """Edge labels around each crossing, counterclockwise from the under strand that comes in, and
     the number of curves without crossings."""
     around: dict[int, dict[str, int]] = {}
     label, loops = 0, 0
-    for visits in diagram.visits:
-        count = len(visits)
+    for curve in visits:
+        count = len(curve)
         loops += count == 0
-        for k, (crossing, over) in enumerate(visits):
+        for k, (crossing, over) in enumerate(curve):
             strand = around.setdefault(crossing, {})
             side = "over" if over else "under"
             strand[f"{side} in"] = label + k
@@ -149,7 +146,7 @@ def _planar_diagram(diagram: Diagram) -> tuple[list[tuple[int, int, int, int]], 
     for crossing, strand in sorted(around.items()):
         # Looking along the under strand, a right-handed crossing's over strand goes to the right.
         right, left = ("over out", "over in")
-        if diagram.sign[crossing] < 0:
+        if sign[crossing] < 0:
             right, left = left, right
         corners.append((strand["under in"], strand[right], strand["under out"], strand[left]))
     return corners, loops

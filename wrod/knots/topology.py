@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RodError
-from wrod.knots.polynomials import KNOWN, alexander, jones, polynomial_text
+from wrod.knots.polynomials import KNOWN, Visits, alexander, jones, polynomial_text
 
 # Closing points lie this many times the rods' extent away.
 _FAR = 20.0
@@ -35,7 +35,7 @@ class Diagram:
         curves: (crossing, 2) the curves that pass over and under.
     """
 
-    visits: tuple[tuple[tuple[int, bool], ...], ...]
+    visits: Visits
     sign: np.ndarray
     curves: np.ndarray
 
@@ -51,11 +51,11 @@ class Diagram:
 
     def alexander_polynomial(self) -> dict[int, int]:
         """{power of t: coefficient}, lowest power 0, its coefficient positive; {} is zero."""
-        return alexander(self)
+        return alexander(self.visits, self.sign)
 
     def jones_polynomial(self) -> dict[float, int]:
         """{power of t: coefficient}; powers are halves for links of an even number of curves."""
-        return jones(self)
+        return jones(self.visits, self.sign)
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from wrod.rods.batch import RodBatch, RodState
+from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import end_to_end, mesh_arrays
 from wrod.rods.material import RodMaterial
+from wrod.rods.state import RodState
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.prescribed import carry_edges
@@ -31,7 +32,7 @@ class Poses:
 
 
 class Hands:
-    """What the hands hold: at most one edge each (a `wrod.solvers.dynamics.Motion`)."""
+    """What the hands hold: at most one edge each (a `wrod.solvers.steps.Motion`)."""
 
     def __init__(self, batch: RodBatch, count: int):
         self.batch, self.count = batch, count

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import newton
 import numpy as np
 import warp as wp
 from newton import Model, ModelBuilder
 
 from wrod.errors import RodError
-from wrod.rods.discretisation import mesh_arrays, principal_directors
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
+from wrod.newton_solver.meshed import MeshedRod
 
 FREE, PINNED, CLAMPED = 0, 1, 2
 HOLDS = {"free": FREE, "pinned": PINNED, "clamped": CLAMPED}
@@ -39,12 +39,12 @@ def _moved(name: str, turn_only: bool):
             a, b = source.body_q[body], target.body_q[body + offset]
             if np.allclose(a, b, rtol=0.0, atol=1e-7):
                 continue
-            place = wp.transform_multiply(
-                wp.transformd(*b), wp.transform_inverse(wp.transformd(*a))
-            )
+            before: Any = wp.transformd(*a)  # its stubs know the single precision's
+            after: Any = wp.transformd(*b)
+            place: Any = wp.transform_multiply(after, wp.transform_inverse(before))
             rows = range(first, first + count - (name == "edge"))
             for i in rows:
-                v = wp.vec3d(*out[i])
+                v: Any = wp.vec3d(*out[i])
                 v = wp.transform_vector(place, v) if turn_only else wp.transform_point(place, v)
                 out[i] = np.array(v)
         return out
@@ -112,38 +112,28 @@ def register(builder: ModelBuilder) -> None:
 
 def add_rod(
     builder: ModelBuilder,
-    points: np.ndarray,
-    rod: RodModel | RodMaterial,
-    *,
-    start: str,
-    start_body: int,
-    end: str,
-    end_body: int,
-    director,
-    velocity,
-    natural_curvature,
-    natural_twist,
-    rest_length,
+    rod: MeshedRod,
+    held: tuple[tuple[str, int], tuple[str, int]],
+    damping: tuple[float | None, float | None],
     touches_rods: bool,
-    air_damping: float | None,
-    internal_damping: float | None,
-    visible: bool,
-    color,
-    label: str | None,
+    look: tuple[bool, tuple | None, str | None],
 ) -> int:
-    """`SolverDER.add_rod`, which documents the arguments."""
+    """Add a rod; its index.
+
+    Args:
+        held: how, and by what body, the first and the last node are.
+        damping: by air and inside; None is the rod's.
+        look: whether it is shown, in which colour, and its label.
+
+    Raises:
+        RodError: the builder knows no rods, or no such body.
+    """
     if not builder.has_custom_attribute("der:node_q"):
         raise RodError(
             "the builder does not know rods; call SolverDER.register_custom_attributes(builder) "
             "before SolverDER.add_rod"
         )
-    model = RodModel.of(rod)
-    air_damping = model.air_damping if air_damping is None else air_damping
-    internal_damping = model.internal_damping if internal_damping is None else internal_damping
-    points = _points(points)
-    count = len(points)
-    rest = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    for name, kind, body in (("start", start, start_body), ("end", end, end_body)):
+    for name, (kind, body) in zip(("start", "end"), held, strict=True):
         if kind not in HOLDS:
             raise RodError(f"{name} is {kind!r}; use one of {', '.join(HOLDS)}")
         if not -1 <= body < builder.body_count:
@@ -151,36 +141,37 @@ def add_rod(
                 f"{name}_body is {body}; give a body of the builder (it has "
                 f"{builder.body_count}), or -1 for the world"
             )
-    for name, value in (("air_damping", air_damping), ("internal_damping", internal_damping)):
-        if not (np.isfinite(value) and value >= 0):
-            raise RodError(f"{name} is {value!r}; give a finite number of at least 0")
-    directors = _directors(points, rest, director)
-    directors = principal_directors(model, directors, np.diff(points, axis=0) / rest[:, None])
+    model, (visible, color, label) = rod.model, look
+    own = (model.air_damping, model.internal_damping)
+    air, internal = (o if given is None else given for o, given in zip(own, damping, strict=True))
+    counts = builder._custom_frequency_counts
+    first_node, first_edge = counts.get(NODE, 0), counts.get(EDGE, 0)
+    label = label or f"rod_{counts.get(ROD, 0)}"
+    body = _add_bodies(builder, rod.points, rod.directors, model.radius, visible, color, label)
+    _add_nodes(builder, rod)
+    (start, start_body), (end, end_body) = held
+    added = builder.add_custom_values(
+        **{
+            "der:rod_first_node": first_node,
+            "der:rod_first_edge": first_edge,
+            "der:rod_node_count": len(rod.points),
+            "der:rod_body": body,
+            "der:rod_visible": int(visible),
+            "der:rod_touches_rods": int(touches_rods),
+            "der:rod_start_hold": HOLDS[start],
+            "der:rod_start_body": start_body,
+            "der:rod_end_hold": HOLDS[end],
+            "der:rod_end_body": end_body,
+            "der:rod_radius": model.radius,
+            "der:rod_air_damping": float(air),
+            "der:rod_internal_damping": float(internal),
+        }
+    )
+    return added["der:rod_node_count"]
 
-    def per_node(name, value, size=()):
-        try:
-            value = np.broadcast_to(np.asarray(value, dtype=float), (count, *size))
-        except ValueError:
-            raise RodError(
-                f"{name} has shape {np.shape(value)}, which does not broadcast to {(count, *size)}"
-            ) from None
-        if not np.isfinite(value).all():
-            raise RodError(f"{name} holds a value that is not finite")
-        return value
 
-    velocity = per_node("velocity", velocity, (3,))
-    if natural_curvature is not None:
-        natural_curvature = per_node("natural_curvature", natural_curvature, (2,))
-    if natural_twist is not None:
-        natural_twist = per_node("natural_twist", natural_twist)
-    if rest_length is not None:
-        rest = _rest_length(rest_length, count)
-    nodes = _per_node(model, rest, natural_curvature, natural_twist)
-
-    first_node = builder._custom_frequency_counts.get(NODE, 0)
-    first_edge = builder._custom_frequency_counts.get(EDGE, 0)
-    label = label or f"rod_{builder._custom_frequency_counts.get(ROD, 0)}"
-    body = _add_bodies(builder, points, directors, model.radius, visible, color, label)
+def _add_nodes(builder: ModelBuilder, rod: MeshedRod) -> None:
+    nodes, count = rod.nodes, len(rod.points)
     builder.add_custom_values_batch(
         {
             "der:node_mass": float(nodes["node_mass"][i]),
@@ -190,37 +181,19 @@ def add_rod(
             "der:node_natural_twist": float(nodes["natural_twist"][i]),
             "der:node_softening": wp.vec2d(*nodes["softening"][i]),
             "der:node_inelastic": wp.vec4d(*nodes["inelastic"][i]),
-            "der:node_q": points[i],
-            "der:node_qd": velocity[i],
+            "der:node_q": rod.points[i],
+            "der:node_qd": rod.velocity[i],
         }
         for i in range(count)
     )
     builder.add_custom_values_batch(
         {
-            "der:edge_rest_length": float(rest[i]),
+            "der:edge_rest_length": float(rod.rest[i]),
             "der:edge_stretching_stiffness": float(nodes["stretching_stiffness"][i]),
-            "der:edge_director": directors[i],
+            "der:edge_director": rod.directors[i],
         }
         for i in range(count - 1)
     )
-    added = builder.add_custom_values(
-        **{
-            "der:rod_first_node": first_node,
-            "der:rod_first_edge": first_edge,
-            "der:rod_node_count": count,
-            "der:rod_body": body,
-            "der:rod_visible": int(visible),
-            "der:rod_touches_rods": int(touches_rods),
-            "der:rod_start_hold": HOLDS[start],
-            "der:rod_start_body": start_body,
-            "der:rod_end_hold": HOLDS[end],
-            "der:rod_end_body": end_body,
-            "der:rod_radius": model.radius,
-            "der:rod_air_damping": float(air_damping),
-            "der:rod_internal_damping": float(internal_damping),
-        }
-    )
-    return added["der:rod_node_count"]
 
 
 def attach(builder: ModelBuilder, rod: int, body: int, node: int, kind: str) -> None:
@@ -268,75 +241,6 @@ def _held_nodes(builder: ModelBuilder, rod: int) -> set[int]:
         if values("hold_rod")[k] == rod:
             node = values("hold_node")[k]
             out |= {node, node + values("hold_kind")[k] - 1}
-    return out
-
-
-def _rest_length(rest_length, count: int) -> np.ndarray:
-    try:
-        out = np.array(np.broadcast_to(np.asarray(rest_length, dtype=float), (count - 1,)))
-    except ValueError:
-        raise RodError(
-            f"rest_length has shape {np.shape(rest_length)}; give one or ({count - 1},)"
-        ) from None
-    if not (np.isfinite(out) & (out > 0)).all():
-        raise RodError("rest_length must be positive and finite")
-    return out
-
-
-def _per_node(model: RodModel, rest, natural_curvature, natural_twist) -> dict[str, np.ndarray]:
-    """The rod on its mesh, with what is given instead of its own curvature and twist at rest."""
-    arrays = mesh_arrays(model, np.concatenate([[0.0], np.cumsum(rest)]))
-    nodes = {name: value[0] for name, value in arrays.items()}
-    if natural_curvature is not None:
-        c, s = np.cos(model.principal_angle), np.sin(model.principal_angle)
-        nodes["natural_curvature"] = natural_curvature @ np.array([[c, -s], [s, c]])
-    if natural_twist is not None:
-        nodes["natural_twist"] = natural_twist
-    return nodes
-
-
-def _points(points) -> np.ndarray:
-    points = np.asarray(points, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
-        raise RodError(f"rod points have shape {points.shape}; give (node, 3) with 3 or more")
-    if not np.isfinite(points).all():
-        raise RodError("rod points hold a value that is not finite")
-    edges = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if not (edges > 0).all():
-        i = int(np.argmin(edges))
-        raise RodError(f"rod points {i} and {i + 1} coincide; give neighbours some distance")
-    return points
-
-
-def _directors(points: np.ndarray, rest: np.ndarray, director) -> np.ndarray:
-    """(node - 1, 3) first material directors: those given, or one carried along without twist."""
-    tangents = np.diff(points, axis=0) / rest[:, None]
-    if np.shape(director) == tangents.shape:
-        across = director - np.sum(director * tangents, axis=1)[:, None] * tangents
-        size = np.linalg.norm(across, axis=1)
-        if not (size > 1e-9).all():
-            raise RodError("a director is along its edge; give one across it")
-        return across / size[:, None]
-    if director is None:
-        director = np.eye(3)[np.argmin(np.abs(tangents[0]))]
-    before = np.asarray(director, dtype=float)
-    if before.shape != (3,) or not np.isfinite(before).all():
-        raise RodError(
-            "director must be three finite numbers: a direction across the first edge; or one "
-            "across every edge"
-        )
-    out = np.empty_like(tangents)
-    last = tangents[0]
-    for i, t in enumerate(tangents):
-        axis, cosine = np.cross(last, t), float(last @ t)
-        turned = cosine * before + np.cross(axis, before)
-        turned = turned + (axis @ before) / max(1.0 + cosine, 1e-12) * axis
-        turned = turned - (turned @ t) * t
-        size = np.linalg.norm(turned)
-        if not size > 1e-9:
-            raise RodError("director is along the rod's first edge; give one across it")
-        out[i] = before = turned / size
-        last = t
     return out
 
 

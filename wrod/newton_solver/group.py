@@ -11,7 +11,7 @@ from wrod.newton_solver.holds import Holds
 from wrod.newton_solver.layout import Layout
 from wrod.newton_solver.owned import find_owned
 from wrod.newton_solver.shapes import ModelShapes
-from wrod.rods.batch import RodState
+from wrod.rods.state import RodState
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
@@ -23,7 +23,7 @@ _STANDARD_GRAVITY = 9.81
 
 
 class RodGroup:
-    """Rows that share a batch (a `wrod.solvers.dynamics.Motion`: it carries what is held).
+    """Rows that share a batch (a `wrod.solvers.steps.Motion`: it carries what is held).
 
     Args:
         model: the Newton model.
@@ -111,7 +111,7 @@ class RodGroup:
             out["internal_damping"] = np.repeat(internal[:, :, None], 4, axis=2)
         return out
 
-    def _make_contact(self, stiffness: float | None) -> Contact:
+    def _make_contact(self, stiffness: float | np.ndarray | None) -> Contact:
         layout, batch = self.layout, self.batch
         radius = layout.node_values("radius")
         if stiffness is None:
@@ -124,7 +124,13 @@ class RodGroup:
         self._shapes_move = bool((carrier >= 0).any())
         curved = (batch.natural_curvature.numpy() != 0).any(axis=(1, 2))
         return Contact(
-            batch, radius, stiffness, friction, shapes, keeps_roll=curved, passive=layout.ghost
+            batch,
+            radius,
+            np.asarray(stiffness),
+            friction,
+            shapes,
+            keeps_roll=curved,
+            passive=layout.ghost,
         )
 
     def _make_rod_contact(self, friction: float | None, holds: np.ndarray) -> RodContact | None:

@@ -135,8 +135,10 @@ class ModelShapes:
         if kind in (GeoType.BOX, GeoType.ELLIPSOID):
             return (Box if kind == GeoType.BOX else Ellipsoid)(place, tuple(size), quaternion)
         if kind in (GeoType.CYLINDER, GeoType.CAPSULE, GeoType.CONE):
-            solid = {GeoType.CYLINDER: Cylinder, GeoType.CAPSULE: Capsule, GeoType.CONE: Cone}[kind]
-            return solid(place, size[0], size[1], axis)
+            round_ones: dict[GeoType, type[Cylinder] | type[Capsule] | type[Cone]] = {
+                GeoType.CYLINDER: Cylinder, GeoType.CAPSULE: Capsule, GeoType.CONE: Cone,
+            }  # fmt: skip
+            return round_ones[kind](place, size[0], size[1], axis)
         if shape not in self._meshes:
             source = self.model.shape_source[shape]
             device = str(self.model.device)

@@ -21,13 +21,11 @@ from newton.solvers import SolverBase
 
 from wrod.kernels.stepping.carrying import add_wrenches
 from wrod.newton_solver import attributes
-from wrod.newton_solver.described import add_described
+from wrod.newton_solver.adding import RodBuilding
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.holds import Holds, free_bodies
 from wrod.newton_solver.rows import find_rows
 from wrod.newton_solver.shapes import ModelShapes
-from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
 from wrod.solvers.dynamics import SCHEMES
 
 _STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
@@ -36,10 +34,7 @@ _PATIENCE = 3
 _PASSED_ON = ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd")
 
 
-_COLOR = arguments.several(arguments.number(0.0, 1.0), least=3)
-
-
-class SolverDER(SolverBase):
+class SolverDER(RodBuilding, SolverBase):
     """Implicit discrete elastic rods, in float64, inside a Newton scene.
 
     Rods are no bodies of Newton's: their state is in `state.der` (`node_q` [m], `node_qd` [m/s],
@@ -344,171 +339,3 @@ class SolverDER(SolverBase):
             else:
                 chosen = mask.numpy()[group.worlds].astype(bool)
             group.reset(state, self._initial, chosen)
-
-    @classmethod
-    def register_custom_attributes(cls, builder: newton.ModelBuilder) -> None:
-        """Tell a builder what rods are: call it before `add_rod`, and on the builder that a
-        scene of rods is added to or replicated in.
-
-        Args:
-            builder: The model builder.
-        """
-        attributes.register(builder)
-
-    @staticmethod
-    @arguments.checked(
-        RodError,
-        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
-        points=arguments.array((None, 3)),
-        material=arguments.like("a wrod.RodModel or wrod.RodMaterial", "radius", "length"),
-        start=arguments.text,
-        start_body=arguments.whole(-1),
-        end=arguments.text,
-        end_body=arguments.whole(-1),
-        director=arguments.optional(arguments.array((3,), (None, 3))),
-        velocity=arguments.array((), (3,), (None, 3)),
-        natural_curvature=arguments.optional(arguments.array((2,), (None, 2))),
-        natural_twist=arguments.optional(arguments.array((), (None,))),
-        rest_length=arguments.optional(arguments.array((), (None,))),
-        touches_rods=arguments.flag,
-        air_damping=arguments.optional(arguments.number(0.0, 1e9)),
-        internal_damping=arguments.optional(arguments.number(0.0, 1e9)),
-        visible=arguments.flag,
-        color=arguments.optional(_COLOR),
-        label=arguments.optional(arguments.text),
-    )
-    def add_rod(
-        builder: newton.ModelBuilder,
-        points: np.ndarray,
-        material: RodModel | RodMaterial,
-        *,
-        start: str = "free",
-        start_body: int = -1,
-        end: str = "free",
-        end_body: int = -1,
-        director: np.ndarray | None = None,
-        velocity: np.ndarray | float = 0.0,
-        natural_curvature: np.ndarray | None = None,
-        natural_twist: np.ndarray | float | None = None,
-        rest_length: np.ndarray | float | None = None,
-        touches_rods: bool = True,
-        air_damping: float | None = None,
-        internal_damping: float | None = None,
-        visible: bool = True,
-        color: tuple[float, float, float] | None = None,
-        label: str | None = None,
-    ) -> int:
-        """Add a rod to a builder that knows rods (`register_custom_attributes`).
-
-        Its weight acts with the model's gravity.
-
-        Args:
-            builder: The model builder.
-            points: (node, 3) first shape, 3 nodes or more [m].
-            material: What the rod is, from the first node on; its `length` and `gravity` are
-                not used.
-            start: How the first node is held: "free", "pinned" (place) or "clamped" (place,
-                direction and twist).
-            start_body: What holds it: a body, or -1 for the world.
-            end: How the last node is held.
-            end_body: What holds it.
-            director: (3,) first material director of the first edge, carried along the rod without
-                twist, or (node - 1, 3) those of all edges. Defaults to any direction across it.
-            velocity: (node, 3) first velocities [m/s].
-            natural_curvature: (2,) or (node, 2) curvature at rest (c_1, c_2) with
-                dt/ds = c_1 m_1 + c_2 m_2 in the material frame [1/m]. Defaults to the rod's;
-                the first shape does not count.
-            natural_twist: (node,) twist at rest [rad/m]. Defaults to the rod's.
-            rest_length: (node - 1,) unstretched lengths of the edges [m]. Defaults to those given.
-            touches_rods: Whether it touches itself and others, where the solver's `rod_contact`
-                lets rods do so.
-            air_damping: Drag per mass and velocity [1/s]. Defaults to the rod's.
-            internal_damping: Kelvin-Voigt time of the material [s]. Defaults to the rod's.
-            visible: Show the rod by a kinematic capsule on every edge, which the solver moves.
-            color: Of the capsules.
-            label: Of the rod's bodies and shapes.
-
-        Returns:
-            The index of the rod.
-
-        Raises:
-            RodError: The builder does not know rods, or an argument is unusable.
-        """
-        return attributes.add_rod(
-            builder,
-            points,
-            material,
-            start=start,
-            start_body=start_body,
-            end=end,
-            end_body=end_body,
-            director=director,
-            velocity=velocity,
-            natural_curvature=natural_curvature,
-            natural_twist=natural_twist,
-            rest_length=rest_length,
-            touches_rods=touches_rods,
-            air_damping=air_damping,
-            internal_damping=internal_damping,
-            visible=visible,
-            color=color,
-            label=label,
-        )
-
-    @staticmethod
-    @arguments.checked(
-        RodError,
-        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
-        rod=arguments.like("a newton.Rod", "points", "edges", "quaternions"),
-        density=arguments.number(0.0, 1e6),
-    )
-    def add_newton_rod(
-        builder: newton.ModelBuilder, rod: newton.Rod, *, density: float = 1000.0, **options
-    ) -> list[int]:
-        """Add what a `newton.Rod` describes: a chain, a ring (`closed`) or branches (`edges`).
-
-        Rigidities, initial and rest shape and twist are the description's. Shear rigidity is not
-        used: edges do not shear. Where a ring closes or branches meet, a body that weighs a
-        hundredth of an edge clamps their ends, as they lie first.
-
-        Args:
-            builder: The model builder.
-            rod: The description, with a stiffness.
-            density: Mass per volume of the rod [kg/m^3].
-            options: Of `add_rod`: air_damping, internal_damping, visible, color, label,
-                touches_rods; of a chain start, start_body, end, end_body too.
-
-        Returns:
-            The indices of the rods, one for each chain between branches.
-
-        Raises:
-            RodError: The description has no stiffness, or an option is unusable.
-        """
-        return add_described(builder, rod, density, SolverDER.add_rod, **options)
-
-    @staticmethod
-    @arguments.checked(
-        RodError,
-        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
-        rod=arguments.whole(0),
-        body=arguments.whole(-1),
-        node=arguments.whole(0),
-        kind=arguments.text,
-    )
-    def attach(
-        builder: newton.ModelBuilder, rod: int, body: int, *, node: int, kind: str = "clamped"
-    ) -> None:
-        """Let a body hold a rod somewhere along it, as the rod lies to the body now.
-
-        Args:
-            builder: The model builder.
-            rod: Index that `add_rod` returned.
-            body: What holds it: a body, or -1 for the world.
-            node: Which node, from 0 on.
-            kind: "pinned" (the node's place, a ball joint) or "clamped" (place, direction and
-                twist of the edge after the node).
-
-        Raises:
-            RodError: There is no such rod, body or node, or something holds it already.
-        """
-        attributes.attach(builder, rod, body, node, kind)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import PatternError
-from wrod.files import checked_path, read_arrays, read_text
+from wrod.files import check_arrays, checked_path, read_arrays, read_text
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 _UNIT_WORDS = {
@@ -76,23 +76,17 @@ def read_points(path: str | os.PathLike[str]) -> RawPoints:
 
 def _read_numpy(path: Path) -> RawPoints:
     arrays = read_arrays(path, "a NumPy file of points", error=PatternError, limit=_MAX_BYTES)
-    units = str(arrays["units"])[:100] if "units" in arrays else None
     names = [name for name, array in arrays.items() if array.ndim == 2]
     names = [name for name in ("", "points") if name in arrays] or names
     if len(names) != 1:
         raise PatternError(
             f"{path}: holds {len(names)} tables; save the points as the array 'points'"
         )
-    data = arrays[names[0]]
-    if data.ndim != 2:
-        raise PatternError(
-            f"{path}: has shape {data.shape}; give one row of x, y (and z) per point"
-        )
-    if len(data) > _MAX_POINTS:
-        raise PatternError(f"{path}: {_too_many(len(data))}")
-    if data.dtype.kind not in "fiu":
-        raise PatternError(f"{path}: holds {data.dtype} values; save plain numbers")
-    return RawPoints(np.asarray(data, dtype=float), str(path), units)
+    table = {"points": arrays[names[0]]} | {k: v for k, v in arrays.items() if k == "units"}
+    found = check_arrays(table, "Points", str(path), PatternError)
+    if len(found["points"]) > _MAX_POINTS:
+        raise PatternError(f"{path}: {_too_many(len(found['points']))}")
+    return RawPoints(found["points"], str(path), found.get("units"))
 
 
 def _read_text(path: Path) -> RawPoints:

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from wrod import arguments
 from wrod.errors import GraspError, PatternError, RodError, StabilityWarning, WrodWarning
 from wrod.grasps.mesh import WEIGHT
+from wrod.grasps.results import Grasps
 from wrod.patterns.pattern import Pattern
 from wrod.planning.friction import friction_bound
-from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs, GraspPoses
+from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -170,7 +171,7 @@ def _usual_closure(pattern: Pattern, rod, method: str, controller: Controller | 
     return favoured_closure(pattern, rod) if method == "auto" else "zero_tension"
 
 
-def _solved(method: str, inputs: GraspInputs, s: np.ndarray) -> tuple[GraspPoses, dict]:
+def _solved(method: str, inputs: GraspInputs, s: np.ndarray) -> tuple[Grasps, dict]:
     """Grasps at the contacts s [m], and what the trajectory says of them."""
     with warnings.catch_warnings(record=True) as reservations:
         warnings.simplefilter("always")
@@ -236,7 +237,7 @@ def _trajectory(
     rod: RodModel | RodMaterial,
     laid: np.ndarray,
     course: tuple[np.ndarray, np.ndarray, np.ndarray],
-    poses: GraspPoses,
+    poses: Grasps,
     roll: float,
     said: dict,
 ) -> Trajectory:
@@ -539,7 +540,7 @@ def _refuse_tight_bends(
         )
 
 
-def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -> None:
+def _refuse_unconverged(poses: Grasps, inputs: GraspInputs, s: np.ndarray) -> None:
     finite = np.all(np.isfinite(poses.position) & np.isfinite(poses.rotation), axis=1)
     good = finite if poses.converged is None else finite & poses.converged
     if np.all(good):
@@ -553,7 +554,7 @@ def _refuse_unconverged(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -
     )
 
 
-def _warn_relaxed(poses: GraspPoses, s: np.ndarray) -> None:
+def _warn_relaxed(poses: Grasps, s: np.ndarray) -> None:
     if poses.natural_share is None:
         return
     less = np.concatenate([[False], poses.natural_share < 1.0, [False]])
@@ -569,7 +570,7 @@ def _warn_relaxed(poses: GraspPoses, s: np.ndarray) -> None:
     )
 
 
-def _warn_unstable(poses: GraspPoses, inputs: GraspInputs, s: np.ndarray) -> None:
+def _warn_unstable(poses: Grasps, inputs: GraspInputs, s: np.ndarray) -> None:
     if poses.stable is not None and not np.all(poses.stable):
         where = s[~np.asarray(poses.stable, dtype=bool)]
         warnings.warn(

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.errors import GraspError
 from wrod.grasps.mesh import MIRROR, MIRROR_ROTATION
+from wrod.grasps.results import Grasps
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
@@ -86,38 +87,16 @@ class GraspInputs:
         return replace(self, suspended_length=length, curvature=curvature)
 
 
-@dataclass(frozen=True)
-class GraspPoses:
-    """What a grasp source returns, in the contact frame and dimensionless.
-
-    position, rotation (vector) and force are (T, 3); converged, stable and eigenvalue (of the
-    softest motion, see `Grasps`) are (T,) or None where the source does not say; shape is
-    (T, nodes, 3) or None; twist (T,) from contact to grip [rad], or None where there is none;
-    natural_share (T,) is the share of its natural curvature that the rod has in each grasp, or None
-    where it has all of it.
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-    force: np.ndarray
-    converged: np.ndarray | None = None
-    stable: np.ndarray | None = None
-    shape: np.ndarray | None = None
-    eigenvalue: np.ndarray | None = None
-    twist: np.ndarray | None = None
-    natural_share: np.ndarray | None = None
-
-
-def _intuitive(inputs: GraspInputs) -> GraspPoses:
+def _intuitive(inputs: GraspInputs) -> Grasps:
     """Grip straight above the contact, the rod hanging from it (Takizawa et al. 2015)."""
     length = inputs.suspended_length
     count = len(length)
     position = np.column_stack([np.zeros((count, 2)), length])
     rotation = np.tile([0.0, -np.pi / 2.0, 0.0], (count, 1))
-    return GraspPoses(position, rotation, np.full((count, 3), np.nan))
+    return Grasps(position, rotation, np.full((count, 3), np.nan))
 
 
-def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
+def _of_varying_rod(inputs: GraspInputs) -> Grasps:
     """Optimal grasps of a rod whose properties depend on where it touches the table; where it has
     none, of a rod closer to straight."""
     from wrod.grasps.relaxed import solve_relaxed
@@ -140,20 +119,20 @@ def _of_varying_rod(inputs: GraspInputs) -> GraspPoses:
         watch(count, count)
     # The grip holds the rod at one roll: its y axis is what was to the left where the rod begins.
     turn = Rotation.from_rotvec(rolled[:, None] * [1.0, 0.0, 0.0])
-    return GraspPoses(
+    return Grasps(
         grasps.position / lgb,
         (Rotation.from_rotvec(grasps.rotation) * turn).as_rotvec(),
         grasps.force / force,
-        grasps.converged,
-        grasps.stable,
-        grasps.shape / lgb,
-        grasps.eigenvalue * lgb**2 / force,
-        grasps.twist + rolled,
-        None if (share == 1.0).all() else share,
+        converged=grasps.converged,
+        stable=grasps.stable,
+        shape=grasps.shape / lgb,
+        eigenvalue=grasps.eigenvalue * lgb**2 / force,
+        twist=grasps.twist + rolled,
+        natural_share=None if (share == 1.0).all() else share,
     )
 
 
-def _numeric(inputs: GraspInputs) -> GraspPoses:
+def _numeric(inputs: GraspInputs) -> Grasps:
     """Optimal grasps from the rod solver."""
     from wrod.grasps.optimal import solve_grasps
 
@@ -165,7 +144,7 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
     own: dict[str, Any] = {}
     if not inputs.is_straight:
         own = {"natural_curvature": inputs.natural_curvature, "poisson": inputs.poisson}
-    grasps = solve_grasps(
+    return solve_grasps(
         inputs.suspended_length,
         inputs.curvature,
         inputs.stretch_ratio,
@@ -174,16 +153,6 @@ def _numeric(inputs: GraspInputs) -> GraspPoses:
         eigenvalues=True,
         progress=None if watch is None else lambda done: watch(done, count),
         **own,
-    )
-    return GraspPoses(
-        grasps.position,
-        grasps.rotation,
-        grasps.force,
-        grasps.converged,
-        grasps.stable,
-        grasps.shape,
-        grasps.eigenvalue,
-        None if inputs.is_straight else grasps.twist,
     )
 
 
@@ -201,7 +170,7 @@ def _shipped(default: str, closure: str) -> Controller:
     return _of_closure(closure if closure in SHIPPED else default)
 
 
-def _neural(inputs: GraspInputs) -> GraspPoses:
+def _neural(inputs: GraspInputs) -> Grasps:
     """Optimal grasps from the trained controller; out of its range it warns."""
     _refuse_varying(inputs)
     if inputs.controller is None and not inputs.is_straight:
@@ -228,7 +197,7 @@ def _refuse_varying(inputs: GraspInputs) -> None:
         )
 
 
-def _auto(inputs: GraspInputs) -> GraspPoses:
+def _auto(inputs: GraspInputs) -> Grasps:
     """The controller where it was trained for closure and inputs, elsewhere the rod solver."""
     if inputs.rod is not None:
         _refuse_varying(inputs)
@@ -262,10 +231,10 @@ def _auto(inputs: GraspInputs) -> GraspPoses:
     # Nobody has looked how close the predicted ones are to instability.
     whole["eigenvalue"] = np.full(len(known), np.inf)
     whole["eigenvalue"][~known] = solved.eigenvalue
-    return GraspPoses(**whole)
+    return Grasps(**whole)
 
 
-def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
+def _predicted(controller: Controller, inputs: GraspInputs) -> Grasps:
     side = controller.side_of(inputs.natural_curvature, inputs.poisson)
     position, rotation, force, twist = controller.predict_with_twist(
         inputs.suspended_length, side * inputs.curvature, inputs.stretch_ratio
@@ -275,11 +244,11 @@ def _predicted(controller: Controller, inputs: GraspInputs) -> GraspPoses:
     if side < 0.0:
         position, rotation, force = MIRROR * position, MIRROR_ROTATION * rotation, MIRROR * force
         twist = None if twist is None else -twist
-    return GraspPoses(position, rotation, force, twist=twist)
+    return Grasps(position, rotation, force, twist=twist)
 
 
 # A source takes the dimensionless inputs of every node and returns poses in the contact frame.
-SOURCES: dict[str, Callable[[GraspInputs], GraspPoses]] = {
+SOURCES: dict[str, Callable[[GraspInputs], Grasps]] = {
     "neural": _neural,
     "auto": _auto,
     "numeric": _numeric,

@@ -11,25 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError, RodError
-from wrod.files import decode_labels, read_arrays, schemas, write_atomically
+from wrod.files import decode_labels, read_fields, schemas, write_atomically
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.model_file import rod_of_json
 
 _FORMAT = "wrod-trajectory-1"
-# Axes of each array after the contact nodes; any number of nodes of a shape.
-_SHAPES = {
-    "arc_length": (),
-    "contact": (3,),
-    "position": (3,),
-    "rotation": (3, 3),
-    "force": (3,),
-    "shape": (None, 3),
-    "twist": (),
-}
 _OPTIONAL = ("shape", "twist")
-# A table, and everything on it, lies within so much [m].
-_FARTHEST = 100.0
 
 
 @dataclass(frozen=True)
@@ -131,68 +119,14 @@ class Trajectory:
         Raises:
             DataError: the file is missing, truncated or not a trajectory.
         """
-        what = "the .npz of a trajectory that `wrod plan` wrote"
-        data = read_arrays(path, what)
-        if str(data.get("format")) != _FORMAT:
-            raise DataError(f"{path}: is not of the format {_FORMAT}; give {what}")
-        label = str(data.get("metadata", "{}"))
+        data = read_fields(path, "Trajectory")
+        label, what = data.pop("metadata", "{}"), "the metadata of a trajectory"
         metadata = decode_labels(label, schemas.TrajectoryMetadata, f"{path}: metadata", what)
-        missing = [name for name in _SHAPES if name not in data and name not in _OPTIONAL]
-        if missing:
-            raise DataError(f"{path}: lacks the array {missing[0]}; give {what}")
-        arrays = {name: data[name] for name in _SHAPES if name in data}
-        check_arrays(arrays, str(path))
         # Earlier versions kept the roll in the metadata.
-        roll = data.get("roll", np.asarray(metadata.get("roll", 0.0)))
-        if roll.size != 1 or roll.dtype.kind not in "fiu" or not np.isfinite(roll).all():
-            raise DataError(f"{path}: roll is no finite angle; give {what}")
-        loaded = cls(**arrays, metadata=metadata, roll=float(roll.item()))
+        data.setdefault("roll", float(metadata.get("roll", 0.0)))
+        loaded = cls(**data, metadata=metadata)
         try:
             _ = loaded.rod
         except RodError as reason:
             raise DataError(f"{path}: metadata: rod: {reason}; plan it again") from None
         return loaded
-
-
-def check_arrays(arrays: dict[str, np.ndarray], where: str) -> None:
-    """Refuse arrays that are no trajectory; `where` begins the sentence.
-
-    Raises:
-        DataError: names the array and the contact node that is wrong.
-    """
-    count = len(np.atleast_1d(arrays["arc_length"]))
-    for name, array in arrays.items():
-        wanted = (count, *_SHAPES[name])
-        fits = array.ndim == len(wanted) and all(
-            b in (None, a) for a, b in zip(array.shape, wanted, strict=True)
-        )
-        if array.dtype.kind not in "fiu" or not fits:
-            said = str(wanted).replace("None", "nodes")
-            raise DataError(
-                f"{where}: {name} holds {array.dtype} of shape {array.shape}; give numbers of "
-                f"shape {said}"
-            )
-        # Forces and shapes are NaN where a method does not compute them.
-        bad = ~np.isfinite(array) if name not in ("force", "shape") else np.isinf(array)
-        bad |= np.abs(array) > _FARTHEST if name not in ("force", "twist") else False
-        if bad.any():
-            node = int(np.argwhere(bad)[0, 0])
-            raise DataError(
-                f"{where}: {name} of contact node {node} is not finite or farther than "
-                f"{_FARTHEST:g} m; plan it again"
-            )
-    if count < 2:
-        raise DataError(f"{where}: has {count} contact nodes; a path has two or more")
-    steps = np.diff(arrays["arc_length"])
-    if arrays["arc_length"][0] < -1e-9 or not (steps > 0).all():
-        node = int(np.argmin(steps)) + 1
-        raise DataError(
-            f"{where}: arc_length does not grow from 0 on at contact node {node}; plan it again"
-        )
-    turned = arrays["rotation"]
-    off = np.abs(np.swapaxes(turned, 1, 2) @ turned - np.eye(3)).max(axis=(1, 2))
-    off = np.maximum(off, np.abs(np.linalg.det(turned) - 1.0))
-    if off.max() > 1e-6:
-        raise DataError(
-            f"{where}: rotation of contact node {int(off.argmax())} is no rotation matrix"
-        )

@@ -1,4 +1,4 @@
-"""Joint paths: what the arm is sent, solved from a grip trajectory."""
+"""Joint paths: what the arm is sent."""
 
 from __future__ import annotations
 
@@ -10,11 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod import arguments
-from wrod.errors import DataError, RobotError
-from wrod.files import decode_labels, read_arrays, write_atomically
-from wrod.files.array_schemas import check_arrays
-from wrod.planning.trajectory import Trajectory
+from wrod.files import decode_labels, read_fields, write_atomically
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
@@ -110,110 +106,13 @@ class JointPath:
         Raises:
             DataError: the file is missing, truncated or not a joint path.
         """
-        names = ("time", "positions", "velocities", "arc_length", "node_time", "node_positions")
-        what = "the .npz of a joint path that `wrod plan` wrote"
-        data = read_arrays(path, what)
-        if str(data.get("format")) != _FORMAT:
-            raise DataError(f"{path}: is not of the format {_FORMAT}; give {what}")
-        check_arrays(data, "JointPath", str(path))
-        unknown = next((n for n in names if not np.isfinite(data[n]).all()), None)
-        if unknown is not None:
-            raise DataError(f"{path}: {unknown} holds values that are not finite; give {what}")
+        data = read_fields(path, "JointPath")
+        label, what = data.pop("metadata"), "the metadata of a joint path"
+        placement, grip = data.pop("placement"), data.pop("grip")
         return cls(
-            tuple(map(str, data["names"])),
-            placement=Placement(*map(float, data["placement"])),
-            grip=Grip(*map(float, data["grip"])),
+            placement=Placement(*map(float, placement)),
+            grip=Grip(*map(float, grip)),
             robot=robot,
-            metadata=decode_labels(str(data["metadata"]), dict, f"{path}: metadata", what),
-            **{name: data[name] for name in names},
+            metadata=decode_labels(label, dict, f"{path}: metadata", what),
+            **data,
         )
-
-
-@arguments.checked(
-    RobotError,
-    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
-    robot=arguments.either(arguments.path, arguments.like("a Robot", "joint_names", "chain")),
-    grip_angle=arguments.either(arguments.text, arguments.number(-1e3, 1e3)),
-    gripper_length=arguments.optional(arguments.number(1e-3, 10.0)),
-    flange=arguments.optional(arguments.text),
-    tip=arguments.optional(arguments.text),
-    table_height=arguments.optional(arguments.number(-10.0, 10.0)),
-    obstacles=arguments.optional(arguments.like("a wrod.robot.Obstacles", "shapes", "capsules")),
-    placement=arguments.either(
-        arguments.text, arguments.like("a Placement", "x", "y", "yaw"), arguments.array((4,))
-    ),
-    grip_speed=arguments.number(1e-4, 10.0),
-    rate=arguments.number(1.0, 1e4),
-    limit_margin=arguments.number(0.0, 3.0),
-    clearance=arguments.number(0.0, 1.0),
-    rod_radius=arguments.number(1e-6, 1.0),
-)
-def solve_joint_path(
-    trajectory: Trajectory,
-    robot: str | os.PathLike[str] | Robot = "sawyer",
-    placement="auto",
-    *,
-    grip_angle: float | str = "auto",
-    gripper_length: float | None = None,
-    flange: str | None = None,
-    tip: str | None = None,
-    table_height: float | None = None,
-    obstacles=None,
-    grip_speed: float = 0.02,
-    rate: float = 100.0,
-    limit_margin: float = 0.02,
-    clearance: float = 0.005,
-    rod_radius: float = 0.004,
-    whole_job: bool = False,
-) -> JointPath:
-    """Joint path of an arm that moves the grip along a trajectory.
-
-    Many inverse kinematics branches are followed along the path at once; the best are improved by
-    the freedom that the grip leaves the arm, checked between the nodes as well as at them, and
-    timed. See `wrod.robot` for the steps.
-
-    Args:
-        trajectory: grip poses [m].
-        robot: "sawyer", a URDF file, or a `Robot`.
-        placement: "auto", or the pose of the trajectory's frame in the robot's base: a
-            `Placement`, four numbers (x, y, z [m], yaw [rad]), or "x,y,z,yaw in degrees". z is
-            the table's height.
-        grip_angle: between the fingers and the rod that leaves the gripper [rad], 0 (the rod's end
-            lies along the fingers) to pi/2 (the rod crosses them), or "auto": the smallest that
-            works. The gripper's roll about the rod is constant.
-        gripper_length: from the flange to the grasp point [m], 0.15 by default.
-        flange, tip: link that carries the gripper, or the arm's own grasp point (see `load_robot`).
-        table_height: from the robot's base [m], where the placement is "auto"; None tries a few.
-        obstacles: `Obstacles` that the arm must keep clear of.
-        grip_speed: along the path [m/s], a turn of one radian counting as 5 cm.
-        rate: of the output [1/s].
-        limit_margin: least distance from the joint limits [rad].
-        clearance: least gap between links, table, pedestal and laid rod [m].
-        rod_radius: [m] of the laid rod.
-        whole_job: begin and end in a neutral pose, with approach, grasp, release and retreat around
-            the laying (see `JointPath.phases`); where there is no way, a warning says why and the
-            path begins and ends at the rod.
-
-    Raises:
-        RobotError: the robot cannot be loaded, or no joint path was found: the sentence names the
-            node, what fails there and by how much.
-    """
-    from wrod.robot.solve import solve
-
-    return solve(
-        trajectory,
-        robot,
-        placement,
-        grip_angle=grip_angle,
-        gripper_length=gripper_length,
-        flange=flange,
-        tip=tip,
-        table_height=table_height,
-        obstacles=obstacles,
-        grip_speed=grip_speed,
-        rate=rate,
-        limit_margin=limit_margin,
-        clearance=clearance,
-        rod_radius=rod_radius,
-        whole_job=whole_job,
-    )

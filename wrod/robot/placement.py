@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from wrod.errors import RobotError
-from wrod.planning.trajectory import Trajectory
 from wrod.robot.capsules import capsules_of
 from wrod.robot.model import Robot
 
@@ -86,7 +86,17 @@ def reach(robot: Robot) -> tuple[np.ndarray, float]:
     return points[1], float(steps[1:].sum())
 
 
-def contact_in_base(trajectory: Trajectory, placement: Placement) -> np.ndarray:
+class Places(Protocol):
+    """What is placed before an arm, such as a `wrod.Trajectory`: (n, 3) contacts with the table and
+    (m, 3) positions of the hand [m]."""
+
+    @property
+    def contact(self) -> np.ndarray: ...
+    @property
+    def position(self) -> np.ndarray: ...
+
+
+def contact_in_base(trajectory: Places, placement: Placement) -> np.ndarray:
     """(T, 3) contact points in the base frame [m]."""
     pose = placement.base_from_world
     return trajectory.contact @ pose[:3, :3].T + pose[:3, 3]
@@ -113,7 +123,7 @@ def pedestal_clearance(robot: Robot) -> float:
 
 
 def candidates(
-    trajectory: Trajectory,
+    trajectory: Places,
     robot: Robot,
     count: int = 24,
     heights: tuple[float, ...] | None = None,

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+import os
 import time as clock
 import warnings
 from dataclasses import replace
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import RobotError, WrodWarning
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.attempt import Solution, Task
 from wrod.robot.collision import CollisionModel
 from wrod.robot.grip import GripPath
+from wrod.robot.job import with_job
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import one_torch_thread
 from wrod.robot.model import Robot, load_robot
@@ -39,25 +42,74 @@ _LOST = 0.3  # [m] miss of the nearest branch from which on other grip angles ar
 _REFINED = 4  # branches that are varied where none was good enough as it was
 
 
-def solve(
+@arguments.checked(
+    RobotError,
+    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
+    robot=arguments.either(arguments.path, arguments.like("a Robot", "joint_names", "chain")),
+    grip_angle=arguments.either(arguments.text, arguments.number(-1e3, 1e3)),
+    gripper_length=arguments.optional(arguments.number(1e-3, 10.0)),
+    flange=arguments.optional(arguments.text),
+    tip=arguments.optional(arguments.text),
+    table_height=arguments.optional(arguments.number(-10.0, 10.0)),
+    obstacles=arguments.optional(arguments.like("a wrod.robot.Obstacles", "shapes", "capsules")),
+    placement=arguments.either(
+        arguments.text, arguments.like("a Placement", "x", "y", "yaw"), arguments.array((4,))
+    ),
+    grip_speed=arguments.number(1e-4, 10.0),
+    rate=arguments.number(1.0, 1e4),
+    limit_margin=arguments.number(0.0, 3.0),
+    clearance=arguments.number(0.0, 1.0),
+    rod_radius=arguments.number(1e-6, 1.0),
+)
+def solve_joint_path(
     trajectory: Trajectory,
-    robot,
-    placement,
+    robot: str | os.PathLike[str] | Robot = "sawyer",
+    placement="auto",
     *,
-    grip_angle,
-    gripper_length,
-    flange,
-    tip,
-    table_height,
-    obstacles,
-    grip_speed,
-    rate,
-    limit_margin,
-    clearance,
-    rod_radius,
-    whole_job,
+    grip_angle: float | str = "auto",
+    gripper_length: float | None = None,
+    flange: str | None = None,
+    tip: str | None = None,
+    table_height: float | None = None,
+    obstacles=None,
+    grip_speed: float = 0.02,
+    rate: float = 100.0,
+    limit_margin: float = 0.02,
+    clearance: float = 0.005,
+    rod_radius: float = 0.004,
+    whole_job: bool = False,
 ) -> JointPath:
-    """See `wrod.robot.joint_path.solve_joint_path`."""
+    """Joint path of an arm that moves the grip along a trajectory.
+
+    Branches of inverse kinematics are followed along the path; the best are improved by the freedom
+    that the grip leaves, checked between the nodes too, and timed (steps: `wrod.robot`).
+
+    Args:
+        trajectory: grip poses [m].
+        robot: "sawyer", a URDF file, or a `Robot`.
+        placement: "auto", or the pose of the trajectory's frame in the robot's base: a
+            `Placement`, four numbers (x, y, z [m], yaw [rad]), or "x,y,z,yaw in degrees". z is
+            the table's height.
+        grip_angle: between the fingers and the rod that leaves the gripper [rad], 0 (the rod's end
+            lies along the fingers) to pi/2 (the rod crosses them), or "auto": the smallest that
+            works. The gripper's roll about the rod is constant.
+        gripper_length: from the flange to the grasp point [m], 0.15 by default.
+        flange, tip: link that carries the gripper, or the arm's own grasp point (see `load_robot`).
+        table_height: from the robot's base [m], where the placement is "auto"; None tries a few.
+        obstacles: `Obstacles` that the arm must keep clear of.
+        grip_speed: along the path [m/s], a turn of one radian counting as 5 cm.
+        rate: of the output [1/s].
+        limit_margin: least distance from the joint limits [rad].
+        clearance: least gap between links, table, pedestal and laid rod [m].
+        rod_radius: [m] of the laid rod.
+        whole_job: begin and end in a neutral pose, with approach, grasp, release and retreat around
+            the laying (see `JointPath.phases`); where there is no way, a warning says why and the
+            path begins and ends at the rod.
+
+    Raises:
+        RobotError: the robot cannot be loaded, or no joint path was found: the sentence names the
+            node, what fails there and by how much.
+    """
     started = clock.perf_counter()
     if not (math.isfinite(rate) and rate > 0):
         raise RobotError(f"rate is {rate!r}; give a positive number of samples per second")
@@ -78,24 +130,33 @@ def solve(
             None if obstacles is None else obstacles.capsules(),
             fixed is None and table_height is None,
         )
-        heights = arm.table_heights if table_height is None else (float(table_height),)
-        places = [fixed] if fixed else candidates(trajectory, arm, heights=heights)
-        if not places:
-            raise RobotError(
-                "the pattern is too large for this robot: no placement keeps it within reach and "
-                "off the pedestal"
-            )
-        best = attempt(task, places, angles, fixed is not None)
-        if best.report.problem is not None:
-            raise UnreachedError(_failure(best, fixed, task), task, best, places)
+        best = _solved(task, _places(task, fixed, table_height), angles, fixed)
         path = _timed(arm, task.path, best, grip_speed, rate, clock.perf_counter() - started)
         return _with_job(path, task) if whole_job else path
 
 
+def _places(task: Task, fixed: Placement | None, table_height) -> list[Placement]:
+    """Where the pattern may lie: at the given place, or at those that keep it within reach."""
+    arm = task.robot
+    heights = arm.table_heights if table_height is None else (float(table_height),)
+    places = [fixed] if fixed else candidates(task.trajectory, arm, heights=heights)
+    if not places:
+        raise RobotError(
+            "the pattern is too large for this robot: no placement keeps it within reach and "
+            "off the pedestal"
+        )
+    return places
+
+
+def _solved(task: Task, places: list[Placement], angles, fixed: Placement | None) -> Solution:
+    best = attempt(task, places, angles, fixed is not None)
+    if best.report.problem is not None:
+        raise UnreachedError(_failure(best, fixed, task), task, best, places)
+    return best
+
+
 def _with_job(path: JointPath, task: Task) -> JointPath:
     """The path with approach and retreat; as it is, with a warning, where there is no way."""
-    from wrod.robot.job import with_job
-
     try:
         return with_job(path, task)
     except RobotError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -66,10 +66,18 @@ def pairs_of_stations(
     return [pairs[rank][1:] for _, rank in sorted(order)[:_PAIRS]]
 
 
+@dataclass(frozen=True)
+class _Everything:
+    """What an arm reaches for (`wrod.robot.placement.Places`)."""
+
+    contact: np.ndarray
+    position: np.ndarray
+
+
 def _stations(robot, holds, grasps, ground) -> list[tuple[float, Placement]]:
     """Placements of one arm with the cost of its worst hold."""
     ways = [hold.poses[:, :3, 3] for hold in holds] or [ground + [0.0, 0.0, 0.2]]
-    everything = SimpleNamespace(contact=ground * [1, 1, 0], position=np.concatenate(ways))
+    everything = _Everything(ground * [1, 1, 0], np.concatenate(ways))
     kept: dict[tuple[float, float], list[Placement]] = {}
     for placement in candidates(everything, robot, 1000):
         group = kept.setdefault((placement.z, placement.yaw), [])

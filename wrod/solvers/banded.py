@@ -38,13 +38,6 @@ class BandedSystem:
         self.x = wp.zeros((rods, right_hand_sides, dofs), dtype=wp.float64, device=device)
         self.shortened = wp.ones(rods, dtype=wp.float64, device=device)
 
-    def widen(self, right_hand_sides: int) -> None:
-        """Make room for at least that many right-hand sides."""
-        rods, columns, dofs = self.x.shape
-        if right_hand_sides > columns:
-            shape = (rods, right_hand_sides, dofs)
-            self.x = wp.zeros(shape, dtype=wp.float64, device=self.batch.device)
-
     def shorten(self, active: wp.array) -> None:
         """Shorten the first solution to what a Newton iteration may take of it: all."""
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import warp as wp
 
 from wrod.kernels.linear.banded import multiply
 from wrod.kernels.stepping import bodies as kernels
-from wrod.rods.batch import RodBatch, RodState
-
-if TYPE_CHECKING:
-    from wrod.solvers.dynamics import Dynamics
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import RodState
+from wrod.solvers.steps import Steps
 
 
 class Bodies:
@@ -113,7 +110,7 @@ class Bodies:
             [self.batch.state.dof],
         )
 
-    def balance(self, dynamics: Dynamics) -> None:
+    def balance(self, steps: Steps) -> None:
         """Residuals of the bodies, which take back the convergence of rows they are large in."""
         self._launch(
             kernels.body_balance,
@@ -124,10 +121,10 @@ class Bodies:
                 self.batch.gravity,
                 self.force,
                 self.torque,
-                dynamics.active,
-                dynamics.converged,
-                dynamics.span,
-                dynamics.coefficient,
+                steps.active,
+                steps.converged,
+                steps.span,
+                steps.coefficient,
                 self.batch.state.dof,
                 self.batch.derivatives.gradient,
                 *self._poses,
@@ -145,17 +142,17 @@ class Bodies:
             [
                 self.body,
                 self.batch.gravity,
-                dynamics.force_scale,
-                dynamics.length_scale,
-                dynamics.step_tolerance,
+                steps.force_scale,
+                steps.length_scale,
+                steps.step_tolerance,
                 self._residual,
             ],
-            [dynamics.converged, dynamics.active],
+            [steps.converged, steps.active],
         )
 
-    def load(self, dynamics: Dynamics) -> None:
+    def load(self, steps: Steps) -> None:
         """Right-hand sides of the rods' system: the residual, and one for each motion."""
-        out, active, x = self.batch.derivatives, dynamics.active, dynamics.system.x
+        out, active, x = self.batch.derivatives, steps.active, steps.system.x
         self._launch(
             kernels.spread_motion,
             self.hold.shape,
@@ -168,13 +165,13 @@ class Bodies:
             [active, out.hessian, self._motion],
             [self._column],
         )
-        if dynamics.rod_contact is not None:
-            dynamics.system.multiply_pairs(active, self._motion, self._column)
+        if steps.rod_contact is not None:
+            steps.system.multiply_pairs(active, self._motion, self._column)
         self._launch(kernels.load_bodies, x.shape, [active, out.gradient, self._column], [x])
 
-    def solve(self, dynamics: Dynamics) -> None:
+    def solve(self, steps: Steps) -> None:
         """The bodies' part of the Newton step out of the solutions of `load`; the rods' then."""
-        active, free, x = dynamics.active, self.batch.free, dynamics.system.x
+        active, free, x = steps.active, self.batch.free, steps.system.x
         self._launch(
             kernels.condense,
             self._small.shape,
@@ -194,23 +191,23 @@ class Bodies:
             [x],
         )
 
-    def move(self, dynamics: Dynamics) -> None:
+    def move(self, steps: Steps) -> None:
         """Take the step that the rods have taken."""
         self._launch(
             kernels.move_bodies,
             self.body.shape,
-            [self.body, dynamics.active, self._step, self._fraction]
-            + [dynamics.system.shortened, dynamics.taken],
+            [self.body, steps.active, self._step, self._fraction]
+            + [steps.system.shortened, steps.taken],
             [self.place, self.turn],
         )
-        self.put(dynamics.active, dynamics.start)
+        self.put(steps.active, steps.start)
 
-    def finish(self, dynamics: Dynamics) -> None:
+    def finish(self, steps: Steps) -> None:
         """Carry accepted steps over to the next, and take rejected ones back."""
         self._launch(
             kernels.finish_bodies,
             self.body.shape,
-            [dynamics.accepted, dynamics.rejected, dynamics.step, dynamics.span]
+            [steps.accepted, steps.rejected, steps.step, steps.span]
             + [self._velocity_now, self._momentum_now],
             [
                 *self._poses,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import warp as wp
 
 from wrod.kernels.contact import touching
@@ -11,9 +9,7 @@ from wrod.kernels.contact.segments import SMOOTHING
 from wrod.kernels.lanes import TEAM, lanes
 from wrod.kernels.linear import coupling, skyline, skyline_lanes, skyline_order
 from wrod.solvers.banded import BandedSystem
-
-if TYPE_CHECKING:
-    from wrod.solvers.rod_contact import RodContact
+from wrod.solvers.rod_contact import RodContact
 
 # Up to this many nodes a rod's factor may fill; beyond, rows of so many blocks on average.
 _DENSE_NODES, _BLOCKS_PER_ROW = 200, 100
@@ -27,11 +23,12 @@ class CoupledSystem(BandedSystem):
 
     Args:
         contact: the contact between rods, evaluated (`RodContact.add`) before each `factorise`.
+        right_hand_sides: how many `solve` takes.
     """
 
-    def __init__(self, contact: RodContact):
+    def __init__(self, contact: RodContact, right_hand_sides: int = 1):
         batch = contact.batch
-        super().__init__(batch)
+        super().__init__(batch, right_hand_sides)
         self.contact = contact
         rods, nodes, device = batch.rod_count, batch.node_count, batch.device
 

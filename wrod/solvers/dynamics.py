@@ -4,53 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
 
 from wrod import arguments
 from wrod.errors import RodError
-from wrod.kernels.lanes import WARP
-from wrod.kernels.stepping import continuation
 from wrod.kernels.stepping import dynamics as kernels
-from wrod.kernels.stepping import newton_iteration as newton
-from wrod.rods.batch import RodBatch, RodState, node_positions
+from wrod.rods.batch import RodBatch
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.contact import Contact
+from wrod.solvers.coupled import CoupledSystem
 from wrod.solvers.inelastic import InternalVariables
+from wrod.solvers.inertia import lumped_masses, rounding_of, usual_force
+from wrod.solvers.newton_steps import Follower, NewtonSteps
 from wrod.solvers.rod_contact import RodContact
+from wrod.solvers.steps import SCHEMES, Motion
 from wrod.solvers.viscosity import Viscosity
 
-SCHEMES = ("euler", "bdf2", "midpoint")
-# Largest change of an edge in one Newton iteration, as a fraction of its length.
-_STEP_LIMIT = 0.3
 # A rod is cut out when it wants steps shorter than this fraction of the largest.
 _SMALLEST_STEP = 1.0 / 4096.0
-_GROWTH = 1.3
 # Rounds that are taken without looking whether to go on: on end where a device decides by itself,
 # and one after the other where it cannot.
 _ROUNDS, _ROUNDS_BLIND, _ENDLESS = 128, 16, 2**31 - 1
-
-
-class Motion(Protocol):
-    """What moves prescribed degrees of freedom: called at the start of every step, it writes where
-    they are at the end of the step into `state.dof` and may change `batch.free`.
-
-    It does so by kernels alone: on a GPU the launches of a long `Dynamics.advance` are recorded and
-    replayed."""
-
-    def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
-
-
-class Follower(Protocol):
-    """What is carried along with the steps: called whenever steps of some rods were accepted, while
-    `batch` still holds residual, matrix and configuration of their ends, and `start` their starts.
-
-    It does its work by kernels alone, for the rods that are not 0 in `accepted`."""
-
-    def follow(self, dynamics: Dynamics) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -75,7 +52,7 @@ class Progress:
 _IS_CONTACT = arguments.like("a wrod.Contact or wrod.RodContact", "add", "settle", "restart")
 
 
-class Dynamics:
+class Dynamics(NewtonSteps):
     """Time stepping of a batch; allocates everything once.
 
     Degrees of freedom that are not free stand still unless `motion` moves them.
@@ -150,9 +127,11 @@ class Dynamics:
     ):
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
-        self.batch, self.contact, self.motion = batch, contact, motion
-        self.follower, self.bodies = follower, bodies
+        super().__init__(batch)
         self._scheme, self.max_iterations = SCHEMES.index(scheme), max_iterations
+        self.tolerance, self.refuses_saddles = tolerance, int(refuses_saddles)
+        self.contact, self.motion = contact, motion
+        self.follower, self.bodies = follower, bodies
         rods, device = batch.rod_count, batch.device
         if contact is None:
             contact = ()
@@ -162,17 +141,16 @@ class Dynamics:
             raise RodError("two RodContact for one batch; one covers all pairs of its edges")
         self.rod_contact = coupling[0] if coupling else None
         columns = 1 if bodies is None else 1 + bodies.columns
-        self.system: Any = coupling[0].system if coupling else BandedSystem(batch, columns)
-        self.system.widen(columns)
-        self.start = RodState.zeros(rods, batch.node_count, device)
-        self.start.assign(batch.state)
+        if coupling:
+            self.system = CoupledSystem(coupling[0], columns)
+        else:
+            self.system = BandedSystem(batch, columns)
 
         def floats(value, name="value"):
             value = arguments.spread(value, (rods,), f"Dynamics: {name}", RodError)
             return wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=device)
 
-        self.mass = wp.array(_masses(batch, radius), dtype=wp.float64, device=device)
-        self.refuses_saddles = int(refuses_saddles)
+        self.mass = wp.array(lumped_masses(batch, radius), dtype=wp.float64, device=device)
         self.air_damping = floats(air_damping, "air_damping")
         self.drag = None
         if drag is not None:
@@ -183,88 +161,28 @@ class Dynamics:
         self._growth = 0.0 if self.contacts else 0.5
         self.viscosity = Viscosity(batch, internal_damping)
         self.internal = InternalVariables(batch)
-        scale = _force_scale(batch) if force_scale is None else force_scale
+        scale = usual_force(batch) if force_scale is None else force_scale
         self.force_scale = floats(scale, "force_scale")
         self.length_scale = floats(batch.rest_length.numpy().sum(axis=1))
-        self.tolerance = tolerance
-        self.rounding = wp.array(self._rounding(), dtype=wp.vec2d, device=device)
-        self._allocate()
+        rounding = rounding_of(batch, self.length_scale.numpy(), self.force_scale.numpy())
+        self.rounding = wp.array(rounding, dtype=wp.vec2d, device=device)
         for one in self.contacts:
             one.time_step = self.span
-        self.keeps_recording = keeps_recording
-        self._recording: tuple[tuple, object] | None = None
-
-    def _allocate(self) -> None:
-        """What every rod carries from step to step."""
-        rods, device = self.batch.rod_count, self.batch.device
-
-        def floats(value=0.0):
-            return wp.full(rods, value, dtype=wp.float64, device=device)
-
-        def ints():
-            return wp.zeros(rods, dtype=wp.int32, device=device)
-
-        self.step_tolerance, self.residual = floats(), floats()
-        self.time, self.until, self.step, self.step_before = (floats() for _ in range(4))
-        # Time from the start of the step to where its forces are; why a rod leaves its scheme.
-        self.span, self._no_step = floats(), floats()
-        self.leaves, self.touching = ints(), ints()
-        self.wanted_step = floats()
-        # Part of the last Newton step that was taken.
-        self.taken = floats(1.0)
-        self.coefficient = wp.zeros(rods, dtype=wp.vec3d, device=device)
-        self.running, self.starting, self.active, self.converged = (ints() for _ in range(4))
-        self.iteration, self.iteration_count = ints(), ints()
-        self.accepted, self.rejected, self.diverged, self.step_count = (ints() for _ in range(4))
         # Rounds since last asked; whether to take another, and whether any rod still runs.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)
         self._goes_on = self._going[:1]  # a condition of a graph is one number
-        shape = (rods, self.batch.dof_count)
-        self.velocity, self.velocity_older = (
-            wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
-        )
-        self.dof_older = wp.clone(self.batch.state.dof)
-        self._end = wp.clone(self.batch.state.dof)
-        # (rod, dof): forces that held prescribed degrees of freedom at the end of the last step.
-        self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
-
-    def forget_recording(self) -> None:
-        """Record afresh: what `motion` or contacts launch has changed."""
-        self._recording = None
-
-    @arguments.checked(RodError, velocity=arguments.numbers_of_any_shape)
-    def set_velocity(self, velocity: np.ndarray) -> None:
-        """(rod, node, 3) velocities of the nodes now; the edges do not spin."""
-        batch = self.batch
-        dof = np.zeros((batch.rod_count, batch.node_count, 4))
-        dof[:, :, :3] = arguments.spread(
-            velocity, dof[:, :, :3].shape, "Dynamics: velocity", RodError
-        )
-        self.velocity.assign(dof.reshape(batch.rod_count, -1)[:, :-1])
-        self.step_before.zero_()
-
-    def restart(self, chosen: wp.array) -> None:
-        """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
-        must have its frames, and from `velocity`; one that was cut out takes part again."""
-        self._per_rod(
-            kernels.forget_history,
-            [chosen],
-            [self.step_before, self.wanted_step, self.diverged, self.leaves],
-        )
-        self._copy(chosen, self.batch.state, self.start)
-        self.internal.restart(chosen)
-        for contact in self.contacts:
-            contact.restart(chosen)
-
-    def velocities(self) -> np.ndarray:
-        """(rod, node, 3) velocities of the nodes."""
-        return node_positions(self.velocity.numpy())
+        self.keeps_recording = keeps_recording
+        self._recording: tuple[tuple, object] | None = None
 
     def energy(self) -> np.ndarray:
         """(rod,) kinetic plus potential energy, without that of contacts."""
         kinetic = 0.5 * np.sum(self.mass.numpy() * self.velocity.numpy() ** 2, axis=1)
         return kinetic + self.batch.evaluate(order=1).energy.numpy()
+
+    def forget_recording(self) -> None:
+        """Record afresh: what `motion` or contacts launch has changed."""
+        self._recording = None
 
     @arguments.checked(
         RodError,
@@ -401,31 +319,6 @@ class Dynamics:
         """Whether launches of a round are recorded and kept."""
         return self._recording is not None
 
-    @property
-    def _on_cpu(self) -> bool:
-        return wp.get_device(self.batch.device).is_cpu
-
-    def _take_round(self, step, smallest, frames, frame_interval) -> None:
-        # A CPU's launches cost more than looking whether they have anything to do, unless they
-        # are recorded.
-        looks = self._on_cpu and not wp.get_device(self.batch.device).is_capturing
-        if not looks or self.starting.numpy().any():
-            self._begin()
-        self._iterate(step, smallest)
-        if not looks or self.active.numpy().any():
-            self._correct()
-        if not looks or self.accepted.numpy().any() or self.rejected.numpy().any():
-            self._finish(frames, frame_interval)
-
-    def _rounding(self) -> np.ndarray:
-        """(rod, 2) relative residuals that rounding leaves: of stretching, and of inertia for a
-        step of unit rate."""
-        batch = self.batch
-        edge = (batch.stretching_stiffness.numpy() / batch.rest_length.numpy()).max(axis=1)
-        extent = np.abs(batch.positions()).max(axis=(1, 2)) + self.length_scale.numpy()
-        unit = 4 * np.finfo(float).eps * extent / self.force_scale.numpy()
-        return np.stack([unit * edge, unit * batch.node_mass.numpy().max(axis=1)], axis=1)
-
     def _ask(self, most: int) -> None:
         """Find out on the device whether to take another round, `most` of them at a time."""
         outputs = [self._rounds, self._going]
@@ -444,288 +337,3 @@ class Dynamics:
                 for _ in range(_ROUNDS_BLIND):
                     take_round()
         return capture.graph
-
-    def _per_rod(self, kernel, inputs, outputs=()) -> None:
-        batch = self.batch
-        wp.launch(
-            kernel,
-            batch.rod_count,
-            inputs=inputs,
-            outputs=outputs,
-            device=batch.device,
-            block_dim=WARP,
-        )
-
-    def _per_dof(self, kernel, inputs, outputs=()) -> None:
-        batch = self.batch
-        dim = (batch.rod_count, batch.dof_count)
-        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
-
-    def _begin(self) -> None:
-        """Begin a step of the rods that have finished their last."""
-        batch = self.batch
-        self._per_rod(
-            kernels.begin_step,
-            [
-                self._scheme,
-                wp.float64(self.tolerance),
-                self.rounding,
-                self.viscosity.stretching_time,
-                self.until,
-                self.starting,
-                self.time,
-                self.step_before,
-                self.wanted_step,
-                self.leaves,
-            ],
-            [
-                self.step,
-                self.span,
-                self.touching,
-                self.coefficient,
-                self.step_tolerance,
-                self.iteration,
-                self.active,
-                self.converged,
-                self.system.negative_pivots,
-            ],
-        )
-        self.viscosity.begin(self.starting, self.coefficient, self.span)
-        self.internal.begin(self.starting, self.span)
-        if self.rod_contact is not None:
-            self.rod_contact.prepare(self.starting, self.rejected, self.start.dof)
-        if self.motion is not None:
-            self.motion.prescribe(self.starting, self.time, self.span, self.start)
-        if self.bodies is not None:
-            self.bodies.begin(self.starting, self.span, self.start)
-        self._per_dof(
-            kernels.predict,
-            [
-                self.starting,
-                batch.free,
-                self.span,
-                self.velocity,
-                self.velocity_older,
-                self.coefficient,
-                wp.float64(self._growth),
-            ],
-            [batch.state.dof],
-        )
-
-    def _iterate(self, largest: float, smallest: float) -> None:
-        """Residual and matrix of a Newton iteration of every rod, and the verdict on its step."""
-        batch, start, out = self.batch, self.start, self.batch.derivatives
-        dof = batch.state.dof
-        batch.transport_frames(start, batch.state, self.active)
-        batch.evaluate(order=2, active=self.active, model=self.viscosity.model)
-        self._per_dof(
-            kernels.add_inertia,
-            [
-                self.mass,
-                self.air_damping,
-                self.active,
-                self.span,
-                self.coefficient,
-                dof,
-                start.dof,
-                self.dof_older,
-                self.velocity,
-                self.velocity_older,
-            ],
-            [out.gradient, out.hessian],
-        )
-        if self.drag is not None:
-            wp.launch(
-                kernels.add_drag,
-                dim=(batch.rod_count, batch.node_count),
-                inputs=[self.drag, self.active, self.span, self.coefficient, dof, start.dof]
-                + [self.dof_older],
-                outputs=[out.gradient, out.hessian],
-                device=batch.device,
-            )
-        for contact in self.contacts:
-            contact.add(self.active, dof, start.dof)
-        batch.walk(
-            newton.measure_residual,
-            [
-                batch.free,
-                self.force_scale,
-                self.length_scale,
-                self.step_tolerance,
-                out.gradient,
-                self.active,
-            ],
-            [self.residual, self.converged],
-        )
-        if self.bodies is not None:
-            self.bodies.balance(self)
-        for contact in self.contacts:
-            contact.refuse(self.converged, self.active, dof, start.dof)
-        if self._scheme and self.contacts:
-            self._per_dof(
-                kernels.extrapolate,
-                [self.converged, self.step, self.span, dof, start.dof],
-                [self._end],
-            )
-            for contact in self.contacts:
-                contact.find_touching(self.converged, self._end, start.dof, self.touching)
-        self._judge(largest, smallest)
-
-    def _judge(self, largest: float, smallest: float) -> None:
-        """What becomes of every rod's step: taken, gone on with, or cut."""
-        self._per_rod(
-            kernels.judge_step,
-            [
-                self.until,
-                self.max_iterations,
-                wp.float64(largest),
-                wp.float64(smallest),
-                wp.float64(_GROWTH),
-                self.refuses_saddles,
-                self._scheme,
-                self.converged,
-                self.system.negative_pivots,
-                self.step,
-                self.span,
-                self.coefficient,
-                self.touching,
-            ],
-            [
-                self.leaves,
-                self.iteration,
-                self.active,
-                self.time,
-                self.step_before,
-                self.wanted_step,
-                self.running,
-                self.step_count,
-                self.iteration_count,
-                self.starting,
-                self.accepted,
-                self.rejected,
-                self.diverged,
-            ],
-        )
-
-    def _correct(self) -> None:
-        """The step of a Newton iteration."""
-        batch, out, bodies = self.batch, self.batch.derivatives, self.bodies
-        self.system.factorise(out.hessian, self.active)
-        if bodies is None:
-            wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
-        else:
-            bodies.load(self)
-        self.system.solve(self.active)
-        if bodies is not None:
-            bodies.solve(self)
-        self.system.shorten(self.active)
-        batch.walk(
-            kernels.take_newton_step,
-            [wp.float64(_STEP_LIMIT), self.active, self.system.x],
-            [batch.state.dof, self.taken],
-        )
-        if bodies is not None:
-            bodies.move(self)
-
-    def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
-        """Carry accepted steps over to the next, and take failed ones back."""
-        batch, start, dof = self.batch, self.start, self.batch.state.dof
-        if self.follower is not None:
-            self.follower.follow(self)
-        self.viscosity.finish(self.accepted)
-        for contact in self.contacts:
-            contact.settle(self.accepted, dof, start.dof)
-        if self.bodies is not None:
-            self.bodies.finish(self)
-        if SCHEMES[self._scheme] == "midpoint":
-            self._complete()
-        self.internal.finish(self.accepted, self.step)
-        if frames is not None:
-            self._per_dof(
-                kernels.record_frames,
-                [wp.float64(frame_interval), self.accepted, self.time, self.step, dof, start.dof],
-                [frames],
-            )
-        self._per_dof(
-            kernels.shift_history,
-            [
-                self.accepted,
-                batch.derivatives.gradient,
-                batch.free if self.bodies is None else self.bodies.carried,
-                self.step,
-                self.span,
-                self.coefficient,
-                dof,
-                start.dof,
-            ],
-            [self.dof_older, self.velocity, self.velocity_older, self.reaction],
-        )
-        if self.bodies is not None and SCHEMES[self._scheme] == "midpoint":
-            # Velocities are of points that went straight on; on a body they turn.
-            self.bodies.put(self.accepted, start)
-            batch.transport_frames(start, batch.state, self.accepted)
-        self._copy(self.accepted, batch.state, start)
-        self._copy(self.rejected, start, batch.state)
-
-    def _complete(self) -> None:
-        """Bring accepted steps from where their forces are to their ends."""
-        batch, start, dof = self.batch, self.start, self.batch.state.dof
-        inputs = [self.accepted, self.step, self.span, dof, start.dof]
-        self._per_dof(kernels.extrapolate, inputs, [dof])
-        if self.motion is not None:
-            self.motion.prescribe(self.accepted, self.time, self._no_step, start)
-        batch.transport_frames(start, batch.state, self.accepted)
-
-    def _copy(self, chosen: wp.array, source: RodState, target: RodState) -> None:
-        batch = self.batch
-        wp.launch(
-            continuation.copy_configuration,
-            dim=(batch.rod_count, batch.node_count),
-            inputs=[chosen, source.dof, source.tangent, source.director, source.reference_twist],
-            outputs=[target.dof, target.tangent, target.director, target.reference_twist],
-            device=batch.device,
-        )
-
-
-def _masses(batch: RodBatch, radius) -> np.ndarray:
-    """(rod, dof) lumped masses of the nodes, and of the edges m h^2 / 2 about their axis."""
-    mass = batch.node_mass.numpy()
-    # What is held, like a ghost node beyond a clamp, needs none.
-    held = np.pad(batch.free.numpy(), ((0, 0), (0, 1))).reshape(*mass.shape, 4)[:, :, :3] == 0
-    if not ((mass > 0) | held.any(axis=2)).all():
-        raise RodError("node_mass holds a node without mass, which cannot be moved in time")
-    rest = batch.rest_length.numpy()
-    radius = np.asarray(radius, dtype=float)
-    if radius.ndim < 2:
-        radius = arguments.spread(radius, (batch.rod_count,), "Dynamics: radius", RodError)[:, None]
-    radius = arguments.spread(radius, rest.shape, "Dynamics: radius", RodError)
-    if not (np.isfinite(radius) & (radius > 0)).all():
-        raise RodError("radius must be positive and finite")
-    out = np.empty((batch.rod_count, batch.node_count, 4))
-    out[:, :, :3] = mass[:, :, None]
-    out[:, :-1, 3] = 0.5 * radius**2 * _line_density(batch, mass, rest) * rest
-    return np.ascontiguousarray(out.reshape(batch.rod_count, -1)[:, :-1])
-
-
-def _line_density(batch: RodBatch, mass: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """(rod, edge) mean mass per length of the rods of each row; none of what goes on in a clamp."""
-    out = np.zeros_like(rest)
-    ends = [*batch.cut_edges, batch.node_count - 1]
-    first = 0
-    for last in ends:
-        nodes = mass[:, first : last + 1]
-        real = (nodes[:, 1:] > 0) & (nodes[:, :-1] > 0)
-        length = np.where(real, rest[:, first:last], 0.0).sum(axis=1)
-        density = (nodes.sum(axis=1) / length)[:, None]
-        out[:, first:last] = np.where(real, density, 0.0)
-        # A cut has an angle, which must have some inertia.
-        out[:, last : last + 1] = density
-        first = last + 1
-    return out
-
-
-def _force_scale(batch: RodBatch) -> np.ndarray:
-    length = batch.rest_length.numpy().sum(axis=1)
-    bend = batch.bending_stiffness.numpy()[:, 1:-1].max(axis=(1, 2)) / length**2
-    gravity = np.linalg.norm(batch.gravity.numpy(), axis=1)
-    return np.maximum(bend, batch.node_mass.numpy().sum(axis=1) * gravity)

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.stepping.hands import carry
-from wrod.rods.batch import RodBatch, RodState
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import RodState
 
 _AXES = ("x", "y", "z")
 

@@ -15,8 +15,7 @@ from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
 from wrod.kernels.contact import touching
 from wrod.rods.batch import RodBatch
-from wrod.solvers.contact import Friction, contact_damping
-from wrod.solvers.coupled import CoupledSystem
+from wrod.solvers.friction import Friction, contact_damping
 
 # Pairs nearer along the rod than this many radii do not touch: half a turn of the tightest bend.
 _SKIP = float(np.pi)
@@ -142,7 +141,6 @@ class RodContact:
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
         self.configuration: tuple[wp.array, ...] = ()
-        self.system = CoupledSystem(self)
         self._check_start()
 
     @property
@@ -203,7 +201,7 @@ class RodContact:
         )
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
-        """Add forces at `dof` to the batch's gradient; their stiffness goes into `system`."""
+        """Add forces at `dof` to the batch's gradient; their stiffness is for `CoupledSystem`."""
         self.configuration = (dof, dof_before)
         wp.launch(
             kernels.rod_contact,

@@ -11,7 +11,8 @@ from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.stepping import continuation
 from wrod.kernels.stepping import newton_iteration as newton
-from wrod.rods.batch import Derivatives, RodBatch, RodState
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import Derivatives, RodState
 from wrod.solvers.banded import BandedSystem
 
 # Largest change of an edge in one Newton step, as a fraction of its length.

@@ -11,7 +11,7 @@ from wrod.errors import GraspError
 from wrod.grasps.held_rods import HeldRods
 from wrod.grasps.inputs import check_inputs
 from wrod.grasps.manifold.grips import EDGE_COUNT, grasp_shapes, in_chunks, taut_position
-from wrod.rods.batch import resolve_device
+from wrod.rods.device import resolve_device
 
 # How a ray ends at its low end.
 DIPS, TOUCHES, FOLDS, EMPTY = 0, 1, 2, 3

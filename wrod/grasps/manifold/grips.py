@@ -18,7 +18,7 @@ from wrod.errors import GraspError
 from wrod.grasps.held_rods import HeldRods
 from wrod.grasps.inputs import check_inputs
 from wrod.grasps.optimal import solve_grasps
-from wrod.rods.batch import resolve_device
+from wrod.rods.device import resolve_device
 
 EDGE_COUNT = 64
 # Rods walked at once: few on a CPU, whose cache they should not leave; many on a GPU.

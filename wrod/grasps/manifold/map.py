@@ -12,14 +12,13 @@ import numpy as np
 
 from wrod.errors import GraspError
 from wrod.files import write_atomically
-from wrod.grasps.inputs import check_inputs
+from wrod.grasps.inputs import CLOSURES, check_inputs
 from wrod.grasps.manifold.boundary import Boundary, boundary
 from wrod.grasps.manifold.grips import EDGE_COUNT, grasp_shapes
 from wrod.grasps.manifold.optima import Optimum, find_optima
 from wrod.grasps.manifold.sampler import Patch, Sampler
 from wrod.grasps.nudge import Nudges
-from wrod.grasps.optimal import CLOSURES
-from wrod.rods.batch import resolve_device
+from wrod.rods.device import resolve_device
 
 # The sideways offset of the paper's Fig. 2Dschematic (d) [L_gb].
 OFFSET = 0.12

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.grasps.held_rods import HeldRods
+from wrod.grasps.inputs import CLOSURES
 from wrod.grasps.manifold.sampler import Patch
 from wrod.grasps.nudge import Nudges, nudge
-from wrod.grasps.optimal import CLOSURES
-from wrod.grasps.solver import GraspSolution, GraspSolver
+from wrod.grasps.results import Grasps
+from wrod.grasps.solver import GraspSolver
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ def find_optima(
     seeds = np.concatenate([patch.shape[:, -1] for patch in patches])
     force = np.concatenate([patch.force[:, -1] for patch in patches])
 
-    def polish(shape: np.ndarray, thrust: np.ndarray) -> tuple[GraspSolver, GraspSolution]:
+    def polish(shape: np.ndarray, thrust: np.ndarray) -> tuple[GraspSolver, Grasps]:
         n = len(shape)
         solver = GraspSolver(
             np.full(n, length),
@@ -51,18 +52,18 @@ def find_optima(
             guess=shape,
             thrust=thrust,
         ).run()
-        return solver, solver.solution()
+        return solver, solver.grasps()
 
     thrust = np.zeros(len(seeds)) if closure == "zero_tension" else force[:, 0]
     solver, coarse = polish(seeds, thrust)
     size = np.linalg.norm(coarse.force, axis=1)
     good = coarse.converged & (coarse.force[:, 2] > 0.0)
-    good &= (coarse.lowest > -1e-6) & (coarse.turning < 2.0 * np.pi)
+    good &= (solver.lowest() > -1e-6) & (solver.turning() < 2.0 * np.pi)
     chosen: list[int] = []
     for i in np.flatnonzero(good)[np.argsort(size[good], kind="stable")]:
         if all(np.linalg.norm(coarse.position[i] - coarse.position[j]) > 1e-3 for j in chosen):
             chosen.append(int(i))
-    _, fine = polish(solver.refined()[chosen], coarse.thrust[chosen])
+    _, fine = polish(solver.refined()[chosen], solver.thrust()[chosen])
     rods = HeldRods(
         np.full(len(chosen), length), np.full(len(chosen), ratio), fine.shape, device=device
     )

@@ -22,8 +22,9 @@ from wrod.identification.clamped.layout import (
 from wrod.identification.clamped.sensing import Prediction, View
 from wrod.identification.clamped.sensitivity import WIND_PASSES, WIND_TOLERANCE, Sensitivity
 from wrod.identification.clamped.setup import Setup
-from wrod.rods.batch import RodBatch, RodState
+from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import transport
+from wrod.rods.state import RodState
 from wrod.solvers.statics import EquilibriumSolver
 
 _WAYPOINTS = 8

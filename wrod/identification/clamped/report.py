@@ -32,7 +32,7 @@ from wrod.identification.effect import (
     effects,
 )
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
-from wrod.rods.batch import resolve_device
+from wrod.rods.device import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 

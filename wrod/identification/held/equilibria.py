@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.held.measurements import HeldCable
-from wrod.rods.batch import RodBatch, node_positions
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import node_positions
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _EDGES = 30

@@ -15,7 +15,8 @@ from scipy.optimize import least_squares
 
 from wrod.errors import DataError
 from wrod.identification.held.measurements import HangingLoops
-from wrod.rods.batch import RodBatch, node_positions
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import node_positions
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _EDGES = 74

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from wrod.errors import DataError
-from wrod.files import read_arrays
+from wrod.files import read_fields
 
 # Points by which a fitted curve is integrated.
 _CURVE_POINTS = 401
@@ -122,90 +121,31 @@ def load_hanging(path: str | os.PathLike[str]) -> HangingLoops:
     Raises:
         DataError: unreadable, an array is missing or of a wrong shape, or a value is not usable.
     """
-    data = _read(path, ("shape", "arc_length", "length", "mass_per_length", "gravity"))
-    shape, along = data["shape"], data["arc_length"]
-    shape = shape[None] if shape.ndim == 2 else shape
-    if shape.ndim != 3 or shape.shape[1:] != (len(along), 2) or not np.isfinite(shape).all():
-        raise DataError(f"{path}: shape is {shape.shape}; give finite (mounting, point, 2)")
-    numbers = _positive(path, data, ("length", "mass_per_length", "gravity"))
-    return HangingLoops(Path(path).stem.split("-")[0], shape, along, *numbers)
+    data = read_fields(path, "HangingLoops")
+    return HangingLoops(Path(path).stem.split("-")[0], **data)
 
 
 def load_held(path: str | os.PathLike[str]) -> HeldCable:
     """Read SET-static.npz; raises as `load_hanging`."""
-    data = _read(path, ("base_angle", "mid", "end", *_CABLE))
-    return _held(path, data, "mid", "end", "-static")
+    return _held(path, read_fields(path, "HeldCable"), "-static")
 
 
 def load_swing(path: str | os.PathLike[str]) -> HeldSwing:
     """Read SET-swing.npz; raises as `load_hanging`."""
-    names = ("time", "base_angle", "mid_fitted", "end_fitted", "curvature_fit", *_CABLE)
-    data = _read(path, names)
-    cable = _held(path, data, "mid_fitted", "end_fitted", "-swing")
-    bend = data["curvature_fit"]
-    if bend.shape != (*cable.angle.shape, 2) or not np.isfinite(bend).all():
-        raise DataError(f"{path}: curvature_fit is {bend.shape}; give finite (frame, 2)")
-    if data["time"].shape != cable.angle.shape or not (np.diff(data["time"]) > 0).all():
-        raise DataError(f"{path}: time does not grow with the frames")
-    return HeldSwing(cable, data["time"], bend)
+    data = read_fields(path, "HeldSwing")
+    time, bend = data.pop("time"), data.pop("curvature_fit")
+    data["mid"], data["end"] = data.pop("mid_fitted"), data.pop("end_fitted")
+    return HeldSwing(_held(path, data, "-swing"), time, bend)
 
 
 def load_poses(path: str | os.PathLike[str]) -> HeldPoses:
     """Read poses-3d.npz; raises as `load_hanging`."""
-    names = ("shape", "arc_length", "length", "mass_per_length", "gripper_shift",
-             "gripper_axis_angle_deg", "end_turn_deg", "cables")  # fmt: skip
-    data = _read(path, names, text=("cables",))
-    shape = data["shape"]
-    if shape.ndim != 4 or shape.shape[-1] != 3 or not np.isfinite(shape).all():
-        raise DataError(f"{path}: shape is {shape.shape}; give finite (cable, pose, point, 3)")
-    (length,) = _positive(path, data, ("length",))
-    return HeldPoses(
-        tuple(str(name) for name in data["cables"]),
-        shape,
-        data["arc_length"],
-        length,
-        data["mass_per_length"],
-        data["gripper_shift"],
-        np.radians(data["gripper_axis_angle_deg"]),
-        np.radians(data["end_turn_deg"]),
-    )
+    data = read_fields(path, "HeldPoses")
+    turns = (np.radians(data.pop(f"{name}_deg")) for name in ("gripper_axis_angle", "end_turn"))
+    data["gripper_turn"], data["end_turn"] = turns
+    return HeldPoses(**data)
 
 
-_CABLE = ("length", "cable_mass", "tip_mass", "diameter", "gravity")
-
-
-def _held(path, data, mid, end, suffix) -> HeldCable:
-    angle = data["base_angle"]
-    wanted = (*angle.shape, 2)
-    for name in (mid, end):
-        if data[name].shape != wanted or not np.isfinite(data[name]).all():
-            raise DataError(f"{path}: {name} is {data[name].shape}; give finite {wanted}")
-    length, mass, diameter, gravity = _positive(
-        path, data, ("length", "cable_mass", "diameter", "gravity")
-    )
-    tip = float(data["tip_mass"])
-    if not (np.isfinite(tip) and tip >= 0.0):
-        raise DataError(f"{path}: tip_mass is {tip!r}; give kilograms, 0 or more")
-    name = Path(path).stem.removesuffix(suffix)
-    return HeldCable(name, angle, data[mid], data[end], length, diameter, mass, tip, gravity)
-
-
-def _read(path, names, text=()) -> dict[str, np.ndarray]:
-    found = read_arrays(path, "a measurement of a cable held at its base", only=names)
-    missing = [name for name in names if name not in found]
-    if missing:
-        raise DataError(f"{path}: has no {', '.join(missing)}")
-    words = [name for name in names if name not in text and found[name].dtype.kind not in "fiu"]
-    if words:
-        raise DataError(f"{path}: {', '.join(words)} must hold numbers")
-    return found
-
-
-def _positive(path, data, names) -> list[float]:
-    values = []
-    for name in names:
-        value = float(data[name]) if data[name].ndim == 0 else np.nan
-        if not (np.isfinite(value) and value > 0.0):
-            raise DataError(f"{path}: {name} is {data[name]!r}; give a positive number")
-        values.append(value)
-    return values
+def _held(path: str | os.PathLike[str], data: dict, suffix: str) -> HeldCable:
+    angle = data.pop("base_angle")
+    return HeldCable(name=Path(path).stem.removesuffix(suffix), angle=angle, **data)

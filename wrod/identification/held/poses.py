@@ -9,8 +9,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from wrod.identification.held.measurements import HeldPoses
-from wrod.rods.batch import RodBatch, node_positions
+from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import transport
+from wrod.rods.state import node_positions
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _EDGES = 40

@@ -19,8 +19,8 @@ from wrod.errors import DataError
 from wrod.identification.held.equilibria import CableModel, batch_of, marked, mesh
 from wrod.identification.held.fit import HeldFit
 from wrod.identification.held.measurements import HeldSwing
-from wrod.rods.batch import node_positions
 from wrod.rods.law import Dahl
+from wrod.rods.state import node_positions
 from wrod.solvers.dynamics import Dynamics
 
 EFFECTS = ("damping", "friction", "bend")

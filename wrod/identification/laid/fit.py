@@ -70,6 +70,70 @@ class LaidFit:
     reason: str
 
 
+@dataclass
+class _Laying:
+    """Simulated deployments of rods with other parameters; arguments of `fit_laid`, and how many
+    there will be."""
+
+    measurements: LaidMeasurements
+    rod: RodModel | RodMaterial
+    trajectory: Trajectory
+    friction: Friction
+    released: bool
+    runs: int
+    progress: Callable[[float], object] | None
+    options: dict
+
+    def predict(self, many: list[np.ndarray]) -> np.ndarray:
+        """(k, 50, 2) where rods with these parameters come to lie."""
+        seen, rod, trajectory = self.measurements, self.rod, self.trajectory
+        after_plan = tail(seen.pattern, rod, trajectory)
+        trials = [
+            Trial(seen.pattern, with_parameters(rod, v, trajectory.roll), trajectory,
+                  scaled(self.friction, v[2]), tail=after_plan)
+            for v in many
+        ]  # fmt: skip
+
+        def watch(share: float) -> None:
+            if self.progress is not None:
+                self.progress(share * len(many) / self.runs)
+
+        laid = simulate_deployments(trials, progress=watch, **self.options)
+        if any(d.diverged for d in laid):
+            raise DataError("a simulated deployment diverged; take a smaller step or other rods")
+        lines = [d.released_centerline if self.released else d.centerline for d in laid]
+        # As a camera sees them: by the length that lies there, not by the length at rest.
+        return np.stack([seen.at_points(line[:, :2]) for line in lines])
+
+    def linearised(self, values: np.ndarray, active: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        """(50, 2) where the rod comes to lie, and (active, 100) derivatives by its parameters."""
+        steps = np.array([_STEPS[name] for name in PARAMETERS])
+        here, *there = self.predict([values, *(values + np.diag(steps)[active])])
+        rates = [(t - here).ravel() / h for t, h in zip(there, steps[active], strict=True)]
+        return here, np.stack(rates)
+
+
+def _step(measurements: LaidMeasurements, values, active, rates, off) -> np.ndarray:
+    """Take a Gauss-Newton step in `values`; its matrix."""
+    priors = np.array([_PRIORS[name] for name in PARAMETERS])
+    weight = len(measurements.curves) / measurements.noise**2
+    matrix = weight * rates @ rates.T + np.diag(priors[active] ** -2)
+    pull = weight * rates @ off - values[active] / priors[active] ** 2
+    values[active] += np.linalg.solve(matrix, pull)
+    return matrix
+
+
+def _estimates(values, active, covariance) -> tuple[dict[str, Estimate], float]:
+    """Estimates by name, and the largest correlation of two."""
+    errors = np.sqrt(np.diag(covariance))
+    estimates = {
+        PARAMETERS[k]: Estimate(float(values[k]), float(e), _UNITS[PARAMETERS[k]])
+        for k, e in zip(active, errors, strict=True)
+    }
+    apart = np.tril(covariance / np.outer(errors, errors), -1)
+    return estimates, float(apart.flat[np.abs(apart).argmax()])
+
+
 @arguments.checked(
     DataError,
     measurements=arguments.like("what wrod.load_laid returns", "pattern", "curves"),
@@ -117,56 +181,23 @@ def fit_laid(
     law = friction if isinstance(friction, Friction) else Friction(friction)
     roll = trajectory.roll
     active = list(range(len(PARAMETERS) if fit_friction else len(_OF_ROD)))
-    after_plan = tail(measurements.pattern, rod, trajectory)
-
-    def predict(many: list[np.ndarray]) -> np.ndarray:
-        """(k, 50, 2) where rods with these parameters come to lie."""
-        trials = [
-            Trial(measurements.pattern, with_parameters(rod, v, roll), trajectory,
-                  scaled(law, v[2]), tail=after_plan)
-            for v in many
-        ]  # fmt: skip
-
-        def watch(share: float) -> None:
-            if progress is not None:
-                progress(share * len(many) / ((1 + len(active)) * iterations + 1))
-
-        laid = simulate_deployments(trials, progress=watch, **options)
-        if any(d.diverged for d in laid):
-            raise DataError("a simulated deployment diverged; take a smaller step or other rods")
-        lines = [d.released_centerline if released else d.centerline for d in laid]
-        # As a camera sees them: by the length that lies there, not by the length at rest.
-        return np.stack([measurements.at_points(line[:, :2]) for line in lines])
-
-    steps = np.array([_STEPS[name] for name in PARAMETERS])
-    priors = np.array([_PRIORS[name] for name in PARAMETERS])
-    mean, count = measurements.positions.mean(axis=0), len(measurements.curves)
-    weight = count / measurements.noise**2
+    runs = (1 + len(active)) * iterations + 1
+    laying = _Laying(measurements, rod, trajectory, law, released, runs, progress, options)
     values = np.zeros(len(PARAMETERS))
     before, alone = np.inf, {}
     for iteration in range(iterations):
-        here, *there = predict([values, *(values + np.diag(steps)[active])])
-        off = (mean - here).ravel()
-        rates = np.stack(
-            [(t - here).ravel() / h for t, h in zip(there, steps[active], strict=True)]
-        )
+        here, rates = laying.linearised(values, active)
+        off = (measurements.positions.mean(axis=0) - here).ravel()
         if iteration == 0:
             before, alone = measurements.rms(here), _alone(measurements, here, rates, off)
             if not fit_friction:
                 active = _chosen(measurements, here, rates, off, alone)
                 rates = rates[active]
-        matrix = weight * rates @ rates.T + np.diag(priors[active] ** -2)
-        pull = weight * rates @ off - values[active] / priors[active] ** 2
-        values[active] += np.linalg.solve(matrix, pull)
-    after = measurements.rms(predict([values])[0])
-    covariance = np.linalg.inv(matrix)
-    errors = np.sqrt(np.diag(covariance))
-    estimates = {
-        PARAMETERS[k]: Estimate(float(values[k]), float(e), _UNITS[PARAMETERS[k]])
-        for k, e in zip(active, errors, strict=True)
-    }
-    apart = np.tril(covariance / np.outer(errors, errors), -1)
-    correlation = float(apart.flat[np.abs(apart).argmax()])
+                laying.runs = (1 + len(active)) * iterations + 1
+        matrix = _step(measurements, values, active, rates, off)
+    after = measurements.rms(laying.predict([values])[0])
+    estimates, correlation = _estimates(values, active, np.linalg.inv(matrix))
+    count = len(measurements.curves)
     floor = measurements.noise_floor
     verdict, reason = _verdict(before, after, floor, count, estimates, correlation)
     if verdict == "adequate":

@@ -18,7 +18,7 @@ from scipy.signal import savgol_filter
 from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS
 from wrod.errors import DataError, WrodError
-from wrod.files import read_arrays
+from wrod.files import check_arrays, read_arrays
 from wrod.patterns.files import read_points, unit_scale
 from wrod.patterns.pattern import Pattern
 from wrod.perception.refine import arc_length
@@ -141,11 +141,9 @@ def load_laid(
 def _read(path: Path, units: str | None) -> np.ndarray:
     if path.suffix.lower() == ".npz":
         found = read_arrays(path, "a scan, a deployment or points (.npz)")
-        for key in ("path_m", "centerline"):
+        for key, kind in (("path_m", "Scan"), ("centerline", "LaidRod")):
             if key in found:
-                if found[key].dtype.kind not in "fiu":
-                    raise DataError(f"{path}: {key} does not hold numbers")
-                return np.asarray(found[key], dtype=float)
+                return check_arrays(found, kind, str(path))[key]
         if "paths" in found:
             raise DataError(
                 f"{path}: is a scan without one metric centreline; scan it with a scale "

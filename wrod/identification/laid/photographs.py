@@ -14,11 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError, WrodError
-from wrod.files import read_arrays
+from wrod.files import read_fields
 from wrod.patterns.pattern import Pattern
 
-_NEEDED = ("centerline", "centerline_filled", "hidden", "sigma", "pattern", "size_factor",
-           "px_from_pattern", "pixels")  # fmt: skip
 # What a pixel's place is known to when the dots are matched [m], if the file does not say.
 _REGISTRATION = 0.35e-3
 
@@ -76,33 +74,18 @@ def load_photograph(path: str | os.PathLike[str]) -> LaidPhotograph:
     parts = path.stem.split("-")
     if len(parts) < 3:
         raise DataError(f"{path}: the name is to be ROD-PATTERN-METHOD.npz, such as rope-line-int")
-    file = read_arrays(path, "a photograph's file")
-    missing = [name for name in _NEEDED if name not in file]
-    if missing:
-        raise DataError(f"{path}: has no {', '.join(missing)}; give a photograph's file")
-    try:
-        data = {name: np.asarray(file[name], dtype=float) for name in _NEEDED}
-        spread = float(file["registration_rms_px"]) / float(file["px_per_m"])
-    except KeyError:
-        spread = np.nan
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{path}: not a readable photograph's file ({error})") from None
-    size = float(data["size_factor"]) if data["size_factor"].ndim == 0 else np.nan
-    if not (np.isfinite(size) and size > 0.0):
-        raise DataError(f"{path}: size_factor is {data['size_factor']!r}; give a positive number")
-    filled, hidden, sigma = data["centerline_filled"], data["hidden"], data["sigma"]
-    count = len(filled)
-    if filled.shape != (count, 2) or hidden.shape != (count,) or sigma.shape != (count,):
-        raise DataError(f"{path}: centerline_filled, hidden and sigma differ in their points")
-    seen = hidden == 0
-    if seen.sum() < 3 or not (np.isfinite(filled).all() and np.isfinite(sigma[seen]).all()):
-        raise DataError(f"{path}: shows fewer than 3 points of the rod, or some are not numbers")
-    if not (sigma[seen] > 0.0).all():
+    data = read_fields(path, "Photograph")
+    size, filled = data["size_factor"], data["centerline_filled"]
+    seen, sigma = data["hidden"] == 0, data["sigma"]
+    if seen.sum() < 3:
+        raise DataError(f"{path}: shows fewer than 3 points of the rod")
+    if not (sigma[seen] > 0.0).all():  # nor where it is unknown
         raise DataError(f"{path}: sigma is not positive everywhere; give standard uncertainties")
-    to_pixels, pixels = data["px_from_pattern"], data["pixels"]
-    if to_pixels.shape != (2, 3) or pixels.shape != (count, 2):
-        raise DataError(f"{path}: px_from_pattern or pixels has a wrong shape")
-    middle = np.linalg.solve(to_pixels[:, :2], _middle(path, pixels) - to_pixels[:, 2])
+    to_pixels = data["px_from_pattern"]
+    if abs(np.linalg.det(to_pixels[:, :2])) < 1e-12:
+        raise DataError(f"{path}: px_from_pattern maps the table onto a line")
+    spread = data.get("registration_rms_px", np.nan) / (data.get("px_per_m") or np.nan)
+    middle = np.linalg.solve(to_pixels[:, :2], _middle(path, data["pixels"]) - to_pixels[:, 2])
     pattern_name = parts[-2]
     try:
         pattern = Pattern.from_points(size * data["pattern"], name=pattern_name)

@@ -37,7 +37,7 @@ from wrod.identification.motion.selection import (
 from wrod.identification.motion.setup import START_L_GB, MotionSetup
 from wrod.identification.motion.trace import MotionTrace, trace_motion
 from wrod.identification.motion.windows import Windows
-from wrod.rods.batch import resolve_device
+from wrod.rods.device import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile

@@ -13,7 +13,8 @@ from wrod.identification.motion.tangents import SPIN_INERTIA, Tangents, kind_of,
 from wrod.identification.motion.windows import Windows
 from wrod.kernels.stepping import motion as kernels
 from wrod.kernels.stepping.viscosity import measure_strains
-from wrod.rods.batch import RodBatch, RodState
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import RodState
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.statics import EquilibriumSolver
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import warp as wp
@@ -14,8 +14,9 @@ from wrod.kernels.stepping import motion_tangents as kernels
 from wrod.solvers.banded import BandedSystem
 
 if TYPE_CHECKING:
-    from wrod.identification.motion.solver import MotionRun
-    from wrod.solvers.dynamics import Dynamics
+    from wrod.identification.motion.windows import Windows
+    from wrod.rods.batch import RodBatch
+    from wrod.solvers.newton_steps import NewtonSteps
 
 COMPLEX_STEP = 1e-30
 # Inertia of an edge about its axis, per line mass: far too small to be seen.
@@ -35,6 +36,18 @@ def node_columns(node_count: int) -> np.ndarray:
     return (4 * np.arange(node_count)[:, None] + np.arange(3)).ravel()
 
 
+class Run(Protocol):
+    """What is followed: `wrod.identification.motion.solver.MotionRun`."""
+
+    batch: RodBatch
+    windows: Windows
+    substeps: int
+    step_rate: float
+    device: str
+    model: dict[str, wp.array]
+    grip_tangent: wp.array
+
+
 class Tangents:
     """Tangents of a run by every parameter; a follower of its `Dynamics`.
 
@@ -44,7 +57,7 @@ class Tangents:
         rates: setups whose imaginary parts are `COMPLEX_STEP` times a parameter's rate.
     """
 
-    def __init__(self, run: MotionRun, setup, rates):
+    def __init__(self, run: Run, setup, rates):
         self.run, self.batch, self.count = run, run.batch, len(rates)
         windows, substeps, device = run.windows, run.substeps, run.device
         rods, nodes, dofs = run.batch.rod_count, run.batch.node_count, run.batch.dof_count
@@ -178,7 +191,7 @@ class Tangents:
         self.velocity.assign((now - earlier) / h)
         wp.copy(self.velocity_older, self.velocity)
 
-    def follow(self, dynamics: Dynamics) -> None:
+    def follow(self, dynamics: NewtonSteps) -> None:
         """Tangents of the steps that have been accepted."""
         accepted, batch, model = dynamics.accepted, self.batch, self.run.model
         device = wp.get_device(batch.device)
@@ -224,7 +237,7 @@ class Tangents:
         )
 
     def centre(self, h) -> None:
-        """As `MotionRun` centres its velocities."""
+        """As the run centres its velocities."""
         now, middle = self.now.numpy().copy(), self.older.numpy().copy()
         self.velocity.assign((1.5 * now - 2.0 * middle + 0.5 * self.earliest) / h)
         self.velocity_older.assign((now - self.earliest) / (2.0 * h))

@@ -1,0 +1,220 @@
+"""The arrays of a batch of rods, and how they are set."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from wrod import arguments
+from wrod.errors import RodError
+from wrod.kernels.elastic.frames import (
+    ANY_DIRECTOR,
+    EVERY_DIRECTOR,
+    FIRST_DIRECTOR,
+    reference_twist,
+    set_configuration,
+    set_reference_frames,
+)
+from wrod.kernels.elastic.inelastic import Inelastic, inelastic_energy, set_inelastic_laws
+from wrod.rods.state import RodState
+
+
+def _floats(name: str, value) -> np.ndarray:
+    return arguments.floats(value, name, RodError)
+
+
+class BatchArrays:
+    """What changes a batch's arrays; see `wrod.rods.batch.RodBatch`."""
+
+    device: str
+    rod_count: int
+    node_count: int
+    dof_count: int
+    state: RodState
+    every_rod: wp.array
+    free: wp.array
+    rest_length: wp.array
+    stretching_stiffness: wp.array
+    bending_stiffness: wp.array
+    twisting_stiffness: wp.array
+    energies: list[tuple[wp.Kernel, wp.array]]
+    cut_edges: tuple[int, ...]
+
+    def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
+        if isinstance(value, wp.array):
+            return value
+        value = _floats(name, value)
+        if value.size == 0 or not np.isfinite(value).all():
+            raise RodError(f"{name} is empty or holds a value that is not finite")
+        if positive and not (value > 0).all():
+            raise RodError(f"{name} holds {value.min():g}; every value must be positive")
+        if value.size == 1 and value.ndim <= len(shape):
+            # One value for all does not have to travel to the device.
+            size = shape if dtype == wp.float64 else shape[:-1]
+            fill = dtype(*[value.item()] * (1 if dtype == wp.float64 else shape[-1]))
+            return wp.full(size, fill, dtype=dtype, device=self.device)
+        try:
+            value = np.broadcast_to(value, shape)
+        except ValueError:
+            raise RodError(
+                f"{name} has shape {value.shape}, which does not broadcast to {shape}"
+            ) from None
+        return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
+
+    def set_softening(self, softening) -> None:
+        """Give every rod its law: (rod, node, 2) as in the constructor, broadcast.
+
+        Raises:
+            RodError: the shape does not broadcast, or a c is negative or not finite.
+        """
+        shape = (self.rod_count, self.node_count, 2)
+        array = self._array("softening", softening, shape, wp.vec2d)
+        value = np.atleast_1d(softening)
+        if value[..., 0].min() < 0.0:
+            raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
+        self.softening = array
+        self.softens = bool(value[..., 0].any())
+
+    def _inelastic(self, number) -> wp.array | None:
+        """The rods' laws that remember, and what they remember; None where there are none."""
+        number = np.asarray(number, dtype=np.float64)
+        if not number.any():
+            return None
+        shape = (self.rod_count, self.node_count)
+        number = self._array("inelastic", number, (*shape, 4), wp.vec4d)
+        node = wp.zeros(shape, dtype=Inelastic, device=self.device)
+        wp.launch(set_inelastic_laws, shape, [number], [node], device=self.device)
+        self.add_energy(inelastic_energy, node)
+        return node
+
+    def add_energy(self, kernel: wp.Kernel, number) -> None:
+        """Let the rods have another energy of bending and twisting, in all that they do.
+
+        Args:
+            kernel: of `wrod.kernels.elastic.section.make_section_energy`.
+            number: what the energy has at each node: a Warp array (rod, node) of the energy's
+                type, or numbers that broadcast to (rod, node) and the type's length.
+
+        Raises:
+            RodError: the numbers do not broadcast, or are not finite.
+        """
+        if not isinstance(number, wp.array):
+            kind = next(a.type.dtype for a in kernel.adj.args if a.label == "number")
+            size = () if kind is wp.float64 else (kind._length_,)
+            shape = (self.rod_count, self.node_count, *size)
+            number = self._array("energy", number, shape, kind)
+        self.energies.append((kernel, number))
+
+    def set_configuration(self, position, *, angle=0.0, director=None) -> None:
+        """Put the rods into a configuration.
+
+        Args:
+            position: (rod, node, 3), or a Warp array (rod, node) of vec3d on the batch's device.
+            angle: (rod, node - 1) angles theta from reference to material directors [rad].
+            director: as in the constructor; those of every edge set the reference frames.
+
+        Raises:
+            RodError: two neighbouring nodes coincide, or a director is along its edge.
+        """
+        rods, nodes, device = self.rod_count, self.node_count, self.device
+        state = self.state
+        if not isinstance(position, wp.array):
+            position = self._array("position", position, (rods, nodes, 3), wp.vec3d)
+        angle = self._array("angle", angle, (rods, nodes - 1))
+        source, shape = ANY_DIRECTOR, (0, 0)
+        if director is not None:
+            every = _floats("director", director).ndim == 3
+            source, shape = (EVERY_DIRECTOR, nodes - 1) if every else (FIRST_DIRECTOR, 1)
+            director = _floats("director", director)
+            if not every:
+                if director.shape not in ((3,), (1, 3), (rods, 3)):
+                    raise RodError(
+                        f"director has shape {director.shape}; give (3,), (rod, 3) or "
+                        "(rod, node - 1, 3)"
+                    )
+                director = np.broadcast_to(director, (rods, 3))[:, None]
+            director = self._array("director", director, (rods, shape, 3), wp.vec3d)
+        else:
+            director = wp.empty(shape, dtype=wp.vec3d, device=device)
+        wp.launch(
+            set_configuration,
+            dim=(rods, nodes),
+            inputs=[position, angle],
+            outputs=[state.dof],
+            device=device,
+        )
+        problem = wp.zeros(rods, dtype=wp.int32, device=device)
+        wp.launch(
+            set_reference_frames,
+            dim=rods,
+            inputs=[state.dof, director, source],
+            outputs=[state.tangent, state.director, problem],
+            device=device,
+        )
+        problem = problem.numpy()
+        if problem.any():
+            r = int(np.flatnonzero(problem)[0])
+            raise RodError(
+                f"two neighbouring nodes of rod {r} coincide, or are not numbers"
+                if problem[r] == 1
+                else f"a director of rod {r} is along its edge; give one across it"
+            )
+        state.reference_twist.zero_()
+        self._launch_twist(state, state, self.every_rod)
+
+    def cut(self, edges) -> None:
+        """Take edges out of every row, so that several rods share it, end to end.
+
+        Args:
+            edges: their indices; edge i runs from the last node of one rod, i, to the first of the
+                next. Their rest length becomes negligible; every node keeps its mass.
+
+        Raises:
+            RodError: an index is not that of an edge, or a rod would be left with one node.
+        """
+        wrong = arguments.indices(edges)
+        if wrong is not None:
+            raise RodError(f"RodBatch.cut: edges {wrong}")
+        count = self.node_count - 1
+        edges = sorted({int(e) % count if -count <= e < count else count for e in edges})
+        if np.any(np.diff([-1, *edges, count]) < 2) or (edges and edges[-1] >= count):
+            raise RodError(
+                f"cannot cut edges {edges}: give indices below {count} that leave every rod "
+                "two nodes or more"
+            )
+        around = sorted({i for e in edges for i in (e, e + 1)})
+        rest = self.rest_length.numpy().copy()
+        rest[:, edges] = 1e-6 * rest.mean()
+        self.rest_length.assign(rest)
+        for array, columns in (
+            (self.stretching_stiffness, edges),
+            (self.bending_stiffness, around),
+            (self.twisting_stiffness, around),
+        ):
+            values = array.numpy().copy()
+            values[:, columns] = 0.0
+            array.assign(values)
+        self.cut_edges = tuple(edges)
+
+    @arguments.checked(RodError, free=arguments.picture)
+    def set_free(self, free: np.ndarray) -> None:
+        """Say which degrees of freedom may move: (rod, dof) of bool, broadcast.
+
+        Raises:
+            RodError: the shape does not broadcast.
+        """
+        shape = (self.rod_count, self.dof_count)
+        try:
+            free = np.broadcast_to(np.asarray(free, dtype=bool), shape)
+        except ValueError:
+            raise RodError(f"free has shape {np.shape(free)}; give {shape}") from None
+        self.free.assign(free.astype(np.int32))
+
+    def _launch_twist(self, source: RodState, target: RodState, active: wp.array) -> None:
+        wp.launch(
+            reference_twist,
+            dim=(self.rod_count, self.node_count - 2),
+            inputs=[active, target.tangent, target.director, source.reference_twist],
+            outputs=[target.reference_twist],
+            device=self.device,
+        )

@@ -1,0 +1,33 @@
+"""Where rods are computed."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wrod.errors import RodError
+
+
+def resolve_device(device: str | None) -> str:
+    """`None` and "auto" mean the first CUDA device if there is one, else the CPU.
+
+    Raises:
+        RodError: the device does not exist on this machine, or has no memory left to begin with.
+    """
+    if device in (None, "auto"):
+        device = "cuda:0" if wp.is_cuda_available() else "cpu"
+    try:
+        found = wp.get_device(device)
+    except Exception as error:
+        raise RodError(
+            f"device {device!r} is not on this machine; use cpu, auto or one of "
+            f"{', '.join(str(d) for d in wp.get_devices())}"
+        ) from error
+    if found.is_cuda:
+        try:
+            _ = found.context
+        except RuntimeError as error:
+            raise RodError(
+                f"device {found} cannot be used ({error}); see whether others fill its memory, "
+                "wait, or use cpu"
+            ) from error
+    return str(found)

@@ -1,0 +1,294 @@
+"""Implicit time steps by Newton's method: how each begins, iterates, is judged and ends."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import warp as wp
+
+from wrod.kernels.stepping import dynamics as kernels
+from wrod.kernels.stepping import newton_iteration as newton
+from wrod.solvers.bodies import Bodies
+from wrod.solvers.inelastic import InternalVariables
+from wrod.solvers.steps import SCHEMES, Motion, Steps
+from wrod.solvers.viscosity import Viscosity
+
+# Largest change of an edge in one Newton iteration, as a fraction of its length.
+_STEP_LIMIT = 0.3
+_GROWTH = 1.3
+
+
+class Follower(Protocol):
+    """What is carried along with the steps: called whenever steps of some rods were accepted, while
+    `batch` still holds residual, matrix and configuration of their ends, and `start` their starts.
+
+    It does its work by kernels alone, for the rods that are not 0 in `accepted`."""
+
+    def follow(self, dynamics: NewtonSteps) -> None: ...
+
+
+class NewtonSteps(Steps):
+    """The parts of a round: a Newton iteration of every rod, and what becomes of its step.
+
+    What they work with are arguments of `wrod.solvers.dynamics.Dynamics`, which sets it.
+    """
+
+    contacts: tuple
+    motion: Motion | None
+    follower: Follower | None
+    bodies: Bodies | None
+    viscosity: Viscosity
+    internal: InternalVariables
+    mass: wp.array
+    air_damping: wp.array
+    drag: wp.array | None
+    rounding: wp.array
+    tolerance: float
+    max_iterations: int
+    refuses_saddles: int
+    _scheme: int
+    _growth: float
+
+    def restart(self, chosen: wp.array) -> None:
+        """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
+        must have its frames, and from `velocity`; one that was cut out takes part again."""
+        self._per_rod(
+            kernels.forget_history,
+            [chosen],
+            [self.step_before, self.wanted_step, self.diverged, self.leaves],
+        )
+        self._copy(chosen, self.batch.state, self.start)
+        self.internal.restart(chosen)
+        for contact in self.contacts:
+            contact.restart(chosen)
+
+    def _take_round(self, step, smallest, frames, frame_interval) -> None:
+        # A CPU's launches cost more than looking whether they have anything to do, unless they
+        # are recorded.
+        looks = self._on_cpu and not wp.get_device(self.batch.device).is_capturing
+        if not looks or self.starting.numpy().any():
+            self._begin()
+        self._iterate(step, smallest)
+        if not looks or self.active.numpy().any():
+            self._correct()
+        if not looks or self.accepted.numpy().any() or self.rejected.numpy().any():
+            self._finish(frames, frame_interval)
+
+    @property
+    def _on_cpu(self) -> bool:
+        return wp.get_device(self.batch.device).is_cpu
+
+    def _begin(self) -> None:
+        """Begin a step of the rods that have finished their last."""
+        batch = self.batch
+        self._per_rod(
+            kernels.begin_step,
+            [
+                self._scheme,
+                wp.float64(self.tolerance),
+                self.rounding,
+                self.viscosity.stretching_time,
+                self.until,
+                self.starting,
+                self.time,
+                self.step_before,
+                self.wanted_step,
+                self.leaves,
+            ],
+            [
+                self.step,
+                self.span,
+                self.touching,
+                self.coefficient,
+                self.step_tolerance,
+                self.iteration,
+                self.active,
+                self.converged,
+                self.system.negative_pivots,
+            ],
+        )
+        self.viscosity.begin(self.starting, self.coefficient, self.span)
+        self.internal.begin(self.starting, self.span)
+        if self.rod_contact is not None:
+            self.rod_contact.prepare(self.starting, self.rejected, self.start.dof)
+        if self.motion is not None:
+            self.motion.prescribe(self.starting, self.time, self.span, self.start)
+        if self.bodies is not None:
+            self.bodies.begin(self.starting, self.span, self.start)
+        self._per_dof(
+            kernels.predict,
+            [
+                self.starting,
+                batch.free,
+                self.span,
+                self.velocity,
+                self.velocity_older,
+                self.coefficient,
+                wp.float64(self._growth),
+            ],
+            [batch.state.dof],
+        )
+
+    def _iterate(self, largest: float, smallest: float) -> None:
+        """Residual and matrix of a Newton iteration of every rod, and the verdict on its step."""
+        batch, start, out = self.batch, self.start, self.batch.derivatives
+        dof = batch.state.dof
+        batch.transport_frames(start, batch.state, self.active)
+        batch.evaluate(order=2, active=self.active, model=self.viscosity.model)
+        self._per_dof(
+            kernels.add_inertia,
+            [
+                self.mass,
+                self.air_damping,
+                self.active,
+                self.span,
+                self.coefficient,
+                dof,
+                start.dof,
+                self.dof_older,
+                self.velocity,
+                self.velocity_older,
+            ],
+            [out.gradient, out.hessian],
+        )
+        if self.drag is not None:
+            wp.launch(
+                kernels.add_drag,
+                dim=(batch.rod_count, batch.node_count),
+                inputs=[self.drag, self.active, self.span, self.coefficient, dof, start.dof]
+                + [self.dof_older],
+                outputs=[out.gradient, out.hessian],
+                device=batch.device,
+            )
+        for contact in self.contacts:
+            contact.add(self.active, dof, start.dof)
+        batch.walk(
+            newton.measure_residual,
+            [
+                batch.free,
+                self.force_scale,
+                self.length_scale,
+                self.step_tolerance,
+                out.gradient,
+                self.active,
+            ],
+            [self.residual, self.converged],
+        )
+        if self.bodies is not None:
+            self.bodies.balance(self)
+        for contact in self.contacts:
+            contact.refuse(self.converged, self.active, dof, start.dof)
+        if self._scheme and self.contacts:
+            self._per_dof(
+                kernels.extrapolate,
+                [self.converged, self.step, self.span, dof, start.dof],
+                [self._end],
+            )
+            for contact in self.contacts:
+                contact.find_touching(self.converged, self._end, start.dof, self.touching)
+        self._judge(largest, smallest)
+
+    def _judge(self, largest: float, smallest: float) -> None:
+        """What becomes of every rod's step: taken, gone on with, or cut."""
+        self._per_rod(
+            kernels.judge_step,
+            [
+                self.until,
+                self.max_iterations,
+                wp.float64(largest),
+                wp.float64(smallest),
+                wp.float64(_GROWTH),
+                self.refuses_saddles,
+                self._scheme,
+                self.converged,
+                self.system.negative_pivots,
+                self.step,
+                self.span,
+                self.coefficient,
+                self.touching,
+            ],
+            [
+                self.leaves,
+                self.iteration,
+                self.active,
+                self.time,
+                self.step_before,
+                self.wanted_step,
+                self.running,
+                self.step_count,
+                self.iteration_count,
+                self.starting,
+                self.accepted,
+                self.rejected,
+                self.diverged,
+            ],
+        )
+
+    def _correct(self) -> None:
+        """The step of a Newton iteration."""
+        batch, out, bodies = self.batch, self.batch.derivatives, self.bodies
+        self.system.factorise(out.hessian, self.active)
+        if bodies is None:
+            wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
+        else:
+            bodies.load(self)
+        self.system.solve(self.active)
+        if bodies is not None:
+            bodies.solve(self)
+        self.system.shorten(self.active)
+        batch.walk(
+            kernels.take_newton_step,
+            [wp.float64(_STEP_LIMIT), self.active, self.system.x],
+            [batch.state.dof, self.taken],
+        )
+        if bodies is not None:
+            bodies.move(self)
+
+    def _finish(self, frames: wp.array | None, frame_interval: float) -> None:
+        """Carry accepted steps over to the next, and take failed ones back."""
+        batch, start, dof = self.batch, self.start, self.batch.state.dof
+        if self.follower is not None:
+            self.follower.follow(self)
+        self.viscosity.finish(self.accepted)
+        for contact in self.contacts:
+            contact.settle(self.accepted, dof, start.dof)
+        if self.bodies is not None:
+            self.bodies.finish(self)
+        if SCHEMES[self._scheme] == "midpoint":
+            self._complete()
+        self.internal.finish(self.accepted, self.step)
+        if frames is not None:
+            self._per_dof(
+                kernels.record_frames,
+                [wp.float64(frame_interval), self.accepted, self.time, self.step, dof, start.dof],
+                [frames],
+            )
+        self._per_dof(
+            kernels.shift_history,
+            [
+                self.accepted,
+                batch.derivatives.gradient,
+                batch.free if self.bodies is None else self.bodies.carried,
+                self.step,
+                self.span,
+                self.coefficient,
+                dof,
+                start.dof,
+            ],
+            [self.dof_older, self.velocity, self.velocity_older, self.reaction],
+        )
+        if self.bodies is not None and SCHEMES[self._scheme] == "midpoint":
+            # Velocities are of points that went straight on; on a body they turn.
+            self.bodies.put(self.accepted, start)
+            batch.transport_frames(start, batch.state, self.accepted)
+        self._copy(self.accepted, batch.state, start)
+        self._copy(self.rejected, start, batch.state)
+
+    def _complete(self) -> None:
+        """Bring accepted steps from where their forces are to their ends."""
+        batch, start, dof = self.batch, self.start, self.batch.state.dof
+        inputs = [self.accepted, self.step, self.span, dof, start.dof]
+        self._per_dof(kernels.extrapolate, inputs, [dof])
+        if self.motion is not None:
+            self.motion.prescribe(self.accepted, self.time, self._no_step, start)
+        batch.transport_frames(start, batch.state, self.accepted)

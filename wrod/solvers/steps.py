@@ -1,0 +1,125 @@
+"""What a batch of rods carries from time step to time step."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import warp as wp
+
+from wrod import arguments
+from wrod.errors import RodError
+from wrod.kernels.lanes import WARP
+from wrod.kernels.stepping import continuation
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import RodState, node_positions
+
+SCHEMES = ("euler", "bdf2", "midpoint")
+
+
+class Motion(Protocol):
+    """What moves prescribed degrees of freedom: called at the start of every step, it writes where
+    they are at the end of the step into `state.dof` and may change `batch.free`.
+
+    It does so by kernels alone: on a GPU the launches of a long `Dynamics.advance` are recorded and
+    replayed."""
+
+    def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState): ...
+
+
+class Steps:
+    """Where the time steps of a batch's rods are, every rod at its own pace.
+
+    Args:
+        batch: the rods, at rest in their initial configuration.
+
+    Attributes:
+        time, until, step, step_before: (rod,) present time, time to reach, this and the last step.
+        span, coefficient: (rod,) time from the start of the step to where its forces are, and the
+            scheme's coefficients (`wrod.kernels.stepping.dynamics`).
+        running, starting, active, converged, accepted, rejected, diverged: (rod,) where each is.
+        start: configurations at the start of the step.
+        velocity, velocity_older, dof_older: (rod, dof) of the last steps.
+        taken: (rod,) part of the last Newton step that was taken.
+        reaction: (rod, dof) forces that held prescribed degrees of freedom at the end of the last
+            step.
+    """
+
+    # The system of the Newton iterations, what couples edges in it, and what residuals and
+    # positions are measured against: who takes the steps says them.
+    system: Any
+    rod_contact: Any
+    force_scale: wp.array
+    length_scale: wp.array
+
+    def __init__(self, batch: RodBatch):
+        self.batch = batch
+        rods, device = batch.rod_count, batch.device
+        self.start = RodState.zeros(rods, batch.node_count, device)
+        self.start.assign(batch.state)
+
+        def floats(value=0.0):
+            return wp.full(rods, value, dtype=wp.float64, device=device)
+
+        def ints():
+            return wp.zeros(rods, dtype=wp.int32, device=device)
+
+        self.step_tolerance, self.residual = floats(), floats()
+        self.time, self.until, self.step, self.step_before = (floats() for _ in range(4))
+        self.span, self._no_step = floats(), floats()
+        # Why a rod leaves its scheme.
+        self.leaves, self.touching = ints(), ints()
+        self.wanted_step = floats()
+        self.taken = floats(1.0)
+        self.coefficient = wp.zeros(rods, dtype=wp.vec3d, device=device)
+        self.running, self.starting, self.active, self.converged = (ints() for _ in range(4))
+        self.iteration, self.iteration_count = ints(), ints()
+        self.accepted, self.rejected, self.diverged, self.step_count = (ints() for _ in range(4))
+        shape = (rods, batch.dof_count)
+        self.velocity, self.velocity_older = (
+            wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
+        )
+        self.dof_older = wp.clone(batch.state.dof)
+        self._end = wp.clone(batch.state.dof)
+        self.reaction = wp.zeros(shape, dtype=wp.float64, device=device)
+
+    @arguments.checked(RodError, velocity=arguments.numbers_of_any_shape)
+    def set_velocity(self, velocity: np.ndarray) -> None:
+        """(rod, node, 3) velocities of the nodes now; the edges do not spin."""
+        batch = self.batch
+        dof = np.zeros((batch.rod_count, batch.node_count, 4))
+        dof[:, :, :3] = arguments.spread(
+            velocity, dof[:, :, :3].shape, "Dynamics: velocity", RodError
+        )
+        self.velocity.assign(dof.reshape(batch.rod_count, -1)[:, :-1])
+        self.step_before.zero_()
+
+    def velocities(self) -> np.ndarray:
+        """(rod, node, 3) velocities of the nodes."""
+        return node_positions(self.velocity.numpy())
+
+    def _per_rod(self, kernel, inputs, outputs=()) -> None:
+        batch = self.batch
+        wp.launch(
+            kernel,
+            batch.rod_count,
+            inputs=inputs,
+            outputs=outputs,
+            device=batch.device,
+            block_dim=WARP,
+        )
+
+    def _per_dof(self, kernel, inputs, outputs=()) -> None:
+        batch = self.batch
+        dim = (batch.rod_count, batch.dof_count)
+        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
+
+    def _copy(self, chosen: wp.array, source: RodState, target: RodState) -> None:
+        batch = self.batch
+        wp.launch(
+            continuation.copy_configuration,
+            dim=(batch.rod_count, batch.node_count),
+            inputs=[chosen, source.dof, source.tangent, source.director, source.reference_twist],
+            outputs=[target.dof, target.tangent, target.director, target.reference_twist],
+            device=batch.device,
+        )
