@@ -28,10 +28,12 @@ test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
 
 # Fifty times the hostile inputs that the tests try, and other ones each time; then every file of
-# an adversary into every option, and every wrong argument into every public callable.
+# an adversary into every option, and every wrong argument into every public callable; then calls
+# of every command with one option, stream, output or surrounding broken.
 fuzz: $(STAMP)
 	WROD_FUZZ=50 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -vv --tb=short -n auto --dist worksteal \
 		tests/test_fuzz.py tests/test_bombs.py tests/test_arguments.py
+	$(BIN)/python tests/adversary.py --count 2000 --workers $$(nproc)
 
 # A hundred kills at random moments; every run has to end in the same bytes.
 kill-test: $(STAMP)

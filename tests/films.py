@@ -7,9 +7,10 @@ from scipy.spatial.transform import Rotation
 
 import wrod
 from wrod.bench.applications_trials import cable_scene, knot_plan
-from wrod.deployment.setup import prepare_deployment, tail
+from wrod.deployment.setup import prepare_deployment
 from wrod.deployment.simulate import with_remainder_of
 from wrod.knots.hand_paths import hand_path, path_length, smooth
+from wrod.planning.tail import tail
 
 STEP = 0.4  # [s] between frames
 UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])

@@ -54,6 +54,14 @@ def test_marks(said, hidden, uncovered, mark):
     assert outcome(said, hidden, uncovered) == mark
 
 
+def test_a_law_of_its_own_is_right_only_for_a_law_outside_the_list():
+    said = entry("moment_law")
+    assert outcome(said, {"softening"}, False) == "wrong"
+    assert outcome(said, {"softening"}, False, other_law=True) == "right"
+    more = entry("moment_law", "anisotropic_bending")
+    assert outcome(more, {"softening"}, False, other_law=True) == "wrong"
+
+
 def test_errors_are_those_of_vectors_and_directions_repeat():
     def estimate(value, stderr, unit=""):
         return {"value": value, "stderr": stderr, "unit": unit}

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from wrod.bench.cantilever import Cantilever
 from wrod.bench.newton import command
-from wrod.rods.material import rod
+from wrod.rods.catalogue import rod
 
 
 def test_light_rods_sag_like_beams():

@@ -21,6 +21,8 @@ FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 SHARE = 5  # of a family's kinds, in the tests
 ROD = ["--rod", "green-vps"]
 PLAN = ["plan", "line", *ROD, "--method", "intuitive", "--out", "out"]
+# Out of reach, so that the search for a path ends at once: arms and meshes are read before it.
+FAR = ["--no-remedy", "--lay-only", "--placement", "9,9,0,0"]
 # Where a file goes in: its family, its ending, the words, and which extra they need.
 DOORS = {
     "text": ("texts", ".txt", ["show", "{}", *ROD], None),
@@ -49,9 +51,9 @@ DOORS = {
     "controller": (
         "tensors", ".safetensors", ["bench", "controller", "{}", "--count", "10"], None,
     ),
-    "urdf": ("urdf", ".urdf", [*PLAN, "--robot", "{}", "--no-remedy"], "pytorch_kinematics"),
-    "xacro": ("xacro", ".xacro", [*PLAN, "--robot", "{}", "--no-remedy"], "xacro"),
-    "obstacles": ("json", ".json", [*PLAN, "--obstacles", "{}"], "pytorch_kinematics"),
+    "urdf": ("urdf", ".urdf", [*PLAN, "--robot", "{}", *FAR], "pytorch_kinematics"),
+    "xacro": ("xacro", ".xacro", [*PLAN, "--robot", "{}", *FAR], "xacro"),
+    "obstacles": ("json", ".json", [*PLAN, "--obstacles", "{}", *FAR], "pytorch_kinematics"),
     "friction": ("json", ".json", [*PLAN, "--no-robot", "--friction", "{}"], None),
     "dataset": (
         "json", ".json", ["dataset", "--size", "10", "--rod", "{}", "--out", "out"], None,
@@ -66,12 +68,7 @@ DOORS = {
     "ledger": ("json", ".jsonl", ["bench", "table3", "--trials", "1", "--out", "{folder}"], None),
     "patterns": ("texts", ".txt", ["bench", "plan", "--patterns", "{folder}"], None),
     "sets": ("arrays", ".npz", ["bench", "identify", "--sets", "{folder}"], None),
-    # Out of reach, so that the search for a path ends at once: meshes are read before it.
-    "meshes": (
-        "meshes", "",
-        [*PLAN, "--robot", "{robot}", "--no-remedy", "--lay-only", "--placement", "9,9,0,0"],
-        "trimesh",
-    ),
+    "meshes": ("meshes", "", [*PLAN, "--robot", "{robot}", *FAR], "trimesh"),
 }  # fmt: skip
 # Of files in a folder: what they are called there.
 NAMES = {

@@ -9,8 +9,9 @@ from wrod.identification import identify
 from wrod.identification.clamped.described import Attraction, LocalBend, LocalLoad, Stretch
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
+from wrod.identification.clamped.moment_law import MomentLaw
 from wrod.identification.clamped.profiles import ProfileEffect, _linearised, profiles_of
-from wrod.identification.effect import Model
+from wrod.identification.effect import Model, effects
 
 BASIS = np.random.default_rng(3).normal(size=(21, 2, 3))
 PROBES = {
@@ -18,6 +19,7 @@ PROBES = {
     "stretch": (Stretch, [-0.6, 0.8, 0.2, np.log(0.06)]),
     "local_load": (LocalLoad, [0.02, -0.03, 0.01, 0.2, np.log(0.15)]),
     "attraction": (Attraction, [0.05, 0.5, -0.1, 0.4, np.log(0.05)]),
+    "moment_law": (lambda _: MomentLaw([2.0, 5.0, 12.0]), [0.4, -0.3, 0.5]),
     "profile": (lambda starts: ProfileEffect("curvature", BASIS), [0.4, -0.3, 0.2]),
 }
 
@@ -41,6 +43,14 @@ def test_derivatives_are_exact(laboratory, name):
         size = np.abs(numeric[:, markers]).max()
         assert size > 0.0
         assert np.abs(numeric[:, markers] - rates[:, markers, j]).max() <= 2e-4 * size
+
+
+def test_a_law_of_one_term_is_the_softening_of_that_curvature(laboratory):
+    """M = B k (1 - p x / (1 + x)) keeps 1 - p: two kernels' sums against one kernel."""
+    law = laboratory.predict(Model((MomentLaw([5.0]),)), np.array([0.6]))
+    known = laboratory.predict(Model((effects()["softening"],)), np.array([np.log(5.0), 0.6]))
+    assert np.abs(law - laboratory.predict(Model(), np.zeros(0))).max() > 5e-3
+    assert np.abs(law - known).max() < 1e-9
 
 
 def test_the_scan_finds_the_kind_and_the_place():
@@ -73,3 +83,20 @@ def test_an_effect_without_a_plug_in_is_built(name):
         is_place = keys[0] in ("arc_length", "start", "x")
         limit = 0.01 if is_place else 0.15 * np.linalg.norm(values)
         assert np.linalg.norm(away) < limit * (np.sqrt(len(keys)) if is_place else 1.0)
+
+
+def test_a_law_of_unknown_form_is_found_and_reported():
+    """A rod that softens and then stiffens is neither of the two laws that have a name."""
+    terms = np.array([[1.0 / 9.0, 1.2], [1.0 / 144.0, -2.0]])
+
+    def law(setup):
+        setup.law = terms
+
+    names = ["softening", "stiffness", "anisotropic_bending", "natural_curvature"]
+    report = identify(measurements_from_arrays(synthetic(law, seed=4, trials=12)), candidates=names)
+    assert report.verdict == "explained"
+    assert [e.name for e in report.effects] == ["moment_law"]
+    for key, share in report.effects[0].parameters.items():
+        k = float(key.split("_")[-3])
+        true = 1.0 - (terms[:, 1] * terms[:, 0] * k**2 / (1.0 + terms[:, 0] * k**2)).sum()
+        assert abs(share.value - true) < max(3.0 * share.stderr, 0.02)

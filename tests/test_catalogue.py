@@ -6,23 +6,26 @@ from click.testing import CliRunner
 
 import wrod
 from wrod.commands import main
-from wrod.rods.catalogue import catalogue, find
+from wrod.commands.options import RodOptions
+from wrod.rods.catalogue import catalogue
 
 
 def test_entries_say_where_they_come_from_and_keep_what_was_measured():
     entries = catalogue()
     assert len({entry.name for entry in entries}) == len(entries) == 10
     assert all(entry.source and entry.note and entry.what for entry in entries)
-    held = find("power-cable-15mm").rod
+    held = wrod.rod("power-cable-15mm")
     assert held.bending_stiffness == pytest.approx(0.059)
     assert held.weight == pytest.approx(9.81 * 0.40 / 0.75)
     # What hangs straight out by its own length bends by about its gravito-bending length.
     assert held.gravito_bending_length == pytest.approx(
         np.cbrt(0.059 / (2 * 9.81 * 0.40 / 0.75)), rel=1e-9
     )
-    assert find("green-vps").rod == wrod.rod("green-vps")
+    # The command and the library know the same names.
+    assert wrod.rod_names() == [entry.name for entry in entries]
+    assert RodOptions("thin-cable-red", None, None, None).read() == wrod.rod("thin-cable-red")
     with pytest.raises(wrod.errors.RodError, match="unknown rod 'usb-c'; known rods: pink-vps"):
-        find("usb-c")
+        wrod.rod("usb-c")
 
 
 def test_command_lists_them():

@@ -8,10 +8,11 @@ import pytest
 import wrod
 from wrod.deployment.grip_path import smooth_noise, travel
 from wrod.deployment.result import Deployment, deployment_error
-from wrod.deployment.setup import mesh, tail
+from wrod.deployment.setup import mesh
 from wrod.deployment.simulate import Trial, assemble, prepare_trials, simulate_deployments
 from wrod.deployment.tangents import Directions, lay
 from wrod.errors import DataError, PatternError, RodError
+from wrod.planning.tail import tail
 
 # A soft rod of 30 cm along an eased quarter turn: short tails and a coarse mesh keep it quick.
 ROD = wrod.RodMaterial(0.0016, 0.018, 0.30)

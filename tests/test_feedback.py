@@ -6,8 +6,8 @@ from click.testing import CliRunner
 
 import wrod
 from wrod.commands import main
+from wrod.deployment.expectation import COARSE
 from wrod.deployment.feedback import Sight, World, lay_with_feedback
-from wrod.deployment.optimise import COARSE
 from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial

@@ -116,11 +116,14 @@ def probe(effect: Effect) -> np.ndarray:
     return 0.1 * signs * [min(p.scale, 2.0) for p in effect.parameters]
 
 
-@pytest.mark.parametrize("name", sorted(effects()))
-def test_derivatives_are_exact(laboratory, name):
+COUPLED = ("bend_twist", "natural_curvature", "natural_twist", "grip_slip", "anisotropic_bending")
+
+
+@pytest.mark.parametrize("names", [*((n,) for n in sorted(effects())), COUPLED], ids="+".join)
+def test_derivatives_are_exact(laboratory, names):
     """Implicit differentiation against central differences of whole solutions."""
-    model = Model((effects()[name],))
-    values = probe(model.effects[0])
+    model = Model(tuple(effects()[name] for name in names))
+    values = np.concatenate([probe(effect) for effect in model.effects])
     _, rates = laboratory.jacobian(model, values)
     for j, parameter in enumerate(model.parameters):
         # A mass must not pass from one spline piece to the next while it is differenced.

@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation, RotationSpline
 
 import wrod
+from wrod.planning.tail import tail, with_tail
 from wrod.robot.attempt import hanging_rod
 from wrod.robot.job import GRASP_TIME, PHASES
 from wrod.robot.joint_path import JointPath
@@ -41,7 +44,7 @@ def test_phases_follow_each_other_from_rest_to_rest(job):
         assert len(still) == 100 * GRASP_TIME + 1 and np.ptp(still, axis=0).max() < 1e-15
     np.testing.assert_allclose(job.positions[0], job.metadata["neutral"], atol=1e-12)
     np.testing.assert_allclose(job.positions[-1], job.metadata["neutral"], atol=1e-12)
-    assert (np.diff(job.arc_length[part(job, "lay")]) >= -1e-12).all()
+    assert (np.diff(job.arc_length) >= -1e-12).all()
     assert np.ptp(job.arc_length[part(job, "approach")]) == 0.0
 
 
@@ -82,9 +85,9 @@ def test_arm_keeps_off_table_and_hanging_rod(job, line):
     """By points on the shapes, not by the distances that the path was found with."""
     base = job.placement.world_from_base
     rng = np.random.default_rng(0)
-    rods = hanging_rod(line)
-    for name, node in (("approach", 0), ("retreat", -1)):
-        rod = KDTree(rods[node])
+    hanging, left = hanging_rod(line)[0], hanging_rod(with_tail(line))[-1]
+    assert np.ptp(left, axis=0).max() < 0.1
+    for name, rod in (("approach", KDTree(hanging)), ("retreat", KDTree(left))):
         positions = job.positions[part(job, name)][::10]
         poses = job.robot.link_poses(positions)
         for shape in job.robot.shapes("collision"):
@@ -98,6 +101,62 @@ def test_arm_keeps_off_table_and_hanging_rod(job, line):
             assert world[..., 2].min() > 0.0
             if shape.link != "gripper":
                 assert rod.query(world.reshape(-1, 3))[0].min() > 0.015
+
+
+def test_tail_is_laid_straight_on_as_simulated_deployments_lay_it(job, line):
+    """What hangs from the hand at the pattern's end is planned as in a simulation, not dropped."""
+    rod, on = wrod.rod("green-vps"), part(job, "tail")
+    found = tail(wrod.pattern("line"), rod, line)
+    poses = job.placement.world_from_base @ grasp_poses(job.robot, job.positions[on])
+    laid = job.arc_length[on]
+    assert laid[0] == pytest.approx(line.arc_length[-1], abs=1e-9)
+    assert rod.length - laid[-1] < 4.5 * rod.gravito_bending_length  # a UR5e reaches no further
+    wanted = CubicSpline(found.laid, found.position)(laid)
+    assert np.linalg.norm(poses[:, :3, 3] - wanted, axis=1).max() < 5e-4
+    assert poses[-1, 2, 3] > 0.012  # there is room for the fingers
+    np.testing.assert_allclose(
+        found.contact[:, 1:], line.contact[-1:, 1:].repeat(len(found.laid), 0)
+    )
+    # One hold over pattern and tail: the rod is not twisted.
+    hold = (
+        line.rotation[0].T
+        @ (job.placement.world_from_base @ grasp_poses(job.robot, job.node_positions[:1]))[
+            0, :3, :3
+        ]
+    )
+    turned = RotationSpline(found.laid, Rotation.from_matrix(found.rotation))(laid)
+    off = Rotation.from_matrix(poses[:, :3, :3]).inv() * turned * Rotation.from_matrix(hold)
+    assert np.degrees(off.magnitude().max()) < 0.2
+
+
+def test_stand_holds_the_rod_below_the_hand_and_out_of_its_way(job, line):
+    (foot, top, thick), (joint, held, _) = job.metadata["stand"]
+    assert foot[:2] == top[:2] and foot[2] == 0.0 and joint == top
+    steps = np.linalg.norm(np.diff(line.shape[0], axis=0), axis=1)
+    along = np.append(0.0, np.cumsum(steps))
+    clip = [np.interp(along[-1] - 0.09, along, axis) for axis in line.shape[0].T]
+    np.testing.assert_allclose(held, clip, atol=1e-3)
+    share = np.linspace(0.0, 1.0, 200)[:, None]
+    post = KDTree(np.array(foot) + share * (np.array(top) - foot))
+    base, rng = job.placement.world_from_base, np.random.default_rng(1)
+    poses = job.robot.link_poses(job.positions[part(job, "approach") | part(job, "grasp")][::10])
+    for shape in job.robot.shapes("collision"):
+        if shape.kind == "cylinder":
+            turn = rng.normal(size=(60, 2))
+            turn *= shape.size[0] / np.linalg.norm(turn, axis=1, keepdims=True)
+            high = rng.uniform(-0.5, 0.5, 60) * shape.size[1]
+            skin = np.column_stack([turn, high, np.ones(60)])
+            world = (base @ poses[shape.link] @ shape.pose @ skin.T)[:, :3].swapaxes(1, 2)
+            assert post.query(world.reshape(-1, 3))[0].min() > thick + 0.01
+
+
+def test_an_arm_that_cannot_lay_the_tail_lets_go_of_it(line, monkeypatch):
+    from wrod.robot import job as module
+
+    monkeypatch.setattr(module, "tails", lambda *a: iter(()))
+    path = wrod.solve_joint_path(line, "ur5e", whole_job=True)
+    assert [p["name"] for p in path.phases] == [name for name in PHASES if name != "tail"]
+    assert path.arc_length[-1] == pytest.approx(line.arc_length[-1])
 
 
 def test_phases_are_saved(job, tmp_path):
@@ -152,6 +211,8 @@ def test_hand_leaves_the_rod_aside_where_it_cannot_go_back(job, monkeypatch):
 
 
 def test_scene_shows_every_phase(line, job, tmp_path):
+    from pxr import UsdGeom
+
     from wrod.scene.rod_shapes import whole_rod
     from wrod.scene.validate import open_stage, validation_errors
 
@@ -169,13 +230,24 @@ def test_scene_shows_every_phase(line, job, tmp_path):
     assert (np.diff([time.Get(code) for code in codes]) > 0).all()
     assert [p["name"] for p in job.phases] == list(dict.fromkeys(phase.Get(c) for c in codes))
     rod = stage.GetPrimAtPath("/World/Deployment_000/rod").GetAttribute("points")
-    shapes = whole_rod(line)
+    shapes = whole_rod(with_tail(line))[: len(line)]
     for code, shape in ((first, shapes[0]), (0, shapes[0]), (len(line) - 1, shapes[-1])):
         assert np.abs(np.array(rod.Get(code)) - shape).max() < 1e-6
     lying = np.array(rod.Get(last))
     assert np.abs(lying[:, 2]).max() < 1e-3
-    length = np.linalg.norm(np.diff(lying, axis=0), axis=1).sum()
-    assert length == pytest.approx(np.linalg.norm(np.diff(shapes[-1], axis=0), axis=1).sum())
+
+    def length(points):
+        return np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+
+    opening = next(code for code in codes if phase.Get(code) == "release")
+    assert length(lying) == pytest.approx(length(np.array(rod.Get(opening))), rel=1e-6)
+    assert length(lying) == pytest.approx(length(shapes[-1]), rel=1e-3)
+    # The tail lies before the hand opens, but for what the fingers hold.
+    assert (np.array(rod.Get(opening))[:, 2] < 2e-3).mean() > 0.8
+    clip = UsdGeom.Imageable(stage.GetPrimAtPath("/World/Deployment_000/holder/clip"))
+    assert [clip.ComputeVisibility(c) for c in (first, 0, last)] == ["inherited"] * 2 + [
+        "invisible"
+    ]
     # The hand is away from the rod when the scene begins and ends, and on it in between.
     reached = line.position[[0, -1]]
     for code, grip in ((first, reached[0]), (last, reached[1])):

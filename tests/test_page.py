@@ -1,19 +1,11 @@
-import base64
-import io
-import json
-import shutil
-import subprocess
-import time
-import urllib.request
-
 import numpy as np
 import pytest
 
 import wrod
+from tests.browser import CHROMIUM, Browser
 from wrod.scene.page import write_deployment_page
 
 pytest.importorskip("viser")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 @pytest.fixture(scope="module")
@@ -36,53 +28,63 @@ def test_page_holds_everything(page):
         assert mark not in text  # nothing is fetched from elsewhere
 
 
-def pictures(page, folder, seconds):
-    """Pictures (H, W, 3) of a page in headless Chromium, one every few seconds, while asked for."""
-    from PIL import Image
-    from websockets.sync.client import connect
-
-    command = [
-        CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--disable-background-networking", "--window-size=900,700",
-        "--remote-debugging-port=0", f"--user-data-dir={folder}", page.as_uri(),
-    ]  # fmt: skip
-    browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        deadline = time.monotonic() + seconds
-        port = folder / "DevToolsActivePort"
-        while not port.is_file() and time.monotonic() < deadline:
-            time.sleep(0.5)
-        address = f"http://127.0.0.1:{port.read_text().split()[0]}/json"
-        tabs = json.loads(urllib.request.urlopen(address, timeout=30).read())
-        tab = next(tab for tab in tabs if tab["type"] == "page")
-        with connect(tab["webSocketDebuggerUrl"], max_size=None, open_timeout=30) as socket:
-            number = 0
-            while time.monotonic() < deadline:
-                number += 1
-                socket.send(json.dumps({"id": number, "method": "Page.captureScreenshot"}))
-                while "result" not in (answer := json.loads(socket.recv(timeout=seconds))):
-                    pass
-                data = base64.b64decode(answer["result"]["data"])
-                yield np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
-                time.sleep(2.0)
-    finally:
-        browser.terminate()
-        browser.wait(30)
+@pytest.fixture(scope="module")
+def arm_page(tmp_path_factory):
+    """A short line laid by a Sawyer, from and to its neutral pose."""
+    rod = wrod.rod("green-vps")
+    pattern = wrod.Pattern.from_expression("0*x", start=0.0, stop=0.4, name="line")
+    trajectory = wrod.plan(pattern, rod, method="numeric", spacing=0.01)
+    path = wrod.solve_joint_path(trajectory, rod_radius=rod.radius, whole_job=True)
+    out = tmp_path_factory.mktemp("page") / "scene.html"
+    return write_deployment_page(out, trajectory, path, pattern=pattern, rod=rod)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to look at the page with")
-def test_page_shows_table_and_rod(page, tmp_path):
-    rod = table = 0
-    for pixels in pictures(page, tmp_path / "profile", 150.0):
-        seen = pixels[60:600, 320:]  # beside notes, above the player
-        red, green, blue = (seen[..., k] for k in range(3))
-        # The rod lies two centimetres off everywhere: red. The table is brown.
-        rod = ((red - green > 60) & (red - blue > 60)).sum()
-        table = ((red - blue > 25) & (red - green > 5) & (red - green < 60)).sum()
-        if rod > 100 and table > 2000:
-            return
-    pytest.fail(f"{rod} pixels of the rod and {table} of the table")
+looks = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to look at the page with")
+
+
+def coloured(pixels):
+    """Where a picture (H, W, 3) is red as the arm, green as the rod, blue as the pattern and brown
+    as the table: dictionary of masks; left out are the browser's note and the player."""
+    seen = pixels[:-60]
+    red, green, blue = (seen[..., k] for k in range(3))
+    masks = {
+        "red": (red - green > 60) & (red - blue > 60),
+        "green": (green - red > 25) & (green - blue > 15),
+        "blue": (blue - red > 45) & (blue - green > 20),
+        "brown": (red - blue > 25) & (red - green > 5) & (red - green < 60),
+    }
+    for mask in masks.values():
+        mask[:200, :330] = False
+    return masks
+
+
+@looks
+def test_page_shows_arm_rod_and_pattern_and_its_slider_moves_them(arm_page, tmp_path):
+    with Browser(arm_page, tmp_path / "profile") as browser:
+        early, late, end = (coloured(browser.slide(share)) for share in (0.04, 0.6, 0.98))
+    for moment in (early, late, end):
+        assert moment["red"].sum() > 1500  # the arm
+        assert moment["brown"].sum() > 5000  # the table
+        assert moment["green"].sum() > 60  # the rod
+    assert min(moment["blue"].sum() for moment in (early, late)) > 100  # the pattern
+    for first, second in ((early, late), (late, end)):
+        assert (first["red"] ^ second["red"]).sum() > 1000
+        assert (first["green"] ^ second["green"]).sum() > 60
+
+    def top(moment):
+        return np.flatnonzero(moment["green"].any(axis=1))[0]
+
+    # It hangs from high over the table at first, from lower later, and lies in the end.
+    assert top(early) + 20 < top(late) < top(end) - 20
+
+
+@looks
+def test_page_shows_where_a_rod_lies_astray(page, tmp_path):
+    with Browser(page, tmp_path / "profile") as browser:
+        seen = coloured(browser.slide(0.9))
+    # The rod lies two centimetres off everywhere: red.
+    assert seen["red"].sum() > 100 and seen["green"].sum() < 20
+    assert seen["brown"].sum() > 2000
 
 
 def test_a_laid_rod_is_coloured_where_it_lies_astray(tmp_path, monkeypatch):

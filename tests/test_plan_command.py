@@ -1,4 +1,5 @@
 import json
+import shlex
 from importlib.util import find_spec
 
 import numpy as np
@@ -125,7 +126,7 @@ def test_what_cannot_work_is_refused_before_anything_is_solved(
     def solved(*_, **__):
         raise AssertionError("solved")
 
-    monkeypatch.setattr("wrod.planning.plan.plan", solved)
+    monkeypatch.setattr("wrod.deployment.plan.plan", solved)
     out = tmp_path / "out"
     result = CliRunner().invoke(
         main, ["plan", "line", "--rod", "rope", "--out", str(out), *arguments]
@@ -232,7 +233,7 @@ def test_what_is_tried_for_an_arm_lays_tight_bends_last():
     spiral, rod = wrod.Pattern.from_points(out), wrod.rod("green-vps")
     wanted = Shaping(None, 0.01, None)
     tries = shorter(spiral, rod, wanted)
-    assert all(tried.reverse for tried in tries) and len(tries) == 4
+    assert all(tried.reverse for tried in tries) and len({tried.resize for tried in tries}) == 7
     for tried in tries:
         left = tried.hold - tried.resize * spiral.length
         assert left == pytest.approx(5.6 * rod.gravito_bending_length, abs=1e-3)
@@ -260,9 +261,71 @@ def test_only_what_was_solved_is_said_to_help(capsys):
 
     request = SimpleNamespace(robot="sawyer", solve=solve)
     tries = [Shaping(size, 0.01, 0.5, reverse=True) for size in (0.6, 0.8, 0.7)]
-    said = fitting(request, tries, planned, "too long")
-    assert said == (
-        "with `--resize 0.7 --hold 0.5 --no-remainder --reverse` a joint path of sawyer is found"
-    )
-    assert "too long; looking" in capsys.readouterr().err
-    assert fitting(request, tries[:2], planned, "too long").startswith("no joint path of sawyer")
+    words = ["my drawing.csv", "--rod", "rope", "--hold", "0.8", "--out", "o", "--export", "poses"]
+    with planning(*words):
+        said = fitting(request, tries, planned, "too long")
+        assert "too long; looking" in capsys.readouterr().err
+        none = fitting(request, tries[:2], planned, "too long")
+        assert none.startswith("no joint path of sawyer")
+    # The whole command, to be copied: what was given, and what helps.
+    command = shlex.split(said.split("is found: ")[1])
+    assert command[:3] == ["wrod", "plan", "my drawing.csv"]
+    with planning(*command[2:]) as context:
+        now = context.params
+    assert (now["resize"], now["hold"], now["reverse"], now["remainder"]) == (0.7, 0.5, True, False)
+    assert (now["rod_name"], str(now["out"]), now["exports"]) == ("rope", "o", ("poses",))
+    assert now["robot"] == "sawyer" and "--robot" not in command
+
+
+def planning(*words):
+    """The context of `wrod plan` with these words."""
+    from wrod.commands.plan import command
+
+    return command.make_context("plan", list(words))
+
+
+def test_sizes_are_tried_as_the_printed_command_plans_them(tmp_path, monkeypatch):
+    from wrod.commands.robot_options import RobotRequest
+
+    angle = np.linspace(0.0, 5 * np.pi, 2000)
+    out = (0.02 + 0.012 * angle)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    np.savetxt(tmp_path / "spiral.csv", out, delimiter=",")
+    tried = []
+    monkeypatch.setattr(RobotRequest, "solve", lambda self, path, rod: tried.append(path))
+    words = ["plan", str(tmp_path / "spiral.csv"), "--rod", "green-vps", "--spacing", "0.02"]
+    words += ["--no-shapes", "--device", "cpu", "--out", str(tmp_path / "o")]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 2 and len(tried) == 1
+    command = shlex.split(result.stderr.strip().split("is found: ")[1])
+    again = CliRunner().invoke(main, [*command[1:], "--no-robot"])
+    assert again.exit_code == 0, again.stderr
+    laid = Trajectory.load(tmp_path / "o" / "trajectory.npz")
+    assert laid.metadata["remainder_length"] == tried[0].metadata["remainder_length"] == 0.0
+    np.testing.assert_allclose(laid.position, tried[0].position, atol=1e-9)
+
+
+def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(monkeypatch):
+    from types import SimpleNamespace
+
+    from wrod.robot import remedy
+    from wrod.robot.model import load_robot
+
+    angle = np.linspace(0.0, 2.2 * np.pi, 300)
+    ring = 0.1 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    above = ring + [0.0, 0.0, 0.5]
+    monkeypatch.setattr(remedy, "other_height", lambda *a: None)
+
+    def tried(robot, led):
+        trajectory = SimpleNamespace(
+            contact=ring, position=above, metadata={"remainder_length": led}, arc_length=angle
+        )
+        task = SimpleNamespace(trajectory=trajectory, robot=load_robot(robot), clearance=0.005)
+        failed = SimpleNamespace(task=task)
+        return list(remedy.remedies(failed, wrod.rod("green-vps"), 0.6, None))
+
+    panda = tried("panda", 0.1)
+    assert panda[0] == {"remainder": False}
+    others = [change["robot"] for change in panda if "robot" in change]
+    assert "gen3" in others and "panda" not in others and "iiwa" not in others
+    assert {"remainder": False} not in tried("panda", 0.0)
+    assert not any("robot" in change for change in tried("gen3", 0.1))

@@ -320,6 +320,7 @@ def test_default_plan_takes_the_closure_that_lays_best():
     assert favoured_closure(bent, replace(ROD, natural_curvature=(0.0, 20.0))) == "zero_tension"
     plan = wrod.plan(bent, ROD, spacing=0.05, device="cpu")
     assert (plan.metadata["method"], plan.metadata["closure"]) == ("auto", "min_friction")
+    assert plan.metadata["solver"] == "trained controller"
     numeric = wrod.plan(bent, ROD, "numeric", closure="min_friction", spacing=0.05, device="cpu")
     # A network answers, within what it errs by, and tells the force at the contact as well.
     np.testing.assert_allclose(plan.position, numeric.position, atol=2e-5)

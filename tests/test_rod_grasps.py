@@ -8,7 +8,7 @@ import pytest
 from wrod.errors import GraspError
 from wrod.grasps.optimal import solve_grasps
 from wrod.grasps.rod_grasps import solve_rod_grasps
-from wrod.rods.material import rod
+from wrod.rods.catalogue import rod
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from wrod.commands import LazyGroup, main
-from wrod.commands.running import FAULT, INTERRUPTED, REFUSED, holding_output
+from wrod.commands.running import FAULT, INTERRUPTED, REFUSED, holding_output, interruptible
 from wrod.errors import DataError, RodError
 from wrod.files import write_atomically
 from wrod.files.locking import locked
@@ -211,3 +211,47 @@ def test_an_output_that_cannot_be_made_is_refused_before_the_work(kind, tmp_path
 def test_a_name_in_no_encoding_is_locked(tmp_path):
     with locked(tmp_path / os.fsdecode(b"o\xff")):
         pass
+
+
+def test_an_interruption_in_a_finaliser_is_not_told(capfd):
+    class Loud:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    with interruptible():
+        Loud()
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_what_is_no_file_is_not_replaced(tmp_path):
+    """A pipe, device or folder stays what it is, and a link stays a link."""
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "kept.json").write_text("old")
+    (tmp_path / "link.json").symlink_to("kept.json")
+    (tmp_path / "to_pipe.json").symlink_to("pipe")
+    words = ["loop", "--height", "0.04", "--radius", "0.0016", "--length", "0.8", "--out"]
+    for place in ("folder", "pipe", "to_pipe.json", ""):
+        path = str(tmp_path / place) if place else ""
+        result = CliRunner().invoke(main, [*words, path])
+        assert result.exit_code == 2 and result.stderr.count("\n") == 1, result.output
+    assert (tmp_path / "pipe").is_fifo() and (tmp_path / "folder").is_dir()
+    assert CliRunner().invoke(main, [*words, str(tmp_path / "link.json")]).exit_code == 0
+    assert (tmp_path / "link.json").is_symlink()
+    assert "wrod-rod-1" in (tmp_path / "kept.json").read_text()
+    with pytest.raises(DataError, match="is a device, pipe or socket"):
+        write_atomically("/dev/full", lambda file: file.write("x"))
+
+
+def test_streams_that_are_closed_take_nothing_away(tmp_path):
+    """Without stdout and stderr a command works, and no file gets what libraries print."""
+    out = tmp_path / "rod.json"
+    words = f"-m wrod loop --height 0.04 --radius 0.0016 --length 0.8 --out {out}"
+    for closed in (">&-", "2>&-", "<&- >&- 2>&-"):
+        code = subprocess.run(f"{sys.executable} {words} {closed}", shell=True).returncode
+        assert code == 0 and "wrod-rod-1" in out.read_text()
+        out.unlink()
+    script = "import os, sys; from wrod.commands.running import open_streams; open_streams(); "
+    script += "sys.stderr.write('x'); sys.exit(os.open('/dev/null', os.O_RDONLY) < 3)"
+    call = f'{sys.executable} -c "{script}" <&- >&- 2>&-'
+    assert subprocess.run(call, shell=True).returncode == 0

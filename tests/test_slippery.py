@@ -7,14 +7,30 @@ import pytest
 from click.testing import CliRunner
 
 import wrod
-from wrod.bench.slippery import summary
+from wrod.bench.slippery_report import means, summary, told
 from wrod.commands import main
 
 
-def test_summary_is_the_mean_over_trials():
-    base = {"rod": "rope", "pattern": "line", "friction": 0.3, "engine": "wrod"}
-    rows = [base | {"method": m, "error_mean": e} for m, e in (("a", 1.0), ("b", 2.0), ("a", 3.0))]
-    assert summary(rows) == [base | {"error_mean": {"a": 2.0, "b": 2.0}}]
+def test_summary_is_the_mean_over_trials_and_then_over_cells():
+    rows = [
+        {"rod": "rope", "pattern": name, "friction": 0.3, "engine": "wrod", "method": method}
+        | {"error_mean": error, "error_robot": 0.5 * error}
+        for name, method, error in (
+            ("line", "a", 1.0), ("line", "b", 2.0), ("line", "a", 3.0), ("sine", "a", 6.0),
+            ("sine", "b", 4.0), ("circle", "a", 5.0),
+        )
+    ]  # fmt: skip
+    table = summary(rows)
+    assert [cell["error_mean"] for cell in table] == [
+        {"a": 2.0, "b": 2.0}, {"a": 6.0, "b": 4.0}, {"a": 5.0},
+    ]  # fmt: skip
+    assert table[0]["error_robot"] == {"a": 1.0, "b": 1.0}
+    bent, others = means(table, lambda rod, pattern: pattern == "circle")
+    assert (bent["cells"], bent["error_mean"]) == (1, {"a": 5.0})
+    assert (others["cells"], others["error_mean"]) == (2, {"a": 4.0, "b": 3.0})
+    lines = told(table, [bent, others])
+    assert lines[0] == "rope, line, friction 0.3: a 2.000 (1.000), b 2.000 (1.000) cm, wrod"
+    assert lines[-2].startswith("mean of 2 that bend by up to 0.4 / L_gb, friction 0.3: a 4.000 (2")
 
 
 @pytest.mark.parametrize(
@@ -59,3 +75,4 @@ def test_where_the_robot_stands_bounds_what_a_plan_can_do(tmp_path):
     along, aside = how.offset
     expected = np.hypot(along - 0.5 * s * how.yaw**2, aside + s * how.yaw).mean()
     assert cell["error_mean"]["misplaced"] == pytest.approx(100.0 * expected, rel=1e-3)
+    assert cell["error_robot"]["misplaced"] < 1e-6

@@ -14,13 +14,17 @@ from scipy.interpolate import PPoly, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from wrod.training.dataset import Rank
 
-from wrod.deployment.optimise import Corrections, Spread, laid_sample, misplacement, optimise
+from wrod.deployment.corrections import Corrections
+from wrod.deployment.expectation import misplacement
+from wrod.deployment.optimise import laid_sample, optimise
+from wrod.deployment.plan import plan
 from wrod.deployment.result import METRIC_POINTS
+from wrod.deployment.spread import Spread
 from wrod.errors import DataError, WrodError, WrodWarning
 from wrod.files import read_fields, read_json, schemas, write_atomically
 from wrod.patterns.pattern import Pattern
-from wrod.planning.plan import plan, prepare
-from wrod.rods.material import RodMaterial, rod, rod_names
+from wrod.planning.plan import prepare
+from wrod.rods.material import TABLE_2, RodMaterial
 
 _FORMAT = "wrod-plans-2"
 # Least and largest friction coefficient of the tables, and length of the patterns [L_gb].
@@ -129,8 +133,8 @@ def solve(index: int, seed: int) -> Sample:
         WrodError: the pattern is none that can be laid.
     """
     rng = np.random.default_rng([seed, index])
-    names = rod_names()
-    held = rod(names[rng.integers(len(names))])
+    rods = list(TABLE_2.values())
+    held = rods[rng.integers(len(rods))]
     held = replace(held, length=held.length * rng.uniform(0.8, 1.2))
     pattern = random_pattern(rng, held)
     friction = float(np.exp(rng.uniform(*np.log(FRICTION))))

@@ -2,6 +2,7 @@
 
 from .controller.controller import Controller as Controller
 from .deployment.fixtures import Fixtures as Fixtures
+from .deployment.plan import plan as plan
 from .deployment.result import Deployment as Deployment
 from .deployment.setup import Disturbance as Disturbance
 from .deployment.simulate import Trial as Trial
@@ -29,14 +30,13 @@ from .perception.measure import measure_deployment as measure_deployment
 from .perception.scan import scan as scan
 from .perception.trace import trace_centerlines as trace_centerlines
 from .planning.friction import friction_bound as friction_bound
-from .planning.plan import plan as plan
 from .planning.trajectory import Trajectory as Trajectory
 from .robot.joint_path import JointPath as JointPath
 from .robot.solve import solve_joint_path as solve_joint_path
 from .rods.batch import RodBatch as RodBatch
+from .rods.catalogue import rod as rod
+from .rods.catalogue import rod_names as rod_names
 from .rods.material import RodMaterial as RodMaterial
-from .rods.material import rod as rod
-from .rods.material import rod_names as rod_names
 from .rods.model import RodModel as RodModel
 from .rods.profile import Profile as Profile
 from .rods.rows import join_rods as join_rods

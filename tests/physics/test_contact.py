@@ -285,6 +285,50 @@ def test_roll_is_held_up_to_a_bound(step):
     assert turned[1][2:] == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.parametrize("step", [5e-3, 0.05])
+def test_drilling_is_held_up_to_a_bound(step):
+    """A stiff rod that lies on a table is turned about the vertical by a couple at its ends: below
+    mu w L^2 / 4, the moment of friction about its middle, it does not creep in a minute, above it
+    spins up as fast as the moment that is left over tells, whatever the step."""
+    length, nodes, law, share = 0.07, 15, 0.5, np.array([0.5, 0.95, 1.2])
+    position = straight(len(share), nodes=nodes, length=length)
+    mass = np.full(nodes, WEIGHT / G * length / (nodes - 1))
+    mass[[0, -1]] *= 0.5
+    batch = RodBatch(
+        position,
+        stretching_stiffness=4e3 * STIFFNESS / RADIUS**2,
+        bending_stiffness=1e3 * STIFFNESS,
+        twisting_stiffness=1e3 * STIFFNESS,
+        node_mass=mass,
+        gravity=(0.0, 0.0, -G),
+    )
+    contact = Contact(batch, RADIUS, CONTACT, Friction(law))
+    dynamics = Dynamics(
+        batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=0.0, tolerance=1e-9,
+        keeps_recording=True,
+    )  # fmt: skip
+    dynamics.advance(0.5, 5e-3)
+    bound = law * WEIGHT * length**2 / 4
+    load = np.zeros((len(share), nodes, 3))
+    couple = share * bound / length
+    load[:, -1, 1], load[:, 0, 1] = couple, -couple
+    batch.point_load.assign(load)
+
+    def heading():
+        q = batch.positions()
+        return np.arctan2(*(q[:, -1] - q[:, 0])[:, 1::-1].T)
+
+    dynamics.advance(0.6, min(step, 5e-3))
+    inertia = np.sum(mass * (np.linspace(0, length, nodes) - length / 2) ** 2)
+    turned = 0.5 * (share[2] - 1.0) * bound / inertia * 0.1**2
+    assert heading()[2] == pytest.approx(turned, rel=0.1)
+    dynamics.advance(5.0, step)
+    at_first = heading()[:2]
+    assert np.abs(at_first).max() < 1e-3  # the bristles' give
+    dynamics.advance(65.0, step)
+    assert np.abs(heading()[:2] - at_first).max() < 1e-9
+
+
 def test_bad_contacts_are_refused():
     batch = rods(straight())
     with pytest.raises(RodError, match="friction"):

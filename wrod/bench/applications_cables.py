@@ -9,7 +9,8 @@ import numpy as np
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.setup import DEVIATIONS, Disturbance
 from wrod.patterns.pattern import Pattern
-from wrod.rods.material import RodMaterial, rod
+from wrod.rods.catalogue import rod
+from wrod.rods.material import RodMaterial
 
 # Distance p between gates: 0.56 L_gb. Between two gates only friction holds a bend of curvature
 # kappa, which on a slippery table is little; were it to straighten, it would be kappa p^2 / 2 off.
@@ -32,7 +33,7 @@ def believed(cable: RodMaterial) -> RodMaterial:
 def plan_cable(pattern: Pattern, cable: RodMaterial, method: str):
     """OPT is `wrod.plan`'s default, which in bends asks for the least friction (min_friction), with
     the allowance for L_gb; INT goes by the pattern alone."""
-    from wrod.planning.plan import plan
+    from wrod.deployment.plan import plan
 
     if method == "intuitive":
         return plan(pattern, cable, "intuitive")

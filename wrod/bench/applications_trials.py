@@ -56,9 +56,9 @@ def knot_plan(case: str):
 
 def _cable(case, method, trials, device, folder):
     from wrod.bench.applications_cables import disturbance, plan_cable
-    from wrod.deployment.setup import tail
     from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
-    from wrod.rods.material import rod
+    from wrod.planning.tail import tail
+    from wrod.rods.catalogue import rod
     from wrod.solvers.contact import Friction
 
     pattern, fixtures = cable_scene(case)

@@ -15,7 +15,9 @@ import click
 @click.option("--load", default=0.5, show_default=True, help="Pull of both hands [N].")
 @click.option("--rods", default="green-vps,pink-vps-thick", show_default=True, help="Two presets.")
 @click.option("--only", multiple=True, help="Only this bend; may be given again.")
-@click.option("--out", default=None, type=click.Path(), help="Write a picture to this PNG file.")
+@click.option(
+    "--out", default=None, type=click.Path(dir_okay=False), help="Write a picture to this PNG file."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     frictions: str, load: float, rods: str, only: tuple, out: str | None, as_json: bool
@@ -28,7 +30,7 @@ def command(
     from wrod.bench.bend_shapes import BENDS
     from wrod.errors import RodError
     from wrod.machine import machine_line
-    from wrod.rods.material import rod
+    from wrod.rods.catalogue import rod
 
     try:
         friction = [float(f) for f in frictions.split(",")]

@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from wrod.errors import RodError
 from wrod.rods.material import RodMaterial
 
 # First root of cos(x) cosh(x) = -1.
@@ -55,7 +56,10 @@ class Cantilever:
         guess = np.stack([-1.4 * (1.0 - np.exp(-3.0 * s)), 0 * s, 0.4 * s, -0.8 * s])
         found = solve_bvp(rhs, ends, s, guess, tol=1e-9, max_nodes=50000)
         if not found.success:
-            raise ArithmeticError(f"the heavy elastica was not solved: {found.message}")
+            raise RodError(
+                f"the cantilever hangs too steeply for its equation ({found.message}); "
+                "shorten --length or lessen --scale"
+            )
         x, z = self.length * found.y[2:, -1]
         return np.array([x, 0.0, z])
 

@@ -193,7 +193,7 @@ def _arcs(curvatures: list[float], ratios: list[float]) -> list[Curve]:
     from wrod.patterns.pattern import Pattern
     from wrod.patterns.shapes import strokes
     from wrod.planning.plan import prepare
-    from wrod.rods.material import rod
+    from wrod.rods.catalogue import rod
 
     base = rod("green-vps")
     lgb = base.gravito_bending_length
@@ -211,7 +211,7 @@ def _arcs(curvatures: list[float], ratios: list[float]) -> list[Curve]:
 def _drawn(rods: str, names: str, folder: Path | None) -> list[Curve]:
     from wrod.bench.table3_paper import read_pattern
     from wrod.planning.plan import prepare
-    from wrod.rods.material import rod
+    from wrod.rods.catalogue import rod
 
     curves = []
     for rod_name, name in product(rods.split(","), names.split(",")):
@@ -232,9 +232,9 @@ def _plans(curves: list[Curve], methods, device: str, quiet: bool) -> tuple[dict
     """(rod, curve, method) -> trajectory and tail; and sentences on what could not be planned."""
     from tqdm import tqdm
 
-    from wrod.deployment.setup import tail
+    from wrod.deployment.plan import plan
     from wrod.errors import GraspError
-    from wrod.planning.plan import plan
+    from wrod.planning.tail import tail
 
     plans, lacking = {}, []
     jobs = list(product(curves, methods))

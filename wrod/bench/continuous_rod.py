@@ -5,7 +5,9 @@ solvers; wrod's shapes only serve as first guesses. Over unstretched arc length 
 orientation (unit quaternion), force n and moment m of the part beyond s on the part before it:
 
     q' = (1 + n.t / EA) t,   R' = [k]x R,   n' = -f,   m' = -q' x n,
-    k = R (m1 / B1 + k1, m2 / B2 + k2, m3 / GJ + twist).
+    k = R (m1 / B1 + k1, m2 / B2 + k2, m3 / GJ + twist),
+
+or what a section with a coupling of bending and twist has in its place.
 """
 
 from __future__ import annotations
@@ -62,6 +64,7 @@ class World:
         clamp_turn, grip_turn: rotation vector in clamp A and gripper, or one for each trial (T, 3).
         clamp_shift, grip_shift: displacement there, in the reported frame [m].
         law: e -> (M / B, its derivative) of the curvature e >= 0 beyond that at rest; None: linear.
+        coupling: of bending about (m1, m2) with twist, over sqrt(B GJ); linear rods only.
         see: what the cameras make of (T, M, 3) markers and (T, M, 3, 3) frames.
     """
 
@@ -82,6 +85,7 @@ class World:
     clamp_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
     grip_shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
     law: Callable | None = None
+    coupling: np.ndarray = field(default_factory=lambda: np.zeros(2))
     see: Callable = as_they_are
 
 
@@ -158,6 +162,14 @@ def excess_of(moment: np.ndarray, stiffness: np.ndarray, law: Callable | None, s
     return excess * (e / size)
 
 
+def _coupled(moment, torque, bending, twisting, coupling) -> np.ndarray:
+    """(3, K) curvatures and twist of a section whose bending and twisting are coupled."""
+    section = np.zeros((moment.shape[1], 3, 3))
+    section[:, 0, 0], section[:, 1, 1], section[:, 2, 2] = bending[0], bending[1], twisting
+    section[:, :2, 2] = section[:, 2, :2] = coupling
+    return np.linalg.solve(section, np.concatenate([moment, torque[None]]).T[:, :, None])[:, :, 0].T
+
+
 def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6):
     """One trial with a share of the effect; (s, y) of the guess on the unit interval."""
     length = rod.length + share * world.slip
@@ -167,6 +179,7 @@ def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6)
     gravity = Rotation.from_rotvec(share * world.gravity_turn).apply([0, 0, -rod.gravity])
     c, d = np.cos(world.principal), np.sin(world.principal)
     principal = np.array([[c, d], [-d, c]])
+    coupling = principal @ world.coupling * share * np.sqrt(k_b * k_t)
 
     def rhs(u, y):
         s = length * u
@@ -175,9 +188,15 @@ def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6)
         t = r[:, 2]
         local = np.einsum("ijk,ik->jk", r, m)
         stiffness = k_b * (1 + share * (world.bending(s) - 1))
-        bend = principal.T @ excess_of(principal @ local[:2], stiffness, world.law, share)
+        twisting = k_t * (1 + share * (world.twist_profile(s) - 1))
+        if world.coupling.any():
+            strain = _coupled(principal @ local[:2], local[2], stiffness, twisting, coupling)
+            bend, turn = principal.T @ strain[:2], strain[2]
+        else:
+            bend = principal.T @ excess_of(principal @ local[:2], stiffness, world.law, share)
+            turn = local[2] / twisting
         bend = bend + share * world.curvature(s)
-        turn = local[2] / (k_t * (1 + share * (world.twist_profile(s) - 1))) + share * world.twist
+        turn = turn + share * world.twist
         k = np.einsum("ijk,jk->ik", r, np.concatenate([bend, turn[None]]))
         dq = (1 + (n * t).sum(axis=0) / k_s) * t
         force = gravity[:, None] * (line + share * world.mass(s)) + share * world.force(s)

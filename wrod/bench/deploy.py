@@ -36,13 +36,14 @@ def command(
     as_json: bool,
 ) -> None:
     """Time one deployment and a batch on one thread; halve edges, steps, both, and speed."""
-    from wrod.deployment.setup import Disturbance, tail
+    from wrod.deployment.plan import plan
+    from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
     from wrod.machine import machine_line
     from wrod.patterns.pattern import pattern
-    from wrod.planning.plan import plan
+    from wrod.planning.tail import tail
+    from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
-    from wrod.rods.material import rod
     from wrod.solvers.contact import Friction
 
     device = resolve_device(device)

@@ -119,8 +119,8 @@ def _world(effect: str, led, material, friction: float):
 def _laid(way, led, material, trajectory, friction, world, every, device) -> dict:
     from dataclasses import asdict
 
+    from wrod.deployment.expectation import FINE
     from wrod.deployment.feedback import lay_with_feedback
-    from wrod.deployment.optimise import FINE
     from wrod.deployment.result import errors_along
     from wrod.deployment.simulate import Trial
     from wrod.deployment.tangents import lay

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.bench.continuous_rod import World, constant, labels, measured, tangent_turn
+from wrod.bench.continuous_rod import World, constant, labels, measured, tangent_turn, turn_axis
 from wrod.bench.hidden_noise import with_noise
 from wrod.errors import DataError
 from wrod.rods.material import RodMaterial
@@ -268,6 +268,13 @@ def twist_stiffness(rng, rod):
     return Hidden(World(twisting=ratio), truth)
 
 
+def bend_twist(rng, rod):
+    """Strands laid at an angle: the rod twists as it is bent."""
+    ratio = _in_plane(rng, 0.3, 0.6)
+    truth = _vector("bend_twist", ("coupling_1", "coupling_2"), ratio)
+    return Hidden(World(coupling=turn_axis(ratio)), truth)
+
+
 # ---- effects that have none: five that `identify` builds, two that nothing explains -------------
 
 
@@ -365,6 +372,7 @@ KNOWN: dict[str, Callable] = {
         stiffness_gradient,
         anisotropic_bending,
         twist_stiffness,
+        bend_twist,
         softening,
         stiffening,
         softening_by_tanh,
@@ -405,6 +413,8 @@ PAIRS = (
 BUILT: dict[str, Callable] = {
     f.__name__: f for f in (kink, half_draught, soft_spot, sleeve, magnet)
 }
+# Softenings by another law than the plug-in's.
+OTHER_LAWS = (softening_by_tanh.__name__, softening_by_yield.__name__)
 UNCOVERED: dict[str, Callable] = {f.__name__: f for f in (sticking_roll, shaking_camera)}
 
 

@@ -14,7 +14,9 @@ import click
 )
 @click.option("--loosest", default=60.0, show_default=True, help="First loop radius, in h.")
 @click.option("--tightest", default=10.0, show_default=True, help="Last loop radius, in h.")
-@click.option("--out", default=None, type=click.Path(), help="Write a picture to this PNG file.")
+@click.option(
+    "--out", default=None, type=click.Path(dir_okay=False), help="Write a picture to this PNG file."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     frictions: str, loosest: float, tightest: float, out: str | None, as_json: bool

@@ -26,8 +26,9 @@ from wrod.deployment.simulate import simulate_deployments
 from wrod.files import write_atomically
 from wrod.machine import machine_line
 from wrod.planning.plan import read_roll
+from wrod.rods.catalogue import rod
 from wrod.rods.device import resolve_device
-from wrod.rods.material import RodMaterial, rod
+from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
 

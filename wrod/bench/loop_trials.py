@@ -106,9 +106,9 @@ def trials_along(
     Old and new plan hold the rod at the same roll, so that only the model behind the grasps
     differs. `law` is the table's `Friction`. All cases believe in one rod.
     """
-    from wrod.deployment.setup import tail
+    from wrod.deployment.plan import plan
     from wrod.deployment.simulate import Trial, with_remainder_of
-    from wrod.planning.plan import plan
+    from wrod.planning.tail import tail
 
     def trial(rod, model, controller, network=None, roll="plane"):
         method = {"network": "neural", "numeric": "numeric", "default": "auto"}[controller]

@@ -83,8 +83,9 @@ def command(
     from wrod.bench.newton_report import draw, markdown
     from wrod.errors import RodError
     from wrod.machine import machine_line
+    from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
-    from wrod.rods.material import RodMaterial, rod
+    from wrod.rods.material import RodMaterial
 
     device = resolve_device(device)
     if not (scale > 0 and length > 0 and periods > 0):
@@ -190,15 +191,14 @@ def _measure_bodies(as_json: bool) -> None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Newton corrects the inertia of small bodies
-        rows = measure()
-    if as_json:
-        names = ("what", "found", "expected")
-        click.echo(json.dumps([dict(zip(names, row, strict=True)) for row in rows]))
-        return
-    click.echo(machine_line("cpu"))
-    click.echo("\n| what | found | expected |\n| --- | --- | --- |")
-    for row in rows:
-        click.echo(f"| {' | '.join(row)} |")
+        if as_json:
+            names = ("what", "found", "expected")
+            click.echo(json.dumps([dict(zip(names, row, strict=True)) for row in measure()]))
+            return
+        click.echo(machine_line("cpu"))
+        click.echo("\n| what | found | expected |\n| --- | --- | --- |")
+        for row in measure():
+            click.echo(f"| {' | '.join(row)} |")
 
 
 def _measure_many(device: str, worlds: int, cables: int, edges: int) -> None:

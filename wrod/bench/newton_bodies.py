@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import time
+from collections.abc import Iterator
 
 import newton
 import numpy as np
@@ -267,20 +268,19 @@ class Pile:
         self.deepest = max(self.deepest, float(contact.penetration.numpy().max()) / self.radius)
 
 
-def measure() -> list[tuple[str, str, str]]:
-    """(what, found, expected) of all scenes, as text."""
-    rows = []
+def measure() -> Iterator[tuple[str, str, str]]:
+    """(what, found, expected) of one scene after the other, as text."""
     for scheme in ("euler", "bdf2", "midpoint"):
         error = momentum(scheme)
-        rows.append((f"momentum of a falling cable and body, {scheme}", f"{error:.1e}", "0"))
+        yield f"momentum of a falling cable and body, {scheme}", f"{error:.1e}", "0"
     for mass in (1e-6, 0.2, 10.0):
         force, expected = hanging(mass)
-        rows.append((f"force at the top under {mass:g} kg [N]", f"{force:.6g}", f"{expected:.6g}"))
+        yield f"force at the top under {mass:g} kg [N]", f"{force:.6g}", f"{expected:.6g}"
     found, expected = pendulum()
-    rows.append(("period of a heavy pendulum [s]", f"{found:.5f}", f"{expected:.5f}"))
+    yield "period of a heavy pendulum [s]", f"{found:.5f}", f"{expected:.5f}"
     for scheme in ("bdf2", "midpoint"):
         found, expected = torsion(scheme)
-        rows.append((f"torsional period, {scheme} [s]", f"{found:.5f}", f"{expected:.5f}"))
+        yield f"torsional period, {scheme} [s]", f"{found:.5f}", f"{expected:.5f}"
     for mujoco in (False, True) if importlib.util.find_spec("mujoco_warp") else (False,):
         arm = Arm(mujoco=mujoco)
         arm.settle()
@@ -289,9 +289,8 @@ def measure() -> list[tuple[str, str, str]]:
             ("shoulder", "elbow"), arm.torques(), arm.statics(), strict=True
         ):
             what = f"{name} that holds a cable, {mover} [N m]"
-            rows.append((what, f"{found:.4f}", f"{expected:.4f}"))
+            yield what, f"{found:.4f}", f"{expected:.4f}"
     pile = Pile()
     cost = pile.run(90)
-    rows.append(("pile of 6 cables of 20 edges: deepest over radius", f"{pile.deepest:.4f}", "0"))
-    rows.append(("the same: CPU seconds per simulated second", f"{cost:.2f}", ""))
-    return rows
+    yield "pile of 6 cables of 20 edges: deepest over radius", f"{pile.deepest:.4f}", "0"
+    yield "the same: CPU seconds per simulated second", f"{cost:.2f}", ""

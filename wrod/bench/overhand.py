@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from wrod.errors import GraspError
 from wrod.rods.batch import RodBatch
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
@@ -85,7 +86,7 @@ def solve_braid(
                         break
                 shift = max(4 * shift, 1e-10)
                 if shift > 1e12:
-                    raise ArithmeticError("the braid of the overhand knot was not found")
+                    raise GraspError("the braid of the overhand knot was not found")
             u, shift = u + step, max(0.1 * shift, 1e-14)
         k *= 10
     k /= 10

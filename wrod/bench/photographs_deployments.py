@@ -12,7 +12,7 @@ import numpy as np
 from wrod.bench.ledger import Ledger
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.world import LaidRod, World, lay, plan_without_lead_in
-from wrod.rods.material import rod as preset
+from wrod.rods.catalogue import rod as preset
 
 KEYS = ("method", "rod", "pattern", "world")
 _PLANS = {"int": "intuitive", "opt": "numeric"}

@@ -8,12 +8,12 @@ import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_judge import Verdict, world_found
+from wrod.deployment.plan import plan
 from wrod.deployment.simulate import simulate_deployment
 from wrod.errors import WrodError
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.world import World
-from wrod.planning.plan import plan
-from wrod.rods.material import rod as preset
+from wrod.rods.catalogue import rod as preset
 
 _PLANS = ("rod believed", "rod found", "rod and table found")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -200,7 +201,7 @@ def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) 
         )
         figure.tight_layout()
         path = out / f"{verdict.rod}.png"
-        figure.savefig(path, dpi=110)
+        write_atomically(path, partial(figure.savefig, dpi=110), "wb")
         plt.close(figure)
         written.append(path)
     return written
@@ -242,6 +243,6 @@ def draw_lines(
     axes[-1, 0].set_xlabel("along the line [m]", fontsize=8)
     figure.tight_layout()
     path = out / "lines.png"
-    figure.savefig(path, dpi=110)
+    write_atomically(path, lambda file: figure.savefig(file, dpi=110), "wb")
     plt.close(figure)
     return [path]

@@ -10,13 +10,14 @@ import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_judge import Verdict
-from wrod.deployment.setup import Tail
 from wrod.deployment.simulate import Trial, simulate_deployments
+from wrod.files import write_atomically
 from wrod.identification.laid.camera import Camera
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.placement import Placement, rigid
 from wrod.identification.laid.world import HELD, LaidRod, World, plan_without_lead_in
-from wrod.rods.material import rod as preset
+from wrod.planning.tail import Tail
+from wrod.rods.catalogue import rod as preset
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 from wrod.solvers.contact import Friction
@@ -137,7 +138,7 @@ def waves(
 def _lay(photograph: LaidPhotograph, one: Mechanism) -> LaidRod:
     believed = preset(ROD)
     path = plan_without_lead_in(photograph.pattern, believed, "intuitive")
-    end = Tail(path.arc_length[-1:], path.position[-1:], path.rotation[-1:])
+    end = Tail.none(path)
     mu = one.world.friction
     law = Friction(mu, one.kinetic * mu, rolling=one.rolling)
     fast = one.speed > 0.05
@@ -195,6 +196,6 @@ def _draw(photograph: LaidPhotograph, lines: dict[str, Placement | None], path: 
     figure.supxlabel("along the line [m]", fontsize=8)
     figure.supylabel("across [mm]", fontsize=8)
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    write_atomically(path, lambda file: figure.savefig(file, dpi=110), "wb")
     plt.close(figure)
     return path

@@ -47,7 +47,7 @@ def command(
     from wrod.errors import RobotError
     from wrod.machine import machine_line
     from wrod.robot.model import ROBOTS
-    from wrod.rods.material import rod_names
+    from wrod.rods.catalogue import rod_names
 
     names = list(ROBOTS) if robots == "all" else robots.split(",")
     unknown = [name for name in names if name not in ROBOTS]
@@ -106,6 +106,11 @@ def command(
         "step: most that the rod's frame and a joint turn between nodes [rad]; beyond: most that a "
         "joint turns more than the rod's frame [rad per 5 mm of the grip's way]"
     )
+    hangs = [100.0 * row["hangs"] for row in rows if "error" not in row]
+    if hangs:
+        click.echo(
+            f"rod that is not laid when the hand opens: {min(hangs):.1f} to {max(hangs):.1f} cm"
+        )
 
 
 def against_finer(path, curve, rod, method: str, trajectory) -> dict:
@@ -188,6 +193,7 @@ def run_case(
         "grip_angle": figures["grip_angle"],
         "duration": figures["duration"],
         "no_approach": figures.get("no_approach"),
+        "hangs": wrod.rod(rod_name).length - float(path.arc_length[-1]),
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import dataclass
 from itertools import product
@@ -14,9 +13,9 @@ import numpy as np
 
 from wrod.bench import campaign
 from wrod.bench.ledger import Ledger
+from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_csv
 from wrod.errors import RodError
 
-KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
 ENGINES = ("wrod", "mujoco")
 # A rod that is put down exactly, and one that lies exactly where a robot that stands elsewhere, and
 # does not know it, has the pattern: what no plan can be better than on average.
@@ -33,6 +32,8 @@ METHODS = (
 # Seeds of disturbances that no plan was fitted to or judged by.
 _FIRST_SEED = 9_000
 _PLAN_SPACING = 0.005
+# Largest curvature [1/L_gb] of patterns that hardly bend.
+_GENTLE = 0.4
 
 
 @click.command(name="slippery")
@@ -106,7 +107,8 @@ def command(
         rows = []
         for key in part:
             s, place, steps, diverged = _laid(shelf, key, spacing, device, how)
-            rows.append(dict(zip(KEYS, key, strict=True)) | _figures(shelf, key, s, place))
+            told = _disturbance(key, undisturbed)
+            rows.append(dict(zip(KEYS, key, strict=True)) | _figures(shelf, key, s, place, told))
             rows[-1] |= {"steps": steps, "diverged": diverged}
             progress(1.0 / len(part))
         return rows
@@ -114,17 +116,18 @@ def command(
     campaign.run(ledger, keys, simulate, device=device, batch=asked.batch or 1, quiet=as_json)
     rows = ledger.of(keys)
     written = [write_csv(out / "slippery.csv", rows), ledger.path]
-    written.append(draw(out / "slippery.png", rows, shelf))
+    written.append(draw(out / "slippery.png", rows, shelf, METHODS))
     table = summary(rows)
+    groups = means(table, shelf.bends)
     if as_json:
-        click.echo(json.dumps({"cells": table, "written": [str(p) for p in written]}, indent=2))
-        return
-    for line in table:
         click.echo(
-            f"{line['rod']}, {line['pattern']}, friction {line['friction']:g}: "
-            + ", ".join(f"{name} {value:.3f}" for name, value in line["error_mean"].items())
-            + f" cm ({line['engine']})"
+            json.dumps(
+                {"cells": table, "means": groups, "written": [str(p) for p in written]}, indent=2
+            )
         )
+        return
+    for line in told(table, groups):
+        click.echo(line)
     for path in written:
         click.echo(f"wrote {path}")
 
@@ -149,14 +152,20 @@ class Shelf:
         """The pattern as `plan` lays it, and the rod."""
         from wrod.bench.table3_paper import read_pattern
         from wrod.planning.plan import prepare
-        from wrod.rods.material import rod
+        from wrod.rods.catalogue import rod
 
         material = rod(rod_name)
         return prepare(read_pattern(name, self.patterns), material, None), material
 
+    def bends(self, rod_name: str, name: str) -> bool:
+        """Whether the pattern's largest curvature is over 0.4 / L_gb."""
+        led, material = self.course(rod_name, name)
+        s = np.linspace(0.0, led.length, 2000)
+        return bool(np.abs(led.sample(s)[2]).max() * material.gravito_bending_length > _GENTLE)
+
     def plan(self, rod_name: str, name: str, friction: float, method: str):
         """The trajectory of that method; friction counts for those that are corrected alone."""
-        from wrod.planning.plan import plan
+        from wrod.deployment.plan import plan
         from wrod.planning.trajectory import Trajectory
 
         table = f"-{friction:g}" if method in ("optimised", "distilled") else ""
@@ -181,12 +190,11 @@ def _laid(shelf: Shelf, key: tuple, spacing: float, device: str, how: dict):
     """Arc length (node,) and place (node, 3) [m] of what lies, steps taken, whether it diverged."""
     from wrod.bench.mujoco_chain import lay_in_mujoco, put_down_in_mujoco
     from wrod.bench.put_down import put_down
-    from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial
     from wrod.deployment.tangents import lay
     from wrod.solvers.contact import Friction
 
-    rod_name, name, mu, method, engine, trial = key
+    rod_name, name, mu, method, engine, _ = key
     led, material = shelf.course(rod_name, name)
     if method == PUT_DOWN:
         if engine == "mujoco":
@@ -196,8 +204,7 @@ def _laid(shelf: Shelf, key: tuple, spacing: float, device: str, how: dict):
         s, place, diverged, steps = put_down([job], node_count=nodes, step=0.02, device=device)[0]
         return s, place, steps, diverged
     how = dict(how)
-    bare, chain_step = how.pop("undisturbed"), how.pop("chain_step")
-    disturbance = Disturbance() if bare else Disturbance.random(_FIRST_SEED + trial)
+    disturbance, chain_step = _disturbance(key, how.pop("undisturbed")), how.pop("chain_step")
     if method == MISPLACED:
         s = np.linspace(-led.remainder_length, led.length, 400)
         place = led.sample(s)[0]
@@ -211,7 +218,17 @@ def _laid(shelf: Shelf, key: tuple, spacing: float, device: str, how: dict):
     return laid.arc_length, laid.centerline, laid.steps, laid.diverged
 
 
-def _figures(shelf: Shelf, key: tuple, s: np.ndarray, place: np.ndarray) -> dict:
+def _disturbance(key: tuple, undisturbed: bool):
+    """Of the trial; a rod that is put down exactly has none."""
+    from wrod.deployment.setup import Disturbance
+
+    if undisturbed or key[3] == PUT_DOWN:
+        return Disturbance()
+    return Disturbance.random(_FIRST_SEED + key[5])
+
+
+def _figures(shelf: Shelf, key: tuple, s: np.ndarray, place: np.ndarray, disturbance) -> dict:
+    from wrod.deployment.expectation import robot_error
     from wrod.deployment.result import errors_along
 
     led, _ = shelf.course(*key[:2])
@@ -220,75 +237,7 @@ def _figures(shelf: Shelf, key: tuple, s: np.ndarray, place: np.ndarray) -> dict
     curve = np.column_stack([np.interp(along, s, place[:, c]) for c in range(2)])
     return {
         "error_mean": float(error.mean()),
+        "error_robot": 100.0 * robot_error(led, s, place, disturbance),
         "error_std": float(error.std()),
         "curve": np.round(curve, 5).tolist(),
     }
-
-
-def summary(rows: list[dict]) -> list[dict]:
-    """Mean error [cm] by method of each rod, pattern, friction and engine."""
-    out: dict[tuple, dict] = {}
-    place = (*KEYS[:3], "engine")
-    for row in rows:
-        cell = out.setdefault(tuple(row[name] for name in place), {})
-        cell.setdefault(row["method"], []).append(row["error_mean"])
-    return [
-        dict(zip(place, key, strict=True))
-        | {"error_mean": {name: float(np.mean(values)) for name, values in cell.items()}}
-        for key, cell in out.items()
-    ]
-
-
-def write_csv(path: Path, rows: list[dict]) -> Path:
-    """One trial a line."""
-    from wrod.files import write_atomically
-
-    names = [*KEYS, "error_mean", "error_std", "diverged"]
-
-    def write(file):
-        writer = csv.writer(file)
-        writer.writerow([f"{n} [cm]" if n.startswith("error") else n for n in names])
-        writer.writerows([[row[n] for n in names] for row in rows])
-
-    return write_atomically(path, write)
-
-
-def draw(path: Path, rows: list[dict], shelf: Shelf) -> Path:
-    """What lies, one panel for each pattern and friction, one colour for each method."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from wrod.files import write_atomically
-
-    places = list(dict.fromkeys((r["rod"], r["pattern"]) for r in rows))
-    mus = sorted({r["friction"] for r in rows})
-    figure = Figure(figsize=(3.6 * len(mus), 3.4 * len(places) + 0.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(len(places), len(mus), squeeze=False)
-    lines = {}
-    for i, place in enumerate(places):
-        led, _ = shelf.course(*place)
-        target = 100.0 * led.sample(np.linspace(0.0, led.length, 300))[0]
-        for j, mu in enumerate(mus):
-            axis = axes[i, j]
-            lines["pattern"] = axis.plot(*target[:, :2].T, color="0.8", lw=4)[0]
-            for row in rows:
-                if ((row["rod"], row["pattern"]), row["friction"]) == (place, mu):
-                    colour = f"C{METHODS.index(row['method'])}"
-                    curve = 100.0 * np.array(row["curve"])
-                    label = row["method"].replace("_", " ")
-                    other = row["engine"] != "wrod"
-                    label += f" ({row['engine']})" if other else ""
-                    style = "--" if other else "-"
-                    lines[label] = axis.plot(*curve.T, color=colour, lw=1, ls=style)[0]
-            axis.set_aspect("equal")
-            axis.set_title(f"{place[0]}, {place[1]}, friction {mu:g}", fontsize=9)
-            axis.set_xlabel("x [cm]")
-    figure.legend(
-        lines.values(),
-        lines.keys(),
-        loc="outside lower center",
-        ncols=min(6, 2 * len(mus)),
-        fontsize=8,
-    )
-    return write_atomically(path, lambda file: figure.savefig(file, dpi=130, format="png"), "wb")

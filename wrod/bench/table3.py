@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, fields
 from itertools import product
 from pathlib import Path
 
@@ -50,20 +51,55 @@ def command(as_json: bool, **given) -> None:
 
     Finished trials are kept in OUT/trials.jsonl: a run that was stopped goes on from there.
     """
-    told, spent = _table(quiet=as_json, **given)
+    asked = _Asked(**{f.name: given.pop(f.name) for f in fields(_Asked)})
+    told, spent = _table(asked, quiet=as_json, **given)
     campaign.say(told, spent, as_json)
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What of the table is asked for, and how its OPT is planned; options of the command."""
+
+    trials: int
+    closure: str | None
+    known_table: bool
+    rods: tuple[str, ...]
+    substrates: tuple[str, ...]
+    names: tuple[str, ...]
+    patterns: Path | None
+
+    def check(self) -> None:
+        from wrod.errors import RodError
+        from wrod.grasps.inputs import CLOSURES
+
+        if self.trials < 1:
+            raise RodError(f"trials is {self.trials}; give 1 or more")
+        if self.closure is not None and self.closure not in CLOSURES:
+            known = ", ".join(CLOSURES)
+            raise RodError(f"unknown closure {self.closure!r:.60}; use one of {known}")
+
+    def cells(self) -> tuple[tuple[str, ...], tuple[str, ...], dict]:
+        """Rods, substrates and curves, in the table's own order."""
+        from wrod.bench.table3_paper import read_pattern
+
+        rods = tuple(name for name in RODS if name in (self.rods or RODS))
+        substrates = tuple(name for name in SUBSTRATES if name in (self.substrates or SUBSTRATES))
+        names = [name for name in PATTERNS if name in (self.names or PATTERNS)]
+        return rods, substrates, {name: read_pattern(name, self.patterns) for name in names}
+
+    def settings(self, how: dict[str, float]) -> dict:
+        """What has to be the same for trials to stand in one table."""
+        settings = {name: how[name] for name in ("speed", "step", "spacing", "release")} | {
+            "closure": "favoured" if self.closure is None else self.closure,
+            "patterns": "built-in" if self.patterns is None else self.patterns.name,
+        }
+        return settings | ({"known_table": True} if self.known_table else {})
+
+
 def _table(
+    asked: _Asked,
     out: Path,
-    trials: int,
-    closure: str | None,
-    known_table: bool,
     workers: int,
-    rods: tuple[str, ...],
-    substrates: tuple[str, ...],
-    names: tuple[str, ...],
-    patterns: Path | None,
     batch: int | None,
     device: str,
     quiet: bool,
@@ -72,38 +108,22 @@ def _table(
 ) -> tuple[dict, campaign.Spent]:
     """What the command tells, and what the trials cost; `how` they are simulated: release, speed,
     step and spacing."""
-    from wrod.bench.table3_paper import read_pattern
     from wrod.bench.table3_report import KEYS
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
-    from wrod.errors import RodError
     from wrod.files import schemas
-    from wrod.grasps.inputs import CLOSURES
+    from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
-    from wrod.rods.material import rod
 
-    if trials < 1:
-        raise RodError(f"trials is {trials}; give 1 or more")
-    device = resolve_device(device)
-    settings = {name: how[name] for name in ("speed", "step", "spacing", "release")} | {
-        "closure": "favoured" if closure is None else closure,
-        "patterns": "built-in" if patterns is None else patterns.name,
-    }
-    settings |= {"known_table": True} if known_table else {}
-    # In the table's own order, whatever the order in which they were asked for.
-    rods = tuple(name for name in RODS if name in (rods or RODS))
-    substrates = tuple(name for name in SUBSTRATES if name in (substrates or SUBSTRATES))
-    curves = {
-        name: read_pattern(name, patterns) for name in PATTERNS if name in (names or PATTERNS)
-    }
-    if closure is not None and closure not in CLOSURES:
-        raise RodError(f"unknown closure {closure!r:.60}; use one of {', '.join(CLOSURES)}")
+    asked.check()
+    device, settings = resolve_device(device), asked.settings(how)
+    rods, substrates, curves = asked.cells()
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", schemas.Table3Row)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
         (material, substrate, name, method, trial)
         for trial, material, substrate, name, method in product(
-            range(trials), rods, substrates, curves, METHODS
+            range(asked.trials), rods, substrates, curves, METHODS
         )
     ]
     lay = {name: how[name] for name in ("speed", "step", "spacing")}
@@ -114,10 +134,10 @@ def _table(
         force=force, quiet=quiet,
     )  # fmt: skip
     start = time.perf_counter()
-    plans = _plans(rods, curves, closure, device, quiet)
-    if known_table:
+    plans = _plans(rods, curves, asked.closure, device, quiet)
+    if asked.known_table:
         plans |= _corrected_plans(plans, substrates, out / "plans", device, workers, quiet)
-    first = [_trial(key, plans) for key in keys[: len(keys) // trials]]
+    first = [_trial(key, plans) for key in keys[: len(keys) // asked.trials]]
     nodes = nodes_needed(first, how["spacing"])
     planned = time.perf_counter() - start
 
@@ -133,7 +153,7 @@ def _table(
 
     spent = campaign.run(ledger, keys, simulate, device=device, batch=batch, quiet=quiet)
     rows = ledger.of(keys)
-    words, written = _reported(out, rows, curves, trials, settings)
+    words, written = _reported(out, rows, curves, asked.trials, settings)
     told = campaign.figures(
         spent, device=device, trials=len(rows), planned=planned, nodes=nodes, summary=words,
         written=[*written, ledger.path],
@@ -167,9 +187,10 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
     plan, or the rod solver's with a closure that was asked for."""
     from tqdm import tqdm
 
-    from wrod.deployment.setup import tail
-    from wrod.planning.plan import plan, prepare
-    from wrod.rods.material import rod
+    from wrod.deployment.plan import plan
+    from wrod.planning.plan import prepare
+    from wrod.planning.tail import tail
+    from wrod.rods.catalogue import rod
 
     plans = {}
     jobs = list(product(rods, curves, METHODS))
@@ -191,7 +212,7 @@ def _corrected_plans(
     from tqdm import tqdm
 
     from wrod.bench.table3_paper import friction
-    from wrod.deployment.setup import tail
+    from wrod.planning.tail import tail
     from wrod.planning.trajectory import Trajectory
 
     paths, jobs = {}, []

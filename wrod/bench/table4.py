@@ -99,8 +99,8 @@ def command(patterns: Path, weights: Path | None, device: str, as_json: bool) ->
     from wrod.grasps.optimal import solve_grasps
     from wrod.machine import machine_line
     from wrod.patterns.pattern import Pattern
+    from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
-    from wrod.rods.material import rod
 
     device = resolve_device(device)
     controller = Controller.load(weights)

@@ -11,7 +11,15 @@ import click
 
 from wrod import __version__
 from wrod.commands.bounds import bounded
-from wrod.commands.running import INTERRUPTED, REFUSED, holding_output, interruptible, stop
+from wrod.commands.running import (
+    INTERRUPTED,
+    REFUSED,
+    cut,
+    holding_output,
+    interruptible,
+    open_streams,
+    stop,
+)
 from wrod.errors import WrodWarning
 from wrod.files.writing import begin
 
@@ -62,7 +70,7 @@ class LazyGroup(click.Group):
                 return super().invoke(ctx)
         except click.UsageError as error:
             path = ctx.command_path if error.ctx is None else error.ctx.command_path
-            click.echo(f"wrod: {error.format_message()} (see {path} --help)", err=True)
+            click.echo(f"wrod: {cut(error.format_message())} (see {path} --help)", err=True)
             ctx.exit(REFUSED)
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
@@ -70,6 +78,7 @@ class LazyGroup(click.Group):
             stop(ctx, error)
 
     def main(self, *args, **kwargs):
+        open_streams()
         begin()
         try:
             return super().main(*args, **kwargs)

@@ -7,6 +7,7 @@ no rod, table or machine has is refused with its option's name before anything i
 from __future__ import annotations
 
 import math
+import os
 
 import click
 
@@ -106,6 +107,15 @@ class Real(click.FloatRange):
         return found
 
 
+class Place(click.Path):
+    """A path that says something: an empty one would be the current folder."""
+
+    def convert(self, value, param, ctx):
+        if not os.fspath(value):
+            self.fail("is empty; give a path.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 def bounded(command: click.Command, path: str) -> click.Command:
     """The command, with a range for each of its numbers.
 
@@ -113,6 +123,10 @@ def bounded(command: click.Command, path: str) -> click.Command:
         path: name of the command with its group's, such as "bench table3".
     """
     for option in command.params:
+        if isinstance(option.type, click.Path):
+            place = Place.__new__(Place)
+            place.__dict__.update(option.type.__dict__)
+            option.type = place
         if not isinstance(option, click.Option):
             continue
         name = max(option.opts, key=len)

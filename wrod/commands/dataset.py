@@ -11,7 +11,7 @@ from wrod import cost
 from wrod.commands.options import CLOSURE, DEVICE, ROD, ROLL, RodOptions, gathered, options
 
 
-@click.command(name="dataset")
+@click.command(name="dataset", short_help="Solve grasps to train a controller with.")
 @click.option("--size", type=click.IntRange(min=1), required=True, help="Number of samples.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)

@@ -71,8 +71,8 @@ class Planned:
 
     def path(self, curve, rod, device: str):
         """The trajectory, read or made, and the pattern with its remainder."""
+        from wrod.deployment.plan import plan
         from wrod.deployment.simulate import with_remainder_of
-        from wrod.planning.plan import plan
         from wrod.planning.trajectory import Trajectory
 
         if self.trajectory is None:
@@ -122,8 +122,9 @@ class Laying:
 
     def lay(self, curve, rod, path, fixtures, device: str, quiet: bool) -> list:
         """The deployments, one for each trial."""
-        from wrod.deployment.setup import Disturbance, tail
+        from wrod.deployment.setup import Disturbance
         from wrod.deployment.simulate import Trial, simulate_deployments
+        from wrod.planning.tail import tail
         from wrod.solvers.contact import Friction
 
         law, rest = Friction(self.friction, self.kinetic, self.rolling), tail(curve, rod, path)

@@ -13,7 +13,7 @@ from wrod import cost
 _PLAN = 45.0
 
 
-@click.command(name="distil")
+@click.command(name="distil", short_help="Train a network that corrects plans for a table.")
 @click.option(
     "--size", type=click.IntRange(min=1), required=True, help="Optimised plans to learn from."
 )

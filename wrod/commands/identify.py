@@ -13,7 +13,7 @@ from wrod import cost
 _SHOWN = 8
 
 
-@click.command(name="identify")
+@click.command(name="identify", short_help="Find what the model of a rod lacks, from measurements.")
 @click.argument("data", required=False, type=click.Path(path_type=Path))
 @click.option("--test", type=click.Path(path_type=Path), help="More data of the rod to score on.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)

@@ -82,7 +82,7 @@ class _Fit:
         return written
 
 
-@click.command(name="laid")
+@click.command(name="laid", short_help="Compare laid rods with their pattern.")
 @click.argument("rods", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--pattern", required=True, help="What they were laid along.")
 @click.option(

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 
-@click.command(name="loop")
+@click.command(name="loop", short_help="Measure a rod: a fold on the table and a ruler.")
 @click.option("--height", type=float, required=True, help="Height of the loop's centreline [m].")
 @click.option("--radius", type=float, required=True, help="Radius of the section [m].")
 @click.option("--length", type=float, required=True, help="Total length of the rod [m].")

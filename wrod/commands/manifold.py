@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 
-@click.command(name="manifold")
+@click.command(name="manifold", short_help="Map the grips that lay a straight pattern.")
 @click.option("--length", required=True, type=float, help="Suspended length [L_gb].")
 @click.option("--stretch-ratio", default=2087.0, show_default=True, help="k_s [-].")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)

@@ -8,7 +8,9 @@ from pathlib import Path
 import click
 
 
-@click.command(name="markers")
+@click.command(
+    name="markers", short_help="Write a sheet of markers to print, which gives pictures a scale."
+)
 @click.option(
     "--paper", default="a4", show_default=True, help="a4, a3, letter, or WIDTHxHEIGHT [m]."
 )

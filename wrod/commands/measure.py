@@ -10,7 +10,9 @@ import click
 from wrod.commands.options import PICTURE, UNITS, PatternOptions, gathered
 
 
-@click.command(name="measure")
+@click.command(
+    name="measure", short_help="Measure a rod: a table's edge and a ruler, or a photograph."
+)
 @click.argument("curve", required=False)
 @click.option("--overhang", type=float, help="Length of rod beyond the table's edge [m].")
 @click.option("--fall", type=float, help="Of its end below the clamped part [m].")

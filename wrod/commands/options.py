@@ -124,7 +124,7 @@ class RodOptions:
             RodError: none, or more than one is named.
         """
         from wrod.errors import RodError
-        from wrod.rods.catalogue import find
+        from wrod.rods.catalogue import rod
         from wrod.rods.material import RodMaterial
         from wrod.rods.model_file import load_rod
 
@@ -141,7 +141,7 @@ class RodOptions:
                 f"--rod {name} and {', '.join(given)} were both given; give one or the other"
             )
         if name is not None:
-            return load_rod(name) if from_file else find(name).rod
+            return load_rod(name) if from_file else rod(name)
         missing = [option for option in own if option not in given]
         if missing == list(own):
             raise RodError("no rod given; use --rod NAME, or --radius, --lgb and --length")

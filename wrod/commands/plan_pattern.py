@@ -13,7 +13,7 @@ from wrod.rods.model import RodModel
 # Curvature [1/L_gb] that grasps of every closure exist for, and up to which rods lie well.
 LARGEST_CURVATURE = 3.0
 # Sizes tried for an arm, as shares of the largest, and rod left over at each [L_gb].
-_SHARES, _LEFT_OVER = (1.0, 0.86, 0.72, 0.57), 5.6
+_SHARES, _LEFT_OVER = (0.86, 0.72, 1.0, 0.57, 0.79, 0.64, 0.93), 5.6
 
 SHAPE = (
     click.option("--resize", type=float, help="Draw the pattern this many times as large."),

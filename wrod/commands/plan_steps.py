@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 NO_JOINT_PATH = 3  # exit code: the plan stands, the arm cannot follow it
+# Of a correction for a table, where an arm cannot follow all of it.
+_SHARES = (0.5, 0.0)
 
 
 def solve_grasps_of(
@@ -13,7 +16,8 @@ def solve_grasps_of(
     """The trajectory, with the rod's shapes where they are wanted."""
     from tqdm import tqdm
 
-    from wrod.planning.plan import plan, with_shapes
+    from wrod.deployment.plan import plan
+    from wrod.planning.plan import with_shapes
 
     with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=quiet or None) as bar:
 
@@ -26,7 +30,7 @@ def solve_grasps_of(
             friction=None if method == "intuitive" else friction, **options,
         )  # fmt: skip
         if friction is not None and method == "intuitive":
-            from wrod.deployment.optimise import expect
+            from wrod.deployment.expectation import expect
 
             expected = expect(curve, rod, trajectory, friction, device=device or "auto")
             trajectory.metadata["expected"] = expected
@@ -34,6 +38,16 @@ def solve_grasps_of(
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
     return trajectory
+
+
+def softened(curve, rod, trajectory, start, share: float, friction, device):
+    """The trajectory with a share of its corrections for a table, and what is expected of it."""
+    from wrod.deployment.corrections import with_share
+    from wrod.deployment.expectation import expect
+
+    less = with_share(start, trajectory, share)
+    less.metadata["expected"] = expect(curve, rod, less, friction, device=device or "auto")
+    return less
 
 
 def save_plan(out: Path, curve, trajectory) -> list[Path]:
@@ -52,14 +66,16 @@ def save_plan(out: Path, curve, trajectory) -> list[Path]:
         raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
 
 
-def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, size):
+def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, size, softer=None):
     """Joint path and scene, or the reason why there is none, with what would help.
 
     Args:
         planned: (resize, hold) -> what the plan would be with them; `size` is what they are now.
+        softer: share -> the trajectory with that share of its corrections for a table; None: it has
+            none. Where the arm cannot follow all of them it follows as many as it can.
 
     Returns:
-        The `JointPath` or None, the reason or None, and the files written.
+        The `JointPath` or None, the reason or None, the files written, and the trajectory followed.
     """
     from tqdm import tqdm
 
@@ -76,21 +92,41 @@ def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, 
 
         step("joint path")
         try:
-            joint_path = request.solve(trajectory, rod)
+            joint_path, trajectory = _followed(request, trajectory, rod, softer)
         except UnreachedError as error:
             step("remedy")
             picture = draw_reach(out / "reach.png", error)
             said = _remedy(request, error, rod, curve, planned, size) if request.remedy else None
             reason = str(error).rsplit(";", 1)[0] + f"; {said}" if said else str(error)
-            return None, reason, [picture]
+            return None, reason, [picture], trajectory
         except RobotError as error:
-            return None, str(error), []
+            return None, str(error), [], trajectory
         try:
             written = request.export(joint_path, out)
             written += deliver(out, trajectory, joint_path, curve, rod, step)
-            return joint_path, None, written
+            return joint_path, None, written, trajectory
         except OSError as error:
             raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+
+
+def _followed(request, trajectory, rod, softer):
+    """A joint path, and what it follows: the given trajectory, or one that is corrected less.
+
+    Raises:
+        UnreachedError: none was found.
+    """
+    from wrod.robot.solve import UnreachedError
+
+    try:
+        return request.solve(trajectory, rod), trajectory
+    except UnreachedError:
+        for share in _SHARES if softer is not None else ():
+            less = softer(share)
+            try:
+                return request.solve(less, rod), less
+            except UnreachedError:
+                continue
+        raise
 
 
 def _remedy(request, failed, rod, curve, planned, size) -> str | None:
@@ -102,7 +138,6 @@ def _remedy(request, failed, rod, curve, planned, size) -> str | None:
     from wrod.robot.remedy import remedies
 
     resize, hold = size
-    free = request.placement == "auto"
 
     def places(heights):
         return candidates(failed.task.trajectory, failed.task.robot, heights=heights)
@@ -116,23 +151,56 @@ def _remedy(request, failed, rod, curve, planned, size) -> str | None:
                     # Found by solving for it; a placement that was given must be given up.
                     lift = 100 * (value - failed.best.branch.placement.z)
                     way = "higher" if lift > 0 else "lower"
-                    kept = "" if free else " and --placement auto"
-                    return (
-                        f"with the table {abs(lift):.0f} cm {way}, --table-height {value:g}"
-                        f"{kept}, it is found"
-                    )
+                    command = again(table_height=value, placement="auto")
+                    return f"with the table {abs(lift):.0f} cm {way} it is found: {command}"
+                wanted = request
                 if name == "resize":
                     value = round(value * (resize or 1.0), 3)
                     fitted, _, trajectory = planned(value, hold)
-                else:
+                elif name == "hold":
                     fitted, _, trajectory = planned(resize, value)
-                request.solve(trajectory, fitted.rod)
+                else:
+                    led = False if name == "remainder" else None
+                    fitted, _, trajectory = planned(resize, hold, led=led)
+                if name == "robot":
+                    if {request.flange, request.tip, request.gripper_length} != {None}:
+                        continue  # they are of the arm that was asked for
+                    wanted = replace(request, robot=value)
+                wanted.solve(trajectory, fitted.rod)
         except WrodError:
             continue
+        if name == "remainder":
+            return f"without a lead-in, which turns the hand, it is found: {again(remainder=False)}"
+        if name == "robot":
+            return f"the last joint of {value} turns far enough: {again(robot=value)}"
         if name == "hold":
-            return f"held {value:g} m from its free end, --hold {value:g}, it is found"
-        return f"drawn {value:g} times as large, --resize {value:g}, it is found"
+            return f"held {value:g} m from its free end it is found: {again(hold=value)}"
+        return f"drawn {value:g} times as large it is found: {again(resize=value)}"
     return None
+
+
+def again(**changes) -> str:
+    """The command that runs now with other options, to be copied: names -> values; True of a flag,
+    False of its opposite."""
+    import shlex
+
+    import click
+
+    context = click.get_current_context()
+    words, given = ["wrod", str(context.info_name)], []
+    for param in context.command.params:
+        name = str(param.name)
+        value = changes.get(name, context.params.get(name))
+        on_line = context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        if isinstance(param, click.Argument):
+            given.append(str(value))
+        elif name in changes or on_line:
+            if isinstance(param, click.Option) and param.is_flag:
+                words += [param.opts[0]] if value else param.secondary_opts[:1]
+            else:
+                for one in value if param.multiple else (value,):
+                    words += [param.opts[0], f"{one:g}" if isinstance(one, float) else str(one)]
+    return shlex.join([*words[:2], *given, *words[2:]])
 
 
 _SEARCH = 600.0  # [s] of looking for a size that an arm can lay
@@ -162,9 +230,7 @@ def fitting(request, tries, planned, reason) -> str:
     for shaping in tries:
         if time.monotonic() - begun > _SEARCH:
             break
-        options = f"--resize {shaping.resize:g} --hold {shaping.hold:g} --no-remainder"
-        options += " --reverse" if shaping.reverse else ""
-        said.append(options)
+        said.append(f"{shaping.resize:g}")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -172,5 +238,11 @@ def fitting(request, tries, planned, reason) -> str:
                 request.solve(trajectory, fitted.rod)
         except WrodError:
             continue
-        return f"with `{options}` a joint path of {request.robot} is found"
-    return f"no joint path of {request.robot} was found with {', '.join(said)}"
+        command = again(
+            resize=shaping.resize, hold=shaping.hold, remainder=False, reverse=shaping.reverse
+        )
+        return f"smaller, and held so that little is left over, a joint path is found: {command}"
+    return (
+        f"no joint path of {request.robot} was found at {', '.join(said)} of its size; another arm "
+        "may do, or a rod that is longer or less stiff"
+    )

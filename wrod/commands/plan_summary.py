@@ -16,7 +16,8 @@ def summary(figures: dict) -> str:
         )
         + f", {figures['nodes']} nodes, largest curvature {figures['largest_curvature']:.1f} 1/m",
         f"highest grip {figures['highest_grip']:.3f} m, method {figures['method']}"
-        + (f", closure {figures['closure']}" if figures["closure"] else ""),
+        + (f", closure {figures['closure']}" if figures["closure"] else "")
+        + (f", grasps of the {figures['solver']}" if figures.get("solver") else ""),
     ]
     if "expected" in figures:
         lines += _expectation(figures["expected"], figures.get("optimised"))
@@ -67,11 +68,18 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
         f"({len(mus)} disturbed rods, laid in simulation)"
     ]
     if optimised is not None:
-        before, after = optimised["errors"][0], min(optimised["errors"])
         lines.append(
-            f"grip corrected by up to {1e3 * optimised['largest_correction']:.0f} mm, "
-            f"from {100 * before:.2f} to {100 * after:.2f} cm over the rods that it was fitted to"
+            f"grip corrected by up to {1e3 * optimised['largest_correction']:.1f} mm, from "
+            f"{100 * optimised['errors'][0]:.2f} to {100 * min(optimised['errors']):.2f} cm over "
+            "the rods that it was fitted to"
+            if optimised["kept"]
+            else "grip left as planned: no correction lays these rods better"
         )
+        if (share := optimised.get("share")) is not None:
+            lines.append(
+                f"the arm follows {share:.0%} of what was found, which is what is expected; with "
+                "all of it there is no joint path"
+            )
     if expected["diverged"]:
         lines.append(f"{expected['diverged']} of them could not be simulated to the end")
     if expected["slides"]:

@@ -7,7 +7,7 @@ import json
 import click
 
 
-@click.command(name="rods")
+@click.command(name="rods", short_help="List the rods, cables and ropes that --rod knows.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(as_json: bool) -> None:
     """List rods, cables and ropes that --rod knows, with their stiffness, its spread and source.

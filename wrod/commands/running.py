@@ -7,6 +7,7 @@ import errno
 import functools
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from wrod.errors import DataError, WrodError
 # Exit codes: of input that cannot be used, of an interruption, and of a fault of ours.
 REFUSED, INTERRUPTED, FAULT = 2, 130, 70
 _MOST_SAID = 2000  # letters
+# How Python and Warp say that a limit of the process was met.
+_LIMITED = ("can't start new thread", "Failed to load the shared library")
 # Set it to see where a fault of ours is.
 TRACEBACK = "WROD_TRACEBACK"
 # Modules that a base install lacks, and the extra that brings each.
@@ -33,6 +36,7 @@ _EXTRAS = {
     "PIL": "perception",
     "skimage": "perception",
     "elastica": "peers",
+    "numba": "peers",
 }
 
 
@@ -50,6 +54,8 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return None
     if isinstance(error, MemoryError) or ("allocat" in str(error) and "bytes" in str(error)):
         return "out of memory; ask for less at once (fewer trials, a smaller batch)", REFUSED
+    if isinstance(error, RuntimeError) and str(error).startswith(_LIMITED):
+        return f"{error}; this process may have too few threads or too little memory (ulimit -a)", 2
     if isinstance(error, OSError):
         where = error.filename if error.filename is not None else "the output"
         remedy = "make room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
@@ -60,13 +66,36 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
     return None
 
 
+def open_streams() -> None:
+    """Open what the process was started without of its three streams, on nothing.
+
+    Files would take the free numbers 1 and 2 otherwise, and get what libraries print; and progress
+    bars need a stream.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
+        if getattr(sys, name) is None:
+            stream = open(number, "r" if number == 0 else "w", closefd=False)  # noqa: SIM115
+            setattr(sys, name, stream)
+
+
+def cut(text: str) -> str:
+    """The sentence without its middle, where names or values in it are very long."""
+    half = _MOST_SAID // 2
+    return text if len(text) <= _MOST_SAID else f"{text[:half]} … {text[-half:]}"
+
+
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
     """Let an interruption come through wherever it strikes.
 
     Python drops a KeyboardInterrupt that strikes in a callback or a finaliser ("Exception
-    ignored"), and the command would go on. It is raised again every half second until the command
-    has ended. Outside the main thread, or without timers, interruptions stay as they are.
+    ignored", with a traceback), and the command would go on. It is raised again every half second
+    until the command has ended, and what is dropped is not told. Outside the main thread, or
+    without timers, interruptions stay as they are.
     """
     usable = hasattr(signal, "setitimer")
     if not usable or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
@@ -80,14 +109,22 @@ def interruptible() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, 0.5)
         raise KeyboardInterrupt
 
+    told = sys.unraisablehook
+
+    def tell(dropped):
+        if dropped.exc_type is not KeyboardInterrupt:
+            told(dropped)
+
     try:
         before = signal.signal(signal.SIGINT, strike), signal.signal(signal.SIGALRM, strike)
     except ValueError:  # not the main thread
         yield
         return
+    sys.unraisablehook = tell
     try:
         yield
     finally:
+        sys.unraisablehook = told
         if struck:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGINT, before[0])
@@ -111,8 +148,7 @@ def stop(ctx: click.Context, error: BaseException) -> None:
             FAULT,
         )
     text, code = said
-    if len(text) > _MOST_SAID:  # the names of some files are thousands of letters long
-        text = f"{text[: _MOST_SAID // 2]} … {text[-_MOST_SAID // 2 :]}"
+    text = cut(text)
     whole = [str(path) for path in finished() if path.exists()]
     if whole:
         more = f" and {len(whole) - 3} more" if len(whole) > 3 else ""
@@ -138,23 +174,34 @@ def refuse_unwritable(folder: Path) -> None:
         )
 
 
+def _is_file(out: Path, kind: click.ParamType) -> bool:
+    """Whether an --out is a file's; of commands that write either, a folder has no suffix."""
+    if not getattr(kind, "dir_okay", True):
+        return True
+    return getattr(kind, "file_okay", True) and (out.is_file() or bool(out.suffix))
+
+
 def holding_output(command: click.Command) -> click.Command:
     """The command, which now holds its --out against other processes while it runs."""
     run: Callable | None = command.callback
     option = next((option for option in command.params if option.name == "out"), None)
     if run is None or option is None:
         return command
-    is_file = not getattr(option.type, "dir_okay", True)
 
     @functools.wraps(run)
     def guarded(*args, **kwargs):
         from wrod.files.locking import locked
+        from wrod.files.writing import refuse_no_file
 
         out = kwargs.get("out")
         if out is None:
             return run(*args, **kwargs)
-        existing = Path(out).exists()
-        refuse_unwritable(Path(out).parent if is_file else Path(out))
+        existing = os.path.lexists(out)
+        if _is_file(Path(out), option.type):
+            refuse_no_file(out)
+            refuse_unwritable(Path(os.path.realpath(out)).parent)
+        else:
+            refuse_unwritable(Path(out))
         try:
             with locked(out, os.environ.get("RANK", "")):
                 return run(*args, **kwargs)

@@ -61,7 +61,7 @@ class _Reading:
         }
 
 
-@click.command(name="scan")
+@click.command(name="scan", short_help="Turn pictures of drawn curves into patterns.")
 @click.argument("images", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @gathered("reading", _Reading, _READING)

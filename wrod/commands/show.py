@@ -18,7 +18,7 @@ from wrod.commands.options import (
 )
 
 
-@click.command(name="show")
+@click.command(name="show", short_help="Say what PATTERN is: its length, size and bends.")
 @click.argument("pattern")
 @gathered("rod_options", RodOptions, ROD)
 @gathered("reading", PatternOptions, UNITS, DRAWING, PICTURE)

@@ -12,7 +12,7 @@ import click
 from wrod import cost
 
 
-@click.command(name="train")
+@click.command(name="train", short_help="Train a controller and score it.")
 @click.option(
     "--dataset",
     type=click.Path(file_okay=False, path_type=Path),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wrod.controller.corrector import Corrector, Course
-from wrod.deployment.optimise import moved
+from wrod.deployment.corrections import moved
 from wrod.errors import GraspError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory

@@ -16,9 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.result import errors_along
-from wrod.deployment.setup import Disturbance, Tail, one_hemisphere
+from wrod.deployment.setup import Disturbance, one_hemisphere
 from wrod.deployment.simulate import Trial, assemble, prepare_trials, with_remainder_of
 from wrod.errors import RodError
+from wrod.planning.tail import Tail
 from wrod.solvers.contact import Friction
 
 try:
@@ -95,13 +96,12 @@ class LayingVectorEnv(VectorEnv):
         self.friction, self.disturbed, self.interval = (low, high), disturbed, interval
         self.scale = np.repeat([reach, turn], 3)
         if isinstance(plan, str):
-            from wrod.planning.plan import plan as plan_of
+            from wrod.deployment.plan import plan as plan_of
 
             plan = plan_of(pattern, rod, plan, device=None if device == "auto" else device)
         self.trajectory = plan
         self.pattern = with_remainder_of(pattern, plan)
-        end = slice(-1, None)
-        self._tail = Tail(plan.arc_length[end], plan.position[end], plan.rotation[end])
+        self._tail = Tail.none(plan)
         size = 1 + 6 + 3 * _ROD_POINTS + 2 * _AHEAD
         box = gymnasium.spaces.Box
         self.single_observation_space = box(-np.inf, np.inf, (size,), np.float64)

@@ -12,13 +12,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from wrod.deployment.optimise import COARSE, Corrections, misplacement
+from wrod.deployment.corrections import Corrections
+from wrod.deployment.expectation import COARSE, misplacement
 from wrod.deployment.result import METRIC_POINTS
-from wrod.deployment.setup import Disturbance, Tail
+from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Friction, FrictionField
@@ -326,7 +328,7 @@ def _at(arc_length: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarra
 
 def _rest(path: Trajectory) -> Tail:
     """The grip stays where the path ends: what lies is looked at there, and no tail is laid."""
-    return Tail(path.arc_length[-1:], path.position[-1:], path.rotation[-1:])
+    return Tail.none(path)
 
 
 def _until(trajectory: Trajectory, s: float) -> Trajectory:

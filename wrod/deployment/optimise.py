@@ -11,128 +11,55 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
 
 import numpy as np
-from scipy.interpolate import BSpline
 
-from wrod.deployment.result import METRIC_POINTS, interpolation
-from wrod.deployment.setup import DEVIATIONS, Disturbance, tail
+from wrod.deployment.corrections import Corrections
+from wrod.deployment.expectation import (
+    COARSE,
+    COARSE_EDGE,
+    FINE,
+    FINE_EDGE,
+    TOLERANCE,
+    edged,
+    expect_each,
+    is_better,
+    misplacement,
+)
+from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.simulate import Trial
+from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Directions, Laid, lay
-from wrod.errors import PatternError
 from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
-from wrod.solvers.contact import Friction
+from wrod.rods.model import RodModel
 
-# Spacing of the knots of the corrections [L_gb].
-_KNOTS = 1.0
-# How the optimisation lays: laid curves differ by 0.05 cm from those of the finest.
-COARSE: dict[str, Any] = {"spacing": 0.01, "step": 0.02, "speed": 0.04}
-FINE: dict[str, Any] = {"spacing": 0.005, "step": 0.02, "speed": 0.04}
-# Largest edges of both [L_gb]: a correction must not be for what a coarse mesh does.
-_COARSE_EDGE, _FINE_EDGE = 1.0 / 3.0, 1.0 / 6.0
 # Cost of a correction of 1 L_gb along the whole path, and of its second differences, over that of
 # an error of 1 L_gb.
-_SIZE, _ROUGHNESS = 2e-3, 2e-3
-# Largest change of a correction in one iteration [L_gb].
-_STEP = 0.35
-_ITERATIONS = 6
+_SIZE, _ROUGHNESS = 6e-3, 2e-2
+# Largest change of a correction in one iteration [L_gb], what is left of it after a change for the
+# worse, and where that ends.
+_STEP, _SHORTER, _SHORTEST = 0.35, 0.4, 0.01
+# Times that the sample is laid at most, on coarse meshes and then on fine ones.
+_COARSE_ITERATIONS, _FINE_ITERATIONS = 3, 3
+# Ranges of friction that call for more rods, by the largest over the least.
+_WIDE = 1.5
+# A saving of the sample [m] that nobody doubts.
+_PLAIN = 1e-3
 # An iteration that leaves more than this part of the error is the last.
 _DONE = 0.95
-# A correction that saves the sample less than this on average [m], a careful robot's jitter, fits
-# its few rods and not the next, and is left out.
-_WORTH = DEVIATIONS["jitter"]
-# A single friction coefficient is taken to be known to this part.
-_UNCERTAIN = 0.1
-# Deviations of uniform variables, in those of normal ones whose middle 90 % they cover.
-_REACH = 1.65
-# Least radius of a rod that stretches less, over the rod's, and by how much less it does at most
-# where it hangs from its end [L_gb]: no path lays rods alike that differ by more.
-_THIN, _LESS_STRETCH = 0.3, 0.15
-# Disturbed rods that are laid by the finished plan, none of which the optimisation has seen.
-_UNSEEN = 6
-_FIRST_SEED = 77_000
-# What counts as slid, and as not on the pattern [m].
-_SLID, _OFF = 1e-3, 5e-3
-
-
-@dataclass(frozen=True)
-class Spread:
-    """What a plan is to be good for; deviations are standard deviations.
-
-    Attributes:
-        friction: least and largest coefficient [-].
-        lgb_error: relative, of L_gb.
-        natural_curvature: [1/m].
-        stretch: whether every second rod of the sample stretches less, hardly if it may.
-    """
-
-    friction: tuple[float, float]
-    lgb_error: float = DEVIATIONS["lgb_error"]
-    natural_curvature: float = DEVIATIONS["natural_curvature"]
-    stretch: bool = True
-
-    @classmethod
-    def of(cls, friction: float | tuple[float, float] | Spread) -> Spread:
-        """That of a coefficient, known to a tenth, or of a range.
-
-        Raises:
-            PatternError: not positive and finite, or the first is larger than the second.
-        """
-        if isinstance(friction, Spread):
-            return friction
-        values = np.atleast_1d(np.asarray(friction, dtype=float))
-        if len(values) == 1:
-            values = values[0] * np.array([1.0 - _UNCERTAIN, 1.0 + _UNCERTAIN])
-        if len(values) != 2 or not (np.isfinite(values).all() and 0 < values[0] <= values[1]):
-            raise PatternError(
-                f"friction is {friction!r}; give a positive coefficient or a range such as "
-                "(0.2, 0.6)"
-            )
-        return cls((float(values[0]), float(values[1])))
-
-    def sample(self, count: int, rod: RodMaterial) -> list[tuple]:
-        """(rod, friction, disturbance) of rods that cover it evenly, from low friction to high."""
-        low, high = self.friction
-        share = (np.arange(count) + 0.5) / count if count > 1 else np.array([0.5])
-        out = []
-        for i, x in enumerate(share):
-            # Sequences of different bases fill a square evenly, however few they are.
-            one, two = (2.0 * _radical_inverse(i + 1, base) - 1.0 for base in (2, 3))
-            disturbance = Disturbance(
-                lgb_error=_REACH * self.lgb_error * one,
-                natural_curvature=_REACH * self.natural_curvature * two,
-            )
-            held = _stretching_less(rod) if self.stretch and i % 2 else rod
-            out.append((held, Friction(low + (high - low) * float(x)), disturbance))
-        return out
-
-
-def _stretching_less(rod: RodMaterial) -> RodMaterial:
-    """A thinner rod with the same L_gb."""
-    hanging = (rod.length / rod.gravito_bending_length) ** 2 / (4.0 * rod.stretch_ratio)
-    part = np.sqrt(max(1.0 - _LESS_STRETCH / hanging, 0.0))
-    return replace(rod, radius=max(_THIN, float(part)) * rod.radius)
-
-
-def _radical_inverse(i: int, base: int) -> float:
-    value, part = 0.0, 1.0 / base
-    while i:
-        i, digit = divmod(i, base)
-        value, part = value + digit * part, part / base
-    return value
 
 
 def optimise(
     pattern: Pattern,
-    rod: RodMaterial,
+    rod: RodModel | RodMaterial,
     trajectory: Trajectory,
     friction: float | tuple[float, float] | Spread,
     *,
-    samples: int = 3,
-    iterations: int = _ITERATIONS,
+    samples: int | None = None,
     hold: float = 0.05,
     judge: bool = True,
     device: str | None = "cpu",
@@ -140,236 +67,164 @@ def optimise(
 ) -> Trajectory:
     """Correct a trajectory's positions until what stays on the table lies on the pattern.
 
-    Rods that cover the spread of friction, L_gb, natural curvature and stretch are laid together
-    with their derivatives by smooth displacements of the grip; a Gauss-Newton step, limited in
-    size, reduces their squared errors, the worse ones weighing more, and what the corrections cost
-    in size and roughness. The best of a few such steps is kept if it saves 0.3 mm on average. Then
-    disturbed rods that none of this has seen are laid, on finer meshes: what is expected of the
-    plan.
+    Rods that cover the spread of friction, L_gb and natural curvature are laid together with their
+    derivatives by smooth displacements of the grip; a Gauss-Newton step, limited in size, reduces
+    their squared errors, the worse ones weighing more, and what the corrections cost in size and
+    roughness. A step that makes it worse is taken back and shortened. First they are laid on coarse
+    meshes, then on fine ones. Then disturbed rods that none of this has seen are laid: what they
+    show is what is expected of the plan. Where the sample is better by less than 1 mm, they are
+    laid without the correction as well, which is kept if they lie better with it by twice the
+    standard error of the differences.
 
     Args:
         pattern: with the remainder that the trajectory lays.
         rod: what is laid.
         trajectory: to start from, as `wrod.plan` returns it.
         friction: a coefficient, known to a tenth, a range, or a `Spread`.
-        samples: rods that are laid at a time.
-        iterations: times that they are laid.
+        samples: rods that are laid at a time; None: two, or four for a range that is wide.
         hold: length of the free end that is held at first [m].
-        judge: whether to lay the unseen rods, without which nothing is expected of the plan.
+        judge: whether to lay the unseen rods, without which nothing is expected of the plan and
+            every correction is kept.
         device: "cpu", "cuda:0" or "auto".
         progress: called with the fraction done since the last call.
 
     Returns:
         The corrected trajectory. `metadata["optimised"]` holds the range of friction, the mean
-        error of the sample at each iteration [m] and the largest correction [m];
-        `metadata["expected"]` is what `expect` says.
+        error of the sample at each iteration [m], whether the correction was "kept", and the
+        largest correction [m]; `metadata["expected"]` is what `expect` says.
 
     Raises:
         PatternError: friction is not usable, or the trajectory is too short to be laid.
     """
     spread = Spread.of(friction)
+    if samples is None:
+        samples = 4 if spread.friction[1] > _WIDE * spread.friction[0] else 2
     lgb = rod.gravito_bending_length
     corrections = Corrections(pattern, trajectory, lgb, hold)
-    cost = corrections.cost(_SIZE, _ROUGHNESS)
-    x = np.zeros(3 * corrections.count)
-    best, radius = None, _STEP
-    history = []
-    for _ in range(iterations):
-        laid = laid_sample(
-            pattern, rod, corrections, spread, x, samples=samples, hold=hold, device=device
-        )
-        parts = [misplacement(pattern, one) for one in laid]
-        errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
-        errors[[one.diverged for one in laid]] = np.inf
-        value = 0.5 * (errors.mean() + errors.max())
-        history.append(float(errors.mean()))
+    problem = _Problem(pattern, rod, corrections, spread, samples, hold, device)
+    rounds = (
+        (edged(COARSE, COARSE_EDGE * lgb), _COARSE_ITERATIONS),
+        (edged(FINE, FINE_EDGE * lgb), _FINE_ITERATIONS),
+    )
+    most = sum(count for _, count in rounds) + 2
+
+    def done(count: int) -> None:
         if progress is not None:
-            progress(1.0 / (iterations + 1))
-        if best is not None and _DONE * best[0] < value <= best[0]:
-            best = value, x, errors
-            break
-        if best is None or value < best[0]:
-            best = value, x, errors
-        else:
-            radius *= 0.5
-        if not np.isfinite(value):
-            x = 0.5 * (x + best[1])
-            continue
-        matrix, slope = cost.copy(), cost @ x
-        for (error, rates), weight in zip(parts, 0.5 + 0.5 * errors / errors.mean(), strict=True):
-            scale = weight / (samples * METRIC_POINTS * lgb**2)
-            matrix += scale * rates.T @ rates
-            slope += scale * rates.T @ error
-        step = -np.linalg.solve(matrix, slope)
-        x = x + step * min(1.0, radius / np.abs(step).max())
-    if history[0] - best[2].mean() < _WORTH:
-        best = best[0], np.zeros_like(x), best[2]
-    corrected = corrections.apply(best[1])
-    expected = None
+            progress(count / most)
+
+    x, history = np.zeros(3 * corrections.count), []
+    for how, count in rounds:
+        best = problem.at(how, x)
+        history.append(float(best.errors.mean()))
+        best = _descend(best, partial(problem.at, how), count - 1, history)
+        x, left = best.values, float(best.errors.mean())
+        done(count)
+    corrected = corrections.apply(x)
+    plain = history[0] - left > _PLAIN
+    expected, kept = None, True
     if judge:
-        expected = expect(pattern, rod, corrected, spread, hold=hold, device=device)
-    if progress is not None:
-        progress(1.0 / (iterations + 1))
+        candidates = [corrected] if plain else [corrected, trajectory]
+        expected, *others = expect_each(pattern, rod, candidates, spread, hold=hold, device=device)
+        kept = plain or is_better(expected, others[0])
+        if not kept:
+            corrected, x, expected = corrections.apply(0.0 * x), 0.0 * x, others[0]
+    done(2)
     said = {
         "friction": list(spread.friction),
-        "iterations": iterations,
+        "iterations": len(history),
         "errors": history,
-        "largest_correction": float(lgb * np.abs(corrections.basis @ best[1].reshape(-1, 3)).max()),
+        "kept": kept,
+        "largest_correction": float(lgb * np.abs(corrections.basis @ x.reshape(-1, 3)).max()),
     }
     metadata = {**corrected.metadata, "optimised": said, "expected": expected}
     return replace(corrected, metadata=metadata)
 
 
+@dataclass(frozen=True)
+class _State:
+    """What corrections `values` come to: mean errors (rod,) [m], their measure, and the matrix and
+    the slope of its quadratic model."""
+
+    values: np.ndarray
+    errors: np.ndarray
+    measure: float
+    matrix: np.ndarray
+    slope: np.ndarray
+
+
+class _Problem:
+    """The squared errors of a sample of rods, and what corrections cost, near some corrections."""
+
+    def __init__(self, pattern, rod, corrections: Corrections, spread, samples, hold, device):
+        self.pattern, self.rod, self.corrections = pattern, rod, corrections
+        self.spread, self.samples = spread, samples
+        self.options = {"hold": hold, "device": device}
+        self.cost = corrections.cost(_SIZE, _ROUGHNESS)
+
+    def at(self, how: dict, values: np.ndarray) -> _State:
+        laid = laid_sample(
+            self.pattern, self.rod, self.corrections, self.spread, values,
+            samples=self.samples, **self.options, **how,
+        )  # fmt: skip
+        parts = [misplacement(self.pattern, one) for one in laid]
+        errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
+        errors[[one.diverged for one in laid]] = np.inf
+        matrix, slope = self.cost.copy(), self.cost @ values
+        if np.isfinite(errors).all():
+            weights = 0.5 + 0.5 * errors / max(errors.mean(), 1e-12)
+            for (error, rates), weight in zip(parts, weights, strict=True):
+                scale = weight / (len(parts) * METRIC_POINTS * self.corrections.lgb**2)
+                matrix += scale * rates.T @ rates
+                slope += scale * rates.T @ error
+        return _State(values, errors, 0.5 * float(errors.mean() + errors.max()), matrix, slope)
+
+
 def laid_sample(
     pattern: Pattern,
-    rod: RodMaterial,
+    rod: RodModel | RodMaterial,
     corrections: Corrections,
     spread: Spread,
     values: np.ndarray,
     *,
-    samples: int = 3,
+    samples: int = 2,
     hold: float = 0.05,
     device: str | None = "cpu",
+    **how,
 ) -> list[Laid]:
     """The rods that cover a spread, laid by a corrected path, with their derivatives by each of the
-    corrections' values (3 count,) [L_gb]."""
+    corrections' values (3 count,) [L_gb]; `how` as for `lay`, by default on coarse meshes."""
     now = corrections.apply(values)
     rest = tail(pattern, rod, now)
     return lay(
         [
-            Trial(pattern, held, now, law, how, rest)
-            for held, law, how in spread.sample(samples, rod)
+            Trial(pattern, held, now, law, told, rest)
+            for held, law, told in spread.sample(samples, rod)
         ],
         [Directions.of_path(corrections.columns())] * samples,
         hold=hold,
         device=device,
-        **_edged(COARSE, _COARSE_EDGE * rod.gravito_bending_length),
+        tolerance=TOLERANCE,
+        **(how or edged(COARSE, COARSE_EDGE * rod.gravito_bending_length)),
     )
 
 
-def expect(
-    pattern: Pattern,
-    rod: RodMaterial,
-    trajectory: Trajectory,
-    friction: float | tuple[float, float] | Spread,
-    *,
-    trials: int = _UNSEEN,
-    hold: float = 0.05,
-    device: str | None = "cpu",
-) -> dict:
-    """What a trajectory is to be expected to do on a table: disturbed rods, laid in simulation.
-
-    The disturbances are those of a careful laboratory (`Disturbance.random`), placement and jitter
-    included; friction runs from the least to the largest.
-
-    Returns:
-        Plain JSON values: friction (trials,) [-]; error_mean (trials,), their mean and deviation
-        "mean", "deviation" [m]; "slides": stretches (from, to) of the pattern's arc length [m]
-        where the rod slides by more than 1 mm in half of the trials; "off": stretches that lie more
-        than 5 mm from the pattern in any, each with the friction from which on it does not in any
-        trial (None: in none of them); diverged: how many did.
-    """
-    spread = Spread.of(friction)
-    mus = np.linspace(*spread.friction, trials)
-    rest = tail(pattern, rod, trajectory)
-    laid = lay(
-        [
-            Trial(pattern, rod, trajectory, Friction(mu), Disturbance.random(_FIRST_SEED + k), rest)
-            for k, mu in enumerate(mus.tolist())
-        ],
-        hold=hold,
-        device=device,
-        **_edged(FINE, _FINE_EDGE * rod.gravito_bending_length),
-    )
-    error = np.array([np.hypot(*misplacement(pattern, one)[0].reshape(2, -1)) for one in laid])
-    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
-    slid = np.array([np.interp(s + pattern.remainder_length, x.arc_length, x.slip) for x in laid])
-    off = []
-    for start, stop in _stretches(s, np.any(error > _OFF, axis=0)):
-        inside = (s >= start) & (s <= stop)
-        bad = (error[:, inside] > _OFF).any(axis=1)
-        last = int(np.flatnonzero(bad)[-1])
-        off.append([start, stop, float(mus[last + 1]) if last + 1 < trials else None])
-    means = error.mean(axis=1)
-    return {
-        "friction": mus.tolist(),
-        "error_mean": means.tolist(),
-        "mean": float(means.mean()),
-        "deviation": float(means.std()),
-        "slides": _stretches(s, np.mean(slid > _SLID, axis=0) >= 0.5),
-        "off": off,
-        "diverged": int(sum(one.diverged for one in laid)),
-    }
-
-
-def _edged(how: dict[str, Any], longest: float) -> dict[str, Any]:
-    """Options of `lay` with edges of at most that length [m]."""
-    return {**how, "spacing": min(how["spacing"], longest)}
-
-
-def _stretches(s: np.ndarray, chosen: np.ndarray) -> list[list[float]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(int), [0]])))
-    return [[float(s[i]), float(s[j - 1])] for i, j in zip(edges[::2], edges[1::2], strict=True)]
-
-
-class Corrections:
-    """Smooth displacements of a trajectory's positions: cubic splines over the laid length, in the
-    frame of the contact (forward, left, up) and in L_gb."""
-
-    def __init__(self, pattern: Pattern, trajectory: Trajectory, lgb: float, first: float):
-        s = trajectory.arc_length
-        on = np.clip(trajectory.pattern_arc_length, -pattern.remainder_length, pattern.length)
-        tangent = pattern.sample(on)[1]
-        up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
-        self.frame = np.stack([tangent, np.cross(up, tangent), up], axis=-1)
-        pieces = max(int(np.ceil((s[-1] - first) / (_KNOTS * lgb))), 2)
-        inner = np.linspace(first, s[-1], pieces + 1)
-        knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
-        self.basis = BSpline.design_matrix(np.clip(s, first, s[-1]), knots, 3).toarray()
-        self.count, self.lgb, self.trajectory = self.basis.shape[1], lgb, trajectory
-
-    def displacement(self, values: np.ndarray) -> np.ndarray:
-        """(T, 3) displacement [m] in the world frame, of values (3 count,) [L_gb]."""
-        return self.lgb * np.einsum("tij,tk,kj->ti", self.frame, self.basis, values.reshape(-1, 3))
-
-    def columns(self) -> np.ndarray:
-        """(3 count, T, 6) displacement of the poses by each value [m/L_gb]."""
-        rates = self.lgb * np.einsum("tij,tk->kjti", self.frame, self.basis)
-        return np.pad(rates.reshape(-1, *rates.shape[2:]), ((0, 0), (0, 0), (0, 3)))
-
-    def cost(self, size: float, roughness: float) -> np.ndarray:
-        """(3 count, 3 count) matrix of the quadratic cost of corrections."""
-        second = np.diff(np.eye(self.count), 2, axis=0)
-        one = size / self.count * np.eye(self.count) + roughness * second.T @ second
-        return np.kron(one, np.eye(3))
-
-    def apply(self, values: np.ndarray) -> Trajectory:
-        """The trajectory with corrected positions; the forces of its grasps no longer hold."""
-        return moved(self.trajectory, self.displacement(values))
-
-
-def moved(trajectory: Trajectory, displacement: np.ndarray) -> Trajectory:
-    """The trajectory with positions displaced by (T, 3) [m], and the shapes of its rod with them;
-    the forces of its grasps no longer hold."""
-    shape = trajectory.shape
-    if shape is not None:
-        share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
-        shape = shape + share[None, :, None] * displacement[:, None]
-    return replace(
-        trajectory,
-        position=trajectory.position + displacement,
-        force=np.full_like(trajectory.force, np.nan),
-        shape=shape,
-        metadata={**trajectory.metadata, "contact_friction": None},
-    )
-
-
-def misplacement(pattern: Pattern, laid: Laid) -> tuple[np.ndarray, np.ndarray]:
-    """(2 x 50,) horizontal displacement of what lies at the points of the metric [m], and (2 x 50,
-    column) its derivatives."""
-    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
-    target = pattern.sample(s)[0][:, :2]
-    weights = interpolation(s + pattern.remainder_length, laid.arc_length)
-    error = (weights @ laid.centerline[:, :2] - target).T.ravel()
-    rates = np.einsum("pn,cnd->dpc", weights, laid.tangent[:, :, :2])
-    return error, rates.reshape(2 * len(s), -1)
+def _descend(
+    best: _State, at: Callable[[np.ndarray], _State], count: int, history: list[float]
+) -> _State:
+    """The best of so many steps from there; `history` gets their mean errors."""
+    radius = _STEP
+    for _ in range(count):
+        step = -np.linalg.solve(best.matrix, best.slope)
+        length = float(np.abs(step).max())
+        tried = at(best.values + step * min(1.0, radius / max(length, 1e-12)))
+        history.append(float(tried.errors.mean()))
+        if tried.measure < best.measure:
+            enough = tried.measure > _DONE * best.measure
+            best = tried
+            if enough:
+                break
+        else:
+            radius = _SHORTER * min(radius, length)
+            if not radius > _SHORTEST:
+                break
+    return best

@@ -14,7 +14,7 @@ from wrod.errors import PatternError, RodError
 from wrod.grasps.mesh import rest_lengths
 from wrod.grasps.optimal import solve_grasps
 from wrod.patterns.pattern import Pattern
-from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
+from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -26,9 +26,6 @@ _COARSE_RATIO = 3.0
 _APPROACH, _REST, _FALL = 1.0, 0.8, 1.2
 # More of them for every whole turn that the grip twists the rod by before it deploys.
 _TURN = 2.0
-_TAIL_SPACING = 0.01
-# Length over which a tail straightens after a pattern that ends in a bend, in L_gb.
-_STRAIGHTEN = 3.0
 
 
 # Standard deviations of a careful laboratory [m, -, m, rad, 1/m].
@@ -114,77 +111,6 @@ def mesh(rod: RodModel | RodMaterial, laid: float, spacing: float, node_count: i
     edges = int(np.ceil(measure / spacing)) if node_count is None else node_count - 1
     at = np.linspace(0.0, measure, edges + 1)
     return np.where(at <= fine, at, fine + _COARSE_RATIO * (at - fine))
-
-
-@dataclass(frozen=True)
-class Tail:
-    """How the grip goes on after the pattern: straight ahead, until 1 L_gb is left.
-
-    laid (T,) laid length [m], position (T, 3), rotation (T, 3, 3); the first entry is the
-    trajectory's last pose.
-    """
-
-    laid: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
-
-
-def tail(pattern: Pattern, rod: RodModel | RodMaterial, trajectory: Trajectory) -> Tail:
-    """The tail is laid by the same method along the pattern's end tangent, after a bend that
-    straightens out.
-
-    A grip goes on as it was planned: by grasps of the rod that the trajectory was planned for, of
-    the length that `rod` has, whatever else `rod` is. Where the trajectory does not say its rod,
-    by those of `rod`.
-    """
-    rod = replace(trajectory.rod or rod, length=rod.length)
-    lgb = rod.gravito_bending_length
-    start = float(trajectory.arc_length[-1])
-    length = rod.length - MIN_SUSPENDED_LENGTH * lgb - start
-    count = max(int(np.ceil(length / _TAIL_SPACING)), 1) + 1
-    s = np.linspace(0.0, max(length, 0.0), count)
-    (corner,), (tangent,), (bend,) = pattern.sample(pattern.length)
-    x = np.clip(s / (_STRAIGHTEN * lgb), 0.0, 1.0)
-    ease = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-    curvature = bend * (1.0 - ease)
-    heading = np.arctan2(tangent[1], tangent[0]) + _integrate(curvature, s)
-    frame = Rotation.from_euler("z", heading[:, None]).as_matrix()
-    contact = corner + np.column_stack(
-        [_integrate(np.cos(heading), s), _integrate(np.sin(heading), s), np.zeros(count)]
-    )
-    method = trajectory.metadata.get("method", "numeric")
-    if method == "neural":
-        method = "auto"  # a tail is shorter in the end than what the controller was trained for
-    poses = SOURCES[method](
-        GraspInputs.of(
-            rod,
-            rod.length - start - s,
-            curvature,
-            roll=trajectory.roll,
-            closure=trajectory.metadata.get("closure") or "zero_tension",
-            device="cpu",
-        )
-    )
-    position = contact + lgb * np.einsum("tij,tj->ti", frame, poses.position)
-    rotation = frame @ Rotation.from_rotvec(poses.rotation).as_matrix()
-    # A corrected trajectory ends beside its grasp: the correction fades out with the bend.
-    position += (1.0 - ease)[:, None] * (trajectory.position[-1] - position[0])
-    turn = Rotation.from_matrix(trajectory.rotation[-1] @ rotation[0].T).as_rotvec()
-    rotation = Rotation.from_rotvec((1.0 - ease)[:, None] * turn).as_matrix() @ rotation
-    good = np.isfinite(position).all(axis=1)
-    if poses.converged is not None:
-        good &= poses.converged
-    good[0] = False
-    return Tail(
-        np.concatenate([[start], start + s[good]]),
-        np.concatenate([trajectory.position[-1:], position[good]]),
-        np.concatenate([trajectory.rotation[-1:], rotation[good]]),
-    )
-
-
-def _integrate(values: np.ndarray, s: np.ndarray) -> np.ndarray:
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(s)
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 @dataclass(frozen=True)

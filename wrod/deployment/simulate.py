@@ -19,15 +19,14 @@ from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import (
     Disturbance,
     Setup,
-    Tail,
     disturb,
     mesh,
     prepare_deployment,
-    tail,
 )
 from wrod.errors import RodError
 from wrod.machine import require_memory
 from wrod.patterns.pattern import Pattern
+from wrod.planning.tail import Tail, tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.batch import RodBatch
 from wrod.rods.device import resolve_device

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import tempfile
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from wrod.errors import DataError
 
 # The last of what was written whole, for the message of a command that ends early.
 _FINISHED: deque[Path] = deque(maxlen=1000)
@@ -20,8 +23,14 @@ def write_atomically(
     """Call `write(file)` on a temporary file beside `path`, then move it there.
 
     A reader, or a process killed half-way, never sees a half-written file. `finished` knows of it.
+    What a link points to is written, the link stays.
+
+    Raises:
+        DataError: a folder, device, pipe or socket stands there.
+        OSError: it cannot be written.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path))
+    refuse_no_file(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
@@ -35,6 +44,17 @@ def write_atomically(
         raise
     _FINISHED.append(path)
     return path
+
+
+def refuse_no_file(path: str | os.PathLike[str]) -> None:
+    """Raise a DataError if what stands there is no regular file, which a move would replace."""
+    try:
+        mode = os.stat(path).st_mode
+    except FileNotFoundError:
+        return
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a device, pipe or socket"
+        raise DataError(f"{path}: is {kind}, and a file is to be written there; choose another")
 
 
 def finished() -> list[Path]:

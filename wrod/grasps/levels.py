@@ -6,10 +6,12 @@ Nothing here asks the device anything: every method launches and returns. Dimens
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import warp as wp
 
+from wrod.kernels.compiling import compile_together
 from wrod.kernels.grasping import iteration, mesh, reading, sensitivity
 from wrod.kernels.grasping.closures import CONVERGED
 from wrod.kernels.grasping.scratch import Scratch
@@ -23,8 +25,8 @@ _MAX_ITERATIONS = 400
 _FIRST_INCREMENT = 0.5
 # A ladder starts on this many edges or more.
 _COARSEST = 32
-# Threads a block on a GPU: few, so that finished blocks make room.
-_BLOCK = 32
+# Threads a block on a GPU: few, so that finished blocks make room; and where they all take as long.
+_BLOCK, _WIDE_BLOCK = 32, 256
 
 
 def per_rod(device: str, rods: int, *shape: int) -> wp.array:
@@ -65,6 +67,15 @@ def make_task(
     task.step_limit, task.patience = _STEP_LIMIT, _PATIENCE
     task.most_iterations = _MAX_ITERATIONS
     return task
+
+
+@cache
+def compile_kernels(device: str, sensitivities: bool) -> None:
+    """Compile what grasps of straight rods need, side by side, and once for all threads."""
+    launches = [(iteration.solve_straight, _BLOCK), (mesh.refine, _BLOCK)]
+    launches += [(mesh.lay_mesh, _WIDE_BLOCK), (reading.judge, _WIDE_BLOCK)]
+    launches += [(sensitivity.find_sensitivities, _BLOCK)] if sensitivities else []
+    compile_together(device, launches)
 
 
 class WorkList:

@@ -18,7 +18,7 @@ from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.general import curved_rods, solve_general
 from wrod.grasps.inputs import LIMITS, GraspArrays, GraspOptions, closure_number
-from wrod.grasps.levels import Ladder
+from wrod.grasps.levels import Ladder, compile_kernels
 from wrod.grasps.results import SENSITIVITIES, Grasps, empty_results
 from wrod.grasps.solver import held_batch
 from wrod.kernels.grasping.reading import Results
@@ -120,6 +120,7 @@ def _solve_straight(inputs: GraspArrays, sensitivities: bool, options: GraspOpti
     workers = 1 if device != "cpu" else (options.threads or os.cpu_count() or 1)
     size = _CPU_CHUNK if device == "cpu" else _CUDA_CHUNK
     size = max(1, min(size, -(-rods // workers)))
+    compile_kernels(device, sensitivities)
     spare: queue.SimpleQueue[Ladder] = queue.SimpleQueue()
     for _ in range(min(workers, -(-rods // size))):
         spare.put(_ladder(size, edges, device, sensitivities))

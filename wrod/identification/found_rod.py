@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from wrod.identification.effect import Model
 from wrod.rods.law import Law, Linear, Softening
@@ -91,9 +92,12 @@ def rod_of(setup, arc_length: np.ndarray, *, like: RodModel, line_mass: float = 
 
     first, second = np.real(setup.bending).T
     left, up = setup.natural_curvature.T
+    law, stiffer = _law(np.real(setup.softening)), 1.0
+    if len(terms := np.real(getattr(setup, "law", ()))):
+        stiffer, law = _nearest_softening(*terms.T)
     return replace(
         like,
-        bending_stiffness=(along(first, line_mass), along(second, line_mass)),
+        bending_stiffness=(along(stiffer * first, line_mass), along(stiffer * second, line_mass)),
         twisting_stiffness=along(setup.twisting, line_mass),
         stretching_stiffness=along(setup.stretching, line_mass, middle),
         line_mass=along(setup.line_mass, line_mass),
@@ -101,7 +105,7 @@ def rod_of(setup, arc_length: np.ndarray, *, like: RodModel, line_mass: float = 
         natural_curvature=(along(left), along(up)),
         natural_twist=along(setup.natural_twist),
         point_masses=_lumps(s, line_mass * np.real(setup.node_mass), like.length),
-        law=_law(np.real(setup.softening)),
+        law=law,
         internal_damping=mean(getattr(setup, "viscous_time", 0.0)),
         air_damping=mean(getattr(setup, "linear_drag", 0.0)),
         quadratic_drag=mean(getattr(setup, "quadratic_drag", 0.0)),
@@ -111,6 +115,23 @@ def rod_of(setup, arc_length: np.ndarray, *, like: RodModel, line_mass: float = 
 def _law(softening: np.ndarray) -> Law:
     c, r = softening.mean(axis=0)
     return Softening(float(c**-0.5), float(r)) if c > 0.0 else Linear()
+
+
+def _nearest_softening(c: np.ndarray, p: np.ndarray) -> tuple[float, Law]:
+    """(factor of the stiffness, softening) whose moments are nearest to those of a law of (J,)
+    terms, up to the largest curvature of its terms: what a rod's description can carry of it."""
+    top = c.min() ** -0.5
+    k = np.linspace(0.0, top, 200)
+    x = c * k[:, None] ** 2
+    moment = k * (1.0 - (p * x / (1.0 + x)).sum(axis=1))
+
+    def away(v):
+        kept = np.exp(v[1])
+        return np.exp(v[2]) * k * (kept + (1 - kept) / (1 + (k / np.exp(v[0])) ** 2)) - moment
+
+    tried = [least_squares(away, [np.log(0.3 * top), np.log(r), 0.0]) for r in (0.4, 1.5)]
+    critical, kept, factor = np.exp(min(tried, key=lambda f: f.cost).x)
+    return float(factor), Softening(float(critical), float(kept))
 
 
 def _lumps(s: np.ndarray, mass: np.ndarray, length: float) -> tuple[tuple[float, float], ...]:

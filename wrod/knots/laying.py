@@ -9,9 +9,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from wrod.deployment.grip_path import KEY_INTERVAL
-from wrod.deployment.setup import disturb, prepare_deployment, tail
+from wrod.deployment.setup import disturb, prepare_deployment
 from wrod.knots.tying_run import TyingRun, laying_of
 from wrod.knots.workbench import Poses, Workbench
+from wrod.planning.tail import tail
 
 # Length of the edges over the rod's radius: rods in contact want edges no longer than thick.
 _EDGE = 2.0

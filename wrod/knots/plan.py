@@ -27,7 +27,8 @@ from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import read_json, schemas
 from wrod.patterns.pattern import Pattern
-from wrod.rods.material import RodMaterial, rod
+from wrod.rods.catalogue import rod
+from wrod.rods.material import RodMaterial
 
 
 @dataclass(frozen=True)

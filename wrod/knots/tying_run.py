@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.deployment.grip_path import smooth_noise
+from wrod.deployment.plan import plan
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import with_remainder_of
 from wrod.knots.fingers import REACH, holding_force
@@ -17,7 +18,6 @@ from wrod.knots.topology import recognise_knot, recognise_pair
 from wrod.knots.trials import Handling, TyingResult
 from wrod.knots.workbench import TICK, Poses, Workbench
 from wrod.patterns.pattern import Pattern
-from wrod.planning.plan import plan
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Friction

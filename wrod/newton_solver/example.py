@@ -21,7 +21,7 @@ import numpy as np
 import warp as wp
 
 from wrod.newton_solver import SolverDER
-from wrod.rods.material import rod
+from wrod.rods.catalogue import rod
 
 _SPACING = 0.006
 _TABLE = 0.4  # height of its top [m]

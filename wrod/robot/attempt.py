@@ -98,7 +98,7 @@ class Task:
                 best = solution
         return best
 
-    def nearby(self, branch: Branch, fixed: bool, seed: int = 0) -> Branch:
+    def nearby(self, branch: Branch, fixed: bool, seed: int = 0, rounds: int = _ROUNDS) -> Branch:
         """A better branch near one: place, yaw, roll and grip angle varied, ever less.
 
         Args:
@@ -107,7 +107,7 @@ class Task:
         rng = np.random.default_rng(seed)
         scale = _NEAR * np.array([not fixed] * 3 + [1, 1] + [self.free_height and not fixed])
         best, value = branch, self.cost(branch)
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             place, grip = best.placement, best.grip
             choices = []
             for x, y, yaw, roll, angle, z in rng.normal(size=(_AROUND, 6)) * scale / 2:

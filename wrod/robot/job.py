@@ -1,9 +1,10 @@
 """The whole job of an arm: from a neutral pose to the rod, grasp, lay, release, and back again.
 
-The rod is presented as the plan begins: it hangs from its end at the first pose of the grip. The
-hand comes to it along its fingers, closes, lays the rod, opens, moves back along its fingers and
-returns. What the hand does not hold is kept clear of: the arm's links, the table, the obstacles,
-and the rod as it hangs.
+The rod is presented as the plan begins: it hangs at the first pose of the grip from the clip of a
+stand, which is taken away once the hand has it. The hand comes along its fingers, closes, lays the
+rod and, straight ahead, what is left of it; opens, moves back along its fingers and returns. What
+the hand does not hold is kept clear of: the arm's links, the table, the obstacles, the stand, and
+the rod as it hangs.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from wrod.robot.holds import Hand
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import refine, solve_poses
 from wrod.robot.placement import contact_in_base, reach
+from wrod.robot.stand import stands
+from wrod.robot.tail import LaidTail, tails
 from wrod.robot.timing import schedule
 from wrod.robot.transfer import Leg, Way, find_way
 
@@ -34,16 +37,18 @@ _LIMIT_ROOM = 0.1  # [rad] of a neutral pose from the joints' limits
 _LOOKED_AT, _NEUTRALS = 120, 6  # neutral poses that are checked, and from which ways are sought
 GRASP_TIME = 1.0  # [s] the hand stands still while it closes, and while it opens
 _BESIDE_ROD, _IN_AIR = 0.08, 0.25  # [m/s] of the hand
-PHASES = ("approach", "grasp", "lay", "release", "retreat")
+PHASES = ("approach", "grasp", "lay", "tail", "release", "retreat")
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """Joint positions (T, n) [rad] and velocities (T, n) [rad/s] at a fixed rate."""
+    """Joint positions (T, n) [rad] and velocities (T, n) [rad/s] at a fixed rate, and the length
+    of rod that lies: (T,), or the same throughout [m]."""
 
     phase: str
     positions: np.ndarray
     velocities: np.ndarray
+    laid: np.ndarray | float
 
 
 def with_job(path: JointPath, task: Task) -> JointPath:
@@ -55,42 +60,74 @@ def with_job(path: JointPath, task: Task) -> JointPath:
 
     Returns:
         The path from and to a neutral pose. `metadata["phases"]` lists name, start and end [s] of
-        `PHASES`, `metadata["neutral"]` the joint positions of that pose [rad]. Its nodes' times are
-        later by what comes before.
+        `PHASES`, without "tail" where nothing of it can be laid; `metadata["neutral"]` are the
+        joint positions of that pose [rad], `metadata["stand"]` the capsules of the stand: start
+        and end in the table's frame and radius [m]; without it there is no room for one. The
+        nodes' times are later by what comes before.
 
     Raises:
         RobotError: there is no neutral pose, or no way between it and the rod.
     """
     arm = Arm(task.robot, task.model, Hand.of(task.model), path.placement)
     rate = float(path.metadata["rate"])
-    neutral, there, back = _ways(arm, task, path.positions[0], path.positions[-1])
+    neutral, there, back, tail, stand = _ways(arm, task, path)
+    first, end = path.arc_length[[0, -1]]
+    last = path.positions[-1:] if tail is None else tail.positions[-1:]
+    left = end if tail is None else tail.arc_length[-1]
     still = np.zeros_like(path.positions[:1])
-    wait = max(1, round(GRASP_TIME * rate))
+    wait = max(1, round(GRASP_TIME * rate)) + 1
     pieces = [
-        *_played("approach", task.robot, there, rate),
-        _Piece("grasp", np.repeat(path.positions[:1], wait + 1, axis=0), still.repeat(wait + 1, 0)),
-        _Piece("lay", path.positions, path.velocities),
-        _Piece(
-            "release", np.repeat(path.positions[-1:], wait + 1, axis=0), still.repeat(wait + 1, 0)
-        ),
-        *_played("retreat", task.robot, back, rate),
+        *_played("approach", task.robot, there, rate, first),
+        _Piece("grasp", path.positions[:1].repeat(wait, 0), still.repeat(wait, 0), first),
+        _Piece("lay", path.positions, path.velocities, path.arc_length),
+        _Piece("release", last.repeat(wait, 0), still.repeat(wait, 0), left),
+        *_played("retreat", task.robot, back, rate, left),
     ]
-    return _joined(path, pieces, rate, neutral)
+    if tail is not None:
+        laid = _Piece("tail", tail.positions, tail.velocities, tail.arc_length)
+        pieces.insert([piece.phase for piece in pieces].index("release"), laid)
+    return _joined(path, pieces, rate, {"neutral": [float(q) for q in neutral], "stand": stand})
 
 
-def _ways(arm: Arm, task: Task, first, last) -> tuple[np.ndarray, Way, Way]:
-    """Neutral pose (n,) [rad], way from it to the first pose, and from the last pose to it.
+def _ways(arm: Arm, task: Task, path: JointPath):
+    """Neutral pose (n,) [rad], way from it to the first pose, way back to it from where the hand
+    opens, the `LaidTail` before that or None, and the stand's capsules or None.
 
     Raises:
         RobotError: there is no such pose, or none with a way.
     """
-    before, after = (_around(arm, task, node) for node in (0, -1))
-    poses = neutral_poses(arm, task, first, last, [o for o in (before, after) if o is not None])
-    if len(poses) == 0:
+    first = path.positions[0]
+    start, end, radius = arm.capsules(first[None])
+    stand = next(iter(stands(task.trajectory, (start[0], end[0], radius))), None)
+    found, where = None, "first"
+    laid: list[LaidTail | None] = [*tails(path, task), None]
+    for tail in laid:
+        last = path.positions[-1] if tail is None else tail.positions[-1]
+        after = _around(arm, task if tail is None else tail.task, -1)
+        found, where = _between(arm, task, first, last, _around(arm, task, 0, stand), after)
+        if where == "first" and stand is not None:
+            stand = None
+            found, where = _between(arm, task, first, last, _around(arm, task, 0), after)
+        if found is not None:
+            return *found, tail, stand
+        if where == "first":
+            break
+    if where is None:
         raise RobotError(
             f"an arm at {arm.placement} has no neutral pose beside the table; place it nearer"
         )
-    where = "first"
+    raise RobotError(
+        f"no way between a neutral pose and the {where} pose of the grip keeps clear of the arm, "
+        "the table, the obstacles and the hanging rod; move the pattern with placement, or the "
+        "obstacles"
+    )
+
+
+def _between(arm: Arm, task: Task, first, last, before, after):
+    """Neutral pose, way there and way back, and None; or None and the pose of the grip, "first" or
+    "last", to which there is none, or None where there is no neutral pose."""
+    poses = neutral_poses(arm, task, first, last, [o for o in (before, after) if o is not None])
+    where = None if len(poses) == 0 else "first"
     for neutral in poses[:_NEUTRALS]:
         there = find_way(arm, neutral, first, leave=False, arrive=True, other=before)
         if there is None:
@@ -98,12 +135,8 @@ def _ways(arm: Arm, task: Task, first, last) -> tuple[np.ndarray, Way, Way]:
         where = "last"
         back = find_way(arm, last, neutral, leave=True, arrive=False, other=after)
         if back is not None:
-            return neutral, there, back
-    raise RobotError(
-        f"no way between a neutral pose and the {where} pose of the grip keeps clear of the arm, "
-        "the table, the obstacles and the hanging rod; move the pattern with placement, or the "
-        "obstacles"
-    )
+            return (neutral, there, back), None
+    return None, where
 
 
 def neutral_poses(arm: Arm, task: Task, first, last, around: list) -> np.ndarray:
@@ -148,10 +181,15 @@ def neutral_poses(arm: Arm, task: Task, first, last, around: list) -> np.ndarray
     return q[clear]
 
 
-def _around(arm: Arm, task: Task, node: int):
+def _around(arm: Arm, task: Task, node: int, stand: list | None = None):
     """Capsules (1, C, 3), (1, C, 3), (C,) in the table's frame of what stands in the way, or
     None."""
     starts, ends, radii = [], [], []
+    if stand is not None:
+        start, end, radius = zip(*stand, strict=True)
+        starts.append(np.array(start))
+        ends.append(np.array(end))
+        radii.append(np.array(radius))
     hanging = hanging_rod(task.trajectory)
     if hanging is not None:
         points = hanging[node]
@@ -169,9 +207,9 @@ def _around(arm: Arm, task: Task, node: int):
     return np.concatenate(starts)[None], np.concatenate(ends)[None], np.concatenate(radii)
 
 
-def _played(phase: str, robot, way: Way, rate: float) -> list[_Piece]:
+def _played(phase: str, robot, way: Way, rate: float, laid: float) -> list[_Piece]:
     """The legs of a way, each from rest to rest within the limits of every joint."""
-    return [_Piece(phase, *_timed(robot, leg, rate)) for leg in way.legs]
+    return [_Piece(phase, *_timed(robot, leg, rate), laid) for leg in way.legs]
 
 
 def _timed(robot, leg: Leg, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -197,44 +235,36 @@ def _timed(robot, leg: Leg, rate: float) -> tuple[np.ndarray, np.ndarray]:
     return spline(travel), spline(travel, 1) * pace[:, None]
 
 
-def _joined(path: JointPath, pieces: list[_Piece], rate: float, neutral) -> JointPath:
+def _joined(path: JointPath, pieces: list[_Piece], rate: float, said: dict) -> JointPath:
     """One path of pieces that end where the next begins; that point is there once."""
-    positions, velocities, phases, count = [], [], [], 0
-    laid_at = 0
+    positions, velocities, laid, phases, count = [], [], [], [], 0
+    before = 0
     for number, piece in enumerate(pieces):
         first = 0 if number == 0 else 1
         start = max(count - 1, 0)
         if piece.phase == "lay":
-            laid_at = start
+            before = start
         positions.append(piece.positions[first:])
         velocities.append(piece.velocities[first:])
+        laid.append(np.broadcast_to(piece.laid, len(piece.positions))[first:])
         count += len(piece.positions) - first
         if phases and phases[-1]["name"] == piece.phase:
             phases[-1]["end"] = (count - 1) / rate
         else:
             phases.append({"name": piece.phase, "start": start / rate, "end": (count - 1) / rate})
-    before = laid_at
-    after = count - before - len(path.time)
-    arc = np.concatenate(
-        [
-            np.full(before, path.arc_length[0]),
-            path.arc_length,
-            np.full(after, path.arc_length[-1]),
-        ]
-    )
     metadata = {
         **path.metadata,
         "lay_duration": path.metadata["duration"],
         "duration": (count - 1) / rate,
         "phases": phases,
-        "neutral": [float(q) for q in neutral],
+        **{name: value for name, value in said.items() if value is not None},
     }
     return replace(
         path,
         time=np.arange(count) / rate,
         positions=np.concatenate(positions),
         velocities=np.concatenate(velocities),
-        arc_length=arc,
+        arc_length=np.concatenate(laid),
         node_time=path.node_time + before / rate,
         metadata=metadata,
     )

@@ -7,9 +7,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from wrod.errors import RobotError
-from wrod.robot.solve import UnreachedError, attempt
+from wrod.robot.model import ROBOTS, load_robot
+from wrod.robot.solve import UnreachedError, attempt, turning
+from wrod.robot.tail import FINGERS
 
-FINGERS = 0.012  # [m] from the grasp point to the outside of the gripper's fingers
+_TURN_ROOM = 0.2  # [rad] that a last joint should have left
 _STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
 
 
@@ -117,7 +119,21 @@ def draw_reach(path, failed: UnreachedError):
 
 
 def remedies(failed: UnreachedError, rod, pattern_length: float, candidates) -> Iterator[dict]:
-    """What to try, most likely first: {"resize" | "table_height" | "hold": value}."""
+    """What to try, most likely first: {"resize" | "table_height" | "hold" | "remainder" | "robot":
+    value}. Where the pattern turns the hand further than its joint, less turning comes first and
+    arms whose last joint turns further come last."""
+    turned, room = turning(failed.task)
+    if turned > room and failed.task.trajectory.metadata.get("remainder_length", 0.0) > 0.0:
+        yield {"remainder": False}
+    yield from _others(failed, rod, pattern_length, candidates)
+    if turned > room:
+        for name in ROBOTS:
+            last = load_robot(name)
+            if last.upper[-1] - last.lower[-1] > turned + _TURN_ROOM:
+                yield {"robot": name}
+
+
+def _others(failed: UnreachedError, rod, pattern_length: float, candidates) -> Iterator[dict]:
     share = low_end(failed.task.trajectory, failed.task.clearance)
     if share is not None:
         # Not as short as possible: the next millimetres are as low.

@@ -40,6 +40,7 @@ class UnreachedError(RobotError):
 
 _LOST = 0.3  # [m] miss of the nearest branch from which on other grip angles are not tried
 _REFINED = 4  # branches that are varied where none was good enough as it was
+_DEEPER, _ROUNDS = 5, 8  # further searches near the best of them, and their rounds
 
 
 @arguments.checked(
@@ -126,7 +127,7 @@ def solve_joint_path(
             GripPath(trajectory),
             limit_margin,
             clearance,
-            rod_radius,
+            float(rod_radius),
             None if obstacles is None else obstacles.capsules(),
             fixed is None and table_height is None,
         )
@@ -182,6 +183,12 @@ def attempt(task: Task, places: list[Placement], angles, fixed: bool) -> Solutio
             return best  # no turn of the gripper makes up for that
     for branch in sorted(promising, key=task.cost)[:_REFINED]:
         found = task.finish(task.nearby(branch, fixed))
+        if found.report.shortfall < best.report.shortfall:
+            best = found
+        if best.report.problem is None:
+            return best
+    for seed in range(_DEEPER):
+        found = task.finish(task.nearby(best.branch, fixed, seed, _ROUNDS))
         if found.report.shortfall < best.report.shortfall:
             best = found
         if best.report.problem is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import warp as wp
 
@@ -37,7 +39,9 @@ class BatchArrays:
     stretching_stiffness: wp.array
     bending_stiffness: wp.array
     twisting_stiffness: wp.array
+    natural_curvature: wp.array
     energies: list[tuple[wp.Kernel, wp.array]]
+    layers: list[tuple[wp.array, wp.array]]
     cut_edges: tuple[int, ...]
 
     def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
@@ -61,6 +65,34 @@ class BatchArrays:
             ) from None
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=self.device)
 
+    def set_layers(self, layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+        """Parallel layers beside `bending_stiffness`, each with a softening of its own, whose
+        moments add up to a law of another form: (rod, node, 2) stiffness, of either sign but not 0,
+        and (rod, node, 2) softening of each. They share the natural curvature."""
+        shape = (self.rod_count, self.node_count, 2)
+        self.layers = [
+            (
+                self._array("layer", stiffness, shape, wp.vec2d),
+                self._array("softening", softening, shape, wp.vec2d),
+            )
+            for stiffness, softening in layers
+        ]
+
+    def layer_model(self, layer: tuple[wp.array, wp.array]) -> list[wp.array]:
+        """`elastic_model` of one of the `layers`: it bends, it neither stretches nor twists."""
+        stiffness, softening = layer
+        nothing = wp.zeros_like(self.twisting_stiffness)
+        return [
+            self.rest_length,
+            wp.zeros_like(self.stretching_stiffness),
+            stiffness,
+            stiffness,
+            self.natural_curvature,
+            softening,
+            nothing,
+            nothing,
+        ]
+
     def set_softening(self, softening) -> None:
         """Give every rod its law: (rod, node, 2) as in the constructor, broadcast.
 
@@ -69,7 +101,7 @@ class BatchArrays:
         """
         shape = (self.rod_count, self.node_count, 2)
         array = self._array("softening", softening, shape, wp.vec2d)
-        value = np.atleast_1d(softening)
+        value = np.atleast_1d(_floats("softening", softening))
         if value[..., 0].min() < 0.0:
             raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
         self.softening = array

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from wrod.errors import RodError
-from wrod.rods.material import RodMaterial, rod, rod_names
+from wrod.rods.material import TABLE_2, RodMaterial
 
 _PAPER = "Tong et al., Sim2Real neural controllers for physics-based robotic deployment, Table 2"
 _LOOPS = "hanging loops published with Chen, Bretl, Pham, arXiv 2310.00911, by `wrod bench hands`"
@@ -23,7 +23,7 @@ class CatalogueRod:
     """One entry.
 
     Attributes:
-        name: that `find` and `--rod` take.
+        name: that `rod` and `--rod` take.
         what: it is.
         rod: `RodMaterial`; its density gives the weight per length that was measured.
         spread: relative standard error of the bending stiffness within the measured pieces, None
@@ -65,8 +65,8 @@ _MEASURED = (
 def catalogue() -> list[CatalogueRod]:
     """Every entry: the paper's rods, then cables by their stiffness."""
     table = [
-        CatalogueRod(name, _WHAT[name], rod(name), None, "density of 1180 kg/m^3 assumed", _PAPER)
-        for name in rod_names()
+        CatalogueRod(name, _WHAT[name], preset, None, "density of 1180 kg/m^3 assumed", _PAPER)
+        for name, preset in TABLE_2.items()
     ]
     return table + [
         CatalogueRod(name, what, _weighed(*numbers), spread, note, source)
@@ -74,13 +74,22 @@ def catalogue() -> list[CatalogueRod]:
     ]
 
 
-def find(name: str) -> CatalogueRod:
-    """The entry of a name.
+def rod_names() -> list[str]:
+    """Names that `rod` and `--rod` know: the paper's Table 2 in its order, then cables."""
+    return [entry.name for entry in catalogue()]
+
+
+def rod(name: str) -> RodMaterial:
+    """A rod, cable or rope of the catalogue by name; `wrod rods` lists stiffness and sources.
 
     Raises:
-        RodError: there is none.
+        RodError: no rod has that name.
     """
-    entries = {entry.name: entry for entry in catalogue()}
-    if name not in entries:
-        raise RodError(f"unknown rod {name!r}; known rods: {', '.join(entries)}")
-    return entries[name]
+    entries = {entry.name: entry.rod for entry in catalogue()}
+    try:
+        return entries[name]
+    except (KeyError, TypeError):
+        raise RodError(
+            f"unknown rod {name!r:.80}; known rods: {', '.join(entries)} (or a wrod.RodMaterial of "
+            "your own: measure it with `wrod loop`)"
+        ) from None

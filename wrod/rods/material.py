@@ -77,7 +77,7 @@ class RodMaterial:
             )
         try:
             first, second = (float(value) for value in self.natural_curvature)
-        except (TypeError, ValueError):
+        except Exception:  # whatever an object does that is asked for its items
             first = second = math.nan
         if not (math.isfinite(first) and math.isfinite(second)):
             raise RodError(
@@ -218,30 +218,10 @@ class RodMaterial:
 
 
 # Table 2 of the paper; VPS density 1180 kg/m^3 throughout (it drops out of every plan).
-_PRESETS = {
+TABLE_2 = {
     "pink-vps": RodMaterial(0.0016, 0.0180, 0.875),
     "green-vps": RodMaterial(0.0016, 0.0320, 0.885),
     "rope": RodMaterial(0.0020, 0.0340, 0.89),
     "pink-vps-thick": RodMaterial(0.0032, 0.0286, 0.84),
     "cable": RodMaterial(0.0018, 0.0801, 0.87),
 }
-
-
-def rod_names() -> list[str]:
-    """Names of the rods of the paper's Table 2, in its order."""
-    return list(_PRESETS)
-
-
-def rod(name: str) -> RodMaterial:
-    """Rod of the paper's Table 2 by name.
-
-    Raises:
-        RodError: no rod has that name.
-    """
-    try:
-        return _PRESETS[name]
-    except (KeyError, TypeError):
-        raise RodError(
-            f"unknown rod {name!r}; known rods: {', '.join(rod_names())} "
-            "(or build a wrod.RodMaterial of your own)"
-        ) from None

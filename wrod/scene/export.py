@@ -17,14 +17,15 @@ from wrod.errors import SceneError
 from wrod.files import write_atomically
 from wrod.robot.grip import Grip, GripPath
 from wrod.scene.arm import add_arm, add_visuals
-from wrod.scene.phases import film
+from wrod.scene.phases import covered, film, rods_of
 from wrod.scene.primitives import Materials, set_pose
-from wrod.scene.rod_shapes import whole_rod
+from wrod.scene.rod_shapes import POINTS
 from wrod.scene.stage import add_cameras, add_lights, new_stage
 from wrod.scene.workplace import (
     BASE_HEIGHT,
     add_floor,
     add_grip_path,
+    add_holder,
     add_pattern,
     add_rod,
     add_stand,
@@ -69,8 +70,9 @@ def export_usd(
 
     Metres, Z up, the trajectory's frame (table at z = 0); time code k is node k of the trajectory.
     A joint path of the whole job goes on around them: codes below 0 are approach and grasp, the
-    rod hanging where it is presented, codes beyond the last node release and retreat, the rod
-    lying; what was suspended is drawn as fallen straight ahead, which nothing has simulated.
+    rod hanging from the stand that holds it until the hand does; codes beyond the last node the
+    laying of the tail, release and retreat. What is still suspended then, with the tail laid a few
+    centimetres, is drawn as fallen straight ahead, which nothing has simulated.
 
     Under /World/Deployment_000: `robot` (its links as nested Xforms) or, without a joint path, the
     `gripper` alone; `table`, `pattern`, `rod`, `grip_path`; the plan's figures as custom data and
@@ -183,19 +185,20 @@ def _complete(item: SimpleNamespace, number: int) -> SimpleNamespace:
                 f"{where}the joint path has {len(joint_path.node_positions)} nodes and the "
                 f"trajectory {count}; solve it from this trajectory"
             )
-    item.shapes = (
-        whole_rod(trajectory, item.pattern) if item.shapes is None else np.asarray(item.shapes)
-    )
+    onward = None
+    if item.shapes is None:
+        item.shapes, onward = rods_of(trajectory, joint_path, item.pattern, POINTS)
+    item.shapes = np.asarray(item.shapes)
     shape = item.shapes.shape
     if len(shape) != 3 or shape[0] != count or shape[1] < 2 or shape[2] != 3:
         raise SceneError(f"{where}shapes are {shape}; give ({count}, points, 3), one rod per node")
     if not np.isfinite(item.shapes).all():
         raise SceneError(f"{where}shapes hold numbers that are not finite")
-    item.film = film(joint_path, item.shapes)
+    item.film = film(joint_path, item.shapes, onward)
     item.points = _pattern_points(item.pattern, trajectory)
     item.radius = _DEFAULT_RADIUS if item.rod is None else float(item.rod.radius)
     placement = None if joint_path is None else joint_path.placement
-    item.table = table_under(trajectory.contact, placement, item.radius)
+    item.table = table_under(covered(trajectory, joint_path, onward), placement, item.radius)
     item.floor = float(item.table.pose[2, 3] + item.table.floor)
     item.ground = item.table.corners()[:, :2]  # what it covers
     if placement is not None:
@@ -269,6 +272,12 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
         add_arm(stage, f"{root}/robot", robot, base, shown.positions, times, materials)
         if robot.name != "sawyer":  # Sawyer brings its pedestal
             add_stand(stage, f"{root}/stand", base, BASE_HEIGHT, materials)
+        if "stand" in joint_path.metadata:
+            grasped = next(p["end"] for p in joint_path.phases if p["name"] == "grasp")
+            add_holder(
+                stage, f"{root}/holder", joint_path.metadata["stand"], times,
+                shown.time <= grasped + 1e-9, materials,
+            )  # fmt: skip
         front = base[:2, 0]
         poses = robot.link_poses(shown.positions[:: max(1, len(times) // 20)])
         for link in poses.values():
@@ -307,13 +316,12 @@ def _add_gripper(stage, path: str, trajectory, times, materials) -> None:
 
 
 def _rod_name(trajectory, rod) -> str | None:
-    from wrod.rods.material import rod as preset
-    from wrod.rods.material import rod_names
+    from wrod.rods.catalogue import catalogue
 
     named = trajectory.metadata.get("rod")
     if isinstance(named, str):
         return named
-    return next((name for name in rod_names() if preset(name) == rod), None)
+    return next((entry.name for entry in catalogue() if entry.rod == rod), None)
 
 
 def _sampled(prim, name: str, values, times, sdf) -> None:

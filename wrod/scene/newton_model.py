@@ -15,6 +15,7 @@ from wrod.scene.validate import open_stage
 # Time codes, shapes, points of one shape, and metres beyond which nothing of ours is.
 _LATEST, _MOST_PARTS, _MOST_POINTS, _FARTHEST = 1e9, 5_000, 1_000_000, 1e6
 _MOVES = 1e-9  # [m] a prim that moves less stands still
+_AWAY = 1e3  # [m] below, where what is invisible for a time is kept
 
 
 @dataclass
@@ -103,6 +104,8 @@ class NewtonScene:
                 self._scales[part.shape : part.shape + part.count, 1] = half
             else:
                 self._poses[rows] = _pose7(_world(part.prim, cache))
+            if UsdGeom.Imageable(part.prim).ComputeVisibility(time) == UsdGeom.Tokens.invisible:
+                self._poses[rows, 2] -= _AWAY
         if self.model.body_count:
             self.state.body_q.assign(self._poses.astype(np.float32))
         self.model.shape_scale.assign(self._scales)
@@ -130,6 +133,7 @@ class NewtonScene:
             if len(parts) >= _MOST_PARTS:
                 raise SceneError(f"{path}: holds more than {_MOST_PARTS} shapes; hide some")
             moving = any(np.abs(w - worlds[0]).max() > _MOVES for w in worlds[1:])
+            moving |= UsdGeom.Imageable(prim).GetVisibilityAttr().GetNumTimeSamples() > 1
             if kind == "curve":
                 moving |= UsdGeom.Points(prim).GetPointsAttr().GetNumTimeSamples() > 1
             given = UsdGeom.Gprim(prim).GetDisplayColorAttr().Get()

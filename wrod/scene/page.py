@@ -1,8 +1,8 @@
 """A deployment as one HTML page: arm, rod and table in true time, drawn by Viser without Newton.
 
 The page holds everything (no outside links) and plays in any browser with WebGL: drag to turn,
-slider and pause below. The rod has its true radius, and a line of a few pixels along it wherever
-that would be thinner.
+slider and pause below. The rod is a tube of its true radius, and a line of a few pixels along it
+wherever that would be thinner.
 """
 
 from __future__ import annotations
@@ -14,22 +14,19 @@ import socket
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from wrod.errors import SceneError
 from wrod.files import write_atomically
-from wrod.robot.mesh import read_mesh
-from wrod.robot.urdf import LinkShape
-from wrod.scene.phases import with_release
-from wrod.scene.rod_shapes import whole_rod
-from wrod.scene.workplace import BASE_HEIGHT, TABLE_THICKNESS, table_under
+from wrod.scene.page_parts import ShownArm, add_holder, add_rod, add_segments, move_rod, pose_of
+from wrod.scene.phases import covered, rods_of, with_release
+from wrod.scene.workplace import TABLE_THICKNESS, table_under
 
 _FRAMES = 400  # at most: a page of a few MB whatever the path's duration
-_LINE = 4.0  # [px] of the rod's line
+_DRAWN = 2.5  # [px] of the pattern's line
 _ROD_POINTS = 121
-_GREY = (115, 115, 122)
+_VIEW, _WIDE = 0.75, 1.2  # [rad] of the camera up and down; width over height that is filled
 _WOOD, _LEG, _FLOOR = (128, 97, 66), (77, 79, 84), (165, 170, 176)
-_INK, _ROD = (26, 56, 140), (20, 150, 60)
+_INK = (26, 56, 140)
 
 
 def write_deployment_page(
@@ -64,8 +61,9 @@ def write_deployment_page(
     except ImportError as error:
         raise SceneError("pages need Viser; install wrod[view]") from error
     radius = 0.002 if rod is None else float(rod.radius)
+    onward = None
     if shapes is None:
-        shapes = whole_rod(trajectory, pattern, _ROD_POINTS)
+        shapes, onward = rods_of(trajectory, joint_path, pattern, _ROD_POINTS)
     if time is None:
         time = (
             (trajectory.arc_length - trajectory.arc_length[0]) / 0.02
@@ -74,7 +72,7 @@ def write_deployment_page(
         )
     at_nodes = len(time) == len(trajectory)
     if joint_path is not None and at_nodes and errors is None:
-        shapes, time = with_release(joint_path, shapes, time)
+        shapes, time = with_release(joint_path, shapes, time, onward)
     duration = float(time[-1]) if joint_path is None else float(joint_path.time[-1])
     count = int(np.clip(np.ceil(duration * 10.0) + 1, 2, _FRAMES))
     at = np.linspace(0.0, duration, count)
@@ -82,26 +80,31 @@ def write_deployment_page(
         server = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
     try:
         placement = None if joint_path is None else joint_path.placement
-        _workplace(server, trajectory, placement, pattern, radius)
-        arm = None if joint_path is None else _Arm(server, joint_path, at)
+        lies = covered(trajectory, joint_path, onward)
+        _workplace(server, trajectory, lies, placement, pattern, radius)
+        arm = None if joint_path is None else ShownArm(server, joint_path, at)
         nodes = np.interp(at, time, np.arange(len(time)))
-        line = _rod_line(server, shapes, errors, nodes[0], radius)
+        line = add_rod(server, shapes, errors, nodes[0], radius)
+        holder = [] if joint_path is None else add_holder(server, joint_path.metadata)
         contact = trajectory.contact.mean(0)
         label = _captions(server, trajectory, joint_path, captions, contact)
-        first = server.initial_camera
-        back = np.array([0.7, -0.7, 0.5]) if placement is None else _front(placement)
-        first.position, first.look_at = tuple(contact + back), tuple(contact + [0, 0, 0.22])
-        first.up = (0.0, 0.0, 1.0)
+        _aim(server.initial_camera, placement, _seen(trajectory, shapes, arm))
         recording = server.get_scene_serializer()
         for k, node in enumerate(nodes):
             if arm is not None:
                 arm.pose(k)
-            _move_rod(line, shapes, errors, node)
+            move_rod(line, shapes, errors, node)
+            if holder and joint_path.phase_at(at[k]) not in ("approach", "grasp"):
+                for part in holder:
+                    part.visible = False
+                holder = []
             if k % 5 == 0 or k == count - 1:
                 doing = "" if joint_path is None else f"{joint_path.phase_at(at[k])}: "
                 label.text = f"{doing}{at[k]:.1f} s of {duration:.0f} s"
                 if at_nodes:
                     laid = np.interp(node, np.arange(len(trajectory)), trajectory.arc_length)
+                    if onward is not None:
+                        laid = np.interp(at[k], joint_path.time, joint_path.arc_length)
                     label.text += f", {100 * laid:.1f} cm laid"
             recording.insert_sleep(duration / max(count - 1, 1))
         page = recording.as_html(dark_mode=False)
@@ -158,28 +161,44 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _front(placement) -> np.ndarray:
-    """From the table to the eye: opposite the arm, to one side, above [m]."""
-    away = -placement.world_from_base[:2, 3]
-    away = away / max(np.linalg.norm(away), 1e-9)
-    side = np.array([-away[1], away[0]])
-    return np.append(1.0 * away + 1.0 * side, 0.75)
+def _seen(trajectory, shapes: np.ndarray, arm) -> np.ndarray:
+    """(n, 3) points that the camera is to show [m]: table, rod, and the arm's links."""
+    points = [trajectory.contact, shapes[:: max(1, len(shapes) // 20)].reshape(-1, 3)]
+    return np.concatenate(points if arm is None else [*points, arm.places()])
 
 
-def _pose(matrix: np.ndarray) -> dict:
-    x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
-    return {"wxyz": (w, x, y, z), "position": tuple(map(float, matrix[:3, 3]))}
+def _aim(camera, placement, seen: np.ndarray) -> None:
+    """Look at points (n, 3) [m] from opposite the arm, from one side and from above, near enough
+    to fill the view."""
+    away = np.array([1.0, -1.0])
+    if placement is not None:
+        away = -placement.world_from_base[:2, 3]
+        away = away / max(np.linalg.norm(away), 1e-9)
+        away = away + 0.8 * np.array([-away[1], away[0]])
+    back = np.append(away / np.linalg.norm(away), 0.55)
+    back /= np.linalg.norm(back)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    axes = np.array([right, np.cross(back, right), back])
+    local = seen @ axes.T
+    middle = (local.min(0) + local.max(0)) / 2
+    across = np.abs(local - middle) / [_WIDE, 1.0, 1.0]
+    distance = (across[:, :2].max(1) / np.tan(0.45 * _VIEW) + (local - middle)[:, 2]).max()
+    camera.fov = _VIEW
+    camera.up = (0.0, 0.0, 1.0)
+    camera.look_at = tuple(middle @ axes)
+    camera.position = tuple((middle + [0.0, 0.0, distance]) @ axes)
 
 
-def _workplace(server, trajectory, placement, pattern, radius: float) -> None:
-    table = table_under(trajectory.contact, placement, radius)
+def _workplace(server, trajectory, lies, placement, pattern, radius: float) -> None:
+    table = table_under(lies, placement, radius)
     middle, size = (table.low + table.high) / 2, table.high - table.low
     frame = np.array(table.pose)
 
     def box(name: str, at, dimensions, color) -> None:
         matrix = frame.copy()
         matrix[:3, 3] = frame[:3, :3] @ np.asarray(at, float) + frame[:3, 3]
-        server.scene.add_box(name, color=color, dimensions=tuple(dimensions), **_pose(matrix))
+        server.scene.add_box(name, color=color, dimensions=tuple(dimensions), **pose_of(matrix))
 
     top = table.top - TABLE_THICKNESS / 2
     box("/table/top", (*middle, top), (*size, TABLE_THICKNESS), _WOOD)
@@ -198,113 +217,7 @@ def _workplace(server, trajectory, placement, pattern, radius: float) -> None:
     if hasattr(pattern, "sample"):
         points = pattern.sample(np.linspace(-pattern.remainder_length, pattern.length, 300))[0]
     points = points * [1, 1, 0] + [0, 0, trajectory.contact[0, 2] - radius + 5e-4]
-    _segments(server, "/pattern", points, _INK, 3.0)
-
-
-def _segments(server, name: str, points: np.ndarray, color, width: float):
-    pairs = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-    colors = np.broadcast_to(np.asarray(color, dtype=np.uint8), pairs.shape)
-    return server.scene.add_line_segments(name, points=pairs, colors=colors, line_width=width)
-
-
-def _rod_at(shapes: np.ndarray, node: float) -> np.ndarray:
-    low = min(int(node), len(shapes) - 2)
-    share = node - low
-    return (1 - share) * shapes[low] + share * shapes[low + 1]
-
-
-def _colours(errors: np.ndarray | None, node: float, count: int) -> np.ndarray:
-    """(count, 3) green where the rod lies as it should, to red at a centimetre."""
-    if errors is None:
-        return np.broadcast_to(np.array(_ROD, np.uint8), (count, 3))
-    share = np.clip(_rod_at(errors, node) / 0.01, 0.0, 1.0)[:, None]
-    good, bad = np.array(_ROD, float), np.array([215.0, 30.0, 30.0])
-    return ((1 - share) * good + share * bad).astype(np.uint8)
-
-
-def _rod_line(server, shapes, errors, node: float, radius: float) -> dict:
-    points = _rod_at(shapes, node)
-    line = _segments(server, "/rod/line", points, _ROD, _LINE)
-    balls = server.scene.add_point_cloud(
-        "/rod/body",
-        points=points.astype(np.float32),
-        colors=_colours(errors, node, len(points)),
-        point_size=2.0 * radius,
-        point_shape="circle",
-    )
-    return {"line": line, "body": balls}
-
-
-def _move_rod(rod: dict, shapes, errors, node: float) -> None:
-    points = _rod_at(shapes, node).astype(np.float32)
-    rod["line"].points = np.stack([points[:-1], points[1:]], axis=1)
-    rod["body"].points = points
-    if errors is not None:
-        colors = _colours(errors, node, len(points))
-        rod["line"].colors = np.stack([colors[:-1], colors[1:]], axis=1)
-        rod["body"].colors = colors
-
-
-class _Arm:
-    """The arm's links as meshes that move, on a stand."""
-
-    def __init__(self, server, joint_path, at: np.ndarray):
-        robot = joint_path.robot
-        if robot is None:
-            raise SceneError(
-                "the joint path has no robot; load it with JointPath.load(path, robot)"
-            )
-        positions = np.column_stack(
-            [np.interp(at, joint_path.time, q) for q in joint_path.positions.T]
-        )
-        base = joint_path.placement.world_from_base
-        poses = robot.link_poses(positions)
-        self._links = []
-        shown: dict[str, list[LinkShape]] = {}
-        for shape in robot.shapes("visual") or robot.shapes("collision"):
-            shown.setdefault(shape.link, []).append(shape)
-        for link, shapes in shown.items():
-            local = base @ poses[link]
-            frame = server.scene.add_frame(f"/arm/{link}", show_axes=False, **_pose(local[0]))
-            for number, shape in enumerate(shapes):
-                _add_shape(server, f"/arm/{link}/{number}", shape)
-            turns = Rotation.from_matrix(local[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
-            moves = bool(np.ptp(local, axis=0).max() > 1e-9)
-            self._links.append((frame, turns, local[:, :3, 3], moves))
-        if robot.name != "sawyer":  # Sawyer brings its pedestal
-            below = base.copy()
-            below[:3, 3] = base[:3, 3] - base[:3, 2] * (BASE_HEIGHT / 2)
-            server.scene.add_cylinder(
-                "/stand", radius=0.09, height=BASE_HEIGHT, color=_LEG, **_pose(below)
-            )
-
-    def pose(self, k: int) -> None:
-        for frame, turns, places, moves in self._links:
-            if moves or k == 0:
-                frame.wxyz, frame.position = turns[k], places[k]
-
-
-def _add_shape(server, name: str, shape: LinkShape) -> None:
-    color = _GREY if shape.color is None else tuple(int(255 * c) for c in shape.color)
-    placed = _pose(shape.pose)
-    scene = server.scene
-    if shape.kind == "sphere":
-        scene.add_icosphere(name, radius=shape.size[0], color=color, subdivisions=3, **placed)
-    elif shape.kind == "cylinder":
-        scene.add_cylinder(
-            name, radius=shape.size[0], height=max(shape.size[1], 1e-4), color=color, **placed
-        )
-    elif shape.kind == "box":
-        scene.add_box(name, color=color, dimensions=tuple(shape.size), **placed)
-    else:
-        vertices, faces = read_mesh(shape.mesh)
-        scene.add_mesh_simple(
-            name,
-            vertices=(vertices * np.array(shape.size)).astype(np.float32),
-            faces=faces.astype(np.uint32),
-            color=color,
-            **placed,
-        )
+    add_segments(server, "/pattern", points, _INK, _DRAWN)
 
 
 def _captions(server, trajectory, joint_path, captions, contact: np.ndarray):

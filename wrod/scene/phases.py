@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod.planning.plan import with_shapes
+from wrod.planning.tail import with_tail
+from wrod.scene.rod_shapes import whole_rod
+
 MOST = 120  # time codes before the first node, and after the last
 _FALL = 0.3  # [s] in which a rod that is let go comes to lie
 _OPEN = 0.5  # share of the release after which the fingers are open
@@ -36,11 +40,50 @@ class Film:
     shapes: np.ndarray
 
 
-def film(joint_path, shapes: np.ndarray) -> Film:
-    """What a joint path and a rod at the nodes (T, M, 3) [m] show.
+@dataclass(frozen=True)
+class Onward:
+    """The rod beyond the plan: laid lengths (n,) [m] and shapes (n, M, 3) [m], the first the
+    plan's last; contact (n, 3) [m]."""
+
+    laid: np.ndarray
+    shapes: np.ndarray
+    contact: np.ndarray
+
+    def at(self, laid: float) -> np.ndarray:
+        """(M, 3) rod at a laid length [m]."""
+        node = float(np.interp(laid, self.laid, np.arange(len(self.laid))))
+        low = min(int(node), len(self.laid) - 2)
+        return (low + 1 - node) * self.shapes[low] + (node - low) * self.shapes[low + 1]
+
+
+def rods_of(trajectory, joint_path, pattern, points: int) -> tuple[np.ndarray, Onward | None]:
+    """Shapes (T, points, 3) of the rod at the nodes [m], and beyond them where the joint path lays
+    the tail."""
+    if joint_path is not None and any(p["name"] == "tail" for p in joint_path.phases):
+        # Shapes first: the solver knows the pattern's bends, and a tail's bends only by itself.
+        known = pattern if hasattr(pattern, "sample") else None
+        joined = with_tail(with_shapes(trajectory, known))
+        if joined is not None:
+            shapes, last = whole_rod(joined, pattern, points), len(trajectory) - 1
+            onward = Onward(joined.arc_length[last:], shapes[last:], joined.contact[last:])
+            return shapes[: last + 1], onward
+    return whole_rod(trajectory, pattern, points), None
+
+
+def covered(trajectory, joint_path, onward: Onward | None) -> np.ndarray:
+    """(n, 3) points of the table on which the rod comes to lie [m]."""
+    if onward is None:
+        return trajectory.contact
+    reached = onward.laid <= joint_path.arc_length[-1] + 0.02
+    return np.concatenate([trajectory.contact, onward.contact[reached]])
+
+
+def film(joint_path, shapes: np.ndarray, onward: Onward | None = None) -> Film:
+    """What a joint path and a rod at the nodes (T, M, 3) [m], and beyond them, show.
 
     The rod hangs as the first node has it until it is grasped. What is suspended when the fingers
-    open falls straight ahead onto the table: drawn so, not simulated.
+    open falls straight ahead onto the table: drawn so, not simulated; with the tail laid, that is
+    what the fingers held.
     """
     count = len(shapes)
     nodes = np.arange(count)
@@ -63,9 +106,14 @@ def film(joint_path, shapes: np.ndarray) -> Film:
     positions[before : before + count] = joint_path.node_positions
     node = np.clip(code, 0, count - 1)
     shown = shapes[node]
-    opened = opening(joint_path)
+    opened, last = opening(joint_path), shapes[-1]
+    if onward is not None:
+        laid = np.interp(time, joint_path.time, joint_path.arc_length)
+        for k in np.flatnonzero(time > at[-1]):
+            shown[k] = onward.at(laid[k])
+        last = onward.at(joint_path.arc_length[-1])
     for k in np.flatnonzero(time > opened):
-        shown[k] = let_go(shapes[-1], (time[k] - opened) / _FALL)
+        shown[k] = let_go(last, (time[k] - opened) / _FALL)
     phase = [joint_path.phase_at(t) for t in time]
     return Film(code.astype(float), time, phase, node, positions, shown)
 
@@ -78,14 +126,22 @@ def opening(joint_path) -> float:
     return float("inf")
 
 
-def with_release(joint_path, shapes: np.ndarray, time: np.ndarray):
-    """Shapes (T + n, M, 3) [m] and their times [s] with those of the rod that is let go."""
+def with_release(joint_path, shapes: np.ndarray, time: np.ndarray, onward: Onward | None = None):
+    """Shapes (T + n, M, 3) [m] and their times [s] with those of the tail that is laid and of the
+    rod that is let go."""
+    parts, times = [shapes], [time]
+    if onward is not None:
+        (phase,) = [phase for phase in joint_path.phases if phase["name"] == "tail"]
+        rates = np.linspace(phase["start"], phase["end"], len(onward.laid) + 1)[1:]
+        laid = np.interp(rates, joint_path.time, joint_path.arc_length)
+        parts.append(np.stack([onward.at(length) for length in laid]))
+        times.append(rates)
     opened = opening(joint_path)
-    if not np.isfinite(opened):
-        return shapes, time
-    shares = np.linspace(0.0, 1.0, 8)
-    fallen = np.stack([let_go(shapes[-1], share) for share in shares])
-    return np.concatenate([shapes, fallen]), np.concatenate([time, opened + _FALL * shares])
+    if np.isfinite(opened):
+        shares = np.linspace(0.0, 1.0, 8)
+        parts.append(np.stack([let_go(parts[-1][-1], share) for share in shares]))
+        times.append(opened + _FALL * shares)
+    return np.concatenate(parts), np.concatenate(times)
 
 
 def let_go(shape: np.ndarray, share: float) -> np.ndarray:

@@ -102,6 +102,20 @@ def add_stand(stage, path: str, base: np.ndarray, height: float, materials: Mate
         add_shape(stage, f"{path}_{name}", "cylinder", (radius, tall), pose, materials, _LEG)
 
 
+def add_holder(stage, path: str, parts, times, there, materials: Materials) -> None:
+    """The stand that holds the rod until the hand does, to be seen at the time codes (T,) at which
+    it is `there` (T,); parts are `JointPath.metadata["stand"]`."""
+    from pxr import UsdGeom
+
+    UsdGeom.Xform.Define(stage, path)
+    for name, (start, end, radius) in zip(("post", "clip"), parts, strict=True):
+        curve = add_curve(stage, f"{path}/{name}", [start, end], 2 * radius, materials, _LEG)
+        visible = curve.CreateVisibilityAttr()
+        for k, code in enumerate(times):
+            if k == 0 or there[k] != there[k - 1]:
+                visible.Set("inherited" if there[k] else "invisible", float(code))
+
+
 def add_floor(stage, path: str, centre, size, height: float, materials: Materials) -> None:
     """A slab whose upper face is at `height` [m]."""
     pose = np.eye(4)

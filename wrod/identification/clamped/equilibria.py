@@ -14,14 +14,17 @@ from wrod.errors import DataError
 from wrod.identification.clamped.branches import Branch, from_measured, settle
 from wrod.identification.clamped.layout import (
     batch_arrays,
+    coupling_of,
     dead_force,
     end_poses,
     full_shape,
+    law_layers,
     wind_load,
 )
 from wrod.identification.clamped.sensing import Prediction, View
 from wrod.identification.clamped.sensitivity import WIND_PASSES, WIND_TOLERANCE, Sensitivity
 from wrod.identification.clamped.setup import Setup
+from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import transport
 from wrod.rods.state import RodState
@@ -59,6 +62,7 @@ class ClampedSolver:
             device=device,
             **vars(arrays),
         )
+        self._assign_sections(setups)
         free = np.ones(self.batch.dof_count, dtype=bool)
         free[:7] = False
         free[-7:] = False
@@ -288,6 +292,15 @@ class ClampedSolver:
         for name, value in arrays.items():
             array = getattr(self.batch, name)
             array.assign(np.ascontiguousarray(np.broadcast_to(value, full_shape(array))))
+        self._assign_sections(setups)
+
+    def _assign_sections(self, setups: Sequence[Setup]) -> None:
+        """Laws of bending and couplings beyond what `batch_arrays` holds."""
+        self.batch.set_layers([(np.real(k), np.real(c)) for k, c in law_layers(setups)])
+        coupling = np.real(coupling_of(setups))
+        self.batch.energies.clear()
+        if coupling.any():
+            self.batch.add_energy(bend_twist_energy, coupling)
 
     # ---- what the sensors see ------------------------------------------------------------------
 

@@ -24,6 +24,11 @@ _DAMPING = (1e-2, 1e6)
 _REACH = 0.04
 # Candidates in one batch: more share launches, but the slowest keeps the others waiting.
 _BATCH = 20
+# A linearisation has as many columns for every rod of a batch as its widest candidate asks for, so
+# candidates with more parameters than this have a batch of their own.
+_WIDE = 12
+# In a race, a gain below this share of what is left above the noise decides nothing.
+_INDIFFERENT = 1e-3
 
 
 @dataclass
@@ -66,7 +71,7 @@ def fit_models(
     trials: np.ndarray | None = None,
     weights: np.ndarray | None = None,
     origin: Fit | None = None,
-    least_gain: float = 0.0,
+    least_gain: float | Sequence[float] = 0.0,
     race: bool = True,
     rival: float = np.inf,
     progress=None,
@@ -78,8 +83,10 @@ def fit_models(
         trials: trial indices to fit on; default: the measurements' train trials.
         weights: (candidate, trial) of 0 and 1: which of `trials` a candidate may see.
         origin: a fit whose shapes to start from; by default those of the base model.
-        least_gain: a candidate stops at once where the linearised problem promises less.
-        race: let a candidate stop early that is far behind the best one of its batch.
+        least_gain: a candidate stops at once where the linearised problem promises less; for all
+            or for each.
+        race: let a candidate stop early that is far behind the best one of its batch, or whose
+            gains are small against what it leaves above the noise.
         rival: chi squared of a model that is already there, for the race.
         progress: called with 1 whenever a candidate is finished.
     """
@@ -90,26 +97,31 @@ def fit_models(
     # does not depend on the machine, nor does the race. A wind is iterated over the whole batch:
     # its candidates stay among themselves.
     windy = [c for c, m in enumerate(models) if any(e.follows_shape for e in m.effects)]
-    still = [c for c in range(len(models)) if c not in windy]
+    wide = [c for c, v in enumerate(starts) if len(v) > _WIDE and c not in windy]
+    still = [c for c in range(len(models)) if c not in windy and c not in wide]
     slices = max(-(-len(still) // _BATCH), 1)
     groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]
+    least_gains = np.broadcast_to(least_gain, len(models))
     state = laboratory.base_state
     if origin is not None:
         state = laboratory.solver_at(origin.model, origin.values)[0].saved()
     state = tuple(a[trials] for a in state)
 
-    def run(group):
+    def run(group, rival=rival):
         own = ([models[c] for c in group], [starts[c] for c in group])
-        best = _Best(race, rival)
-        iteration = _Iteration(laboratory, *own, trials, weights[group], best, state, least_gain)
+        best, least = _Best(race, rival), least_gains[group]
+        iteration = _Iteration(laboratory, *own, trials, weights[group], best, state, least)
         return iteration.run(progress)
 
-    fits: list[Fit | None] = [None] * len(models)
+    fits: dict[int, Fit] = {}
     with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
         for group, results in zip(groups, pool.map(run, groups), strict=True):
-            for c, fit in zip(group, results, strict=True):
-                fits[c] = fit
-    return fits
+            fits |= dict(zip(group, results, strict=True))
+    if wide:
+        # The narrow ones are done: theirs is the mark to beat.
+        mark = min([rival, *(f.chi_squared for f in fits.values())])
+        fits |= dict(zip(wide, run(wide, mark), strict=True))
+    return [fits[c] for c in range(len(models))]
 
 
 class _Best:
@@ -121,6 +133,10 @@ class _Best:
     def behind(self, cost: float) -> float:
         self.cost = min(self.cost, cost)
         return cost - self.cost if self.race else 0.0
+
+    def left(self, cost: float, count: float) -> float:
+        """How far a cost of `count` readings is beyond what noise may have, in a race."""
+        return max(cost - count - 5.0 * np.sqrt(2.0 * count), 0.0) if self.race else 0.0
 
 
 class _Iteration:
@@ -136,6 +152,7 @@ class _Iteration:
         self.target = laboratory.target[trials]
         self.coordinates = laboratory.measurements.centerline[0].size
         self.correction = laboratory.mesh_correction[trials]
+        self.readings = laboratory.effective[trials]
         self.start, self.least_gain = state, least
 
     def run(self, progress) -> list[Fit]:
@@ -173,6 +190,7 @@ class _Iteration:
                     mine = slice(k * len(self.trials), (k + 1) * len(self.trials))
                     states[c] = tuple(a[mine] for a in rods)
                     enough = _CONVERGED + _HOPELESS * self.best.behind(cost)
+                    enough += _INDIFFERENT * self.best.left(cost, self.weights[c] @ self.readings)
                     converged[c] = gain < enough and promised[c] < enough
                 else:
                     damping[c] *= 20.0
@@ -190,7 +208,7 @@ class _Iteration:
                     normal[c] = self._normal(c, k, setups[k], readings, rates[k])
                     moves[c] = rates[k][:, : self.coordinates] * self.scales[c]
                     matrix, rhs = normal[c]
-                    if first and rhs @ np.linalg.solve(matrix, rhs) < self.least_gain:
+                    if first and rhs @ np.linalg.solve(matrix, rhs) < self.least_gain[c]:
                         converged[c] = True
             self._put_back(solver, active, states)
             done = []

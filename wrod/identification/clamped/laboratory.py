@@ -8,7 +8,7 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.identification.clamped.equilibria import ClampedSolver
-from wrod.identification.clamped.layout import COMPLEX_STEP
+from wrod.identification.clamped.layout import COMPLEX_STEP, node_part
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.noise import NoiseModel, outliers_of, whiteners
 from wrod.identification.clamped.sensing import Prediction
@@ -114,6 +114,10 @@ class Laboratory:
     def adopt(self, other: Laboratory) -> None:
         """Take the mesh of another laboratory of the same measurements."""
         self.__dict__.update(other.__dict__)
+
+    def base_positions(self) -> np.ndarray:
+        """(T, n + 1, 3) nodes of the base model's rods between the clamps [m]."""
+        return node_part(self.base_state[0])[:, 1:-1]
 
     def solver_at(
         self, model: Model, values: np.ndarray, trials: np.ndarray | None = None

@@ -16,6 +16,8 @@ import warp as wp
 from wrod.identification.clamped.setup import Setup
 
 COMPLEX_STEP = 1e-30
+# Share of the stiffness in a layer that is not there: the mean of its two stiffnesses divides.
+_NO_LAYER = 1e-9
 
 
 @dataclass
@@ -46,7 +48,8 @@ def batch_arrays(setups: Sequence[Setup]) -> BatchArrays:
         principal = np.stack([c * k[:, 0] + d * k[:, 1], -d * k[:, 0] + c * k[:, 1]], axis=1)
         rows["rest_length"].append(np.full(n + 2, h))
         rows["stretching_stiffness"].append(np.pad(s.stretching, 1, mode="edge"))
-        rows["bending_stiffness"].append(_with_ghosts(s.bending / share[:, None]))
+        linear = 1.0 - s.law[:, 1].sum()
+        rows["bending_stiffness"].append(_with_ghosts(linear * s.bending / share[:, None]))
         rows["twisting_stiffness"].append(_with_ghosts(s.twisting / share))
         rows["natural_curvature"].append(_with_ghosts(principal * share[:, None]))
         rows["natural_twist"].append(_with_ghosts(s.natural_twist * share))
@@ -57,6 +60,40 @@ def batch_arrays(setups: Sequence[Setup]) -> BatchArrays:
         rows["gravity"].append(s.gravity)
     trials = len(setups[0].clamp_position)
     return BatchArrays(**{name: np.repeat(np.stack(v), trials, axis=0) for name, v in rows.items()})
+
+
+def law_layers(setups: Sequence[Setup]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(stiffness, softening), each (rod, node, 2), of every term of the setups' laws of bending;
+    complex if they are. A setup of fewer terms than another has terms of next to no stiffness."""
+    trials = len(setups[0].clamp_position)
+    layers = []
+    for j in range(max(len(s.law) for s in setups)):
+        stiffness, softening = [], []
+        for s in setups:
+            c, p = s.law[j] if j < len(s.law) else (0.0, 0.0)
+            share = np.ones((len(s.fraction), 1))
+            share[[0, -1]] = 0.5
+            stiffness.append(_with_ghosts((p + _NO_LAYER) * s.bending / share))
+            softening.append(_with_ghosts(c / share**2 * [1.0, 0.0]))
+        layers.append(
+            (
+                np.repeat(np.stack(stiffness), trials, axis=0),
+                np.repeat(np.stack(softening), trials, axis=0),
+            )
+        )
+    return layers
+
+
+def coupling_of(setups: Sequence[Setup]) -> np.ndarray:
+    """(rod, node, 2) coupling of bending with twist in principal directions; complex if it is."""
+    rows = []
+    for s in setups:
+        share = np.ones((len(s.fraction), 1))
+        share[[0, -1]] = 0.5
+        c, d = np.cos(s.principal_angle), np.sin(s.principal_angle)
+        g = np.stack([c * s.coupling[0] + d * s.coupling[1], c * s.coupling[1] - d * s.coupling[0]])
+        rows.append(_with_ghosts(g / share))
+    return np.repeat(np.stack(rows), len(setups[0].clamp_position), axis=0)
 
 
 def _with_ghosts(values: np.ndarray) -> np.ndarray:

@@ -17,30 +17,40 @@ anew.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.identification.clamped.described import Described
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
 from wrod.identification.clamped.noise import estimate
-from wrod.identification.clamped.pairs import likely_pairs
 from wrod.identification.clamped.profiles import built_effects
+from wrod.identification.clamped.steps import (
+    FLUCTUATION,
+    base_fit,
+    best_of_each,
+    exchanged,
+    extensions,
+    held_out_error,
+    leaner,
+    pairs_beside,
+    pruned,
+    reordered,
+)
 from wrod.identification.clamped.verdict import AT_NOISE, BIC_MARGIN, Round, Selection, judge
-from wrod.identification.effect import Effect, Model
+from wrod.identification.effect import Effect
 
 LEAST_SHARE = 0.005
 MOST_EFFECTS = 3
-_FOLDS = 4
 _FINE = 4 / 3
+# Laws of bending, and effects that one of unknown form may be taken for.
+_LAWS = ("softening", "stiffening")
+_LIKE_A_LAW = (*_LAWS, "stiffness", "anisotropic_bending")
 # How often to choose at most, each time with the noise that the last choice has left.
 _NOISE_PASSES = 3
-# Pairs to fit, and how many standard deviations of chi squared deserve them.
-_PAIRS, _FLUCTUATION = 12, 5.0
-# Leaner pairs to fit in the place of a chosen one, out of so many by superposition.
-_LEANER, _LEANER_FROM = 6, 40
 
 
 def select(
@@ -51,28 +61,93 @@ def select(
     Args:
         build: whether to build effects where the candidates do not reach the noise.
     """
-    pool, built = list(candidates), None
+    pool, tried_to_build = list(candidates), not build
     for _ in range(_NOISE_PASSES):
-        current, rounds, held_out = _search(laboratory, pool, progress)
-        if build and built is None and not _reaches_noise(laboratory, current):
-            built = built_effects(laboratory)[0]
-            for more in (built, [*pool, *built]):
-                other, steps, ahead = _search(laboratory, more, progress)
-                if other.bic < current.bic - BIC_MARGIN:
-                    current, rounds, held_out = other, [*rounds, *steps], ahead
-                if _reaches_noise(laboratory, current):
-                    break
-            pool += built
+        opening = _opening(laboratory, pool, progress)
+        if tried_to_build or opening.reaches_noise:
+            current, rounds, held_out = _search(laboratory, pool, progress, opening)
+            if not tried_to_build and not _reaches_noise(laboratory, current):
+                found = current, rounds, held_out
+                current, rounds, held_out = _with_built(laboratory, pool, opening, found, progress)
+                tried_to_build = True
+        else:
+            current, rounds, held_out = _with_built(laboratory, pool, opening, None, progress)
+            tried_to_build = True
         if not _noise_changed(laboratory, current):
             break
     final = _polished(laboratory, current)
-    return judge(laboratory, final, _base_fit(laboratory), rounds, held_out)
+    return judge(laboratory, final, base_fit(laboratory), rounds, held_out)
+
+
+@dataclass(frozen=True)
+class _Opening:
+    """Every candidate alone and the likely pairs, best first; whether one of them, or the base
+    model, is as near to the train trials as noise lets it."""
+
+    singles: list[Fit]
+    pairs: list[Fit]
+    reaches_noise: bool
+
+
+def _opening(laboratory: Laboratory, pool: list[Effect], progress) -> _Opening:
+    """The first fits, and a law of unknown form in the `pool` where a known one comes nearest."""
+    empty = base_fit(laboratory)
+    singles = extensions(laboratory, empty, pool, progress)
+    if not singles or _reaches_noise(laboratory, empty):
+        return _Opening(singles, [], True)
+    near, best = _reaches_noise(laboratory, singles[0]), singles[0].model.names[0]
+    # Its form may be another one even where the nearest known law leaves no more than noise: what
+    # mends a law's form passes for a second effect.
+    if best in (_LAWS if near else _LIKE_A_LAW) and all(e.name != MomentLaw.name for e in pool):
+        pool.append(moment_law_of(laboratory))
+        singles = best_of_each([*singles, *extensions(laboratory, empty, pool[-1:], progress)])
+        near = _reaches_noise(laboratory, singles[0])
+    if near:
+        return _Opening(singles, [], True)
+    pairs = best_of_each(pairs_beside(laboratory, singles[0], pool, progress))
+    return _Opening(singles, pairs, bool(pairs) and _reaches_noise(laboratory, pairs[0]))
+
+
+def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, known, progress):
+    """(model, rounds, held out) with effects that are built from profiles, which join `pool`.
+
+    A few numbers at one place that reach the noise by themselves end the search where no known
+    effect and no likely pair does: a search among the known ones would take most of the time.
+
+    Args:
+        known: what a search among the known effects has found; None: it has not been made.
+    """
+    built = built_effects(laboratory)[0]
+    if all(e.name != MomentLaw.name for e in pool):
+        built.append(moment_law_of(laboratory))
+    other = _search(laboratory, built, progress)
+    effects = other[0].model.effects
+    few = bool(effects) and all(isinstance(e, (Described, MomentLaw)) for e in effects)
+    if known is None and few and _reaches_noise(laboratory, other[0]):
+        pool += built
+        alone, bic = opening.singles, base_fit(laboratory).bic
+        reason = "leaves more than noise, and so does every likely pair"
+        first = Round((), alone[0], alone, [bic - f.bic for f in alone], None, reason)
+        return other[0], [first, *other[1]], other[2]
+    best = known or _search(laboratory, pool, progress, opening)
+    pool += built
+    for one in (other, None):
+        if one is None:
+            if _reaches_noise(laboratory, best[0]):
+                break
+            one = _search(laboratory, pool, progress)
+        if one[0].bic < best[0].bic - BIC_MARGIN:
+            best = one[0], [*best[1], *one[1]], one[2]
+    return best
 
 
 def _reaches_noise(laboratory: Laboratory, fit: Fit) -> bool:
     """Whether a model is as near to the train trials as noise lets it, with plausible numbers."""
     m = laboratory.measurements
-    rms = laboratory.rms(laboratory.predict(fit.model, fit.values), m.train)
+    try:
+        rms = laboratory.rms(laboratory.predict(fit.model, fit.values), m.train)
+    except DataError:  # a trial that is not fitted has no equilibrium with it
+        return False
     return rms <= AT_NOISE * m.noise_floor and not fit.model.at_bound(fit.values)
 
 
@@ -88,25 +163,33 @@ def _noise_changed(laboratory: Laboratory, current: Fit) -> bool:
     return bool(current.model.effects) or not _reaches_noise(laboratory, current)
 
 
-def _search(laboratory: Laboratory, candidates, progress):
-    """(model, rounds, (before, after) RMS of markers held out) with the present noise."""
-    empty = _base_fit(laboratory)
+def _search(laboratory: Laboratory, candidates, progress, opening: _Opening | None = None):
+    """(model, rounds, (before, after) RMS of markers held out) with the present noise.
+
+    Args:
+        opening: of the same candidates, if it is there already.
+    """
+    empty = base_fit(laboratory)
     current, rounds = empty, []
     excess = max(empty.chi_squared - empty.residual_count, 0.0)
     fluctuation = np.sqrt(2.0 * empty.residual_count)
-    held_out = _held_out(laboratory, empty)
+    held_out = held_out_error(laboratory, empty)
     base_held_out = held_out
     while len(current.model.effects) < MOST_EFFECTS:
-        fits = _extensions(laboratory, current, candidates, progress)
+        if opening and not current.model.effects:
+            fits = opening.singles
+        else:
+            fits = extensions(laboratory, current, candidates, progress)
         if len(current.model.effects) == 1:
-            fits += _pairs(laboratory, current, candidates, progress)
+            ready = opening.pairs if opening else []
+            fits += ready or pairs_beside(laboratory, current, candidates, progress)
         if not fits:
             break
         best = min(fits, key=lambda f: f.bic)
         if len(best.model.effects) > 1 and current.bic - best.bic >= BIC_MARGIN:
-            best, others = _exchanged(laboratory, best, candidates, progress)
+            best, others = exchanged(laboratory, best, candidates, progress)
             fits += others
-        fits = _best_of_each(fits)
+        fits = best_of_each(fits)
         gain = current.bic - best.bic
         taken = current.chi_squared - best.chi_squared
         left = current.chi_squared - current.residual_count
@@ -116,13 +199,13 @@ def _search(laboratory: Laboratory, candidates, progress):
         reason, ahead = "", held_out
         if gain < BIC_MARGIN:
             reason = f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
-        elif excess < _FLUCTUATION * fluctuation and taken < fluctuation:
+        elif excess < FLUCTUATION * fluctuation and taken < fluctuation:
             reason = f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
         elif share < LEAST_SHARE and not more:
             reason = f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
         else:
             try:
-                ahead = _held_out(laboratory, best)
+                ahead = held_out_error(laboratory, best)
             except DataError:
                 reason = "a trial held out has no equilibrium with it"
             if ahead[1] >= held_out[1]:
@@ -144,187 +227,14 @@ def _search(laboratory: Laboratory, candidates, progress):
         left = current.chi_squared - current.residual_count
         if len(current.model.effects) > 1 and left > 0.5 * excess:
             break
-    current = _pruned(laboratory, current)
-    current = _leaner(laboratory, current, candidates, rounds, progress)
+    current = pruned(laboratory, current)
+    current = leaner(laboratory, current, candidates, rounds, progress)
     if len(current.model.effects) > 1:
         # The one that does most by itself comes first.
         alone = [f.model.names[0] for f in rounds[0].fits]
         order = [alone.index(name) if name in alone else len(alone) for name in current.model.names]
-        current = _reordered(current, sorted(range(len(order)), key=order.__getitem__))
+        current = reordered(current, sorted(range(len(order)), key=order.__getitem__))
     return current, rounds, (base_held_out[0], held_out[0])
-
-
-def _base_fit(laboratory: Laboratory) -> Fit:
-    trials = laboratory.measurements.train
-    return Fit(
-        Model(),
-        np.zeros(0),
-        np.zeros((0, 0)),
-        float(laboratory.misfit(Model(), np.zeros(0), trials).sum()),
-        int(laboratory.read[trials].sum()),
-        float(laboratory.effective[trials].sum()),
-        True,
-    )
-
-
-def _starts(laboratory: Laboratory, effect: Effect) -> list[np.ndarray]:
-    return effect.starts(laboratory.measurements)
-
-
-def _best_of_each(fits: list[Fit]) -> list[Fit]:
-    best: dict[tuple[str, ...], Fit] = {}
-    for fit in fits:
-        key = tuple(sorted(fit.model.names))
-        if key not in best or fit.chi_squared < best[key].chi_squared:
-            best[key] = fit
-    return sorted(best.values(), key=lambda f: f.bic)
-
-
-def _extensions(laboratory, current: Fit, candidates, progress) -> list[Fit]:
-    """Every candidate added to the current model, best first."""
-    models, starts = [], []
-    for effect in candidates:
-        if effect.name not in current.model.names:
-            for start in _starts(laboratory, effect):
-                models.append(current.model.extended(effect))
-                starts.append(np.concatenate([current.values, start]))
-    return _best_of_each(_fit(laboratory, models, starts, current, progress))
-
-
-def _pairs(laboratory, current: Fit, candidates, progress) -> list[Fit]:
-    """Pairs that are likely by superposition: the best single effect may stand for two others."""
-    if current.chi_squared - current.residual_count < _FLUCTUATION * np.sqrt(
-        2.0 * current.residual_count
-    ):
-        return []
-    chosen = likely_pairs(laboratory, candidates, _PAIRS)
-    chosen = [
-        (model, start) for model, start in chosen if current.model.names[0] not in model.names
-    ]
-    models, starts = [model for model, _ in chosen], [start for _, start in chosen]
-    return _fit(laboratory, models, starts, None, progress, rival=current.chi_squared)
-
-
-def _exchanged(laboratory, best: Fit, candidates, progress) -> tuple[Fit, list[Fit]]:
-    """Try every other effect in the place of each earlier one: the first choice saw the others'
-    work as its own. Once one has changed, the others have to prove themselves beside it. Returns
-    every fit on the way as well."""
-    # The last one was chosen from all, with the others as they are.
-    places = len(best.model.effects) - 1
-    tried, seen = 0, []
-    while tried < places:
-        # The effect in the first place makes room; one that stays moves to the end.
-        parts = best.model.split(best.values)
-        rest, values = Model(best.model.effects[1:]), np.concatenate(parts[1:])
-        models, starts = [], []
-        for effect in candidates:
-            if effect.name not in best.model.names:
-                for start in _starts(laboratory, effect):
-                    models.append(rest.extended(effect))
-                    starts.append(np.concatenate([values, start]))
-        origin = replace(best, model=rest, values=values)
-        others = _best_of_each(
-            _fit(laboratory, models, starts, origin, progress, rival=best.chi_squared)
-        )
-        seen += others
-        if others and others[0].bic < best.bic - 1e-6:
-            best, tried = others[0], 0
-        else:
-            best, tried = _reordered(best, [*range(1, places + 1), 0]), tried + 1
-    return best, seen
-
-
-def _reordered(fit: Fit, places: Sequence[int]) -> Fit:
-    """The same fit with its effects in another order."""
-    own = fit.model.split(np.arange(len(fit.values)))
-    order = np.concatenate([own[p] for p in places])
-    return replace(
-        fit,
-        model=Model(tuple(fit.model.effects[p] for p in places)),
-        values=fit.values[order],
-        covariance=fit.covariance[np.ix_(order, order)],
-    )
-
-
-def _pruned(laboratory, current: Fit) -> Fit:
-    """Drop what a later effect has made superfluous."""
-    while len(current.model.effects) > 1:
-        models, starts = [], []
-        parts = current.model.split(current.values)
-        for place in range(len(parts)):
-            rest = [e for i, e in enumerate(current.model.effects) if i != place]
-            models.append(Model(tuple(rest)))
-            starts.append(np.concatenate([p for i, p in enumerate(parts) if i != place]))
-        fits = fit_models(laboratory, models, starts, origin=current, race=False)
-        best = min(fits, key=lambda f: f.bic)
-        if best.bic > current.bic + BIC_MARGIN:
-            break
-        current = best
-    return current
-
-
-def _leaner(laboratory, current: Fit, candidates, rounds: list[Round], progress) -> Fit:
-    """A pair of fewer parameters in the place of a pair, if it does as well; what was fitted for
-    that joins the last step, so that the verdict may name it as confounded."""
-    if len(current.model.effects) != 2 or not rounds:
-        return current
-    tried = {frozenset(f.model.names) for r in rounds for f in r.fits}
-    pairs = [
-        (model, start)
-        for model, start in likely_pairs(laboratory, candidates, _LEANER_FROM)
-        if len(start) < len(current.values) and frozenset(model.names) not in tried
-    ][:_LEANER]
-    models, starts = [model for model, _ in pairs], [start for _, start in pairs]
-    fits = _best_of_each(
-        _fit(laboratory, models, starts, None, progress, rival=current.chi_squared)
-    )
-    for step in reversed(rounds):
-        if any(set(f.model.names) == set(current.model.names) for f in step.fits):
-            step.fits += fits
-            break
-    return min([current, *fits], key=lambda f: f.bic)
-
-
-def _fit(laboratory, models, starts, origin, progress, rival: float = np.inf) -> list[Fit]:
-    if not models:
-        return []
-    fits = fit_models(
-        laboratory,
-        models,
-        starts,
-        origin=origin,
-        least_gain=0.5 * BIC_MARGIN,
-        rival=rival,
-        progress=progress,
-    )
-    return [f for f in fits if np.isfinite(f.chi_squared)]
-
-
-def _held_out(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
-    """(RMS of markers [m], chi squared of everything) of train trials not fitted, in folds."""
-    m, trials = laboratory.measurements, laboratory.measurements.train
-    count = min(_FOLDS, len(trials))
-    fold = np.arange(len(trials)) % count
-    fits = [fit] * count
-    if len(fit.values):
-        weights = (fold != np.arange(count)[:, None]).astype(float)
-        fits = fit_models(
-            laboratory,
-            [fit.model] * count,
-            [fit.values] * count,
-            weights=weights,
-            origin=fit,
-            race=False,
-        )
-    squares = chi_squared = 0.0
-    markers = m.centerline[0].size
-    for k, own in enumerate(fits):
-        left = trials[fold == k]
-        error = laboratory.target[left] - laboratory.observe(own.model, own.values, trials=left)
-        squares += float((error**2)[:, :markers][laboratory.read[left, :markers]].sum())
-        chi_squared += float((laboratory.whiten(error, left) ** 2).sum())
-    count = laboratory.read[trials, :markers].sum()
-    return float(np.sqrt(3.0 * squares / count)), chi_squared
 
 
 def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
@@ -337,7 +247,7 @@ def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
     fine.set_noise(laboratory.noise, laboratory.scatter_rates)
     if not fit.model.effects:
         laboratory.adopt(fine)
-        return _base_fit(laboratory)
+        return base_fit(laboratory)
     fine.refine(fit.model, fit.values)
     polished = fit_models(fine, [fit.model], [fit.values], origin=fit, race=False)[0]
     laboratory.adopt(fine)

@@ -14,14 +14,17 @@ import warp as wp
 from wrod.identification.clamped.layout import (
     COMPLEX_STEP,
     batch_arrays,
+    coupling_of,
     dead_force,
     end_poses,
     full_shape,
+    law_layers,
     node_part,
     wind_load,
 )
 from wrod.identification.clamped.sensing import Prediction, View
 from wrod.identification.clamped.setup import Setup
+from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.kernels.elastic.loads import dead_loads
 from wrod.kernels.elastic.softened_bending import softened_bending_rate
 from wrod.kernels.elastic.stretching import stretching_rate
@@ -141,15 +144,23 @@ class Sensitivity:
             device=device,
         )
         names = ("rest_length", "bending_stiffness", "natural_curvature", "softening")
-        wp.launch(
-            softened_bending_rate,
-            dim=(rods, nodes - 2),
-            inputs=[getattr(batch, n) for n in names]
-            + [rate[n] for n in names]
-            + [state.dof, state.director],
-            outputs=[out],
-            device=device,
-        )
+        bends = [([getattr(batch, n) for n in names], [rate[n] for n in names])]
+        for layer, own in zip(batch.layers, law_layers(setups), strict=True):
+            own = [wp.array(np.imag(v) / COMPLEX_STEP, dtype=wp.vec2d, device=device) for v in own]
+            bends.append(
+                (
+                    [batch.rest_length, layer[0], batch.natural_curvature, layer[1]],
+                    [rate["rest_length"], own[0], rate["natural_curvature"], own[1]],
+                )
+            )
+        for model, rates in bends:
+            wp.launch(
+                softened_bending_rate,
+                dim=(rods, nodes - 2),
+                inputs=[*model, *rates, state.dof, state.director],
+                outputs=[out],
+                device=device,
+            )
         names = ("rest_length", "twisting_stiffness", "natural_twist")
         wp.launch(
             twisting_rate,
@@ -160,6 +171,7 @@ class Sensitivity:
             outputs=[out],
             device=device,
         )
+        self._add_coupling_rate(np.imag(coupling_of(setups)) / COMPLEX_STEP, rate, out)
         no_load = wp.zeros_like(batch.point_load)
         no_energy = wp.zeros_like(batch.derivatives.energy)
         for mass, gravity in (
@@ -177,6 +189,51 @@ class Sensitivity:
         force = np.imag(dead_force(setups)) / COMPLEX_STEP
         rate -= np.pad(force, ((0, 0), (0, 0), (0, 1))).reshape(rods, -1)[:, :-1]
         return rate
+
+    def _add_coupling_rate(self, coupling_rate, rate, out) -> None:
+        """What the coupling of bending with twist adds to `_gradient_rate`.
+
+        It is linear in the coupling and quadratic along the rates of both natural strains, so that
+        central differences are exact there; along that of the rest length they are good to 1e-8.
+        """
+        batch, device = self.batch, self.device
+        names = ("rest_length", "bending_stiffness", "natural_curvature", "twisting_stiffness")
+        model = {n: getattr(batch, n) for n in (*names, "natural_twist")}
+
+        def add(number, factor, **moved):
+            """`factor` times the gradient with some of the model's arrays in other values."""
+            arrays = [moved.get(n, a) for n, a in model.items()]
+            part = wp.zeros_like(out)
+            state = batch.state
+            wp.launch(
+                bend_twist_energy,
+                dim=(batch.rod_count, batch.node_count - 2),
+                inputs=[*arrays, number, batch.every_rod]
+                + [state.dof, state.director, state.reference_twist, 1],
+                outputs=[wp.zeros_like(batch.derivatives.energy), part, batch.derivatives.hessian],
+                device=device,
+            )
+            out.assign(out.numpy() + factor * part.numpy())
+
+        if coupling_rate.any():
+            add(wp.array(coupling_rate, dtype=wp.vec2d, device=device), 1.0)
+        for _, coupling in batch.energies:
+            for moving, least in ((("natural_curvature", "natural_twist"), 1.0), (names[:1], 1e-4)):
+                rates = {n: rate[n].numpy() for n in moving}
+                largest = max(np.abs(r).max() for r in rates.values())
+                if largest == 0.0:
+                    continue
+                h = least / largest
+                if moving == names[:1]:
+                    h *= float(batch.rest_length.numpy().max())
+                for sign in (1.0, -1.0):
+                    moved = {
+                        n: wp.array(
+                            model[n].numpy() + sign * h * r, dtype=model[n].dtype, device=device
+                        )
+                        for n, r in rates.items()
+                    }
+                    add(coupling, 0.5 * sign / h, **moved)
 
     def _prescribed_rate(self, setups: Sequence[Setup]) -> np.ndarray:
         """(rod, dof) rates of the clamps' degrees of freedom."""

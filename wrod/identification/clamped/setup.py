@@ -26,6 +26,10 @@ class Setup:
         natural_curvature: (n + 1, 2) components of dt/ds at rest along (m1, m2) [1/m].
         natural_twist: (n + 1,) [rad/m].
         softening: (n + 1, 2) c [m^2] and r of the moment B k (r + (1 - r) / (1 + c k^2)).
+        law: (J, 2), of a moment M = B k (1 - sum_j p_j c_j k^2 / (1 + c_j k^2)) on top of that: c
+            [m^2] and p of every term; no rows: none.
+        coupling: (2,) G of an energy per length G . e (tau - tau_0) of the excess curvatures along
+            (m1, m2) and the twist [N m^2].
         line_mass: (n + 1,) mass per unstretched length [kg/m].
         node_mass: (n + 1,) masses on top of it [kg].
         gravity: (3,) [m/s^2].
@@ -58,6 +62,8 @@ class Setup:
     grip_rotation: np.ndarray
     marker_arc_length: np.ndarray
     measured: np.ndarray
+    law: np.ndarray
+    coupling: np.ndarray
 
     @classmethod
     def base(cls, measurements: ClampedMeasurements, trials: np.ndarray, edge_count: int) -> Setup:
@@ -85,6 +91,8 @@ class Setup:
             grip_rotation=m.grip_rotation[trials],
             marker_arc_length=m.arc_length.copy(),
             measured=m.node_positions(edge_count)[trials],
+            law=np.zeros((0, 2)),
+            coupling=np.zeros(2),
         )
 
     @property

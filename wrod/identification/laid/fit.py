@@ -15,12 +15,12 @@ import numpy as np
 
 from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS
-from wrod.deployment.setup import tail
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError
 from wrod.identification.effect import Estimate
 from wrod.identification.laid.measurements import LaidMeasurements
 from wrod.identification.verdict import CORRELATED, LAID, LAID_ONCE
+from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel

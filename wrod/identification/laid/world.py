@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from wrod.deployment.setup import Tail
+from wrod.deployment.plan import plan
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError
 from wrod.patterns.pattern import Pattern
-from wrod.planning.plan import plan
+from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.solvers.contact import Friction
@@ -116,7 +116,7 @@ def lay(
     if not worlds:
         return []
     # Nothing is laid after the pattern: what the photographs show was laid before.
-    end = Tail(trajectory.arc_length[-1:], trajectory.position[-1:], trajectory.rotation[-1:])
+    end = Tail.none(trajectory)
     trials = [
         Trial(pattern, world.rod(believed), trajectory, Friction(world.friction), tail=end)
         for world in worlds

@@ -1,0 +1,27 @@
+"""Some calls of the campaign of hostile calls (tests/adversary.py); `make fuzz` makes thousands."""
+
+import pytest
+from adversary import Campaign, material, run, wrong
+
+# Of commands that end in a second.
+CALLS = [("loop", 8), ("rods", 2), ("markers", 5), ("measure", 8), ("show", 8)]
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("adversary")
+    return Campaign(folder, material(folder / "files"))
+
+
+@pytest.mark.parametrize("command, count", CALLS)
+def test_hostile_calls_end_as_they_may(campaign, command, count, tried):
+    bad, refused = [], 0
+    for number in range(count):
+        kind, words, around = campaign.drawn(1, number, command)
+        end, left = run(words, around, campaign.folder / "run", campaign.files)
+        refused += end.code == 2
+        said = wrong(end, left, around)
+        if said:
+            bad.append(f"{kind}: {said}")
+    tried["calls"] = (count, refused)
+    assert not bad, "\n".join(bad)

@@ -1,0 +1,138 @@
+"""Plans for a table: from a pattern, a rod and a friction to the trajectory of the grip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wrod import arguments
+from wrod.errors import GraspError, PatternError
+from wrod.patterns.pattern import Pattern
+from wrod.planning.plan import plan_grasps, prepare
+from wrod.planning.sources import SOURCES
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+
+if TYPE_CHECKING:
+    from wrod.controller.controller import Controller
+
+# The method that asks a network for what `friction` otherwise optimises.
+DISTILLED = "distilled"
+
+
+@arguments.checked(
+    PatternError,
+    pattern=arguments.like("a wrod.Pattern", "sample", "length", "remainder_length"),
+    spacing=arguments.number(2e-4, 10.0),
+)
+@arguments.checked(
+    GraspError,
+    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
+    method=arguments.text,
+    closure=arguments.optional(arguments.text),
+    remainder=arguments.either(arguments.flag, arguments.number(0.0, 100.0)),
+    roll=arguments.either(arguments.text, arguments.number(-1e6, 1e6)),
+    controller=arguments.like("a wrod.Controller", "predict", "out_of_range"),
+    friction=arguments.optional(
+        arguments.either(arguments.number(0.0, 100.0), arguments.array((2,)))
+    ),
+    device=arguments.optional(arguments.text),
+    progress=arguments.optional(arguments.callback),
+)
+def plan(
+    pattern: Pattern,
+    rod: RodModel | RodMaterial,
+    method: str = "auto",
+    *,
+    closure: str | None = None,
+    spacing: float = 0.0025,
+    remainder: bool | float | None = None,
+    roll: float | str = "plane",
+    controller: Controller | None = None,
+    friction: float | tuple[float, float] | None = None,
+    device: str | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> Trajectory:
+    """Trajectory of the grip that lays `rod` along `pattern`.
+
+    Args:
+        pattern: where the rod is to lie.
+        rod: what is laid: a `RodMaterial`, or a `RodModel` whose properties may vary along it.
+            Of the second every grasp is that of the piece that hangs there, from the rod solver.
+        method: "neural" (optimal grasps from the trained controller; of a naturally curved rod
+            without a controller of its own, from the rod solver), "numeric" (from the rod solver),
+            "auto" (neural where the controller was trained, numeric elsewhere) or "intuitive"
+            (straight above the contact); or "distilled": "auto", corrected for `friction` by a
+            network that learnt it from optimised plans, in milliseconds.
+        closure: "zero_tension", "min_force" or "min_friction"; "neural" knows its controller's
+            only, which for the one that ships is the first. None: the given controller's; without
+            one, what lays the pattern most accurately for "auto" (see `favoured_closure`), and
+            "zero_tension", which is the paper's, for the others.
+        spacing: largest distance between the contact nodes [m].
+        remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the free
+            end is expected to spring off by more than 0.15 L_gb on a table of friction 0.3
+            (`free_end`), True, False, or its length [m].
+        roll: how the rod is put into the grip: the laid rod's first material director is turned
+            by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
+            into the table's plane to the side to which the pattern turns in all, or upwards. In
+            the plane the twist changes least; up, less is pushed aside (docs/loop.md).
+        controller: what "neural" and "auto" ask, for example one that was trained for this
+            naturally curved rod; None is the one that ships, for all straight rods.
+        friction: of the table, a coefficient (taken to be known to a tenth) or a range: the path
+            is corrected through simulated deployments until what stays lies on the pattern, for
+            rods and tables that cover what is known of them (docs/deployment.md; a minute or
+            two). None: the grasps as they are.
+        device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
+        progress: called with the nodes done since the last call and the number of all nodes.
+
+    Returns:
+        One pose per contact node; `metadata` names method, closure, solver, rod, pattern,
+        remainder, the friction that the laid pattern asks for ("required_friction") and that the
+        rod asks for where it touches down ("contact_friction"), and the warnings given; with
+        `friction`,
+        "optimised" and "expected": what simulated deployments say (`wrod.deployment.optimise`), or
+        "distilled".
+        Where a rod that varies along itself has no grasp of its own, "natural_share" is the
+        smallest share of its natural curvature that a grasp was made with (`wrod.grasps.relaxed`).
+
+    Raises:
+        PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
+            bend it tighter than its own radius, or spacing is not positive.
+        GraspError: unknown method, friction for the intuitive one, a grasp that did not converge
+            (names node and inputs), or a controller that was made for another rod.
+
+    Warns:
+        StabilityWarning: some grasps are elastically unstable, or close to it.
+        WrodWarning: some grasps are of a rod closer to straight.
+        OutOfRangeWarning: some nodes are outside what the controller was trained for.
+    """
+    if method not in (*SOURCES, DISTILLED):
+        names = ", ".join((*SOURCES, DISTILLED))
+        raise GraspError(f"unknown method {method!r}; use one of {names}")
+    how: dict[str, Any] = dict(
+        closure=closure, spacing=spacing, roll=roll, controller=controller, device=device,
+        progress=progress,
+    )  # fmt: skip
+    if friction is None:
+        if method == DISTILLED:
+            raise GraspError(f"method {DISTILLED!r} corrects a plan for a table; say its friction")
+        return plan_grasps(pattern, rod, method, remainder=remainder, **how)
+    from wrod.deployment.optimise import optimise
+    from wrod.deployment.spread import Spread
+
+    spread = Spread.of(friction)
+    if method == "intuitive":
+        raise GraspError(
+            "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
+        )
+    led = prepare(pattern, rod, remainder)
+    base = "auto" if method == DISTILLED else method
+    start = plan_grasps(led, rod, base, remainder=False, **how)
+    if method == DISTILLED:
+        from wrod.deployment.distilled import distilled
+
+        return distilled(led, rod, start, float(np.mean(spread.friction)))
+    return optimise(led, rod, start, spread, device=device)

@@ -1,0 +1,89 @@
+"""What a plan is to be good for: tables and rods that cover what is known of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wrod.deployment.setup import DEVIATIONS, Disturbance
+from wrod.errors import PatternError
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+from wrod.rods.profile import Profile
+from wrod.solvers.contact import Friction
+
+# A single friction coefficient is taken to be known to this part.
+_UNCERTAIN = 0.1
+# Deviations of uniform variables, in those of normal ones whose middle 90 % they cover.
+_REACH = 1.65
+# Of the errors of L_gb and natural curvature of two pairs of rods: a half, in opposite corners.
+_CORNERS = ((0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (-0.5, -0.5))
+# A rod is believed to stretch as a solid one of its stiffness in bending; braids hardly do. The
+# sample is in between: where it hangs from its end it is shorter by this [L_gb], unless that leaves
+# less than this part of its stretch. No path lays rods alike that differ by much more.
+_LESS_STRETCH, _LEAST_STRETCH = 0.075, 0.1
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What a plan is to be good for; deviations are standard deviations.
+
+    Attributes:
+        friction: least and largest coefficient [-].
+        lgb_error: relative, of L_gb.
+        natural_curvature: [1/m].
+        stretch: whether the rod may stretch less than is believed, down to not at all: the sample
+            is then between the two.
+    """
+
+    friction: tuple[float, float]
+    lgb_error: float = DEVIATIONS["lgb_error"]
+    natural_curvature: float = DEVIATIONS["natural_curvature"]
+    stretch: bool = True
+
+    @classmethod
+    def of(cls, friction: float | tuple[float, float] | Spread) -> Spread:
+        """That of a coefficient, known to a tenth, or of a range.
+
+        Raises:
+            PatternError: not positive and finite, or the first is larger than the second.
+        """
+        if isinstance(friction, Spread):
+            return friction
+        values = np.atleast_1d(np.asarray(friction, dtype=float))
+        if len(values) == 1:
+            values = values[0] * np.array([1.0 - _UNCERTAIN, 1.0 + _UNCERTAIN])
+        if len(values) != 2 or not (np.isfinite(values).all() and 0 < values[0] <= values[1]):
+            raise PatternError(
+                f"friction is {friction!r}; give a positive coefficient or a range such as "
+                "(0.2, 0.6)"
+            )
+        return cls((float(values[0]), float(values[1])))
+
+    def sample(self, count: int, rod: RodModel | RodMaterial) -> list[tuple]:
+        """(rod, friction, disturbance) of rods that cover it evenly, from low friction to high, in
+        pairs that lie opposite each other: what errors answer linearly to then moves no plan."""
+        low, high = self.friction
+        held = _stretching_less(rod) if self.stretch else rod
+        out = []
+        for i in range(count):
+            aside, bent = _CORNERS[i % 4] if i - i % 2 + 1 < count else (0.0, 0.0)
+            disturbance = Disturbance(
+                lgb_error=_REACH * self.lgb_error * aside,
+                natural_curvature=_REACH * self.natural_curvature * bent,
+            )
+            mu = low + (high - low) * (i + 0.5) / count
+            out.append((held, Friction(mu), disturbance))
+        return out
+
+
+def _stretching_less(rod: RodModel | RodMaterial) -> RodModel | RodMaterial:
+    """A rod between this one and one that does not stretch, with the same L_gb."""
+    hanging = (rod.length / rod.gravito_bending_length) ** 2 / (4.0 * rod.stretch_ratio)
+    part = max(1.0 - _LESS_STRETCH / hanging, _LEAST_STRETCH)
+    if isinstance(rod, RodMaterial):
+        return replace(rod, radius=float(np.sqrt(part)) * rod.radius)
+    profile = rod.stretching_stiffness
+    stiffer = Profile(np.array(profile.values) / part, profile.knots)
+    return replace(rod, stretching_stiffness=stiffer)

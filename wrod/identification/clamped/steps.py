@@ -1,0 +1,198 @@
+"""The moves of a selection: beside a model, in pairs, by exchange, pruned; trials held out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.pairs import likely_pairs
+from wrod.identification.clamped.verdict import BIC_MARGIN, Round
+from wrod.identification.effect import Effect, Model
+
+_FOLDS = 4
+# Pairs to fit, and how many standard deviations of chi squared deserve them.
+_PAIRS, FLUCTUATION = 12, 5.0
+# Leaner pairs to fit in the place of a chosen one, out of so many by superposition.
+_LEANER, _LEANER_FROM = 6, 40
+
+
+def base_fit(laboratory: Laboratory) -> Fit:
+    trials = laboratory.measurements.train
+    return Fit(
+        Model(),
+        np.zeros(0),
+        np.zeros((0, 0)),
+        float(laboratory.misfit(Model(), np.zeros(0), trials).sum()),
+        int(laboratory.read[trials].sum()),
+        float(laboratory.effective[trials].sum()),
+        True,
+    )
+
+
+def _starts(laboratory: Laboratory, effect: Effect) -> list[np.ndarray]:
+    return effect.starts(laboratory.measurements)
+
+
+def best_of_each(fits: list[Fit]) -> list[Fit]:
+    best: dict[tuple[str, ...], Fit] = {}
+    for fit in fits:
+        key = tuple(sorted(fit.model.names))
+        if key not in best or fit.chi_squared < best[key].chi_squared:
+            best[key] = fit
+    return sorted(best.values(), key=lambda f: f.bic)
+
+
+def extensions(laboratory, current: Fit, candidates, progress) -> list[Fit]:
+    """Every candidate added to the current model that may pay for its parameters, best first."""
+    models, starts = [], []
+    # No fit leaves much less than noise does.
+    above = current.chi_squared - current.residual_count + 3.0 * np.sqrt(2 * current.residual_count)
+    price = np.log(current.effective_count)
+    for effect in candidates:
+        count = len(effect.parameters)
+        if effect.name not in current.model.names and above + count > BIC_MARGIN + price * count:
+            for start in _starts(laboratory, effect):
+                models.append(current.model.extended(effect))
+                starts.append(np.concatenate([current.values, start]))
+    return best_of_each(_fit(laboratory, models, starts, current, progress))
+
+
+def pairs_beside(laboratory, current: Fit, candidates, progress) -> list[Fit]:
+    """Pairs that are likely by superposition: the best single effect may stand for two others."""
+    if current.chi_squared - current.residual_count < FLUCTUATION * np.sqrt(
+        2.0 * current.residual_count
+    ):
+        return []
+    chosen = likely_pairs(laboratory, candidates, _PAIRS)
+    chosen = [
+        (model, start) for model, start in chosen if current.model.names[0] not in model.names
+    ]
+    models, starts = [model for model, _ in chosen], [start for _, start in chosen]
+    return _fit(laboratory, models, starts, None, progress, rival=current.chi_squared)
+
+
+def exchanged(laboratory, best: Fit, candidates, progress) -> tuple[Fit, list[Fit]]:
+    """Try every other effect in the place of each earlier one: the first choice saw the others'
+    work as its own. Once one has changed, the others have to prove themselves beside it. Returns
+    every fit on the way as well."""
+    # The last one was chosen from all, with the others as they are.
+    places = len(best.model.effects) - 1
+    tried, seen = 0, []
+    while tried < places:
+        # The effect in the first place makes room; one that stays moves to the end.
+        parts = best.model.split(best.values)
+        rest, values = Model(best.model.effects[1:]), np.concatenate(parts[1:])
+        models, starts = [], []
+        for effect in candidates:
+            if effect.name not in best.model.names:
+                for start in _starts(laboratory, effect):
+                    models.append(rest.extended(effect))
+                    starts.append(np.concatenate([values, start]))
+        origin = replace(best, model=rest, values=values)
+        others = best_of_each(
+            _fit(laboratory, models, starts, origin, progress, rival=best.chi_squared)
+        )
+        seen += others
+        if others and others[0].bic < best.bic - 1e-6:
+            best, tried = others[0], 0
+        else:
+            best, tried = reordered(best, [*range(1, places + 1), 0]), tried + 1
+    return best, seen
+
+
+def reordered(fit: Fit, places: Sequence[int]) -> Fit:
+    """The same fit with its effects in another order."""
+    own = fit.model.split(np.arange(len(fit.values)))
+    order = np.concatenate([own[p] for p in places])
+    return replace(
+        fit,
+        model=Model(tuple(fit.model.effects[p] for p in places)),
+        values=fit.values[order],
+        covariance=fit.covariance[np.ix_(order, order)],
+    )
+
+
+def pruned(laboratory, current: Fit) -> Fit:
+    """Drop what a later effect has made superfluous."""
+    while len(current.model.effects) > 1:
+        models, starts = [], []
+        parts = current.model.split(current.values)
+        for place in range(len(parts)):
+            rest = [e for i, e in enumerate(current.model.effects) if i != place]
+            models.append(Model(tuple(rest)))
+            starts.append(np.concatenate([p for i, p in enumerate(parts) if i != place]))
+        fits = fit_models(laboratory, models, starts, origin=current, race=False)
+        best = min(fits, key=lambda f: f.bic)
+        if best.bic > current.bic + BIC_MARGIN:
+            break
+        current = best
+    return current
+
+
+def leaner(laboratory, current: Fit, candidates, rounds: list[Round], progress) -> Fit:
+    """A pair of fewer parameters in the place of a pair, if it does as well; what was fitted for
+    that joins the last step, so that the verdict may name it as confounded."""
+    if len(current.model.effects) != 2 or not rounds:
+        return current
+    tried = {frozenset(f.model.names) for r in rounds for f in r.fits}
+    pairs = [
+        (model, start)
+        for model, start in likely_pairs(laboratory, candidates, _LEANER_FROM)
+        if len(start) < len(current.values) and frozenset(model.names) not in tried
+    ][:_LEANER]
+    models, starts = [model for model, _ in pairs], [start for _, start in pairs]
+    fits = best_of_each(_fit(laboratory, models, starts, None, progress, rival=current.chi_squared))
+    for step in reversed(rounds):
+        if any(set(f.model.names) == set(current.model.names) for f in step.fits):
+            step.fits += fits
+            break
+    return min([current, *fits], key=lambda f: f.bic)
+
+
+def _fit(laboratory, models, starts, origin, progress, rival: float = np.inf) -> list[Fit]:
+    if not models:
+        return []
+    # Half of what would let it join, for the problem is not linear.
+    price = np.log(laboratory.effective[laboratory.measurements.train].sum())
+    paid = 0 if origin is None else len(origin.values)
+    fits = fit_models(
+        laboratory,
+        models,
+        starts,
+        origin=origin,
+        least_gain=[0.5 * (BIC_MARGIN + price * (len(v) - paid)) for v in starts],
+        rival=rival,
+        progress=progress,
+    )
+    return [f for f in fits if np.isfinite(f.chi_squared)]
+
+
+def held_out_error(laboratory: Laboratory, fit: Fit) -> tuple[float, float]:
+    """(RMS of markers [m], chi squared of everything) of train trials not fitted, in folds."""
+    m, trials = laboratory.measurements, laboratory.measurements.train
+    count = min(_FOLDS, len(trials))
+    fold = np.arange(len(trials)) % count
+    fits = [fit] * count
+    if len(fit.values):
+        weights = (fold != np.arange(count)[:, None]).astype(float)
+        fits = fit_models(
+            laboratory,
+            [fit.model] * count,
+            [fit.values] * count,
+            weights=weights,
+            origin=fit,
+            race=False,
+        )
+    squares = chi_squared = 0.0
+    markers = m.centerline[0].size
+    for k, own in enumerate(fits):
+        left = trials[fold == k]
+        error = laboratory.target[left] - laboratory.observe(own.model, own.values, trials=left)
+        squares += float((error**2)[:, :markers][laboratory.read[left, :markers]].sum())
+        chi_squared += float((laboratory.whiten(error, left) ** 2).sum())
+    count = laboratory.read[trials, :markers].sum()
+    return float(np.sqrt(3.0 * squares / count)), chi_squared

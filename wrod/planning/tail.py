@@ -1,0 +1,169 @@
+"""What is left of the rod at the pattern's end, laid straight ahead before the grip lets go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from wrod.patterns.pattern import Pattern
+from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+
+_SPACING = 0.01  # [m]
+# Length over which a tail straightens after a pattern that ends in a bend, in L_gb.
+_STRAIGHTEN = 3.0
+
+
+@dataclass(frozen=True)
+class Tail:
+    """How the grip goes on after the pattern: straight ahead, until 1 L_gb is left.
+
+    laid (T,) laid length [m], contact (T, 3), position (T, 3), rotation (T, 3, 3); the first entry
+    is the trajectory's last pose. shape (T, nodes, 3) as `Trajectory.shape`, where asked for.
+    """
+
+    laid: np.ndarray
+    contact: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    shape: np.ndarray | None = None
+
+    @classmethod
+    def none(cls, path: Trajectory) -> Tail:
+        """The grip stays where the trajectory ends."""
+        return cls(path.arc_length[-1:], path.contact[-1:], path.position[-1:], path.rotation[-1:])
+
+
+def tail(
+    pattern: Pattern | None,
+    rod: RodModel | RodMaterial,
+    trajectory: Trajectory,
+    shapes: bool = False,
+) -> Tail:
+    """The tail is laid by the same method along the pattern's end tangent, after a bend that
+    straightens out.
+
+    A grip goes on as it was planned: by grasps of the rod that the trajectory was planned for, of
+    the length that `rod` has, whatever else `rod` is. Where the trajectory does not say its rod,
+    by those of `rod`.
+
+    Args:
+        pattern: that was planned; None reads its end off the contacts.
+        rod, trajectory: see above.
+        shapes: compute the suspended rod's, by the solver.
+    """
+    rod = replace(trajectory.rod or rod, length=rod.length)
+    lgb = rod.gravito_bending_length
+    start = float(trajectory.arc_length[-1])
+    length = rod.length - MIN_SUSPENDED_LENGTH * lgb - start
+    count = max(int(np.ceil(length / _SPACING)), 1) + 1
+    s = np.linspace(0.0, max(length, 0.0), count)
+    corner, tangent, bend = _end(pattern, trajectory)
+    x = np.clip(s / (_STRAIGHTEN * lgb), 0.0, 1.0)
+    ease = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    curvature = bend * (1.0 - ease)
+    heading = np.arctan2(tangent[1], tangent[0]) + _integrate(curvature, s)
+    frame = Rotation.from_euler("z", heading[:, None]).as_matrix()
+    contact = corner + np.column_stack(
+        [_integrate(np.cos(heading), s), _integrate(np.sin(heading), s), np.zeros(count)]
+    )
+    method = trajectory.metadata.get("method", "numeric")
+    if method == "neural":
+        method = "auto"  # a tail is shorter in the end than what the controller was trained for
+    if shapes:
+        method = "numeric"
+    poses = SOURCES[method](
+        GraspInputs.of(
+            rod,
+            rod.length - start - s,
+            curvature,
+            roll=trajectory.roll,
+            closure=trajectory.metadata.get("closure") or "zero_tension",
+            device="cpu",
+        )
+    )
+    position = contact + lgb * np.einsum("tij,tj->ti", frame, poses.position)
+    rotation = frame @ Rotation.from_rotvec(poses.rotation).as_matrix()
+    grip = position.copy()
+    # A corrected trajectory ends beside its grasp: the correction fades out with the bend.
+    position += (1.0 - ease)[:, None] * (trajectory.position[-1] - position[0])
+    turn = Rotation.from_matrix(trajectory.rotation[-1] @ rotation[0].T).as_rotvec()
+    rotation = Rotation.from_rotvec((1.0 - ease)[:, None] * turn).as_matrix() @ rotation
+    shape = None
+    if shapes:
+        shape = contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, poses.shape)
+        share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
+        shape += share[None, :, None] * (position - grip)[:, None]
+    good = np.isfinite(position).all(axis=1)
+    if poses.converged is not None:
+        good &= poses.converged
+    good[0] = False
+    return Tail(
+        np.concatenate([[start], start + s[good]]),
+        np.concatenate([trajectory.contact[-1:], contact[good]]),
+        np.concatenate([trajectory.position[-1:], position[good]]),
+        np.concatenate([trajectory.rotation[-1:], rotation[good]]),
+        None if shape is None else np.concatenate([shape[:1], shape[good]]),
+    )
+
+
+def with_tail(
+    trajectory: Trajectory, pattern: Pattern | None = None, lowest: float = 0.0
+) -> Trajectory | None:
+    """The trajectory with the nodes of its tail behind its own, as far as the grip stays higher
+    than `lowest` [m]; None where its rod is not known, or where nothing is left to lay.
+
+    Their forces are NaN; a twist stays as it was.
+    """
+    rod = trajectory.rod
+    if rod is None or not np.isfinite(trajectory.position).all():
+        return None
+    # No closure and no shape: the straight rod of the intuitive method.
+    shapes = trajectory.shape is not None
+    found = tail(pattern, rod, trajectory, shapes)
+    low = found.position[1:, 2] < lowest
+    count = int(np.argmax(low)) if low.any() else len(low)
+    if count < 3:
+        return None
+    new = slice(1, count + 1)
+    shape = None
+    if shapes:
+        fit = CubicSpline(np.linspace(0.0, 1.0, found.shape.shape[1]), found.shape[new], axis=1)
+        more = fit(np.linspace(0.0, 1.0, trajectory.shape.shape[1]))
+        shape = np.concatenate([trajectory.shape, more])
+    twist = trajectory.twist
+    if twist is not None:
+        twist = np.concatenate([twist, np.repeat(twist[-1:], count)])
+    return replace(
+        trajectory,
+        arc_length=np.concatenate([trajectory.arc_length, found.laid[new]]),
+        contact=np.concatenate([trajectory.contact, found.contact[new]]),
+        position=np.concatenate([trajectory.position, found.position[new]]),
+        rotation=np.concatenate([trajectory.rotation, found.rotation[new]]),
+        force=np.concatenate([trajectory.force, np.full((count, 3), np.nan)]),
+        shape=shape,
+        twist=twist,
+    )
+
+
+def _end(pattern: Pattern | None, trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray, float]:
+    """Last point (3,) [m], tangent (3,) and curvature [1/m] of what was laid."""
+    if pattern is not None:
+        (corner,), (tangent,), (bend,) = pattern.sample(pattern.length)
+        return corner, tangent, bend
+    curve = CubicSpline(trajectory.arc_length, trajectory.contact)
+    last = trajectory.arc_length[-1]
+    forward, second = curve(last, 1), curve(last, 2)
+    speed = np.linalg.norm(forward)
+    bend = (forward[0] * second[1] - forward[1] * second[0]) / speed**3
+    return trajectory.contact[-1], forward / speed, float(bend)
+
+
+def _integrate(values: np.ndarray, s: np.ndarray) -> np.ndarray:
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(s)
+    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -1,0 +1,113 @@
+"""The arm's way along the tail: what hangs from the hand at the pattern's end, laid down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wrod.planning.tail import with_tail
+from wrod.robot.attempt import Task
+from wrod.robot.grip import GripPath
+from wrod.robot.joint_path import JointPath
+from wrod.robot.kinematics import refine
+from wrod.robot.knots import COARSEST, joint_spline
+from wrod.robot.report import inspect
+from wrod.robot.timing import schedule
+
+FINGERS = 0.012  # [m] from the grasp point to the outside of the gripper's fingers
+_STEP = 0.02  # [m] of travel between the poses that are followed
+_HALVINGS = 5  # of the travel between what the arm can lay of a tail and what it cannot
+_SHORTER = (1.0, 0.8, 0.5)  # shares of what it can, where the hand finds no way back from its end
+_LEAST = 0.02  # [m] of rod: less is not worth the way
+
+
+@dataclass(frozen=True)
+class LaidTail:
+    """Joint positions (K, n) [rad] and velocities (K, n) [rad/s] at a path's rate, laid length
+    (K,) [m], and the task whose trajectory ends where the hand opens."""
+
+    positions: np.ndarray
+    velocities: np.ndarray
+    arc_length: np.ndarray
+    task: Task
+
+
+def tails(path: JointPath, task: Task):
+    """Ways on from the end of a joint path that lay the tail, the longest first.
+
+    The arm goes on from where it is, with least motion, at the same hold of the rod; as far as it
+    keeps what the task asks for.
+    """
+    joined = with_tail(task.trajectory, None, FINGERS + task.clearance)
+    if joined is None:
+        return
+    way = GripPath(joined)
+    longer = replace(task, trajectory=joined, path=way)
+    begin = way.travel[len(task.trajectory) - 1]
+    low, high = begin, way.travel[-1]
+    if _followed(path, longer, begin, high) is not None:
+        low = high
+    for _ in range(_HALVINGS if low < high else 0):
+        middle = (low + high) / 2
+        if _followed(path, longer, begin, middle) is None:
+            high = middle
+        else:
+            low = middle
+    for share in _SHORTER:
+        end = begin + share * (low - begin)
+        if way.arc_length(np.array([end]))[0] - task.trajectory.arc_length[-1] < _LEAST:
+            return
+        found = _followed(path, longer, begin, end)
+        if found is not None:
+            yield found
+
+
+def _followed(path: JointPath, task: Task, begin: float, end: float) -> LaidTail | None:
+    """The way between two points of the task's travel [m], None where the arm cannot go it."""
+
+    def targets(at):
+        return task.targets(path.placement, path.grip, at)
+
+    coarse = np.linspace(begin, end, max(6, int(np.ceil((end - begin) / _STEP)) + 1))
+    followed = [path.positions[-1]]
+    for goal in targets(coarse)[1:]:
+        q, error = refine(task.robot, followed[-1][None], goal[None])
+        if np.abs(error).max() > 1e-6:
+            return None
+        followed.append(q[0])
+    knots = np.linspace(begin, end, max(8, int(np.ceil((end - begin) / COARSEST)) + 1))
+    spline, knots = joint_spline(task.robot, targets, coarse, np.array(followed), knots)
+    check = np.sort(np.concatenate([knots, (knots[:-1] + knots[1:]) / 2]))
+    report = inspect(
+        task.robot, task.model, task.path, task.trajectory.arc_length, check, spline(check),
+        targets(check), task.surroundings(path.placement, check), task.limit_margin,
+        task.clearance,
+    )  # fmt: skip
+    if report.problem is not None:
+        return None
+
+    def shifted(travel, order=0):
+        return spline(travel + begin, order)
+
+    timing = schedule(task.robot, shifted, end - begin, path.metadata["grip_speed"])
+    rate = float(path.metadata["rate"])
+    time = np.arange(np.ceil(timing.duration * rate) + 1) / rate
+    travel, speed = timing.travel(time)
+    laid = task.path.arc_length(travel + begin)
+    nodes = task.trajectory.arc_length < laid[-1] + 1e-9
+    cut = task.trajectory
+    cut = replace(
+        cut,
+        **{
+            name: value[nodes]
+            for name in ("arc_length", "contact", "position", "rotation", "force", "shape", "twist")
+            if (value := getattr(cut, name)) is not None
+        },
+    )
+    return LaidTail(
+        shifted(travel),
+        shifted(travel, 1) * speed[:, None],
+        laid,
+        replace(task, trajectory=cut, path=GripPath(cut)),
+    )
