@@ -9,8 +9,9 @@ from click.testing import CliRunner
 import wrod
 from wrod.commands import main
 from wrod.deployment.corrections import Corrections
-from wrod.deployment.expectation import expect
+from wrod.deployment.expectation import expect, is_better, robot_error
 from wrod.deployment.optimise import optimise
+from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Directions, lay
@@ -116,6 +117,68 @@ def test_a_sample_stretches_less_than_is_believed(kind):
     assert longer(doubles[1]) == pytest.approx(0.1 * longer(stiff))
     assert doubles[0].gravito_bending_length == pytest.approx(0.018)
     assert replace(Spread.of(0.5), stretch=False).sample(2, soft)[0][0] is soft
+
+
+def test_a_correction_is_kept_for_what_it_saves_every_rod():
+    """Not for a mean that one of them makes, nor if one of them can no longer be laid."""
+    before = {"error_robot": [1.0, 2.0, 3.0, 1.5], "diverged": 0}
+    assert is_better({"error_robot": [0.9, 1.8, 2.9, 1.4], "diverged": 0}, before)
+    assert not is_better({"error_robot": [1.1, 2.1, 2.0, 1.6], "diverged": 0}, before)
+    assert not is_better({"error_robot": [1.1, 2.1, 3.1, 1.6], "diverged": 0}, before)
+    assert not is_better({"error_robot": [0.9, 1.8, 2.9, 1.4], "diverged": 1}, before)
+    assert not is_better(before, before)
+
+
+def test_misplacement_is_no_error_of_the_plan(bend):
+    pattern = bend[0]
+    told = Disturbance.random(3)
+    s = np.linspace(0.0, pattern.length, 200)
+    exact = pattern.sample(s)[0]
+    there = told.displaced(exact, exact[0])
+    assert robot_error(pattern, s, there, told) < 2e-6  # what chords of 1 mm cut off
+    assert robot_error(pattern, s, exact, told) == pytest.approx(
+        np.hypot(*(there - exact)[:, :2].T).mean(), rel=0.02
+    )
+
+
+def test_an_arm_follows_as_much_of_a_correction_as_it_can(bend):
+    from wrod.commands.plan_steps import _followed
+    from wrod.deployment.corrections import with_share
+    from wrod.robot.solve import UnreachedError
+
+    pattern, start = bend
+    corrections = Corrections(pattern, start, ROD.gravito_bending_length, 0.05)
+    corrected = corrections.apply(np.full(3 * corrections.count, 0.5))
+    corrected.metadata["optimised"] = {"largest_correction": 0.016, "kept": True}
+    tried = []
+
+    class Arm:
+        """Reaches so far beside what was planned at first [m]."""
+
+        def __init__(self, reach):
+            self.reach = reach
+
+        def solve(self, trajectory, rod):
+            tried.append(np.linalg.norm(trajectory.position - start.position, axis=1).max())
+            if tried[-1] > self.reach:
+                raise UnreachedError.__new__(UnreachedError)
+            return "joint path"
+
+    def softer(share):
+        return with_share(start, corrected, share)
+
+    most = 0.016 * np.sqrt(3.0)
+    for reach, share in ((0.1, None), (0.6 * most, 0.5), (1e-9, 0.0)):
+        tried.clear()
+        path, followed = _followed(Arm(reach), corrected, ROD, softer)
+        assert path == "joint path"
+        assert followed.metadata["optimised"].get("share") == share
+        assert tried[-1] == pytest.approx(most * (1.0 if share is None else share), abs=1e-12)
+    assert followed.metadata["optimised"]["largest_correction"] == 0.0
+    with pytest.raises(UnreachedError):
+        _followed(Arm(-1.0), corrected, ROD, softer)
+    with pytest.raises(UnreachedError):  # nothing to take back
+        _followed(Arm(0.001), corrected, ROD, None)
 
 
 @pytest.mark.parametrize("friction", [0.0, -1.0, np.nan, (0.6, 0.2), (0.1, 0.2, 0.3)])

@@ -5,7 +5,7 @@ which a node moves farther than that is refused. Bristles stay with the pairs th
 """
 
 import warp as wp
-from wrod.kernels.contact.rods import nearest_of_edges
+from wrod.kernels.contact.rods import nearest_of_edges, piece_nodes
 from wrod.kernels.elastic.frames import HALF, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
@@ -15,6 +15,8 @@ GROUP = wp.constant(8)
 
 @wp.kernel
 def bound_groups(
+    # Model:
+    splines: int,
     # State in:
     starting: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
@@ -22,14 +24,15 @@ def bound_groups(
     lower_out: wp.array2d(dtype=wp.vec3d),
     upper_out: wp.array2d(dtype=wp.vec3d),
 ):
-    """Boxes around the centrelines of every `GROUP` edges."""
+    """Boxes around the centrelines of every `GROUP` edges, or pieces of splines."""
     r, g = wp.tid()
     if starting[r] == 0:
         return
     last = (dof.shape[1] + 1) // 4 - 1
+    over = wp.where(splines != 0, 1, 0)
     lower = node(dof, r, g * GROUP)
     upper = node(dof, r, g * GROUP)
-    for i in range(g * GROUP + 1, wp.min((g + 1) * GROUP, last) + 1):
+    for i in range(g * GROUP + 1, wp.min((g + 1) * GROUP + over, last) + 1):
         lower = wp.min(lower, node(dof, r, i))
         upper = wp.max(upper, node(dof, r, i))
     lower_out[r, g] = lower
@@ -37,19 +40,36 @@ def bound_groups(
 
 
 @wp.func
-def apart(a: wp.vec3d, b: wp.vec3d, lower: wp.vec3d, upper: wp.vec3d, reach: wp.float64) -> bool:
-    """Whether the box around a and b and the given one are farther apart than `reach`."""
+def apart(p: wp.mat33d, lower: wp.vec3d, upper: wp.vec3d, reach: wp.float64) -> bool:
+    """Whether the box around the columns of p and the given one are farther apart than `reach`."""
     out = bool(False)
     for c in range(3):
-        if wp.min(a[c], b[c]) > upper[c] + reach or wp.max(a[c], b[c]) < lower[c] - reach:
+        least = wp.min(wp.min(p[c, 0], p[c, 1]), p[c, 2])
+        most = wp.max(wp.max(p[c, 0], p[c, 1]), p[c, 2])
+        if least > upper[c] + reach or most < lower[c] - reach:
             out = bool(True)
     return out
 
 
 @wp.func
-def centres_apart(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d) -> wp.float64:
-    """What two segments are at least apart: cheaper than what they are."""
-    return HALF * (wp.length(a + b - c - d) - wp.length(b - a) - wp.length(d - c))
+def column(p: wp.mat33d, c: int) -> wp.vec3d:
+    return wp.vec3d(p[0, c], p[1, c], p[2, c])
+
+
+@wp.func
+def half_length(p: wp.mat33d) -> wp.float64:
+    """Radius of a ball around the middle of a piece's first and last node that holds it."""
+    first = column(p, 0)
+    last = column(p, 2)
+    reach = HALF * wp.length(last - first)
+    return wp.max(reach, wp.length(column(p, 1) - HALF * (first + last)))
+
+
+@wp.func
+def centres_apart(p: wp.mat33d, q: wp.mat33d) -> wp.float64:
+    """What two pieces are at least apart: cheaper than what they are."""
+    between = column(p, 0) + column(p, 2) - column(q, 0) - column(q, 2)
+    return HALF * wp.length(between) - half_length(p) - half_length(q)
 
 
 @wp.kernel
@@ -57,6 +77,7 @@ def list_partners(
     # Model:
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
+    piece: wp.array2d(dtype=wp.int32),
     arc: wp.array2d(dtype=wp.float64),
     skip: wp.float64,
     reach: wp.array(dtype=wp.float64),
@@ -89,20 +110,19 @@ def list_partners(
     if starting[r] == 0:
         return
     found = int(0)
-    a = node(dof, r, i)
-    b = node(dof, r, i + 1)
     margin = reach[r] + reach[r]
     far = radius[r, i] + largest_radius[r] + margin
     if radius[r, i] > ZERO:
+        p = piece_nodes(dof, piece[r, i], r, i)
         for g in range((i + 1) // GROUP, lower.shape[1]):
-            if not apart(a, b, lower[r, g], upper[r, g], far):
+            if not apart(p, lower[r, g], upper[r, g], far):
                 for j in range(wp.max(g * GROUP, i + 1), wp.min((g + 1) * GROUP, radius.shape[1])):
                     sum = radius[r, i] + radius[r, j]
                     near_along = arc[r, j] - arc[r, i + 1] < wp.float64(0.5) * skip * sum
                     if radius[r, j] > ZERO and not near_along:
-                        least = centres_apart(a, b, node(dof, r, j), node(dof, r, j + 1))
+                        least = centres_apart(p, piece_nodes(dof, piece[r, j], r, j))
                         if least < sum + margin:
-                            c = nearest_of_edges(dof, rest_length, r, i, j)
+                            c = nearest_of_edges(dof, rest_length, piece, r, i, j)
                             if wp.length(c.gap) < sum + margin:
                                 if found < partner.shape[2]:
                                     new_partner[r, i, found] = j

@@ -1,20 +1,31 @@
 """Contact of the edges of rods with each other: true thickness, and Coulomb friction that sticks.
 
-Edges are capsules. A pair that is closer than the sum of its radii repels with the normal force of
-`wrod.kernels.contact.planes` along the shortest way between them (`wrod.kernels.contact.segments`),
-which derives from an energy with an exact Hessian. Friction acts between the surfaces: their
-relative motion at the point of contact, with the turning of both edges and their spin, stretches a
-bristle that slides on where the load exceeds mu N (return mapping). Two rods that move as one rigid
-body do not rub, and the forces conserve momentum and angular momentum. The bristle is kept in the
-frame of the first edge and the normal. N is held while Newton iterates, as in Li et al. 2020, so
-that the matrix of a step is symmetric and exact but for the turning of the pair; in balance it is
-compared with what the pairs press then, and taken anew where a bristle slides, or would, and they
-differ. A step ends with friction within a twentieth of mu times the load at its end.
+Edges are capsules, or pieces of a spline are tubes (`wrod.kernels.contact.segments`). A pair that
+is closer than the sum of its radii repels with the normal force of `wrod.kernels.contact.planes`
+along the shortest way between them (`wrod.kernels.contact.segments`), which derives from an energy
+with an exact Hessian. Friction acts between the surfaces: their relative motion at the point of
+contact, with the turning of both edges and their spin, stretches a bristle that slides on where the
+load exceeds mu N (return mapping). Two rods that move as one rigid body do not rub, and the forces
+conserve momentum and angular momentum. The bristle is kept in the frame of the first edge and the
+normal. N is held while Newton iterates, as in Li et al. 2020, so that the matrix of a step is
+symmetric and exact but for the turning of the pair; in balance it is compared with what the pairs
+press then, and taken anew where a bristle slides, or would, and they differ. A step ends with
+friction within a twentieth of mu times the load at its end.
 """
 
 import warp as wp
 from wrod.kernels.contact.planes import damped_force, normal_force, note_touch
-from wrod.kernels.contact.segments import SMOOTHING, Nearest, nearest
+from wrod.kernels.contact.segments import (
+    EDGE,
+    SMOOTHING,
+    Nearest,
+    nearest,
+    nearest_of_pieces,
+    piece_chord,
+    piece_size,
+    piece_slopes,
+    piece_weights,
+)
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
@@ -60,40 +71,61 @@ class Pair:
 
 
 @wp.func
+def piece_nodes(dof: wp.array2d(dtype=wp.float64), kind: int, r: int, i: int) -> wp.mat33d:
+    """Nodes of piece i as columns; of an edge the second one twice."""
+    last = i + piece_size(kind) - 1
+    return wp.matrix_from_cols(node(dof, r, i), node(dof, r, i + 1), node(dof, r, last))
+
+
+@wp.func
 def nearest_of_edges(
     dof: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
+    piece: wp.array2d(dtype=wp.int32),
     r: int,
     i: int,
     j: int,
 ) -> Nearest:
-    a = rest_length[r, i]
-    b = rest_length[r, j]
-    return nearest(
-        node(dof, r, i), node(dof, r, i + 1), node(dof, r, j), node(dof, r, j + 1),
-        SMOOTHING * a * a, SMOOTHING * b * b,
+    a = SMOOTHING * rest_length[r, i] * rest_length[r, i]
+    b = SMOOTHING * rest_length[r, j] * rest_length[r, j]
+    if piece[r, i] == EDGE and piece[r, j] == EDGE:
+        return nearest(
+            node(dof, r, i), node(dof, r, i + 1), node(dof, r, j), node(dof, r, j + 1), a, b
+        )
+    return nearest_of_pieces(
+        piece_nodes(dof, piece[r, i], r, i), piece_nodes(dof, piece[r, j], r, j),
+        piece[r, i], piece[r, j], a, b,
     )  # fmt: skip
+
+
+@wp.func
+def spin_share(kind: int, s: wp.float64) -> wp.float64:
+    """Share of the edge after it in the spin of a piece at s; the rest is its own edge's."""
+    return wp.where(kind == EDGE, ZERO, s)
 
 
 @wp.func
 def surface_motion(
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
+    kind: int,
     r: int,
     i: int,
-    fraction: wp.float64,
+    s: wp.float64,
     arm: wp.float64,
     normal: wp.vec3d,
 ) -> wp.vec3d:
-    """Motion in this step of the material point at `arm` normal from the centreline of edge i."""
-    q = node(dof, r, i)
-    p = node(dof, r, i + 1)
-    q_before = node(dof_before, r, i)
-    p_before = node(dof_before, r, i + 1)
-    t = wp.normalize(p - q)
-    turn = t - wp.normalize(p_before - q_before)
-    spin = dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
-    centre = (ONE - fraction) * (q - q_before) + fraction * (p - p_before)
+    """Motion in this step of the material point at `arm` normal from the centreline of piece i."""
+    now = piece_nodes(dof, kind, r, i)
+    before = piece_nodes(dof_before, kind, r, i)
+    slope = piece_slopes(kind, s)
+    t = wp.normalize(now * slope)
+    turn = t - wp.normalize(before * slope)
+    after = spin_share(kind, s)
+    spin = (ONE - after) * (dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3])
+    if kind != EDGE:
+        spin += after * (dof[r, 4 * i + 7] - dof_before[r, 4 * i + 7])
+    centre = (now - before) * piece_weights(kind, s)
     swing = wp.dot(t, normal) * turn - wp.dot(normal, turn) * t + spin * wp.cross(t, normal)
     return centre + arm * swing
 
@@ -113,6 +145,7 @@ def pair_contact(
     law: Law,
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
+    piece: wp.array2d(dtype=wp.int32),
     dt: wp.float64,
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
@@ -125,7 +158,7 @@ def pair_contact(
     j: int,
 ) -> Pair:
     out = Pair()
-    near = nearest_of_edges(dof, rest_length, r, i, j)
+    near = nearest_of_edges(dof, rest_length, piece, r, i, j)
     out.near = near
     p = radius[r, i] + radius[r, j] - near.distance
     normal = normal_force(p, law.stiffness, law.skin)
@@ -137,8 +170,10 @@ def pair_contact(
         out.normal = n
         e1 = first_tangent(wp.normalize(near.first), n)
         e2 = wp.cross(n, e1)
-        motion = surface_motion(dof, dof_before, r, i, near.s, -radius[r, i], n)
-        motion = motion - surface_motion(dof, dof_before, r, j, near.t, radius[r, j], n)
+        motion = surface_motion(dof, dof_before, piece[r, i], r, i, near.s, -radius[r, i], n)
+        motion = motion - surface_motion(
+            dof, dof_before, piece[r, j], r, j, near.t, radius[r, j], n
+        )
         normal = damped_force(p, -wp.dot(motion, n), law.relaxation, dt, law.stiffness, law.skin)
         out.force = normal[0]
         out.slope = normal[1]
@@ -167,25 +202,29 @@ def pair_contact(
 
 @wp.struct
 class EdgeMotion:
-    """How the surface point of one edge follows its two nodes (3x3 each) and its angle."""
+    """How the surface point of a piece follows its nodes (weight and slope, 3 each; 3x3) and its
+    angles."""
 
-    head: wp.mat33d
-    tail: wp.mat33d
+    weight: wp.vec3d
+    slope: wp.vec3d
+    swing: wp.mat33d
     spin: wp.vec3d
+    share: wp.float64
 
 
 @wp.func
-def edge_motion(e: wp.vec3d, fraction: wp.float64, arm: wp.float64, n: wp.vec3d) -> EdgeMotion:
+def edge_motion(kind: int, e: wp.vec3d, s: wp.float64, arm: wp.float64, n: wp.vec3d) -> EdgeMotion:
     """Derivative of `surface_motion`, closest point and normal held."""
     length = wp.length(e)
     t = e / length
     eye = wp.identity(3, dtype=wp.float64)
     swing = wp.dot(t, n) * eye - wp.outer(t, n)
-    swing = (arm / length) * (swing * (eye - wp.outer(t, t)))
     out = EdgeMotion()
-    out.head = (ONE - fraction) * eye - swing
-    out.tail = fraction * eye + swing
+    out.weight = piece_weights(kind, s)
+    out.slope = piece_slopes(kind, s)
+    out.swing = (arm / length) * (swing * (eye - wp.outer(t, t)))
     out.spin = arm * wp.cross(t, n)
+    out.share = spin_share(kind, s)
     return out
 
 
@@ -198,17 +237,25 @@ def add_force(gradient: wp.array2d(dtype=wp.float64), r: int, a: int, v: wp.vec3
 @wp.func
 def add_edge_force(
     gradient: wp.array2d(dtype=wp.float64),
+    kind: int,
     r: int,
     i: int,
-    fraction: wp.float64,
     push: wp.vec3d,
+    turn: wp.vec3d,
     m: EdgeMotion,
     pull: wp.vec3d,
 ):
-    """Gradient of a force `push` at the closest point and `pull` at the surface of edge i."""
-    add_force(gradient, r, 4 * i, (ONE - fraction) * push + wp.transpose(m.head) * pull)
-    add_force(gradient, r, 4 * i + 4, fraction * push + wp.transpose(m.tail) * pull)
-    wp.atomic_add(gradient, r, 4 * i + 3, wp.dot(m.spin, pull))
+    """Gradient of a force `push` at the closest point, `turn` on the chord and `pull` at the
+    surface of piece i."""
+    chord = piece_chord(kind)
+    swing = wp.transpose(m.swing) * pull
+    for k in range(piece_size(kind)):
+        force = m.weight[k] * (push + pull) + m.slope[k] * swing + chord[k] * turn
+        add_force(gradient, r, 4 * (i + k), force)
+    spin = wp.dot(m.spin, pull)
+    wp.atomic_add(gradient, r, 4 * i + 3, (ONE - m.share) * spin)
+    if kind != EDGE:
+        wp.atomic_add(gradient, r, 4 * i + 7, m.share * spin)
 
 
 @wp.kernel
@@ -217,6 +264,7 @@ def rod_contact(
     law: wp.array(dtype=Law),
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
+    piece: wp.array2d(dtype=wp.int32),
     # State in:
     step: wp.array(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
@@ -244,18 +292,21 @@ def rod_contact(
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
         c = pair_contact(
-            law[r], radius, rest_length, step[r], dof, dof_before, bristle[r, i, k], load[r, i, k],
-            sliding[r, i, k], sticking[r], r, i, j,
+            law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, k],
+            load[r, i, k], sliding[r, i, k], sticking[r], r, i, j,
         )  # fmt: skip
         depth_out[r, i, k] = radius[r, i] + radius[r, j] - c.near.distance
         if c.force > ZERO:
             if c.slid > ZERO and load[r, i, k] > ZERO:
                 overloaded_out[r] = 1
-            push = (-c.force / c.near.distance) * c.near.gap
-            m = edge_motion(c.near.first, c.near.s, -radius[r, i], c.normal)
-            add_edge_force(gradient, r, i, c.near.s, push, m, c.pull)
-            m = edge_motion(c.near.second, c.near.t, radius[r, j], c.normal)
-            add_edge_force(gradient, r, j, c.near.t, -push, m, -c.pull)
+            pressure = -c.force / c.near.distance
+            push = pressure * c.near.gap
+            kind = piece[r, i]
+            m = edge_motion(kind, c.near.first, c.near.s, -radius[r, i], c.normal)
+            add_edge_force(gradient, kind, r, i, push, pressure * c.near.first_turn, m, c.pull)
+            kind = piece[r, j]
+            m = edge_motion(kind, c.near.second, c.near.t, radius[r, j], c.normal)
+            add_edge_force(gradient, kind, r, j, -push, pressure * c.near.second_turn, m, -c.pull)
 
 
 @wp.kernel
@@ -263,6 +314,7 @@ def find_touching(
     # Model:
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
+    piece: wp.array2d(dtype=wp.int32),
     reach: wp.array(dtype=wp.float64),
     # State in:
     chosen: wp.array(dtype=wp.int32),
@@ -282,12 +334,14 @@ def find_touching(
         wp.atomic_max(touching_out, r, 1)
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
-        near = nearest_of_edges(dof, rest_length, r, i, j)
+        near = nearest_of_edges(dof, rest_length, piece, r, i, j)
         depth = radius[r, i] + radius[r, j] - near.distance
         if depth > ZERO:
             n = near.gap / wp.max(wp.length(near.gap), wp.float64(1.0e-12))
-            motion = surface_motion(dof, dof_before, r, i, near.s, -radius[r, i], n)
-            motion = motion - surface_motion(dof, dof_before, r, j, near.t, radius[r, j], n)
+            motion = surface_motion(dof, dof_before, piece[r, i], r, i, near.s, -radius[r, i], n)
+            motion = motion - surface_motion(
+                dof, dof_before, piece[r, j], r, j, near.t, radius[r, j], n
+            )
             note_touch(touching_out, r, depth, -wp.dot(motion, n), radius[r, i])
 
 
@@ -309,6 +363,7 @@ def renew_loads(
     law: wp.array(dtype=Law),
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
+    piece: wp.array2d(dtype=wp.int32),
     # State in:
     step: wp.array(dtype=wp.float64),
     converged: wp.array(dtype=wp.int32),
@@ -335,7 +390,7 @@ def renew_loads(
         if old == ZERO:
             continue
         c = pair_contact(
-            law[r], radius, rest_length, step[r], dof, dof_before, bristle[r, i, k], old,
+            law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, k], old,
             sliding[r, i, k], SLIPPING, r, i, j,
         )  # fmt: skip
         if c.force > ZERO and wp.abs(c.force - old) > STALE * wp.max(c.force, old):
@@ -383,6 +438,7 @@ def settle_friction(
     law: wp.array(dtype=Law),
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
+    piece: wp.array2d(dtype=wp.int32),
     # State in:
     step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
@@ -406,8 +462,8 @@ def settle_friction(
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
         c = pair_contact(
-            law[r], radius, rest_length, step[r], dof, dof_before, bristle[r, i, k], held[r, i, k],
-            sliding[r, i, k], SLIPPING, r, i, j,
+            law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, k],
+            held[r, i, k], sliding[r, i, k], SLIPPING, r, i, j,
         )  # fmt: skip
         bristle[r, i, k] = c.bristle
         load[r, i, k] = c.force
@@ -418,8 +474,8 @@ def settle_friction(
                 wp.atomic_add(slip, r, i, c.slid)
                 wp.atomic_add(slip, r, j, c.slid)
             total = (c.force / c.near.distance) * c.near.gap - c.pull
-            wp.atomic_add(force, r, i, (ONE - c.near.s) * total)
-            wp.atomic_add(force, r, i + 1, c.near.s * total)
-            wp.atomic_add(force, r, j, -(ONE - c.near.t) * total)
-            wp.atomic_add(force, r, j + 1, -c.near.t * total)
+            for n in range(piece_size(piece[r, i])):
+                wp.atomic_add(force, r, i + n, c.near.first_weight[n] * total)
+            for n in range(piece_size(piece[r, j])):
+                wp.atomic_add(force, r, j + n, -c.near.second_weight[n] * total)
             wp.atomic_max(penetration, r, radius[r, i] + radius[r, j] - c.near.distance)

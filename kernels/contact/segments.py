@@ -8,6 +8,13 @@ The small terms rho make the minimum unique, so that s and t move continuously a
 continuous gradient while one segment turns past parallel to the other; plain closest points jump
 from end to end there. By the envelope theorem the gradient of m is that of |p - p'|^2 at fixed s
 and t. With rho = 0.01 h^2 (edges of length h) D is up to h^2 / (400 D) too large.
+
+Edges meet in corners, and a load in the middle of an edge bends a rod less than one at a node: both
+hold what should slide along a rod. Pieces of a quadratic B-spline, whose control points are the
+nodes, meet tangent-continuously, and the second moment of their weights is the same all along. A
+piece reaches from the middle of an edge to that of the next. Between pieces
+the small terms, which are corners where pieces meet, carry the squared cosine of the angle between
+their chords: nothing holds what slides at right angles, and parallel ones are as robust as edges.
 """
 
 import warp as wp
@@ -17,11 +24,21 @@ wp.set_module_options({"enable_backward": False})
 
 SMOOTHING = wp.constant(wp.float64(0.01))
 
+# Kinds of pieces: an edge, or three nodes of a spline, of which the first or last may end it.
+EDGE = wp.constant(0)
+SPLINE = wp.constant(4)
+AT_START = wp.constant(1)
+AT_END = wp.constant(2)
+_MOST_TURNS = wp.constant(40)
+
 
 @wp.struct
 class Nearest:
     """Closest points: fractions s, t, which of them are free (1) or at an end (0), the vector
-    `gap` from the second point to the first, the smoothed distance, and the edges."""
+    `gap` from the second point to the first, the smoothed distance, and the derivatives `first`,
+    `second` of the points by s and t. Of pieces also the weights of the points' nodes, their
+    derivatives, the diagonal of the matrix of the minimum, and how half the squared distance
+    follows the chords by the small terms."""
 
     s: wp.float64
     t: wp.float64
@@ -31,6 +48,14 @@ class Nearest:
     distance: wp.float64
     first: wp.vec3d
     second: wp.vec3d
+    first_weight: wp.vec3d
+    second_weight: wp.vec3d
+    first_slope: wp.vec3d
+    second_slope: wp.vec3d
+    ss: wp.float64
+    tt: wp.float64
+    first_turn: wp.vec3d
+    second_turn: wp.vec3d
 
 
 @wp.func
@@ -78,4 +103,150 @@ def nearest(
     out.distance = wp.sqrt(wp.dot(out.gap, out.gap) + rho_first * a * a + rho_second * b * b)
     out.first = e
     out.second = f
+    out.first_weight = wp.vec3d(ONE - s, s, ZERO)
+    out.second_weight = wp.vec3d(ONE - t, t, ZERO)
+    out.first_slope = wp.vec3d(-ONE, ONE, ZERO)
+    out.second_slope = wp.vec3d(-ONE, ONE, ZERO)
+    out.ss = ee
+    out.tt = ff
+    return out
+
+
+@wp.func
+def piece_size(kind: int) -> int:
+    """How many nodes a piece has."""
+    return wp.where(kind == EDGE, 2, 3)
+
+
+@wp.func
+def piece_bends(kind: int) -> wp.vec3d:
+    """Second derivatives of the weights."""
+    if kind == EDGE:
+        return wp.vec3d(ZERO, ZERO, ZERO)
+    a = wp.where(kind & AT_START, TWO, ONE)
+    b = wp.where(kind & AT_END, TWO, ONE)
+    return wp.vec3d(a, -a - b, b)
+
+
+@wp.func
+def piece_weights(kind: int, s: wp.float64) -> wp.vec3d:
+    """Weights of a piece's nodes at s."""
+    if kind == EDGE:
+        return wp.vec3d(ONE - s, s, ZERO)
+    bends = piece_bends(kind)
+    a = HALF * bends[0] * (ONE - s) * (ONE - s)
+    b = HALF * bends[2] * s * s
+    return wp.vec3d(a, ONE - a - b, b)
+
+
+@wp.func
+def piece_slopes(kind: int, s: wp.float64) -> wp.vec3d:
+    """Derivatives of `piece_weights` by s."""
+    if kind == EDGE:
+        return wp.vec3d(-ONE, ONE, ZERO)
+    bends = piece_bends(kind)
+    a = bends[0] * (s - ONE)
+    b = bends[2] * s
+    return wp.vec3d(a, -a - b, b)
+
+
+@wp.func
+def piece_chord(kind: int) -> wp.vec3d:
+    """Weights of the end less those of the beginning."""
+    return piece_weights(kind, ONE) - piece_weights(kind, ZERO)
+
+
+@wp.func
+def newton_turn(
+    s: wp.float64, t: wp.float64, gs: wp.float64, gt: wp.float64, ss: wp.float64, st: wp.float64,
+    tt: wp.float64,
+) -> wp.vec2d:  # fmt: skip
+    """Where Newton's method goes from (s, t) within the unit square, one edge of it at a time."""
+    held_s = (s <= ZERO and gs > ZERO) or (s >= ONE and gs < ZERO)
+    held_t = (t <= ZERO and gt > ZERO) or (t >= ONE and gt < ZERO)
+    det = ss * tt - st * st
+    ds = -gs / ss
+    dt = -gt / tt
+    if not (held_s or held_t) and det > wp.float64(1.0e-6) * ss * tt:
+        ds = -(gs * tt - gt * st) / det
+        dt = -(gt * ss - gs * st) / det
+    if held_s:
+        ds = ZERO
+    if held_t:
+        dt = ZERO
+    # Where one of them meets its end on the way, the other goes on from there in the next turn.
+    way = wp.float64(1.0)
+    if s + ds > ONE and s < ONE:
+        way = wp.min(way, (ONE - s) / ds)
+    if s + ds < ZERO and s > ZERO:
+        way = wp.min(way, -s / ds)
+    if t + dt > ONE and t < ONE:
+        way = wp.min(way, (ONE - t) / dt)
+    if t + dt < ZERO and t > ZERO:
+        way = wp.min(way, -t / dt)
+    return wp.vec2d(wp.clamp(s + way * ds, ZERO, ONE), wp.clamp(t + way * dt, ZERO, ONE))
+
+
+@wp.func
+def nearest_of_pieces(
+    p: wp.mat33d,
+    q: wp.mat33d,
+    first_kind: int,
+    second_kind: int,
+    rho_first: wp.float64,
+    rho_second: wp.float64,
+) -> Nearest:
+    """Closest points of two pieces, whose nodes are the columns of p and q, by Newton's method from
+    those of their chords."""
+    out = nearest(
+        p * piece_weights(first_kind, ZERO), p * piece_weights(first_kind, ONE),
+        q * piece_weights(second_kind, ZERO), q * piece_weights(second_kind, ONE),
+        rho_first, rho_second,
+    )  # fmt: skip
+    e = p * piece_chord(first_kind)
+    f = q * piece_chord(second_kind)
+    ee = wp.dot(e, e)
+    ff = wp.dot(f, f)
+    ef = wp.dot(e, f)
+    along = ef * ef / (ee * ff)
+    rho_s = along * rho_first
+    rho_t = along * rho_second
+    bend_p = p * piece_bends(first_kind)
+    bend_q = q * piece_bends(second_kind)
+    s = out.s
+    t = out.t
+    change = wp.float64(1.0)
+    turn = int(0)
+    while change > wp.float64(1.0e-15) and turn < _MOST_TURNS:
+        out.first_weight = piece_weights(first_kind, s)
+        out.second_weight = piece_weights(second_kind, t)
+        out.first_slope = piece_slopes(first_kind, s)
+        out.second_slope = piece_slopes(second_kind, t)
+        out.gap = p * out.first_weight - q * out.second_weight
+        out.first = p * out.first_slope
+        out.second = q * out.second_slope
+        gs = wp.dot(out.gap, out.first) + rho_s * (s - HALF)
+        gt = -wp.dot(out.gap, out.second) + rho_t * (t - HALF)
+        ss = wp.dot(out.first, out.first)
+        tt = wp.dot(out.second, out.second)
+        # What wraps around the other curve may lie all along at the same distance, or less.
+        out.ss = wp.max(ss + wp.dot(out.gap, bend_p) + rho_s, wp.float64(0.001) * ss)
+        out.tt = wp.max(tt - wp.dot(out.gap, bend_q) + rho_t, wp.float64(0.001) * tt)
+        out.s = s
+        out.t = t
+        st = -wp.dot(out.first, out.second)
+        there = newton_turn(s, t, gs, gt, out.ss, st, out.tt)
+        change = wp.abs(there[0] - s) + wp.abs(there[1] - t)
+        s = there[0]
+        t = there[1]
+        turn += 1
+    out.free_s = wp.where(out.s > ZERO and out.s < ONE, ONE, ZERO)
+    out.free_t = wp.where(out.t > ZERO and out.t < ONE, ONE, ZERO)
+    a = out.s - HALF
+    b = out.t - HALF
+    small = rho_first * a * a + rho_second * b * b
+    out.distance = wp.sqrt(wp.dot(out.gap, out.gap) + along * small)
+    turned = small * ef / (ee * ff)
+    out.first_turn = turned * (f - (ef / ee) * e)
+    out.second_turn = turned * (e - (ef / ff) * f)
     return out

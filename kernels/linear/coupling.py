@@ -3,7 +3,8 @@ angle of the edge after it. Where blocks are stored: see `wrod.kernels.linear.sk
 """
 
 import warp as wp
-from wrod.kernels.contact.rods import Law, Pair, edge_motion, pair_contact
+from wrod.kernels.contact.rods import EdgeMotion, Law, Pair, edge_motion, pair_contact
+from wrod.kernels.contact.segments import EDGE, piece_chord, piece_size
 from wrod.kernels.elastic.frames import ONE, ZERO
 from wrod.kernels.linear.banded import banded_entry
 
@@ -100,41 +101,42 @@ def with_zero(v: wp.vec3d) -> wp.vec4d:
 
 
 @wp.func
-def share(c: Pair, radius_first: wp.float64, radius_second: wp.float64, k: int) -> Share:
-    """Nodes k = 0, 1 of the first edge, 2, 3 of the second."""
+def share(
+    c: Pair, first_kind: int, second_kind: int, radius_first: wp.float64,
+    radius_second: wp.float64, k: int,
+) -> Share:  # fmt: skip
+    """Nodes of the first piece, and then those of the second."""
     out = Share()
     near = c.near
-    if k == 0:
-        out.weight = ONE - near.s
-    elif k == 1:
-        out.weight = near.s
-    elif k == 2:
-        out.weight = near.t - ONE
-    else:
-        out.weight = -near.t
-    out.distance = (out.weight / near.distance) * with_zero(near.gap)
-    first = out.weight * near.first
-    second = -out.weight * near.second
-    if k == 0:
-        first = first - near.gap
-    elif k == 1:
-        first = first + near.gap
-    elif k == 2:
-        second = second + near.gap
-    else:
-        second = second - near.gap
-    out.first = near.free_s * with_zero(first)
-    out.second = near.free_t * with_zero(second)
-    m = edge_motion(near.first, near.s, -radius_first, c.normal)
+    size = piece_size(first_kind)
+    m = EdgeMotion()
     sign = ONE
-    if k >= 2:
-        m = edge_motion(near.second, near.t, radius_second, c.normal)
+    n = k
+    kind = first_kind
+    if k < size:
+        m = edge_motion(kind, near.first, near.s, -radius_first, c.normal)
+        turn = near.first_turn
+        out.first = with_zero(m.weight[n] * near.first + m.slope[n] * near.gap)
+        out.second = with_zero(-m.weight[n] * near.second)
+    else:
         sign = -ONE
-    part = m.head
-    spin = m.spin
-    if k % 2 == 1:
-        part = m.tail
-        spin = wp.vec3d(ZERO, ZERO, ZERO)
+        n = k - size
+        kind = second_kind
+        m = edge_motion(kind, near.second, near.t, radius_second, c.normal)
+        turn = near.second_turn
+        out.first = with_zero(-m.weight[n] * near.first)
+        out.second = with_zero(m.weight[n] * near.second - m.slope[n] * near.gap)
+    out.weight = sign * m.weight[n]
+    chord = piece_chord(kind)
+    out.distance = with_zero((out.weight * near.gap + chord[n] * turn) / near.distance)
+    out.first = near.free_s * out.first
+    out.second = near.free_t * out.second
+    part = m.slope[n] * m.swing + m.weight[n] * wp.identity(3, dtype=wp.float64)
+    spin = wp.vec3d(ZERO, ZERO, ZERO)
+    if n == 0:
+        spin = (ONE - m.share) * m.spin
+    if n == 1 and kind != EDGE:
+        spin = m.share * m.spin
     out.x = sign * wp.vec4d(part[0, 0], part[0, 1], part[0, 2], spin[0])
     out.y = sign * wp.vec4d(part[1, 0], part[1, 1], part[1, 2], spin[1])
     out.z = sign * wp.vec4d(part[2, 0], part[2, 1], part[2, 2], spin[2])
@@ -178,7 +180,7 @@ def pair_matrix(
     law: Law,
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
-    smoothing: wp.float64,
+    piece: wp.array2d(dtype=wp.int32),
     dt: wp.float64,
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
@@ -194,15 +196,26 @@ def pair_matrix(
     would make the matrix indefinite and lead Newton astray."""
     out = PairMatrix()
     c = pair_contact(
-        law, radius, rest_length, dt, dof, dof_before, bristle, load, sliding, sticks, r, i, j
+        law,
+        radius,
+        rest_length,
+        piece,
+        dt,
+        dof,
+        dof_before,
+        bristle,
+        load,
+        sliding,
+        sticks,
+        r,
+        i,
+        j,
     )
     out.pair = c
     out.held = wp.min(c.force, load)
-    e = c.near.first
-    f = c.near.second
-    ss = wp.dot(e, e) + smoothing * rest_length[r, i] * rest_length[r, i]
-    tt = wp.dot(f, f) + smoothing * rest_length[r, j] * rest_length[r, j]
-    st = c.near.free_s * c.near.free_t * wp.dot(e, f)
+    ss = c.near.ss
+    tt = c.near.tt
+    st = c.near.free_s * c.near.free_t * wp.dot(c.near.first, c.near.second)
     det = ss * tt - st * st
     out.inverse_ss = tt / det
     out.inverse_st = st / det
@@ -212,12 +225,19 @@ def pair_matrix(
 
 @wp.func
 def block_of(
-    m: PairMatrix, radius_first: wp.float64, radius_second: wp.float64, k: int
-) -> wp.mat44d:
-    """Block k // 4, k % 4 of a pair's matrix."""
-    a = share(m.pair, radius_first, radius_second, k // 4)
-    b = share(m.pair, radius_first, radius_second, k % 4)
+    m: PairMatrix, first_kind: int, second_kind: int, radius_first: wp.float64,
+    radius_second: wp.float64, k: int, n: int,
+) -> wp.mat44d:  # fmt: skip
+    """Block k, n of a pair's matrix."""
+    a = share(m.pair, first_kind, second_kind, radius_first, radius_second, k)
+    b = share(m.pair, first_kind, second_kind, radius_first, radius_second, n)
     return pair_block(m.pair, m.held, a, b, m.inverse_ss, m.inverse_st, m.inverse_tt)
+
+
+@wp.func
+def node_of(pair: wp.vec3i, size: int, k: int) -> int:
+    """Node k of a pair whose first piece has `size`."""
+    return wp.where(k < size, pair[0] + k, pair[1] + k - size)
 
 
 @wp.kernel
@@ -226,7 +246,7 @@ def add_pairs(
     law: wp.array(dtype=Law),
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
-    smoothing: wp.float64,
+    piece: wp.array2d(dtype=wp.int32),
     # State in:
     coupled: wp.array(dtype=wp.int32),
     overflow: wp.array(dtype=wp.int32),
@@ -249,7 +269,7 @@ def add_pairs(
     r, lane = wp.tid()
     if coupled[r] == 0 or overflow[r] != 0:
         return
-    # Sixteen lanes share a pair, where there are as many: one for each of its blocks.
+    # Sixteen lanes share a pair, where there are as many: one for each block of two edges.
     parts = wp.min(wp.block_dim(), 16)
     for n in range(lane // parts, count[r], wp.block_dim() // parts):
         pair = touching[r, n]
@@ -257,16 +277,20 @@ def add_pairs(
         j = pair[1]
         slot = pair[2]
         m = pair_matrix(
-            law[r], radius, rest_length, smoothing, step[r], dof, dof_before, bristle[r, i, slot],
+            law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, slot],
             load[r, i, slot], sliding[r, i, slot], sticking[r], r, i, j,
         )  # fmt: skip
-        for k in range(lane % parts, 16, parts):
-            v = pair[k // 8] + k // 4 % 2
-            u = pair[k % 4 // 2] + k % 2
+        size = piece_size(piece[r, i])
+        all = size + piece_size(piece[r, j])
+        for k in range(lane % parts, all * all, parts):
+            v = node_of(pair, size, k // all)
+            u = node_of(pair, size, k % all)
             p = rank[r, v]
             q = rank[r, u]
             if q <= p:
-                new = block_of(m, radius[r, i], radius[r, j], k)
+                new = block_of(
+                    m, piece[r, i], piece[r, j], radius[r, i], radius[r, j], k // all, k % all
+                )
                 for x in range(4):
                     for y in range(4):
                         new[x, y] = new[x, y] * free_of(free, r, v, x) * free_of(free, r, u, y)
@@ -279,7 +303,7 @@ def multiply_pairs(
     law: wp.array(dtype=Law),
     radius: wp.array2d(dtype=wp.float64),
     rest_length: wp.array2d(dtype=wp.float64),
-    smoothing: wp.float64,
+    piece: wp.array2d(dtype=wp.int32),
     # State in:
     active: wp.array(dtype=wp.int32),
     coupled: wp.array(dtype=wp.int32),
@@ -308,13 +332,17 @@ def multiply_pairs(
         j = pair[1]
         slot = pair[2]
         m = pair_matrix(
-            law[r], radius, rest_length, smoothing, step[r], dof, dof_before, bristle[r, i, slot],
+            law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, slot],
             load[r, i, slot], sliding[r, i, slot], sticking[r], r, i, j,
         )  # fmt: skip
-        for k in range(lane % parts, 16, parts):
-            v = pair[k // 8] + k // 4 % 2
-            u = pair[k % 4 // 2] + k % 2
-            block = block_of(m, radius[r, i], radius[r, j], k)
+        size = piece_size(piece[r, i])
+        all = size + piece_size(piece[r, j])
+        for k in range(lane % parts, all * all, parts):
+            v = node_of(pair, size, k // all)
+            u = node_of(pair, size, k % all)
+            block = block_of(
+                m, piece[r, i], piece[r, j], radius[r, i], radius[r, j], k // all, k % all
+            )
             for w in range(vector.shape[1]):
                 for x in range(4):
                     value = wp.float64(0.0)

@@ -6,6 +6,7 @@ a row close to the diagonal even in a knot: its width is that of a few strands.
 """
 
 import warp as wp
+from wrod.kernels.contact.segments import piece_size
 from wrod.kernels.lanes import any_lane, wait_for_lanes
 
 wp.set_module_options({"enable_backward": False})
@@ -23,6 +24,7 @@ def renumber(
     # State in:
     coupled: wp.array(dtype=wp.int32),
     changed: wp.array(dtype=wp.int32),
+    piece: wp.array2d(dtype=wp.int32),
     count: wp.array(dtype=wp.int32),
     touching: wp.array2d(dtype=wp.vec3i),
     capacity: int,
@@ -67,10 +69,14 @@ def renumber(
         for c in range(lane, count[r], wp.block_dim()):
             i = touching[r, c][0]
             j = touching[r, c][1]
-            best = wp.min(distance[r, i], distance[r, i + 1])
-            best = wp.min(best, wp.min(distance[r, j], distance[r, j + 1])) + 1
-            for corner in range(4):
-                v = wp.where(corner < 2, i, j) + corner % 2
+            size = piece_size(piece[r, i])
+            all = size + piece_size(piece[r, j])
+            best = wp.min(distance[r, i], distance[r, j])
+            for corner in range(all):
+                best = wp.min(best, distance[r, wp.where(corner < size, i, j - size) + corner])
+            best += 1
+            for corner in range(all):
+                v = wp.where(corner < size, i, j - size) + corner
                 if best < distance[r, v]:
                     wp.atomic_min(distance, r, v, best)
                     going = int(1)
@@ -103,10 +109,13 @@ def renumber(
     for c in range(lane, count[r], wp.block_dim()):
         i = touching[r, c][0]
         j = touching[r, c][1]
-        lowest = wp.min(rank_out[r, i], rank_out[r, i + 1])
-        lowest = wp.min(lowest, wp.min(rank_out[r, j], rank_out[r, j + 1]))
-        for corner in range(4):
-            v = wp.where(corner < 2, i, j) + corner % 2
+        size = piece_size(piece[r, i])
+        all = size + piece_size(piece[r, j])
+        lowest = wp.min(rank_out[r, i], rank_out[r, j])
+        for corner in range(all):
+            lowest = wp.min(lowest, rank_out[r, wp.where(corner < size, i, j - size) + corner])
+        for corner in range(all):
+            v = wp.where(corner < size, i, j - size) + corner
             wp.atomic_min(first_out, r, rank_out[r, v], lowest)
     wait_for_lanes()
     for p in range(lane, n, wp.block_dim()):

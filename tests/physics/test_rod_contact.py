@@ -58,7 +58,7 @@ def momenta(dynamics):
     return (mass * v).sum(axis=0), np.cross(q, mass * v).sum(axis=0) + spin.sum(axis=0)
 
 
-def rough_pair(turn, seed):
+def rough_pair(turn, seed, smooth):
     """Two wavy rods inside each other's thickness, turned against each other by `turn` [rad]."""
     rng = np.random.default_rng(seed)
     x = np.linspace(0, 1, 8)
@@ -72,7 +72,7 @@ def rough_pair(turn, seed):
         twisting_stiffness=1e-2,
     )
     batch.cut([7])
-    contact = RodContact(batch, 0.09, Friction(0.0), stiffness=3.0)
+    contact = RodContact(batch, 0.09, Friction(0.0), stiffness=3.0, smooth=smooth)
     contact.prepare(batch.every_rod, batch.every_rod, batch.state.dof)
     contact.held_load.fill_(1e9)  # nothing of the matrix is left out for the sake of Newton
     contact.reach.fill_(1e9)
@@ -80,10 +80,11 @@ def rough_pair(turn, seed):
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.05, 0.3, np.pi / 2])
-def test_derivatives_of_the_contact_energy(turn):
+@pytest.mark.parametrize("smooth", [False, True])
+def test_derivatives_of_the_contact_energy(turn, smooth):
     """Forces against differences of the energy, the matrix against differences of the forces, for
     rods that cross and rods that lie along each other."""
-    batch, contact = rough_pair(turn, seed=3)
+    batch, contact = rough_pair(turn, 3, smooth)
     ones, gradient = batch.every_rod, batch.derivatives.gradient
     before = wp.clone(batch.state.dof)
     x = before.numpy().copy()
@@ -124,7 +125,9 @@ def test_derivatives_of_the_contact_energy(turn):
         system.solve(ones)
         inverse[:, k] = system.x.numpy()[0, 0]
     shifted = matrix + shift * np.eye(n)
-    assert np.linalg.inv(inverse) == pytest.approx(shifted, abs=1e-6 * np.abs(matrix).max())
+    # Between pieces of splines the second derivative of what the small terms carry is left out.
+    rounding = 5e-4 if smooth else 1e-6
+    assert np.linalg.inv(inverse) == pytest.approx(shifted, abs=rounding * np.abs(matrix).max())
     assert system.negative_pivots.numpy()[0] == (np.linalg.eigvalsh(shifted) < 0).sum()
 
 
@@ -192,7 +195,7 @@ def test_crossing_rods_pressed_together():
     assert 0 < contact.penetration.numpy()[0] < 0.05 * RADIUS
 
 
-def on_rails(angles, friction):
+def on_rails(angles, friction, smooth=False):
     """A rod across two held rods, at rest, then tilted about the rails by `angles` [deg]."""
     angles = np.radians(angles)
     rails = [line(1, nodes=7, length=0.024, offset=(x, 0.0005, 0)) for x in (-0.015, 0.0155)]
@@ -202,7 +205,7 @@ def on_rails(angles, friction):
     free = np.ones(batch.dof_count, dtype=bool)
     free[: 4 * 14] = False
     batch.set_free(free)
-    contact = RodContact(batch, RADIUS, friction)
+    contact = RodContact(batch, RADIUS, friction, smooth=smooth)
     dynamics = Dynamics(
         batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=0.0, tolerance=1e-8
     )
@@ -229,6 +232,18 @@ def test_friction_holds_and_slides():
     a = np.radians(angles)
     expected = np.where(np.tan(a) > 0.4, G * (np.sin(a) - 0.4 * np.cos(a)), 0.0)
     assert (velocity[1] - velocity[0]) / 0.02 == pytest.approx(expected, abs=5e-3 * G)
+
+
+def test_smooth_rods_slide_down_the_slightest_slope():
+    """Without friction a = g sin(angle) over two edges at slopes of a percent."""
+    angles = np.degrees([0.003, 0.01])
+    dynamics = on_rails(angles, Friction(0.0), smooth=True)
+    dynamics.air_damping.zero_()
+    dynamics.velocity.zero_()
+    start = dynamics.batch.positions()[:, 14:, 0].mean(axis=1).copy()
+    dynamics.advance(0.8, 1e-3)
+    travelled = dynamics.batch.positions()[:, 14:, 0].mean(axis=1) - start
+    assert travelled == pytest.approx(0.5 * G * np.sin(np.radians(angles)) * 0.4**2, rel=0.02)
 
 
 def test_sticking_does_not_creep():

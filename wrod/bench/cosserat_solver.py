@@ -195,6 +195,8 @@ def _contacts(
         stiffness = weight / (_SINKING * radius)
         out.append(wrod.Contact(batch, radius[None], stiffness[None], [friction], [shapes]))
     if len(specs) > 1 or scenario.self_contact:
-        friction = wrod.Friction(max(spec.friction for spec in specs))
-        out.append(wrod.RodContact(batch, radius[None, :-1], friction))
+        rough = max(spec.friction for spec in specs)
+        # Without friction nothing but corners would hold what slides.
+        smooth = rough == 0.0 and not scenario.self_contact
+        out.append(wrod.RodContact(batch, radius[None, :-1], wrod.Friction(rough), smooth=smooth))
     return out

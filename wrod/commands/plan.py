@@ -23,7 +23,14 @@ from wrod.commands.options import (
     refuse_idle_options,
 )
 from wrod.commands.plan_pattern import SHAPE, Shaping, fit, shorter, too_long
-from wrod.commands.plan_steps import NO_JOINT_PATH, arm_steps, fitting, save_plan, solve_grasps_of
+from wrod.commands.plan_steps import (
+    NO_JOINT_PATH,
+    arm_steps,
+    fitting,
+    save_plan,
+    softened,
+    solve_grasps_of,
+)
 from wrod.commands.plan_summary import read_friction, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
 from wrod.errors import PatternError
@@ -128,7 +135,7 @@ def command(
     """
     from wrod.planning.plan import prepare, read_roll
 
-    how = grasps.read()
+    how, chosen = grasps.read(), None if device == "auto" else device
     request.check()
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
@@ -150,8 +157,7 @@ def command(
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),
-            device=None if device == "auto" else device, friction=friction,
-            **{**how, "remainder": False},
+            device=chosen, friction=friction, **{**how, "remainder": False},
         )  # fmt: skip
         return fitted, curve, trajectory
 
@@ -160,9 +166,19 @@ def command(
     written = save_plan(out, curve, trajectory)
     joint_path, reason = None, None
     if not request.no_robot:
-        joint_path, reason, more = arm_steps(
-            request, out, trajectory, curve, fitted.rod, as_json, planned, size
-        )
+
+        def softer(share: float):
+            start = planned(*size)[2]
+            return softened(curve, fitted.rod, trajectory, start, share, friction, chosen)
+
+        corrected = trajectory.metadata.get("optimised", {}).get("kept", False)
+        joint_path, reason, more, followed = arm_steps(
+            request, out, trajectory, curve, fitted.rod, as_json, planned, size,
+            softer if corrected else None,
+        )  # fmt: skip
+        if followed is not trajectory:
+            trajectory = followed
+            save_plan(out, curve, trajectory)
         written += more
     figures = {
         **trajectory.metadata,

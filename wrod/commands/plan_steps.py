@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 NO_JOINT_PATH = 3  # exit code: the plan stands, the arm cannot follow it
+# Of a correction for a table, where an arm cannot follow all of it.
+_SHARES = (0.5, 0.0)
 
 
 def solve_grasps_of(
@@ -38,6 +40,16 @@ def solve_grasps_of(
     return trajectory
 
 
+def softened(curve, rod, trajectory, start, share: float, friction, device):
+    """The trajectory with a share of its corrections for a table, and what is expected of it."""
+    from wrod.deployment.corrections import with_share
+    from wrod.deployment.expectation import expect
+
+    less = with_share(start, trajectory, share)
+    less.metadata["expected"] = expect(curve, rod, less, friction, device=device or "auto")
+    return less
+
+
 def save_plan(out: Path, curve, trajectory) -> list[Path]:
     """Write the trajectory and its picture.
 
@@ -54,14 +66,16 @@ def save_plan(out: Path, curve, trajectory) -> list[Path]:
         raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
 
 
-def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, size):
+def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, size, softer=None):
     """Joint path and scene, or the reason why there is none, with what would help.
 
     Args:
         planned: (resize, hold) -> what the plan would be with them; `size` is what they are now.
+        softer: share -> the trajectory with that share of its corrections for a table; None: it has
+            none. Where the arm cannot follow all of them it follows as many as it can.
 
     Returns:
-        The `JointPath` or None, the reason or None, and the files written.
+        The `JointPath` or None, the reason or None, the files written, and the trajectory followed.
     """
     from tqdm import tqdm
 
@@ -78,21 +92,41 @@ def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, 
 
         step("joint path")
         try:
-            joint_path = request.solve(trajectory, rod)
+            joint_path, trajectory = _followed(request, trajectory, rod, softer)
         except UnreachedError as error:
             step("remedy")
             picture = draw_reach(out / "reach.png", error)
             said = _remedy(request, error, rod, curve, planned, size) if request.remedy else None
             reason = str(error).rsplit(";", 1)[0] + f"; {said}" if said else str(error)
-            return None, reason, [picture]
+            return None, reason, [picture], trajectory
         except RobotError as error:
-            return None, str(error), []
+            return None, str(error), [], trajectory
         try:
             written = request.export(joint_path, out)
             written += deliver(out, trajectory, joint_path, curve, rod, step)
-            return joint_path, None, written
+            return joint_path, None, written, trajectory
         except OSError as error:
             raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+
+
+def _followed(request, trajectory, rod, softer):
+    """A joint path, and what it follows: the given trajectory, or one that is corrected less.
+
+    Raises:
+        UnreachedError: none was found.
+    """
+    from wrod.robot.solve import UnreachedError
+
+    try:
+        return request.solve(trajectory, rod), trajectory
+    except UnreachedError:
+        for share in _SHARES if softer is not None else ():
+            less = softer(share)
+            try:
+                return request.solve(less, rod), less
+            except UnreachedError:
+                continue
+        raise
 
 
 def _remedy(request, failed, rod, curve, planned, size) -> str | None:

@@ -75,6 +75,11 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
             if optimised["kept"]
             else "grip left as planned: no correction lays these rods better"
         )
+        if (share := optimised.get("share")) is not None:
+            lines.append(
+                f"the arm follows {share:.0%} of what was found, which is what is expected; with "
+                "all of it there is no joint path"
+            )
     if expected["diverged"]:
         lines.append(f"{expected['diverged']} of them could not be simulated to the end")
     if expected["slides"]:

@@ -66,3 +66,11 @@ def moved(trajectory: Trajectory, displacement: np.ndarray) -> Trajectory:
         shape=shape,
         metadata={**trajectory.metadata, "contact_friction": None},
     )
+
+
+def with_share(start: Trajectory, corrected: Trajectory, share: float) -> Trajectory:
+    """The trajectory that `corrected` began as, with that share of its corrections."""
+    out = moved(start, share * (corrected.position - start.position))
+    said = dict(corrected.metadata["optimised"])
+    said |= {"share": share, "largest_correction": share * said["largest_correction"]}
+    return replace(out, metadata={**corrected.metadata, "optimised": said})

@@ -8,6 +8,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import RodError
 from wrod.newton_solver import attributes
+from wrod.newton_solver.curves import add_curves, write_curves
 from wrod.newton_solver.described import add_described
 from wrod.newton_solver.meshed import MeshedRod
 from wrod.rods.material import RodMaterial
@@ -146,6 +147,36 @@ class RodBuilding:
             RodError: The description has no stiffness, or an option is unusable.
         """
         return add_described(builder, rod, density, RodBuilding.add_rod, **options)
+
+    @staticmethod
+    def add_usd(builder: newton.ModelBuilder, source, **options) -> dict[str, list[int]]:
+        """Add the cables of a USD stage: linear `BasisCurves` with PhysicsCurvesDeformableSimAPI,
+        each with its own physics material, as Newton's importer reads them.
+
+        Args:
+            builder: The model builder.
+            source: A `Usd.Stage`, or the path of a file.
+            options: Of `add_rod`, for all of them.
+
+        Returns:
+            The indices of the rods by the paths of their curves.
+
+        Raises:
+            RodError: There is no such file, a curve is not linear or a ring, or its material lacks
+                a stiffness or density.
+        """
+        return add_curves(builder, source, RodBuilding.add_rod, **options)
+
+    @staticmethod
+    def write_usd(model: newton.Model, state: newton.State, path):
+        """Write all rods as they are in `state` to a USD file that `add_usd` reads, and Newton's
+        own importer; what another body than the world holds is free there.
+
+        Raises:
+            RodError: A rod varies along itself, is not straight at rest, or has a past, or the
+                path is none of a USD file.
+        """
+        return write_curves(model, state, path)
 
     @staticmethod
     @arguments.checked(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warp as wp
 
 from wrod.kernels.contact import touching
-from wrod.kernels.contact.segments import SMOOTHING
 from wrod.kernels.lanes import TEAM, lanes
 from wrod.kernels.linear import coupling, skyline, skyline_lanes, skyline_order
 from wrod.solvers.banded import BandedSystem
@@ -94,6 +93,7 @@ class CoupledSystem(BandedSystem):
             [
                 self.coupled,
                 self._changed,
+                contact.piece,
                 self.pair_count,
                 self.touching,
                 self._capacity,
@@ -118,7 +118,7 @@ class CoupledSystem(BandedSystem):
                 contact.law,
                 contact.edge_radius,
                 batch.rest_length,
-                SMOOTHING,
+                contact.piece,
                 *chosen,
                 contact.time_step,
                 *contact.configuration,
@@ -165,7 +165,7 @@ class CoupledSystem(BandedSystem):
                 contact.law,
                 contact.edge_radius,
                 self.batch.rest_length,
-                SMOOTHING,
+                contact.piece,
                 active,
                 self.coupled,
                 contact.overflow,

@@ -14,6 +14,7 @@ from wrod.errors import RodError
 from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
 from wrod.kernels.contact import touching
+from wrod.kernels.contact.segments import AT_END, AT_START, EDGE, SPLINE
 from wrod.rods.batch import RodBatch
 from wrod.solvers.friction import Friction, contact_damping
 
@@ -31,11 +32,14 @@ _IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
 class RodContact:
     """Contact between all edges of the rods that share a row of a batch (a scene).
 
-    Edges are capsules around the centreline. Pairs whose nearer ends are closer than pi radii
-    along the rod are left out: a rod cannot touch itself within half a turn of its tightest bend.
-    Friction acts between the surfaces, which roll on each other where the rods are free to spin.
-    A step of `Dynamics` in which a node moves by more than half a radius is refused and halved, so
-    that nothing tunnels. Posts and boxes are touched through `wrod.solvers.contact.Contact`.
+    Edges are capsules around the centreline; `smooth` ones are tubes around a quadratic B-spline of
+    the nodes, which has no corners that hold what should slide along it, and lies h^2 / (8 R) to
+    the inside of a bend of radius R with edges of h. Pairs whose nearer ends are closer than pi
+    radii along the rod are left out: a rod cannot touch itself within half a turn of its tightest
+    bend. Friction acts between the surfaces, which roll on each other where the rods are free to
+    spin. A step of `Dynamics` in which a node moves by more than half a radius is refused and
+    halved, so that nothing tunnels. Posts and boxes are touched through
+    `wrod.solvers.contact.Contact`.
 
     Args:
         batch: the rods, already cut (`RodBatch.cut`) where several share a row.
@@ -46,6 +50,8 @@ class RodContact:
         restitution: (rod,) speed after an impact over that before; see `Contact`.
         partners: most edges that one edge can be near to and that come after it.
         passive: (rod, node - 1) edges that touch nothing; default: none.
+        smooth: without corners along the rods, for rods that cross. Rods that wind around each
+            other want edges: pieces of splines may touch in two places, and know one.
 
     Attributes:
         time_step: (rod,) duration of the present step; see `Contact`.
@@ -66,6 +72,7 @@ class RodContact:
         stiffness=arguments.optional(arguments.array((), (None,))),
         restitution=arguments.array((), (None,)),
         partners=arguments.whole(1, 4096),
+        smooth=arguments.flag,
     )
     def __init__(
         self,
@@ -77,6 +84,7 @@ class RodContact:
         restitution: np.ndarray | float = 0.0,
         partners: int = 32,
         passive: np.ndarray | None = None,
+        smooth: bool = False,
     ):
         self.batch, device = batch, batch.device
         rods, nodes = batch.rod_count, batch.node_count
@@ -118,7 +126,12 @@ class RodContact:
             law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
             laws.append(law)
         self.law = wp.array(laws, dtype=kernels.Law, device=device)
-        self.edge_radius = floats(np.where(idle, 0.0, radius))
+        touching_radius, piece = np.where(idle, 0.0, radius), np.zeros(cut.shape, dtype=np.int32)
+        if smooth:
+            touching_radius, piece = _splines(cut, touching_radius)
+        self.edge_radius = floats(touching_radius)
+        self.piece = wp.array(piece, dtype=wp.int32, device=device)
+        self._splines = int(smooth)
         self.cut = wp.array(cut.astype(np.int32), dtype=wp.int32, device=device)
         self.reach = floats(0.5 * np.where(cut, np.inf, radius).min(axis=1))
         self._largest_radius = floats(np.where(cut, 0.0, radius).max(axis=1))
@@ -145,7 +158,7 @@ class RodContact:
 
     @property
     def _model(self):
-        return [self.law, self.edge_radius, self.batch.rest_length]
+        return [self.law, self.edge_radius, self.batch.rest_length, self.piece]
 
     def prepare(self, starting: wp.array, rejected: wp.array, dof: wp.array) -> None:
         """List the pairs that may touch in a step that starts at `dof`, for the first time or
@@ -161,7 +174,7 @@ class RodContact:
         wp.launch(
             contact_pairs.bound_groups,
             dim=self._lower.shape,
-            inputs=[starting, dof],
+            inputs=[self._splines, starting, dof],
             outputs=[self._lower, self._upper],
             device=batch.device,
         )
@@ -171,6 +184,7 @@ class RodContact:
             inputs=[
                 self.edge_radius,
                 batch.rest_length,
+                self.piece,
                 self._arc,
                 wp.float64(_SKIP),
                 self.reach,
@@ -272,7 +286,7 @@ class RodContact:
         wp.launch(
             kernels.find_touching,
             dim=self.partner_count.shape,
-            inputs=[self.edge_radius, self.batch.rest_length, self.reach, chosen, dof, dof_before]
+            inputs=[*self._model[1:], self.reach, chosen, dof, dof_before]
             + [self.partner_count, self.partner],
             outputs=[touching],
             device=self.batch.device,
@@ -331,6 +345,19 @@ class RodContact:
                 f"the rods of row {full[0]} touch in more places than there is room for; "
                 f"give RodContact more than {self.partner.shape[2]} partners or use longer edges"
             )
+
+
+def _splines(cut: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(rod, edge) radii and kinds of pieces of splines, of which piece i lies on edges i and i + 1;
+    a rod of one edge keeps it."""
+    after = np.pad(cut, ((0, 0), (0, 2)), constant_values=True)
+    before = np.pad(cut, ((0, 0), (1, 0)), constant_values=True)[:, :-1]
+    last = after[:, 1:-1]
+    kind = np.int32(SPLINE) + AT_START * before + AT_END * after[:, 2:]
+    alone = before & last
+    following = np.pad(radius, ((0, 0), (0, 1)))[:, 1:]
+    both = np.where((radius > 0) & (following > 0) & ~last, 0.5 * (radius + following), 0.0)
+    return np.where(alone, radius, both), np.where(last, EDGE, kind).astype(np.int32)
 
 
 def _per_edge(radius, rods: int, edges: int) -> np.ndarray:
