@@ -4,20 +4,29 @@ A call is one that works; one argument after the other is replaced. What is refu
 refused before the work, so a call that still works after a second has taken its argument.
 """
 
+import atexit
 import importlib
 import os
 import random
+import shutil
 import signal
+import tempfile
 import time
 import warnings
 from contextlib import contextmanager, suppress
+from decimal import Decimal
+from fractions import Fraction
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hostile import arrays_of, save_arrays
+from wrod.scenes import sawyer
 
 import wrod
 from wrod.errors import WrodError
+from wrod.identification.template import write_template
 
 FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 SHARE = 6  # of the wrong values of a parameter, in the tests; `make fuzz` tries all
@@ -25,6 +34,16 @@ SHARE = 6  # of the wrong values of a parameter, in the tests; `make fuzz` tries
 
 class Hostile:
     """Of a type that nothing knows."""
+
+
+class Liar:
+    """Says that it is an array, a number, a text and a path, and raises when it is asked."""
+
+    def _raise(self, *_, **__):
+        raise RuntimeError("no")
+
+    __array__ = __float__ = __fspath__ = __len__ = __iter__ = __bool__ = __eq__ = _raise
+    __hash__ = None
 
 
 WRONG = {
@@ -39,6 +58,17 @@ WRONG = {
     "object array": np.array([None, 1], dtype=object), "path": "/proc/nothing/x", "big": 10**9,
     "function": lambda *_: 1,
     "set": {1}, "generator": (k for k in ()), "bool array": np.ones(3, bool), "long": "x" * 5000,
+    "masked array": np.ma.masked_array(np.ones(3), [0, 1, 0]), "datetime": np.datetime64("now"),
+    "times": np.array(["2020", "2021"], "M8[D]"), "record": np.zeros(3, "f8,i4"),
+    "complex array": np.ones((4, 3), complex), "half array": np.ones((4, 3), np.float16),
+    "byte array": np.ones((4, 3), np.int8), "long array": np.ones((4, 3), np.longdouble),
+    "read only": np.broadcast_to(1.0, (4, 3)), "strided": np.ones((8, 6))[::2, ::-2],
+    "fortran": np.asfortranarray(np.ones((4, 3))), "zero-d": np.array(1.0), "np int": np.int8(3),
+    "np bool": np.bool_(True), "np text": np.str_("words"), "fraction": Fraction(1, 3),
+    "decimal": Decimal("0.1"), "minus zero": -0.0, "subnormal": 5e-324, "almost inf": 1.8e308,
+    "range": range(3), "bytearray": bytearray(b"abc"), "module": np, "type": float,
+    "exception": ValueError("x"), "ellipsis": ..., "slice": slice(3), "surrogate": "\udcff",
+    "folder": "/", "device": "/dev/null", "proc": "/proc/self/environ", "rich": Liar(),
 }  # fmt: skip
 
 
@@ -91,6 +121,25 @@ def vps():
 @cache
 def path():
     return wrod.plan(line(), vps(), "intuitive", spacing=0.02)
+
+
+@cache
+def files() -> dict[str, str]:
+    """A valid file of each kind that something loads."""
+    folder = Path(tempfile.mkdtemp(prefix="wrod-arguments-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    made = {"rod": vps().save(folder / "rod.json"), "model": vps().model().save(folder / "m.json")}
+    made["trajectory"] = path().save(folder / "plan")[1]
+    for kind in ("clamped", "motion"):
+        made[kind] = write_template(kind, folder / f"{kind}.npz")
+    for kind in ("JointPath", "Deployment"):
+        made[kind] = folder / f"{kind}.npz"
+        save_arrays(made[kind], arrays_of(kind) | {"metadata": np.array("{}")})
+    scenes = Path(sawyer.__file__).parent
+    made |= {"knot": scenes / "knots" / "trefoil.json", "fixtures": scenes / "cable" / "U.json"}
+    made["points"] = folder / "points.csv"
+    made["points"].write_text("".join(f"{0.01 * k}, {1e-3 * k * k}\n" for k in range(20)))
+    return {kind: str(one) for kind, one in made.items()}
 
 
 def rods():
@@ -159,11 +208,17 @@ CALLS = {
         wrod.RodMaterial.from_loop_height,
         dict(loop_height=0.04, radius=0.002, length=0.8, poisson=0.5, density=1e3, gravity=9.81),
     ),
-    "RodMaterial.load": lambda: (wrod.RodMaterial.load, dict(path="x", radius=None, length=None)),
+    "RodMaterial.load": lambda: (
+        wrod.RodMaterial.load,
+        dict(path=files()["rod"], radius=None, length=None),
+    ),
     "RodMaterial.curvature_held": lambda: (vps().curvature_held, dict(roll=0.0)),
     "RodModel": lambda: (wrod.RodModel, MODEL),
     "RodModel.of": lambda: (wrod.RodModel.of, dict(rod=vps())),
-    "RodModel.load": lambda: (wrod.RodModel.load, dict(path="x", radius=None, length=None)),
+    "RodModel.load": lambda: (
+        wrod.RodModel.load,
+        dict(path=files()["model"], radius=None, length=None),
+    ),
     "RodModel.rolled": lambda: (vps().model().rolled, dict(s=0.1)),
     "RodModel.curvature_held": lambda: (vps().model().curvature_held, dict(roll=0.0)),
     "RodModel.bent": lambda: (vps().model().bent, dict(left=1.0, up=0.0, roll=0.0)),
@@ -200,7 +255,9 @@ CALLS = {
     ),
     "Pattern.load": lambda: (
         wrod.Pattern.load,
-        dict(path="x", units=None, smoothing=None, name=None, layer=None, stroke=None),
+        dict(
+            path=files()["points"], units=None, smoothing=None, name=None, layer=None, stroke=None,
+        ),
     ),
     "Pattern.from_points": lambda: (
         wrod.Pattern.from_points,
@@ -251,12 +308,12 @@ CALLS = {
         wrod.friction_bound,
         dict(pattern=line(), rod=vps(), friction=0.5, spacing=0.01),
     ),
-    "Trajectory.load": lambda: (wrod.Trajectory.load, dict(path="x")),
-    "JointPath.load": lambda: (wrod.JointPath.load, dict(path="x")),
-    "Deployment.load": lambda: (wrod.Deployment.load, dict(path="x")),
-    "KnotPlan.load_plan": lambda: (wrod.KnotPlan.load_plan, dict(path="x")),
-    "load_measurements": lambda: (wrod.load_measurements, dict(path="x")),
-    "load_motion": lambda: (wrod.load_motion, dict(path="x")),
+    "Trajectory.load": lambda: (wrod.Trajectory.load, dict(path=files()["trajectory"])),
+    "JointPath.load": lambda: (wrod.JointPath.load, dict(path=files()["JointPath"], robot=None)),
+    "Deployment.load": lambda: (wrod.Deployment.load, dict(path=files()["Deployment"])),
+    "KnotPlan.load_plan": lambda: (wrod.KnotPlan.load_plan, dict(path=files()["knot"])),
+    "load_measurements": lambda: (wrod.load_measurements, dict(path=files()["clamped"])),
+    "load_motion": lambda: (wrod.load_motion, dict(path=files()["motion"])),
     "load_laid": lambda: (
         wrod.load_laid,
         dict(
@@ -264,12 +321,18 @@ CALLS = {
             noise=None,
         ),
     ),
-    "identify": lambda: (wrod.identify, dict(measurements="x")),
+    "identify": lambda: (
+        wrod.identify,
+        dict(
+            measurements=files()["clamped"], test=None, candidates=None, device="cpu",
+            progress=None,
+        ),
+    ),
     "identify_motion": lambda: (
         wrod.identify_motion,
         dict(
-            measurements="x", test=None, candidates=None, subdivisions=2, device="cpu",
-            progress=None,
+            measurements=files()["motion"], test=None, candidates=None, subdivisions=2,
+            device="cpu", progress=None,
         ),
     ),
     "fit_laid": lambda: (
@@ -305,7 +368,7 @@ CALLS = {
         dict(center=(0.0, 0.0, 0.0), radius=1.0, half_height=1.0, axis=(0.0, 0.0, 1.0)),
     ),
     "Fixtures": lambda: (wrod.Fixtures, dict(items=(), gates=(), name="a", note="")),
-    "Fixtures.load": lambda: (wrod.Fixtures.load, dict(path="x")),
+    "Fixtures.load": lambda: (wrod.Fixtures.load, dict(path=files()["fixtures"])),
     "Fixtures.along": lambda: (
         wrod.Fixtures.along,
         dict(

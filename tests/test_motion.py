@@ -1,12 +1,15 @@
 """Motion: recordings in, sensitivities, and what is found in motions made by the dynamics."""
 
+import warnings
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from wrod.commands import main
-from wrod.errors import DataError
+from wrod.errors import DataError, WrodWarning
 from wrod.identification.effect import Model, effects
+from wrod.identification.motion.checks import inertia_share
 from wrod.identification.motion.fit import MotionLaboratory
 from wrod.identification.motion.loading import load_motion, motion_from_arrays
 from wrod.identification.motion.report import identify_motion
@@ -335,3 +338,31 @@ def test_a_file_without_a_field_is_named(recorded, tmp_path):
     np.savez(path, **{k: v for k, v in recorded.items() if k != "gravity"})
     with pytest.raises(DataError, match="lacks the array gravity"):
         load_motion(path)
+
+
+def test_inertia_balances_gravity_about_the_line_of_the_grips():
+    """A rigid frame that swings about two points at its own period has a share of 1."""
+    along = np.linspace(0.0, 0.6, 12)[1:-1]
+    along = np.r_[-0.02, 0.0, along[1:-1], 0.6, 0.62]
+    depth = 0.2 * np.sin(np.pi * np.clip(along, 0.0, 0.6) / 0.6)
+    frame = np.column_stack([along, depth])
+    inner = frame[1:-1]
+    edge = np.hypot(*np.diff(inner, axis=0).T)
+    weight = 0.5 * (np.r_[edge, 0.0] + np.r_[0.0, edge])
+    pull = np.sqrt(GRAVITY * (weight @ inner[:, 1]) / (weight @ inner[:, 1] ** 2))
+    angle = 0.02 * np.sin(pull * np.arange(400) / 200.0)[None, :, None]
+    x, z = np.broadcast_arrays(along, 0.0 * angle)[0], -depth * np.cos(angle)
+    positions = np.stack([x, depth * np.sin(angle), z], axis=-1)
+    for times in (1.0, 0.2):
+        share, together = inertia_share(positions, times * 200.0, GRAVITY)
+        assert share == pytest.approx(times**2, rel=3e-3) and together > 0.999
+
+
+def test_a_slow_motion_is_doubted(recorded):
+    """A fifth of the rate is too slow for this stiff rod, whose share is 4.8, and for cables."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", WrodWarning)
+        motion_from_arrays(recorded)
+    for share in (5.0, 10.0):
+        with pytest.warns(WrodWarning, match=r"times faster than rate_hz"):
+            motion_from_arrays(_with(recorded, rate_hz=np.float64(recorded["rate_hz"] / share)))

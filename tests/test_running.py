@@ -241,3 +241,17 @@ def test_what_is_no_file_is_not_replaced(tmp_path):
     assert "wrod-rod-1" in (tmp_path / "kept.json").read_text()
     with pytest.raises(DataError, match="is a device, pipe or socket"):
         write_atomically("/dev/full", lambda file: file.write("x"))
+
+
+def test_streams_that_are_closed_take_nothing_away(tmp_path):
+    """Without stdout and stderr a command works, and no file gets what libraries print."""
+    out = tmp_path / "rod.json"
+    words = f"-m wrod loop --height 0.04 --radius 0.0016 --length 0.8 --out {out}"
+    for closed in (">&-", "2>&-", "<&- >&- 2>&-"):
+        code = subprocess.run(f"{sys.executable} {words} {closed}", shell=True).returncode
+        assert code == 0 and "wrod-rod-1" in out.read_text()
+        out.unlink()
+    script = "import os, sys; from wrod.commands.running import open_streams; open_streams(); "
+    script += "sys.stderr.write('x'); sys.exit(os.open('/dev/null', os.O_RDONLY) < 3)"
+    call = f'{sys.executable} -c "{script}" <&- >&- 2>&-'
+    assert subprocess.run(call, shell=True).returncode == 0

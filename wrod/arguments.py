@@ -77,7 +77,8 @@ def number(low: float = -math.inf, high: float = math.inf, above: float | None =
     bounds = "" if (low, high, above) == (-math.inf, math.inf, None) else _range(low, high, above)
 
     def check(value: Any) -> str | None:
-        real = isinstance(value, (numbers.Real, np.floating, np.integer)) or (
+        # Other reals, such as fractions, are none to NumPy.
+        real = isinstance(value, (int, float, np.floating, np.integer)) or (
             isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiu"
         )
         # A whole number may be too large for any float.
@@ -136,7 +137,10 @@ def text(value: Any) -> str | None:
 
 def path(value: Any) -> str | None:
     """The name of a file."""
-    good = isinstance(value, (str, os.PathLike)) and "\0" not in str(value)
+    try:
+        good = isinstance(value, (str, os.PathLike)) and "\0" not in os.fsdecode(value)
+    except Exception:  # as in `array`
+        good = False
     return None if good else "must be the path of a file"
 
 
@@ -200,9 +204,12 @@ def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:
         error: type of the refusal.
     """
     try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise error(f"{where} is {_shown(value)}; it must be an array of numbers") from None
+        found = np.asarray(value)
+        if found.dtype.kind in "biufO":  # and no times, which would be counted in nanoseconds
+            return found.astype(np.float64, copy=False)
+    except Exception:  # whatever an object does that is asked to be an array
+        pass
+    raise error(f"{where} is {_shown(value)}; it must be an array of numbers")
 
 
 def truths(value: Any) -> str | None:

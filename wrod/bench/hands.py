@@ -45,9 +45,11 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     from wrod.files import write_atomically
     from wrod.identification.held.measurements import load_held
     from wrod.machine import machine_line
+    from wrod.rods.device import resolve_device
 
     if folds < 2:
         raise DataError(f"folds is {folds}; give 2 or more")
+    device = resolve_device(device)
     out.mkdir(parents=True, exist_ok=True)
     figures: dict = {"machine": machine_line(device), "cables": {}}
     predictions, statics = {}, {}

@@ -11,7 +11,15 @@ import click
 
 from wrod import __version__
 from wrod.commands.bounds import bounded
-from wrod.commands.running import INTERRUPTED, REFUSED, cut, holding_output, interruptible, stop
+from wrod.commands.running import (
+    INTERRUPTED,
+    REFUSED,
+    cut,
+    holding_output,
+    interruptible,
+    open_streams,
+    stop,
+)
 from wrod.errors import WrodWarning
 from wrod.files.writing import begin
 
@@ -70,6 +78,7 @@ class LazyGroup(click.Group):
             stop(ctx, error)
 
     def main(self, *args, **kwargs):
+        open_streams()
         begin()
         try:
             return super().main(*args, **kwargs)

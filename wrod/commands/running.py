@@ -18,6 +18,8 @@ from wrod.errors import DataError, WrodError
 # Exit codes: of input that cannot be used, of an interruption, and of a fault of ours.
 REFUSED, INTERRUPTED, FAULT = 2, 130, 70
 _MOST_SAID = 2000  # letters
+# How Python and Warp say that a limit of the process was met.
+_LIMITED = ("can't start new thread", "Failed to load the shared library")
 # Set it to see where a fault of ours is.
 TRACEBACK = "WROD_TRACEBACK"
 # Modules that a base install lacks, and the extra that brings each.
@@ -52,6 +54,8 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return None
     if isinstance(error, MemoryError) or ("allocat" in str(error) and "bytes" in str(error)):
         return "out of memory; ask for less at once (fewer trials, a smaller batch)", REFUSED
+    if isinstance(error, RuntimeError) and str(error).startswith(_LIMITED):
+        return f"{error}; this process may have too few threads or too little memory (ulimit -a)", 2
     if isinstance(error, OSError):
         where = error.filename if error.filename is not None else "the output"
         remedy = "make room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
@@ -60,6 +64,22 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
     if isinstance(error, RecursionError):
         return "the input is nested too deeply", REFUSED
     return None
+
+
+def open_streams() -> None:
+    """Open what the process was started without of its three streams, on nothing.
+
+    Files would take the free numbers 1 and 2 otherwise, and get what libraries print; and progress
+    bars need a stream.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
+        if getattr(sys, name) is None:
+            stream = open(number, "r" if number == 0 else "w", closefd=False)  # noqa: SIM115
+            setattr(sys, name, stream)
 
 
 def cut(text: str) -> str:

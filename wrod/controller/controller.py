@@ -218,7 +218,7 @@ class Controller:
             broadcast, finite = np.broadcast_arrays, np.isfinite
             try:
                 tensors = [np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in inputs]
-            except (TypeError, ValueError, OverflowError) as error:
+            except Exception as error:  # whatever an object does that is asked to be numbers
                 raise GraspError(f"grasp inputs must be numbers ({error})") from None
         try:
             tensors = broadcast(*tensors)

@@ -53,7 +53,7 @@ def checked_path(
         found = os.stat(name)
     except FileNotFoundError:
         raise error(f"{shown(path, 300)}: no such file; give {what}") from None
-    except (OSError, ValueError, TypeError) as reason:  # names with a null byte, or endless ones
+    except Exception as reason:  # names with a null byte, endless ones, objects that are none
         raise error(f"{shown(path)}: cannot be read ({_reason(reason)}); give {what}") from None
     if stat.S_ISDIR(found.st_mode):
         raise error(f"{path}: is a folder; give {what}")

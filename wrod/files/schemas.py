@@ -252,13 +252,19 @@ class Rod(_Open, frozen=True):
     natural_curvature: tuple[Fraction, Fraction] = (0.0, 0.0)
 
 
+# What rods have in metres, and none has whose file was written in millimetres.
+Radius = Annotated[float, Meta(gt=0.0, le=1.0, description="[m]")]
+Bending = Annotated[float, Meta(gt=0.0, le=30.0, description="[m]")]
+Long = Annotated[float, Meta(gt=0.0, le=1e3, description="[m]")]
+
+
 class RodFile(_File, frozen=True):
     """A rod (`--rod`), as `wrod loop` writes it; SI units."""
 
     format: Literal["wrod-rod-1"]
-    radius: Positive
-    gravito_bending_length: Positive
-    length: Positive
+    radius: Radius
+    gravito_bending_length: Bending
+    length: Long
     poisson: Annotated[float, Meta(gt=-1.0, le=0.5)] = 0.5
     density: Positive = 1180.0
     gravity: Positive = 9.81

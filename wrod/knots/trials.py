@@ -47,6 +47,7 @@ class Handling:
         """A trial of a careful laboratory: laying as `Disturbance.random`, hands placed within
         1 mm (standard deviation of each coordinate), jitter 0.3 mm, friction of the fingertips
         log-normal about 0.55 with a deviation of 30 %."""
+        seed = int(seed)  # a narrow one of NumPy would overflow below
         rng = np.random.default_rng([seed, 7])
         return cls(
             tuple(Disturbance.random(1000 + 10 * seed + k) for k in range(2)),

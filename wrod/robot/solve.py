@@ -127,7 +127,7 @@ def solve_joint_path(
             GripPath(trajectory),
             limit_margin,
             clearance,
-            rod_radius,
+            float(rod_radius),
             None if obstacles is None else obstacles.capsules(),
             fixed is None and table_height is None,
         )

@@ -101,7 +101,7 @@ class BatchArrays:
         """
         shape = (self.rod_count, self.node_count, 2)
         array = self._array("softening", softening, shape, wp.vec2d)
-        value = np.atleast_1d(softening)
+        value = np.atleast_1d(_floats("softening", softening))
         if value[..., 0].min() < 0.0:
             raise RodError("softening is negative; a rod that stiffens as it bends is not modelled")
         self.softening = array

@@ -74,7 +74,9 @@ class RodBatch(BatchArrays):
         director=None,
         device: str | None = "cpu",
     ):
-        shape = np.shape(position) if not isinstance(position, wp.array) else (*position.shape, 3)
+        if not isinstance(position, wp.array):
+            position = arguments.floats(position, "position", RodError)
+        shape = (*position.shape, 3) if isinstance(position, wp.array) else position.shape
         if len(shape) != 3 or shape[2] != 3 or shape[1] < 3:
             raise RodError(
                 f"rod positions have shape {shape}; give (rod, node, 3) with 3 nodes or more"
@@ -82,10 +84,8 @@ class RodBatch(BatchArrays):
         self.device = resolve_device(device)
         self.rod_count, self.node_count = rods, nodes = shape[:2]
         self.dof_count = 4 * self.node_count - 1
-        if not isinstance(position, wp.array):
-            position = np.asarray(position, dtype=np.float64)
-            if not np.isfinite(position).all():
-                raise RodError("position holds a value that is not finite")
+        if not isinstance(position, wp.array) and not np.isfinite(position).all():
+            raise RodError("position holds a value that is not finite")
         if rest_length is None:
             rest_length = np.linalg.norm(np.diff(position, axis=1), axis=2)
         bending_stiffness = arguments.floats(bending_stiffness, "bending_stiffness", RodError)
@@ -175,7 +175,9 @@ class RodBatch(BatchArrays):
             edge = np.diff(position, axis=1)
             tangent = edge / np.linalg.norm(edge, axis=2, keepdims=True)
             every = np.ndim(director) == 3
-            director = principal_directors(rods, director, tangent if every else tangent[:, 0])
+            tangent = tangent if every else tangent[:, 0]
+            director = arguments.spread(director, tangent.shape, "director", RodError)
+            director = principal_directors(rods, director, tangent)
         return cls(position, director=director, point_load=point_load, device=device, **arrays)
 
     def transport_frames(self, source: RodState, target: RodState, active: wp.array) -> None:

@@ -77,7 +77,7 @@ class RodMaterial:
             )
         try:
             first, second = (float(value) for value in self.natural_curvature)
-        except (TypeError, ValueError):
+        except Exception:  # whatever an object does that is asked for its items
             first = second = math.nan
         if not (math.isfinite(first) and math.isfinite(second)):
             raise RodError(

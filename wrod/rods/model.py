@@ -128,8 +128,9 @@ class RodModel:
 
     def _point_masses(self) -> tuple[tuple[float, float], ...]:
         try:
-            masses = np.asarray(self.point_masses, dtype=np.float64).reshape(-1, 2)
-        except (TypeError, ValueError, OverflowError):
+            masses = arguments.floats(self.point_masses, "rod point_masses", RodError)
+            masses = masses.reshape(-1, 2)
+        except ValueError:
             masses = np.full((1, 2), np.nan)
         good = len(masses) <= _MOST_POINT_MASSES and np.isfinite(masses).all()
         on_rod = (masses[:, 0] >= 0.0) & (masses[:, 0] <= self.length * (1.0 + 1e-9))

@@ -175,7 +175,7 @@ def _material(path, content: dict, instead: dict) -> RodMaterial:
         return RodMaterial(**content)
     except msgspec.ValidationError as error:
         raise RodError(entry_message(str(error))) from None
-    except TypeError as error:
+    except (TypeError, UnicodeError) as error:
         raise RodError(str(error).replace("RodMaterial.__init__() ", "")) from None
 
 

@@ -40,13 +40,10 @@ class Profile:
         def __init__(self, values: ArrayLike, knots: ArrayLike = (0.0,)) -> None: ...
 
     def __post_init__(self) -> None:
-        try:
-            values, knots = (
-                np.atleast_1d(np.asarray(part, dtype=np.float64))
-                for part in (self.values, self.knots)
-            )
-        except (TypeError, ValueError, OverflowError):
-            raise RodError("a profile's values and knots must be lists of numbers") from None
+        values, knots = (
+            np.atleast_1d(arguments.floats(part, f"a profile's {name}", RodError))
+            for name, part in (("values", self.values), ("knots", self.knots))
+        )
         if values.ndim != 1 or values.shape != knots.shape or not 1 <= len(values) <= _MOST_KNOTS:
             raise RodError(
                 f"a profile has {values.size} values at {knots.size} knots; give one value per "

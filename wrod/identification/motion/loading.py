@@ -10,7 +10,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import check_arrays, read_arrays, read_fields
-from wrod.identification.motion.checks import check_positions
+from wrod.identification.motion.checks import check_positions, doubt_slow_motion
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.repair import frame_gaps, gaps_filled, sorted_grips
 from wrod.identification.motion.split import split_evenly
@@ -59,6 +59,7 @@ def _checked(data: dict, name: str, where: str) -> MotionMeasurements:
     x, filled = gaps_filled(x)
     check_positions(x, names, rate, where)
     x, repaired = sorted_grips(x)
+    doubt_slow_motion(x, rate, data["gravity"], where)
     gap = np.stack([frame_gaps(recording[:, [0, 1, -2, -1]]) for recording in x])
     fit, validation, test = split_evenly(recordings)
     return MotionMeasurements(

@@ -234,6 +234,7 @@ class MotionReport:
 
 
 @checked_as_identification(arguments.like("recordings", "positions"))
+@arguments.checked(DataError, subdivisions=arguments.whole(1, 64))
 def identify_motion(
     measurements: MotionMeasurements | str | os.PathLike[str],
     *,
