@@ -181,7 +181,19 @@ def command(
             trajectory = followed
             save_plan(out, curve, trajectory)
         written += more
-    figures = {
+    figures = _figures(trajectory, fitted, joint_path, reason, written)
+    _say(figures, as_json)
+    if reason is not None:
+        click.echo(f"wrod: {reason}", err=True)
+        click.get_current_context().exit(NO_JOINT_PATH)
+    if request.view:
+        from wrod.scene.view import view as show
+
+        show(out / "scene.usdc")
+
+
+def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[Path]) -> dict:
+    return {
         **trajectory.metadata,
         **fitted.figures,
         "nodes": len(trajectory),
@@ -193,14 +205,6 @@ def command(
         "notes": list(fitted.notes),
         "written": [str(path) for path in written],
     }
-    _say(figures, as_json)
-    if reason is not None:
-        click.echo(f"wrod: {reason}", err=True)
-        click.get_current_context().exit(NO_JOINT_PATH)
-    if request.view:
-        from wrod.scene.view import view as show
-
-        show(out / "scene.usdc")
 
 
 def _say(figures: dict, as_json: bool) -> None:
