@@ -50,8 +50,8 @@ def measured(data, test=True):
 
 @pytest.fixture(scope="module")
 def fallen():
-    """An upright arch ten L_gb long, led to its poses in its own plane; and its markers."""
-    setup = Setup.base(measured(arch(0.5, 0.1, 0.05)), np.arange(3), 24)
+    """An upright arch seven L_gb long, led to its poses in its own plane; and its markers."""
+    setup = Setup.base(measured(arch(0.5, 0.1, 0.07)), np.arange(3), 24)
     solver = ClampedSolver([setup])
     return solver, np.real(solver.predict([setup]).position[0])
 
@@ -69,7 +69,7 @@ def test_an_upright_arch_falls_to_a_side_and_says_so(fallen):
 def test_the_side_is_the_one_that_was_measured(fallen, side):
     seen = fallen[1].copy()
     seen[..., 1] = side * np.abs(seen[..., 1])
-    data = arch(0.5, 0.1, 0.05) | {"centerline": seen}
+    data = arch(0.5, 0.1, 0.07) | {"centerline": seen}
     laboratory = Laboratory(measured(data), edge_count=24)
     assert laboratory.rms(laboratory.predict(Model(), np.zeros(0)), np.array([2])) < 2e-3
     assert all(b.negative == 0 and b.start == "measured" for b in laboratory.branches)

@@ -18,7 +18,7 @@ from wrod.commands import main
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError, GraspError, RodError, WrodWarning
 from wrod.grasps.optimal import solve_grasps
-from wrod.planning.plan import roll_angle
+from wrod.planning.roll import roll_angle
 from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
 from wrod.solvers.contact import Contact

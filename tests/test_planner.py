@@ -1,7 +1,6 @@
 import sys
 import types
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from wrod.errors import (
     StabilityWarning,
     WrodWarning,
 )
-from wrod.planning.plan import free_end, prepare
+from wrod.planning.remainder import free_end, prepare
 from wrod.planning.trajectory import Trajectory
 
 ROD = wrod.rod("green-vps")
@@ -30,7 +29,7 @@ def fake_grasps(length, curvature, ratio, *, closure, device, eigenvalues, progr
     rotation = np.column_stack([0.1 * curvature, -1.4 + 0 * length, 0.2 * curvature])
     force = np.column_stack([0 * length, -curvature, 0.75 + 0 * length])
     good = np.ones(len(length), dtype=bool)
-    return SimpleNamespace(
+    return wrod.Grasps(
         position=position,
         rotation=rotation,
         force=force,
@@ -207,8 +206,7 @@ def test_unconverged_grasp_is_named(grasps, field):
 def test_unstable_grasps_warn(grasps):
     def solve(*args, **options):
         result = fake_grasps(*args, **options)
-        result.stable = result.stable & (np.arange(len(result.stable)) != 3)
-        return result
+        return replace(result, stable=np.arange(len(result)) != 3)
 
     grasps(solve)
     with pytest.warns(StabilityWarning, match=r"1 of 101 .*0\.015"):
@@ -252,7 +250,7 @@ def test_trajectory_files_carry_units_and_read_back(tmp_path):
 
 
 def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
-    from wrod.planning.plan import with_shapes
+    from wrod.planning.shapes import with_shapes
 
     circle, rod = wrod.pattern("circle"), wrod.rod("green-vps")
     plain = wrod.plan(circle, rod, "neural", spacing=0.1)
@@ -274,7 +272,7 @@ def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
 
 
 def test_shapes_of_a_trajectory_from_a_file_follow_its_contacts(tmp_path):
-    from wrod.planning.plan import with_shapes
+    from wrod.planning.shapes import with_shapes
 
     letter = wrod.pattern("letter-U")
     plan = wrod.plan(letter, ROD, "neural", spacing=0.005)
@@ -287,7 +285,7 @@ def test_shapes_of_a_trajectory_from_a_file_follow_its_contacts(tmp_path):
 def test_shapes_of_other_grips_are_left_out():
     from dataclasses import replace
 
-    from wrod.planning.plan import with_shapes
+    from wrod.planning.shapes import with_shapes
 
     line = wrod.pattern("line")
     plan = wrod.plan(line, ROD, "neural", spacing=0.25)
@@ -297,7 +295,7 @@ def test_shapes_of_other_grips_are_left_out():
 
 
 def test_shapes_that_cannot_be_solved_are_left_out():
-    from wrod.planning.plan import with_shapes
+    from wrod.planning.shapes import with_shapes
 
     soft = wrod.RodMaterial(0.0016, 0.008, 1.2)  # 150 L_gb
     with pytest.warns(OutOfRangeWarning):

@@ -255,3 +255,12 @@ def test_streams_that_are_closed_take_nothing_away(tmp_path):
     script += "sys.stderr.write('x'); sys.exit(os.open('/dev/null', os.O_RDONLY) < 3)"
     call = f'{sys.executable} -c "{script}" <&- >&- 2>&-'
     assert subprocess.run(call, shell=True).returncode == 0
+
+
+def test_rods_are_longer_than_what_is_measured_of_them():
+    for words in (
+        "loop --height 0.04 --radius 0.0016 --length 0.07",
+        "measure --overhang 0.9 --fall 0.1 --radius 0.0016 --length 0.8",
+    ):
+        result = CliRunner().invoke(main, words.split())
+        assert result.exit_code == 2 and "--length" in result.stderr

@@ -24,7 +24,7 @@ from wrod.deployment.spread import Spread
 from wrod.errors import DataError, WrodError, WrodWarning
 from wrod.files import read_fields, read_json, schemas, write_atomically
 from wrod.patterns.pattern import Pattern
-from wrod.planning.plan import prepare
+from wrod.planning.remainder import prepare
 from wrod.rods.material import TABLE_2, RodMaterial
 
 _FORMAT = "wrod-plans-2"

@@ -192,7 +192,7 @@ def _arcs(curvatures: list[float], ratios: list[float]) -> list[Curve]:
     """Arcs of constant curvature for rods that differ in thickness alone."""
     from wrod.patterns.pattern import Pattern
     from wrod.patterns.shapes import strokes
-    from wrod.planning.plan import prepare
+    from wrod.planning.remainder import prepare
     from wrod.rods.catalogue import rod
 
     base = rod("green-vps")
@@ -210,7 +210,7 @@ def _arcs(curvatures: list[float], ratios: list[float]) -> list[Curve]:
 
 def _drawn(rods: str, names: str, folder: Path | None) -> list[Curve]:
     from wrod.bench.table3_paper import read_pattern
-    from wrod.planning.plan import prepare
+    from wrod.planning.remainder import prepare
     from wrod.rods.catalogue import rod
 
     curves = []

@@ -25,7 +25,7 @@ from wrod.bench.table3_paper import PATTERNS, read_pattern
 from wrod.deployment.simulate import simulate_deployments
 from wrod.files import write_atomically
 from wrod.machine import machine_line
-from wrod.planning.plan import read_roll
+from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
 from wrod.rods.device import resolve_device
 from wrod.rods.material import RodMaterial

@@ -45,7 +45,6 @@ def command(
 
     from wrod.bench.ledger import Ledger
     from wrod.errors import RobotError
-    from wrod.machine import machine_line
     from wrod.robot.model import ROBOTS
     from wrod.rods.catalogue import rod_names
 
@@ -73,6 +72,12 @@ def command(
             if ledger is not None:
                 ledger.add([row])
         rows.append(row)
+    _say(rows, finer, as_json)
+
+
+def _say(rows: list[dict], finer: bool, as_json: bool) -> None:
+    from wrod.machine import machine_line
+
     solved = sum("error" not in row for row in rows)
     whole = sum("error" not in row and not row["no_approach"] for row in rows)
     if as_json:

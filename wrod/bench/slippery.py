@@ -116,7 +116,7 @@ def command(
     campaign.run(ledger, keys, simulate, device=device, batch=asked.batch or 1, quiet=as_json)
     rows = ledger.of(keys)
     written = [write_csv(out / "slippery.csv", rows), ledger.path]
-    written.append(draw(out / "slippery.png", rows, shelf, METHODS))
+    written.append(draw(out / "slippery.png", rows, shelf.course, METHODS))
     table = summary(rows)
     groups = means(table, shelf.bends)
     if as_json:
@@ -151,7 +151,7 @@ class Shelf:
     def course(self, rod_name: str, name: str):
         """The pattern as `plan` lays it, and the rod."""
         from wrod.bench.table3_paper import read_pattern
-        from wrod.planning.plan import prepare
+        from wrod.planning.remainder import prepare
         from wrod.rods.catalogue import rod
 
         material = rod(rod_name)

@@ -5,12 +5,8 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from wrod.bench.slippery import Shelf
 
 KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
 # From the pattern, and from where the robot, misplaced, has it.
@@ -88,8 +84,12 @@ def write_csv(path: Path, rows: list[dict]) -> Path:
     return write_atomically(path, write)
 
 
-def draw(path: Path, rows: list[dict], shelf: Shelf, methods: tuple[str, ...]) -> Path:
-    """What lies, one panel for each pattern and friction, one colour for each method."""
+def draw(path: Path, rows: list[dict], course: Callable, methods: tuple[str, ...]) -> Path:
+    """What lies, one panel for each pattern and friction, one colour for each method.
+
+    Args:
+        course: gives pattern and rod by their names.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -102,7 +102,7 @@ def draw(path: Path, rows: list[dict], shelf: Shelf, methods: tuple[str, ...]) -
     axes = figure.subplots(len(places), len(mus), squeeze=False)
     lines = {}
     for i, place in enumerate(places):
-        led, _ = shelf.course(*place)
+        led, _ = course(*place)
         target = 100.0 * led.sample(np.linspace(0.0, led.length, 300))[0]
         for j, mu in enumerate(mus):
             axis = axes[i, j]

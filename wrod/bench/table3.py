@@ -188,7 +188,7 @@ def _plans(rods, curves: dict, closure: str | None, device: str, quiet: bool) ->
     from tqdm import tqdm
 
     from wrod.deployment.plan import plan
-    from wrod.planning.plan import prepare
+    from wrod.planning.remainder import prepare
     from wrod.planning.tail import tail
     from wrod.rods.catalogue import rod
 

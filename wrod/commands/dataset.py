@@ -53,7 +53,7 @@ def command(
     """
     from wrod.errors import DataError
     from wrod.machine import machine_line
-    from wrod.planning.plan import read_roll
+    from wrod.planning.roll import read_roll
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
     from wrod.training.store import row_bytes
 

@@ -44,6 +44,8 @@ def command(
     from wrod.errors import RodError
     from wrod.rods.material import LOOP_HEIGHT_RATIO, RodMaterial
 
+    if length < 2.0 * height:  # it goes up and comes down
+        raise RodError(f"a rod of --length {length:g} m stands no loop of --height {height:g} m")
     ratio = LOOP_HEIGHT_RATIO
     rod = RodMaterial.from_loop_height(height, radius, length, density=density, poisson=poisson)
     if derive:

@@ -58,6 +58,8 @@ def command(
         raise DataError("give either --overhang and --fall, or the picture of a hanging loop")
     if out is not None and out.suffix != ".json":
         raise RodError(f"{out}: is not a .json file name; `wrod plan --rod` knows rods by it")
+    if overhang is not None and overhang >= length:
+        raise DataError(f"--overhang {overhang:g} m is not less than --length {length:g} m")
     if curve is not None:
         found, way = _of_loop(curve, picture), "hanging loop"
     else:

@@ -133,7 +133,8 @@ def command(
     Corners are rounded to what the rod can lie in. What is finished is kept: without a joint path
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
-    from wrod.planning.plan import prepare, read_roll
+    from wrod.planning.remainder import prepare
+    from wrod.planning.roll import read_roll
 
     how, chosen = grasps.read(), None if device == "auto" else device
     request.check()
@@ -180,7 +181,19 @@ def command(
             trajectory = followed
             save_plan(out, curve, trajectory)
         written += more
-    figures = {
+    figures = _figures(trajectory, fitted, joint_path, reason, written)
+    _say(figures, as_json)
+    if reason is not None:
+        click.echo(f"wrod: {reason}", err=True)
+        click.get_current_context().exit(NO_JOINT_PATH)
+    if request.view:
+        from wrod.scene.view import view as show
+
+        show(out / "scene.usdc")
+
+
+def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[Path]) -> dict:
+    return {
         **trajectory.metadata,
         **fitted.figures,
         "nodes": len(trajectory),
@@ -192,16 +205,12 @@ def command(
         "notes": list(fitted.notes),
         "written": [str(path) for path in written],
     }
+
+
+def _say(figures: dict, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(figures, indent=2))
-    else:
-        click.echo(summary(figures))
-        for path in written:
-            click.echo(f"wrote {path}")
-    if reason is not None:
-        click.echo(f"wrod: {reason}", err=True)
-        click.get_current_context().exit(NO_JOINT_PATH)
-    if request.view:
-        from wrod.scene.view import view as show
-
-        show(out / "scene.usdc")
+        return
+    click.echo(summary(figures))
+    for path in figures["written"]:
+        click.echo(f"wrote {path}")

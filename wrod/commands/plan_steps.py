@@ -17,7 +17,7 @@ def solve_grasps_of(
     from tqdm import tqdm
 
     from wrod.deployment.plan import plan
-    from wrod.planning.plan import with_shapes
+    from wrod.planning.shapes import with_shapes
 
     with tqdm(unit="grasp", leave=False, delay=1.0, desc="grasps", disable=quiet or None) as bar:
 

@@ -96,22 +96,16 @@ def optimise(
     Raises:
         PatternError: friction is not usable, or the trajectory is too short to be laid.
     """
-    spread = Spread.of(friction)
+    spread, lgb = Spread.of(friction), rod.gravito_bending_length
     if samples is None:
         samples = 4 if spread.friction[1] > _WIDE * spread.friction[0] else 2
-    lgb = rod.gravito_bending_length
     corrections = Corrections(pattern, trajectory, lgb, hold)
     problem = _Problem(pattern, rod, corrections, spread, samples, hold, device)
     rounds = (
         (edged(COARSE, COARSE_EDGE * lgb), _COARSE_ITERATIONS),
         (edged(FINE, FINE_EDGE * lgb), _FINE_ITERATIONS),
     )
-    most = sum(count for _, count in rounds) + 2
-
-    def done(count: int) -> None:
-        if progress is not None:
-            progress(count / most)
-
+    done = _share_of(sum(count for _, count in rounds) + 2, progress)
     x, history = np.zeros(3 * corrections.count), []
     for how, count in rounds:
         best = problem.at(how, x)
@@ -123,11 +117,11 @@ def optimise(
     plain = history[0] - left > _PLAIN
     expected, kept = None, True
     if judge:
-        candidates = [corrected] if plain else [corrected, trajectory]
-        expected, *others = expect_each(pattern, rod, candidates, spread, hold=hold, device=device)
-        kept = plain or is_better(expected, others[0])
+        other = None if plain else trajectory
+        how = {"hold": hold, "device": device}
+        expected, kept = _judged(pattern, rod, corrected, other, spread, **how)
         if not kept:
-            corrected, x, expected = corrections.apply(0.0 * x), 0.0 * x, others[0]
+            corrected, x = corrections.apply(0.0 * x), 0.0 * x
     done(2)
     said = {
         "friction": list(spread.friction),
@@ -138,6 +132,25 @@ def optimise(
     }
     metadata = {**corrected.metadata, "optimised": said, "expected": expected}
     return replace(corrected, metadata=metadata)
+
+
+def _share_of(most: int, progress: Callable[[float], None] | None) -> Callable[[int], None]:
+    """What tells the share of `most` things that a count of them is."""
+
+    def done(count: int) -> None:
+        if progress is not None:
+            progress(count / most)
+
+    return done
+
+
+def _judged(pattern, rod, corrected, other, spread: Spread, **how) -> tuple[dict, bool]:
+    """What is expected of the better plan, and whether that is the corrected one; None for the
+    other keeps it."""
+    candidates = [corrected] if other is None else [corrected, other]
+    expected, *others = expect_each(pattern, rod, candidates, spread, **how)
+    kept = not others or is_better(expected, others[0])
+    return expected if kept else others[0], kept
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import GraspError, PatternError
 from wrod.patterns.pattern import Pattern
-from wrod.planning.plan import plan_grasps, prepare
+from wrod.planning.plan import plan_grasps
+from wrod.planning.remainder import prepare
 from wrod.planning.sources import SOURCES
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
@@ -69,8 +70,8 @@ def plan(
             network that learnt it from optimised plans, in milliseconds.
         closure: "zero_tension", "min_force" or "min_friction"; "neural" knows its controller's
             only, which for the one that ships is the first. None: the given controller's; without
-            one, what lays the pattern most accurately for "auto" (see `favoured_closure`), and
-            "zero_tension", which is the paper's, for the others.
+            one, what lays the pattern best for "auto" (see `favoured_closure`), and the paper's
+            "zero_tension" for the others.
         spacing: largest distance between the contact nodes [m].
         remainder: lay a remainder before the pattern (paper, Sec. Accuracy): None where the free
             end is expected to spring off by more than 0.15 L_gb on a table of friction 0.3
@@ -90,13 +91,11 @@ def plan(
 
     Returns:
         One pose per contact node; `metadata` names method, closure, solver, rod, pattern,
-        remainder, the friction that the laid pattern asks for ("required_friction") and that the
-        rod asks for where it touches down ("contact_friction"), and the warnings given; with
-        `friction`,
-        "optimised" and "expected": what simulated deployments say (`wrod.deployment.optimise`), or
-        "distilled".
-        Where a rod that varies along itself has no grasp of its own, "natural_share" is the
-        smallest share of its natural curvature that a grasp was made with (`wrod.grasps.relaxed`).
+        remainder, the friction that the laid pattern ("required_friction") and the rod where it
+        touches down ("contact_friction") ask for, and the warnings given; with `friction`,
+        "distilled", or "optimised" and "expected" (`wrod.deployment.optimise`). "natural_share" is
+        the smallest share of its natural curvature that a grasp was made with, where a rod that
+        varies along itself has none of its own (`wrod.grasps.relaxed`).
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
@@ -109,30 +108,38 @@ def plan(
         WrodWarning: some grasps are of a rod closer to straight.
         OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
-    if method not in (*SOURCES, DISTILLED):
-        names = ", ".join((*SOURCES, DISTILLED))
-        raise GraspError(f"unknown method {method!r}; use one of {names}")
+    _check_method(method, friction)
     how: dict[str, Any] = dict(
         closure=closure, spacing=spacing, roll=roll, controller=controller, device=device,
         progress=progress,
     )  # fmt: skip
     if friction is None:
-        if method == DISTILLED:
-            raise GraspError(f"method {DISTILLED!r} corrects a plan for a table; say its friction")
         return plan_grasps(pattern, rod, method, remainder=remainder, **how)
+    return _corrected(prepare(pattern, rod, remainder), rod, method, friction, how)
+
+
+def _check_method(method: str, friction) -> None:
+    if method not in (*SOURCES, DISTILLED):
+        names = ", ".join((*SOURCES, DISTILLED))
+        raise GraspError(f"unknown method {method!r}; use one of {names}")
+    if method == DISTILLED and friction is None:
+        raise GraspError(f"method {DISTILLED!r} corrects a plan for a table; say its friction")
+    if method == "intuitive" and friction is not None:
+        raise GraspError(
+            "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
+        )
+
+
+def _corrected(led: Pattern, rod, method: str, friction, how: dict[str, Any]) -> Trajectory:
+    """The plan that `how` asks for, corrected for a table of such a friction."""
     from wrod.deployment.optimise import optimise
     from wrod.deployment.spread import Spread
 
     spread = Spread.of(friction)
-    if method == "intuitive":
-        raise GraspError(
-            "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
-        )
-    led = prepare(pattern, rod, remainder)
     base = "auto" if method == DISTILLED else method
     start = plan_grasps(led, rod, base, remainder=False, **how)
     if method == DISTILLED:
         from wrod.deployment.distilled import distilled
 
         return distilled(led, rod, start, float(np.mean(spread.friction)))
-    return optimise(led, rod, start, spread, device=device)
+    return optimise(led, rod, start, spread, device=how["device"])

@@ -117,7 +117,18 @@ def export_usd(
         shift = np.array([pitch[0] * column, -pitch[1] * row, floor - item.floor])
         shift[:2] -= item.centre
         seen.append(_add_deployment(stage, number, item, shift, materials))
-    points = np.concatenate(seen)
+    _surround(stage, deployments, np.concatenate(seen), floor, materials)
+    stage.GetRootLayer().customLayerData = {"creator": "wrod", "deployments": len(deployments)}
+    with tempfile.TemporaryDirectory() as folder:
+        draft = Path(folder) / f"scene{path.suffix}"
+        if not stage.GetRootLayer().Export(str(draft)):
+            raise SceneError(f"{path}: the stage could not be written")
+        data = draft.read_bytes()
+    return write_atomically(path, lambda file: file.write(data), "wb")
+
+
+def _surround(stage, deployments, points: np.ndarray, floor: float, materials) -> None:
+    """Floor, lights and cameras around all points (n, 3) that are seen [m]."""
     low, high = points.min(0), points.max(0)
     room = 4.0  # [m] of floor around everything
     add_floor(
@@ -136,13 +147,6 @@ def export_usd(
         deployments[0].front,
         np.stack([patterns.min(0) - 0.10, patterns.max(0) + 0.10]),
     )
-    stage.GetRootLayer().customLayerData = {"creator": "wrod", "deployments": len(deployments)}
-    with tempfile.TemporaryDirectory() as folder:
-        draft = Path(folder) / f"scene{path.suffix}"
-        if not stage.GetRootLayer().Export(str(draft)):
-            raise SceneError(f"{path}: the stage could not be written")
-        data = draft.read_bytes()
-    return write_atomically(path, lambda file: file.write(data), "wb")
 
 
 def _deployments(**given) -> list[SimpleNamespace]:

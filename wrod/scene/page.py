@@ -65,11 +65,8 @@ def write_deployment_page(
     if shapes is None:
         shapes, onward = rods_of(trajectory, joint_path, pattern, _ROD_POINTS)
     if time is None:
-        time = (
-            (trajectory.arc_length - trajectory.arc_length[0]) / 0.02
-            if joint_path is None
-            else joint_path.node_time
-        )
+        laid = trajectory.arc_length - trajectory.arc_length[0]
+        time = laid / 0.02 if joint_path is None else joint_path.node_time
     at_nodes = len(time) == len(trajectory)
     if joint_path is not None and at_nodes and errors is None:
         shapes, time = with_release(joint_path, shapes, time, onward)
@@ -99,8 +96,7 @@ def write_deployment_page(
                     part.visible = False
                 holder = []
             if k % 5 == 0 or k == count - 1:
-                doing = "" if joint_path is None else f"{joint_path.phase_at(at[k])}: "
-                label.text = f"{doing}{at[k]:.1f} s of {duration:.0f} s"
+                label.text = _clock(at[k], duration, joint_path)
                 if at_nodes:
                     laid = np.interp(node, np.arange(len(trajectory)), trajectory.arc_length)
                     if onward is not None:
@@ -112,6 +108,11 @@ def write_deployment_page(
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
     return write_atomically(out, lambda file: file.write(page))
+
+
+def _clock(now: float, duration: float, joint_path) -> str:
+    doing = "" if joint_path is None else f"{joint_path.phase_at(now)}: "
+    return f"{doing}{now:.1f} s of {duration:.0f} s"
 
 
 def write_laying_page(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.planning.plan import with_shapes
+from wrod.planning.shapes import with_shapes
 from wrod.planning.tail import with_tail
 from wrod.scene.rod_shapes import whole_rod
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from wrod.planning.plan import with_shapes
+from wrod.planning.shapes import with_shapes
 from wrod.planning.trajectory import Trajectory
 
 POINTS = 201  # of the centreline; 4 mm apart on the rods of Table 2

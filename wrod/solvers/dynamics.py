@@ -314,6 +314,11 @@ class Dynamics(NewtonSteps):
             return self._recording[1]
         return None
 
+    @property
+    def is_recorded(self) -> bool:
+        """Whether launches of a round are recorded and kept."""
+        return self._recording is not None
+
     def _ask(self, most: int) -> None:
         """Find out on the device whether to take another round, `most` of them at a time."""
         outputs = [self._rounds, self._going]

@@ -116,16 +116,8 @@ class RodContact:
         damping = contact_damping(restitution)
         # Two edges that meet move as one of half their mass.
         mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
-        laws = []
-        for r in range(rods):
-            law = kernels.Law()
-            law.stiffness, law.skin = stiffness[r], _SKIN * mean_radius[r]
-            law.relaxation = damping[r] * np.sqrt(mass[r] / stiffness[r])
-            f = friction[r]
-            law.static_friction = f.static
-            law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
-            laws.append(law)
-        self.law = wp.array(laws, dtype=kernels.Law, device=device)
+        law = _laws(friction, stiffness, damping * np.sqrt(mass / stiffness), _SKIN * mean_radius)
+        self.law = wp.array(law, dtype=kernels.Law, device=device)
         touching_radius, piece = np.where(idle, 0.0, radius), np.zeros(cut.shape, dtype=np.int32)
         if smooth:
             touching_radius, piece = _splines(cut, touching_radius)
@@ -358,6 +350,18 @@ def _splines(cut: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarra
     following = np.pad(radius, ((0, 0), (0, 1)))[:, 1:]
     both = np.where((radius > 0) & (following > 0) & ~last, 0.5 * (radius + following), 0.0)
     return np.where(alone, radius, both), np.where(last, EDGE, kind).astype(np.int32)
+
+
+def _laws(friction: list[Friction], stiffness, relaxation, skin) -> list:
+    """The law of each row's pairs."""
+    laws = []
+    for r, f in enumerate(friction):
+        law = kernels.Law()
+        law.stiffness, law.skin, law.relaxation = stiffness[r], skin[r], relaxation[r]
+        law.static_friction = f.static
+        law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
+        laws.append(law)
+    return laws
 
 
 def _per_edge(radius, rods: int, edges: int) -> np.ndarray:

@@ -115,19 +115,24 @@ class MotionLaboratory:
         count = count if self.device == "cpu" else 1
         slices = np.array_split(np.arange(len(windows.recording)), count)
 
-        def one(rods):
-            part = Windows(**{k: v[rods] for k, v in vars(windows).items()})
-            solver = MotionSolver(
-                part,
+        solvers = [
+            MotionSolver(
+                Windows(**{k: v[rods] for k, v in vars(windows).items()}),
                 self.measurements.rate,
                 substeps=self.substeps,
                 device=self.device,
                 free_roll=self.free_roll,
             )
-            return (*solver.run(setup, rates), solver.failed)
-
+            for rods in slices
+        ]
+        runs = [solver.begin(setup, rates) for solver in solvers]
         with ThreadPoolExecutor(count) as pool:
-            parts = list(pool.map(one, slices))
+            parts = [
+                (*found, solver.failed)
+                for solver, found in zip(
+                    solvers, pool.map(MotionSolver.finish, solvers, runs), strict=True
+                )
+            ]
         x = np.concatenate([p[0] for p in parts])
         rate = np.concatenate([p[1] for p in parts]) if rates else None
         return x, rate, np.concatenate([p[2] for p in parts])

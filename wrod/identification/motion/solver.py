@@ -61,8 +61,20 @@ class MotionSolver:
         Returns:
             (W, F, M, 3) markers [m], and (W, F, M, P, 3) their derivatives.
         """
+        return self.finish(self.begin(setup, rates))
+
+    def begin(self, setup: MotionSetup, rates: Sequence[MotionSetup] = ()) -> MotionRun:
+        """Predict the first frames, until the launches of a step are recorded.
+
+        What is recorded is whatever is launched meanwhile, by any thread: begin one after another.
+        """
         run = MotionRun(self, setup, rates)
-        last = run.advance()
+        run.begin()
+        return run
+
+    def finish(self, run: MotionRun) -> tuple[np.ndarray, np.ndarray | None]:
+        """Predict the others; what `run` returns."""
+        last = run.finish()
         self.failed = last < run.last
         return self._collect(run, last)
 
@@ -91,6 +103,7 @@ class MotionRun:
     Attributes:
         batch: the rods, one per window.
         last: number of the last step, counted from the first frame.
+        taken: number of the last one taken.
         step_rate: steps per second.
         seen: (W, K, M - 2) markers but the outermost, at every frame's duration.
         tangents: the derivatives, or None.
@@ -144,6 +157,7 @@ class MotionRun:
             # Windows are predicted with the steps that their frames give.
             refuses_saddles=False,
         )
+        self.taken = 0
 
     def prescribe(self, running, time, step, start: RodState) -> None:
         """Put the held edges where their grips are."""
@@ -158,8 +172,8 @@ class MotionRun:
             device=self.device,
         )
 
-    def advance(self) -> np.ndarray:
-        """Predict; (W,) the last step of each that converged, counted from the first frame."""
+    def begin(self) -> None:
+        """Take steps until their launches are recorded."""
         batch, dynamics, tangents = self.batch, self.dynamics, self.tangents
         h, rods = self.frame_time, batch.rod_count
         first_dof = batch.state.dof.numpy().copy()
@@ -178,16 +192,26 @@ class MotionRun:
         if tangents:
             tangents.centre(h)
         self._record(2)
-        for k in range(2 * self.substeps + 1, self.last + 1):
-            self._step(k, h / self.substeps)
-            if k % self.substeps == 0:
-                self._record(k // self.substeps)
-        return self.substeps + np.rint(dynamics.time.numpy() * self.step_rate).astype(int)
+        dynamics.keeps_recording = True
+        while self.taken < self.last and not dynamics.is_recorded:
+            self._next()
+
+    def finish(self) -> np.ndarray:
+        """Take the others; (W,) the last step that converged, counted from the first frame."""
+        while self.taken < self.last:
+            self._next()
+        return self.substeps + np.rint(self.dynamics.time.numpy() * self.step_rate).astype(int)
+
+    def _next(self) -> None:
+        self._step(self.taken + 1, self.frame_time / self.substeps)
+        if self.taken % self.substeps == 0:
+            self._record(self.taken // self.substeps)
 
     def _step(self, number: int, h: float) -> None:
         # A step that fails is not halved: its rod is left where it was.
         until = (number - self.substeps) / self.step_rate
         self.dynamics.advance(until, 1.0001 * h, smallest_step=0.9 * h)
+        self.taken = number
 
     def _record(self, frame: int) -> None:
         batch, state = self.batch, self.batch.state

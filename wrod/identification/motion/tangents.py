@@ -194,7 +194,8 @@ class Tangents:
     def follow(self, dynamics: NewtonSteps) -> None:
         """Tangents of the steps that have been accepted."""
         accepted, batch, model = dynamics.accepted, self.batch, self.run.model
-        if wp.get_device(batch.device).is_cpu and not accepted.numpy().any():
+        device = wp.get_device(batch.device)
+        if device.is_cpu and not device.is_capturing and not accepted.numpy().any():
             return
         names = ("mass", "linear_drag", "quadratic_drag", "gravity")
         masses, others = names[:1], names[1:]

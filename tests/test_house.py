@@ -1,0 +1,49 @@
+"""No room looks up, nothing goes in circles, and functions stay short (`tests/house.py`)."""
+
+from pathlib import Path
+
+import house
+
+ROOT = Path(__file__).parents[1]
+# A uniform rod, any rod, and the file that holds either convert into each other, in methods that
+# import the other where they are called.
+ONE_CONCEPT = ["wrod.rods.material", "wrod.rods.model", "wrod.rods.model_file"]
+# Public signatures, whose keywords are their users', and two of benches.
+WIDE = 9
+
+
+def test_no_room_looks_up_and_no_files_go_in_circles():
+    seen = house.read(ROOT)
+    assert len(seen.rooms) > 20 and sum(map(len, seen.rooms.values())) > 100
+    assert house.arrows_up(seen.rooms) == []
+    assert house.circles(seen.rooms) == []
+    assert seen.file_circles == [ONE_CONCEPT]
+    assert {"wrod.bench", "wrod.commands"}.isdisjoint(
+        other for room, others in seen.rooms.items() if room.count(".") for other in others
+        if room not in ("wrod.bench", "wrod.commands", "wrod.__main__")
+    )  # fmt: skip
+
+
+def test_functions_are_short_outside_kernels():
+    seen = house.read(ROOT)
+    assert seen.long == []
+    assert len(seen.wide) <= WIDE, seen.wide
+
+
+def test_circles_and_long_functions_are_seen(tmp_path):
+    """The measure finds what the tests above say is not there."""
+    for name in house.FOLDERS:
+        (tmp_path / name).mkdir()
+    for room, text in {
+        "low": "def f():\n    from wrod.high import h\n",
+        "high": "from wrod.low.a import f\n\n\ndef h():\n" + "    x = 1\n" * 80,
+    }.items():
+        (tmp_path / "wrod" / room).mkdir()
+        (tmp_path / "wrod" / room / "__init__.py").write_text("")
+        (tmp_path / "wrod" / room / "a.py").write_text(text)
+    (tmp_path / "wrod" / "low" / "a.py").write_text("from wrod.high.a import h\n")
+    seen = house.read(tmp_path)
+    assert seen.file_circles == [["wrod.high.a", "wrod.low.a"]]
+    assert house.circles(seen.rooms) == [["wrod.high", "wrod.low"]]
+    assert len(house.arrows_up(seen.rooms)) == 1
+    assert seen.long == [("wrod.high.a.h", 81)]

@@ -1,0 +1,89 @@
+"""What is wrong with the grasps of a plan: errors, and warnings."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from wrod.errors import GraspError, PatternError, StabilityWarning, WrodWarning
+from wrod.grasps.mesh import WEIGHT
+from wrod.grasps.results import Grasps
+from wrod.patterns.pattern import Pattern
+from wrod.planning.sources import GraspInputs
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+
+# Stiffness of a rod's softest motion over weight per length by suspended length. A chain that hangs
+# without bending stiffness has (j_0 / 2)^2; optimal grasps have more, and one with a third of it
+# would swing out three times as far as a chain.
+CHAIN_MARGIN = 1.446
+SMALL_STABILITY_MARGIN = CHAIN_MARGIN / 3.0
+
+
+def refuse_tight_bends(
+    pattern: Pattern, rod: RodModel | RodMaterial, s: np.ndarray, curvature: np.ndarray
+) -> None:
+    worst = int(np.argmax(np.abs(curvature)))
+    if abs(curvature[worst]) * rod.radius >= 1.0:
+        raise PatternError(
+            f"{pattern.source}: has a curvature of {curvature[worst]:.0f} 1/m at s = "
+            f"{s[worst]:.3f} m, tighter than the rod's own radius of {rod.radius:g} m; "
+            "smooth the pattern or make it larger"
+        )
+
+
+def refuse_unconverged(poses: Grasps, inputs: GraspInputs, s: np.ndarray) -> None:
+    finite = np.all(np.isfinite(poses.position) & np.isfinite(poses.rotation), axis=1)
+    good = finite if poses.converged is None else finite & poses.converged
+    if np.all(good):
+        return
+    node = int(np.argmin(good))
+    raise GraspError(
+        f"no optimal grasp found at node {node} of {len(s)} (s = {s[node]:.4f} m, suspended "
+        f"length {inputs.suspended_length[node]:.3f} L_gb, curvature "
+        f"{inputs.curvature[node]:.3f} / L_gb, stretch ratio {inputs.stretch_ratio:.0f}; "
+        f"{np.sum(~good)} nodes in all); make the pattern gentler there or the rod longer"
+    )
+
+
+def warn_relaxed(poses: Grasps, s: np.ndarray) -> None:
+    if poses.natural_share is None:
+        return
+    less = np.concatenate([[False], poses.natural_share < 1.0, [False]])
+    ends = np.flatnonzero(np.diff(less.astype(int)))
+    where = ", ".join(f"{s[a]:.3f} to {s[b - 1]:.3f}" for a, b in ends.reshape(-1, 2))
+    warnings.warn(
+        f"{np.sum(less)} of {len(s)} grasps (s from {where} m) are of a rod with less natural "
+        f"curvature, down to {np.min(poses.natural_share):.0%} of it: bent at rest as this one is, "
+        "it would dip under the table there, pull at it or snap; "
+        "expect it to lie off the pattern",
+        WrodWarning,
+        stacklevel=3,
+    )
+
+
+def warn_unstable(poses: Grasps, inputs: GraspInputs, s: np.ndarray) -> None:
+    if poses.stable is not None and not np.all(poses.stable):
+        where = s[~np.asarray(poses.stable, dtype=bool)]
+        warnings.warn(
+            f"{len(where)} of {len(s)} grasps are elastically unstable (s from {where.min():.3f} "
+            f"to {where.max():.3f} m); the rod may snap there",
+            StabilityWarning,
+            stacklevel=3,
+        )
+        return
+    if poses.eigenvalue is None:
+        return
+    margin = poses.eigenvalue * inputs.suspended_length / WEIGHT
+    close = margin < SMALL_STABILITY_MARGIN
+    if np.any(close):
+        where, worst = s[close], int(np.argmin(margin))
+        warnings.warn(
+            f"{len(where)} of {len(s)} grasps come close to elastic instability (s from "
+            f"{where.min():.3f} to {where.max():.3f} m; at {s[worst]:.3f} m the softest motion has "
+            f"{margin[worst] / CHAIN_MARGIN:.0%} of a hanging chain's stiffness); "
+            "hold the grip steady there or make the pattern gentler",
+            StabilityWarning,
+            stacklevel=3,
+        )

@@ -1,0 +1,64 @@
+"""How a rod is rolled about its tangent where it is gripped."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrod.errors import GraspError, RodError
+from wrod.patterns.pattern import Pattern
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+
+
+def roll_angle(roll: float | str, pattern: Pattern, rod: RodModel | RodMaterial) -> float:
+    """The roll [rad] that `plan`'s words "up" and "plane" mean. A rod that is straight at rest gets
+    the softer of its principal directions upwards, or 0 where it has none.
+
+    Raises:
+        GraspError: the roll is neither these nor a finite number.
+    """
+    if roll not in ("up", "plane"):
+        if isinstance(roll, str) or not np.isfinite(roll):
+            raise GraspError(f"roll is {roll!r}; give a finite angle in radians, 'plane' or 'up'")
+        return float(roll)
+    if rod.is_straight:
+        return _softer_upwards(rod)
+    left = -float(np.arctan2(*rod.curvature_held(0.0)[::-1]))
+    if roll == "up":
+        return left + 0.5 * np.pi
+    s = np.linspace(-pattern.remainder_length, pattern.length, 1000)
+    turning = float(np.mean(pattern.sample(s)[2])) * (s[-1] - s[0])
+    # A pattern that turns by nothing but rounding has no side.
+    return left + np.pi if turning < -1e-3 else left
+
+
+def read_roll(text: str | None, rod) -> float | str:
+    """What `plan` takes as roll for what a command's --roll says of this rod.
+
+    Raises:
+        RodError: it is none, or there is no rod.
+    """
+    if text is None:
+        return "plane"
+    if rod is None:
+        raise RodError("--roll belongs to one rod; name it with --rod")
+    if text in ("plane", "up"):
+        return text
+    try:
+        roll = float(np.radians(float(text)))
+    except ValueError:
+        roll = float("nan")
+    if not np.isfinite(roll):
+        raise RodError(f"--roll {text} is no roll; use plane, up or a finite number of degrees")
+    return roll
+
+
+def _softer_upwards(rod: RodModel | RodMaterial) -> float:
+    """The roll that turns a straight rod's softer principal direction upwards, where it bends most;
+    the other way round the suspended rod rolls towards it and takes the laid one along."""
+    model = RodModel.of(rod)
+    if model.is_isotropic:
+        return 0.0
+    first, second = (float(b.mean(0.0, model.length)) for b in model.bending_stiffness)
+    softer = model.principal_angle + (0.5 * np.pi if second < first else 0.0)
+    return float((0.5 * np.pi - softer + 0.5 * np.pi) % np.pi - 0.5 * np.pi)

@@ -1,0 +1,102 @@
+"""Shapes of the suspended rod along a trajectory."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from wrod.errors import GraspError, WrodWarning
+from wrod.patterns.pattern import Pattern
+from wrod.planning.reservations import refuse_unconverged
+from wrod.planning.sources import SOURCES, GraspInputs
+from wrod.planning.trajectory import Trajectory
+
+# Grips closer than this [L_gb] are of one grasp, with a curvature that is off by a spline's noise.
+_SAME_GRASP = 0.06
+
+
+def with_shapes(
+    trajectory: Trajectory,
+    pattern: Pattern | None = None,
+    *,
+    device: str | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> Trajectory:
+    """The trajectory with the shapes of the suspended rod, where its method gave none.
+
+    They are those of the optimal grasps of the same inputs, from the rod solver, ended at the
+    trajectory's grips. It thereby checks the controller: `metadata["shapes"]` says how far its
+    grips are from the solver's at most [m]. A trajectory that is not of optimal grasps, or has
+    shapes, comes back as it is.
+
+    Args:
+        trajectory: what `plan` returned, or read from its file.
+        pattern: of the trajectory; without it, or where the contacts are not on it, the curvature
+            is that of a spline through the contacts.
+        device, progress: see `plan`.
+
+    Warns:
+        WrodWarning: the solver gives no shapes, or has its grips elsewhere; the trajectory comes
+            back without.
+    """
+    closure, rod = trajectory.metadata.get("closure"), trajectory.rod
+    corrected = {"optimised", "distilled"} & set(trajectory.metadata)
+    if trajectory.shape is not None or closure is None or rod is None or corrected:
+        return trajectory
+    s = trajectory.pattern_arc_length
+    tangent, curvature = _course(trajectory, pattern)
+    lgb = rod.gravito_bending_length
+    inputs = GraspInputs.of(
+        rod, rod.length - trajectory.arc_length, curvature,
+        roll=trajectory.roll,
+        closure=closure, device=device, progress=progress,
+    )  # fmt: skip
+    try:
+        poses = SOURCES["numeric"](inputs)
+        refuse_unconverged(poses, inputs, s)
+        frame = contact_frame(tangent)
+        grip = placed(poses.position[:, None], trajectory.contact, frame, lgb)[:, 0]
+        apart = float(np.linalg.norm(grip - trajectory.position, axis=1).max())
+        if apart > _SAME_GRASP * lgb:
+            raise GraspError(f"the solver's grips are up to {apart:.2g} m from the planned ones")
+    except GraspError as error:
+        warnings.warn(f"the rod's shapes are left out: {error}", WrodWarning, stacklevel=2)
+        return trajectory
+    shape = placed(poses.shape, trajectory.contact, frame, lgb)
+    # What is left, of the controller and of the mesh, fades out towards the contact.
+    share = np.linspace(0.0, 1.0, shape.shape[1]) ** 2
+    shape += share[None, :, None] * (trajectory.position - shape[:, -1])[:, None]
+    said = {"method": "numeric", "largest_grip_difference": apart}
+    return replace(trajectory, shape=shape, metadata={**trajectory.metadata, "shapes": said})
+
+
+def _course(trajectory: Trajectory, pattern: Pattern | None) -> tuple[np.ndarray, np.ndarray]:
+    """Unit tangent (T, 3) and signed curvature (T,) [1/m] at the contacts."""
+    curve = CubicSpline(trajectory.arc_length, trajectory.contact)
+    forward, bend = (curve(trajectory.arc_length, order) for order in (1, 2))
+    speed = np.linalg.norm(forward, axis=1)
+    curvature = (forward[:, 0] * bend[:, 1] - forward[:, 1] * bend[:, 0]) / speed**3
+    own = forward / speed[:, None], curvature
+    if pattern is None:
+        return own
+    s = trajectory.pattern_arc_length
+    if pattern.remainder_length == 0.0 and s[0] < 0.0:
+        pattern = pattern.with_remainder(-float(s[0]))
+    contact, tangent, bent = pattern.sample(np.clip(s, -pattern.remainder_length, pattern.length))
+    laid = np.abs(contact - trajectory.contact).max() < 1e-6
+    return (tangent, bent) if laid else own
+
+
+def contact_frame(tangent: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) R_t of Alg. OPT."""
+    up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
+    return np.stack([tangent, np.cross(up, tangent), up], axis=-1)
+
+
+def placed(points: np.ndarray, contact: np.ndarray, frame: np.ndarray, lgb: float) -> np.ndarray:
+    """(T, n, 3) points on the table [m] from those in contact frames [L_gb]."""
+    return contact[:, None] + lgb * np.einsum("tij,tnj->tni", frame, points)
