@@ -68,7 +68,15 @@ class System:
         )
         self.launch(
             skyline_order.renumber,
-            [self.coupled, self.coupled, self.count, self.touching, self.capacity, *scratch],
+            [
+                self.coupled,
+                self.coupled,
+                self.zeros(wp.int32),  # pieces: edges
+                self.count,
+                self.touching,
+                self.capacity,
+                *scratch,
+            ],
             [self.rank, self.order, self.first, self.last, self.row, self.overflow],
         )
 

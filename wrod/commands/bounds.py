@@ -35,6 +35,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "--noise": (1e-9, 1.0),
     "--iterations": (0, 100),
     "--seed": _SEED,
+    "--seeds": (1, 10_000),
     "--workers": (1, 1024),
     "--threads": (0, 1024),
     "--count": (1, 1_000_000),
