@@ -16,10 +16,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 import warp as wp
 
+from wrod.grasps.device_results import empty_results
 from wrod.grasps.inputs import GraspOptions
 from wrod.grasps.levels import Ladder, MeshLevel, make_scratch, make_task, per_rod, put
 from wrod.grasps.mesh import node_weights, two_sided_rest_lengths
-from wrod.grasps.results import empty_results
 from wrod.kernels.grasping import general_rod, iteration, reading
 from wrod.rods.batch import RodBatch
 from wrod.solvers.stability import smallest_eigenvalue

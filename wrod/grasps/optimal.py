@@ -16,10 +16,11 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import GraspError
+from wrod.grasps.device_results import empty_results
 from wrod.grasps.general import curved_rods, solve_general
 from wrod.grasps.inputs import LIMITS, GraspArrays, GraspOptions, closure_number
 from wrod.grasps.levels import Ladder, compile_kernels
-from wrod.grasps.results import SENSITIVITIES, Grasps, empty_results
+from wrod.grasps.results import SENSITIVITIES, Grasps
 from wrod.grasps.solver import held_batch
 from wrod.kernels.grasping.reading import Results
 from wrod.solvers.stability import smallest_eigenvalue

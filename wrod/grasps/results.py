@@ -1,13 +1,10 @@
-"""Results of grasps, and where they go on a device."""
+"""Results of grasps."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
-
-from wrod.kernels.grasping.reading import Results
 
 SENSITIVITIES = ("position_sensitivity", "rotation_sensitivity", "force_sensitivity")
 
@@ -60,26 +57,3 @@ class Grasps:
 
     def __len__(self) -> int:
         return len(self.position)
-
-
-def empty_results(
-    rods: int, edges: int, device: str, *, sensitivities: bool, shapes: bool
-) -> Results:
-    """Uninitialised arrays of `Grasps`; what is not asked for has no entries."""
-    out = Results()
-
-    def floats(*shape, wanted=True):
-        size = shape if wanted else (0,) * len(shape)
-        return wp.empty(size, dtype=wp.float64, device=device)
-
-    out.position, out.rotation, out.force = (floats(rods, 3) for _ in range(3))
-    out.force_jacobian = floats(rods, 3, 3)
-    for name in SENSITIVITIES:
-        setattr(out, name, floats(rods, 3, 3, wanted=sensitivities))
-    out.shape = floats(rods, edges + 1, 3, wanted=shapes)
-    out.arc_length = floats(rods, edges + 1, wanted=shapes)
-    out.converged = wp.empty(rods, dtype=wp.bool, device=device)
-    out.stable = wp.empty(rods, dtype=wp.bool, device=device)
-    out.iterations = wp.empty(rods, dtype=wp.int32, device=device)
-    out.residual = floats(rods)
-    return out
