@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.rods.discretisation import mesh_arrays, principal_directors
 from wrod.rods.model import RodModel
@@ -53,12 +54,7 @@ class MeshedRod:
 
 
 def _spread(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
-    try:
-        value = np.broadcast_to(np.asarray(value, dtype=float), shape)
-    except ValueError:
-        raise RodError(
-            f"{name} has shape {np.shape(value)}, which does not broadcast to {shape}"
-        ) from None
+    value = arguments.spread(value, shape, name, RodError)
     if not np.isfinite(value).all():
         raise RodError(f"{name} holds a value that is not finite")
     return value

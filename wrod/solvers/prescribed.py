@@ -119,13 +119,7 @@ def carry_edges(
 
 
 def _keys(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
-    value = arguments.floats(value, f"PrescribedMotion: {name}", RodError)
-    try:
-        value = np.array(np.broadcast_to(value, shape))
-    except ValueError:
-        raise RodError(
-            f"{name} of a prescribed motion has shape {value.shape}; give {shape[1:]} or {shape}"
-        ) from None
+    value = np.array(arguments.spread(value, shape, f"PrescribedMotion: {name}", RodError))
     if not np.isfinite(value).all():
         raise RodError(f"{name} of a prescribed motion holds a value that is not finite")
     return value
