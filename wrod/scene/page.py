@@ -17,7 +17,15 @@ import numpy as np
 
 from wrod.errors import SceneError
 from wrod.files import write_atomically
-from wrod.scene.page_parts import ShownArm, add_holder, add_rod, add_segments, move_rod, pose_of
+from wrod.scene.page_parts import (
+    ShownArm,
+    add_holder,
+    add_rod,
+    add_segments,
+    expected_errors,
+    move_rod,
+    pose_of,
+)
 from wrod.scene.phases import covered, rods_of, with_release
 from wrod.scene.workplace import TABLE_THICKNESS, table_under
 
@@ -49,7 +57,8 @@ def write_deployment_page(
         pattern: `Pattern` drawn on the table; by default the contact points.
         rod: `RodMaterial`, for its radius.
         shapes: (T, M, 3) centrelines of the rod [m]; by default from the trajectory.
-        errors: (T, M) distance of its points from where they should lie [m], shown as colours.
+        errors: (T, M) distance of its points from where they should lie [m], shown as colours; by
+            default what is expected of the trajectory, where that is known.
         time: (T,) when each shape is reached [s]; by default the joint path's, else 2 cm/s.
         captions: lines above the table.
 
@@ -70,6 +79,10 @@ def write_deployment_page(
     at_nodes = len(time) == len(trajectory)
     if joint_path is not None and at_nodes and errors is None:
         shapes, time = with_release(joint_path, shapes, time, onward)
+    if errors is None:
+        errors = expected_errors(trajectory, pattern, shapes)
+        if errors is not None:
+            captions = [*(captions or []), _expectation(trajectory.metadata["expected"])]
     duration = float(time[-1]) if joint_path is None else float(joint_path.time[-1])
     count = int(np.clip(np.ceil(duration * 10.0) + 1, 2, _FRAMES))
     at = np.linspace(0.0, duration, count)
@@ -108,6 +121,13 @@ def write_deployment_page(
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
     return write_atomically(out, lambda file: file.write(page))
+
+
+def _expectation(expected: dict) -> str:
+    return (
+        f"expected {100 * expected['mean']:.2f} cm off (friction {expected['friction'][0]:.2g} to "
+        f"{expected['friction'][-1]:.2g}); green: on the pattern, red: a centimetre off"
+    )
 
 
 def _clock(now: float, duration: float, joint_path) -> str:
