@@ -278,6 +278,8 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
             add_stand(stage, f"{root}/stand", base, BASE_HEIGHT, materials)
         if "stand" in joint_path.metadata:
             grasped = next(p["end"] for p in joint_path.phases if p["name"] == "grasp")
+            if joint_path.metadata.get("stand_stays"):
+                grasped = np.inf
             add_holder(
                 stage, f"{root}/holder", joint_path.metadata["stand"], times,
                 shown.time <= grasped + 1e-9, materials,

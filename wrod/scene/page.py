@@ -96,6 +96,7 @@ def write_deployment_page(
         nodes = np.interp(at, time, np.arange(len(time)))
         line = add_rod(server, shapes, errors, nodes[0], radius)
         holder = [] if joint_path is None else add_holder(server, joint_path.metadata)
+        gone = joint_path is not None and not joint_path.metadata.get("stand_stays")
         contact = trajectory.contact.mean(0)
         label = _captions(server, trajectory, joint_path, captions, contact)
         _aim(server.initial_camera, placement, _seen(trajectory, shapes, arm))
@@ -104,7 +105,7 @@ def write_deployment_page(
             if arm is not None:
                 arm.pose(k)
             move_rod(line, shapes, errors, node)
-            if holder and joint_path.phase_at(at[k]) not in ("approach", "grasp"):
+            if holder and gone and joint_path.phase_at(at[k]) not in ("approach", "grasp"):
                 for part in holder:
                     part.visible = False
                 holder = []
