@@ -34,7 +34,8 @@ def solve_grasps_of(
         if shapes:
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
-        if expects and "expected" not in trajectory.metadata:
+        wanted = expects or (friction is not None and method == "intuitive")
+        if wanted and "expected" not in trajectory.metadata:
             bar.set_description("laying it in simulation")
             trajectory.metadata["expected"] = _expected(curve, rod, trajectory, friction, device)
     return trajectory

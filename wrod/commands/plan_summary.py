@@ -112,6 +112,7 @@ def read_friction(text: str) -> float | tuple[float, float]:
         PatternError: it is none of these.
         DataError: the file is no table's.
     """
+    from wrod.deployment.spread import Spread
     from wrod.deployment.table import Table
     from wrod.errors import PatternError
 
@@ -123,4 +124,6 @@ def read_friction(text: str) -> float | tuple[float, float]:
         values = []
     if len(values) not in (1, 2):
         raise PatternError(f"--friction is {text!r}; give a coefficient (0.3) or a range (0.2:0.6)")
-    return values[0] if len(values) == 1 else (values[0], values[1])
+    friction = values[0] if len(values) == 1 else (values[0], values[1])
+    Spread.of(friction)  # refused before anything is planned
+    return friction

@@ -120,17 +120,7 @@ def plan(
     )  # fmt: skip
     if friction is None and not expect:
         return plan_grasps(pattern, rod, method, remainder=remainder, **how)
-    led = prepare(pattern, rod, remainder)
-    if friction is not None:
-        trajectory = _corrected(led, rod, method, friction, how)
-    else:
-        trajectory = plan_grasps(led, rod, method, remainder=False, **how)
-    if expect and "expected" not in trajectory.metadata:
-        from wrod.deployment.expectation import foresee
-
-        expected = foresee(led, rod, trajectory, friction, device=device)
-        trajectory.metadata["expected"] = expected
-    return trajectory
+    return _for_a_table(prepare(pattern, rod, remainder), rod, method, friction, expect, how)
 
 
 def _check_method(method: str, friction) -> None:
@@ -143,6 +133,23 @@ def _check_method(method: str, friction) -> None:
         raise GraspError(
             "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
         )
+
+
+def _for_a_table(
+    led: Pattern, rod, method: str, friction, expect: bool, how: dict[str, Any]
+) -> Trajectory:
+    """The plan that `how` asks for, corrected for a table of such a friction, and what is expected
+    of it where that is asked for."""
+    if friction is None:
+        trajectory = plan_grasps(led, rod, method, remainder=False, **how)
+    else:
+        trajectory = _corrected(led, rod, method, friction, how)
+    if expect and "expected" not in trajectory.metadata:
+        from wrod.deployment.expectation import foresee
+
+        expected = foresee(led, rod, trajectory, friction, device=how["device"])
+        trajectory.metadata["expected"] = expected
+    return trajectory
 
 
 def _corrected(led: Pattern, rod, method: str, friction, how: dict[str, Any]) -> Trajectory:

@@ -53,12 +53,11 @@ def write_deployment_page(
 
     Args:
         trajectory: `Trajectory`.
-        joint_path: `JointPath` of it, for the arm and for true time; without it the grip alone.
+        joint_path: of it, for the arm and for true time; without it the grip alone.
         pattern: `Pattern` drawn on the table; by default the contact points.
         rod: `RodMaterial`, for its radius.
         shapes: (T, M, 3) centrelines of the rod [m]; by default from the trajectory.
-        errors: (T, M) distance of its points from where they should lie [m], shown as colours; by
-            default what is expected of the trajectory, where that is known.
+        errors: (T, M) how far off its points lie [m], as colours; by default what is expected.
         time: (T,) when each shape is reached [s]; by default the joint path's, else 2 cm/s.
         captions: lines above the table.
 
@@ -79,10 +78,8 @@ def write_deployment_page(
     at_nodes = len(time) == len(trajectory)
     if joint_path is not None and at_nodes and errors is None:
         shapes, time = with_release(joint_path, shapes, time, onward)
-    if errors is None:
-        errors = expected_errors(trajectory, pattern, shapes)
-        if errors is not None:
-            captions = [*(captions or []), _expectation(trajectory.metadata["expected"])]
+    if errors is None and (errors := expected_errors(trajectory, pattern, shapes)) is not None:
+        captions = [*(captions or []), _expectation(trajectory)]
     duration = float(time[-1]) if joint_path is None else float(joint_path.time[-1])
     count = int(np.clip(np.ceil(duration * 10.0) + 1, 2, _FRAMES))
     at = np.linspace(0.0, duration, count)
@@ -96,16 +93,14 @@ def write_deployment_page(
         nodes = np.interp(at, time, np.arange(len(time)))
         line = add_rod(server, shapes, errors, nodes[0], radius)
         holder = [] if joint_path is None else add_holder(server, joint_path.metadata)
-        gone = joint_path is not None and not joint_path.metadata.get("stand_stays")
-        contact = trajectory.contact.mean(0)
-        label = _captions(server, trajectory, joint_path, captions, contact)
+        label = _captions(server, trajectory, joint_path, captions, trajectory.contact.mean(0))
         _aim(server.initial_camera, placement, _seen(trajectory, shapes, arm))
         recording = server.get_scene_serializer()
         for k, node in enumerate(nodes):
             if arm is not None:
                 arm.pose(k)
             move_rod(line, shapes, errors, node)
-            if holder and gone and joint_path.phase_at(at[k]) not in ("approach", "grasp"):
+            if holder and not joint_path.holds_stand(at[k]):
                 for part in holder:
                     part.visible = False
                 holder = []
@@ -124,7 +119,8 @@ def write_deployment_page(
     return write_atomically(out, lambda file: file.write(page))
 
 
-def _expectation(expected: dict) -> str:
+def _expectation(trajectory) -> str:
+    expected = trajectory.metadata["expected"]
     return (
         f"expected {100 * expected['mean']:.2f} cm off (friction {expected['friction'][0]:.2g} to "
         f"{expected['friction'][-1]:.2g}); green: on the pattern, red: a centimetre off"
