@@ -1,5 +1,7 @@
 """The whole job: from a neutral pose to the rod, laid, and back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -248,9 +250,10 @@ def test_scene_shows_every_phase(line, job, tmp_path):
     # The tail lies before the hand opens, but for what the fingers hold.
     assert (np.array(rod.Get(opening))[:, 2] < 2e-3).mean() > 0.8
     clip = UsdGeom.Imageable(stage.GetPrimAtPath("/World/Deployment_000/holder/clip"))
-    assert [clip.ComputeVisibility(c) for c in (first, 0, last)] == ["inherited"] * 2 + [
-        "invisible"
-    ]
+    assert [clip.ComputeVisibility(c) for c in (first, 0, last)] == ["inherited"] * 3
+    in_the_way = replace(job, metadata={**job.metadata, "stand_stays": False})
+    there = [in_the_way.holds_stand(time.Get(c)) for c in (first, 0, last)]
+    assert there == [True, True, False]
     # The hand is away from the rod when the scene begins and ends, and on it in between.
     reached = line.position[[0, -1]]
     for code, grip in ((first, reached[0]), (last, reached[1])):
