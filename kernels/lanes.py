@@ -1,9 +1,9 @@
 """Work on one rod, shared by the lanes of a warp or of a whole block on a GPU.
 
 Kernels that walk along whole rods are launched over (rod, lane) in blocks of `lanes(device)`: on a
-GPU each of 32 lanes takes every 32nd degree of freedom, or each of `CROWD` in a row of many rods; on
-a CPU one lane takes all. Those whose lanes need each other's results wait for them in between; they
-are launched in blocks of `lanes(device, TEAM)`.
+GPU each of 32 lanes takes every 32nd degree of freedom, or each of `CROWD` in a long row; on a CPU
+one lane takes all. Those whose lanes need each other's results wait for them in between; they are
+launched in blocks of `lanes(device, TEAM)`.
 """
 
 import warp as wp

@@ -304,9 +304,7 @@ def factorise(
     r, s, _lane = wp.tid()
     if active[r] != 0:
         part = segment[s]
-        factorise_rod(
-            free, hessian, shift, r, part[0], part[1], factor_out, negative_pivots_out
-        )
+        factorise_rod(free, hessian, shift, r, part[0], part[1], factor_out, negative_pivots_out)
 
 
 @wp.kernel

@@ -82,7 +82,9 @@ def weigh_pairs(
         for k in range(NODES):
             at = 3 * (NODES * (2 * n + end) + k)
             if k < nodes:
-                s = share(m.pair, piece[r, i], piece[r, j], radius[r, i], radius[r, j], end * size + k)
+                s = share(
+                    m.pair, piece[r, i], piece[r, j], radius[r, i], radius[r, j], end * size + k
+                )
                 for b in range(3):
                     row = root[b, 0] * s.x + root[b, 1] * s.y + root[b, 2] * s.z
                     for c in range(4):

@@ -14,8 +14,8 @@ from wrod.kernels.stepping import dynamics as kernels
 from wrod.rods.batch import RodBatch
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.bodies import Bodies
-from wrod.solvers.contact import Contact
 from wrod.solvers.condensed import paired_system
+from wrod.solvers.contact import Contact
 from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.inertia import lumped_masses, rounding_of, usual_force
 from wrod.solvers.newton_steps import Follower, NewtonSteps
