@@ -13,9 +13,15 @@ from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
 
 RODS, NODES, RADIUS = 4, 9, 0.09
+DEVICES = [
+    "cpu",
+    pytest.param(
+        "cuda:0", marks=pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
+    ),
+]
 
 
-def heap(spacing, friction=0.5, rows=1):
+def heap(spacing, friction=0.5, rows=1, device="cpu"):
     """Wavy rods across each other, one above the other, in rows alike; they weigh 1 each."""
     rng = np.random.default_rng(1)
     x = np.linspace(-0.5, 0.5, NODES)
@@ -27,17 +33,18 @@ def heap(spacing, friction=0.5, rows=1):
     batch = RodBatch(
         np.repeat(np.concatenate(rods)[None], rows, axis=0),
         stretching_stiffness=50.0, bending_stiffness=1e-2, twisting_stiffness=1e-2,
-        node_mass=np.full(RODS * NODES, 1.0 / NODES),
+        node_mass=np.full(RODS * NODES, 1.0 / NODES), device=device,
     )  # fmt: skip
     batch.cut(np.arange(1, RODS) * NODES - 1)
     return batch, RodContact(batch, RADIUS, Friction(friction), stiffness=30.0)
 
 
+@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("shift", [0.7, 0.004])
-def test_solutions_and_inertia(shift):
+def test_solutions_and_inertia(shift, device):
     """Those of the matrix that it stands for, and nearly those of the whole: pairs hardly press, so
     that what is left out, how normals turn, is nothing."""
-    batch, contact = heap(1.83 * RADIUS)
+    batch, contact = heap(1.83 * RADIUS, device=device)
     contact.prepare(batch.every_rod, batch.every_rod, batch.state.dof)
     free = np.ones((1, batch.dof_count), dtype=bool)
     free[0, 5] = free[0, 40:44] = False
@@ -80,10 +87,10 @@ def test_solutions_and_inertia(shift):
         assert negative > 0
 
 
-def collide(kind, friction):
+def collide(kind, friction, device):
     """Rods that fly into each other, without gravity: where they end up and what they keep."""
-    batch, contact = heap(2.02 * RADIUS, friction, rows=2)
-    dynamics = Dynamics(batch, radius=RADIUS, contact=contact, tolerance=1e-9)
+    batch, contact = heap(2.02 * RADIUS, friction, 2, device)
+    dynamics = Dynamics(batch, radius=RADIUS, contact=contact, tolerance=1e-9, keeps_recording=True)
     dynamics.system = kind(contact)
     velocity = np.zeros((2, RODS, NODES, 3))
     velocity[:, :, :, 2] = -0.3 * np.arange(RODS)[:, None]
@@ -97,15 +104,16 @@ def collide(kind, friction):
     return batch.positions(), dynamics
 
 
-def test_rods_move_as_with_the_exact_factorisation():
+@pytest.mark.parametrize("device", DEVICES)
+def test_rods_move_as_with_the_exact_factorisation(device):
     """The same positions after the same steps, momentum conserved, energy lost; what is left out of
     the matrix costs no iterations. (Friction is balanced within 5 %, which tells where it slides.)
     """
-    found, dynamics = collide(CondensedSystem, 0.0)
-    expected, exact = collide(CoupledSystem, 0.0)
+    found, dynamics = collide(CondensedSystem, 0.0, device)
+    expected, exact = collide(CoupledSystem, 0.0, device)
     assert found == pytest.approx(expected, abs=1e-9)
     assert np.abs(found[1] - found[0]).max() > 1e-3  # rows have their own
     assert (dynamics.iteration_count.numpy() < 1.1 * exact.iteration_count.numpy()).all()
-    rubbed, _ = collide(CondensedSystem, 0.5)
-    assert rubbed == pytest.approx(collide(CoupledSystem, 0.5)[0], abs=5e-3)
+    rubbed, _ = collide(CondensedSystem, 0.5, device)
+    assert rubbed == pytest.approx(collide(CoupledSystem, 0.5, device)[0], abs=5e-3)
     assert np.abs(rubbed - found).max() > 1e-3
