@@ -25,7 +25,7 @@ class Pile:
     """Cables dropped onto each other and the ground, in layers at right angles.
 
     Attributes:
-        model, state, solver: Newton's.
+        model, state, solver: Newton's; `material` is the cables'.
         deepest: largest penetration seen between rods, over the radius.
     """
 
@@ -49,6 +49,7 @@ class Pile:
         builder.add_ground_plane()
         for points in rods:
             SolverDER.add_rod(builder, points, material, air_damping=0.5, internal_damping=0.005)
+        self.material = material
         self.model = builder.finalize(device=device)
         self.solver = SolverDER(self.model, rod_contact=self.friction[1])
         self.state = self.model.state()
