@@ -70,9 +70,11 @@ class Example:
         self.viewer.set_model(self.model)
 
     def heights(self) -> np.ndarray:
-        """(cable,) half the way across from the farthest left to the farthest right [m]."""
-        y = self.state.der.node_q.numpy()[:, 1].reshape(-1, EDGES + 1)
-        return 0.5 * (y.max(axis=1) - y.min(axis=1))
+        """(cable,) half the way from the farthest left to the farthest right of a straight line
+        through the cable [m]."""
+        q = self.state.der.node_q.numpy().reshape(-1, EDGES + 1, 3)
+        off = [y - np.polyval(np.polyfit(x, y, 1), x) for x, y, _ in q.transpose(0, 2, 1)]
+        return 0.5 * np.ptp(off, axis=1)
 
     def step(self) -> None:
         self.sim_time += self.frame_dt
