@@ -9,8 +9,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import matplotlib
+import newton
 import numpy as np
 from newton.viewer import ViewerNull
+from scipy.spatial.transform import Rotation
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -44,8 +46,8 @@ SCENES = {
         ((-0.35, 0.35), (-0.1, 0.1), (-0.03, 0.06)),
     ),
     "plectoneme": (
-        "A slack cable, turned six times", (1.0, 4.0, 9.0), (25, -75),
-        ((0.0, 0.45), (-0.12, 0.12), (-0.15, 0.15)),
+        "A slack cable, turned six times", (1.0, 5.0, 9.0), (60, -80),
+        ((0.0, 0.32), (-0.12, 0.12), (-0.05, 0.15)),
     ),
 }  # fmt: skip
 
@@ -74,17 +76,16 @@ def rods(example) -> list[np.ndarray]:
 
 
 def bodies(example) -> list[np.ndarray]:
-    """Both ends of the boxes on the bodies that are no capsules of cables."""
+    """Both ends of the boxes and capsules on the bodies, but of cables' capsules."""
     model, out = example.model, []
     poses = example.state.body_q.numpy()
-    shapes = zip(
-        model.shape_body.numpy(), model.shape_label, model.shape_scale.numpy(), strict=True
-    )
-    for body, label, size in shapes:
-        if body >= 0 and "capsule" not in label:
-            x, y, z, w = poses[body, 3:]
-            way = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
-            out.append(poses[body, :3] + np.array([[-1.0], [1.0]]) * size[0] * way)
+    kinds = model.shape_type.numpy()
+    for shape, body in enumerate(model.shape_body.numpy()):
+        if body >= 0 and "/capsule_" not in model.shape_label[shape]:
+            size, stands = model.shape_scale.numpy()[shape], kinds[shape] == newton.GeoType.CAPSULE
+            way = [0.0, 0.0, size[1]] if stands else [size[0], 0.0, 0.0]
+            way = Rotation.from_quat(poses[body, 3:]).apply(way)
+            out.append(poses[body, :3] + np.array([[-1.0], [1.0]]) * way)
     return out
 
 
