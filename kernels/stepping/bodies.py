@@ -59,6 +59,17 @@ class Hold:
     rotation: wp.quatd
 
 
+@wp.struct
+class Motion:
+    """(row, slot) of bodies at one time: centres of mass, rotations, velocity of the centre and
+    angular momentum about it."""
+
+    place: wp.array2d(dtype=wp.vec3d)
+    turn: wp.array2d(dtype=wp.quatd)
+    velocity: wp.array2d(dtype=wp.vec3d)
+    momentum: wp.array2d(dtype=wp.vec3d)
+
+
 @wp.func
 def turned_by(v: wp.vec3d, q: wp.quatd) -> wp.quatd:
     """q after a turn by the rotation vector v."""
@@ -104,23 +115,19 @@ def predict_bodies(
     # State in:
     chosen: wp.array(dtype=wp.int32),
     span: wp.array(dtype=wp.float64),
-    place_before: wp.array2d(dtype=wp.vec3d),
-    turn_before: wp.array2d(dtype=wp.quatd),
-    velocity: wp.array2d(dtype=wp.vec3d),
-    momentum: wp.array2d(dtype=wp.vec3d),
+    before: Motion,
     # State out:
-    place_out: wp.array2d(dtype=wp.vec3d),
-    turn_out: wp.array2d(dtype=wp.quatd),
+    now: Motion,
 ):
     """Newton starts where bodies are that move on as they do."""
     r, s = wp.tid()
     b = body[r, s]
     if chosen[r] == 0 or b.mass == ZERO:
         return
-    q = turn_before[r, s]
-    spin = spin_of(b, q, momentum[r, s])
-    place_out[r, s] = place_before[r, s] + span[r] * velocity[r, s]
-    turn_out[r, s] = turned_by(span[r] * spin, q)
+    q = before.turn[r, s]
+    spin = spin_of(b, q, before.momentum[r, s])
+    now.place[r, s] = before.place[r, s] + span[r] * before.velocity[r, s]
+    now.turn[r, s] = turned_by(span[r] * spin, q)
 
 
 @wp.kernel
@@ -130,8 +137,7 @@ def place_held(
     hold: wp.array2d(dtype=Hold),
     # State in:
     chosen: wp.array(dtype=wp.int32),
-    place: wp.array2d(dtype=wp.vec3d),
-    turn: wp.array2d(dtype=wp.quatd),
+    now: Motion,
     tangent_before: wp.array2d(dtype=wp.vec3d),
     director_before: wp.array2d(dtype=wp.vec3d),
     # State in and out:
@@ -142,8 +148,8 @@ def place_held(
     h = hold[r, k]
     if chosen[r] == 0 or h.kind == 0 or h.slot < 0:
         return
-    q = turn[r, h.slot]
-    p = place[r, h.slot] + wp.quat_rotate(q, h.position - body[r, h.slot].centre)
+    q = now.turn[r, h.slot]
+    p = now.place[r, h.slot] + wp.quat_rotate(q, h.position - body[r, h.slot].centre)
     for c in range(3):
         dof[r, 4 * h.node + c] = p[c]
     if h.kind == 2:
@@ -170,10 +176,7 @@ def carry_velocity(
     hold: wp.array2d(dtype=Hold),
     # State in:
     chosen: wp.array(dtype=wp.int32),
-    place: wp.array2d(dtype=wp.vec3d),
-    turn: wp.array2d(dtype=wp.quatd),
-    velocity: wp.array2d(dtype=wp.vec3d),
-    momentum: wp.array2d(dtype=wp.vec3d),
+    before: Motion,
     dof: wp.array2d(dtype=wp.float64),
     # State out:
     velocity_out: wp.array2d(dtype=wp.float64),
@@ -183,14 +186,15 @@ def carry_velocity(
     h = hold[r, k]
     if chosen[r] == 0 or h.kind == 0 or h.slot < 0:
         return
-    spin = spin_of(body[r, h.slot], turn[r, h.slot], momentum[r, h.slot])
+    spin = spin_of(body[r, h.slot], before.turn[r, h.slot], before.momentum[r, h.slot])
     for n in range(h.kind):
         i = wp.where(n == 0, h.node, h.other)
-        v = velocity[r, h.slot] + wp.cross(spin, node(dof, r, i) - place[r, h.slot])
+        arm = node(dof, r, i) - before.place[r, h.slot]
+        v = before.velocity[r, h.slot] + wp.cross(spin, arm)
         for c in range(3):
             velocity_out[r, 4 * i + c] = v[c]
     if h.kind == 2:
-        velocity_out[r, 4 * h.edge + 3] = wp.dot(spin, tangent_of(h, turn[r, h.slot]))
+        velocity_out[r, 4 * h.edge + 3] = wp.dot(spin, tangent_of(h, before.turn[r, h.slot]))
 
 
 @wp.func
@@ -212,8 +216,7 @@ def spread_motion(
     hold: wp.array2d(dtype=Hold),
     # State in:
     active: wp.array(dtype=wp.int32),
-    place: wp.array2d(dtype=wp.vec3d),
-    turn: wp.array2d(dtype=wp.quatd),
+    now: Motion,
     dof: wp.array2d(dtype=wp.float64),
     # Out:
     motion_out: wp.array3d(dtype=wp.float64),
@@ -224,10 +227,11 @@ def spread_motion(
     if active[r] == 0 or h.kind == 0 or h.slot < 0:
         return
     j = 6 * h.slot
-    write_motion(motion_out, r, j, 4 * h.node, node(dof, r, h.node) - place[r, h.slot])
+    place = now.place[r, h.slot]
+    write_motion(motion_out, r, j, 4 * h.node, node(dof, r, h.node) - place)
     if h.kind == 2:
-        write_motion(motion_out, r, j, 4 * h.other, node(dof, r, h.other) - place[r, h.slot])
-        t = tangent_of(h, turn[r, h.slot])
+        write_motion(motion_out, r, j, 4 * h.other, node(dof, r, h.other) - place)
+        t = tangent_of(h, now.turn[r, h.slot])
         for c in range(3):
             motion_out[r, j + 3 + c, 4 * h.edge + 3] = t[c]
 
@@ -259,20 +263,12 @@ def body_balance(
     coefficient: wp.array(dtype=wp.vec3d),
     dof: wp.array2d(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.float64),
-    place: wp.array2d(dtype=wp.vec3d),
-    turn: wp.array2d(dtype=wp.quatd),
-    place_before: wp.array2d(dtype=wp.vec3d),
-    turn_before: wp.array2d(dtype=wp.quatd),
-    place_older: wp.array2d(dtype=wp.vec3d),
-    turn_older: wp.array2d(dtype=wp.quatd),
-    velocity_before: wp.array2d(dtype=wp.vec3d),
-    velocity_older: wp.array2d(dtype=wp.vec3d),
-    momentum_before: wp.array2d(dtype=wp.vec3d),
-    momentum_older: wp.array2d(dtype=wp.vec3d),
+    before: Motion,
+    older: Motion,
     push: wp.array3d(dtype=wp.float64),
+    # State in (place, turn) and out (velocity, momentum):
+    now: Motion,
     # State out:
-    velocity_out: wp.array2d(dtype=wp.vec3d),
-    momentum_out: wp.array2d(dtype=wp.vec3d),
     residual_out: wp.array3d(dtype=wp.float64),
     matrix_out: wp.array3d(dtype=wp.float64),
 ):
@@ -284,18 +280,18 @@ def body_balance(
         return
     dt = step[r]
     c = coefficient[r]
-    x = place[r, s]
-    q = turn[r, s]
-    v = (c[0] * x + c[1] * place_before[r, s] + c[2] * place_older[r, s]) / dt
-    a = (c[0] * v + c[1] * velocity_before[r, s] + c[2] * velocity_older[r, s]) / dt
-    first = turn_to(turn_before[r, s], q)
-    second = turn_to(turn_older[r, s], q)
+    x = now.place[r, s]
+    q = now.turn[r, s]
+    v = (c[0] * x + c[1] * before.place[r, s] + c[2] * older.place[r, s]) / dt
+    a = (c[0] * v + c[1] * before.velocity[r, s] + c[2] * older.velocity[r, s]) / dt
+    first = turn_to(before.turn[r, s], q)
+    second = turn_to(older.turn[r, s], q)
     spin = (c[1] * first + c[2] * second) / dt
     inertia = inertia_of(b, q)
     momentum = inertia * spin
-    rate = (c[0] * momentum + c[1] * momentum_before[r, s] + c[2] * momentum_older[r, s]) / dt
-    velocity_out[r, s] = v
-    momentum_out[r, s] = momentum
+    rate = (c[0] * momentum + c[1] * before.momentum[r, s] + c[2] * older.momentum[r, s]) / dt
+    now.velocity[r, s] = v
+    now.momentum[r, s] = momentum
     f = b.mass * (a - gravity[r]) - force[r, s]
     t = rate - torque[r, s]
     own = (-c[1] / dt) * turning_rate(first) - (c[2] / dt) * turning_rate(second)
@@ -493,8 +489,7 @@ def move_bodies(
     shortened: wp.array(dtype=wp.float64),
     taken: wp.array(dtype=wp.float64),
     # State in and out:
-    place: wp.array2d(dtype=wp.vec3d),
-    turn: wp.array2d(dtype=wp.quatd),
+    now: Motion,
 ):
     """As much of the bodies' Newton step as rods took of theirs."""
     r, s = wp.tid()
@@ -502,8 +497,9 @@ def move_bodies(
         return
     f = -fraction[r] * shortened[r] * taken[r]
     j = 6 * s
-    place[r, s] = place[r, s] + f * wp.vec3d(step[r, j], step[r, j + 1], step[r, j + 2])
-    turn[r, s] = turned_by(f * wp.vec3d(step[r, j + 3], step[r, j + 4], step[r, j + 5]), turn[r, s])
+    turn = f * wp.vec3d(step[r, j + 3], step[r, j + 4], step[r, j + 5])
+    now.place[r, s] = now.place[r, s] + f * wp.vec3d(step[r, j], step[r, j + 1], step[r, j + 2])
+    now.turn[r, s] = turned_by(turn, now.turn[r, s])
 
 
 @wp.kernel
@@ -513,41 +509,33 @@ def finish_bodies(
     rejected: wp.array(dtype=wp.int32),
     step: wp.array(dtype=wp.float64),
     span: wp.array(dtype=wp.float64),
-    velocity_now: wp.array2d(dtype=wp.vec3d),
-    momentum_now: wp.array2d(dtype=wp.vec3d),
     # State in and out:
-    place: wp.array2d(dtype=wp.vec3d),
-    turn: wp.array2d(dtype=wp.quatd),
-    place_before: wp.array2d(dtype=wp.vec3d),
-    turn_before: wp.array2d(dtype=wp.quatd),
-    place_older: wp.array2d(dtype=wp.vec3d),
-    turn_older: wp.array2d(dtype=wp.quatd),
-    velocity: wp.array2d(dtype=wp.vec3d),
-    velocity_older: wp.array2d(dtype=wp.vec3d),
-    momentum: wp.array2d(dtype=wp.vec3d),
-    momentum_older: wp.array2d(dtype=wp.vec3d),
+    now: Motion,
+    before: Motion,
+    older: Motion,
 ):
     """Carry accepted steps over to the next, to their ends, and take rejected ones back."""
     r, s = wp.tid()
     if accepted[r] != 0:
-        v = velocity_now[r, s]
-        m = momentum_now[r, s]
+        v = now.velocity[r, s]
+        m = now.momentum[r, s]
         if span[r] < step[r]:
-            v = TWO * v - velocity[r, s]
-            m = TWO * m - momentum[r, s]
-            place[r, s] = TWO * place[r, s] - place_before[r, s]
-            turn[r, s] = turned_by(turn_to(turn[r, s], turn_before[r, s]), turn[r, s])
-        velocity_older[r, s] = velocity[r, s]
-        momentum_older[r, s] = momentum[r, s]
-        velocity[r, s] = v
-        momentum[r, s] = m
-        place_older[r, s] = place_before[r, s]
-        turn_older[r, s] = turn_before[r, s]
-        place_before[r, s] = place[r, s]
-        turn_before[r, s] = turn[r, s]
+            v = TWO * v - before.velocity[r, s]
+            m = TWO * m - before.momentum[r, s]
+            turn = turn_to(now.turn[r, s], before.turn[r, s])
+            now.place[r, s] = TWO * now.place[r, s] - before.place[r, s]
+            now.turn[r, s] = turned_by(turn, now.turn[r, s])
+        older.place[r, s] = before.place[r, s]
+        older.turn[r, s] = before.turn[r, s]
+        older.velocity[r, s] = before.velocity[r, s]
+        older.momentum[r, s] = before.momentum[r, s]
+        before.place[r, s] = now.place[r, s]
+        before.turn[r, s] = now.turn[r, s]
+        before.velocity[r, s] = v
+        before.momentum[r, s] = m
     elif rejected[r] != 0:
-        place[r, s] = place_before[r, s]
-        turn[r, s] = turn_before[r, s]
+        now.place[r, s] = before.place[r, s]
+        now.turn[r, s] = before.turn[r, s]
 
 
 @wp.kernel
@@ -599,12 +587,8 @@ def read_bodies(
     body_qd: wp.array(dtype=wp.spatial_vector),
     body_f: wp.array(dtype=wp.spatial_vector),
     # State out:
-    place_out: wp.array2d(dtype=wp.vec3d),
-    turn_out: wp.array2d(dtype=wp.quatd),
-    place_before_out: wp.array2d(dtype=wp.vec3d),
-    turn_before_out: wp.array2d(dtype=wp.quatd),
-    velocity_out: wp.array2d(dtype=wp.vec3d),
-    momentum_out: wp.array2d(dtype=wp.vec3d),
+    now: Motion,
+    before: Motion,
     force_out: wp.array2d(dtype=wp.vec3d),
     torque_out: wp.array2d(dtype=wp.vec3d),
 ):
@@ -623,12 +607,12 @@ def read_bodies(
         wp.quatd(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]), wp.float64(q[3]))
     )
     place = wide(wp.transform_get_translation(pose)) + wp.quat_rotate(turn, b.centre)
-    place_out[r, s] = place
-    turn_out[r, s] = turn
-    place_before_out[r, s] = place
-    turn_before_out[r, s] = turn
-    velocity_out[r, s] = wide(wp.spatial_top(body_qd[b.index]))
-    momentum_out[r, s] = inertia_of(b, turn) * wide(wp.spatial_bottom(body_qd[b.index]))
+    now.place[r, s] = place
+    now.turn[r, s] = turn
+    before.place[r, s] = place
+    before.turn[r, s] = turn
+    before.velocity[r, s] = wide(wp.spatial_top(body_qd[b.index]))
+    before.momentum[r, s] = inertia_of(b, turn) * wide(wp.spatial_bottom(body_qd[b.index]))
 
 
 @wp.kernel
@@ -636,10 +620,8 @@ def write_bodies(
     # Model:
     body: wp.array2d(dtype=Body),
     # State in:
-    place: wp.array2d(dtype=wp.vec3d),
-    turn: wp.array2d(dtype=wp.quatd),
-    velocity: wp.array2d(dtype=wp.vec3d),
-    momentum: wp.array2d(dtype=wp.vec3d),
+    now: Motion,
+    before: Motion,
     # State out:
     body_q_out: wp.array(dtype=wp.transform),
     body_qd_out: wp.array(dtype=wp.spatial_vector),
@@ -651,11 +633,11 @@ def write_bodies(
     b = body[r, s]
     if b.mass == ZERO:
         return
-    q = turn[r, s]
-    origin = place[r, s] - wp.quat_rotate(q, b.centre)
+    q = now.turn[r, s]
+    origin = now.place[r, s] - wp.quat_rotate(q, b.centre)
     pose = wp.transform(narrow(origin), wp.quat(float(q[0]), float(q[1]), float(q[2]), float(q[3])))
-    v = narrow(velocity[r, s])
-    w = narrow(spin_of(b, q, momentum[r, s]))
+    v = narrow(before.velocity[r, s])
+    w = narrow(spin_of(b, q, before.momentum[r, s]))
     speed = wp.spatial_vector(v[0], v[1], v[2], w[0], w[1], w[2])
     body_q_out[b.index] = pose
     body_qd_out[b.index] = speed

@@ -44,16 +44,18 @@ class Bodies:
         def vectors():
             return wp.zeros(shape, dtype=wp.vec3d, device=device)
 
-        def turns():
-            return wp.full(shape, wp.quatd(0.0, 0.0, 0.0, 1.0), dtype=wp.quatd, device=device)
+        def motion():
+            out = kernels.Motion()
+            out.place, out.velocity, out.momentum = vectors(), vectors(), vectors()
+            out.turn = wp.full(shape, wp.quatd(0.0, 0.0, 0.0, 1.0), dtype=wp.quatd, device=device)
+            return out
 
         def floats(*size):
             return wp.zeros((shape[0], *size), dtype=wp.float64, device=device)
 
-        self.place, self._place_before, self._place_older = (vectors() for _ in range(3))
-        self.turn, self._turn_before, self._turn_older = (turns() for _ in range(3))
-        self.velocity, self._velocity_now, self._velocity_older = (vectors() for _ in range(3))
-        self.momentum, self._momentum_now, self._momentum_older = (vectors() for _ in range(3))
+        self._now, self._before, self._older = motion(), motion(), motion()
+        self.place, self.turn = self._now.place, self._now.turn
+        self.velocity, self.momentum = self._before.velocity, self._before.momentum
         self.force, self.torque = vectors(), vectors()
         self._motion, self._column = floats(motions, dofs), floats(motions, dofs)
         self._residual, self._matrix = floats(shape[1], 6), floats(shape[1], 36)
@@ -79,25 +81,13 @@ class Bodies:
     def _launch(self, kernel, dim, inputs, outputs=()) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.batch.device)
 
-    @property
-    def _poses(self) -> list[wp.array]:
-        return [
-            self.place,
-            self.turn,
-            self._place_before,
-            self._turn_before,
-            self._place_older,
-            self._turn_older,
-        ]
-
     def begin(self, starting: wp.array, span: wp.array, start: RodState) -> None:
         """Predict where bodies are at the end of a step, and put there what they hold."""
         self._launch(
             kernels.predict_bodies,
             self.body.shape,
-            [self.body, starting, span, self._place_before, self._turn_before]
-            + [self.velocity, self.momentum],
-            [self.place, self.turn],
+            [self.body, starting, span, self._before],
+            [self._now],
         )
         self.put(starting, start)
 
@@ -106,7 +96,7 @@ class Bodies:
         self._launch(
             kernels.place_held,
             self.hold.shape,
-            [self.body, self.hold, chosen, self.place, self.turn, start.tangent, start.director],
+            [self.body, self.hold, chosen, self._now, start.tangent, start.director],
             [self.batch.state.dof],
         )
 
@@ -127,14 +117,11 @@ class Bodies:
                 steps.coefficient,
                 self.batch.state.dof,
                 self.batch.derivatives.gradient,
-                *self._poses,
-                self.velocity,
-                self._velocity_older,
-                self.momentum,
-                self._momentum_older,
+                self._before,
+                self._older,
                 self.push,
             ],
-            [self._velocity_now, self._momentum_now, self._residual, self._matrix],
+            [self._now, self._residual, self._matrix],
         )
         self._launch(
             kernels.refuse_unbalanced,
@@ -156,7 +143,7 @@ class Bodies:
         self._launch(
             kernels.spread_motion,
             self.hold.shape,
-            [self.hold, active, self.place, self.turn, self.batch.state.dof],
+            [self.hold, active, self._now, self.batch.state.dof],
             [self._motion],
         )
         self._launch(
@@ -198,7 +185,7 @@ class Bodies:
             self.body.shape,
             [self.body, steps.active, self._step, self._fraction]
             + [steps.system.shortened, steps.taken],
-            [self.place, self.turn],
+            [self._now],
         )
         self.put(steps.active, steps.start)
 
@@ -207,15 +194,8 @@ class Bodies:
         self._launch(
             kernels.finish_bodies,
             self.body.shape,
-            [steps.accepted, steps.rejected, steps.step, steps.span]
-            + [self._velocity_now, self._momentum_now],
-            [
-                *self._poses,
-                self.velocity,
-                self._velocity_older,
-                self.momentum,
-                self._momentum_older,
-            ],
+            [steps.accepted, steps.rejected, steps.step, steps.span],
+            [self._now, self._before, self._older],
         )
 
     def find_changes(self, body_q: wp.array, body_qd: wp.array, changed: wp.array) -> None:
@@ -234,15 +214,13 @@ class Bodies:
             kernels.read_bodies,
             self.body.shape,
             [self.body, chosen, body_q, body_qd, body_f],
-            [self.place, self.turn, self._place_before, self._turn_before]
-            + [self.velocity, self.momentum, self.force, self.torque],
+            [self._now, self._before, self.force, self.torque],
         )
         self.put(chosen, start)
         self._launch(
             kernels.carry_velocity,
             self.hold.shape,
-            [self.body, self.hold, chosen, self.place, self.turn, self.velocity, self.momentum]
-            + [self.batch.state.dof],
+            [self.body, self.hold, chosen, self._before, self.batch.state.dof],
             [velocity],
         )
 
@@ -251,6 +229,6 @@ class Bodies:
         self._launch(
             kernels.write_bodies,
             self.body.shape,
-            [self.body, self.place, self.turn, self.velocity, self.momentum],
+            [self.body, self._now, self._before],
             [body_q, body_qd, self._written_q, self._written_qd],
         )
