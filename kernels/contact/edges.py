@@ -11,10 +11,10 @@ from wrod.kernels.contact.closest import SMOOTHING, Closest, closest_on_edge, wi
 from wrod.kernels.contact.planes import (
     Touchable,
     coefficient,
-    hold,
     normal_force,
     note_touch,
     present_force,
+    return_mapping,
     shape_displacement,
 )
 from wrod.kernels.contact.rolling import held_turn
@@ -118,7 +118,7 @@ def edge_contact(
             law = present_force(model, c.depth, c.closing, step[r], r, i)
             c.force = law[0]
             c.slope = law[1]
-            held = hold(c.bristle, c.near.normal, model.stiffness[r, i], mu * c.force)
+            held = return_mapping(c.bristle, c.near.normal, model.stiffness[r, i], mu * c.force)
             add_edge(gradient, hessian, r, i, c, held.pull, held.grip)
             if model.rolling[r] > ZERO:
                 add_edge_spin(gradient, hessian, r, i, c, held.pull, held.grip)
@@ -290,7 +290,7 @@ def settle_edges(
         turn = wp.float64(0.0)
         if c.force > ZERO:
             law = present_force(model, c.depth, c.closing, step[r], r, i)
-            held = hold(c.bristle, c.near.normal, model.stiffness[r, i], mu * law[0])
+            held = return_mapping(c.bristle, c.near.normal, model.stiffness[r, i], mu * law[0])
             if held.slides > ZERO:
                 sliding[r, k, i] = 1
                 wp.atomic_add(slip, r, i, (ONE - c.near.s) * held.slides)

@@ -5,8 +5,8 @@ from wrod.kernels.contact.planes import (
     Touchable,
     coefficient,
     friction_factor,
-    hold,
     present_force,
+    return_mapping,
     touch,
 )
 from wrod.kernels.contact.rolling import held_turn, node_turn
@@ -63,7 +63,7 @@ def linearise_contact(
             remembered = law[1] * lag / (ONE + lag)
         n = c.normal
         memory = -remembered * wp.outer(n, n)
-        held = hold(c.bristle, n, model.stiffness[r, i], mu * law[0])
+        held = return_mapping(c.bristle, n, model.stiffness[r, i], mu * law[0])
         if held.slides > ZERO:
             way = c.bristle / wp.length(c.bristle)
             coupling = wp.outer(way, slope - mu * law[1] * n)

@@ -29,7 +29,7 @@ EVERY = wp.constant(2)
 
 
 @wp.struct
-class Law:
+class PairLaw:
     """What all pairs of a rod share: stiffness, skin, relaxation time of the normal force, and the
     coefficients of friction."""
 
@@ -45,7 +45,7 @@ class Pieces:
     """What may touch: (rod,) laws; (rod, piece) radii (0: touches nothing), rest lengths and kinds,
     see `wrod.kernels.contact.segments`."""
 
-    law: wp.array(dtype=Law)
+    law: wp.array(dtype=PairLaw)
     radius: wp.array2d(dtype=wp.float64)
     rest_length: wp.array2d(dtype=wp.float64)
     kind: wp.array2d(dtype=wp.int32)

@@ -180,7 +180,7 @@ def touch(
 
 
 @wp.struct
-class Hold:
+class Bristle:
     """What a bristle holds: its pull and its stiffness (a matrix), and by how much it slides."""
 
     pull: wp.vec3d
@@ -189,9 +189,11 @@ class Hold:
 
 
 @wp.func
-def hold(bristle: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: wp.float64) -> Hold:
+def return_mapping(
+    bristle: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: wp.float64
+) -> Bristle:
     """Coulomb's return mapping: a bristle of that stretch pulls by `limit` at most."""
-    out = Hold()
+    out = Bristle()
     across = wp.identity(3, dtype=wp.float64) - wp.outer(normal, normal)
     k = wp.float64(stiffness)
     size = wp.length(bristle)
@@ -261,7 +263,7 @@ def contact(
             mu = mu * friction_factor(model.field, model.place, node(dof, r, i))[0]
             law = present_force(model, c.depth, c.closing, step[r], r, i)
             n = c.normal
-            held = hold(c.bristle, n, model.stiffness[r, i], mu * law[0])
+            held = return_mapping(c.bristle, n, model.stiffness[r, i], mu * law[0])
             add_vector(gradient, r, 4 * i, held.pull - law[0] * n)
             add_diagonal_block(hessian, r, 4 * i, held.grip + law[1] * wp.outer(n, n))
             if model.rolling[r] > ZERO:
@@ -326,7 +328,7 @@ def settle_friction(
         b = wp.vec3d(ZERO, ZERO, ZERO)
         if c.force > ZERO:
             law = present_force(model, c.depth, c.closing, step[r], r, i)
-            held = hold(c.bristle, c.normal, model.stiffness[r, i], mu * law[0])
+            held = return_mapping(c.bristle, c.normal, model.stiffness[r, i], mu * law[0])
             if held.slides > ZERO:
                 sliding[r, k, i] = 1
                 slip[r, i] = slip[r, i] + held.slides

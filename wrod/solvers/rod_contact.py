@@ -118,7 +118,7 @@ class RodContact:
         mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
         law = _laws(friction, stiffness, damping * np.sqrt(mass / stiffness), _SKIN * mean_radius)
         self.pieces = pieces = pair_contact.Pieces()
-        pieces.law = wp.array(law, dtype=pair_contact.Law, device=device)
+        pieces.law = wp.array(law, dtype=pair_contact.PairLaw, device=device)
         pieces.rest_length = batch.rest_length
         touching_radius, piece = np.where(idle, 0.0, radius), np.zeros(cut.shape, dtype=np.int32)
         if smooth:
@@ -338,7 +338,7 @@ def _laws(friction: list[Friction], stiffness, relaxation, skin) -> list:
     """The law of each row's pairs."""
     laws = []
     for r, f in enumerate(friction):
-        law = pair_contact.Law()
+        law = pair_contact.PairLaw()
         law.stiffness, law.skin, law.relaxation = stiffness[r], skin[r], relaxation[r]
         law.static_friction = f.static
         law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
