@@ -111,9 +111,11 @@ def whole(low: int = 0, high: int = 2**53) -> Check:
 
 def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
     """Numbers of one of these shapes; None stands for any length."""
-    said = " or ".join(str(shape).replace("None", "n") for shape in shapes)
+    said = " or ".join(str(shape).replace("None", "n") for shape in shapes) or "(n,)"
 
     def check(value: Any) -> str | None:
+        if getattr(value, "requires_grad", False) is True:
+            return "would lose its gradient: use wrod.training.autograd, or detach it"
         there = "cuda" in str(getattr(value, "device", ""))  # looking at it would bring it here
         try:
             found = np.empty(tuple(value.shape)) if there else np.asarray(value)
