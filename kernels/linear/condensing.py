@@ -12,7 +12,7 @@ nodes each: the last is empty for edges.
 """
 
 import warp as wp
-from wrod.kernels.contact.rods import Law, Pair
+from wrod.kernels.contact.pair_contact import Pair, Pieces, Rubbing
 from wrod.kernels.contact.segments import piece_size
 from wrod.kernels.elastic.frames import ONE, ZERO
 from wrod.kernels.linear.banded_lanes import solve_rod
@@ -38,10 +38,7 @@ def stiffness_root(c: Pair) -> wp.mat33d:
 @wp.kernel
 def weigh_pairs(
     # Model:
-    law: wp.array(dtype=Law),
-    radius: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
+    pieces: Pieces,
     # State in:
     coupled: wp.array(dtype=wp.int32),
     overflow: wp.array(dtype=wp.int32),
@@ -49,10 +46,7 @@ def weigh_pairs(
     step: wp.array(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec2d),
-    load: wp.array3d(dtype=wp.float64),
-    sliding: wp.array3d(dtype=wp.int32),
-    sticking: wp.array(dtype=wp.int32),
+    rubbing: Rubbing,
     count: wp.array(dtype=wp.int32),
     touching: wp.array2d(dtype=wp.vec3i),
     # State out:
@@ -67,24 +61,16 @@ def weigh_pairs(
     if not chosen or n >= count[r]:
         return
     pair = touching[r, n]
-    i = pair[0]
-    j = pair[1]
-    slot = pair[2]
-    m = pair_matrix(
-        law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, slot],
-        load[r, i, slot], sliding[r, i, slot], sticking[r], r, i, j,
-    )  # fmt: skip
+    m = pair_matrix(pieces, rubbing, step[r], dof, dof_before, r, pair)
     root = stiffness_root(m.pair)
-    size = piece_size(piece[r, i])
+    size = piece_size(pieces.kind[r, pair[0]])
     for end in range(2):
         first = pair[end]
-        nodes = piece_size(piece[r, first])
+        nodes = piece_size(pieces.kind[r, first])
         for k in range(NODES):
             at = 3 * (NODES * (2 * n + end) + k)
             if k < nodes:
-                s = share(
-                    m.pair, piece[r, i], piece[r, j], radius[r, i], radius[r, j], end * size + k
-                )
+                s = share(m.pair, pieces, r, pair, end * size + k)
                 for b in range(3):
                     row = root[b, 0] * s.x + root[b, 1] * s.y + root[b, 2] * s.z
                     for c in range(4):

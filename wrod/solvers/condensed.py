@@ -80,7 +80,7 @@ class CondensedSystem(PairedSystem):
         self._spread(
             condensing.weigh_pairs,
             (self.touching.shape[1],),
-            [*self._law, self.coupled, contact.overflow, batch.free, *self._pairs],
+            [contact.pieces, self.coupled, contact.overflow, batch.free, *self._pairs],
             [self._weight, self._tiles],
         )
         rods = [self.segment, self._owner]

@@ -46,18 +46,11 @@ class PairedSystem(BandedSystem):
         )
 
     @property
-    def _law(self) -> list:
-        contact = self.contact
-        return [contact.law, contact.edge_radius, self.batch.rest_length, contact.piece]
-
-    @property
     def _pairs(self) -> list:
         """Where pairs are, and which."""
         contact = self.contact
-        return [
-            contact.time_step, *contact.configuration, contact.bristle, contact.held_load,
-            contact.sliding, contact.sticking, self.pair_count, self.touching,
-        ]  # fmt: skip
+        where = [contact.time_step, *contact.configuration, contact.rubbing]
+        return [*where, self.pair_count, self.touching]
 
     def _together(self, kernel, inputs, outputs) -> None:
         """Launch a kernel whose lanes work on a rod together."""
@@ -75,7 +68,7 @@ class PairedSystem(BandedSystem):
     def multiply_pairs(self, active: wp.array, vector: wp.array, product: wp.array) -> None:
         """Add the touching pairs' part of matrix times `vector` (rod, j, dof) to `product`."""
         chosen = [active, self.coupled, self.contact.overflow]
-        inputs = [*self._law, *chosen, *self._pairs, vector]
+        inputs = [self.contact.pieces, *chosen, *self._pairs, vector]
         self._together(coupling.multiply_pairs, inputs, [product])
 
     def shorten(self, active: wp.array) -> None:
@@ -132,7 +125,7 @@ class CoupledSystem(PairedSystem):
             [
                 self.coupled,
                 self._changed,
-                contact.piece,
+                contact.pieces.kind,
                 self.pair_count,
                 self.touching,
                 self._capacity,
@@ -153,7 +146,7 @@ class CoupledSystem(PairedSystem):
         )
         self._together(
             coupling.add_pairs,
-            [*self._law, *chosen, *self._pairs, self._rank, self._row],
+            [self.contact.pieces, *chosen, *self._pairs, self._rank, self._row],
             [self._block],
         )
         chosen = [self.coupled, overflow]
