@@ -31,7 +31,7 @@ from wrod.commands.plan_steps import (
     softened,
     solve_grasps_of,
 )
-from wrod.commands.plan_summary import read_friction, summary
+from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
 from wrod.errors import PatternError
 
@@ -53,6 +53,11 @@ _GRASPS = (
         help="Of the table: a coefficient (0.3) or a range (0.2:0.6). The path is corrected until "
         "what stays lies on the pattern, and what is expected there is said; takes a minute or "
         "two.",
+    ),
+    click.option(
+        "--pace",
+        help="Speed of the contact on that table [m/s], or a range (0.02:0.08), of which the "
+        "fastest is taken that does no harm; 0.04.",
     ),
     click.option(
         "--shapes/--no-shapes",
@@ -78,6 +83,7 @@ class _GraspRequest:
     controller_file: Path | None
     spacing: float
     friction_text: str | None
+    pace: str | None
     shapes: bool
     remainder: bool | None
     roll_text: str | None
@@ -91,7 +97,9 @@ class _GraspRequest:
         from wrod.controller.controller import Controller
 
         if self.method == "intuitive":
-            refuse_idle_options("--method intuitive", "closure")
+            refuse_idle_options("--method intuitive", "closure", "pace")
+        if self.friction_text is None:
+            refuse_idle_options("a plan without --friction", "pace")
         file = self.controller_file
         return {
             "method": self.method,
@@ -100,6 +108,7 @@ class _GraspRequest:
             "remainder": self.remainder,
             "shapes": self.shapes,
             "controller": None if file is None else Controller.load(file),
+            "pace": None if self.pace is None else read_range(self.pace, "pace", "0.04"),
         }
 
 
@@ -168,9 +177,9 @@ def command(
     joint_path, reason = None, None
     if not request.no_robot:
 
-        def softer(share: float):
+        def softer(how):
             start = planned(*size)[2]
-            return softened(curve, fitted.rod, trajectory, start, share, friction, chosen)
+            return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
 
         corrected = trajectory.metadata.get("optimised", {}).get("kept", False)
         joint_path, reason, more, followed = arm_steps(

@@ -10,9 +10,10 @@ from wrod.deployment.result import METRIC_POINTS, interpolation
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
-from wrod.deployment.tangents import Laid, lay
+from wrod.deployment.tangents import Laid
+from wrod.deployment.together import Asked, Course, follow
 from wrod.patterns.pattern import Pattern
-from wrod.planning.tail import tail
+from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -42,12 +43,14 @@ def expect(
     *,
     trials: int = _UNSEEN,
     hold: float = 0.05,
+    pace: float = FINE["speed"],
     device: str | None = "cpu",
 ) -> dict:
     """What a trajectory is to be expected to do on a table: disturbed rods, laid in simulation.
 
     The disturbances are those of a careful laboratory (`Disturbance.random`), placement and jitter
-    included; friction runs from the least to the largest.
+    included; friction runs from the least to the largest, and rods stretch as believed or less
+    (`Spread.stretch`).
 
     Returns:
         Plain JSON values: friction (trials,) [-]; error_mean (trials,), their mean and deviation
@@ -57,34 +60,31 @@ def expect(
         "off": stretches that lie more than 5 mm from the pattern in any, each with the friction
         from which on it does not in any trial (None: in none of them); diverged: how many did.
     """
-    (expected,) = expect_each(
-        pattern, rod, [trajectory], friction, trials=trials, hold=hold, device=device
-    )
+    course = expecting(pattern, rod, [trajectory], friction, trials, pace)
+    (expected,) = follow([course], hold=hold, tolerance=TOLERANCE, device=device)[0]
     return expected
 
 
-def expect_each(
+def expecting(
     pattern: Pattern,
     rod: RodModel | RodMaterial,
     trajectories: list[Trajectory],
     friction: float | tuple[float, float] | Spread,
-    *,
     trials: int = _UNSEEN,
-    hold: float = 0.05,
-    device: str | None = "cpu",
-) -> list[dict]:
+    pace: float = FINE["speed"],
+) -> Course[list[dict]]:
     """`expect` of several trajectories of a pattern, with the same disturbed rods for all."""
-    mus = np.linspace(*Spread.of(friction).friction, trials)
+    spread = Spread.of(friction)
+    mus, rods = np.linspace(*spread.friction, trials), spread.unseen(trials, rod)
     disturbances = [Disturbance.random(_FIRST_SEED + k) for k in range(trials)]
-    jobs = []
-    for trajectory in trajectories:
-        rest = tail(pattern, rod, trajectory)
-        jobs += [
-            Trial(pattern, rod, trajectory, Friction(mu), one, rest)
-            for mu, one in zip(mus.tolist(), disturbances, strict=True)
-        ]
-    how = edged(FINE, FINE_EDGE * rod.gravito_bending_length)
-    laid = lay(jobs, hold=hold, device=device, tolerance=TOLERANCE, **how)
+    rests = [Tail.none(trajectory) for trajectory in trajectories]
+    jobs = [
+        Trial(pattern, held, trajectory, Friction(mu), one, rest)
+        for trajectory, rest in zip(trajectories, rests, strict=True)
+        for held, mu, one in zip(rods, mus.tolist(), disturbances, strict=True)
+    ]
+    how = edged(FINE, FINE_EDGE * rod.gravito_bending_length) | {"speed": pace}
+    laid = yield Asked(jobs, None, how)
     return [
         _expectation(pattern, laid[first : first + trials], disturbances, mus)
         for first in range(0, len(laid), trials)

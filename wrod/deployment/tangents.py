@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,7 +95,7 @@ def lay(
     displacements: list[np.ndarray] | None = None,
     *,
     hold: float = 0.05,
-    release: float | None = None,
+    release: float | Sequence[float | None] | None = None,
     speed: float = 0.02,
     spacing: float = 0.005,
     node_count: int | None = None,
@@ -116,8 +117,9 @@ def lay(
         directions: of each trial, all with the same number of columns; None: no derivatives.
         displacements: (T, 6) of each trial: displacement [m] and rotation vector [rad] of the
             trajectory's poses, their time law unchanged.
-        hold, release, speed, spacing, node_count, step, scheme, tolerance, friction_field, device:
-            see `simulate_deployments`.
+        release: as in `simulate_deployments`, for all or for each.
+        hold, speed, spacing, node_count, step, scheme, tolerance, friction_field, device: see
+            `simulate_deployments`.
 
     Raises:
         RodError: a trial has fixtures or lets the rod roll while derivatives are wanted, or the
@@ -126,9 +128,7 @@ def lay(
     device = resolve_device(device)
     if directions is not None:
         _check(trials, directions)
-    setups = prepare_trials(
-        trials, hold, hold if release is None else release, speed, spacing, node_count
-    )
+    setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     if displacements is None:
         displacements = [np.zeros((len(trial.trajectory), 6)) for trial in trials]
     moves = [_over_keys(*one) for one in zip(trials, setups, displacements, strict=True)]
