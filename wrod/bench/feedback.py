@@ -57,6 +57,8 @@ _FIRST_SEED = 9_000
     "with the truth known from the first look on.",
 )  # fmt: skip
 @click.option("--every", default=0.03, show_default=True, help="Way between two looks [m].")
+@click.option("--horizon", default=6.0, show_default=True,
+              help="How far ahead the path is corrected after a look [L_gb].")  # fmt: skip
 @click.option("--undisturbed", is_flag=True, help="The effect alone, without shaking and the rest.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes.")  # fmt: skip
@@ -201,7 +203,7 @@ def _course(shelf, key: tuple, how: dict):
         seeing = {k: told.pop(k) for k in ("hanging",) if k in told}
         followed = yield from following(
             led, material, trajectory, how["friction"], world, every=how["every"],
-            sight=Sight(seed=seed, **seeing), **told, **FINE,
+            horizon=how["horizon"], sight=Sight(seed=seed, **seeing), **told, **FINE,
         )  # fmt: skip
         laid, looks = followed.laid, followed.looks
     error = 100.0 * errors_along(led, laid.arc_length, laid.centerline)[1]

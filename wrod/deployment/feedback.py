@@ -35,7 +35,7 @@ _LEAST_POSES = 3
 # and the largest change of a correction in an iteration [L_gb].
 _SIZE, _ROUGHNESS, _STEP = 2e-4, 2e-4, 0.35
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
-_HORIZON = 6.0
+HORIZON = 6.0
 # Of a spline that begins at the contact, so many first coefficients are its value and slope there.
 _FIXED = 2
 # What lies is laid anew where it errs by more than this on average over so much rod before the
@@ -105,6 +105,7 @@ def lay_with_feedback(
     sight: Sight | None = None,
     known: bool = False,
     again: bool = True,
+    horizon: float = HORIZON,
     hold: float = 0.05,
     device: str | None = "cpu",
     **options,
@@ -125,6 +126,7 @@ def lay_with_feedback(
         known: believe the truth from the first look on: what is left then is the share of control,
             and of what cannot be laid any better.
         again: whether the grip may go back and lay anew what has gone wrong.
+        horizon: how far beyond the contact the path is corrected after a look [L_gb].
         hold: length of the free end that is held at first [m].
         device: "cpu", "cuda:0" or "auto".
         options: of `wrod.deployment.tangents.lay`, for the world.
@@ -134,7 +136,7 @@ def lay_with_feedback(
     """
     course = following(
         pattern, rod, trajectory, friction, world, every=every, sight=sight, known=known,
-        again=again, hold=hold, **options,
+        again=again, horizon=horizon, hold=hold, **options,
     )  # fmt: skip
     return follow([course], hold=hold, device=device)[0]
 
@@ -150,6 +152,7 @@ def following(
     sight: Sight | None = None,
     known: bool = False,
     again: bool = True,
+    horizon: float = HORIZON,
     hold: float = 0.05,
     **options,
 ) -> Course[Followed]:
@@ -182,7 +185,7 @@ def following(
         if gone == first:
             beliefs.placed -= beliefs.offset
         times = sum(look.back is not None for look in looks)
-        now = _Now(beliefs, way, gone, seen)
+        now = _Now(beliefs, way, gone, seen, horizon)
         way, gone, back = yield from now.replanned(again and gone > first and times < _MOST_TIMES)
         looks.append(_look(beliefs, path, at, misfit, back))
         gone += every
@@ -191,13 +194,14 @@ def following(
 
 @dataclass(frozen=True)
 class _Now:
-    """A moment of a deployment: what is believed, the way, how much of it is gone [m], and what is
-    seen."""
+    """A moment of a deployment: what is believed, the way, how much of it is gone [m], what is
+    seen, and how far ahead the path is corrected [L_gb]."""
 
     beliefs: Beliefs
     way: Way
     gone: float
     seen: Seen
+    horizon: float
 
     def replanned(self, again: bool) -> Course[tuple[Way, float, float | None]]:
         """The way from now on; how much of it is gone where it begins to lay [m]; and the laid
@@ -227,7 +231,7 @@ class _Now:
         near or beyond there comes to lie by `aside` (2,) beside what is believed [m]."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         lgb = beliefs.rod.gravito_bending_length
-        last = gone + _HORIZON * lgb
+        last = gone + self.horizon * lgb
         c = way.corrections(pattern, lgb, gone, last)
         free = np.arange(3 * c.count) >= 3 * _FIXED
         near = way.until(last)

@@ -195,14 +195,23 @@ def _check(trials: list[Trial], directions: list[Directions]) -> None:
 
 
 def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarray]):
-    """(rod, column, key, 6) rates of the grip, three (rod, column) of what the rod is, and (rod,
-    column) when each column begins [s]."""
+    """(rod, column, key, 6) rates of the grip, of one rod where all are alike, three (rod, column)
+    of what the rod is, and (rod, column) when each column begins [s]."""
+    found: dict[tuple, np.ndarray] = {}
     paths = []
     for trial, setup, columns, move in zip(trials, setups, directions, moves, strict=True):
-        rates = _over_keys(trial, setup, columns.path)
-        # Rotation vectors add up to a rotation's spin by its left Jacobian.
-        spin = np.einsum("kij,ckj->cki", left_jacobian(move[:, 3:]), rates[..., 3:])
-        paths.append(np.concatenate([rates[..., :3], spin], axis=2))
+        moved = id(move) if move.any() else None
+        key = id(columns.path), id(setup.covered), trial.disturbance.yaw, moved
+        if key not in found:
+            rates = _over_keys(trial, setup, columns.path)
+            # Rotation vectors add up to a rotation's spin by its left Jacobian.
+            if moved is not None:
+                spin = np.einsum("kij,ckj->cki", left_jacobian(move[:, 3:]), rates[..., 3:])
+                rates = np.concatenate([rates[..., :3], spin], axis=2)
+            found[key] = rates
+        paths.append(found[key])
+    if len(found) == 1:
+        paths = paths[:1]
     keys = max(rates.shape[1] for rates in paths)
     path = np.stack(
         [np.pad(r, ((0, 0), (0, keys - r.shape[1]), (0, 0)), mode="edge") for r in paths]
@@ -245,7 +254,8 @@ class Tangents:
     Args:
         batch: the rods.
         contact: with the table, the only thing that they touch.
-        path: (rod, column, key, 6) rates of the grip's position [m] and rotation vector [rad].
+        path: (rod, column, key, 6) rates of the grip's position [m] and rotation vector [rad]; of
+            one rod: the same for all.
         friction, stiffness, natural_curvature: (rod, column), see `Directions`.
         begin: (rod, column) time before which a column is nothing [s].
     """
