@@ -129,17 +129,18 @@ def command(
             bar.update(1)
 
         courses.run(_course, jobs, note, device=device, workers=workers)
-    rows = ledger.of(keys)
-    written = [write_csv(out / "slippery.csv", rows), ledger.path]
+    _tell(ledger.of(keys), shelf, out, [ledger.path], as_json)
+
+
+def _tell(rows: list[dict], shelf: Shelf, out: Path, kept: list[Path], as_json: bool) -> None:
+    """Print what the trials came to, and write table and picture."""
+    written = [write_csv(out / "slippery.csv", rows), *kept]
     written.append(draw(out / "slippery.png", rows, shelf.course, METHODS))
     table = summary(rows)
     groups = means(table, shelf.bends)
     if as_json:
-        click.echo(
-            json.dumps(
-                {"cells": table, "means": groups, "written": [str(p) for p in written]}, indent=2
-            )
-        )
+        paths = [str(path) for path in written]
+        click.echo(json.dumps({"cells": table, "means": groups, "written": paths}, indent=2))
         return
     for line in told(table, groups):
         click.echo(line)

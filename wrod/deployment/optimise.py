@@ -211,14 +211,19 @@ def course(
 
 @dataclass(frozen=True)
 class _State:
-    """What corrections `values` come to: mean errors (rod,) [m], their measure, and the matrix and
-    the slope of its quadratic model."""
+    """What corrections `values` come to: mean errors (rod,) [m], their measure, and the value, the
+    matrix and the slope of a quadratic model of their squares and of what the corrections cost."""
 
     values: np.ndarray
     errors: np.ndarray
     measure: float
+    value: float
     matrix: np.ndarray
     slope: np.ndarray
+
+    def saved(self, step: np.ndarray) -> float:
+        """By the model, the share of the value that a step saves."""
+        return float(-(self.slope + 0.5 * self.matrix @ step) @ step / max(self.value, 1e-300))
 
 
 class _Problem:
@@ -236,6 +241,7 @@ class _Problem:
         errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
         errors[[one.diverged for one in laid]] = np.inf
         matrix, slope = self.cost.copy(), self.cost @ values
+        value = 0.5 * float(values @ slope)
         measure = 0.5 * float(errors.mean() + errors.max())
         if np.isfinite(errors).all():
             weights = 0.5 + 0.5 * errors / max(errors.mean(), 1e-12)
@@ -243,13 +249,15 @@ class _Problem:
                 scale = weight / (len(parts) * METRIC_POINTS * corrections.lgb**2)
                 matrix += scale * rates.T @ rates
                 slope += scale * rates.T @ error
+                value += 0.5 * scale * float(error @ error)
         if task.limits is not None:
             excess, rates = task.limits.excess(corrections.displacement(values))
             rates = np.einsum("mtd,ctd->mc", rates, corrections.columns()[..., :3])
             matrix += _LIMIT * rates.T @ rates
             slope += _LIMIT * rates.T @ excess
+            value += 0.5 * _LIMIT * float(excess @ excess)
             measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
-        return _State(values, errors, measure, matrix, slope)
+        return _State(values, errors, measure, value, matrix, slope)
 
 
 def sample_of(

@@ -284,7 +284,7 @@ class Tangents:
             values = values[:, self.order]
             pad = [(0, 0)] * values.ndim
             pad[1] = (0, packs * size - self.count)
-            values = np.pad(values, pad).reshape(rods, packs, size, *values.shape[2:])
+            values = np.pad(values, pad).reshape(len(values), packs, size, *values.shape[2:])
             return wp.array(
                 np.ascontiguousarray(np.moveaxis(values, 2, -1)), dtype=vector, device=device
             )
