@@ -42,20 +42,27 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
             try:
                 given = signature.bind(*args, **kwargs).arguments
             except TypeError as reason:
-                raise TypeError(f"{function.__qualname__}: {reason}") from None
+                raise TypeError(f"{_name(function, args)}: {reason}") from None
             for name, check in checks.items():
                 if name not in given or given[name] is signature.parameters[name].default:
                     continue
                 wrong = check(given[name])
                 if wrong is not None:
-                    raise error(
-                        f"{function.__qualname__}: {name} is {_shown(given[name])}; it {wrong}"
-                    )
+                    shown = _shown(given[name])
+                    raise error(f"{_name(function, args)}: {name} is {shown}; it {wrong}")
             return function(*args, **kwargs)
 
         return guarded  # type: ignore[return-value]
 
     return decorate
+
+
+def _name(function: Callable, args: tuple) -> str:
+    """Of a method that was inherited, the class that was asked."""
+    owner, _, name = function.__qualname__.rpartition(".")
+    if args and owner in [kind.__name__ for kind in type(args[0]).__mro__]:
+        owner = type(args[0]).__name__
+    return f"{owner}.{name}" if owner else name
 
 
 def each(check: Check, *instead: str) -> Check:
