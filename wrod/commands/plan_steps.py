@@ -180,8 +180,8 @@ def _remedy(request, failed, rod, curve, planned, size) -> str | None:
     for change in remedies(failed, rod, length, places, until):
         if time.monotonic() > until:
             return (
-                f"nothing that helps was found in {_REMEDY / 60:.0f} minutes; use a smaller pattern, "
-                "or another arm"
+                f"nothing that helps was found in {_REMEDY / 60:.0f} minutes; use a smaller "
+                "pattern, or another arm"
             )
         (name, value), *_ = change.items()
         try:
