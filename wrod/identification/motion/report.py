@@ -118,6 +118,7 @@ class MotionReport:
             "reason": self.reason,
             "metric": METRIC,
             "noise_floor_mm": 1e3 * self.noise_floor,
+            "noise_in_time": m.time_noise.to_dict() if m.time_noise else None,
             "numerical_error_mm": 1e3 * self.numerical_error,
             "before_mm": 1e3 * self.before,
             "before_without_internal_damping_mm": 1e3 * s.undamped,
@@ -137,6 +138,7 @@ class MotionReport:
                 for e in self.effects
             ],
             "candidates": list(self.candidates),
+            "at_bound": list(s.at_bound),
             "confounded": list(s.confounded),
             "correlation": {"effects": list(s.correlated), "largest": s.correlation.tolist()},
             "selection": [
