@@ -1,4 +1,4 @@
-"""The markers' noise in time, slow noise included, from what cannot move: the two markers of a grip.
+"""The markers' noise in time, slow noise included, from what cannot move: a grip's two markers.
 
 Noise that hangs together from frame to frame looks like motion, except in the distance of two
 markers on one rigid body. What that distance varies by is noise: a white part, and one that decays
@@ -44,8 +44,8 @@ class TimeNoise:
 
 
 def noise_in_time(positions: np.ndarray) -> TimeNoise | None:
-    """Noise of (recording, frame, marker, 3) positions [m] by the distances of the first two markers
-    and of the last two, medians over recordings; None where there are too few frames.
+    """Noise of (recording, frame, marker, 3) positions [m] by the distances of the first two
+    markers and of the last two, medians over recordings; None where there are too few frames.
 
     Sample covariances c_k about a recording's own mean lack the variance of that mean; with it they
     are w + s, s r, s r^2 at lags of 0, 1 and 2 frames.
@@ -55,9 +55,7 @@ def noise_in_time(positions: np.ndarray) -> TimeNoise | None:
         return None
     apart = np.linalg.norm(positions[:, :, [0, -2]] - positions[:, :, [1, -1]], axis=-1)
     off = apart - apart.mean(axis=1, keepdims=True)
-    seen = np.array(
-        [np.median((off[:, k:] * off[:, : frames - k]).mean(axis=1)) for k in range(3)]
-    )
+    seen = np.array([np.median((off[:, k:] * off[:, : frames - k]).mean(axis=1)) for k in range(3)])
     lag = np.abs(np.subtract.outer(np.arange(frames), np.arange(frames)))
     mean, slow, white, rho = 0.0, 0.0, seen[0], 0.0
     for _ in range(_ROUNDS):

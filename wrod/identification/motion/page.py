@@ -42,9 +42,9 @@ def _page(report) -> str:
     )
     if noise := m.time_noise:
         facts += (
-            f" By the distance of a grip's two markers, a coordinate errs by {1e3 * noise.slow:.2f} "
-            f"mm that hang together ({noise.correlation:.2f} from frame to frame) and by "
-            f"{1e3 * noise.white:.2f} mm that do not."
+            " By the distance of a grip's two markers, a coordinate errs by "
+            f"{1e3 * noise.slow:.2f} mm that hang together ({noise.correlation:.2f} from frame to "
+            f"frame) and by {1e3 * noise.white:.2f} mm that do not."
         )
     numbers = [
         ("before", report.before),

@@ -4,9 +4,10 @@ The base model is a straight, uniform rod with drag in air and inside. In each r
 are ranked by the misfit that they promise to take away in the problem linearised around the present
 model, all in one run. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them
 with the least error on whole validation recordings are fitted. The best joins if it lowers that
-error by `LEAST_GAIN` or more, both as predicted and with what the mesh and the time step leave added
-to the predictions: an effect that makes up for edges and steps lowers the first and raises the
-second. The rounds end when none does, or after `MOST_EFFECTS`. Then every
+error by `LEAST_GAIN` or more against the present model fitted for as many steps more, both as
+predicted and with what the mesh and the time step leave added to the predictions: an effect that
+makes up for edges and steps lowers the first and raises the second. The rounds end when none does,
+when no more is left than noise, mesh and time step leave, or after `MOST_EFFECTS`. Then every
 effect without which the refitted model's validation error rises by less than `LEAST_GAIN` is taken
 out again; only those are tried that the linearised problem hardly needs. What is left is fitted to
 whole recordings, those of the validation included.
@@ -14,7 +15,7 @@ whole recordings, those of the validation included.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -169,11 +170,11 @@ class _Selection:
         now = base
         while self.left and len(now.model.effects) < len(BASE) + MOST_EFFECTS:
             self.say(" + ".join(now.model.names[len(BASE) :]) or "effects")
-            better = self._round(now)
-            if better is None:
+            now, better = self._round(now)
+            if not better:
                 break
-            now = better
         now = self._without_idle(now)
+        self._damped_after_all(now)
         self.say("whole recordings")
         rod, whole = self.rod, self.whole
         base_values, _ = rod.fit(whole, base.model, base.values, iterations=4, converged=0.005)
@@ -209,8 +210,8 @@ class _Selection:
             Round(model.names, tuple(rows), accepted, reason, after.validation, test, removed)
         )
 
-    def _round(self, now: _Fitted) -> _Fitted | None:
-        """The model with one effect more, if one is worth it."""
+    def _round(self, now: _Fitted) -> tuple[_Fitted, bool]:
+        """The model with one effect more, if one is worth it, and whether one was."""
         ranked, at = promises_of(self.rod, self.medium, now.model, now.values, self.left)
         tried, stepped = {}, {}
         for _, effect, start, index in ranked[:TRIED]:
@@ -225,33 +226,65 @@ class _Selection:
             Candidate(e.name, p, found[e.name].validation if e.name in found else float("nan"))
             for p, e, *_ in ranked
         ]
-        best, reason = self._best(now, sorted(found.values(), key=lambda t: t.validation))
+        now, best, reason = self._best(now, sorted(found.values(), key=lambda t: t.validation))
         if best is None:
             self._note(now.model, now, rows, reason)
-            return None
+            return now, False
         name = best.model.names[-1]
         self._note(now.model, best, rows, reason, accepted=name)
         self.left = [c for c in self.left if c.name != name]
-        return best
+        return best, True
 
-    def _best(self, now: _Fitted, found: list[_Fitted]) -> tuple[_Fitted | None, str]:
-        """The first of the models, the best ahead, that is worth its effect, and why."""
-        rod, windows, lacking, refused = self.rod, self.validation, None, ""
+    def _best(self, now: _Fitted, found: list[_Fitted]) -> tuple[_Fitted, _Fitted | None, str]:
+        """The present model, fitted on, the first of the others that is worth its effect, and why.
+
+        Args:
+            found: with one effect more each, the best ahead.
+        """
+        rod, windows = self.rod, self.validation
+        gain = 1.0 - found[0].validation / now.validation
+        if not gain >= LEAST_GAIN:
+            return now, None, f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
+        # Others were fitted on from the present model: what further steps bring is not theirs.
+        now = min(now, self._fit(now.model, now.values, steps=3), key=lambda t: t.validation)
+        lacking = rod.discretisation(windows, now.model, now.values, now.predicted)
+        floor = rod.error_between(windows, lacking, np.zeros_like(lacking))
+        floor = float(np.hypot(floor, rod.measurements.noise_floor))
+        if MOTION.is_noise(now.validation, floor):
+            return (
+                now,
+                None,
+                f"{1e3 * now.validation:.3f} mm are left, no more than noise, "
+                + (f"mesh and time step leave, {1e3 * floor:.3f} mm"),
+            )
+        refused = ""
         for one in found:
             gain = 1.0 - one.validation / now.validation
             if not gain >= LEAST_GAIN:
                 short = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
-                return None, refused or short
-            if lacking is None:
-                lacking = rod.discretisation(windows, now.model, now.values, now.predicted)
+                return now, None, refused or short
             resolved = [rod.error(windows, t.predicted + lacking) for t in (one, now)]
             if resolved[0] <= (1.0 - LEAST_GAIN) * resolved[1]:
-                return one, _lowers(gain)
+                return now, one, _lowers(gain)
             refused = refused or (
                 f"{one.model.names[-1]} {_lowers(gain)}, but not with what the mesh and the time "
                 "step leave added to the predictions: it makes up for them"
             )
-        return None, refused
+        return now, None, refused
+
+    def _damped_after_all(self, now: _Fitted) -> None:
+        """Internal damping may count only beside effects that were found later."""
+        first = self.rounds[0]
+        place = now.model.names.index(BASE[2])
+        parts = now.model.split(now.values)
+        if first.accepted or len(now.model.effects) == len(BASE) or not parts[place][0] > 0.0:
+            return
+        rest = Model(tuple(e for i, e in enumerate(now.model.effects) if i != place))
+        values = np.concatenate([v for i, v in enumerate(parts) if i != place])
+        gain = 1.0 - now.validation / self._fit(rest, values, steps=3).validation
+        if gain >= LEAST_GAIN:
+            reason = f"{first.reason}, with the later effects by {100 * gain:.1f} %"
+            self.rounds[0] = replace(first, accepted=BASE[2], reason=reason)
 
     def _without_idle(self, now: _Fitted) -> _Fitted:
         """The model without effects that later ones have made idle, the oldest looked at first."""
