@@ -115,7 +115,7 @@ WORDS = (
     "file:///etc/passwd", "/etc/passwd", "con", "nul", "CON.json", ".json", "x.json", "x.urdf",
     "x.xacro", "x.npz", "x.svg", "x.dxf", "x.png", "x.step", ".npz", "🦄.npz",
 )  # fmt: skip
-# Environments and limits around a call; what NumPy and tqdm read of theirs is left out.
+# Environments and limits around a call.
 AROUND = (
     {"HOME": None}, {"HOME": "/nonexistent"}, {"HOME": "/proc"}, {"HOME": ""}, {"PATH": ""},
     {"TMPDIR": "/nonexistent"}, {"TMPDIR": "/proc"}, {"TMPDIR": ""},
@@ -135,7 +135,13 @@ AROUND = (
     {"RANK": "5", "WORLD_SIZE": "2"}, {"RANK": "-1", "WORLD_SIZE": "2"}, {"WORLD_SIZE": "0"},
     {"RANK": "0", "WORLD_SIZE": "1000000000000"}, {"RANK": "1", "WORLD_SIZE": ""}, {"RANK": "0"},
     {"LOCAL_RANK": "x", "RANK": "0", "WORLD_SIZE": "1"}, {"RANK": "0", "WORLD_SIZE": "nan"},
-    {"TZ": "nothing/at/all"}, {"TQDM_DISABLE": "1"},
+    {"TZ": "nothing/at/all"}, {"TQDM_DISABLE": "1"}, {"TQDM_MININTERVAL": "x"},
+    {"TQDM_NCOLS": "-1"}, {"TQDM_POSITION": "x"}, {"TQDM_ASCII": ""}, {"TQDM_UNIT_SCALE": "x"},
+    {"NUMPY_MADVISE_HUGEPAGE": "x"}, {"NPY_DISABLE_CPU_FEATURES": "x"},
+    {"NPY_PROMOTION_STATE": "x"}, {"NUMBA_NUM_THREADS": "x"}, {"TORCH_LOGS": "x"},
+    {"PYTORCH_CUDA_ALLOC_CONF": "x"},
+    {"WARP_CACHE_PATH": "a\nb"}, {"PYTHONSAFEPATH": "1", "PYTHONNOUSERSITE": "1"},
+    {"HOME": None, "PATH": None, "LANG": None, "TMPDIR": None, "USER": None, "LOGNAME": None},
     {"WROD_TRACEBACK": ""}, {"PXR_PLUGINPATH_NAME": "/dev/zero"},
     {"OPENCV_IO_MAX_IMAGE_PIXELS": "x"}, {"NUMEXPR_MAX_THREADS": "x"}, {"KMP_AFFINITY": "x"},
 )  # fmt: skip
@@ -295,6 +301,12 @@ class Campaign:
         # Every option in turn, so that none is left to luck.
         name, option = slots[number % len(slots)]
         words = list(VALID[name])
+        reads = [word for word in words if word.strip("{}") in self.files]
+        if reads and draw.random() < 0.2:
+            read = draw.choice(reads)
+            kind, path = self._mutated(draw, Path(self.files[read.strip("{}")]))
+            words = [path if word == read else word for word in words]
+            return f"{name} {read} {kind}", [*name.split(), *words], None
         if option is None:
             kind, words, around = self._around(draw, words)
         elif option.name in ("out", "usd"):
@@ -373,6 +385,39 @@ class Campaign:
         how, given = draw.choice(list(ways.items()))
         return f"{flag} {how}", set_option(words, flag, *given), None
 
+    def _mutated(self, draw, path: Path) -> tuple[str, str]:
+        """A copy of a valid file, or of a folder with one such file, with bytes that are others."""
+        place = self.folder / "mutated" / path.name
+        shutil.rmtree(place.parent, ignore_errors=True)
+        place.parent.mkdir()
+        (shutil.copytree if path.is_dir() else shutil.copy)(path, place)
+        files = sorted(f for f in place.rglob("*") if f.is_file()) if path.is_dir() else [place]
+        file = draw.choice(files)
+        content = bytearray(file.read_bytes())
+        at = draw.randrange(max(len(content), 1))
+        kind = draw.choice(["cut", "flip", "zeros", "twice", "swap", "digit", "insert", "gone"])
+        if kind == "cut":
+            del content[at:]
+        elif kind == "flip":
+            for _ in range(draw.choice([1, 3, 30])):
+                content[draw.randrange(len(content))] ^= 1 << draw.randrange(8)
+        elif kind == "zeros":
+            content[at : at + 64] = bytes(len(content[at : at + 64]))
+        elif kind == "twice":
+            content += content
+        elif kind == "swap":
+            content[at : at + 200], content[:200] = content[:200], content[at : at + 200]
+        elif kind == "digit":
+            digits = [k for k, byte in enumerate(content) if 48 <= byte <= 57] or [at]
+            one = draw.choice(digits)
+            content[one : one + 1] = draw.choice([b"9e99", b"-", b"", b"1e-99", b"nan", b"9" * 400])
+        elif kind == "insert":
+            content[at:at] = draw.choice(
+                [b"\0", b"\xff\xfe", b'"', b"{" * 5000, b"\n" * 5000, b"<!--"]
+            )
+        file.unlink() if kind == "gone" else file.write_bytes(content)
+        return f"{file.name} {kind} at {at}", str(place)
+
     def _path(self, draw, suffix: str):
         """What is read: a valid file of another kind, a place that is no file, an odd name."""
         if draw.random() < 0.35:
@@ -391,7 +436,7 @@ def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[E
     names = {f"{{{name}}}": path for name, path in files.items()}
     out = place / "out"
     words = [names.get(word, word.replace("{out}", str(out))) for word in words]
-    before = {path: os.stat(path).st_mtime_ns for path in files.values()}
+    before = {path: _stamp(path) for path in files.values()}
     if around is None and words[0] in ("train", "distil"):
         around = {}  # torch's threads do not outlive a fork
     if around is None:
@@ -401,10 +446,21 @@ def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[E
     left = [str(path) for path in (place / "here").rglob("*")]
     if end.code != 2 and not set(words) & {str(out), f"{out}.json", f"{out}.png"}:
         left = []  # it was to write there
-    left += [path for path, at in before.items() if os.stat(path).st_mtime_ns != at]
+    written = set(words[words.index("--out") + 1 :][:1]) if "--out" in words else set()
+    left += [
+        path for path, stamp in before.items()
+        if _stamp(path) != stamp and (end.code == 2 or path not in written)
+    ]  # fmt: skip
     if end.code == 2 and "complete" not in end.said:
         left += [str(path) for path in place.glob("out*") for path in [path, *path.rglob("*")]]
     return end, left
+
+
+def _stamp(path: str) -> dict[str, int]:
+    """When the file, or each file of a folder, was written."""
+    place = Path(path)
+    files = place.rglob("*") if place.is_dir() else [place]
+    return {str(file): file.stat().st_mtime_ns for file in files if file.is_file()}
 
 
 def _call(words: list[str]) -> int:

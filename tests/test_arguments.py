@@ -29,7 +29,9 @@ from wrod.errors import WrodError
 from wrod.identification.template import write_template
 
 FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
-SHARE = 6  # of the wrong values of a parameter, in the tests; `make fuzz` tries all
+# Of the wrong values of a parameter, in the tests; `make fuzz` tries all, for so long [s] and in
+# another order each time.
+SHARE, LONGEST = 6, 90.0
 
 
 class Hostile:
@@ -563,21 +565,24 @@ def test_only_typed_errors(name, tmp_path, monkeypatch, tried):
     monkeypatch.chdir(tmp_path)
     function, valid = CALLS[name]()
     bad, count, refused = [], 0, 0
-    draw = random.Random(name)
-    for parameter in valid:
-        kinds = list(WRONG.items())
-        for kind, value in kinds if FUZZ > 1 else draw.sample(kinds, SHARE):
-            changed = {**valid, parameter: value}
-            places = [changed.pop(key) for key in list(changed) if key.startswith("*")]
-            count += 1
+    draw, late = random.Random(name if FUZZ == 1 else None), time.monotonic() + LONGEST
+    share = SHARE if FUZZ == 1 else len(WRONG)
+    calls = [(one, *two) for one in valid for two in draw.sample(list(WRONG.items()), share)]
+    draw.shuffle(calls)
+    for parameter, kind, value in calls:
+        if time.monotonic() > late:
+            break
+        changed = {**valid, parameter: value}
+        places = [changed.pop(key) for key in list(changed) if key.startswith("*")]
+        count += 1
+        end, said, seconds = _called(function, places, changed)
+        if seconds > 5.0:  # the first call of a machine also compiles kernels
             end, said, seconds = _called(function, places, changed)
-            if seconds > 5.0:  # the first call of a machine also compiles kernels
-                end, said, seconds = _called(function, places, changed)
-            refused += end
-            if said:
-                bad.append(f"{parameter} {kind}: {said}")
-            if end and seconds > 5.0:  # what is taken may take its time
-                bad.append(f"{parameter} {kind}: {seconds:.0f} s")
+        refused += end
+        if said:
+            bad.append(f"{parameter} {kind}: {said}")
+        if end and seconds > 5.0:  # what is taken may take its time
+            bad.append(f"{parameter} {kind}: {seconds:.0f} s")
     tried["wrong arguments"] = (count, refused)
     assert not bad, "\n".join(bad)
 

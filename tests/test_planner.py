@@ -253,10 +253,10 @@ def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
     from wrod.planning.shapes import with_shapes
 
     circle, rod = wrod.pattern("circle"), wrod.rod("green-vps")
-    plain = wrod.plan(circle, rod, "neural", spacing=0.1)
+    plain = wrod.plan(circle, rod, "neural", spacing=0.025)
     assert plain.shape is None and plain.metadata["remainder_length"] > 0.0
     shown = with_shapes(plain, circle, device="cpu")
-    numeric = wrod.plan(circle, rod, "numeric", spacing=0.1, device="cpu")
+    numeric = wrod.plan(circle, rod, "numeric", spacing=0.025, device="cpu")
     np.testing.assert_allclose(shown.shape, numeric.shape, atol=5e-5)
     np.testing.assert_allclose(shown.shape[:, -1], plain.position, atol=1e-12)
     np.testing.assert_array_equal(shown.position, plain.position)
@@ -266,7 +266,7 @@ def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
         "largest_grip_difference": pytest.approx(apart, abs=1e-12),
     }
     assert with_shapes(numeric, circle) is numeric
-    intuitive = wrod.plan(circle, rod, "intuitive", spacing=0.1)
+    intuitive = wrod.plan(circle, rod, "intuitive", spacing=0.025)
     assert with_shapes(intuitive, circle) is intuitive
     assert not recwarn.list
 

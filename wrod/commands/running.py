@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from wrod.errors import DataError, WrodError
+from wrod.errors import DataError, WrodError, blamed_variables
 
 # Exit codes: of input that cannot be used, of an interruption, and of a fault of ours.
 REFUSED, INTERRUPTED, FAULT = 2, 130, 70
@@ -63,7 +63,8 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return f"{where}: {said}; {remedy} or choose another, then run the same command again", 2
     if isinstance(error, RecursionError):
         return "the input is nested too deeply", REFUSED
-    return None
+    blamed = blamed_variables(error)
+    return None if blamed is None else (blamed, REFUSED)
 
 
 def open_streams() -> None:

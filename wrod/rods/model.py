@@ -158,6 +158,17 @@ class RodModel:
             )
         return rod.model()
 
+    def refuse_lump(self) -> None:
+        """Refuse what is too thick for its stiffness or length to be a rod.
+
+        Raises:
+            RodError: see `RodMaterial`.
+        """
+        from wrod.rods.material import refuse_lumps
+
+        curvature = math.hypot(*(max(map(abs, c.values)) for c in self.natural_curvature))
+        refuse_lumps(self.radius, self.gravito_bending_length, self.length, curvature)
+
     def not_uniform(self) -> tuple[str, ...]:
         """What a `RodMaterial` cannot carry of this rod, by the names of the fields."""
         first, second = self.bending_stiffness
