@@ -393,7 +393,7 @@ class Campaign:
         (shutil.copytree if path.is_dir() else shutil.copy)(path, place)
         files = sorted(f for f in place.rglob("*") if f.is_file()) if path.is_dir() else [place]
         file = draw.choice(files)
-        content = bytearray(file.read_bytes())
+        content = bytearray(file.read_bytes() or b' ')
         at = draw.randrange(max(len(content), 1))
         kind = draw.choice(["cut", "flip", "zeros", "twice", "swap", "digit", "insert", "gone"])
         if kind == "cut":
@@ -404,7 +404,7 @@ class Campaign:
         elif kind == "zeros":
             content[at : at + 64] = bytes(len(content[at : at + 64]))
         elif kind == "twice":
-            content += content
+            content = content + content
         elif kind == "swap":
             content[at : at + 200], content[:200] = content[:200], content[at : at + 200]
         elif kind == "digit":

@@ -266,8 +266,8 @@ def _refuse_coarse_edges(trials: list[Trial], spacing: float) -> None:
     longest = _LONGEST_EDGE * min(float(trial.rod.gravito_bending_length) for trial in trials)
     if spacing > longest:
         raise RodError(
-            f"spacing is {spacing:g} m, and an edge of {longest:.2g} m is the longest that bends as "
-            "this rod does; give less"
+            f"spacing is {spacing:g} m, and an edge of {longest:.2g} m is the longest that bends "
+            "as this rod does; give less"
         )
 
 
