@@ -393,7 +393,7 @@ class Campaign:
         (shutil.copytree if path.is_dir() else shutil.copy)(path, place)
         files = sorted(f for f in place.rglob("*") if f.is_file()) if path.is_dir() else [place]
         file = draw.choice(files)
-        content = bytearray(file.read_bytes() or b' ')
+        content = bytearray(file.read_bytes() or b" ")
         at = draw.randrange(max(len(content), 1))
         kind = draw.choice(["cut", "flip", "zeros", "twice", "swap", "digit", "insert", "gone"])
         if kind == "cut":

@@ -6,6 +6,7 @@ refused before the work, so a call that still works after a second has taken its
 
 import atexit
 import importlib
+import itertools
 import os
 import random
 import shutil
@@ -71,7 +72,28 @@ WRONG = {
     "range": range(3), "bytearray": bytearray(b"abc"), "module": np, "type": float,
     "exception": ValueError("x"), "ellipsis": ..., "slice": slice(3), "surrogate": "\udcff",
     "folder": "/", "device": "/dev/null", "proc": "/proc/self/environ", "rich": Liar(),
+    "endless": itertools.repeat(1.0), "broadcast": np.broadcast_to(1.0, (2**33, 3)),
+    "no rows": np.zeros((0, 3)), "no columns": np.zeros((3, 0)), "matrix type": np.matrix("1 2"),
+    "bytes array": np.array([b"a"]), "enum": signal.SIGINT, "nested dict": {1: {}},
+    "zeros": np.zeros((4, 3)), "huge array": np.full((4, 3), 1e300), "frozen": frozenset({"a"}),
 }  # fmt: skip
+WRONG["own list"] = own = []
+own.append(own)
+deep: list = []
+for _ in range(100_000):
+    deep = [deep]
+WRONG["deep list"] = deep
+with suppress(ImportError):
+    import torch
+
+    WRONG |= {
+        "gradient": torch.ones((4, 3), requires_grad=True), "meta": torch.ones(3, device="meta"),
+        "bfloat": torch.ones(3, dtype=torch.bfloat16), "sparse": torch.eye(3).to_sparse(),
+    }  # fmt: skip
+with suppress(ImportError):
+    import warp
+
+    WRONG |= {"warp": warp.ones((4, 3), dtype=float), "warp points": warp.zeros(3, dtype=warp.vec3)}
 
 
 @pytest.fixture(scope="module", autouse=True)

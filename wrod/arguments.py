@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import math
@@ -16,6 +17,8 @@ import numpy as np
 from wrod.errors import WrodError
 
 _LARGEST = sys.float_info.max
+# Numbers in an array: more would take gigabytes, if only to look whether all are finite.
+_MOST = 2**27
 F = TypeVar("F", bound=Callable)
 # Says what is wrong with a value ("must be ..."), or None if nothing is.
 Check = Callable[[Any], str | None]
@@ -114,6 +117,8 @@ def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
             return f"must be an array of shape {said}"
         if found.dtype.kind not in "fiu":
             return f"must be an array of numbers of shape {said}"
+        if found.size > _MOST:
+            return f"has {found.size:.3g} numbers and may have {_MOST:.3g}"
         fits = [
             len(shape) == found.ndim
             and all(a in (None, b) for a, b in zip(shape, found.shape, strict=True))
@@ -205,7 +210,9 @@ def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:
     """
     try:
         found = np.asarray(value)
-        if found.dtype.kind in "biufO":  # and no times, which would be counted in nanoseconds
+        if (
+            found.size <= _MOST and found.dtype.kind in "biufO"
+        ):  # and no times, which would be counted in nanoseconds
             return found.astype(np.float64, copy=False)
     except Exception:  # whatever an object does that is asked to be an array
         pass
@@ -277,8 +284,8 @@ def _range(low: float, high: float, above: float | None = None) -> str:
 def _shown(value: Any) -> str:
     if isinstance(value, np.ndarray) and value.size > 8:
         return f"an array of shape {value.shape}"
+    said = f"of type {type(value).__name__}"
     if isinstance(value, str | numbers.Number | np.ndarray | list | tuple | dict | None):
-        said = repr(value)
-    else:
-        said = f"of type {type(value).__name__}"
+        with contextlib.suppress(Exception):  # it may be nested deeply, or hold anything
+            said = repr(value)
     return said if len(said) <= 60 else f"{said[:59]}…"

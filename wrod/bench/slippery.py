@@ -67,8 +67,8 @@ def command(
     Plans are kept in OUT/plans and finished trials in OUT/trials.jsonl: a run that was stopped goes
     on from there.
     """
-    from wrod.bench.closures import _numbers
     from wrod.bench.mujoco_chain import require_mujoco
+    from wrod.commands.options import parse_list
     from wrod.rods.device import resolve_device
 
     if trials < 1:
@@ -80,7 +80,7 @@ def command(
         require_mujoco()
     device = resolve_device(asked.device)
     shelf = Shelf(out / "plans", asked.patterns, device)
-    mus = _numbers(frictions, "frictions", 0.01, 10.0)
+    mus = parse_list(frictions, "--frictions", 0.01, 10.0)
     pace = {"speed": asked.speed, "step": asked.step, "release": asked.release}
     settings = {
         **pace,

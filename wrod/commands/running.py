@@ -19,7 +19,7 @@ from wrod.errors import DataError, WrodError, blamed_variables
 REFUSED, INTERRUPTED, FAULT = 2, 130, 70
 _MOST_SAID = 2000  # letters
 # How Python and Warp say that a limit of the process was met.
-_LIMITED = ("can't start new thread", "Failed to load the shared library")
+_LIMITED = ("can't start new thread", "Failed to load the shared library", "failed to map segment")
 # Set it to see where a fault of ours is.
 TRACEBACK = "WROD_TRACEBACK"
 # Modules that a base install lacks, and the extra that brings each.
@@ -54,7 +54,9 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return None
     if isinstance(error, MemoryError) or ("allocat" in str(error) and "bytes" in str(error)):
         return "out of memory; ask for less at once (fewer trials, a smaller batch)", REFUSED
-    if isinstance(error, RuntimeError) and str(error).startswith(_LIMITED):
+    if isinstance(error, (RuntimeError, ImportError)) and any(
+        one in str(error) for one in _LIMITED
+    ):
         return f"{error}; this process may have too few threads or too little memory (ulimit -a)", 2
     if isinstance(error, OSError):
         where = error.filename if error.filename is not None else "the output"
