@@ -218,7 +218,10 @@ class Pattern:
 
         def curve(t):
             t = np.asarray(start + (stop - start) * t, dtype=float)
-            values = [np.broadcast_to(np.asarray(part(t), dtype=float), t.shape) for part in parts]
+            values = [
+                arguments.spread(_value(part, t, name), t.shape, name, PatternError)
+                for part in parts
+            ]
             if not np.all(np.isfinite(values)):
                 raise PatternError(f"{name}: has no finite value everywhere in {start} to {stop}")
             x, y = values if len(values) == 2 else (t, values[0])
@@ -407,6 +410,17 @@ def pattern(name: str) -> Pattern:
             "(or give a file of points)"
         )
     return Pattern(*SHAPES[name](), name=name)
+
+
+def _value(function: Callable[[np.ndarray], np.ndarray], t: np.ndarray, name: str):
+    """What a function that somebody gave says of an array."""
+    try:
+        return function(t.copy())
+    except PatternError:
+        raise
+    except Exception as error:
+        said = f"{type(error).__name__}: {error}"
+        raise PatternError(f"{name}: its function stops with {said:.300}") from error
 
 
 def pattern_names() -> list[str]:
