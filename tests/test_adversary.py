@@ -1,7 +1,8 @@
 """Some calls of the campaign of hostile calls (tests/adversary.py); `make fuzz` makes thousands."""
 
 import pytest
-from adversary import Campaign, material, run, wrong
+from adversary import Campaign, run, wrong
+from adversary_material import material
 
 # Of commands that end in a second.
 CALLS = [("loop", 8), ("rods", 2), ("markers", 5), ("measure", 8), ("show", 8)]
