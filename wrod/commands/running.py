@@ -67,6 +67,10 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return f"{where}: {said}; {remedy} or choose another, then run the same command again", 2
     if isinstance(error, RecursionError):
         return "the input is nested too deeply", REFUSED
+    if isinstance(error, UnicodeError):
+        return f"an input holds text that is not UTF-8 ({error}); save it as UTF-8", REFUSED
+    if isinstance(error, Warning):
+        return f"{error} (a warning, which PYTHONWARNINGS makes an error)", REFUSED
     blamed = blamed_variables(error)
     return None if blamed is None else (blamed, REFUSED)
 
