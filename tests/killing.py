@@ -28,7 +28,7 @@ import click
 
 COMMANDS = {
     "dataset": "dataset --size 1500 --shard-size 128 --no-sensitivities --device cpu --out {out}",
-    "train": "train --dataset {data} --out {out} --steps 3000 --width 32 --batch 256 --test 50 "
+    "train": "train --dataset {data} --out {out} --steps 2000 --width 32 --batch 256 --test 50 "
     "--device cpu",
     "deploy": "deploy line --rod green-vps --method intuitive --trials 2 --speed 0.2 --device cpu "
     "--out {out}",
