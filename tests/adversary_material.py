@@ -32,7 +32,7 @@ VALID = {
     "manifold": ["--length", "5", "--rays", "5", "--device", "cpu", "--out", "{out}"],
     "identify": ["{clamped.npz}", "--effect", "natural_curvature", "--out", "{out}"],
     "laid": ["{line.npz}", "--pattern", "line", "--trajectory", "{plan.npz}", *ROD,
-             "--iterations", "0", "--out", "{out}.json"],
+             "--iterations", "1", "--out", "{out}.json"],
     "dataset": ["--size", "32", "--no-sensitivities", "--device", "cpu", "--out", "{out}"],
     "train": ["--dataset", "{dataset}", "--steps", "2", "--width", "8", "--batch", "8", "--test",
               "4", "--device", "cpu", "--out", "{out}"],

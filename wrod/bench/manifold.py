@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from wrod import cost
+
 
 def held_inputs(count: int, seed: int = 0):
     """Grip positions about the optimal grasps of rods of 2 to 30 L_gb, all directions above."""
@@ -28,8 +30,11 @@ def held_inputs(count: int, seed: int = 0):
 @click.option("--lengths", default=50, show_default=True, help="Values of l_s for the boundary.")
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--threads", default=0, show_default=True, help="CPU threads; 0: one per core.")
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(count: int, lengths: int, device: str, threads: int, as_json: bool) -> None:
+def command(
+    count: int, lengths: int, device: str, threads: int, as_json: bool, force: bool
+) -> None:
     """Equilibria for given grips, the manifold's boundary, and what stability adds to a plan."""
     import numpy as np
 
@@ -40,6 +45,9 @@ def command(count: int, lengths: int, device: str, threads: int, as_json: bool) 
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
+    work = cost.manifold(count, lengths, device=device)
+    cost.settle(work, f"{count} grips and {lengths} boundaries", None,
+                "give a smaller --count and fewer --lengths", force=force, quiet=as_json)  # fmt: skip
     options: dict[str, Any] = {"device": device, "threads": threads or None}
 
     def clocked(work):
