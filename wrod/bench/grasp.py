@@ -31,8 +31,8 @@ def command(count: int, device: str, threads: int, as_json: bool, force: bool) -
     on_gpu = device != "cpu"
     # 3.75 times as many grasps, some of them of closures that take twice as long, with shapes.
     work = cost.grasps(5 * count, 0, count // 10, sensitivities=False, device=device, ranks=1)
-    cost.settle(work, f"{3.75 * count:.0f} grasps", None, "give a smaller --count", force=force,
-                quiet=as_json)  # fmt: skip
+    what, remedy = f"{3.75 * count:.0f} grasps", "give a smaller --count"
+    cost.settle(work, what, None, remedy, force=force, quiet=as_json)
 
     def measure(n: int, **options) -> dict:
         inputs = whole_range(n)

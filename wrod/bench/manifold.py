@@ -46,8 +46,8 @@ def command(
 
     device = resolve_device(device)
     work = cost.manifold(count, lengths, device=device)
-    cost.settle(work, f"{count} grips and {lengths} boundaries", None,
-                "give a smaller --count and fewer --lengths", force=force, quiet=as_json)  # fmt: skip
+    what, remedy = f"{count} grips and {lengths} boundaries", "give smaller numbers"
+    cost.settle(work, what, None, remedy, force=force, quiet=as_json)
     options: dict[str, Any] = {"device": device, "threads": threads or None}
 
     def clocked(work):
