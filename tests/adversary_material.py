@@ -52,7 +52,7 @@ VALID = {
     "bench deploy": ["--pattern", "line", "--batch", "1", "--levels", "1", "--device", "cpu"],
     "bench knot-force": ["--friction", "0.1", "--loosest", "30", "--tightest", "25", "--out",
                          "{out}"],
-    "bench bends": ["--friction", "0.4", "--only", "reef", "--out", "{out}"],
+    "bench bends": ["--friction", "0.4", "--only", "reef knot", "--out", "{out}"],
     "bench newton": ["--edges", "4", "--iterations", "10", "--rods", "1", "--periods", "0.1",
                      "--out", "{out}"],
     "bench cosserat": ["--experiment", "cantilever", "--solver", "wrod", "--elements", "8"],

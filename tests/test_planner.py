@@ -173,6 +173,13 @@ def test_pattern_too_long_says_by_how_much():
         wrod.plan(huge, ROD, "intuitive")
 
 
+def test_contacts_that_miss_a_bend_are_refused_or_told_of():
+    with pytest.raises(PatternError, match=r"by up to 15 mm; give a shorter spacing"):
+        wrod.plan(wrod.pattern("circle"), ROD, "intuitive", spacing=0.1)
+    with pytest.warns(WrodWarning, match=r"by up to 3\.7 mm"):
+        wrod.plan(wrod.pattern("circle"), ROD, "intuitive", spacing=0.05)
+
+
 def test_bend_tighter_than_the_rod_is_refused():
     angle = np.linspace(0.0, 3.0, 60)
     small = wrod.Pattern.from_points(0.0012 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
