@@ -64,7 +64,7 @@ VALID = {
                        "--curvatures", "0", "--stretch-ratios", "2000", "--out", "{out}"],
     "bench slippery": ["--names", "line", "--methods", "intuitive", "--frictions", "0.6",
                        "--trials", "1", "--out", "{out}"],
-    "bench feedback": ["--name", "line", "--effects", "none", "--ways", "blind", "--out", "{out}"],
+    "bench feedback": ["--names", "line", "--effects", "none", "--ways", "blind", "--out", "{out}"],
     "bench applications": ["--case", "trefoil", "--trials", "1", "--device", "cpu", "--out",
                            "{out}"],
     "bench photographs": ["--data", "{photographs}", "--quick", "--worlds", "1", "--out", "{out}"],

@@ -132,11 +132,17 @@ def interruptible() -> Iterator[None]:
     except ValueError:  # not the main thread
         yield
         return
-    sys.unraisablehook = tell
+    shown = sys.excepthook
+
+    def show(kind, error, trace):  # Cython prints what it drops in this way first
+        if kind is not KeyboardInterrupt:
+            shown(kind, error, trace)
+
+    sys.unraisablehook, sys.excepthook = tell, show
     try:
         yield
     finally:
-        sys.unraisablehook = told
+        sys.unraisablehook, sys.excepthook = told, shown
         if struck:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
