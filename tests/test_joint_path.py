@@ -211,6 +211,14 @@ def test_unreachable_placement_says_where_and_by_how_much(letter, placement, say
     assert "placed at x" in str(error.value) and "placement 'auto'" in str(error.value)
 
 
+@pytest.fixture
+def short_search(monkeypatch):
+    """What cannot be reached is not searched for near every branch."""
+    monkeypatch.setattr("wrod.robot.solve._REFINED", 1)
+    monkeypatch.setattr("wrod.robot.solve._DEEPER", 0)
+
+
+@pytest.mark.usefixtures("short_search")
 def test_joint_limit_is_named_with_node_and_amount(letter, letter_path):
     with pytest.raises(RobotError, match=r"joint right_j\d comes within .* rad of its limit of"):
         wrod.solve_joint_path(
@@ -218,10 +226,11 @@ def test_joint_limit_is_named_with_node_and_amount(letter, letter_path):
         )
 
 
+@pytest.mark.usefixtures("short_search")
 def test_circle_too_often_passes_the_last_joints_limit(letter_path):
-    """Three turns of a hanging rod are more than the wrist has."""
-    count = 240
-    turn = np.linspace(0, 6 * np.pi, count)
+    """Two turns of a hanging rod are more than the wrist has."""
+    count = 60
+    turn = np.linspace(0, 4 * np.pi, count)
     position = np.column_stack(
         [0.05 * np.cos(turn), 0.05 * np.sin(turn), np.linspace(0.8, 0.3, count)]
     )

@@ -1,5 +1,6 @@
 """Plans that are corrected through simulated deployments."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -52,13 +53,19 @@ def test_a_corrected_plan_lays_better_than_the_best_grasps(bend):
 def test_the_command_says_what_is_expected(bend, tmp_path):
     np.savetxt(tmp_path / "bend.txt", bend[0].sample(np.linspace(0.0, 0.19, 200))[0], header="m")
     arguments = ["plan", str(tmp_path / "bend.txt"), "--rod", str(ROD.save(tmp_path / "rod.json"))]
-    arguments += ["--method", "intuitive", "--friction", "0.2:0.6", "--no-robot", "--units", "m"]
+    arguments += ["--method", "intuitive", "--no-robot", "--units", "m", "--spacing", "0.01"]
     result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
-    assert "expected on a table of friction 0.2 to 0.6" in result.output
+    assert re.search(
+        r"cm off the pattern; [\d.]+ at friction 0.2, .* at friction 0.6", result.output
+    )
+    assert "up to the largest friction of 0.6" in result.output
     assert "lies off the pattern by more than 5 mm at s = " in result.output
     saved = wrod.Trajectory.load(tmp_path / "out" / "trajectory.npz")
-    assert saved.metadata["expected"]["mean"] > 0.005
+    expected = saved.metadata["expected"]
+    assert expected["mean"] > 0.005 and expected["holds_from"] is None
+    again = wrod.plan(bend[0], ROD, "intuitive", spacing=0.01, remainder=False, expect=True)
+    assert again.metadata["expected"]["mean"] == pytest.approx(expected["mean"], rel=0.05)
 
 
 def test_columns_are_what_corrections_do(bend):

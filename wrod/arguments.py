@@ -45,20 +45,27 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
             try:
                 given = signature.bind(*args, **kwargs).arguments
             except TypeError as reason:
-                raise TypeError(f"{function.__qualname__}: {reason}") from None
+                raise TypeError(f"{_name(function, args)}: {reason}") from None
             for name, check in checks.items():
                 if name not in given or given[name] is signature.parameters[name].default:
                     continue
                 wrong = check(given[name])
                 if wrong is not None:
-                    raise error(
-                        f"{function.__qualname__}: {name} is {_shown(given[name])}; it {wrong}"
-                    )
+                    shown = _shown(given[name])
+                    raise error(f"{_name(function, args)}: {name} is {shown}; it {wrong}")
             return function(*args, **kwargs)
 
         return guarded  # type: ignore[return-value]
 
     return decorate
+
+
+def _name(function: Callable, args: tuple) -> str:
+    """Of a method that was inherited, the class that was asked."""
+    owner, _, name = function.__qualname__.rpartition(".")
+    if args and owner in [kind.__name__ for kind in type(args[0]).__mro__]:
+        owner = type(args[0]).__name__
+    return f"{owner}.{name}" if owner else name
 
 
 def each(check: Check, *instead: str) -> Check:
@@ -107,9 +114,11 @@ def whole(low: int = 0, high: int = 2**53) -> Check:
 
 def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
     """Numbers of one of these shapes; None stands for any length."""
-    said = " or ".join(str(shape).replace("None", "n") for shape in shapes)
+    said = " or ".join(str(shape).replace("None", "n") for shape in shapes) or "(n,)"
 
     def check(value: Any) -> str | None:
+        if getattr(value, "requires_grad", False) is True:
+            return "would lose its gradient: use wrod.training.autograd, or detach it"
         there = "cuda" in str(getattr(value, "device", ""))  # looking at it would bring it here
         try:
             found = np.empty(tuple(value.shape)) if there else np.asarray(value)

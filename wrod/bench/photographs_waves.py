@@ -14,7 +14,7 @@ from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.files import write_atomically
 from wrod.identification.laid.camera import Camera
 from wrod.identification.laid.photographs import LaidPhotograph
-from wrod.identification.laid.placement import Placement, rigid
+from wrod.identification.laid.placement import Alignment, rigid
 from wrod.identification.laid.world import HELD, LaidRod, World, plan_without_lead_in
 from wrod.planning.tail import Tail
 from wrod.rods.catalogue import rod as preset
@@ -155,13 +155,13 @@ def _lay(photograph: LaidPhotograph, one: Mechanism) -> LaidRod:
     return LaidRod(laid.arc_length, laid.centerline, not laid.diverged)
 
 
-def _placed(photograph: LaidPhotograph, rod: LaidRod, camera: Camera) -> Placement | None:
+def _placed(photograph: LaidPhotograph, rod: LaidRod, camera: Camera) -> Alignment | None:
     if not rod.reached:
         return None
     return rigid(photograph, camera.view(photograph, rod.arc_length, rod.nodes))
 
 
-def _mean(placed: Placement | None) -> float:
+def _mean(placed: Alignment | None) -> float:
     return np.inf if placed is None else placed.mean
 
 
@@ -175,7 +175,7 @@ def _height(curve: np.ndarray) -> float:
     return float(np.ptp(across[on] - straight))
 
 
-def _draw(photograph: LaidPhotograph, lines: dict[str, Placement | None], path: Path) -> Path:
+def _draw(photograph: LaidPhotograph, lines: dict[str, Alignment | None], path: Path) -> Path:
     import matplotlib
 
     matplotlib.use("Agg")

@@ -111,6 +111,11 @@ def _say(rows: list[dict], finer: bool, as_json: bool) -> None:
         "step: most that the rod's frame and a joint turn between nodes [rad]; beyond: most that a "
         "joint turns more than the rod's frame [rad per 5 mm of the grip's way]"
     )
+    stays = [row.get("stand_stays") for row in rows if "error" not in row]
+    click.echo(
+        f"the rod's stand stays out of the way in {stays.count(True)}, has to be taken away in "
+        f"{stays.count(False)}, is not there in {stays.count(None)}"
+    )
     hangs = [100.0 * row["hangs"] for row in rows if "error" not in row]
     if hangs:
         click.echo(
@@ -198,6 +203,7 @@ def run_case(
         "grip_angle": figures["grip_angle"],
         "duration": figures["duration"],
         "no_approach": figures.get("no_approach"),
+        "stand_stays": figures.get("stand_stays"),
         "hangs": wrod.rod(rod_name).length - float(path.arc_length[-1]),
     }
 

@@ -55,6 +55,12 @@ _GRASPS = (
         "two.",
     ),
     click.option(
+        "--expect/--no-expect",
+        "expects",
+        default=True,
+        help="Lay the plan in simulation and say how far off it will lie (default); seconds.",
+    ),
+    click.option(
         "--shapes/--no-shapes",
         default=True,
         help="Let the rod solver compute the rod's shapes where the method gives none (default).",
@@ -78,6 +84,7 @@ class _GraspRequest:
     controller_file: Path | None
     spacing: float
     friction_text: str | None
+    expects: bool
     shapes: bool
     remainder: bool | None
     roll_text: str | None
@@ -141,7 +148,9 @@ def command(
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
 
-    def planned(resize: float | None, hold: float | None, friction=None, tried=None, led=None):
+    def planned(
+        resize: float | None, hold: float | None, friction=None, tried=None, led=None, expects=False
+    ):
         """Pattern, rod and trajectory at a size and a hold, or shaped as is `tried`; `led` is the
         remainder where it is not as asked for."""
         fitted = fit(drawn, rod, tried or replace(shaping, resize=resize, hold=hold))
@@ -158,12 +167,12 @@ def command(
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),
-            device=chosen, friction=friction, **{**how, "remainder": False},
+            device=chosen, friction=friction, expects=expects, **{**how, "remainder": False},
         )  # fmt: skip
         return fitted, curve, trajectory
 
     size = (shaping.resize, shaping.hold)
-    fitted, curve, trajectory = planned(*size, friction)
+    fitted, curve, trajectory = planned(*size, friction, expects=grasps.expects)
     written = save_plan(out, curve, trajectory)
     joint_path, reason = None, None
     if not request.no_robot:

@@ -11,9 +11,11 @@ _SHARES = (0.5, 0.0)
 
 
 def solve_grasps_of(
-    curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, **options
-):
-    """The trajectory, with the rod's shapes where they are wanted."""
+    curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, expects=False,
+    **options,
+):  # fmt: skip
+    """The trajectory, with the rod's shapes where they are wanted, and with what is expected of it
+    on a table where that is."""
     from tqdm import tqdm
 
     from wrod.deployment.plan import plan
@@ -29,15 +31,28 @@ def solve_grasps_of(
             curve, rod, method, device=device, progress=progress,
             friction=None if method == "intuitive" else friction, **options,
         )  # fmt: skip
-        if friction is not None and method == "intuitive":
-            from wrod.deployment.expectation import expect
-
-            expected = expect(curve, rod, trajectory, friction, device=device or "auto")
-            trajectory.metadata["expected"] = expected
         if shapes:
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
+        wanted = expects or (friction is not None and method == "intuitive")
+        if wanted and "expected" not in trajectory.metadata:
+            bar.set_description("laying it in simulation")
+            trajectory.metadata["expected"] = _expected(curve, rod, trajectory, friction, device)
     return trajectory
+
+
+def _expected(curve, rod, trajectory, friction, device) -> dict | None:
+    """What is expected of a plan on a table; None, with a warning, where it cannot be laid."""
+    import warnings
+
+    from wrod.deployment.expectation import foresee
+    from wrod.errors import WrodError, WrodWarning
+
+    try:
+        return foresee(curve, rod, trajectory, friction, device=device)
+    except WrodError as error:
+        warnings.warn(WrodWarning(f"not laid in simulation: {error}"), stacklevel=3)
+        return None
 
 
 def softened(curve, rod, trajectory, start, share: float, friction, device):

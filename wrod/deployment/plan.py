@@ -40,6 +40,7 @@ DISTILLED = "distilled"
     friction=arguments.optional(
         arguments.either(arguments.number(0.0, 100.0), arguments.array((2,)))
     ),
+    expect=arguments.flag,
     device=arguments.optional(arguments.text),
     progress=arguments.optional(arguments.callback),
 )
@@ -54,6 +55,7 @@ def plan(
     roll: float | str = "plane",
     controller: Controller | None = None,
     friction: float | tuple[float, float] | None = None,
+    expect: bool = False,
     device: str | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> Trajectory:
@@ -86,6 +88,8 @@ def plan(
             is corrected through simulated deployments until what stays lies on the pattern, for
             rods and tables that cover what is known of them (docs/deployment.md; a minute or
             two). None: the grasps as they are.
+        expect: also lay the finished plan in simulation, on tables of `friction` or, where it is
+            not said, of 0.2 to 0.6 (seconds), for metadata["expected"].
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
         progress: called with the nodes done since the last call and the number of all nodes.
 
@@ -93,7 +97,8 @@ def plan(
         One pose per contact node; `metadata` names method, closure, solver, rod, pattern,
         remainder, the friction that the laid pattern ("required_friction") and the rod where it
         touches down ("contact_friction") ask for, and the warnings given; with `friction`,
-        "distilled", or "optimised" and "expected" (`wrod.deployment.optimise`). "natural_share" is
+        "distilled", or "optimised" and "expected" (`wrod.deployment.optimise`); with `expect`,
+        "expected" (`wrod.deployment.expectation.expect`). "natural_share" is
         the smallest share of its natural curvature that a grasp was made with, where a rod that
         varies along itself has none of its own (`wrod.grasps.relaxed`).
 
@@ -113,9 +118,9 @@ def plan(
         closure=closure, spacing=spacing, roll=roll, controller=controller, device=device,
         progress=progress,
     )  # fmt: skip
-    if friction is None:
+    if friction is None and not expect:
         return plan_grasps(pattern, rod, method, remainder=remainder, **how)
-    return _corrected(prepare(pattern, rod, remainder), rod, method, friction, how)
+    return _for_a_table(prepare(pattern, rod, remainder), rod, method, friction, expect, how)
 
 
 def _check_method(method: str, friction) -> None:
@@ -128,6 +133,23 @@ def _check_method(method: str, friction) -> None:
         raise GraspError(
             "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
         )
+
+
+def _for_a_table(
+    led: Pattern, rod, method: str, friction, expect: bool, how: dict[str, Any]
+) -> Trajectory:
+    """The plan that `how` asks for, corrected for a table of such a friction, and what is expected
+    of it where that is asked for."""
+    if friction is None:
+        trajectory = plan_grasps(led, rod, method, remainder=False, **how)
+    else:
+        trajectory = _corrected(led, rod, method, friction, how)
+    if expect and "expected" not in trajectory.metadata:
+        from wrod.deployment.expectation import foresee
+
+        expected = foresee(led, rod, trajectory, friction, device=how["device"])
+        trajectory.metadata["expected"] = expected
+    return trajectory
 
 
 def _corrected(led: Pattern, rod, method: str, friction, how: dict[str, Any]) -> Trajectory:

@@ -10,7 +10,7 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import RodError
-from wrod.kernels.stepping import dynamics as kernels
+from wrod.kernels.stepping import pace
 from wrod.rods.batch import RodBatch
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.bodies import Bodies
@@ -274,7 +274,7 @@ class Dynamics(NewtonSteps):
                 (CUDA before 12.4).
         """
         smallest = step * _SMALLEST_STEP
-        self._per_rod(kernels.set_until, [wp.float64(duration), self.time], [self.until])
+        self._per_rod(pace.set_until, [wp.float64(duration)], [self.pace])
         self._begin_advance(step)
 
         def take_rounds() -> None:
@@ -302,11 +302,7 @@ class Dynamics(NewtonSteps):
             self._recording = (key, capture.graph)
 
     def _begin_advance(self, step: float) -> None:
-        self._per_rod(
-            kernels.begin_advance,
-            [wp.float64(step), self.until, self.time, self.diverged],
-            [self.wanted_step, self.running, self.starting],
-        )
+        self._per_rod(pace.begin_advance, [wp.float64(step)], [self.pace])
 
     def _recorded(self, key: tuple) -> wp.Graph | None:
         """What was recorded for the same numbers."""
@@ -322,7 +318,7 @@ class Dynamics(NewtonSteps):
     def _ask(self, most: int) -> None:
         """Find out on the device whether to take another round, `most` of them at a time."""
         outputs = [self._rounds, self._going]
-        self.batch.walk(kernels.ask_on, [self.running, most], outputs, rods=1)
+        self.batch.walk(pace.ask_on, [self.running, most], outputs, rods=1)
 
     def _record(self, take_round: Callable[[], None]) -> wp.Graph:
         """What takes rounds until all rods are there, or for a while; asking a GPU from outside

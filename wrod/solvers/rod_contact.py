@@ -11,9 +11,9 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import RodError
+from wrod.kernels.contact import pair_contact, touching
 from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
-from wrod.kernels.contact import touching
 from wrod.kernels.contact.segments import AT_END, AT_START, EDGE, SPLINE
 from wrod.rods.batch import RodBatch
 from wrod.solvers.friction import Friction, contact_damping
@@ -117,12 +117,15 @@ class RodContact:
         # Two edges that meet move as one of half their mass.
         mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
         law = _laws(friction, stiffness, damping * np.sqrt(mass / stiffness), _SKIN * mean_radius)
-        self.law = wp.array(law, dtype=kernels.Law, device=device)
+        self.pieces = pieces = pair_contact.Pieces()
+        pieces.law = wp.array(law, dtype=pair_contact.PairLaw, device=device)
+        pieces.rest_length = batch.rest_length
         touching_radius, piece = np.where(idle, 0.0, radius), np.zeros(cut.shape, dtype=np.int32)
         if smooth:
             touching_radius, piece = _splines(cut, touching_radius)
         self.edge_radius = floats(touching_radius)
-        self.piece = wp.array(piece, dtype=wp.int32, device=device)
+        pieces.radius = self.edge_radius
+        pieces.kind = wp.array(piece, dtype=wp.int32, device=device)
         self._splines = int(smooth)
         self.cut = wp.array(cut.astype(np.int32), dtype=wp.int32, device=device)
         self.reach = floats(0.5 * np.where(cut, np.inf, radius).min(axis=1))
@@ -143,14 +146,13 @@ class RodContact:
             zeros(wp.int32) for _ in range(5)
         )
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
+        self.rubbing = rubbing = pair_contact.Rubbing()
+        rubbing.bristle, rubbing.load = self.bristle, self.held_load
+        rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
         self.configuration: tuple[wp.array, ...] = ()
         self._check_start()
-
-    @property
-    def _model(self):
-        return [self.law, self.edge_radius, self.batch.rest_length, self.piece]
 
     def prepare(self, starting: wp.array, rejected: wp.array, dof: wp.array) -> None:
         """List the pairs that may touch in a step that starts at `dof`, for the first time or
@@ -174,9 +176,7 @@ class RodContact:
             contact_pairs.list_partners,
             dim=self.partner_count.shape,
             inputs=[
-                self.edge_radius,
-                batch.rest_length,
-                self.piece,
+                self.pieces,
                 self._arc,
                 wp.float64(_SKIP),
                 self.reach,
@@ -212,19 +212,8 @@ class RodContact:
         wp.launch(
             kernels.rod_contact,
             dim=self.partner_count.shape,
-            inputs=[
-                *self._model,
-                self.time_step,
-                active,
-                dof,
-                dof_before,
-                self.partner_count,
-                self.partner,
-                self.bristle,
-                self.held_load,
-                self.sliding,
-                self.sticking,
-            ],
+            inputs=[self.pieces, self.time_step, active, dof, dof_before]
+            + [self.partner_count, self.partner, self.rubbing],
             outputs=[self.batch.derivatives.gradient, self.depth, self._overloaded],
             device=self.batch.device,
         )
@@ -247,9 +236,9 @@ class RodContact:
         wp.launch(
             kernels.renew_loads,
             dim=self.partner_count.shape,
-            inputs=[*self._model, self.time_step, converged, self._renewals, dof, dof_before]
-            + [self.partner_count, self.partner, self.bristle, self.sliding, self.held_load],
-            outputs=[self._renewed],
+            inputs=[self.pieces, self.time_step, converged, self._renewals, dof, dof_before]
+            + [self.partner_count, self.partner],
+            outputs=[self.rubbing, self._renewed],
             device=self.batch.device,
         )
         self.batch.walk(
@@ -278,7 +267,7 @@ class RodContact:
         wp.launch(
             kernels.find_touching,
             dim=self.partner_count.shape,
-            inputs=[*self._model[1:], self.reach, chosen, dof, dof_before]
+            inputs=[self.pieces, self.reach, chosen, dof, dof_before]
             + [self.partner_count, self.partner],
             outputs=[touching],
             device=self.batch.device,
@@ -297,16 +286,9 @@ class RodContact:
         wp.launch(
             kernels.settle_friction,
             dim=self.partner_count.shape,
-            inputs=[*self._model, self.time_step, accepted, dof, dof_before]
-            + [self.partner_count, self.partner, self.held_load],
-            outputs=[
-                self.bristle,
-                self.load,
-                self.sliding,
-                self.slip,
-                self.force,
-                self.penetration,
-            ],
+            inputs=[self.pieces, self.time_step, accepted, dof, dof_before]
+            + [self.partner_count, self.partner],
+            outputs=[self.rubbing, self.load, self.slip, self.force, self.penetration],
             device=device,
         )
 
@@ -356,7 +338,7 @@ def _laws(friction: list[Friction], stiffness, relaxation, skin) -> list:
     """The law of each row's pairs."""
     laws = []
     for r, f in enumerate(friction):
-        law = kernels.Law()
+        law = pair_contact.PairLaw()
         law.stiffness, law.skin, law.relaxation = stiffness[r], skin[r], relaxation[r]
         law.static_friction = f.static
         law.kinetic_friction = f.static if f.kinetic is None else f.kinetic

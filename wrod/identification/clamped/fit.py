@@ -11,7 +11,7 @@ import numpy as np
 
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Model
 
 _MAX_ITERATIONS = 30
@@ -145,7 +145,7 @@ class _Iteration:
     def __init__(self, laboratory: Laboratory, models, starts, trials, weights, best, state, least):
         self.laboratory, self.models, self.trials = laboratory, list(models), trials
         self.weights, self.best = weights, best
-        self.base = Setup.base(laboratory.measurements, trials, laboratory.edge_count)
+        self.base = ClampedSetup.base(laboratory.measurements, trials, laboratory.edge_count)
         self.values = [np.array(v, dtype=float) for v in starts]
         self.means = [m.prior_mean(v) for m, v in zip(self.models, self.values, strict=True)]
         self.scales = [np.array([p.scale for p in m.parameters]) for m in models]
