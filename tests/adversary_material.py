@@ -18,8 +18,8 @@ SCENES = Path(wrod.__file__).resolve().parents[1] / "scenes"
 ROD = ["--rod", "green-vps"]
 # A valid call of each command; words in braces are files of `material`, and {out} is written.
 VALID = {
-    "plan": ["line", *ROD, "--method", "intuitive", "--no-robot", "--no-expect", "--spacing", "0.02",
-             "--out", "{out}"],
+    "plan": ["line", *ROD, "--method", "intuitive", "--no-robot", "--no-expect",
+             "--spacing", "0.02", "--out", "{out}"],
     "show": ["{points.csv}", *ROD, "--out", "{out}.png"],
     "deploy": ["line", *ROD, "--trajectory", "{plan.npz}", "--speed", "0.5", "--device", "cpu",
                "--out", "{out}"],
