@@ -106,17 +106,20 @@ def _say(figures: dict[str, Any]) -> None:
     """Print the figures for people."""
     click.echo(figures["machine"])
     click.echo(
-        f"{figures['equilibria']} held grips on {figures['device']}: {figures['equilibria_per_second']:.1f} per s, "
+        f"{figures['equilibria']} held grips on {figures['device']}: "
+        f"{figures['equilibria_per_second']:.1f} per s, "
         f"{figures['equilibria_cpu_ms']:.2f} CPU ms each, {figures['iterations']:.1f} iterations, "
         f"{figures['converged']:.1%} converged, {figures['admissible']:.1%} admissible"
     )
     counts = ", ".join(f"{n} {name}" for name, n in figures["boundary_ends"].items())
     click.echo(
-        f"boundary for {figures['boundary_lengths']} suspended lengths, {figures['boundary_rays']} rays each: "
+        f"boundary for {figures['boundary_lengths']} suspended lengths, "
+        f"{figures['boundary_rays']} rays each: "
         f"{figures['boundary_seconds']:.1f} s ({figures['boundary_cpu_seconds']:.1f} CPU s); "
         f"low ends: {counts}"
     )
     click.echo(
-        f"200 grasps of a trajectory: solving {figures['solving_cpu_seconds']:.3f} CPU s, their stability "
+        f"200 grasps of a trajectory: solving {figures['solving_cpu_seconds']:.3f} CPU s, "
+        "their stability "
         f"{figures['stability_cpu_seconds']:.3f} CPU s"
     )
