@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -212,8 +213,10 @@ def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> t
         numbers = tuple(float(part) for part in text.lower().split(separator))
     except ValueError:
         numbers = ()
-    if len(numbers) != count:
-        raise PerceptionError(f"{option} {text}: give {count} numbers separated by {separator!r}")
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise PerceptionError(
+            f"{option} {text:.80}: give {count} finite numbers separated by {separator!r}"
+        )
     return numbers
 
 
