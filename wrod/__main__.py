@@ -1,14 +1,15 @@
 """`python -m wrod` is the command `wrod`; an interruption while it is loaded is said as later."""
 
-import contextlib
-import os
-import signal
 import sys
 
 
 def main() -> None:
     """Load the command line and run it."""
     try:
+        import contextlib
+        import os
+        import signal
+
         from wrod.commands import main as run
 
         run()
