@@ -225,7 +225,7 @@ def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[E
     if around is None:
         end = forked(lambda: _call(words), place / "here")
     else:
-        end = forked(lambda: _shell(words, around, place / "here"), place / "here")
+        end = forked(lambda: _shell(words, around, place / "here"), place / "here", limited=False)
     left = [str(path) for path in (place / "here").rglob("*")]
     if end.code != 2 and not set(words) & {str(out), f"{out}.json", f"{out}.png"}:
         left = []  # it was to write there

@@ -6,9 +6,7 @@ import sys
 def main() -> None:
     """Load the command line and run it."""
     try:
-        import contextlib
         import os
-        import signal
 
         from wrod.commands import main as run
 
@@ -31,9 +29,16 @@ def main() -> None:
         print(f"wrod: {said}", file=sys.stderr)
         sys.exit(2)
     finally:
-        # All is said and written: what strikes while Python winds up changes nothing.
-        with contextlib.suppress(ValueError):  # not the main thread
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _wind_up()
+
+
+def _wind_up() -> None:
+    """All is said and written: what strikes while Python winds up changes nothing."""
+    import contextlib
+    import signal
+
+    with contextlib.suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 if __name__ == "__main__":

@@ -51,9 +51,14 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
                     continue
                 wrong = check(given[name])
                 if wrong is not None:
-                    shown = _shown(given[name])
-                    raise error(f"{_name(function, args)}: {name} is {shown}; it {wrong}")
-            return function(*args, **kwargs)
+                    said = shown(given[name])
+                    raise error(f"{_name(function, args)}: {name} is {said}; it {wrong}")
+            try:
+                return function(*args, **kwargs)
+            except RecursionError:
+                raise error(
+                    f"{function.__qualname__}: what it is given is nested too deeply"
+                ) from None
 
         return guarded  # type: ignore[return-value]
 
@@ -198,7 +203,7 @@ def several(one: Check, least: int = 1) -> Check:
         for k, item in enumerate(value):
             wrong = one(item)
             if wrong is not None:
-                return f"holds at place {k} {_shown(item)}, which {wrong}"
+                return f"holds at place {k} {shown(item)}, which {wrong}"
         return None
 
     return check
@@ -225,7 +230,7 @@ def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:
             return found.astype(np.float64, copy=False)
     except Exception:  # whatever an object does that is asked to be an array
         pass
-    raise error(f"{where} is {_shown(value)}; it must be an array of numbers")
+    raise error(f"{where} is {shown(value)}; it must be an array of numbers")
 
 
 def truths(value: Any) -> str | None:
@@ -290,7 +295,8 @@ def _range(low: float, high: float, above: float | None = None) -> str:
     return f" from {low:g} to {high:g}"
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value for a sentence, whatever it is."""
     if isinstance(value, np.ndarray) and value.size > 8:
         return f"an array of shape {value.shape}"
     said = f"of type {type(value).__name__}"

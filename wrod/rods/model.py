@@ -126,7 +126,9 @@ class RodModel(Otherwise):
         put("point_masses", self._point_masses())
         if not isinstance(self.law, tuple(LAWS.values())):
             known = ", ".join(law.__name__ for law in LAWS.values())
-            raise RodError(f"rod law is {self.law!r:.80}; use one of wrod.rods.law: {known}")
+            raise RodError(
+                f"rod law is {arguments.shown(self.law)}; use one of wrod.rods.law: {known}"
+            )
 
     def _point_masses(self) -> tuple[tuple[float, float], ...]:
         try:

@@ -72,6 +72,7 @@ class RodContact:
         stiffness=arguments.optional(arguments.array((), (None,))),
         restitution=arguments.array((), (None,)),
         partners=arguments.whole(1, 4096),
+        passive=arguments.optional(arguments.truths),
         smooth=arguments.flag,
     )
     def __init__(
@@ -92,7 +93,11 @@ class RodContact:
         cut = np.zeros((rods, edges), dtype=bool)
         cut[:, list(batch.cut_edges)] = True
         radius = _per_edge(radius, rods, edges)
-        idle = cut if passive is None else cut | passive
+        if passive is not None and np.shape(passive) not in ((edges,), (rods, edges)):
+            raise RodError(
+                f"RodContact: passive has shape {np.shape(passive)}, not {(rods, edges)}"
+            )
+        idle = cut if passive is None else cut | np.asarray(passive)
         mean_radius = np.where(cut, 0.0, radius).sum(axis=1) / (~cut).sum(axis=1)
         if stiffness is None:
             stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
