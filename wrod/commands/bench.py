@@ -22,6 +22,7 @@ BENCHMARKS = (
     "cables",
     "loop",
     "closures",
+    "optimised",
     "slippery",
     "feedback",
     "applications",

@@ -73,6 +73,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "train --rows": (100, 2**30),
     "train --test": (1, 10**6),
     "bench grasp --count": (4, 1_000_000),
+    "bench feedback --horizon": (2.0, 1e3),
     "bench manifold --lengths": (2, 10_000),
     "bench perception --repeats": (1, 10_000),
     "bench deploy --levels": (1, 8),

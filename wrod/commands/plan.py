@@ -31,7 +31,7 @@ from wrod.commands.plan_steps import (
     softened,
     solve_grasps_of,
 )
-from wrod.commands.plan_summary import read_friction, summary
+from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
 from wrod.errors import PatternError
 
@@ -53,6 +53,11 @@ _GRASPS = (
         help="Of the table: a coefficient (0.3) or a range (0.2:0.6). The path is corrected until "
         "what stays lies on the pattern, and what is expected there is said; takes a minute or "
         "two.",
+    ),
+    click.option(
+        "--pace",
+        help="Speed of the contact on that table [m/s], or a range (0.02:0.08), of which the "
+        "fastest is taken that does no harm; 0.04.",
     ),
     click.option(
         "--expect/--no-expect",
@@ -84,6 +89,7 @@ class _GraspRequest:
     controller_file: Path | None
     spacing: float
     friction_text: str | None
+    pace: str | None
     expects: bool
     shapes: bool
     remainder: bool | None
@@ -98,7 +104,9 @@ class _GraspRequest:
         from wrod.controller.controller import Controller
 
         if self.method == "intuitive":
-            refuse_idle_options("--method intuitive", "closure")
+            refuse_idle_options("--method intuitive", "closure", "pace")
+        if self.friction_text is None:
+            refuse_idle_options("a plan without --friction", "pace")
         file = self.controller_file
         return {
             "method": self.method,
@@ -107,6 +115,9 @@ class _GraspRequest:
             "remainder": self.remainder,
             "shapes": self.shapes,
             "controller": None if file is None else Controller.load(file),
+            "pace": None
+            if self.pace is None
+            else read_range(self.pace, "pace", "0.04 or 0.02:0.08"),
         }
 
 
@@ -177,9 +188,9 @@ def command(
     joint_path, reason = None, None
     if not request.no_robot:
 
-        def softer(share: float):
+        def softer(how):
             start = planned(*size)[2]
-            return softened(curve, fitted.rod, trajectory, start, share, friction, chosen)
+            return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
 
         corrected = trajectory.metadata.get("optimised", {}).get("kept", False)
         joint_path, reason, more, followed = arm_steps(

@@ -7,12 +7,12 @@ from pathlib import Path
 
 NO_JOINT_PATH = 3  # exit code: the plan stands, the arm cannot follow it
 # Of a correction for a table, where an arm cannot follow all of it.
-_SHARES = (0.5, 0.0)
+_SHARE = 0.5
 
 
 def solve_grasps_of(
-    curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, expects=False,
-    **options,
+    curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, pace=None,
+    expects=False, **options,
 ):  # fmt: skip
     """The trajectory, with the rod's shapes where they are wanted, and with what is expected of it
     on a table where that is."""
@@ -29,7 +29,8 @@ def solve_grasps_of(
 
         trajectory = plan(
             curve, rod, method, device=device, progress=progress,
-            friction=None if method == "intuitive" else friction, **options,
+            friction=None if method == "intuitive" else friction,
+            pace=None if friction is None else pace, **options,
         )  # fmt: skip
         if shapes:
             bar.n = 0
@@ -55,13 +56,24 @@ def _expected(curve, rod, trajectory, friction, device) -> dict | None:
         return None
 
 
-def softened(curve, rod, trajectory, start, share: float, friction, device):
-    """The trajectory with a share of its corrections for a table, and what is expected of it."""
+def softened(curve, rod, trajectory, start, how, friction, device):
+    """A trajectory that asks less of the arm than one that is corrected for a table, and what is
+    expected of it: with a share of its corrections, or, where `how` is the joint path of `start`,
+    corrected anew within what the arm can do beside that."""
     from wrod.deployment.corrections import with_share
     from wrod.deployment.expectation import expect
+    from wrod.deployment.optimise import optimise
+    from wrod.robot.limits import ArmLimits
 
-    less = with_share(start, trajectory, share)
-    less.metadata["expected"] = expect(curve, rod, less, friction, device=device or "auto")
+    device = device or "auto"
+    if not isinstance(how, float):
+        asked = {"limits": ArmLimits(how), "pace": trajectory.metadata["optimised"]["pace"]}
+        best = optimise(curve, rod, start, friction, device=device, **asked)
+        best.metadata["optimised"]["within_limits"] = True
+        return best
+    less = with_share(start, trajectory, how)
+    pace = trajectory.metadata["optimised"]["pace"]
+    less.metadata["expected"] = expect(curve, rod, less, friction, pace=pace, device=device)
     return less
 
 
@@ -86,8 +98,9 @@ def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, 
 
     Args:
         planned: (resize, hold) -> what the plan would be with them; `size` is what they are now.
-        softer: share -> the trajectory with that share of its corrections for a table; None: it has
-            none. Where the arm cannot follow all of them it follows as many as it can.
+        softer: what asks less of the arm than all corrections for a table, see `softened`; None:
+            there are none. Where the arm cannot follow them they are made anew within what it can
+            do, and if it cannot follow these either it follows as many as it can.
 
     Returns:
         The `JointPath` or None, the reason or None, the files written, and the trajectory followed.
@@ -135,13 +148,17 @@ def _followed(request, trajectory, rod, softer):
     try:
         return request.solve(trajectory, rod), trajectory
     except UnreachedError:
-        for share in _SHARES if softer is not None else ():
-            less = softer(share)
+        if softer is None:
+            raise
+        start = softer(0.0)
+        path = request.solve(start, rod)
+        for how in (path, _SHARE):
+            less = softer(how)
             try:
                 return request.solve(less, rod), less
             except UnreachedError:
                 continue
-        raise
+        return path, start
 
 
 def _remedy(request, failed, rod, curve, planned, size) -> str | None:

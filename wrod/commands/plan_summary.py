@@ -83,6 +83,13 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
             if optimised["kept"]
             else "grip left as planned: no correction lays these rods better"
         )
+        tried = ", ".join(f"{100 * e:.2f} cm at {v:g}" for v, e in optimised.get("paces", ()))
+        lines.append(
+            f"to be laid at {optimised['pace']:g} m/s of the contact"
+            + (f", the fastest that does no harm of {tried} m/s" if tried else "")
+        )
+        if optimised.get("within_limits"):
+            lines.append("corrected within what the arm's joints can do")
         if (share := optimised.get("share")) is not None:
             lines.append(
                 f"the arm follows {share:.0%} of what was found, which is what is expected; with "
@@ -114,16 +121,26 @@ def read_friction(text: str) -> float | tuple[float, float]:
     """
     from wrod.deployment.spread import Spread
     from wrod.deployment.table import Table
-    from wrod.errors import PatternError
 
     if text.lower().endswith(".json"):
         return Table.load(text).interval
+    friction = read_range(text, "friction", "0.3 or 0.2:0.6")
+    Spread.of(friction)  # refused before anything is planned
+    return friction
+
+
+def read_range(text: str, what: str, example: str) -> float | tuple[float, float]:
+    """0.3, or (0.2, 0.6) of "0.2:0.6".
+
+    Raises:
+        PatternError: it is neither.
+    """
+    from wrod.errors import PatternError
+
     try:
         values = [float(word) for word in text.split(":")]
     except ValueError:
         values = []
     if len(values) not in (1, 2):
-        raise PatternError(f"--friction is {text!r}; give a coefficient (0.3) or a range (0.2:0.6)")
-    friction = values[0] if len(values) == 1 else (values[0], values[1])
-    Spread.of(friction)  # refused before anything is planned
-    return friction
+        raise PatternError(f"--{what} is {text!r}; give a number or a range, as {example}")
+    return values[0] if len(values) == 1 else (values[0], values[1])

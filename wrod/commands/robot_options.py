@@ -35,7 +35,11 @@ ROBOT = (
     click.option("--flange", help="Link that carries the gripper; default: the arm's last."),
     click.option("--tip", help="Link of the arm's own gripper at the grasp point, +z along it."),
     click.option("--gripper-length", type=float, help="From flange to grasp point [m]; 0.15."),
-    click.option("--speed", type=float, help="Of the grip along its path [m/s]; 0.02."),
+    click.option(
+        "--speed",
+        type=float,
+        help="Of the grip along its path [m/s]; as planned for the table, or 0.02.",
+    ),
     click.option(
         "--obstacles",
         type=click.Path(path_type=Path),
@@ -187,8 +191,12 @@ class RobotRequest:
             "rod_radius": rod.radius,
             "whole_job": not self.lay_only,
         }
+        planned = trajectory.metadata.get("optimised") or {}
         if self.speed is not None:
             options["grip_speed"] = self.speed
+        elif "pace" in planned:
+            # On a straight line a grip goes down as fast as forward.
+            options["grip_speed"] = math.sqrt(2.0) * planned["pace"]
         return solve_joint_path(trajectory, self.robot, **{**options, **changes})
 
     def export(self, joint_path, folder) -> list[Path]:

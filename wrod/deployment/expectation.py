@@ -10,9 +10,10 @@ from wrod.deployment.result import METRIC_POINTS, interpolation
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
-from wrod.deployment.tangents import Laid, lay
+from wrod.deployment.tangents import Laid
+from wrod.deployment.together import Asked, Course, follow
 from wrod.patterns.pattern import Pattern
-from wrod.planning.tail import tail
+from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -44,14 +45,16 @@ def expect(
     *,
     trials: int = _UNSEEN,
     hold: float = 0.05,
+    pace: float = FINE["speed"],
     coarse: bool = False,
     device: str | None = "cpu",
 ) -> dict:
     """What a trajectory is to be expected to do on a table: disturbed rods, laid in simulation.
 
     The disturbances are those of a careful laboratory (`Disturbance.random`), placement and jitter
-    included; friction runs from the least to the largest. Meshes may be `coarse`: what lies differs
-    by 0.05 cm, in a third of the time.
+    included; friction runs from the least to the largest, and rods stretch as believed or less
+    (`Spread.stretch`). Meshes may be `coarse`: what lies differs by 0.05 cm, in a third of the
+    time.
 
     Returns:
         Plain JSON values: friction (trials,) [-]; error_mean (trials,), their mean and deviation
@@ -63,9 +66,8 @@ def expect(
         from which on nothing does (None: none); "error_along": (50,) mean over the trials along
         the pattern [m]; diverged: how many did.
     """
-    (expected,) = expect_each(
-        pattern, rod, [trajectory], friction, trials=trials, hold=hold, coarse=coarse, device=device
-    )
+    course = expecting(pattern, rod, [trajectory], friction, trials, pace, coarse)
+    (expected,) = follow([course], hold=hold, tolerance=TOLERANCE, device=device)[0]
     return expected
 
 
@@ -86,30 +88,28 @@ def foresee(
     )
 
 
-def expect_each(
+def expecting(
     pattern: Pattern,
     rod: RodModel | RodMaterial,
     trajectories: list[Trajectory],
     friction: float | tuple[float, float] | Spread,
-    *,
     trials: int = _UNSEEN,
-    hold: float = 0.05,
+    pace: float = FINE["speed"],
     coarse: bool = False,
-    device: str | None = "cpu",
-) -> list[dict]:
+) -> Course[list[dict]]:
     """`expect` of several trajectories of a pattern, with the same disturbed rods for all."""
-    mus = np.linspace(*Spread.of(friction).friction, trials)
+    spread = Spread.of(friction)
+    mus, rods = np.linspace(*spread.friction, trials), spread.unseen(trials, rod)
     disturbances = [Disturbance.random(_FIRST_SEED + k) for k in range(trials)]
-    jobs = []
-    for trajectory in trajectories:
-        rest = tail(pattern, rod, trajectory)
-        jobs += [
-            Trial(pattern, rod, trajectory, Friction(mu), one, rest)
-            for mu, one in zip(mus.tolist(), disturbances, strict=True)
-        ]
+    rests = [Tail.none(trajectory) for trajectory in trajectories]
+    jobs = [
+        Trial(pattern, held, trajectory, Friction(mu), one, rest)
+        for trajectory, rest in zip(trajectories, rests, strict=True)
+        for held, mu, one in zip(rods, mus.tolist(), disturbances, strict=True)
+    ]
     mesh, edge = (COARSE, COARSE_EDGE) if coarse else (FINE, FINE_EDGE)
-    how = edged(mesh, edge * rod.gravito_bending_length)
-    laid = lay(jobs, hold=hold, device=device, tolerance=TOLERANCE, **how)
+    how = edged(mesh, edge * rod.gravito_bending_length) | {"speed": pace}
+    laid = yield Asked(jobs, None, how)
     return [
         _expectation(pattern, laid[first : first + trials], disturbances, mus)
         for first in range(0, len(laid), trials)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import chain
@@ -285,17 +285,26 @@ def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
     return pattern
 
 
-def prepare_trials(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
+def prepare_trials(
+    trials: list[Trial],
+    hold: float,
+    release: float | Sequence[float | None] | None,
+    speed: float,
+    spacing: float,
+    node_count: int | None,
+) -> list[Setup]:
     """All rods of a batch share one number of nodes: the largest that the spacing asks for.
 
-    Trials that differ in their disturbances alone share one undisturbed setup.
+    Trials that differ in their disturbances alone share one undisturbed setup. `release` is of all,
+    or of each; None is `hold`.
     """
+    each = release if isinstance(release, Sequence) else [release] * len(trials)
     count = node_count or nodes_needed(trials, spacing)
     undisturbed: dict[tuple, Setup] = {}
     setups = []
-    for trial in trials:
+    for trial, released in zip(trials, each, strict=True):
         plan = trial.pattern, trial.rod, trial.trajectory, trial.tail
-        key = tuple(map(id, plan))
+        key = (*map(id, plan), released)
         if key not in undisturbed:
             pattern = with_remainder_of(trial.pattern, trial.trajectory)
             undisturbed[key] = prepare_deployment(
@@ -305,7 +314,7 @@ def prepare_trials(trials: list[Trial], hold, release, speed, spacing, node_coun
                 mesh(trial.rod, trial.trajectory.arc_length[-1], spacing, count),
                 trial.tail or tail(pattern, trial.rod, trial.trajectory),
                 hold=hold,
-                release=release,
+                release=hold if released is None else released,
                 speed=speed,
             )
         setups.append(disturb(undisturbed[key], trial.disturbance))
