@@ -93,11 +93,7 @@ class RodContact:
         cut = np.zeros((rods, edges), dtype=bool)
         cut[:, list(batch.cut_edges)] = True
         radius = _per_edge(radius, rods, edges)
-        if passive is not None and np.shape(passive) not in ((edges,), (rods, edges)):
-            raise RodError(
-                f"RodContact: passive has shape {np.shape(passive)}, not {(rods, edges)}"
-            )
-        idle = cut if passive is None else cut | np.asarray(passive)
+        idle = cut if passive is None else cut | _passive(passive, cut.shape)
         mean_radius = np.where(cut, 0.0, radius).sum(axis=1) / (~cut).sum(axis=1)
         if stiffness is None:
             stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
@@ -349,6 +345,13 @@ def _laws(friction: list[Friction], stiffness, relaxation, skin) -> list:
         law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
         laws.append(law)
     return laws
+
+
+def _passive(value, shape: tuple[int, int]) -> np.ndarray:
+    found = np.asarray(value)
+    if found.shape not in (shape[1:], shape):
+        raise RodError(f"RodContact: passive has shape {found.shape} and must have {shape}")
+    return found
 
 
 def _per_edge(radius, rods: int, edges: int) -> np.ndarray:
