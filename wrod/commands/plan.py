@@ -41,8 +41,8 @@ _GRASPS = (
         "--controller",
         "controller_file",
         type=click.Path(path_type=Path),
-        help="Controller that `wrod train` made, of this naturally curved rod for one; default: "
-        "the one that ships, for straight rods.",
+        help="Controller that `wrod train` made, its file or folder; of a naturally curved rod it "
+        "has to be that rod's. Default: those that ship, for straight rods.",
     ),
     click.option(
         "--spacing", default=0.0025, show_default=True, help="Distance between nodes [m]."

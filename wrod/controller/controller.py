@@ -71,8 +71,8 @@ class Controller:
     def load(
         cls, path: str | os.PathLike[str] | None = None, *, closure: str = "zero_tension"
     ) -> Controller:
-        """Read a controller that `wrod train` wrote; None is the one of a closure that ships with
-        the package, for `SHIPPED` closures.
+        """Read a controller that `wrod train` wrote, by its file or its folder; None is the one of
+        a closure that ships with the package, for `SHIPPED` closures.
 
         Raises:
             DataError: the file is missing, truncated or not a controller, or none ships for that
@@ -87,6 +87,8 @@ class Controller:
                 )
             shipped = resources.files("wrod.scenes") / "controller"
             path = str(shipped / f"{SHIPPED[closure]}.safetensors")
+        if os.path.isdir(path):
+            path = os.path.join(path, "controller.safetensors")
         what = "a controller that `wrod train` wrote"
         label, parameters = read_tensors(path, what)
         metadata = decode_labels(label, schemas.Controller, str(path), what)
