@@ -155,7 +155,7 @@ def command(
     from wrod.planning.roll import read_roll
 
     how, chosen = grasps.read(), None if device == "auto" else device
-    request.check()
+    request = request.check()
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
 

@@ -109,7 +109,7 @@ class BatchArrays:
 
     def _inelastic(self, number) -> wp.array | None:
         """The rods' laws that remember, and what they remember; None where there are none."""
-        number = np.asarray(number, dtype=np.float64)
+        number = arguments.floats(number, "RodBatch: inelastic", RodError)
         if not number.any():
             return None
         shape = (self.rod_count, self.node_count)

@@ -72,6 +72,7 @@ class RodContact:
         stiffness=arguments.optional(arguments.array((), (None,))),
         restitution=arguments.array((), (None,)),
         partners=arguments.whole(1, 4096),
+        passive=arguments.optional(arguments.truths),
         smooth=arguments.flag,
     )
     def __init__(
@@ -92,7 +93,7 @@ class RodContact:
         cut = np.zeros((rods, edges), dtype=bool)
         cut[:, list(batch.cut_edges)] = True
         radius = _per_edge(radius, rods, edges)
-        idle = cut if passive is None else cut | passive
+        idle = cut if passive is None else cut | _passive(passive, cut.shape)
         mean_radius = np.where(cut, 0.0, radius).sum(axis=1) / (~cut).sum(axis=1)
         if stiffness is None:
             stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
@@ -327,6 +328,13 @@ def _laws(friction: list[Friction], stiffness, relaxation, skin) -> list:
         law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
         laws.append(law)
     return laws
+
+
+def _passive(value, shape: tuple[int, int]) -> np.ndarray:
+    found = np.asarray(value)
+    if found.shape not in (shape[1:], shape):
+        raise RodError(f"RodContact: passive has shape {found.shape} and must have {shape}")
+    return found
 
 
 def _per_edge(radius, rods: int, edges: int) -> np.ndarray:
