@@ -12,7 +12,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-_LANES = """
+LANES = """
 #if defined(__CUDA_ARCH__)
 #define WROD_SHARED __shared__
 #define WROD_LANES for (int lane = threadIdx.x % 32, once = 1; once; once = 0)
@@ -42,7 +42,7 @@ _LANES = """
 """
 
 _FACTORISE = (
-    _LANES
+    LANES
     + """
     const double smallest = 1.0e-14;
     const int n = hessian.shape[1];
@@ -172,7 +172,7 @@ def factorise_rod(
 
 
 _SOLVE = (
-    _LANES
+    LANES
     + """
     const int n = factor_in.shape[1];
     const double* factor = factor_in.data + (size_t)r * n * BAND;
