@@ -14,8 +14,8 @@ from wrod.kernels.stepping import pace
 from wrod.rods.batch import RodBatch
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.bodies import Bodies
+from wrod.solvers.condensed import paired_system
 from wrod.solvers.contact import Contact
-from wrod.solvers.coupled import CoupledSystem
 from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.inertia import lumped_masses, rounding_of, usual_force
 from wrod.solvers.newton_steps import Follower, NewtonSteps
@@ -100,6 +100,7 @@ class Dynamics(NewtonSteps):
         ),
         motion=arguments.optional(arguments.like("a motion", "prescribe")),
         follower=arguments.optional(arguments.like("a follower", "follow")),
+        bodies=arguments.optional(arguments.like("rigid bodies", "columns")),
         force_scale=arguments.optional(arguments.array((), (None,))),
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(0, 10_000),
@@ -142,7 +143,7 @@ class Dynamics(NewtonSteps):
         self.rod_contact = coupling[0] if coupling else None
         columns = 1 if bodies is None else 1 + bodies.columns
         if coupling:
-            self.system = CoupledSystem(coupling[0], columns)
+            self.system = paired_system(coupling[0], columns)
         else:
             self.system = BandedSystem(batch, columns)
 

@@ -108,13 +108,12 @@ def carry_edges(
             hand), times (key,), position and rotation of each hand's keys.
         running: of the rods; time, step: of each; start: `RodState` at the step's beginning.
     """
-    wp.launch(
+    batch.launch(
         carry,
-        dim=poses[0].shape,
-        inputs=[batch.rest_length, *poses, batch.free, running, time, step]
+        poses[0].shape,
+        [batch.rest_length, *poses, batch.free, running, time, step]
         + [start.dof, start.tangent, start.director],
-        outputs=[batch.state.dof],
-        device=batch.device,
+        [batch.state.dof],
     )
 
 
