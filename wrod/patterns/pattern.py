@@ -288,6 +288,7 @@ class Pattern:
             )
         return np.clip(s, first, last)
 
+    @arguments.checked(PatternError)
     def with_remainder(self, length: float) -> Pattern:
         """The pattern with a lead-in whose curvature grows smoothly from zero to its own.
 
@@ -327,6 +328,7 @@ class Pattern:
         far, place = distance_from_lines(self.points[:, :2], self.sample(s)[0][:, :2])
         return far, float(s[place])
 
+    @arguments.checked(PatternError)
     def scaled(self, factor: float) -> Pattern:
         """The pattern drawn `factor` times as large, about its first point.
 
