@@ -71,7 +71,9 @@ class PrescribedMotion:
         slides = [slides] * hands if isinstance(slides, str) else slides
         texts = isinstance(slides, (list, tuple)) and all(isinstance(s, str) for s in slides)
         if not texts or len(slides) != hands or not all(set(s) <= set(_AXES) for s in slides):
-            raise RodError(f"slides is {slides!r:.80}; give axes, like 'x', one for each held edge")
+            raise RodError(
+                f"slides is {arguments.shown(slides)}; give axes, like 'x', one for each held edge"
+            )
 
         self._edge = wp.array(np.tile(edges, (rods, 1)), dtype=wp.int32, device=device)
         self._part = wp.array(part, dtype=wp.float64, device=device)
