@@ -23,6 +23,8 @@ _STEP_LIMIT = 0.4
 _PATIENCE = 14
 _MAX_ITERATIONS = 400
 _FIRST_INCREMENT = 0.5
+# Change of the force that a mesh before the last two leaves.
+_LEADING_DONE = 1e-5
 # A ladder starts on this many edges or more.
 _COARSEST = 32
 # Threads a block on a GPU: few, so that finished blocks make room; and where they all take as long.
@@ -58,12 +60,18 @@ def make_scratch(slots: int, edges: int, device: str, size: int = 3) -> Scratch:
 
 
 def make_task(
-    model: list[wp.array], tolerance: wp.array, increment: wp.array, closure: int
+    model: list[wp.array],
+    tolerance: wp.array,
+    increment: wp.array,
+    closure: int,
+    force_done: float = 0.0,
 ) -> iteration.Task:
-    """`model` are (stretch ratio, target curvature, weight), (rod,) each."""
+    """`model` are (stretch ratio, target curvature, weight), (rod,) each; `force_done` is what
+    change of the force does not matter."""
     task = iteration.Task()
     _, task.target, task.weight = model
     task.tolerance, task.increment, task.closure = tolerance, increment, closure
+    task.force_done = force_done
     task.step_limit, task.patience = _STEP_LIMIT, _PATIENCE
     task.most_iterations = _MAX_ITERATIONS
     return task
@@ -188,14 +196,21 @@ class MeshLevel:
             self.state,
         )
 
-    def solve(self, work: WorkList, model: list[wp.array], closure: int, scratch: Scratch) -> None:
+    def solve(
+        self,
+        work: WorkList,
+        model: list[wp.array],
+        closure: int,
+        scratch: Scratch,
+        force_done: float = 0.0,
+    ) -> None:
         """Iterate every rod of the list until it has converged or failed.
 
-        `model` are (stretch ratio, target curvature, weight), (rod,) each.
+        `model` and `force_done` are those of `make_task`.
         """
         rod = iteration.StraightRod()
         rod.rest, rod.stretch_ratio = self.rest, model[0]
-        task = make_task(model, self.tolerance, self.increment, closure)
+        task = make_task(model, self.tolerance, self.increment, closure, force_done)
         work.launch(
             iteration.solve_straight, [self.edges, rod, task, scratch, *self.state], [self.read]
         )
@@ -297,11 +312,13 @@ class Ladder:
         self.iterations.zero_()
         for level in levels:
             level.lay(self.length, model[0], rods)
-        levels[0].hang(work)
-        levels[0].solve(work, model, closure, scratch)
-        for i in range(1, len(levels)):
-            levels[i].refine(work, levels[i - 1], levels[i - 2] if i > 1 else None)
-            levels[i].solve(work, model, closure, scratch)
+        for i, level in enumerate(levels):
+            if i == 0:
+                level.hang(work)
+            else:
+                level.refine(work, levels[i - 1], levels[i - 2] if i > 1 else None)
+            done = _LEADING_DONE if i < len(levels) - 2 else 0.0
+            level.solve(work, model, closure, scratch, done)
         coarse, fine = levels[-2:]
         # Too coarse a mesh to start from: start on the finest and come back from there.
         lost.count.zero_()
