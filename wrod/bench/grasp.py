@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from pathlib import Path
 from typing import Any
 
 import click
@@ -13,8 +14,34 @@ import click
 @click.option("--count", default=512, show_default=True, help="Grasps in the main measurement.")
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--threads", default=1, show_default=True, help="CPU threads.")
+@click.option(
+    "--against",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder of another checkout of wrod: its grasps per second beside this one's, medians of "
+    "five calls in turn.",
+)
+@click.option(
+    "--counts",
+    default="4096,65536,1048576",
+    show_default=True,
+    help="--against: grasps a call, separated by commas.",
+)
+@click.option(
+    "--patience",
+    default=60.0,
+    show_default=True,
+    help="--against: take fewer calls of what needs longer than this for five [s].",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(count: int, device: str, threads: int, as_json: bool) -> None:
+def command(
+    count: int,
+    device: str,
+    threads: int,
+    against: Path | None,
+    counts: str,
+    patience: float,
+    as_json: bool,
+) -> None:
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
     import warp as wp
 
@@ -24,6 +51,9 @@ def command(count: int, device: str, threads: int, as_json: bool) -> None:
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
+    if against is not None:
+        _compare(against, counts, device, patience, as_json)
+        return
 
     on_gpu = device != "cpu"
 
@@ -80,6 +110,26 @@ def command(count: int, device: str, threads: int, as_json: bool) -> None:
             "GFLOP/s and {peak_gbytes} GB/s would be "
             "limited to {bound:.0f} grasps/s by {limit}".format(**figures["gpu"])
         )
+
+
+def _compare(other: Path, counts: str, device: str, patience: float, as_json: bool) -> None:
+    from wrod.bench.grasp_against import compare, table
+    from wrod.grasps.inputs import CLOSURES
+    from wrod.machine import machine_line
+
+    try:
+        numbers = [int(word) for word in counts.split(",")]
+    except ValueError:
+        numbers = []
+    if not numbers or min(numbers) < 1:
+        raise click.BadParameter(f"{counts!r} is no list of counts; give e.g. 4096,65536")
+    rows = compare(other, numbers, tuple(CLOSURES), device, patience)
+    if as_json:
+        click.echo(json.dumps({"machine": machine_line(device), "rows": rows}))
+        return
+    click.echo(machine_line(device))
+    for line in table(rows):
+        click.echo(line)
 
 
 # Float64 and memory of an H200 (data sheet).

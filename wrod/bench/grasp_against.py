@@ -1,0 +1,123 @@
+"""Grasps per second of another checkout beside this one's: both solve the same, turn by turn."""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from wrod.errors import WrodError
+
+CALLS = 5
+
+
+class _Worker:
+    """A process that solves with the wrod of one checkout."""
+
+    def __init__(self, root: Path, inputs: Path, device: str):
+        script = Path(__file__).with_name("grasp_worker.py")
+        run = f"import runpy; runpy.run_path({str(script)!r}, run_name='__main__')"
+        self.root = root
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", run, str(root.resolve()), str(inputs), device],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=inputs.parent,
+        )
+
+    def call(self, count: int, closure: str) -> tuple[float, float]:
+        """Seconds of one call, and the share that converged.
+
+        Raises:
+            WrodError: the process has ended.
+        """
+        process = self.process
+        assert process.stdin is not None and process.stdout is not None
+        try:
+            process.stdin.write(f"{count} {closure}\n")
+            process.stdin.flush()
+        except BrokenPipeError:
+            pass
+        for line in process.stdout:
+            if line.startswith("seconds "):
+                _, seconds, converged = line.split()
+                return float(seconds), float(converged)
+        raise WrodError(f"{self.root}: its wrod did not solve {count} grasps; see above")
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+def compare(
+    other: Path, counts: list[int], closures: tuple[str, ...], device: str, patience: float
+) -> list[dict]:
+    """A row for every closure and count: grasps/s of the other checkout and of this one.
+
+    Each solves once to compile and to warm up, then both in turn, `CALLS` times; of one that takes
+    longer than `patience` seconds for that, as often as it comes to, but once.
+
+    Raises:
+        WrodError: a process ended early.
+    """
+    from wrod.grasps.inputs import whole_range
+
+    here = Path(__file__).resolve().parents[2]
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        inputs = Path(folder) / "inputs.npz"
+        np.savez(inputs, *whole_range(max(counts)))
+        workers = {"other": _Worker(other, inputs, device), "this": _Worker(here, inputs, device)}
+        try:
+            for closure in closures:
+                for worker in workers.values():
+                    worker.call(16, closure)
+                for count in counts:
+                    rows.append(_row(workers, count, closure, patience))
+        finally:
+            for worker in workers.values():
+                worker.end()
+    return rows
+
+
+def _row(workers: dict[str, _Worker], count: int, closure: str, patience: float) -> dict:
+    seconds: dict[str, list[float]] = {name: [] for name in workers}
+    converged = {}
+    warm = {name: worker.call(count, closure)[0] for name, worker in workers.items()}
+    for turn in range(CALLS):
+        for name, worker in workers.items():
+            if turn == 0 or warm[name] + sum(seconds[name]) < patience:
+                took, converged[name] = worker.call(count, closure)
+                seconds[name].append(took)
+    row: dict = {"grasps": count, "closure": closure}
+    for name, taken in seconds.items():
+        row[name] = {
+            "per_second": count / statistics.median(taken),
+            "calls": len(taken),
+            "converged": converged[name],
+        }
+    return row
+
+
+def table(rows: list[dict]) -> list[str]:
+    """Lines for people."""
+    lines = [
+        f"{'grasps':>8} {'closure':>13} {'other per s':>12} {'calls':>5} {'converged':>9} "
+        f"{'this per s':>12} {'calls':>5} {'converged':>9} {'times':>6} {'of 0 tension':>12}"
+    ]
+    free = {r["grasps"]: r["this"]["per_second"] for r in rows if r["closure"] == "zero_tension"}
+    for row in rows:
+        old, new = row["other"], row["this"]
+        share = new["per_second"] / free[row["grasps"]] if row["grasps"] in free else float("nan")
+        lines.append(
+            f"{row['grasps']:8d} {row['closure']:>13} {old['per_second']:12.0f} "
+            f"{old['calls']:5d} {old['converged']:9.5f} {new['per_second']:12.0f} "
+            f"{new['calls']:5d} {new['converged']:9.5f} "
+            f"{new['per_second'] / old['per_second']:6.1f} {share:12.3f}"
+        )
+    return lines
