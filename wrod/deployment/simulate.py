@@ -34,6 +34,7 @@ from wrod.rods.discretisation import quadratic_drag
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
+from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Contact, Friction, FrictionField, Plane
 from wrod.solvers.dynamics import Dynamics
 
@@ -184,6 +185,7 @@ def simulate_deployments(
         return []
     device = resolve_device(device)
     _refuse_endless(trials, speed, spacing, step, frame_interval)
+    compile_steps(device)
     setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     options: dict[str, Any] = dict(
         scheme=scheme, air_damping=air_damping, internal_damping=internal_damping,

@@ -13,6 +13,7 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.discretisation import end_to_end, mesh_arrays
 from wrod.rods.material import RodMaterial
 from wrod.rods.state import RodState
+from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.prescribed import carry_edges
@@ -148,6 +149,7 @@ class Workbench:
     time: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
+        compile_steps(self.device, coupled=True)
         counts = [len(arc) for arc in self.arc_length]
         ends = np.cumsum(counts)
         self.slices = [slice(e - n, e) for n, e in zip(counts, ends, strict=True)]
