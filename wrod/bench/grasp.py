@@ -113,7 +113,7 @@ def command(
 
 
 def _compare(other: Path, counts: str, device: str, patience: float, as_json: bool) -> None:
-    from wrod.bench.grasp_against import compare, table
+    from wrod.bench.grasp_against import compare, head, line
     from wrod.grasps.inputs import CLOSURES
     from wrod.machine import machine_line
 
@@ -123,13 +123,14 @@ def _compare(other: Path, counts: str, device: str, patience: float, as_json: bo
         numbers = []
     if not numbers or min(numbers) < 1:
         raise click.BadParameter(f"{counts!r} is no list of counts; give e.g. 4096,65536")
-    rows = compare(other, numbers, tuple(CLOSURES), device, patience)
+    measured = compare(other, numbers, tuple(CLOSURES), device, patience)
     if as_json:
-        click.echo(json.dumps({"machine": machine_line(device), "rows": rows}))
+        click.echo(json.dumps({"machine": machine_line(device), "rows": list(measured)}))
         return
     click.echo(machine_line(device))
-    for line in table(rows):
-        click.echo(line)
+    click.echo(head())
+    for row in measured:
+        click.echo(line(row))
 
 
 # Float64 and memory of an H200 (data sheet).

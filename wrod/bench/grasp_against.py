@@ -6,6 +6,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -56,8 +57,9 @@ class _Worker:
 
 def compare(
     other: Path, counts: list[int], closures: tuple[str, ...], device: str, patience: float
-) -> list[dict]:
-    """A row for every closure and count: grasps/s of the other checkout and of this one.
+) -> Iterator[dict]:
+    """A row for every count and closure, as they are measured: grasps/s of the other checkout and
+    of this one.
 
     Each solves once to compile and to warm up, then both in turn, `CALLS` times; of one that takes
     longer than `patience` seconds for that, as often as it comes to, but once.
@@ -68,7 +70,6 @@ def compare(
     from wrod.grasps.inputs import whole_range
 
     here = Path(__file__).resolve().parents[2]
-    rows = []
     with tempfile.TemporaryDirectory() as folder:
         inputs = Path(folder) / "inputs.npz"
         np.savez(inputs, *whole_range(max(counts)))
@@ -77,12 +78,12 @@ def compare(
             for closure in closures:
                 for worker in workers.values():
                     worker.call(16, closure)
-                for count in counts:
-                    rows.append(_row(workers, count, closure, patience))
+            for count in counts:
+                for closure in closures:
+                    yield _row(workers, count, closure, patience)
         finally:
             for worker in workers.values():
                 worker.end()
-    return rows
 
 
 def _row(workers: dict[str, _Worker], count: int, closure: str, patience: float) -> dict:
@@ -104,20 +105,18 @@ def _row(workers: dict[str, _Worker], count: int, closure: str, patience: float)
     return row
 
 
-def table(rows: list[dict]) -> list[str]:
-    """Lines for people."""
-    lines = [
+def head() -> str:
+    """Of the table for people."""
+    return (
         f"{'grasps':>8} {'closure':>13} {'other per s':>12} {'calls':>5} {'converged':>9} "
-        f"{'this per s':>12} {'calls':>5} {'converged':>9} {'times':>6} {'of 0 tension':>12}"
-    ]
-    free = {r["grasps"]: r["this"]["per_second"] for r in rows if r["closure"] == "zero_tension"}
-    for row in rows:
-        old, new = row["other"], row["this"]
-        share = new["per_second"] / free[row["grasps"]] if row["grasps"] in free else float("nan")
-        lines.append(
-            f"{row['grasps']:8d} {row['closure']:>13} {old['per_second']:12.0f} "
-            f"{old['calls']:5d} {old['converged']:9.5f} {new['per_second']:12.0f} "
-            f"{new['calls']:5d} {new['converged']:9.5f} "
-            f"{new['per_second'] / old['per_second']:6.1f} {share:12.3f}"
-        )
-    return lines
+        f"{'this per s':>12} {'calls':>5} {'converged':>9} {'times':>6}"
+    )
+
+
+def line(row: dict) -> str:
+    old, new = row["other"], row["this"]
+    return (
+        f"{row['grasps']:8d} {row['closure']:>13} {old['per_second']:12.0f} "
+        f"{old['calls']:5d} {old['converged']:9.5f} {new['per_second']:12.0f} "
+        f"{new['calls']:5d} {new['converged']:9.5f} {new['per_second'] / old['per_second']:6.1f}"
+    )
