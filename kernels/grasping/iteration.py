@@ -227,7 +227,7 @@ def make_solver(size: int):
                 d = first_direction(half_turn(kappa, h0))
                 change = walk.follow_family(
                     w, scratch, slot, edges, d, turn, v, task.closure, task.weight[r],
-                    task.tolerance[r], force_done,
+                    task.tolerance[r],
                 )  # fmt: skip
             settled = at_target and (wp.abs(change) <= force_done or w.refined > MOST_REFINED)
             lost = not wp.isfinite(w.worst) or w.waited > task.patience

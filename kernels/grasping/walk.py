@@ -22,9 +22,6 @@ NEAR = wp.constant(wp.float64(3.0))
 # Two grasps that are nearer are not compared; the doubt that a mesh's steepness leaves on the next.
 LEAST_SECANT = wp.constant(wp.float64(1.0e-6))
 OTHER_MESH = wp.constant(wp.float64(2.0e-2))
-# No step is expected to leave less of a slope, and this is left over for it to be in vain.
-LEAST_LEFT = wp.constant(wp.float64(0.01))
-SAFETY = wp.constant(wp.float64(10.0))
 # The smallest step of a continuation.
 LEAST_INCREMENT = wp.constant(wp.float64(1.0e-4))
 
@@ -73,9 +70,8 @@ def _struct(size: int) -> type:
         moved: wp.float64
         slope: wp.float64
         steepness: wp.float64
-        # By how much the steepness may be off, and the part of a slope that the last step left.
+        # By how much the steepness may be off.
         doubt: wp.float64
-        left: wp.float64
         # Whether the balance comes first, before the way along the family.
         holds: int
         # How far it may go along the family at once.
@@ -122,7 +118,6 @@ def _ends(size: int, walk: type) -> tuple[wp.Function, wp.Function]:
         w.tangent = vector()
         w.heading = wp.vec3d(ONE, ZERO, ZERO)
         w.doubt = wp.where(w.steepness == ONE, ONE, OTHER_MESH)
-        w.left = ONE
         w.reach = HALF
         w.status = RUNNING
         return w
@@ -190,13 +185,11 @@ def _family(size: int, walk: type) -> wp.Function:
         closure: int,
         weight: wp.float64,
         tolerance: wp.float64,
-        done: wp.float64,
     ) -> wp.float64:
         """The way along the family to the closure's minimum from where the Newton step `v` leads:
         the slope of what it makes small over the slope's derivative, by two grasps' secant. What is
         out of balance, more than by `tolerance`, is in the slope too: where that may be all of it,
-        the rod holds, for one step. A slope of which the next step would leave less than `done` is
-        not taken again."""
+        the rod holds, for one step."""
         condensed = scratch.condensed
         rate = vector()
         rate[last] = ONE
@@ -211,10 +204,8 @@ def _family(size: int, walk: type) -> wp.Function:
         feigned = w.worst > tolerance and slope < FEIGNED * wp.length(force) * w.worst
         w.holds = wp.where(at_goal and feigned and w.holds == 0, 1, 0)
         if wp.static(size == 3):
-            expected = SAFETY * w.left * wp.abs(w.slope)
-            if w.refined > 1 and w.worst <= tolerance and expected < done:
-                return ZERO
-            if at_goal and slope < NEAR * tolerance and w.holds == 0:
+            near = at_goal and slope < NEAR * tolerance and w.holds == 0
+            if near:
                 w.refined += 1
                 way = refined_rate_of_force(w, along, scratch, slot, edges, direction)
                 way = counted(closure, way)
@@ -229,7 +220,6 @@ def _family(size: int, walk: type) -> wp.Function:
             gone = wp.abs(w.moved)
             doubt = wp.length(force) * (w.worst + w.worst_before) / gone + gone
             secant = (slope - w.slope) / w.moved
-            w.left = wp.max(wp.abs(slope / w.slope), LEAST_LEFT)
             w.doubt += gone
             sane = secant > wp.float64(0.1) and secant < wp.float64(10.0)
             if sane and gone > LEAST_SECANT and doubt < w.doubt:

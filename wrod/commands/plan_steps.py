@@ -82,8 +82,9 @@ def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, 
     from wrod.errors import DataError, RobotError
     from wrod.robot.remedy import draw_reach
     from wrod.robot.solve import UnreachedError
-    from wrod.scene.deliver import deliver
+    from wrod.scene.deliver import compile_pictures_ahead, deliver
 
+    compile_pictures_ahead()
     with tqdm(total=5, unit="step", leave=False, delay=1.0, disable=quiet or None) as steps:
 
         def step(what: str) -> None:

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from wrod.kernels.compiling import compile_together
+from wrod.kernels.compiling import compile_ahead, compile_together
 from wrod.kernels.grasping import iteration, mesh, reading, sensitivity
 from wrod.kernels.grasping.closures import CONVERGED
 from wrod.kernels.grasping.scratch import Scratch
@@ -77,13 +77,23 @@ def make_task(
     return task
 
 
+def _kernels(sensitivities: bool) -> list[tuple[wp.Kernel, int]]:
+    """What grasps of straight rods need, and the blocks that it is launched in."""
+    launches = [(iteration.solve_straight, _BLOCK), (mesh.refine, _BLOCK)]
+    launches += [(reading.judge, _WIDE_BLOCK)]
+    launches += [(sensitivity.find_sensitivities, _BLOCK)] if sensitivities else []
+    return launches
+
+
+def compile_grasps_ahead(device: str) -> None:
+    """Begin to compile what grasps of straight rods need, while something else is done."""
+    compile_ahead(device, _kernels(sensitivities=False))
+
+
 @cache
 def compile_kernels(device: str, sensitivities: bool) -> None:
-    """Compile what grasps of straight rods need, side by side, and once for all threads."""
-    launches = [(iteration.solve_straight, _BLOCK), (mesh.refine, _BLOCK)]
-    launches += [(mesh.lay_mesh, _WIDE_BLOCK), (reading.judge, _WIDE_BLOCK)]
-    launches += [(sensitivity.find_sensitivities, _BLOCK)] if sensitivities else []
-    compile_together(device, launches)
+    """Compile it, side by side, and once for all threads."""
+    compile_together(device, _kernels(sensitivities))
 
 
 class WorkList:
@@ -155,6 +165,7 @@ class MeshLevel:
             inputs=[length, stretch_ratio, self.edges],
             outputs=[self.rest, self.rest_rate, self.tolerance],
             device=self.device,
+            block_dim=_BLOCK,
         )
         self.read.status.zero_()
 
@@ -294,6 +305,7 @@ class Ladder:
             inputs=[inputs[1], first],
             outputs=[self.key, self.order],
             device=self.device,
+            block_dim=_BLOCK,
         )
         if sort:
             wp.utils.radix_sort_pairs(self.key, self.order, rods)
@@ -303,6 +315,7 @@ class Ladder:
             inputs=[*inputs, self.order, rods],
             outputs=[self.length, *self.model, self.work.index, self.work.count],
             device=self.device,
+            block_dim=_BLOCK,
         )
 
     def climb(self, rods: int, closure: int) -> None:
@@ -328,6 +341,7 @@ class Ladder:
             inputs=[coarse.read.status, fine.read.status, CONVERGED],
             outputs=[lost.index, lost.count],
             device=self.device,
+            block_dim=_BLOCK,
         )
         fine.hang(lost)
         fine.solve(lost, model, closure, scratch)
