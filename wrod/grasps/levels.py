@@ -302,7 +302,7 @@ class Ladder:
         wp.launch(
             mesh.expect_work,
             dim=rods,
-            inputs=[inputs[1], first],
+            inputs=[*inputs, first],
             outputs=[self.key, self.order],
             device=self.device,
             block_dim=_BLOCK,
