@@ -102,6 +102,14 @@ class _GraspRequest:
             "controller": None if file is None else Controller.load(file),
         }
 
+    def compile_ahead(self, device: str | None) -> None:
+        """Begin to compile what the rod solver needs, while the rest is read and planned."""
+        from wrod.grasps.levels import compile_grasps_ahead
+        from wrod.rods.device import resolve_device
+
+        if self.shapes:
+            compile_grasps_ahead(resolve_device(device))
+
 
 @click.command(name="plan")
 @click.argument("pattern")
@@ -133,17 +141,14 @@ def command(
     Corners are rounded to what the rod can lie in. What is finished is kept: without a joint path
     the trajectory and its picture are written all the same, and the exit code is 3.
     """
-    from wrod.grasps.levels import compile_grasps_ahead
     from wrod.planning.remainder import prepare
     from wrod.planning.roll import read_roll
-    from wrod.rods.device import resolve_device
 
     how, chosen = grasps.read(), None if device == "auto" else device
     request.check()
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
-    if grasps.shapes:
-        compile_grasps_ahead(resolve_device(chosen))
+    grasps.compile_ahead(chosen)
 
     def planned(resize: float | None, hold: float | None, friction=None, tried=None, led=None):
         """Pattern, rod and trajectory at a size and a hold, or shaped as is `tried`; `led` is the
