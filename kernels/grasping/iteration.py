@@ -35,6 +35,8 @@ FORCE_DONE = wp.constant(wp.float64(1.0e-12))
 FORCE_ROUNDING = wp.constant(wp.float64(1.0e-5))
 GENERAL_FORCE_DONE = wp.constant(wp.float64(1.0e-11))
 GENERAL_FORCE_ROUNDING = wp.constant(wp.float64(0.01))
+# After a longer way along the family the slope is of what is out of balance, and small by luck.
+STILL = wp.constant(wp.float64(3.0e-7))
 # A slope that has been refined so often is as good as it gets.
 MOST_REFINED = wp.constant(8)
 
@@ -229,7 +231,8 @@ def make_solver(size: int):
                     w, scratch, slot, edges, d, turn, v, task.closure, task.weight[r],
                     task.tolerance[r],
                 )  # fmt: skip
-            settled = at_target and (wp.abs(change) <= force_done or w.refined > MOST_REFINED)
+            settled = at_target and wp.abs(w.moved) <= STILL + wp.float64(100.0) * task.force_done
+            settled = settled and (wp.abs(change) <= force_done or w.refined > MOST_REFINED)
             lost = not wp.isfinite(w.worst) or w.waited > task.patience
             if balanced and settled and w.worst <= task.tolerance[r]:
                 w.status = CONVERGED

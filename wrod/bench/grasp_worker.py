@@ -42,10 +42,11 @@ def main() -> None:
     if "shapes" in inspect.signature(solve_grasps).parameters:
         options["shapes"] = False
     inputs = list(np.load(file).values())
+    takes_arrays = importlib.util.find_spec("wrod.grasps.device_results") is not None
     for line in sys.stdin:
         count, closure = int(line.split()[0]), line.split()[1]
         part = [values[:count] for values in inputs]
-        if device != "cpu" and "shapes" in options:  # what takes arrays of the device
+        if device != "cpu" and takes_arrays:
             part = [wp.array(values, dtype=wp.float64, device=device) for values in part]
         wp.synchronize_device(device)
         clock = time.perf_counter()

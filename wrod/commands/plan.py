@@ -167,7 +167,8 @@ def command(
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),
-            device=chosen, friction=friction, **{**how, "remainder": False},
+            device=chosen, friction=friction, meanwhile=request.load_ahead,
+            **{**how, "remainder": False},
         )  # fmt: skip
         return fitted, curve, trajectory
 

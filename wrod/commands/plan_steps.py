@@ -11,9 +11,19 @@ _SHARES = (0.5, 0.0)
 
 
 def solve_grasps_of(
-    curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, **options
+    curve,
+    rod,
+    quiet: bool,
+    *,
+    method: str,
+    device,
+    shapes: bool,
+    friction=None,
+    meanwhile,
+    **options,
 ):
-    """The trajectory, with the rod's shapes where they are wanted."""
+    """The trajectory, with the rod's shapes where they are wanted; `meanwhile` is called while what
+    they need may still be compiled."""
     from tqdm import tqdm
 
     from wrod.deployment.plan import plan
@@ -34,6 +44,7 @@ def solve_grasps_of(
 
             expected = expect(curve, rod, trajectory, friction, device=device or "auto")
             trajectory.metadata["expected"] = expected
+        meanwhile()
         if shapes:
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
@@ -82,9 +93,8 @@ def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, 
     from wrod.errors import DataError, RobotError
     from wrod.robot.remedy import draw_reach
     from wrod.robot.solve import UnreachedError
-    from wrod.scene.deliver import compile_pictures_ahead, deliver
+    from wrod.scene.deliver import deliver
 
-    compile_pictures_ahead()
     with tqdm(total=5, unit="step", leave=False, delay=1.0, disable=quiet or None) as steps:
 
         def step(what: str) -> None:

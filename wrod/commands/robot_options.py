@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -132,6 +133,16 @@ class RobotRequest:
             describe_robot(
                 self.robot, flange=self.flange, tip=self.tip, gripper_length=self.gripper_length
             )
+
+    def load_ahead(self) -> None:
+        """Load what the joint path needs, and begin to compile what the scene's picture does."""
+        if self.no_robot:
+            return
+        from wrod.scene.deliver import compile_pictures_ahead
+
+        compile_pictures_ahead()
+        with suppress(ImportError):  # said where it is needed
+            import pytorch_kinematics  # noqa: F401
 
     def _refuse_ignored(self) -> None:
         from wrod.errors import RobotError

@@ -10,6 +10,7 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 from wrod.rods.batch import RodBatch
+from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import end_to_end, mesh_arrays
 from wrod.rods.material import RodMaterial
 from wrod.rods.state import RodState
@@ -149,7 +150,6 @@ class Workbench:
     time: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
-        compile_steps(self.device, coupled=True)
         counts = [len(arc) for arc in self.arc_length]
         ends = np.cumsum(counts)
         self.slices = [slice(e - n, e) for n, e in zip(counts, ends, strict=True)]
@@ -160,6 +160,7 @@ class Workbench:
         ]
         arrays = end_to_end(lines)
         arrays["natural_curvature"][:, :, 0] += self.natural_curvature
+        compile_steps(resolve_device(self.device), coupled=True)
         batch = RodBatch(self.position, director=self.director, device=self.device, **arrays)
         if cuts:
             batch.cut(cuts)
