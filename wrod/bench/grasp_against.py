@@ -61,8 +61,8 @@ def compare(
     """A row for every count and closure, as they are measured: grasps/s of the other checkout and
     of this one.
 
-    Each solves once to compile and to warm up, then both in turn, `CALLS` times; of one that takes
-    longer than `patience` seconds for that, as often as it comes to, but once.
+    Each solves once to compile and to warm up, then both in turn, `CALLS` times, or as often as
+    one comes to in `patience` seconds; where the first call takes longer, that one counts.
 
     Raises:
         WrodError: a process ended early.
@@ -87,20 +87,20 @@ def compare(
 
 
 def _row(workers: dict[str, _Worker], count: int, closure: str, patience: float) -> dict:
-    seconds: dict[str, list[float]] = {name: [] for name in workers}
-    converged = {}
-    warm = {name: worker.call(count, closure)[0] for name, worker in workers.items()}
+    warm = {name: worker.call(count, closure) for name, worker in workers.items()}
+    # What takes so long is warm at its end, and is not asked for again.
+    seconds = {name: [took] if took > patience else [] for name, (took, _) in warm.items()}
     for turn in range(CALLS):
         for name, worker in workers.items():
-            if turn == 0 or warm[name] + sum(seconds[name]) < patience:
-                took, converged[name] = worker.call(count, closure)
-                seconds[name].append(took)
+            took, _ = warm[name]
+            if took <= patience and (turn == 0 or took + sum(seconds[name]) < patience):
+                seconds[name].append(worker.call(count, closure)[0])
     row: dict = {"grasps": count, "closure": closure}
     for name, taken in seconds.items():
         row[name] = {
             "per_second": count / statistics.median(taken),
             "calls": len(taken),
-            "converged": converged[name],
+            "converged": warm[name][1],
         }
     return row
 
