@@ -10,6 +10,7 @@ import inspect
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 # Where a checkout has the packages that are installed under other names.
 _FOLDERS = {"wrod.kernels": "kernels", "wrod.scenes": "scenes", "wrod.training": "training"}
@@ -38,7 +39,7 @@ def main() -> None:
 
     from wrod.grasps.optimal import solve_grasps
 
-    options = {"device": device}
+    options: dict[str, Any] = {"device": device}
     if "shapes" in inspect.signature(solve_grasps).parameters:
         options["shapes"] = False
     inputs = list(np.load(file).values())
