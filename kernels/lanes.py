@@ -1,9 +1,9 @@
 """Work on one rod, shared by the lanes of a warp or of a whole block on a GPU.
 
 Kernels that walk along whole rods are launched over (rod, lane) in blocks of `lanes(device)`: on a
-GPU each of 32 lanes takes every 32nd degree of freedom, on a CPU one lane takes all. Those whose
-lanes need each other's results wait for them in between; they are launched in blocks of
-`lanes(device, TEAM)`.
+GPU each of 32 lanes takes every 32nd degree of freedom, or each of `CROWD` in a long row; on a CPU
+one lane takes all. Those whose lanes need each other's results wait for them in between; they are
+launched in blocks of `lanes(device, TEAM)`.
 """
 
 import warp as wp
@@ -13,6 +13,8 @@ wp.set_module_options({"enable_backward": False})
 WARP = 32
 # Lanes that wait for each other.
 TEAM = 128
+# Lanes of a row of more nodes than `LONG`.
+CROWD, LONG = 256, 256
 
 
 def lanes(device: str, count: int = WARP) -> int:
@@ -41,15 +43,40 @@ def any_lane(flag: int) -> int:
     ...
 
 
-@wp.func_native("""
+# What the warps of a block bring together: every lane reads all parts, in one order.
+_SHARE = """
+    if (blockDim.x > 32) {
+        __shared__ TYPE parts[32];
+        if (threadIdx.x % 32 == 0) parts[threadIdx.x / 32] = value;
+        __syncthreads();
+        value = parts[0];
+        for (int warp = 1; warp < blockDim.x / 32; ++warp) {
+            const TYPE other = parts[warp];
+            COMBINE;
+        }
+        __syncthreads();
+    }
+"""
+
+
+def _over_lanes(type: str, combine: str) -> str:
+    """Source of what a block's lanes make of their values by `value` and `other`."""
+    share = _SHARE.replace("TYPE", type).replace("COMBINE", combine)
+    return f"""
 #if defined(__CUDA_ARCH__)
-    for (int reach = 16; reach > 0; reach /= 2)
-        value += __shfl_xor_sync(0xffffffffu, value, reach);
+    for (int reach = 16; reach > 0; reach /= 2) {{
+        const {type} other = __shfl_xor_sync(0xffffffffu, value, reach);
+        {combine};
+    }}
+    {share}
 #endif
     return value;
-""")
+"""
+
+
+@wp.func_native(_over_lanes("int", "value += other"))
 def count_of_lanes(value: int) -> int:
-    """Sum of the counts of a warp's lanes, in every lane."""
+    """Sum of the counts of a block's lanes, in every lane."""
     ...
 
 
@@ -61,38 +88,32 @@ def count_of_lanes(value: int) -> int:
         const int other = __shfl_up_sync(0xffffffffu, sum, reach);
         if (lane >= reach) sum += other;
     }
-    return sum - value;
+    int before = sum - value;
+    if (blockDim.x > 32) {
+        __shared__ int parts[32];
+        if (lane == 31) parts[threadIdx.x / 32] = sum;
+        __syncthreads();
+        for (int warp = 0; warp < threadIdx.x / 32; ++warp) before += parts[warp];
+        __syncthreads();
+    }
+    return before;
 #else
     return 0;
 #endif
 """)
 def count_of_lanes_before(value: int) -> int:
-    """Sum of the counts of the lanes before this one in its warp."""
+    """Sum of the counts of the lanes before this one in its block."""
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    for (int reach = 16; reach > 0; reach /= 2) {
-        const double other = __shfl_xor_sync(0xffffffffu, value, reach);
-        // Comparisons with a NaN are false, so that one is not lost.
-        if (!(other <= value) && isfinite(value)) value = other;
-    }
-#endif
-    return value;
-""")
+# Comparisons with a NaN are false, so that one is not lost.
+@wp.func_native(_over_lanes("double", "if (!(other <= value) && isfinite(value)) value = other"))
 def largest_of_lanes(value: wp.float64) -> wp.float64:
     """Largest of the lanes' values, in every lane; not finite where one of them is not."""
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    for (int reach = 16; reach > 0; reach /= 2)
-        value += __shfl_xor_sync(0xffffffffu, value, reach);
-#endif
-    return value;
-""")
+@wp.func_native(_over_lanes("double", "value += other"))
 def sum_of_lanes(value: wp.float64) -> wp.float64:
     """Sum of the lanes' values, in every lane."""
     ...

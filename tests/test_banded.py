@@ -37,10 +37,12 @@ def run(kernels, device, hessian, free, shift, active, right):
     negative = wp.full(rods, -1, dtype=wp.int32, device=device)
     x = array(right, wp.float64)
     block = lanes[0] if lanes else 1
+    whole = [wp.array([wp.vec2i(0, n)], dtype=wp.vec2i, device=device)] if lanes else []
+    lanes = (1, *lanes) if lanes else ()
     wp.launch(
         kernels.factorise,
         dim=(rods, *lanes),
-        inputs=[active, free, array(hessian, wp.float64), array(shift, wp.float64)],
+        inputs=[*whole, active, free, array(hessian, wp.float64), array(shift, wp.float64)],
         outputs=[factor, negative],
         device=device,
         block_dim=block,
@@ -48,7 +50,7 @@ def run(kernels, device, hessian, free, shift, active, right):
     wp.launch(
         kernels.solve,
         dim=(rods, right.shape[1], *lanes),
-        inputs=[active, free, factor],
+        inputs=[*whole, active, free, factor],
         outputs=[x],
         device=device,
         block_dim=block,

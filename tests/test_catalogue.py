@@ -12,7 +12,7 @@ from wrod.rods.catalogue import catalogue
 
 def test_entries_say_where_they_come_from_and_keep_what_was_measured():
     entries = catalogue()
-    assert len({entry.name for entry in entries}) == len(entries) == 10
+    assert len({entry.name for entry in entries}) == len(entries) == 12
     assert all(entry.source and entry.note and entry.what for entry in entries)
     held = wrod.rod("power-cable-15mm")
     assert held.bending_stiffness == pytest.approx(0.059)
@@ -21,6 +21,8 @@ def test_entries_say_where_they_come_from_and_keep_what_was_measured():
     assert held.gravito_bending_length == pytest.approx(
         np.cbrt(0.059 / (2 * 9.81 * 0.40 / 0.75)), rel=1e-9
     )
+    wire = wrod.rod("guidewire-amplatz")
+    assert wire.bending_stiffness == pytest.approx(60.3e9 * np.pi * (0.035 * 0.0254) ** 4 / 64)
     # The command and the library know the same names.
     assert wrod.rod_names() == [entry.name for entry in entries]
     assert RodOptions("thin-cable-red", None, None, None).read() == wrod.rod("thin-cable-red")

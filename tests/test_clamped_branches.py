@@ -6,7 +6,7 @@ import pytest
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Model
 from wrod.rods.material import RodMaterial
 
@@ -51,7 +51,7 @@ def measured(data, test=True):
 @pytest.fixture(scope="module")
 def fallen():
     """An upright arch seven L_gb long, led to its poses in its own plane; and its markers."""
-    setup = Setup.base(measured(arch(0.5, 0.1, 0.07)), np.arange(3), 24)
+    setup = ClampedSetup.base(measured(arch(0.5, 0.1, 0.07)), np.arange(3), 24)
     solver = ClampedSolver([setup])
     return solver, np.real(solver.predict([setup]).position[0])
 

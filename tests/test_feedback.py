@@ -66,13 +66,14 @@ def test_finished_rows_are_kept_and_ratios_stand_beside_them(tmp_path, monkeypat
 
     asked = []
 
-    def laid(shelf, key, how):
+    def course(shelf, key, how):
         asked.append((key[2], key[3]))
+        yield from ()
         size = {"none": 0.02, "friction": 0.03}[key[2]] * {"blind": 10.0, "followed": 1.0}[key[3]]
         return dict(zip(feedback.KEYS, key, strict=True)) | {"error_mean": size, "looks": []}
 
-    monkeypatch.setattr(feedback, "_laid", laid)
-    monkeypatch.setattr(slippery.Shelf, "plan", lambda *args: None)
+    monkeypatch.setattr(feedback, "_course", course)
+    monkeypatch.setattr(slippery.Shelf, "stock", lambda *args: None)
     arguments = ["bench", "feedback", "--device", "cpu", "--names", "letter-U"]
     arguments += ["--out", str(tmp_path), "--effects"]
     first = CliRunner().invoke(main, [*arguments, "none", "--ways", "blind"])

@@ -1,5 +1,6 @@
 """Plans that are corrected through simulated deployments."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Directions, lay
+from wrod.deployment.together import Asked, _laid
 from wrod.errors import GraspError, PatternError
 from wrod.solvers.contact import Friction
 
@@ -52,13 +54,19 @@ def test_a_corrected_plan_lays_better_than_the_best_grasps(bend):
 def test_the_command_says_what_is_expected(bend, tmp_path):
     np.savetxt(tmp_path / "bend.txt", bend[0].sample(np.linspace(0.0, 0.19, 200))[0], header="m")
     arguments = ["plan", str(tmp_path / "bend.txt"), "--rod", str(ROD.save(tmp_path / "rod.json"))]
-    arguments += ["--method", "intuitive", "--friction", "0.2:0.6", "--no-robot", "--units", "m"]
+    arguments += ["--method", "intuitive", "--no-robot", "--units", "m", "--spacing", "0.01"]
     result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
-    assert "expected on a table of friction 0.2 to 0.6" in result.output
+    assert re.search(
+        r"cm off the pattern; [\d.]+ at friction 0.2, .* at friction 0.6", result.output
+    )
+    assert "up to the largest friction of 0.6" in result.output
     assert "lies off the pattern by more than 5 mm at s = " in result.output
     saved = wrod.Trajectory.load(tmp_path / "out" / "trajectory.npz")
-    assert saved.metadata["expected"]["mean"] > 0.005
+    expected = saved.metadata["expected"]
+    assert expected["mean"] > 0.005 and expected["holds_from"] is None
+    again = wrod.plan(bend[0], ROD, "intuitive", spacing=0.01, remainder=False, expect=True)
+    assert again.metadata["expected"]["mean"] == pytest.approx(expected["mean"], rel=0.05)
 
 
 def test_columns_are_what_corrections_do(bend):
@@ -86,6 +94,30 @@ def test_a_plain_deployment_is_that_of_the_simulation(bend):
         step=0.02,
     )[0]
     np.testing.assert_array_equal(laid.centerline, with_columns.centerline)
+
+
+def test_courses_that_are_laid_together_lie_as_they_do_alone(bend):
+    """With other numbers of directions, releases and edges, and one without directions."""
+    pattern, trajectory = bend
+
+    def course(mu, count, spacing, release):
+        trial = Trial(pattern, ROD, trajectory, Friction(mu))
+        bump = np.exp(-0.5 * ((trajectory.arc_length - 0.1) / 0.03) ** 2)[:, None] * np.eye(6)[1]
+        columns = [Directions.of_path(np.tile(bump, (count, 1, 1)))] if count else None
+        how = {"spacing": spacing, "step": 0.02, "speed": 0.05, "release": release}
+        return Asked([trial], columns, how)
+
+    asked = [
+        course(*one) for one in ((0.3, 2, 0.02, 0.06), (0.6, 1, 0.01, None), (0.6, 0, 0.02, 0.1))
+    ]
+    together = _laid(dict(enumerate(asked)), {"device": "cpu"})
+    nodes = len(together[0][0].arc_length)
+    for one, (laid,) in zip(asked, (together[k] for k in range(3)), strict=True):
+        how = {**one.how, "node_count": None if one.directions is None else nodes}
+        (alone,) = lay(one.trials, one.directions, **how)
+        np.testing.assert_allclose(laid.centerline, alone.centerline, atol=1e-12)
+        assert laid.tangent.shape == alone.tangent.shape
+        np.testing.assert_allclose(laid.tangent, alone.tangent, atol=1e-9)
 
 
 def test_a_sample_covers_what_is_declared():
@@ -164,21 +196,58 @@ def test_an_arm_follows_as_much_of_a_correction_as_it_can(bend):
                 raise UnreachedError.__new__(UnreachedError)
             return "joint path"
 
-    def softer(share):
-        return with_share(start, corrected, share)
+    within = {}
+
+    def softer(how):
+        return with_share(start, corrected, within["share"] if how == "joint path" else how)
 
     most = 0.016 * np.sqrt(3.0)
-    for reach, share in ((0.1, None), (0.6 * most, 0.5), (1e-9, 0.0)):
+    # What was made within the arm's limits is a quarter, or more than it can do all the same.
+    for limited, reach, share in (
+        (0.9, 0.1, None), (0.25, 0.6 * most, 0.25), (0.9, 0.6 * most, 0.5), (0.9, 1e-9, 0.0),
+    ):  # fmt: skip
+        within["share"] = limited
         tried.clear()
         path, followed = _followed(Arm(reach), corrected, ROD, softer)
         assert path == "joint path"
         assert followed.metadata["optimised"].get("share") == share
-        assert tried[-1] == pytest.approx(most * (1.0 if share is None else share), abs=1e-12)
+        moved = np.linalg.norm(followed.position - start.position, axis=1).max()
+        assert moved == pytest.approx(most * (1.0 if share is None else share), abs=1e-12)
     assert followed.metadata["optimised"]["largest_correction"] == 0.0
     with pytest.raises(UnreachedError):
         _followed(Arm(-1.0), corrected, ROD, softer)
     with pytest.raises(UnreachedError):  # nothing to take back
         _followed(Arm(0.001), corrected, ROD, None)
+
+
+class _Wall:
+    """An arm that cannot displace its grip by more than a bound [m] along an axis (3,)."""
+
+    def __init__(self, axis, bound):
+        self.axis, self.bound = axis, bound
+
+    def excess(self, displacement):
+        beyond = displacement @ self.axis / self.bound - 1.0
+        over = np.flatnonzero(beyond > 0.0)
+        rates = np.zeros((len(over), *displacement.shape))
+        rates[np.arange(len(over)), over] = self.axis / self.bound
+        return beyond[over], rates
+
+
+def test_corrections_stay_within_what_an_arm_can_do(bend):
+    pattern, trajectory = bend
+
+    def found(limits):
+        best = optimise(pattern, ROD, trajectory, 0.3, limits=limits, samples=1, judge=False)
+        return best.position - trajectory.position, best.metadata["optimised"]["errors"]
+
+    free, errors = found(None)
+    node, axis = np.unravel_index(np.abs(free).argmax(), free.shape)
+    most = abs(free[node, axis])
+    way = np.sign(free[node, axis]) * np.eye(3)[axis]
+    bound, less = found(_Wall(way, 0.5 * most))
+    assert most > 1e-3 and (bound @ way).max() < 0.55 * most
+    assert min(errors) < min(less) < less[0]
 
 
 @pytest.mark.parametrize("friction", [0.0, -1.0, np.nan, (0.6, 0.2), (0.1, 0.2, 0.3)])

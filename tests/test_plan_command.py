@@ -12,7 +12,7 @@ from wrod.planning.trajectory import Trajectory
 
 
 def run(*arguments):
-    return CliRunner().invoke(main, ["plan", "--no-robot", *map(str, arguments)])
+    return CliRunner().invoke(main, ["plan", "--no-robot", "--no-expect", *map(str, arguments)])
 
 
 @pytest.mark.parametrize("name", ["letter-A", "circle"])
@@ -93,7 +93,7 @@ def test_unwritable_output_is_one_sentence(tmp_path):
 
 
 def test_main_command_ends_in_joint_path_scene_and_picture(tmp_path):
-    arguments = ["plan", "letter-C", "--rod", "green-vps", "--out", str(tmp_path)]
+    arguments = ["plan", "letter-C", "--rod", "green-vps", "--no-expect", "--out", str(tmp_path)]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
     names = {"trajectory.csv", "trajectory.npz", "preview.png", "joint_path.csv"}
@@ -136,7 +136,8 @@ def test_what_cannot_work_is_refused_before_anything_is_solved(
 
 
 def test_plan_without_a_joint_path_is_kept(tmp_path):
-    fixed = ["plan", "line", "--rod", "rope", "--method", "intuitive", "--out", str(tmp_path)]
+    fixed = ["plan", "line", "--rod", "rope", "--method", "intuitive", "--no-expect"]
+    fixed += ["--out", str(tmp_path)]
     result = CliRunner().invoke(main, [*fixed, "--placement", "2,0,-0.3,0", "--no-remedy"])
     assert result.exit_code == 3 and "out of reach at node" in result.stderr
     names = {path.name for path in tmp_path.iterdir()}
@@ -293,7 +294,7 @@ def test_sizes_are_tried_as_the_printed_command_plans_them(tmp_path, monkeypatch
     tried = []
     monkeypatch.setattr(RobotRequest, "solve", lambda self, path, rod: tried.append(path))
     words = ["plan", str(tmp_path / "spiral.csv"), "--rod", "green-vps", "--spacing", "0.02"]
-    words += ["--no-shapes", "--device", "cpu", "--out", str(tmp_path / "o")]
+    words += ["--no-shapes", "--no-expect", "--device", "cpu", "--out", str(tmp_path / "o")]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 2 and len(tried) == 1
     command = shlex.split(result.stderr.strip().split("is found: ")[1])

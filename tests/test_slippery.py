@@ -39,7 +39,7 @@ def test_summary_is_the_mean_over_trials_and_then_over_cells():
         (("--methods", "guess"), "unknown method 'guess'"),
         (("--engines", "wrod,bullet"), "unknown engine 'bullet'"),
         (("--trials", "0"), "--trials"),
-        (("--frictions", "slippery"), "frictions is 'slippery'"),
+        (("--frictions", "slippery"), "--frictions is 'slippery'"),
     ],
 )
 def test_bad_options_are_refused(tmp_path, options, says):
@@ -52,7 +52,8 @@ def test_bad_options_are_refused(tmp_path, options, says):
 
 def test_rods_put_down_exactly_are_compared_and_kept(tmp_path):
     arguments = ["bench", "slippery", "--methods", "put_down", "--frictions", "0.6", "--device"]
-    arguments += ["cpu", "--spacing", "0.02", "--step", "0.02", "--trials", "1", "--out"]
+    arguments += ["cpu", "--spacing", "0.02", "--step", "0.02", "--trials", "1"]
+    arguments += ["--rods", "green-vps", "--names", "letter-U", "--out"]
     for _ in range(2):  # the second time nothing is simulated
         result = CliRunner().invoke(main, [*arguments, str(tmp_path)])
         assert result.exit_code == 0, result.output
@@ -65,7 +66,8 @@ def test_where_the_robot_stands_bounds_what_a_plan_can_do(tmp_path):
     from wrod.deployment.setup import Disturbance
 
     arguments = ["bench", "slippery", "--methods", "misplaced", "--frictions", "0.6", "--device"]
-    arguments += ["cpu", "--names", "line", "--trials", "1", "--out", str(tmp_path), "--json"]
+    arguments += ["cpu", "--rods", "green-vps", "--names", "line", "--trials", "1", "--json"]
+    arguments += ["--out", str(tmp_path)]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 0, result.output
     (cell,) = json.loads(result.output)["cells"]

@@ -22,7 +22,12 @@ from wrod.scene.moments import moments
 from wrod.scene.tying import export_scene
 from wrod.scene.validate import open_stage, validation_errors
 
-CASES = ("trefoil", "reef", "S cable", "U cable")
+# One of two rods and one with fixtures; the others differ in their ways alone.
+CASES = (
+    "reef",
+    "U cable",
+    *(pytest.param(c, marks=pytest.mark.slow) for c in ("trefoil", "S cable")),
+)
 
 
 @pytest.fixture(scope="module", params=CASES)

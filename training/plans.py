@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
@@ -16,15 +16,17 @@ from scipy.ndimage import gaussian_filter1d
 from wrod.training.dataset import Rank
 
 from wrod.deployment.corrections import Corrections
-from wrod.deployment.expectation import misplacement
-from wrod.deployment.optimise import laid_sample, optimise
+from wrod.deployment.expectation import TOLERANCE, misplacement
+from wrod.deployment.optimise import Task, course, sample_of
 from wrod.deployment.plan import plan
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.spread import Spread
+from wrod.deployment.together import Course, follow
 from wrod.errors import DataError, WrodError, WrodWarning
 from wrod.files import read_fields, read_json, schemas, write_atomically
 from wrod.patterns.pattern import Pattern
 from wrod.planning.remainder import prepare
+from wrod.rods.device import resolve_device
 from wrod.rods.material import TABLE_2, RodMaterial
 
 _FORMAT = "wrod-plans-2"
@@ -37,8 +39,9 @@ _SHARPEST = (0.5, 1.8)
 _SPARE = 3.0
 _NODES, _SPACING, _HOLD = 600, 0.005, 0.05
 # One rod a plan: a network gains more from many patterns than from rods that differ by little.
-_HOW: dict[str, Any] = {"samples": 1, "hold": _HOLD, "device": "cpu"}
-
+_SAMPLES = 1
+# Plans that a GPU optimises together.
+_TOGETHER = 64
 
 _ARRAYS = ("laid", "curvature", "basis", "values")
 _BOWLS = ("around", "near_static")
@@ -129,30 +132,35 @@ def random_pattern(rng: np.random.Generator, held: RodMaterial) -> Pattern:
     return Pattern(course, np.zeros(2), name="random")
 
 
-def solve(index: int, seed: int) -> Sample:
-    """The sample of that index: a rod, a pattern, a table, and the plan that is optimised for it.
-
-    Raises:
-        WrodError: the pattern is none that can be laid.
-    """
+def solve(index: int, seed: int) -> Course[Sample | None]:
+    """What is laid for the sample of that index, and the sample: a rod, a pattern, a table, and
+    the plan that is optimised for it; None where the pattern cannot be laid."""
     rng = np.random.default_rng([seed, index])
     rods = list(TABLE_2.values())
     held = rods[rng.integers(len(rods))]
     held = replace(held, length=held.length * rng.uniform(0.8, 1.2))
     pattern = random_pattern(rng, held)
     friction = float(np.exp(rng.uniform(*np.log(FRICTION))))
-    course, lgb = prepare(pattern, held, None), held.gravito_bending_length
-    start = plan(course, held, spacing=_SPACING, remainder=False, device="cpu")
-    best = optimise(course, held, start, friction, judge=False, **_HOW)
-    corrections = Corrections(course, start, lgb, _HOLD)
+    lgb = held.gravito_bending_length
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", WrodWarning)
+            led = prepare(pattern, held, None)
+            start = plan(led, held, spacing=_SPACING, remainder=False, device="cpu")
+    except WrodError:
+        return None
+    task = Task(led, held, start, friction)
+    best = yield from course(task, judge=False, samples=_SAMPLES, hold=_HOLD)
+    corrections = Corrections(led, start, lgb, _HOLD)
     moved = np.einsum("tij,ti->tj", corrections.frame, best.position - start.position)
     values = np.linalg.lstsq(corrections.basis, moved / lgb, rcond=None)[0]
-    static = _bowl(course, held, corrections, friction, np.zeros_like(values))
-    around = _bowl(course, held, corrections, friction, values) if moved.any() else static
+    around = static = yield from _bowl(task, corrections, np.zeros_like(values))
+    if moved.any():
+        around = yield from _bowl(task, corrections, values)
     errors = best.metadata["optimised"]["errors"]
     return Sample(
         start.arc_length / lgb,
-        course.sample(start.pattern_arc_length)[2] * lgb,
+        led.sample(start.pattern_arc_length)[2] * lgb,
         corrections.basis,
         values,
         held.length / lgb,
@@ -165,23 +173,12 @@ def solve(index: int, seed: int) -> Sample:
     )
 
 
-def _bowl(course, held, corrections: Corrections, friction: float, values: np.ndarray) -> Bowl:
+def _bowl(task: Task, corrections: Corrections, values: np.ndarray) -> Course[Bowl]:
     """Of what `optimise` lays."""
-    lgb = held.gravito_bending_length
-    parts = [
-        misplacement(course, one)
-        for one in laid_sample(
-            course,
-            held,
-            corrections,
-            Spread.of(friction),
-            values.ravel(),
-            samples=_HOW["samples"],
-            hold=_HOLD,
-            device="cpu",
-        )
-    ]
-    scale = 1.0 / (len(parts) * METRIC_POINTS * lgb**2)
+    spread = Spread.of(task.friction)
+    laid = yield sample_of(task, corrections, spread, values.ravel(), _SAMPLES)
+    parts = [misplacement(task.pattern, one) for one in laid]
+    scale = 1.0 / (len(parts) * METRIC_POINTS * corrections.lgb**2)
     return Bowl(
         scale * sum(float(e @ e) for e, _ in parts),
         scale * sum(rates.T @ e for e, rates in parts),
@@ -195,18 +192,20 @@ def generate(
     *,
     seed: int = 0,
     rank: Rank | None = None,
+    device: str | None = "cpu",
     progress: Callable[[], object] | None = None,
 ) -> tuple[int, int]:
     """Optimise the first `size` plans of a random sequence into `folder`.
 
     What is there already is kept, so a killed call goes on where it was. Every rank takes every
-    rank.count-th plan.
+    rank.count-th plan. A GPU optimises 64 at a time.
 
     Args:
         folder: made if missing.
         size: number of plans.
         seed: of the sequence.
         rank: this process's part; by default read from the environment.
+        device: where rods are laid: "cpu", "cuda:0" or "auto".
         progress: called after each plan.
 
     Returns:
@@ -215,25 +214,28 @@ def generate(
     Raises:
         DataError: the folder holds plans of another seed.
     """
-    import warnings
-
     if size < 1:
         raise DataError(f"size is {size}; give a positive number of plans")
-    folder = Path(folder)
+    folder, device = Path(folder), resolve_device(device)
     rank = rank or Rank.from_environment()
     _claim(folder, seed)
-    good = bad = 0
-    for index in range(rank.index, size, rank.count):
-        path = folder / f"plan-{index:06d}.npz"
-        if not path.exists():
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", WrodWarning)
-                _store(path, index, seed)
-        fine = path.stat().st_size > 0
-        good, bad = good + fine, bad + (not fine)
-        if progress is not None:
-            progress()
-    return good, bad
+    paths = {
+        index: folder / f"plan-{index:06d}.npz" for index in range(rank.index, size, rank.count)
+    }
+    missing = [index for index, path in paths.items() if not path.exists()]
+    together = 1 if device == "cpu" else _TOGETHER
+    told = progress or (lambda: None)
+    for _ in range(len(paths) - len(missing)):
+        told()
+    for first in range(0, len(missing), together):
+        chosen = missing[first : first + together]
+        courses = [solve(index, seed) for index in chosen]
+        solved = follow(courses, hold=_HOLD, tolerance=TOLERANCE, device=device)
+        for index, one in zip(chosen, solved, strict=True):
+            _store(paths[index], one)
+            told()
+    good = sum(path.stat().st_size > 0 for path in paths.values())
+    return good, len(paths) - good
 
 
 def load(folder: str | os.PathLike[str]) -> list[Sample]:
@@ -268,11 +270,9 @@ def _claim(folder: Path, seed: int) -> None:
         raise DataError(f"{folder}: holds plans of another seed; choose another --out")
 
 
-def _store(path: Path, index: int, seed: int) -> None:
+def _store(path: Path, one: Sample | None) -> None:
     """Write a plan, or an empty file where the pattern cannot be laid."""
-    try:
-        one = solve(index, seed)
-    except WrodError:
+    if one is None:
         write_atomically(path, lambda file: file.write(b""), "wb")
         return
     arrays = {name: getattr(one, name) for name in _ARRAYS}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import math
@@ -16,6 +17,8 @@ import numpy as np
 from wrod.errors import WrodError
 
 _LARGEST = sys.float_info.max
+# Numbers in an array: more would take gigabytes, if only to look whether all are finite.
+_MOST = 2**27
 F = TypeVar("F", bound=Callable)
 # Says what is wrong with a value ("must be ..."), or None if nothing is.
 Check = Callable[[Any], str | None]
@@ -42,20 +45,32 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
             try:
                 given = signature.bind(*args, **kwargs).arguments
             except TypeError as reason:
-                raise TypeError(f"{function.__qualname__}: {reason}") from None
+                raise TypeError(f"{_name(function, args)}: {reason}") from None
             for name, check in checks.items():
                 if name not in given or given[name] is signature.parameters[name].default:
                     continue
                 wrong = check(given[name])
                 if wrong is not None:
-                    raise error(
-                        f"{function.__qualname__}: {name} is {_shown(given[name])}; it {wrong}"
-                    )
-            return function(*args, **kwargs)
+                    said = shown(given[name])
+                    raise error(f"{_name(function, args)}: {name} is {said}; it {wrong}")
+            try:
+                return function(*args, **kwargs)
+            except RecursionError:
+                raise error(
+                    f"{function.__qualname__}: what it is given is nested too deeply"
+                ) from None
 
         return guarded  # type: ignore[return-value]
 
     return decorate
+
+
+def _name(function: Callable, args: tuple) -> str:
+    """Of a method that was inherited, the class that was asked."""
+    owner, _, name = function.__qualname__.rpartition(".")
+    if args and owner in [kind.__name__ for kind in type(args[0]).__mro__]:
+        owner = type(args[0]).__name__
+    return f"{owner}.{name}" if owner else name
 
 
 def each(check: Check, *instead: str) -> Check:
@@ -104,9 +119,11 @@ def whole(low: int = 0, high: int = 2**53) -> Check:
 
 def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
     """Numbers of one of these shapes; None stands for any length."""
-    said = " or ".join(str(shape).replace("None", "n") for shape in shapes)
+    said = " or ".join(str(shape).replace("None", "n") for shape in shapes) or "(n,)"
 
     def check(value: Any) -> str | None:
+        if getattr(value, "requires_grad", False) is True:
+            return "would lose its gradient: use wrod.training.autograd, or detach it"
         there = "cuda" in str(getattr(value, "device", ""))  # looking at it would bring it here
         try:
             found = np.empty(tuple(value.shape)) if there else np.asarray(value)
@@ -114,6 +131,8 @@ def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
             return f"must be an array of shape {said}"
         if found.dtype.kind not in "fiu":
             return f"must be an array of numbers of shape {said}"
+        if found.size > _MOST:
+            return f"has {found.size:.3g} numbers and may have {_MOST:.3g}"
         fits = [
             len(shape) == found.ndim
             and all(a in (None, b) for a, b in zip(shape, found.shape, strict=True))
@@ -184,7 +203,7 @@ def several(one: Check, least: int = 1) -> Check:
         for k, item in enumerate(value):
             wrong = one(item)
             if wrong is not None:
-                return f"holds at place {k} {_shown(item)}, which {wrong}"
+                return f"holds at place {k} {shown(item)}, which {wrong}"
         return None
 
     return check
@@ -192,7 +211,16 @@ def several(one: Check, least: int = 1) -> Check:
 
 def mesh(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
     """As `array`, or an array of Warp, which is taken as it is."""
-    return either(like("an array", "ptr", "device", "dtype"), array(*shapes, finite=finite))
+    plain = array(*shapes, finite=finite)
+
+    def check(value: Any) -> str | None:
+        if isinstance(value, type) or not all(hasattr(value, n) for n in ("ptr", "dtype")):
+            return plain(value)
+        scalar = getattr(value.dtype, "_wp_scalar_type_", value.dtype)
+        good = getattr(scalar, "__name__", "") == "float64"
+        return None if good else "must be of float64, as all arrays of Warp that are handed over"
+
+    return check
 
 
 def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:
@@ -205,11 +233,13 @@ def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:
     """
     try:
         found = np.asarray(value)
-        if found.dtype.kind in "biufO":  # and no times, which would be counted in nanoseconds
+        if (
+            found.size <= _MOST and found.dtype.kind in "biufO"
+        ):  # and no times, which would be counted in nanoseconds
             return found.astype(np.float64, copy=False)
     except Exception:  # whatever an object does that is asked to be an array
         pass
-    raise error(f"{where} is {_shown(value)}; it must be an array of numbers")
+    raise error(f"{where} is {shown(value)}; it must be an array of numbers")
 
 
 def truths(value: Any) -> str | None:
@@ -274,11 +304,12 @@ def _range(low: float, high: float, above: float | None = None) -> str:
     return f" from {low:g} to {high:g}"
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value for a sentence, whatever it is."""
     if isinstance(value, np.ndarray) and value.size > 8:
         return f"an array of shape {value.shape}"
+    said = f"of type {type(value).__name__}"
     if isinstance(value, str | numbers.Number | np.ndarray | list | tuple | dict | None):
-        said = repr(value)
-    else:
-        said = f"of type {type(value).__name__}"
+        with contextlib.suppress(Exception):  # it may be nested deeply, or hold anything
+            said = repr(value)
     return said if len(said) <= 60 else f"{said[:59]}…"

@@ -9,11 +9,14 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import matplotlib
+import newton
 import numpy as np
 from newton.viewer import ViewerNull
+from scipy.spatial.transform import Rotation
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.ticker import MaxNLocator
 
 HERE = Path(__file__).parent
 # Example, its title, times that are drawn [s], view (elevation, azimuth), axes' limits (x, y, z).
@@ -29,6 +32,22 @@ SCENES = {
     "arm_carries_cable": (
         "An arm carries a cable", (0.02, 2.2, 4.4), (10, -80),
         ((-0.05, 0.75), (-0.2, 0.2), (0.0, 0.5)),
+    ),
+    "y_junction": (
+        "A junction swings down", (0.02, 0.2, 7.0), (15, -60),
+        ((-0.2, 0.4), (-0.3, 0.3), (0.4, 1.05)),
+    ),
+    "twist_transfer": (
+        "Shafts turn evenly around a bend", (7.0,), (60, -90),
+        ((-0.1, 1.5), (-0.1, 0.55), (-0.1, 0.1)),
+    ),
+    "bundle_hysteresis": (
+        "A bundle under pegs, and let go", (1.2, 4.0), (40, -80),
+        ((-0.35, 0.35), (-0.1, 0.1), (-0.03, 0.06)),
+    ),
+    "plectoneme": (
+        "A slack cable, turned six times", (1.0, 5.0, 9.0), (60, -80),
+        ((0.0, 0.32), (-0.12, 0.12), (-0.05, 0.15)),
     ),
 }  # fmt: skip
 
@@ -57,24 +76,23 @@ def rods(example) -> list[np.ndarray]:
 
 
 def bodies(example) -> list[np.ndarray]:
-    """Both ends of the boxes on the bodies that are no capsules of cables."""
+    """Both ends of the boxes and capsules on the bodies, but of cables' capsules."""
     model, out = example.model, []
     poses = example.state.body_q.numpy()
-    shapes = zip(
-        model.shape_body.numpy(), model.shape_label, model.shape_scale.numpy(), strict=True
-    )
-    for body, label, size in shapes:
-        if body >= 0 and "capsule" not in label:
-            x, y, z, w = poses[body, 3:]
-            way = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
-            out.append(poses[body, :3] + np.array([[-1.0], [1.0]]) * size[0] * way)
+    kinds = model.shape_type.numpy()
+    for shape, body in enumerate(model.shape_body.numpy()):
+        if body >= 0 and "/capsule_" not in model.shape_label[shape]:
+            size, stands = model.shape_scale.numpy()[shape], kinds[shape] == newton.GeoType.CAPSULE
+            way = [0.0, 0.0, size[1]] if stands else [size[0], 0.0, 0.0]
+            way = Rotation.from_quat(poses[body, 3:]).apply(way)
+            out.append(poses[body, :3] + np.array([[-1.0], [1.0]]) * way)
     return out
 
 
 def main(out: str | Path = "out/examples") -> Path:
-    figure = plt.figure(figsize=(15, 5), layout="constrained")
+    figure = plt.figure(figsize=(19, 9), layout="constrained")
     for k, (name, (title, times, view, limits)) in enumerate(SCENES.items()):
-        axes = figure.add_subplot(1, len(SCENES), k + 1, projection="3d")
+        axes = figure.add_subplot(2, -(-len(SCENES) // 2), k + 1, projection="3d")
         found = run(name, times)
         for moment, (lines, boxes) in enumerate(found):
             shade = (moment + 1) / len(found)
@@ -87,7 +105,8 @@ def main(out: str | Path = "out/examples") -> Path:
         axes.set_box_aspect([b - a for a, b in limits])
         axes.view_init(*view)
         axes.tick_params(labelsize=7)
-        axes.set_yticks([-0.1, 0.0, 0.1])
+        axes.yaxis.set_major_locator(MaxNLocator(3))
+        axes.zaxis.set_major_locator(MaxNLocator(3))
     path = Path(out) / "newton.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=90)

@@ -1,7 +1,14 @@
 """Derivatives of a rod's contact with a plane over one time step, of stick and of slip."""
 
 import warp as wp
-from wrod.kernels.contact.planes import Shape, damped_force, friction_factor, hold, touch
+from wrod.kernels.contact.planes import (
+    Touchable,
+    coefficient,
+    friction_factor,
+    present_force,
+    return_mapping,
+    touch,
+)
 from wrod.kernels.contact.rolling import held_turn, node_turn
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 
@@ -11,17 +18,7 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def linearise_contact(
     # Model:
-    shapes: wp.array2d(dtype=Shape),
-    radius: wp.array2d(dtype=wp.float64),
-    stiffness: wp.array2d(dtype=wp.float64),
-    skin: wp.array2d(dtype=wp.float64),
-    static_friction: wp.array2d(dtype=wp.float64),
-    kinetic_friction: wp.array2d(dtype=wp.float64),
-    rolling: wp.array(dtype=wp.float64),
-    relaxation: wp.array2d(dtype=wp.float64),
-    field: wp.array2d(dtype=wp.float64),
-    place: wp.vec4d,
-    roll_friction: wp.array2d(dtype=wp.float64),
+    model: Touchable,
     # State in:
     step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
@@ -53,25 +50,20 @@ def linearise_contact(
     memory = wp.mat33d()
     roll = wp.float64(0.0)
     sliding_memory = wp.mat33d()
-    c = touch(
-        shapes[r, 0], radius[r, i], rolling[r], stiffness[r, i], skin[r, i], dof,
-        dof_before, bristle[r, 0, i], r, i,
-    )  # fmt: skip
+    c = touch(model, dof, dof_before, bristle[r, 0, i], r, 0, i)
     if c.force > ZERO:
-        law = damped_force(
-            c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
-        )
-        mu = wp.where(sliding[r, 0, i] != 0, kinetic_friction[r, 0], static_friction[r, 0])
-        factor = friction_factor(field, place, node(dof, r, i))
+        law = present_force(model, c.depth, c.closing, step[r], r, i)
+        mu = coefficient(model, sliding[r, 0, i], r, 0)
+        factor = friction_factor(model.field, model.place, node(dof, r, i))
         slope = (mu * law[0]) * wp.vec3d(factor[1], factor[2], ZERO)
         mu = mu * factor[0]
-        lag = relaxation[r, i] / step[r]
+        lag = model.relaxation[r, i] / step[r]
         remembered = ZERO
         if c.closing < c.depth:
             remembered = law[1] * lag / (ONE + lag)
         n = c.normal
         memory = -remembered * wp.outer(n, n)
-        held = hold(c.bristle, n, stiffness[r, i], mu * law[0])
+        held = return_mapping(c.bristle, n, model.stiffness[r, i], mu * law[0])
         if held.slides > ZERO:
             way = c.bristle / wp.length(c.bristle)
             coupling = wp.outer(way, slope - mu * law[1] * n)
@@ -79,11 +71,11 @@ def linearise_contact(
             sliding_memory = mu * remembered * wp.outer(way, n)
         friction = held.grip
         push = held.pull - law[0] * n
-        if roll_friction[r, 0] >= ZERO:
-            arm = radius[r, i]
+        if model.roll_friction[r, 0] >= ZERO:
+            arm = model.radius[r, i]
             turn = node_turn(dof, dof_before, turned[r, 0, i], r, i)
-            limit = roll_friction[r, 0] * law[0] * arm
-            roll = held_turn(turn, stiffness[r, i] * arm * arm, limit)[1]
+            limit = model.roll_friction[r, 0] * law[0] * arm
+            roll = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)[1]
     friction_out[r, i] = friction
     coupling_out[r, i] = coupling
     by_coefficient_out[r, i] = by_coefficient

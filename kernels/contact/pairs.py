@@ -5,7 +5,7 @@ which a node moves farther than that is refused. Bristles stay with the pairs th
 """
 
 import warp as wp
-from wrod.kernels.contact.rods import nearest_of_edges, piece_nodes
+from wrod.kernels.contact.pair_contact import Pieces, nearest_of_edges, piece_nodes
 from wrod.kernels.elastic.frames import HALF, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
@@ -75,9 +75,7 @@ def centres_apart(p: wp.mat33d, q: wp.mat33d) -> wp.float64:
 @wp.kernel
 def list_partners(
     # Model:
-    radius: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
+    m: Pieces,
     arc: wp.array2d(dtype=wp.float64),
     skip: wp.float64,
     reach: wp.array(dtype=wp.float64),
@@ -111,18 +109,20 @@ def list_partners(
         return
     found = int(0)
     margin = reach[r] + reach[r]
-    far = radius[r, i] + largest_radius[r] + margin
-    if radius[r, i] > ZERO:
-        p = piece_nodes(dof, piece[r, i], r, i)
+    far = m.radius[r, i] + largest_radius[r] + margin
+    if m.radius[r, i] > ZERO:
+        p = piece_nodes(dof, m.kind[r, i], r, i)
         for g in range((i + 1) // GROUP, lower.shape[1]):
             if not apart(p, lower[r, g], upper[r, g], far):
-                for j in range(wp.max(g * GROUP, i + 1), wp.min((g + 1) * GROUP, radius.shape[1])):
-                    sum = radius[r, i] + radius[r, j]
+                for j in range(
+                    wp.max(g * GROUP, i + 1), wp.min((g + 1) * GROUP, m.radius.shape[1])
+                ):
+                    sum = m.radius[r, i] + m.radius[r, j]
                     near_along = arc[r, j] - arc[r, i + 1] < wp.float64(0.5) * skip * sum
-                    if radius[r, j] > ZERO and not near_along:
-                        least = centres_apart(p, piece_nodes(dof, piece[r, j], r, j))
+                    if m.radius[r, j] > ZERO and not near_along:
+                        least = centres_apart(p, piece_nodes(dof, m.kind[r, j], r, j))
                         if least < sum + margin:
-                            c = nearest_of_edges(dof, rest_length, piece, r, i, j)
+                            c = nearest_of_edges(m, dof, r, i, j)
                             if wp.length(c.gap) < sum + margin:
                                 if found < partner.shape[2]:
                                     new_partner[r, i, found] = j

@@ -44,6 +44,27 @@ class Shape:
     rotation_before: wp.quatd
 
 
+@wp.struct
+class Touchable:
+    """What pieces of rods, nodes or edges, may touch, and how: (rod, shape) shapes, coefficients of
+    friction, and those that keep the roll (below 0 where it is free); (rod, piece) radius (an edge
+    of radius 0 touches nothing), stiffness, skin, relaxation time; (rod,) 1 where friction turns
+    the rod; and how friction varies over x and y, see `friction_factor`."""
+
+    shapes: wp.array2d(dtype=Shape)
+    static_friction: wp.array2d(dtype=wp.float64)
+    kinetic_friction: wp.array2d(dtype=wp.float64)
+    roll_friction: wp.array2d(dtype=wp.float64)
+    radius: wp.array2d(dtype=wp.float64)
+    stiffness: wp.array2d(dtype=wp.float64)
+    skin: wp.array2d(dtype=wp.float64)
+    relaxation: wp.array2d(dtype=wp.float64)
+    rest_length: wp.array2d(dtype=wp.float64)
+    rolling: wp.array(dtype=wp.float64)
+    field: wp.array2d(dtype=wp.float64)
+    place: wp.vec4d
+
+
 @wp.func
 def plane_distance(shape: Shape, q: wp.vec3d) -> wp.vec4d:
     """Signed distance from a plane and its outward normal, in the world frame."""
@@ -101,6 +122,20 @@ class Touch:
 
 
 @wp.func
+def present_force(
+    m: Touchable, depth: wp.float64, closing: wp.float64, dt: wp.float64, r: int, i: int
+) -> wp.vec2d:
+    """`damped_force` of a piece."""
+    return damped_force(depth, closing, m.relaxation[r, i], dt, m.stiffness[r, i], m.skin[r, i])
+
+
+@wp.func
+def coefficient(m: Touchable, sliding: int, r: int, k: int) -> wp.float64:
+    """Of friction: what slid goes on sliding at the kinetic one."""
+    return wp.where(sliding != 0, m.kinetic_friction[r, k], m.static_friction[r, k])
+
+
+@wp.func
 def mean_angle(dof: wp.array2d(dtype=wp.float64), r: int, i: int) -> wp.float64:
     last = (dof.shape[1] + 1) // 4 - 1
     before = wp.max(i - 1, 0)
@@ -110,25 +145,24 @@ def mean_angle(dof: wp.array2d(dtype=wp.float64), r: int, i: int) -> wp.float64:
 
 @wp.func
 def touch(
-    shape: Shape,
-    radius: wp.float64,
-    rolling: wp.float64,
-    stiffness: wp.float64,
-    skin: wp.float64,
+    m: Touchable,
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
     bristle_before: wp.vec3d,
     r: int,
+    k: int,
     i: int,
 ) -> Touch:
+    """Node i and shape k of rod r."""
     out = Touch()
+    shape = m.shapes[r, k]
     if shape.kind != PLANE:
         # Edges touch all else: `wrod.kernels.contact.edges`.
         return out
     q = node(dof, r, i)
     distance = plane_distance(shape, q)
-    out.depth = radius - distance[0]
-    law = normal_force(out.depth, stiffness, skin)
+    out.depth = m.radius[r, i] - distance[0]
+    law = normal_force(out.depth, m.stiffness[r, i], m.skin[r, i])
     out.force = law[0]
     out.slope = law[1]
     n = wp.vec3d(distance[1], distance[2], distance[3])
@@ -136,7 +170,7 @@ def touch(
     if out.force > ZERO:
         last = (dof.shape[1] + 1) // 4 - 1
         along = node(dof, r, wp.min(i + 1, last)) - node(dof, r, wp.max(i - 1, 0))
-        out.spin = (rolling * radius) * wp.cross(n, wp.normalize(along))
+        out.spin = (m.rolling[r] * m.radius[r, i]) * wp.cross(n, wp.normalize(along))
         spun = mean_angle(dof, r, i) - mean_angle(dof_before, r, i)
         moved = q - node(dof_before, r, i) - shape_displacement(shape, q)
         b = bristle_before + moved + spun * out.spin
@@ -146,7 +180,7 @@ def touch(
 
 
 @wp.struct
-class Hold:
+class Bristle:
     """What a bristle holds: its pull and its stiffness (a matrix), and by how much it slides."""
 
     pull: wp.vec3d
@@ -155,9 +189,11 @@ class Hold:
 
 
 @wp.func
-def hold(bristle: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: wp.float64) -> Hold:
+def return_mapping(
+    bristle: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: wp.float64
+) -> Bristle:
     """Coulomb's return mapping: a bristle of that stretch pulls by `limit` at most."""
-    out = Hold()
+    out = Bristle()
     across = wp.identity(3, dtype=wp.float64) - wp.outer(normal, normal)
     k = wp.float64(stiffness)
     size = wp.length(bristle)
@@ -200,16 +236,7 @@ def friction_factor(field: wp.array2d(dtype=wp.float64), place: wp.vec4d, q: wp.
 @wp.kernel
 def contact(
     # Model:
-    shapes: wp.array2d(dtype=Shape),
-    radius: wp.array2d(dtype=wp.float64),
-    stiffness: wp.array2d(dtype=wp.float64),
-    skin: wp.array2d(dtype=wp.float64),
-    static_friction: wp.array2d(dtype=wp.float64),
-    kinetic_friction: wp.array2d(dtype=wp.float64),
-    rolling: wp.array(dtype=wp.float64),
-    relaxation: wp.array2d(dtype=wp.float64),
-    field: wp.array2d(dtype=wp.float64),
-    place: wp.vec4d,
+    model: Touchable,
     # State in:
     step: wp.array(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
@@ -229,22 +256,17 @@ def contact(
     r, i = wp.tid()
     if active[r] == 0:
         return
-    for k in range(shapes.shape[1]):
-        c = touch(
-            shapes[r, k], radius[r, i], rolling[r], stiffness[r, i], skin[r, i], dof,
-            dof_before, bristle[r, k, i], r, i,
-        )  # fmt: skip
+    for k in range(model.shapes.shape[1]):
+        c = touch(model, dof, dof_before, bristle[r, k, i], r, k, i)
         if c.force > ZERO:
-            mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
-            mu = mu * friction_factor(field, place, node(dof, r, i))[0]
-            law = damped_force(
-                c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
-            )
+            mu = coefficient(model, sliding[r, k, i], r, k)
+            mu = mu * friction_factor(model.field, model.place, node(dof, r, i))[0]
+            law = present_force(model, c.depth, c.closing, step[r], r, i)
             n = c.normal
-            held = hold(c.bristle, n, stiffness[r, i], mu * law[0])
+            held = return_mapping(c.bristle, n, model.stiffness[r, i], mu * law[0])
             add_vector(gradient, r, 4 * i, held.pull - law[0] * n)
             add_diagonal_block(hessian, r, 4 * i, held.grip + law[1] * wp.outer(n, n))
-            if rolling[r] > ZERO:
+            if model.rolling[r] > ZERO:
                 add_spin(gradient, hessian, r, i, c.spin, held.pull, held.grip)
 
 
@@ -280,16 +302,7 @@ def add_spin(
 @wp.kernel
 def settle_friction(
     # Model:
-    shapes: wp.array2d(dtype=Shape),
-    radius: wp.array2d(dtype=wp.float64),
-    stiffness: wp.array2d(dtype=wp.float64),
-    skin: wp.array2d(dtype=wp.float64),
-    static_friction: wp.array2d(dtype=wp.float64),
-    kinetic_friction: wp.array2d(dtype=wp.float64),
-    rolling: wp.array(dtype=wp.float64),
-    relaxation: wp.array2d(dtype=wp.float64),
-    field: wp.array2d(dtype=wp.float64),
-    place: wp.vec4d,
+    model: Touchable,
     # State in:
     step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
@@ -307,24 +320,19 @@ def settle_friction(
     if accepted[r] == 0:
         return
     total = wp.vec3d(ZERO, ZERO, ZERO)
-    for k in range(shapes.shape[1]):
-        c = touch(
-            shapes[r, k], radius[r, i], rolling[r], stiffness[r, i], skin[r, i], dof,
-            dof_before, bristle[r, k, i], r, i,
-        )  # fmt: skip
-        mu = wp.where(sliding[r, k, i] != 0, kinetic_friction[r, k], static_friction[r, k])
-        mu = mu * friction_factor(field, place, node(dof, r, i))[0]
+    for k in range(model.shapes.shape[1]):
+        c = touch(model, dof, dof_before, bristle[r, k, i], r, k, i)
+        mu = coefficient(model, sliding[r, k, i], r, k)
+        mu = mu * friction_factor(model.field, model.place, node(dof, r, i))[0]
         sliding[r, k, i] = 0
         b = wp.vec3d(ZERO, ZERO, ZERO)
         if c.force > ZERO:
-            law = damped_force(
-                c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
-            )
-            held = hold(c.bristle, c.normal, stiffness[r, i], mu * law[0])
+            law = present_force(model, c.depth, c.closing, step[r], r, i)
+            held = return_mapping(c.bristle, c.normal, model.stiffness[r, i], mu * law[0])
             if held.slides > ZERO:
                 sliding[r, k, i] = 1
                 slip[r, i] = slip[r, i] + held.slides
-            b = held.pull / stiffness[r, i]
+            b = held.pull / model.stiffness[r, i]
             total = total + law[0] * c.normal - held.pull
         bristle[r, k, i] = b
     force_out[r, i] = total
@@ -349,8 +357,7 @@ def note_touch(
 @wp.kernel
 def find_touching(
     # Model:
-    shapes: wp.array2d(dtype=Shape),
-    radius: wp.array2d(dtype=wp.float64),
+    model: Touchable,
     # State in:
     chosen: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
@@ -362,14 +369,14 @@ def find_touching(
     r, i = wp.tid()
     if chosen[r] == 0:
         return
-    for k in range(shapes.shape[1]):
-        if shapes[r, k].kind == PLANE:
+    for k in range(model.shapes.shape[1]):
+        if model.shapes[r, k].kind == PLANE:
             q = node(dof, r, i)
-            d = plane_distance(shapes[r, k], q)
-            if d[0] < radius[r, i]:
-                moved = q - node(dof_before, r, i) - shape_displacement(shapes[r, k], q)
+            d = plane_distance(model.shapes[r, k], q)
+            if d[0] < model.radius[r, i]:
+                moved = q - node(dof_before, r, i) - shape_displacement(model.shapes[r, k], q)
                 closing = -wp.dot(moved, wp.vec3d(d[1], d[2], d[3]))
-                note_touch(touching_out, r, radius[r, i] - d[0], closing, radius[r, i])
+                note_touch(touching_out, r, model.radius[r, i] - d[0], closing, model.radius[r, i])
 
 
 @wp.kernel

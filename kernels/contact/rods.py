@@ -14,27 +14,23 @@ friction within a twentieth of mu times the load at its end.
 """
 
 import warp as wp
-from wrod.kernels.contact.planes import damped_force, normal_force, note_touch
-from wrod.kernels.contact.segments import (
-    EDGE,
-    SMOOTHING,
-    Nearest,
-    nearest,
-    nearest_of_pieces,
-    piece_chord,
-    piece_size,
-    piece_slopes,
-    piece_weights,
+from wrod.kernels.contact.pair_contact import (
+    EVERY,
+    HELD,
+    SLIPPING,
+    Pieces,
+    Rubbing,
+    add_edge_force,
+    edge_motion,
+    nearest_of_edges,
+    pair_contact,
+    relative_motion,
 )
-from wrod.kernels.elastic.frames import ONE, ZERO, node
+from wrod.kernels.contact.planes import note_touch
+from wrod.kernels.contact.segments import piece_size
+from wrod.kernels.elastic.frames import ZERO, node
 
 wp.set_module_options({"enable_backward": False})
-
-
-# Which bristles hold any load: none, those that held before, all.
-SLIPPING = wp.constant(0)
-HELD = wp.constant(1)
-EVERY = wp.constant(2)
 
 
 # A load is out of date when it differs by more than this part; how often a step takes them anew.
@@ -42,229 +38,10 @@ STALE = wp.constant(wp.float64(0.05))
 MOST_RENEWALS = wp.constant(2)
 
 
-@wp.struct
-class Law:
-    """What all pairs of a rod share: stiffness, skin, relaxation time of the normal force, and the
-    coefficients of friction."""
-
-    stiffness: wp.float64
-    skin: wp.float64
-    relaxation: wp.float64
-    static_friction: wp.float64
-    kinetic_friction: wp.float64
-
-
-@wp.struct
-class Pair:
-    """A touching pair: closest points, normal force, its slope, unit normal from the second edge to
-    the first, pull of the bristle on the first edge and its stiffness, and, for the next step, the
-    bristle in the pair's own frame, by how much it slid, and the mid angles between the edges."""
-
-    near: Nearest
-    force: wp.float64
-    slope: wp.float64
-    normal: wp.vec3d
-    pull: wp.vec3d
-    grip: wp.mat33d
-    bristle: wp.vec2d
-    slid: wp.float64
-
-
-@wp.func
-def piece_nodes(dof: wp.array2d(dtype=wp.float64), kind: int, r: int, i: int) -> wp.mat33d:
-    """Nodes of piece i as columns; of an edge the second one twice."""
-    last = i + piece_size(kind) - 1
-    return wp.matrix_from_cols(node(dof, r, i), node(dof, r, i + 1), node(dof, r, last))
-
-
-@wp.func
-def nearest_of_edges(
-    dof: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
-    r: int,
-    i: int,
-    j: int,
-) -> Nearest:
-    a = SMOOTHING * rest_length[r, i] * rest_length[r, i]
-    b = SMOOTHING * rest_length[r, j] * rest_length[r, j]
-    if piece[r, i] == EDGE and piece[r, j] == EDGE:
-        return nearest(
-            node(dof, r, i), node(dof, r, i + 1), node(dof, r, j), node(dof, r, j + 1), a, b
-        )
-    return nearest_of_pieces(
-        piece_nodes(dof, piece[r, i], r, i), piece_nodes(dof, piece[r, j], r, j),
-        piece[r, i], piece[r, j], a, b,
-    )  # fmt: skip
-
-
-@wp.func
-def spin_share(kind: int, s: wp.float64) -> wp.float64:
-    """Share of the edge after it in the spin of a piece at s; the rest is its own edge's."""
-    return wp.where(kind == EDGE, ZERO, s)
-
-
-@wp.func
-def surface_motion(
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    kind: int,
-    r: int,
-    i: int,
-    s: wp.float64,
-    arm: wp.float64,
-    normal: wp.vec3d,
-) -> wp.vec3d:
-    """Motion in this step of the material point at `arm` normal from the centreline of piece i."""
-    now = piece_nodes(dof, kind, r, i)
-    before = piece_nodes(dof_before, kind, r, i)
-    slope = piece_slopes(kind, s)
-    t = wp.normalize(now * slope)
-    turn = t - wp.normalize(before * slope)
-    after = spin_share(kind, s)
-    spin = (ONE - after) * (dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3])
-    if kind != EDGE:
-        spin += after * (dof[r, 4 * i + 7] - dof_before[r, 4 * i + 7])
-    centre = (now - before) * piece_weights(kind, s)
-    swing = wp.dot(t, normal) * turn - wp.dot(normal, turn) * t + spin * wp.cross(t, normal)
-    return centre + arm * swing
-
-
-@wp.func
-def first_tangent(t: wp.vec3d, n: wp.vec3d) -> wp.vec3d:
-    """Direction of the first edge in the plane of contact; any, where it is along the normal."""
-    e = t - wp.dot(t, n) * n
-    if wp.length(e) < wp.float64(1.0e-6):
-        e = wp.vec3d(n[1], n[2], n[0])
-        e = e - wp.dot(e, n) * n
-    return wp.normalize(e)
-
-
-@wp.func
-def pair_contact(
-    law: Law,
-    radius: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
-    dt: wp.float64,
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.vec2d,
-    load: wp.float64,
-    sliding: int,
-    sticks: int,
-    r: int,
-    i: int,
-    j: int,
-) -> Pair:
-    out = Pair()
-    near = nearest_of_edges(dof, rest_length, piece, r, i, j)
-    out.near = near
-    p = radius[r, i] + radius[r, j] - near.distance
-    normal = normal_force(p, law.stiffness, law.skin)
-    out.force = normal[0]
-    out.slope = normal[1]
-    if out.force > ZERO:
-        # Centrelines that cross have no normal; the step is refused for its depth anyway.
-        n = near.gap / wp.max(wp.length(near.gap), wp.float64(1.0e-12))
-        out.normal = n
-        e1 = first_tangent(wp.normalize(near.first), n)
-        e2 = wp.cross(n, e1)
-        motion = surface_motion(dof, dof_before, piece[r, i], r, i, near.s, -radius[r, i], n)
-        motion = motion - surface_motion(
-            dof, dof_before, piece[r, j], r, j, near.t, radius[r, j], n
-        )
-        normal = damped_force(p, -wp.dot(motion, n), law.relaxation, dt, law.stiffness, law.skin)
-        out.force = normal[0]
-        out.slope = normal[1]
-        b1 = bristle[0] + wp.dot(motion, e1)
-        b2 = bristle[1] + wp.dot(motion, e2)
-        stretch = b1 * e1 + b2 * e2
-        size = wp.length(stretch)
-        mu = wp.where(sliding != 0, law.kinetic_friction, law.static_friction)
-        limit = mu * load / law.stiffness
-        out.grip = law.stiffness * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
-        out.bristle = wp.vec2d(b1, b2)
-        if size > limit or limit == ZERO:
-            # Also without friction, where the bristle never holds.
-            size = wp.max(size, wp.float64(1.0e-30))
-            out.slid = size - limit
-            holds = sticks == EVERY or (sticks == HELD and sliding == 0)
-            if limit == ZERO or not holds:
-                shrink = limit / size
-                out.bristle = shrink * out.bristle
-                along = stretch / size
-                out.grip = shrink * (out.grip - law.stiffness * wp.outer(along, along))
-                stretch = shrink * stretch
-        out.pull = law.stiffness * stretch
-    return out
-
-
-@wp.struct
-class EdgeMotion:
-    """How the surface point of a piece follows its nodes (weight and slope, 3 each; 3x3) and its
-    angles."""
-
-    weight: wp.vec3d
-    slope: wp.vec3d
-    swing: wp.mat33d
-    spin: wp.vec3d
-    share: wp.float64
-
-
-@wp.func
-def edge_motion(kind: int, e: wp.vec3d, s: wp.float64, arm: wp.float64, n: wp.vec3d) -> EdgeMotion:
-    """Derivative of `surface_motion`, closest point and normal held."""
-    length = wp.length(e)
-    t = e / length
-    eye = wp.identity(3, dtype=wp.float64)
-    swing = wp.dot(t, n) * eye - wp.outer(t, n)
-    out = EdgeMotion()
-    out.weight = piece_weights(kind, s)
-    out.slope = piece_slopes(kind, s)
-    out.swing = (arm / length) * (swing * (eye - wp.outer(t, t)))
-    out.spin = arm * wp.cross(t, n)
-    out.share = spin_share(kind, s)
-    return out
-
-
-@wp.func
-def add_force(gradient: wp.array2d(dtype=wp.float64), r: int, a: int, v: wp.vec3d):
-    for c in range(3):
-        wp.atomic_add(gradient, r, a + c, v[c])
-
-
-@wp.func
-def add_edge_force(
-    gradient: wp.array2d(dtype=wp.float64),
-    kind: int,
-    r: int,
-    i: int,
-    push: wp.vec3d,
-    turn: wp.vec3d,
-    m: EdgeMotion,
-    pull: wp.vec3d,
-):
-    """Gradient of a force `push` at the closest point, `turn` on the chord and `pull` at the
-    surface of piece i."""
-    chord = piece_chord(kind)
-    swing = wp.transpose(m.swing) * pull
-    for k in range(piece_size(kind)):
-        force = m.weight[k] * (push + pull) + m.slope[k] * swing + chord[k] * turn
-        add_force(gradient, r, 4 * (i + k), force)
-    spin = wp.dot(m.spin, pull)
-    wp.atomic_add(gradient, r, 4 * i + 3, (ONE - m.share) * spin)
-    if kind != EDGE:
-        wp.atomic_add(gradient, r, 4 * i + 7, m.share * spin)
-
-
 @wp.kernel
 def rod_contact(
     # Model:
-    law: wp.array(dtype=Law),
-    radius: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
+    m: Pieces,
     # State in:
     step: wp.array(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
@@ -272,10 +49,7 @@ def rod_contact(
     dof_before: wp.array2d(dtype=wp.float64),
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
-    bristle: wp.array3d(dtype=wp.vec2d),
-    load: wp.array3d(dtype=wp.float64),
-    sliding: wp.array3d(dtype=wp.int32),
-    sticking: wp.array(dtype=wp.int32),
+    rubbing: Rubbing,
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     # State out:
@@ -291,30 +65,27 @@ def rod_contact(
         return
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
-        c = pair_contact(
-            law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, k],
-            load[r, i, k], sliding[r, i, k], sticking[r], r, i, j,
-        )  # fmt: skip
-        depth_out[r, i, k] = radius[r, i] + radius[r, j] - c.near.distance
+        sticks = rubbing.sticking[r]
+        c = pair_contact(m, rubbing, step[r], dof, dof_before, sticks, r, i, j, k)
+        depth_out[r, i, k] = m.radius[r, i] + m.radius[r, j] - c.near.distance
         if c.force > ZERO:
-            if c.slid > ZERO and load[r, i, k] > ZERO:
+            if c.slid > ZERO and rubbing.load[r, i, k] > ZERO:
                 overloaded_out[r] = 1
             pressure = -c.force / c.near.distance
             push = pressure * c.near.gap
-            kind = piece[r, i]
-            m = edge_motion(kind, c.near.first, c.near.s, -radius[r, i], c.normal)
-            add_edge_force(gradient, kind, r, i, push, pressure * c.near.first_turn, m, c.pull)
-            kind = piece[r, j]
-            m = edge_motion(kind, c.near.second, c.near.t, radius[r, j], c.normal)
-            add_edge_force(gradient, kind, r, j, -push, pressure * c.near.second_turn, m, -c.pull)
+            kind = m.kind[r, i]
+            move = edge_motion(kind, c.near.first, c.near.s, -m.radius[r, i], c.normal)
+            add_edge_force(gradient, kind, r, i, push, pressure * c.near.first_turn, move, c.pull)
+            kind = m.kind[r, j]
+            move = edge_motion(kind, c.near.second, c.near.t, m.radius[r, j], c.normal)
+            turn = pressure * c.near.second_turn
+            add_edge_force(gradient, kind, r, j, -push, turn, move, -c.pull)
 
 
 @wp.kernel
 def find_touching(
     # Model:
-    radius: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
+    m: Pieces,
     reach: wp.array(dtype=wp.float64),
     # State in:
     chosen: wp.array(dtype=wp.int32),
@@ -334,15 +105,12 @@ def find_touching(
         wp.atomic_max(touching_out, r, 1)
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
-        near = nearest_of_edges(dof, rest_length, piece, r, i, j)
-        depth = radius[r, i] + radius[r, j] - near.distance
+        near = nearest_of_edges(m, dof, r, i, j)
+        depth = m.radius[r, i] + m.radius[r, j] - near.distance
         if depth > ZERO:
             n = near.gap / wp.max(wp.length(near.gap), wp.float64(1.0e-12))
-            motion = surface_motion(dof, dof_before, piece[r, i], r, i, near.s, -radius[r, i], n)
-            motion = motion - surface_motion(
-                dof, dof_before, piece[r, j], r, j, near.t, radius[r, j], n
-            )
-            note_touch(touching_out, r, depth, -wp.dot(motion, n), radius[r, i])
+            motion = relative_motion(m, dof, dof_before, near, n, r, i, j)
+            note_touch(touching_out, r, depth, -wp.dot(motion, n), m.radius[r, i])
 
 
 @wp.kernel
@@ -360,10 +128,7 @@ def hold_loads(
 @wp.kernel
 def renew_loads(
     # Model:
-    law: wp.array(dtype=Law),
-    radius: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
+    m: Pieces,
     # State in:
     step: wp.array(dtype=wp.float64),
     converged: wp.array(dtype=wp.int32),
@@ -372,10 +137,8 @@ def renew_loads(
     dof_before: wp.array2d(dtype=wp.float64),
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
-    bristle: wp.array3d(dtype=wp.vec2d),
-    sliding: wp.array3d(dtype=wp.int32),
     # State in and out:
-    held: wp.array3d(dtype=wp.float64),
+    rubbing: Rubbing,
     # State out:
     renewed_out: wp.array(dtype=wp.int32),
 ):
@@ -386,18 +149,16 @@ def renew_loads(
         return
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
-        old = held[r, i, k]
+        old = rubbing.load[r, i, k]
         if old == ZERO:
             continue
-        c = pair_contact(
-            law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, k], old,
-            sliding[r, i, k], SLIPPING, r, i, j,
-        )  # fmt: skip
+        c = pair_contact(m, rubbing, step[r], dof, dof_before, SLIPPING, r, i, j, k)
         if c.force > ZERO and wp.abs(c.force - old) > STALE * wp.max(c.force, old):
-            mu = wp.where(sliding[r, i, k] != 0, law[r].kinetic_friction, law[r].static_friction)
-            wanted = wp.length(c.pull) + law[r].stiffness * c.slid
+            slides = rubbing.sliding[r, i, k] != 0
+            mu = wp.where(slides, m.law[r].kinetic_friction, m.law[r].static_friction)
+            wanted = wp.length(c.pull) + m.law[r].stiffness * c.slid
             if mu > ZERO and wanted > mu * wp.min(c.force, old):
-                held[r, i, k] = c.force
+                rubbing.load[r, i, k] = c.force
                 wp.atomic_max(renewed_out, r, 1)
 
 
@@ -435,10 +196,7 @@ def clear_forces(
 @wp.kernel
 def settle_friction(
     # Model:
-    law: wp.array(dtype=Law),
-    radius: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
+    m: Pieces,
     # State in:
     step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
@@ -446,11 +204,9 @@ def settle_friction(
     dof_before: wp.array2d(dtype=wp.float64),
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
-    held: wp.array3d(dtype=wp.float64),
     # State in and out:
-    bristle: wp.array3d(dtype=wp.vec2d),
+    rubbing: Rubbing,
     load: wp.array3d(dtype=wp.float64),
-    sliding: wp.array3d(dtype=wp.int32),
     slip: wp.array2d(dtype=wp.float64),
     force: wp.array2d(dtype=wp.vec3d),
     penetration: wp.array(dtype=wp.float64),
@@ -461,21 +217,18 @@ def settle_friction(
         return
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
-        c = pair_contact(
-            law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, k],
-            held[r, i, k], sliding[r, i, k], SLIPPING, r, i, j,
-        )  # fmt: skip
-        bristle[r, i, k] = c.bristle
+        c = pair_contact(m, rubbing, step[r], dof, dof_before, SLIPPING, r, i, j, k)
+        rubbing.bristle[r, i, k] = c.bristle
         load[r, i, k] = c.force
-        sliding[r, i, k] = 0
+        rubbing.sliding[r, i, k] = 0
         if c.force > ZERO:
             if c.slid > ZERO:
-                sliding[r, i, k] = 1
+                rubbing.sliding[r, i, k] = 1
                 wp.atomic_add(slip, r, i, c.slid)
                 wp.atomic_add(slip, r, j, c.slid)
             total = (c.force / c.near.distance) * c.near.gap - c.pull
-            for n in range(piece_size(piece[r, i])):
+            for n in range(piece_size(m.kind[r, i])):
                 wp.atomic_add(force, r, i + n, c.near.first_weight[n] * total)
-            for n in range(piece_size(piece[r, j])):
+            for n in range(piece_size(m.kind[r, j])):
                 wp.atomic_add(force, r, j + n, -c.near.second_weight[n] * total)
-            wp.atomic_max(penetration, r, radius[r, i] + radius[r, j] - c.near.distance)
+            wp.atomic_max(penetration, r, m.radius[r, i] + m.radius[r, j] - c.near.distance)

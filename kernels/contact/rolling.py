@@ -9,7 +9,7 @@ along a shape, is held by the friction of its nodes.
 """
 
 import warp as wp
-from wrod.kernels.contact.planes import Shape, damped_force, mean_angle, touch
+from wrod.kernels.contact.planes import Touchable, mean_angle, present_force, touch
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 
 wp.set_module_options({"enable_backward": False})
@@ -38,12 +38,7 @@ def node_turn(
 @wp.kernel
 def hold_roll(
     # Model:
-    shapes: wp.array2d(dtype=Shape),
-    radius: wp.array2d(dtype=wp.float64),
-    stiffness: wp.array2d(dtype=wp.float64),
-    skin: wp.array2d(dtype=wp.float64),
-    relaxation: wp.array2d(dtype=wp.float64),
-    roll_friction: wp.array2d(dtype=wp.float64),
+    model: Touchable,
     # State in:
     step: wp.array(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
@@ -62,20 +57,16 @@ def hold_roll(
     if active[r] == 0:
         return
     last = gradient.shape[1] // 4
-    for k in range(shapes.shape[1]):
-        if roll_friction[r, k] < ZERO:
+    for k in range(model.shapes.shape[1]):
+        if model.roll_friction[r, k] < ZERO:
             continue
-        c = touch(
-            shapes[r, k], radius[r, i], ZERO, stiffness[r, i], skin[r, i], dof,
-            dof_before, wp.vec3d(ZERO, ZERO, ZERO), r, i,
-        )  # fmt: skip
+        c = touch(model, dof, dof_before, wp.vec3d(ZERO, ZERO, ZERO), r, k, i)
         if c.force > ZERO:
-            law = damped_force(
-                c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
-            )
-            arm = radius[r, i]
+            law = present_force(model, c.depth, c.closing, step[r], r, i)
+            arm = model.radius[r, i]
             turn = node_turn(dof, dof_before, turned[r, k, i], r, i)
-            held = held_turn(turn, stiffness[r, i] * arm * arm, roll_friction[r, k] * law[0] * arm)
+            limit = model.roll_friction[r, k] * law[0] * arm
+            held = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
             inner = i > 0 and i < last
             share = wp.where(inner, HALF, ONE)
             for side in range(2):
@@ -90,12 +81,7 @@ def hold_roll(
 @wp.kernel
 def settle_roll(
     # Model:
-    shapes: wp.array2d(dtype=Shape),
-    radius: wp.array2d(dtype=wp.float64),
-    stiffness: wp.array2d(dtype=wp.float64),
-    skin: wp.array2d(dtype=wp.float64),
-    relaxation: wp.array2d(dtype=wp.float64),
-    roll_friction: wp.array2d(dtype=wp.float64),
+    model: Touchable,
     # State in:
     step: wp.array(dtype=wp.float64),
     accepted: wp.array(dtype=wp.int32),
@@ -108,22 +94,17 @@ def settle_roll(
     r, i = wp.tid()
     if accepted[r] == 0:
         return
-    for k in range(shapes.shape[1]):
-        if roll_friction[r, k] < ZERO or shapes[r, k].kind != 0:
+    for k in range(model.shapes.shape[1]):
+        if model.roll_friction[r, k] < ZERO or model.shapes[r, k].kind != 0:
             continue
-        c = touch(
-            shapes[r, k], radius[r, i], ZERO, stiffness[r, i], skin[r, i], dof,
-            dof_before, wp.vec3d(ZERO, ZERO, ZERO), r, i,
-        )  # fmt: skip
+        c = touch(model, dof, dof_before, wp.vec3d(ZERO, ZERO, ZERO), r, k, i)
         turn = wp.float64(0.0)
         if c.force > ZERO:
-            law = damped_force(
-                c.depth, c.closing, relaxation[r, i], step[r], stiffness[r, i], skin[r, i]
-            )
-            arm = radius[r, i]
-            k_r = stiffness[r, i] * arm * arm
+            law = present_force(model, c.depth, c.closing, step[r], r, i)
+            arm = model.radius[r, i]
+            k_r = model.stiffness[r, i] * arm * arm
             turn = node_turn(dof, dof_before, turned[r, k, i], r, i)
-            turn = held_turn(turn, k_r, roll_friction[r, k] * law[0] * arm)[0] / k_r
+            turn = held_turn(turn, k_r, model.roll_friction[r, k] * law[0] * arm)[0] / k_r
         turned[r, k, i] = turn
 
 

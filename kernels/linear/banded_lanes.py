@@ -1,5 +1,8 @@
 """Banded factorisation and solution on a GPU, one rod a warp: the same L and D as `banded`.
 
+Rods that share a row are segments of it, (first degree of freedom, how many), which nothing in the
+band couples.
+
 Both sweep over the rows in chunks of 32, a window of the band in shared memory. A pivot updates the
 55 entries of the triangle below it at once, two a lane. In a solution each lane has one unknown of
 the chunk, which the others learn by a shuffle. Kernels are launched over (rod, ..., lane) in blocks
@@ -12,7 +15,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-_LANES = """
+LANES = """
 #if defined(__CUDA_ARCH__)
 #define WROD_SHARED __shared__
 #define WROD_LANES for (int lane = threadIdx.x % 32, once = 1; once; once = 0)
@@ -42,13 +45,13 @@ _LANES = """
 """
 
 _FACTORISE = (
-    _LANES
+    LANES
     + """
     const double smallest = 1.0e-14;
-    const int n = hessian.shape[1];
-    const double* band = hessian.data + (size_t)r * n * BAND;
-    const int* open = free.data + (size_t)r * n;
-    double* factor = factor_out.data + (size_t)r * n * BAND;
+    const size_t begin = (size_t)r * hessian.shape[1] + first;
+    const double* band = hessian.data + begin * BAND;
+    const int* open = free.data + begin;
+    double* factor = factor_out.data + begin * BAND;
     const double shifted = shift.data[r];
     // Rows that have been sent for, entry lane + 32 m in place m: they arrive while others are
     // worked on. Outside the matrix entries are zero.
@@ -154,7 +157,9 @@ _FACTORISE = (
         WROD_SYNC();
     }
     WROD_LANES {
-        if (lane == 0) negative_pivots_out.data[r] = negative;
+        if (lane == 0 && n == hessian.shape[1]) negative_pivots_out.data[r] = negative;
+        if (lane == 0 && n < hessian.shape[1])
+            wp::atomic_add(negative_pivots_out.data + r, negative);
     }
 """
 )
@@ -166,18 +171,20 @@ def factorise_rod(
     hessian: wp.array3d(dtype=wp.float64),
     shift: wp.array(dtype=wp.float64),
     r: int,
+    first: int,
+    n: int,
     factor_out: wp.array3d(dtype=wp.float64),
     negative_pivots_out: wp.array(dtype=wp.int32),
 ): ...
 
 
 _SOLVE = (
-    _LANES
+    LANES
     + """
-    const int n = factor_in.shape[1];
-    const double* factor = factor_in.data + (size_t)r * n * BAND;
-    const int* open = free.data + (size_t)r * n;
-    double* solution = x.data + ((size_t)r * x.shape[1] + j) * n;
+    const size_t begin = (size_t)r * factor_in.shape[1] + first;
+    const double* factor = factor_in.data + begin * BAND;
+    const int* open = free.data + begin;
+    double* solution = x.data + ((size_t)r * x.shape[1] + j) * x.shape[2] + at;
     // The window holds 32 rows of L and D and, going backwards, the 10 below them. The unknowns of
     // this chunk, and of the one before:
     WROD_LANE_VALUE(double, value);
@@ -261,13 +268,30 @@ def solve_rod(
     factor_in: wp.array3d(dtype=wp.float64),
     r: int,
     j: int,
+    first: int,
+    n: int,
+    at: int,
     x: wp.array3d(dtype=wp.float64),
 ): ...
 
 
 @wp.kernel
+def clear_pivots(
+    # In:
+    active: wp.array(dtype=wp.int32),
+    # Out:
+    negative_pivots_out: wp.array(dtype=wp.int32),
+):
+    """Start counting, for rows of several segments."""
+    r = wp.tid()
+    if active[r] != 0:
+        negative_pivots_out[r] = 0
+
+
+@wp.kernel
 def factorise(
     # In:
+    segment: wp.array(dtype=wp.vec2i),
     active: wp.array(dtype=wp.int32),
     free: wp.array2d(dtype=wp.int32),
     hessian: wp.array3d(dtype=wp.float64),
@@ -276,22 +300,25 @@ def factorise(
     factor_out: wp.array3d(dtype=wp.float64),
     negative_pivots_out: wp.array(dtype=wp.int32),
 ):
-    """`banded.factorise`, launched over (rod, lane)."""
-    r, _lane = wp.tid()
+    """`banded.factorise`, launched over (rod, segment, lane)."""
+    r, s, _lane = wp.tid()
     if active[r] != 0:
-        factorise_rod(free, hessian, shift, r, factor_out, negative_pivots_out)
+        part = segment[s]
+        factorise_rod(free, hessian, shift, r, part[0], part[1], factor_out, negative_pivots_out)
 
 
 @wp.kernel
 def solve(
     # In:
+    segment: wp.array(dtype=wp.vec2i),
     active: wp.array(dtype=wp.int32),
     free: wp.array2d(dtype=wp.int32),
     factor: wp.array3d(dtype=wp.float64),
     # In and out:
     x: wp.array3d(dtype=wp.float64),
 ):
-    """`banded.solve`, launched over (rod, right-hand side, lane)."""
-    r, j, _lane = wp.tid()
+    """`banded.solve`, launched over (rod, right-hand side, segment, lane)."""
+    r, j, s, _lane = wp.tid()
     if active[r] != 0:
-        solve_rod(free, factor, r, j, x)
+        part = segment[s]
+        solve_rod(free, factor, r, j, part[0], part[1], part[0], x)

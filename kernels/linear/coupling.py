@@ -3,7 +3,14 @@ angle of the edge after it. Where blocks are stored: see `wrod.kernels.linear.sk
 """
 
 import warp as wp
-from wrod.kernels.contact.rods import EdgeMotion, Law, Pair, edge_motion, pair_contact
+from wrod.kernels.contact.pair_contact import (
+    EdgeMotion,
+    Pair,
+    Pieces,
+    Rubbing,
+    edge_motion,
+    pair_contact,
+)
 from wrod.kernels.contact.segments import EDGE, piece_chord, piece_size
 from wrod.kernels.elastic.frames import ONE, ZERO
 from wrod.kernels.linear.banded import banded_entry
@@ -101,28 +108,25 @@ def with_zero(v: wp.vec3d) -> wp.vec4d:
 
 
 @wp.func
-def share(
-    c: Pair, first_kind: int, second_kind: int, radius_first: wp.float64,
-    radius_second: wp.float64, k: int,
-) -> Share:  # fmt: skip
+def share(c: Pair, pieces: Pieces, r: int, pair: wp.vec3i, k: int) -> Share:
     """Nodes of the first piece, and then those of the second."""
     out = Share()
     near = c.near
-    size = piece_size(first_kind)
+    kind = pieces.kind[r, pair[0]]
+    size = piece_size(kind)
     m = EdgeMotion()
     sign = ONE
     n = k
-    kind = first_kind
     if k < size:
-        m = edge_motion(kind, near.first, near.s, -radius_first, c.normal)
+        m = edge_motion(kind, near.first, near.s, -pieces.radius[r, pair[0]], c.normal)
         turn = near.first_turn
         out.first = with_zero(m.weight[n] * near.first + m.slope[n] * near.gap)
         out.second = with_zero(-m.weight[n] * near.second)
     else:
         sign = -ONE
         n = k - size
-        kind = second_kind
-        m = edge_motion(kind, near.second, near.t, radius_second, c.normal)
+        kind = pieces.kind[r, pair[1]]
+        m = edge_motion(kind, near.second, near.t, pieces.radius[r, pair[1]], c.normal)
         turn = near.second_turn
         out.first = with_zero(-m.weight[n] * near.first)
         out.second = with_zero(m.weight[n] * near.second - m.slope[n] * near.gap)
@@ -177,40 +181,20 @@ class PairMatrix:
 
 @wp.func
 def pair_matrix(
-    law: Law,
-    radius: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
+    m: Pieces,
+    rubbing: Rubbing,
     dt: wp.float64,
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.vec2d,
-    load: wp.float64,
-    sliding: int,
-    sticks: int,
     r: int,
-    i: int,
-    j: int,
+    pair: wp.vec3i,
 ) -> PairMatrix:
     """It turns with at most the force of the last step: that of a predictor which is deep inside
     would make the matrix indefinite and lead Newton astray."""
     out = PairMatrix()
-    c = pair_contact(
-        law,
-        radius,
-        rest_length,
-        piece,
-        dt,
-        dof,
-        dof_before,
-        bristle,
-        load,
-        sliding,
-        sticks,
-        r,
-        i,
-        j,
-    )
+    sticks = rubbing.sticking[r]
+    load = rubbing.load[r, pair[0], pair[2]]
+    c = pair_contact(m, rubbing, dt, dof, dof_before, sticks, r, pair[0], pair[1], pair[2])
     out.pair = c
     out.held = wp.min(c.force, load)
     ss = c.near.ss
@@ -224,13 +208,10 @@ def pair_matrix(
 
 
 @wp.func
-def block_of(
-    m: PairMatrix, first_kind: int, second_kind: int, radius_first: wp.float64,
-    radius_second: wp.float64, k: int, n: int,
-) -> wp.mat44d:  # fmt: skip
+def block_of(m: PairMatrix, pieces: Pieces, r: int, pair: wp.vec3i, k: int, n: int) -> wp.mat44d:
     """Block k, n of a pair's matrix."""
-    a = share(m.pair, first_kind, second_kind, radius_first, radius_second, k)
-    b = share(m.pair, first_kind, second_kind, radius_first, radius_second, n)
+    a = share(m.pair, pieces, r, pair, k)
+    b = share(m.pair, pieces, r, pair, n)
     return pair_block(m.pair, m.held, a, b, m.inverse_ss, m.inverse_st, m.inverse_tt)
 
 
@@ -243,10 +224,7 @@ def node_of(pair: wp.vec3i, size: int, k: int) -> int:
 @wp.kernel
 def add_pairs(
     # Model:
-    law: wp.array(dtype=Law),
-    radius: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
+    pieces: Pieces,
     # State in:
     coupled: wp.array(dtype=wp.int32),
     overflow: wp.array(dtype=wp.int32),
@@ -254,10 +232,7 @@ def add_pairs(
     step: wp.array(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec2d),
-    load: wp.array3d(dtype=wp.float64),
-    sliding: wp.array3d(dtype=wp.int32),
-    sticking: wp.array(dtype=wp.int32),
+    rubbing: Rubbing,
     count: wp.array(dtype=wp.int32),
     touching: wp.array2d(dtype=wp.vec3i),
     rank: wp.array2d(dtype=wp.int32),
@@ -273,24 +248,16 @@ def add_pairs(
     parts = wp.min(wp.block_dim(), 16)
     for n in range(lane // parts, count[r], wp.block_dim() // parts):
         pair = touching[r, n]
-        i = pair[0]
-        j = pair[1]
-        slot = pair[2]
-        m = pair_matrix(
-            law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, slot],
-            load[r, i, slot], sliding[r, i, slot], sticking[r], r, i, j,
-        )  # fmt: skip
-        size = piece_size(piece[r, i])
-        all = size + piece_size(piece[r, j])
+        m = pair_matrix(pieces, rubbing, step[r], dof, dof_before, r, pair)
+        size = piece_size(pieces.kind[r, pair[0]])
+        all = size + piece_size(pieces.kind[r, pair[1]])
         for k in range(lane % parts, all * all, parts):
             v = node_of(pair, size, k // all)
             u = node_of(pair, size, k % all)
             p = rank[r, v]
             q = rank[r, u]
             if q <= p:
-                new = block_of(
-                    m, piece[r, i], piece[r, j], radius[r, i], radius[r, j], k // all, k % all
-                )
+                new = block_of(m, pieces, r, pair, k // all, k % all)
                 for x in range(4):
                     for y in range(4):
                         new[x, y] = new[x, y] * free_of(free, r, v, x) * free_of(free, r, u, y)
@@ -300,10 +267,7 @@ def add_pairs(
 @wp.kernel
 def multiply_pairs(
     # Model:
-    law: wp.array(dtype=Law),
-    radius: wp.array2d(dtype=wp.float64),
-    rest_length: wp.array2d(dtype=wp.float64),
-    piece: wp.array2d(dtype=wp.int32),
+    pieces: Pieces,
     # State in:
     active: wp.array(dtype=wp.int32),
     coupled: wp.array(dtype=wp.int32),
@@ -311,10 +275,7 @@ def multiply_pairs(
     step: wp.array(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
-    bristle: wp.array3d(dtype=wp.vec2d),
-    load: wp.array3d(dtype=wp.float64),
-    sliding: wp.array3d(dtype=wp.int32),
-    sticking: wp.array(dtype=wp.int32),
+    rubbing: Rubbing,
     count: wp.array(dtype=wp.int32),
     touching: wp.array2d(dtype=wp.vec3i),
     vector: wp.array3d(dtype=wp.float64),
@@ -328,21 +289,13 @@ def multiply_pairs(
     parts = wp.min(wp.block_dim(), 16)
     for n in range(lane // parts, count[r], wp.block_dim() // parts):
         pair = touching[r, n]
-        i = pair[0]
-        j = pair[1]
-        slot = pair[2]
-        m = pair_matrix(
-            law[r], radius, rest_length, piece, step[r], dof, dof_before, bristle[r, i, slot],
-            load[r, i, slot], sliding[r, i, slot], sticking[r], r, i, j,
-        )  # fmt: skip
-        size = piece_size(piece[r, i])
-        all = size + piece_size(piece[r, j])
+        m = pair_matrix(pieces, rubbing, step[r], dof, dof_before, r, pair)
+        size = piece_size(pieces.kind[r, pair[0]])
+        all = size + piece_size(pieces.kind[r, pair[1]])
         for k in range(lane % parts, all * all, parts):
             v = node_of(pair, size, k // all)
             u = node_of(pair, size, k % all)
-            block = block_of(
-                m, piece[r, i], piece[r, j], radius[r, i], radius[r, j], k // all, k % all
-            )
+            block = block_of(m, pieces, r, pair, k // all, k % all)
             for w in range(vector.shape[1]):
                 for x in range(4):
                     value = wp.float64(0.0)

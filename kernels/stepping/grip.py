@@ -1,5 +1,7 @@
 """A grip that carries the end of a rod along a path, and a free end that is held for a while."""
 
+from typing import Any
+
 import warp as wp
 from wrod.kernels.elastic.frames import HALF, ONE, TWO, angle_towards
 
@@ -9,22 +11,27 @@ THREE = wp.constant(wp.float64(3.0))
 
 
 @wp.func
-def key_position(keys: wp.array2d(dtype=wp.vec3d), r: int, k: int, x: wp.float64) -> wp.vec3d:
-    """Catmull-Rom spline between keys k and k + 1: continuous velocity."""
-    last = keys.shape[1] - 1
-    p0 = keys[r, wp.max(k - 1, 0)]
-    p1 = keys[r, k]
-    p2 = keys[r, wp.min(k + 1, last)]
-    p3 = keys[r, wp.min(k + 2, last)]
-    m1 = HALF * (p2 - p0)
-    m2 = HALF * (p3 - p1)
+def spline(p0: Any, p1: Any, p2: Any, p3: Any, x: wp.float64):
+    """Catmull-Rom spline between keys p1 and p2: continuous velocity."""
     x2 = x * x
     x3 = x2 * x
     return (
         (TWO * x3 - THREE * x2 + ONE) * p1
-        + (x3 - TWO * x2 + x) * m1
+        + (x3 - TWO * x2 + x) * HALF * (p2 - p0)
         + (THREE * x2 - TWO * x3) * p2
-        + (x3 - x2) * m2
+        + (x3 - x2) * HALF * (p3 - p1)
+    )
+
+
+@wp.func
+def key_position(keys: wp.array2d(dtype=wp.vec3d), r: int, k: int, x: wp.float64) -> wp.vec3d:
+    last = keys.shape[1] - 1
+    return spline(
+        keys[r, wp.max(k - 1, 0)],
+        keys[r, k],
+        keys[r, wp.min(k + 1, last)],
+        keys[r, wp.min(k + 2, last)],
+        x,
     )
 
 

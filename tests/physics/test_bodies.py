@@ -10,13 +10,13 @@ from wrod.bench.newton_bodies import (
     NYLON,
     RUBBER,
     Arm,
-    Pile,
     hung,
     momentum,
     pendulum,
     simulate,
     torsion,
 )
+from wrod.bench.newton_piles import Pile
 
 SolverDER = wrod.SolverDER
 

@@ -88,7 +88,7 @@ def test_derivatives_of_the_contact_energy(turn, smooth):
     ones, gradient = batch.every_rod, batch.derivatives.gradient
     before = wp.clone(batch.state.dof)
     x = before.numpy().copy()
-    law = contact.law.numpy()[0]
+    law = contact.pieces.law.numpy()[0]
     stiffness, skin = law["stiffness"], law["skin"]
 
     def evaluate(dof):
@@ -185,7 +185,7 @@ def test_crossing_rods_pressed_together():
     expected = 0.04 + WEIGHT * 0.075
     assert force[18:].sum(axis=0) == pytest.approx([0, 0, expected], abs=1e-4 * expected)
     assert force[:18].sum(axis=0) == pytest.approx(-force[18:].sum(axis=0), abs=1e-12)
-    law = contact.law.numpy()[0]
+    law = contact.pieces.law.numpy()[0]
     share = expected / 2
     pairs = (contact.depth.numpy() > 0).sum()
     assert pairs >= 2
@@ -305,7 +305,7 @@ def test_friction_is_bounded_by_the_load_of_its_own_step():
     dynamics = on_rails([30.0], Friction(mu))
     dynamics.air_damping.zero_()
     contact, gravity = dynamics.contacts[0], dynamics.batch.gravity.numpy().copy()
-    stiffness = contact.law.numpy()[0]["stiffness"]
+    stiffness = contact.pieces.law.numpy()[0]["stiffness"]
     slot = np.arange(contact.load.shape[2])
     shares = []
     for k in range(8):

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from wrod.errors import DataError
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.loading import measurements_from_arrays
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.rods.law import Linear
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -225,7 +225,7 @@ def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6)
 def _first_guesses(measurements, edge_count: int = 60):
     """wrod's base solution of every trial as (u, y)."""
     trials = np.arange(measurements.trial_count)
-    setup = Setup.base(measurements, trials, edge_count)
+    setup = ClampedSetup.base(measurements, trials, edge_count)
     solver = ClampedSolver([setup])
     seen = solver.predict([setup])
     positions = solver.batch.positions()[:, 1:-1]

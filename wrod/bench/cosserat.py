@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from importlib.util import find_spec
+from itertools import product
+from pathlib import Path
 
 import click
 
@@ -18,7 +20,7 @@ _METRICS = {
     "capstan": "slide",
     "pile": "footprint",
 }
-_SOLVERS = ("wrod", "pyelastica", "mujoco")
+_SOLVERS = ("wrod", "pyelastica", "newton-vbd", "mujoco", "dismech")
 
 
 @click.command("cosserat")
@@ -26,10 +28,11 @@ _SOLVERS = ("wrod", "pyelastica", "mujoco")
               help="Only this one; may be repeated. Default: all.")  # fmt: skip
 @click.option("--solver", "solvers", multiple=True, type=click.Choice(_SOLVERS),
               help="Only this one; may be repeated. Default: all that are installed.")  # fmt: skip
-@click.option("--elements", type=click.IntRange(4, 2000), default=None,
-              help="Elements of each rod; default: what the experiment has.")  # fmt: skip
+@click.option("--elements", multiple=True, type=click.IntRange(4, 2000),
+              help="Elements of each rod; may be repeated. Default: the experiment's.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for a picture of all.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def command(chosen, solvers, elements, as_json) -> None:
+def command(chosen, solvers, elements, out, as_json) -> None:
     """Experiments of cosseratbench: error and time, side by side.
 
     Each is scored by cosseratbench's own metrics, in one run on one machine; times are
@@ -43,24 +46,42 @@ def command(chosen, solvers, elements, as_json) -> None:
         click.echo(machine_line())
         click.echo(f"{'experiment':12s} {'solver':11s} {'n':>4s} {'s':>8s}  outcome")
     rows = []
-    for experiment in chosen or _METRICS:
-        for solver in solvers or _SOLVERS:
-            row = _run(experiment, solver, elements)
-            rows.append(row)
-            if not as_json:
-                click.echo(
-                    f"{experiment:12s} {solver:11s} {row['elements']:4d} {row['seconds']:8.2f}"
-                    f"  {row['said']}"
-                )
+    for experiment, solver, count in product(
+        chosen or _METRICS, solvers or _SOLVERS, elements or (None,)
+    ):
+        row = _run(experiment, solver, count)
+        rows.append(row)
+        if not as_json:
+            click.echo(
+                f"{experiment:12s} {solver:11s} {row['elements']:4d} {row['seconds']:8.2f}"
+                f"  {row['said']}"
+            )
     if as_json:
         click.echo(json.dumps({"machine": machine_line(), "rows": rows}))
+    if out is not None:
+        from wrod.bench.cosserat_picture import draw
+
+        out.mkdir(parents=True, exist_ok=True)
+        path = draw(out / "peers.png", rows, _METRICS, machine_line())
+        click.echo(f"wrote {path}", err=as_json)
+
+
+def _adapter(name: str, registry):
+    """wrod's and Newton's are here, the others cosseratbench's own."""
+    if name == "wrod":
+        from wrod.bench.cosserat_solver import WrodSolver
+
+        return WrodSolver()
+    if name == "newton-vbd":
+        from wrod.bench.cosserat_vbd import VbdSolver
+
+        return VbdSolver()
+    return registry.load_solver(name)
 
 
 def _run(name: str, solver: str, elements: int | None) -> dict:
     from cosseratbench import registry
     from cosseratbench.experiment import run
-
-    from wrod.bench.cosserat_solver import WrodSolver
 
     experiment = registry.load_experiment(name)
     row = {
@@ -70,7 +91,7 @@ def _run(name: str, solver: str, elements: int | None) -> dict:
         "seconds": 0.0,
     }
     try:
-        adapter = WrodSolver() if solver == "wrod" else registry.load_solver(solver)
+        adapter = _adapter(solver, registry)
     except (ImportError, KeyError) as error:
         return {**row, "outcome": "not installed", "said": f"not installed ({error})"}
     try:
@@ -82,6 +103,7 @@ def _run(name: str, solver: str, elements: int | None) -> dict:
         what = f"{type(error).__name__}: {error}".splitlines()[0]
         return {**row, "outcome": "crashed", "said": f"its adapter crashed ({what:.80})"}
     row |= {"seconds": summary.get("wall_time") or 0.0, "outcome": summary["outcome"]}
+    row["simulated"] = experiment.build(**experiment.values()).duration
     metrics = summary.get("metrics") or {}
     said = ", ".join(f"{key} {value:.3g}" for key, value in metrics.items() if value is not None)
     if summary["outcome"] != "completed":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,8 @@ _FIRST_SEED = 9_000
     "with the truth known from the first look on.",
 )  # fmt: skip
 @click.option("--every", default=0.03, show_default=True, help="Way between two looks [m].")
+@click.option("--horizon", default=6.0, show_default=True,
+              help="How far ahead the path is corrected after a look [L_gb].")  # fmt: skip
 @click.option("--undisturbed", is_flag=True, help="The effect alone, without shaking and the rest.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes.")  # fmt: skip
@@ -73,7 +76,7 @@ def command(
     a careful laboratory, and the effect comes on top. An effect is made up for where it leaves no
     more than 1.5 times the error of trials without it.
     """
-    from wrod.bench import side_by_side
+    from wrod.bench import courses
     from wrod.bench.ledger import Ledger
     from wrod.bench.slippery import Shelf
     from wrod.errors import RodError
@@ -98,11 +101,8 @@ def command(
     ]
     jobs = [(shelf, key, how) for key in keys if key not in done]
     unplanned = sorted({job[1][:2] for job in jobs})
-    plans = [(shelf, *place, how["friction"], "optimised") for place in unplanned]
-    for _ in side_by_side.run(Shelf.plan, plans, workers):
-        pass
-    for _, row in side_by_side.run(_laid, jobs, workers):
-        ledger.add([row])
+    shelf.stock([(*place, how["friction"], "optimised") for place in unplanned], workers)
+    courses.run(_course, jobs, lambda _, row: ledger.add([row]), device=device, workers=workers)
     rows = ledger.of(keys)
     table = summary(rows)
     if as_json:
@@ -145,10 +145,22 @@ def summary(rows: list[dict]) -> list[dict]:
     return [{"effect": effect, "ways": ways} for effect, ways in table.items()]
 
 
+@cache
+def _half(middle: float):
+    """Half the friction beyond that x [m]; one field for all rods on such a table, so that a GPU
+    lays them together."""
+    from wrod.solvers.contact import FrictionField
+
+    reach = (middle - _FAR, middle + _FAR)
+    return FrictionField.of(
+        lambda x, y: np.where(x > middle, 0.5, 1.0), reach, reach, (_GRID, _GRID)
+    )
+
+
 def _world(effect: str, led, material, friction: float, seed: int, undisturbed: bool):
     from wrod.deployment.feedback import World
     from wrod.deployment.setup import Disturbance
-    from wrod.solvers.contact import Friction, FrictionField
+    from wrod.solvers.contact import Friction
 
     law = Friction(0.5 * friction if effect == "friction" else friction)
     how = Disturbance() if undisturbed else Disturbance.random(_FIRST_SEED + seed)
@@ -161,23 +173,21 @@ def _world(effect: str, led, material, friction: float, seed: int, undisturbed: 
     field = None
     if effect == "half":
         x = led.sample(np.linspace(0.0, led.length, 200))[0][:, 0]
-        middle = 0.5 * (x.min() + x.max())
-        reach = (middle - _FAR, middle + _FAR)
-        field = FrictionField.of(
-            lambda x, y: np.where(x > middle, 0.5, 1.0), reach, reach, (_GRID, _GRID)
-        )
+        field = _half(0.5 * float(x.min() + x.max()))
     return World(material, law, how, field)
 
 
-def _laid(shelf, key: tuple, how: dict) -> dict:
+def _course(shelf, key: tuple, how: dict):
+    """The deployments of a trial, and its row."""
     from dataclasses import asdict
 
     from wrod.deployment.expectation import FINE
-    from wrod.deployment.feedback import lay_with_feedback
+    from wrod.deployment.feedback import following
     from wrod.deployment.result import errors_along
     from wrod.deployment.sight import Sight
     from wrod.deployment.simulate import Trial
-    from wrod.deployment.tangents import lay
+    from wrod.deployment.together import Asked
+    from wrod.planning.tail import Tail
 
     rod_name, name, effect, way, seed = key
     led, material = shelf.course(rod_name, name)
@@ -185,14 +195,15 @@ def _laid(shelf, key: tuple, how: dict) -> dict:
     world = _world(effect, led, material, how["friction"], seed, how["undisturbed"])
     looks: list = []
     if way == "blind":
-        trial = Trial(led, world.rod, trajectory, world.friction, world.disturbance)
-        (laid,) = lay([trial], friction_field=world.friction_field, device=shelf.device, **FINE)
+        rest = Tail.none(trajectory)
+        trial = Trial(led, world.rod, trajectory, world.friction, world.disturbance, rest)
+        (laid,) = yield Asked([trial], None, {"friction_field": world.friction_field, **FINE})
     else:
         told = dict(WAYS[way])
         seeing = {k: told.pop(k) for k in ("hanging",) if k in told}
-        followed = lay_with_feedback(
+        followed = yield from following(
             led, material, trajectory, how["friction"], world, every=how["every"],
-            sight=Sight(seed=seed, **seeing), device=shelf.device, **told, **FINE,
+            horizon=how["horizon"], sight=Sight(seed=seed, **seeing), **told, **FINE,
         )  # fmt: skip
         laid, looks = followed.laid, followed.looks
     error = 100.0 * errors_along(led, laid.arc_length, laid.centerline)[1]

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from wrod import cost
+
 
 @click.command(name="grasp")
 @click.option("--count", default=512, show_default=True, help="Grasps in the main measurement.")
@@ -32,6 +34,7 @@ import click
     show_default=True,
     help="--against: take fewer calls of what needs longer than this for five [s].",
 )
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
 def command(
     count: int,
@@ -41,6 +44,7 @@ def command(
     counts: str,
     patience: float,
     as_json: bool,
+    force: bool,
 ) -> None:
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
     import warp as wp
@@ -56,6 +60,10 @@ def command(
         return
 
     on_gpu = device != "cpu"
+    # 3.75 times as many grasps, some of them of closures that take twice as long, with shapes.
+    work = cost.grasps(5 * count, 0, count // 10, sensitivities=False, device=device, ranks=1)
+    what, remedy = f"{3.75 * count:.0f} grasps", "give a smaller --count"
+    cost.settle(work, what, None, remedy, force=force, quiet=as_json)
 
     def measure(n: int, **options) -> dict:
         inputs = whole_range(n)
@@ -89,19 +97,24 @@ def command(
     if as_json:
         click.echo(json.dumps(figures))
         return
+    _say(figures, threads)
+
+
+def _say(figures: dict, threads: int) -> None:
+    """Print the figures for people."""
     click.echo(figures["machine"])
-    click.echo(f"device {device}, {threads} thread(s); cold starts over the whole range")
+    click.echo(f"device {figures['device']}, {threads} thread(s); cold starts over the whole range")
     click.echo(
         f"{'grasps':>8} {'edges':>6} {'closure':>13} {'per s':>9} {'cpu ms':>8} "
         f"{'converged':>10} {'iterations':>10}"
     )
-    for row in rows:
+    for row in figures["rows"]:
         click.echo(
             f"{row['grasps']:8d} {row['edges']:6d} {row['closure']:>13} {row['per_second']:9.1f} "
             f"{1e3 * row['cpu_seconds_per_grasp']:8.3f} {row['converged']:10.4f} "
             f"{row['iterations']:10.1f}"
         )
-    if on_gpu:
+    if "gpu" in figures:
         click.echo(
             "one call of {grasps} grasps: {wall:.1f} ms, the GPU works {gpu:.1f} ms of them "
             "({busy:.0%}); {launches} launches, {copies} copies between host and GPU\n"

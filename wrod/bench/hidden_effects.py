@@ -251,6 +251,13 @@ def camera_offset(rng, rod):
     return Hidden(World(see=lambda position, frame: position + offset), truth)
 
 
+def camera_rotation(rng, rod):
+    turn = _direction(rng) * np.radians(_between(rng, 0.8, 1.6))
+    r, centre = Rotation.from_rotvec(turn).as_matrix(), rng.uniform(-0.1, 0.1, 3) + [0.4, 0.0, 0.4]
+    truth = _vector("camera_rotation", ("rotation_x", "rotation_y", "rotation_z"), turn)
+    return Hidden(World(see=lambda x, frame: centre + (x - centre) @ r.T), truth)
+
+
 def marker_offset(rng, rod):
     offset = np.append(_in_plane(rng, 0.003, 0.005), rng.uniform(-0.001, 0.001))
     truth = _vector("marker_offset", ("offset_1", "offset_2", "offset_tangent"), offset)
@@ -387,6 +394,7 @@ KNOWN: dict[str, Callable] = {
         clamp_rotation,
         camera_scale,
         camera_offset,
+        camera_rotation,
         marker_offset,
     )
 }
@@ -397,6 +405,7 @@ PAIRS = (
     (natural_curvature, stiffness),
     (natural_curvature, softening),
     (natural_curvature, camera_offset),
+    (natural_helix, camera_rotation),
     (natural_helix, grip_slip),
     (gravity_tilt, point_mass),
     (gravity_tilt, stiffness),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import time
 from collections.abc import Iterator
 
 import newton
@@ -11,6 +10,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from wrod.bench.newton_piles import Pile
 from wrod.newton_solver import SolverDER
 from wrod.rods.batch import RodBatch
 from wrod.rods.material import RodMaterial
@@ -223,49 +223,6 @@ class Arm:
                 moment = moment + np.cross(pose[:3] - joint, [0.0, 0.0, -9.81 * mass])
             out.append(-moment[1])
         return np.array(out)
-
-
-class Pile:
-    """Cables dropped onto each other and the ground, in layers at right angles.
-
-    Attributes:
-        model, state, solver: Newton's.
-        deepest: (row,) largest penetration seen between rods, over the radius.
-    """
-
-    radius = 0.003
-
-    def __init__(self, cables: int = 6, edges: int = 20, length: float = 0.2, device: str = "cpu"):
-        builder = newton.ModelBuilder()
-        SolverDER.register_custom_attributes(builder)
-        builder.default_shape_cfg.mu = 0.5
-        builder.add_ground_plane()
-        self.material = RodMaterial(self.radius, 0.04, length)
-        arc = np.linspace(-0.5 * length, 0.5 * length, edges + 1)
-        generator = np.random.default_rng(5)
-        for k in range(cables):
-            turn = 0.5 * np.pi * (k % 2) + generator.uniform(-0.2, 0.2)
-            points = np.outer(arc, [np.cos(turn), np.sin(turn), 0.0])
-            points += [*generator.uniform(-0.02, 0.02, 2), (2.0 + 3.0 * k) * self.radius]
-            SolverDER.add_rod(
-                builder, points, self.material, air_damping=0.5, internal_damping=0.005
-            )
-        self.model = builder.finalize(device=device)
-        self.solver = SolverDER(self.model, rod_contact=0.3)
-        self.state = self.model.state()
-        self.deepest = 0.0
-
-    def run(self, frames: int, rate: float = 60.0) -> float:
-        """Go on; CPU seconds per simulated second."""
-        start = time.process_time()
-        for _ in range(frames):
-            self.step(1.0 / rate)
-        return (time.process_time() - start) * rate / frames
-
-    def step(self, dt: float) -> None:
-        self.solver.step(self.state, self.state, None, None, dt)
-        contact = self.solver._groups[0].rod_contact
-        self.deepest = max(self.deepest, float(contact.penetration.numpy().max()) / self.radius)
 
 
 def measure() -> Iterator[tuple[str, str, str]]:

@@ -1,4 +1,4 @@
-"""Scenes of `wrod bench newton --many`: many worlds, a graph of a step, a pile."""
+"""Scenes of `wrod bench newton --many`: many worlds, a graph of a step, piles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import warp as wp
 
 from wrod.bench.cantilever import Cantilever, Start
 from wrod.bench.cantilever_solvers import Vbd
-from wrod.bench.newton_bodies import Pile
+from wrod.bench.newton_piles import piles
 from wrod.newton_solver import SolverDER
 from wrod.rods.material import RodMaterial
 
@@ -20,7 +20,7 @@ from wrod.rods.material import RodMaterial
 CABLE = RodMaterial.from_youngs_modulus(5e6, radius=0.005, length=0.8, density=1150.0)
 _AMPLITUDE, _RATE = 0.05, 2.0 * np.pi  # of the hand [m], [rad/s]
 _WARM_UP = 4  # steps that compile and record
-_PATIENCE = 60.0  # seconds of a pile
+_VBD_WORLDS = 64  # at most: Newton's builder takes its time
 
 
 @wp.kernel
@@ -187,30 +187,6 @@ def graph_of_a_step(device: str, worlds: int, edges: int, steps: int = 120) -> I
     }  # fmt: skip
 
 
-def pile(device: str, cables: int, edges: int, frames: int) -> Iterator[dict]:
-    """Cables that fall on each other: how deep they are in each other, and energy gained."""
-    heap = Pile(cables, edges, device=device)
-    heap.step(1.0 / 60.0)  # compiles
-    dynamics = heap.solver._groups[0].dynamics
-    highest = last = dynamics.energy()[0]
-    scale, rise, took, frame = abs(last), 0.0, 0.0, 0
-    while frame < frames and took < _PATIENCE:
-        start = time.perf_counter()
-        heap.step(1.0 / 60.0)
-        wp.synchronize()
-        took += time.perf_counter() - start
-        frame += 1
-        now = dynamics.energy()[0]
-        rise, last = max(rise, now - last), now
-    yield {
-        "scene": "pile", "cables": cables, "edges": edges, "frames": frame,
-        "seconds_per_simulated_second": 60.0 * took / frame,
-        "deepest_over_radius": heap.deepest, "energy_start_J": float(highest),
-        "energy_end_J": float(last), "largest_rise_over_energy": float(rise / scale),
-        "diverged": bool(heap.solver.diverged.any()),
-    }  # fmt: skip
-
-
 def measure(
     device: str, worlds: int, cables: int, edges: int, seconds: float = 1.0
 ) -> Iterator[dict]:
@@ -218,8 +194,8 @@ def measure(
     scenes = [
         lambda: worlds_of_cables(device, worlds, edges, seconds),
         lambda: graph_of_a_step(device, worlds, edges),
-        lambda: pile(device, cables, edges, round(120 * seconds)),
-        lambda: worlds_of_cables(device, worlds, edges, seconds, (10, 40)),
+        lambda: piles(device, cables, edges, round(240 * seconds)),
+        lambda: worlds_of_cables(device, min(worlds, _VBD_WORLDS), edges, seconds, (10,)),
     ]
     for scene in scenes:
         try:

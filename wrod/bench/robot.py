@@ -111,6 +111,11 @@ def _say(rows: list[dict], finer: bool, as_json: bool) -> None:
         "step: most that the rod's frame and a joint turn between nodes [rad]; beyond: most that a "
         "joint turns more than the rod's frame [rad per 5 mm of the grip's way]"
     )
+    stays = [row.get("stand_stays") for row in rows if "error" not in row]
+    click.echo(
+        f"the rod's stand stays out of the way in {stays.count(True)}, has to be taken away in "
+        f"{stays.count(False)}, is not there in {stays.count(None)}"
+    )
     hangs = [100.0 * row["hangs"] for row in rows if "error" not in row]
     if hangs:
         click.echo(
@@ -153,6 +158,7 @@ def run_case(
 ) -> dict:
     """Plan and solve one case; figures of its joint path, or the error.
 
+    The rod's shapes are computed, as `wrod plan` does: what hangs is in the arm's way.
     With `scene`, its USD scene is written and asked of OpenUSD's validators too.
     """
     import warnings
@@ -161,6 +167,7 @@ def run_case(
 
     import wrod
     from wrod.errors import WrodError, WrodWarning
+    from wrod.planning.shapes import with_shapes
 
     row: dict[str, Any] = {"robot": robot, "pattern": pattern, "rod": rod_name}
     started = time.process_time()
@@ -171,7 +178,7 @@ def run_case(
                 curve = wrod.pattern(pattern)
             else:
                 curve = wrod.Pattern.load(folder / f"{pattern.replace('-', '')}.txt")
-            trajectory = wrod.plan(curve, wrod.rod(rod_name), method=method)
+            trajectory = with_shapes(wrod.plan(curve, wrod.rod(rod_name), method=method))
         started = time.process_time()
         path = wrod.solve_joint_path(
             trajectory, robot, whole_job=True, rod_radius=wrod.rod(rod_name).radius
@@ -198,6 +205,7 @@ def run_case(
         "grip_angle": figures["grip_angle"],
         "duration": figures["duration"],
         "no_approach": figures.get("no_approach"),
+        "stand_stays": figures.get("stand_stays"),
         "hangs": wrod.rod(rod_name).length - float(path.arc_length[-1]),
     }
 

@@ -11,7 +11,7 @@ from typing import Any
 import click
 import numpy as np
 
-from wrod.bench import campaign
+from wrod.bench import campaign, courses
 from wrod.bench.ledger import Ledger
 from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_csv
 from wrod.errors import RodError
@@ -26,9 +26,12 @@ METHODS = (
     "min_friction",
     "optimised",
     "distilled",
+    "feedback",
     PUT_DOWN,
     MISPLACED,
 )
+# Those whose plan is corrected for its table, and that plan.
+_CORRECTED = {"optimised": "optimised", "feedback": "optimised", "distilled": "distilled"}
 # Seeds of disturbances that no plan was fitted to or judged by.
 _FIRST_SEED = 9_000
 _PLAN_SPACING = 0.005
@@ -37,9 +40,14 @@ _GENTLE = 0.4
 
 
 @click.command(name="slippery")
-@click.option("--frictions", default="0.2,0.3,0.6", show_default=True, help="Of the tables.")
-@click.option("--rods", default="green-vps", show_default=True, help="With commas between them.")
-@click.option("--names", default="letter-U", show_default=True, help="Patterns.")
+@click.option("--frictions", default="0.1,0.2,0.3,0.6,1", show_default=True, help="Of the tables.")
+@click.option(
+    "--rods", default="green-vps,rope,pink-vps", show_default=True, help="With commas between them."
+)
+@click.option(
+    "--names", default="sine,letter-U,letter-C,letter-L,letter-A", show_default=True,
+    help="Patterns.",
+)  # fmt: skip
 @click.option("--methods", default=",".join(METHODS), show_default=True, help="What lays them.")
 @click.option("--trials", default=2, show_default=True, help="Disturbed trials a cell.")
 @click.option(
@@ -50,6 +58,8 @@ _GENTLE = 0.4
     "--chain-step", default=0.004, show_default=True, help="Time step of the mujoco engine [s]."
 )
 @click.option("--undisturbed", is_flag=True, help="Lay the planned rod, placed as planned.")
+@click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes, on a CPU.")  # fmt: skip
 @campaign.options(speed=0.04, step=0.01, spacing=0.005)
 def command(
     frictions: str,
@@ -60,15 +70,20 @@ def command(
     engines: str,
     chain_step: float,
     undisturbed: bool,
+    workers: int,
     **common,
 ) -> None:
     """Lay patterns by plans that do not know their table and by plans that do.
 
+    A GPU optimises all plans together, and lays all trials together.
+
     Plans are kept in OUT/plans and finished trials in OUT/trials.jsonl: a run that was stopped goes
     on from there.
     """
-    from wrod.bench.closures import _numbers
+    from tqdm import tqdm
+
     from wrod.bench.mujoco_chain import require_mujoco
+    from wrod.commands.options import parse_list
     from wrod.rods.device import resolve_device
 
     if trials < 1:
@@ -80,7 +95,7 @@ def command(
         require_mujoco()
     device = resolve_device(asked.device)
     shelf = Shelf(out / "plans", asked.patterns, device)
-    mus = _numbers(frictions, "frictions", 0.01, 10.0)
+    mus = parse_list(frictions, "--frictions", 0.01, 10.0)
     pace = {"speed": asked.speed, "step": asked.step, "release": asked.release}
     settings = {
         **pace,
@@ -100,31 +115,32 @@ def command(
         (*cell, trial)
         for trial in range(trials)
         for cell in cells
-        if trial == 0 or cell[3] != PUT_DOWN
+        if (trial == 0 or cell[3] != PUT_DOWN) and (cell[3] != "feedback" or cell[4] == "wrod")
     ]
 
-    def simulate(part, progress):
-        rows = []
-        for key in part:
-            s, place, steps, diverged = _laid(shelf, key, spacing, device, how)
-            told = _disturbance(key, undisturbed)
-            rows.append(dict(zip(KEYS, key, strict=True)) | _figures(shelf, key, s, place, told))
-            rows[-1] |= {"steps": steps, "diverged": diverged}
-            progress(1.0 / len(part))
-        return rows
+    done = ledger.done()
+    jobs = [(shelf, key, spacing, how) for key in keys if key not in done]
+    shelf.stock([(*key[:3], _CORRECTED[key[3]]) for _, key, *_ in jobs if key[3] in _CORRECTED],
+                workers)  # fmt: skip
+    with tqdm(total=len(keys), initial=len(done), unit="trial", disable=as_json) as bar:
 
-    campaign.run(ledger, keys, simulate, device=device, batch=asked.batch or 1, quiet=as_json)
-    rows = ledger.of(keys)
-    written = [write_csv(out / "slippery.csv", rows), ledger.path]
+        def note(_, row: dict) -> None:
+            ledger.add([row])
+            bar.update(1)
+
+        courses.run(_course, jobs, note, device=device, workers=workers)
+    _tell(ledger.of(keys), shelf, out, [ledger.path], as_json)
+
+
+def _tell(rows: list[dict], shelf: Shelf, out: Path, kept: list[Path], as_json: bool) -> None:
+    """Print what the trials came to, and write table and picture."""
+    written = [write_csv(out / "slippery.csv", rows), *kept]
     written.append(draw(out / "slippery.png", rows, shelf.course, METHODS))
     table = summary(rows)
     groups = means(table, shelf.bends)
     if as_json:
-        click.echo(
-            json.dumps(
-                {"cells": table, "means": groups, "written": [str(p) for p in written]}, indent=2
-            )
-        )
+        paths = [str(path) for path in written]
+        click.echo(json.dumps({"cells": table, "means": groups, "written": paths}, indent=2))
         return
     for line in told(table, groups):
         click.echo(line)
@@ -163,19 +179,40 @@ class Shelf:
         s = np.linspace(0.0, led.length, 2000)
         return bool(np.abs(led.sample(s)[2]).max() * material.gravito_bending_length > _GENTLE)
 
+    def place(self, rod_name: str, name: str, friction: float, method: str) -> Path:
+        """Where the plan is kept; friction counts for those that are corrected alone."""
+        table = f"-{friction:g}" if method in _CORRECTED else ""
+        return self.folder / f"{rod_name}-{name}-{method}{table}.npz"
+
+    def stock(self, cells: list[tuple], workers: int = 1) -> None:
+        """Make the optimised plans among these (rod, pattern, friction, method) that are not there:
+        together on a GPU, in processes on a CPU."""
+        from wrod.deployment.expectation import TOLERANCE
+
+        jobs = [
+            (self, *cell)
+            for cell in dict.fromkeys(cells)
+            if cell[3] == "optimised" and not self.place(*cell).exists()
+        ]
+
+        def save(job: tuple, made) -> None:
+            made.save(self.place(*job[1:]))
+
+        courses.run(_planning, jobs, save, device=self.device, workers=workers, tolerance=TOLERANCE)
+
     def plan(self, rod_name: str, name: str, friction: float, method: str):
         """The trajectory of that method; friction counts for those that are corrected alone."""
         from wrod.deployment.plan import plan
         from wrod.planning.trajectory import Trajectory
 
-        table = f"-{friction:g}" if method in ("optimised", "distilled") else ""
-        path = self.folder / f"{rod_name}-{name}-{method}{table}.npz"
+        path = self.place(rod_name, name, friction, method)
+        if not path.exists() and method == "optimised":
+            self.stock([(rod_name, name, friction, method)])
         if path.exists():
             return Trajectory.load(path)
         led, material = self.course(rod_name, name)
         ways: dict[str, dict[str, Any]] = {
             "intuitive": {"method": "intuitive"},
-            "optimised": {"method": "auto", "friction": friction},
             "distilled": {"method": "distilled", "friction": friction},
         }
         how = ways.get(method, {"method": "numeric", "closure": method})
@@ -186,36 +223,63 @@ class Shelf:
         return made
 
 
-def _laid(shelf: Shelf, key: tuple, spacing: float, device: str, how: dict):
-    """Arc length (node,) and place (node, 3) [m] of what lies, steps taken, whether it diverged."""
+def _planning(shelf: Shelf, rod_name: str, name: str, friction: float, _method: str):
+    """What is laid to optimise a plan, and the plan."""
+    from wrod.deployment.optimise import Task, course
+    from wrod.deployment.plan import plan
+
+    led, material = shelf.course(rod_name, name)
+    start = plan(led, material, spacing=_PLAN_SPACING, remainder=False, device=shelf.device)
+    return (yield from course(Task(led, material, start, friction)))
+
+
+def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
+    """What is laid in a trial, and its row."""
     from wrod.bench.mujoco_chain import lay_in_mujoco, put_down_in_mujoco
     from wrod.bench.put_down import put_down
+    from wrod.deployment.feedback import World, following
+    from wrod.deployment.sight import Sight
     from wrod.deployment.simulate import Trial
-    from wrod.deployment.tangents import lay
+    from wrod.deployment.together import Asked
+    from wrod.planning.tail import Tail
     from wrod.solvers.contact import Friction
 
-    rod_name, name, mu, method, engine, _ = key
+    rod_name, name, mu, method, engine, seed = key
     led, material = shelf.course(rod_name, name)
-    if method == PUT_DOWN:
-        if engine == "mujoco":
-            return *put_down_in_mujoco(led, material, mu), 0, False
+    how = dict(how)
+    undisturbed, chain_step = how.pop("undisturbed"), how.pop("chain_step")
+    told, steps, diverged = _disturbance(key, undisturbed), 0, False
+    if method == PUT_DOWN and engine == "mujoco":
+        s, place = put_down_in_mujoco(led, material, mu)
+    elif method == PUT_DOWN:
         nodes = int((led.length + led.remainder_length) / spacing) + 2
         job = (led, material, Friction(mu))
-        s, place, diverged, steps = put_down([job], node_count=nodes, step=0.02, device=device)[0]
-        return s, place, steps, diverged
-    how = dict(how)
-    disturbance, chain_step = _disturbance(key, how.pop("undisturbed")), how.pop("chain_step")
-    if method == MISPLACED:
+        (end,) = put_down([job], node_count=nodes, step=0.02, device=shelf.device)
+        s, place, diverged, steps = end
+    elif method == MISPLACED:
         s = np.linspace(-led.remainder_length, led.length, 400)
         place = led.sample(s)[0]
-        return s + led.remainder_length, disturbance.displaced(place, place[0]), 0, False
-    trajectory = shelf.plan(rod_name, name, mu, method)
-    one = Trial(led, material, trajectory, Friction(mu), disturbance)
-    if engine == "mujoco":
-        asked = dict(release=how["release"], speed=how["speed"], step=chain_step)
-        return *lay_in_mujoco(one, **asked), 0, False
-    (laid,) = lay([one], spacing=spacing, device=device, **how)
-    return laid.arc_length, laid.centerline, laid.steps, laid.diverged
+        s, place = s + led.remainder_length, told.displaced(place, place[0])
+    else:
+        trajectory = shelf.plan(rod_name, name, mu, _CORRECTED.get(method, method))
+        trial = Trial(led, material, trajectory, Friction(mu), told, Tail.none(trajectory))
+        if engine == "mujoco":
+            asked = dict(release=how["release"], speed=how["speed"], step=chain_step)
+            s, place = lay_in_mujoco(trial, **asked)
+        else:
+            how |= {"spacing": spacing}
+            if method == "feedback":
+                world = World(material, Friction(mu), told)
+                sight = Sight(seed=seed)
+                followed = yield from following(
+                    led, material, trajectory, mu, world, sight=sight, **how
+                )
+                laid = followed.laid
+            else:
+                (laid,) = yield Asked([trial], None, how)
+            s, place, diverged, steps = laid.arc_length, laid.centerline, laid.diverged, laid.steps
+    row = dict(zip(KEYS, key, strict=True)) | _figures(shelf, key, s, place, told)
+    return row | {"steps": steps, "diverged": diverged}
 
 
 def _disturbance(key: tuple, undisturbed: bool):

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.bench import campaign, side_by_side
+from wrod.bench import campaign, courses
 from wrod.bench.ledger import Ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
 
@@ -215,6 +215,7 @@ def _corrected_plans(
     from tqdm import tqdm
 
     from wrod.bench.table3_paper import friction
+    from wrod.deployment.expectation import TOLERANCE
     from wrod.planning.tail import tail
     from wrod.planning.trajectory import Trajectory
 
@@ -224,10 +225,14 @@ def _corrected_plans(
         led, material, trajectory, _ = plans[key]
         path = paths[name, substrate, curve, method] = folder / f"{name}-{substrate}-{curve}.npz"
         if not path.exists():
-            jobs.append((path, led, material, trajectory, friction(name, substrate), device))
-    ended = side_by_side.run(_correct, jobs, workers)
-    for _ in tqdm(ended, total=len(jobs), desc="corrections", disable=quiet):
-        pass
+            jobs.append((path, led, material, trajectory, friction(name, substrate)))
+    with tqdm(total=len(jobs), desc="corrections", disable=quiet) as bar:
+
+        def save(job: tuple, best: Trajectory) -> None:
+            best.save(job[0])
+            bar.update(1)
+
+        courses.run(_course, jobs, save, device=device, workers=workers, tolerance=TOLERANCE)
     corrected = {}
     for cell, path in paths.items():
         led, material, *_ = plans[cell[0], cell[2], cell[3]]
@@ -236,11 +241,11 @@ def _corrected_plans(
     return corrected
 
 
-def _correct(path: Path, led, material, trajectory, mu: float, device: str) -> None:
-    """Keep a trajectory that is corrected for a table of friction `mu`."""
-    from wrod.deployment.optimise import optimise
+def _course(path: Path, *what):
+    """What is laid to correct a plan, which is kept in `path`."""
+    from wrod.deployment.optimise import Task, course
 
-    optimise(led, material, trajectory, mu, device=device).save(path)
+    return course(Task(*what))
 
 
 def _plan_of(key: tuple, plans: dict) -> tuple:

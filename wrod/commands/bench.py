@@ -23,6 +23,7 @@ BENCHMARKS = (
     "cables",
     "loop",
     "closures",
+    "optimised",
     "slippery",
     "feedback",
     "applications",

@@ -59,7 +59,7 @@ def command(
     file = laying.fixtures_file
     fixtures = None if file is None else Fixtures.load(file)
     path, curve = planned.path(curve, rod, device)
-    laying.settle(rod, out, device, force=force, quiet=as_json)
+    laying.settle(rod, path, out, device, force=force, quiet=as_json)
     deployments = laying.lay(curve, rod, path, fixtures, device, as_json)
     written = _write(out, laying, deployments, path, curve, rod, fixtures)
     placed = None

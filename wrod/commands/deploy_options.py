@@ -42,7 +42,9 @@ LAYING = (
     click.option(
         "--trials", default=1, show_default=True, help="Disturbed trials; 1 is the ideal."
     ),
-    click.option("--speed", default=0.02, show_default=True, help="Speed of the contact [m/s]."),
+    click.option(
+        "--speed", type=float, help="Speed of the contact [m/s]; that of the plan, or 0.02."
+    ),
     click.option(
         "--release",
         default=0.05,
@@ -94,7 +96,7 @@ class Laying:
     fixtures_file: Path | None
     rolling: bool
     trials: int
-    speed: float
+    speed: float | None
     release: float
     frames: float | None
 
@@ -110,11 +112,17 @@ class Laying:
 
         return find_spec("viser") is not None and self.trials == 1
 
-    def settle(self, rod, out: Path, device: str, *, force: bool, quiet: bool) -> None:
+    def pace(self, path) -> float:
+        """Speed of the contact [m/s]: as asked for, or what the path was corrected for."""
+        planned = path.metadata.get("optimised") or {}
+        return self.speed or float(planned.get("pace", 0.02))
+
+    def settle(self, rod, path, out: Path, device: str, *, force: bool, quiet: bool) -> None:
         """Say what it costs, and refuse what costs too much."""
         cost.settle(
             cost.deployments(
-                self.trials, rod.length, speed=self.speed, step=0.01, spacing=0.005, device=device
+                self.trials, rod.length, speed=self.pace(path), step=0.01, spacing=0.005,
+                device=device,
             ),
             f"{self.trials} deployments", out, "ask for fewer --trials or a larger --speed",
             force=force, quiet=quiet,
@@ -145,7 +153,7 @@ class Laying:
         with cost.progress_bar(total=100, desc="laid", quiet=quiet, bar_format=shown) as bar:
             return simulate_deployments(
                 jobs,
-                speed=self.speed,
+                speed=self.pace(path),
                 release=self.release,
                 frame_interval=self.interval,
                 device=device,

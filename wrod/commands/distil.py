@@ -20,14 +20,18 @@ _PLAN = 15.0
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--steps", type=click.IntRange(min=1), default=500, show_default=True)
+@click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(size: int, out: Path, seed: int, steps: int, force: bool, as_json: bool) -> None:
+def command(
+    size: int, out: Path, seed: int, steps: int, device: str, force: bool, as_json: bool
+) -> None:
     """Optimise plans of random patterns for random tables, and train a network on them.
 
     `wrod plan --friction 0.3 --method distilled` asks the network instead of optimising. Plans are
     kept in OUT/plans: the same command goes on where a killed one was. Every process that torchrun
-    starts takes its share of them, and the same command without it trains on all.
+    starts takes its share of them, and the same command without it trains on all. A GPU optimises
+    64 at a time.
 
     \b
       torchrun --nproc-per-node 32 --no-python wrod distil --size 400 --out DIR
@@ -47,7 +51,12 @@ def command(size: int, out: Path, seed: int, steps: int, force: bool, as_json: b
     ) as bar:  # fmt: skip
         try:
             good, bad = generate(
-                out / "plans", size, seed=seed, rank=rank, progress=lambda: bar.update(1)
+                out / "plans",
+                size,
+                seed=seed,
+                rank=rank,
+                device=device,
+                progress=lambda: bar.update(1),
             )
         except OSError as error:
             raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None

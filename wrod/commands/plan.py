@@ -31,7 +31,7 @@ from wrod.commands.plan_steps import (
     softened,
     solve_grasps_of,
 )
-from wrod.commands.plan_summary import read_friction, summary
+from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
 from wrod.errors import PatternError
 
@@ -41,8 +41,8 @@ _GRASPS = (
         "--controller",
         "controller_file",
         type=click.Path(path_type=Path),
-        help="Controller that `wrod train` made, of this naturally curved rod for one; default: "
-        "the one that ships, for straight rods.",
+        help="Controller that `wrod train` made, its file or folder; of a naturally curved rod it "
+        "has to be that rod's. Default: those that ship, for straight rods.",
     ),
     click.option(
         "--spacing", default=0.0025, show_default=True, help="Distance between nodes [m]."
@@ -53,6 +53,17 @@ _GRASPS = (
         help="Of the table: a coefficient (0.3) or a range (0.2:0.6). The path is corrected until "
         "what stays lies on the pattern, and what is expected there is said; takes a minute or "
         "two.",
+    ),
+    click.option(
+        "--pace",
+        help="Speed of the contact on that table [m/s], or a range (0.02:0.08), of which the "
+        "fastest is taken that does no harm; 0.04.",
+    ),
+    click.option(
+        "--expect/--no-expect",
+        "expects",
+        default=True,
+        help="Lay the plan in simulation and say how far off it will lie (default); seconds.",
     ),
     click.option(
         "--shapes/--no-shapes",
@@ -78,6 +89,8 @@ class _GraspRequest:
     controller_file: Path | None
     spacing: float
     friction_text: str | None
+    pace: str | None
+    expects: bool
     shapes: bool
     remainder: bool | None
     roll_text: str | None
@@ -91,7 +104,9 @@ class _GraspRequest:
         from wrod.controller.controller import Controller
 
         if self.method == "intuitive":
-            refuse_idle_options("--method intuitive", "closure")
+            refuse_idle_options("--method intuitive", "closure", "pace")
+        if self.friction_text is None:
+            refuse_idle_options("a plan without --friction", "pace")
         file = self.controller_file
         return {
             "method": self.method,
@@ -100,6 +115,9 @@ class _GraspRequest:
             "remainder": self.remainder,
             "shapes": self.shapes,
             "controller": None if file is None else Controller.load(file),
+            "pace": None
+            if self.pace is None
+            else read_range(self.pace, "pace", "0.04 or 0.02:0.08"),
         }
 
     def compile_ahead(self, device: str | None) -> None:
@@ -145,12 +163,14 @@ def command(
     from wrod.planning.roll import read_roll
 
     how, chosen = grasps.read(), None if device == "auto" else device
-    request.check()
+    request = request.check()
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
     grasps.compile_ahead(chosen)
 
-    def planned(resize: float | None, hold: float | None, friction=None, tried=None, led=None):
+    def planned(
+        resize: float | None, hold: float | None, friction=None, tried=None, led=None, expects=False
+    ):
         """Pattern, rod and trajectory at a size and a hold, or shaped as is `tried`; `led` is the
         remainder where it is not as asked for."""
         fitted = fit(drawn, rod, tried or replace(shaping, resize=resize, hold=hold))
@@ -167,20 +187,20 @@ def command(
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),
-            device=chosen, friction=friction, meanwhile=request.load_ahead,
-            **{**how, "remainder": False},
+            device=chosen, friction=friction, expects=expects,
+            meanwhile=request.load_ahead, **{**how, "remainder": False},
         )  # fmt: skip
         return fitted, curve, trajectory
 
     size = (shaping.resize, shaping.hold)
-    fitted, curve, trajectory = planned(*size, friction)
+    fitted, curve, trajectory = planned(*size, friction, expects=grasps.expects)
     written = save_plan(out, curve, trajectory)
     joint_path, reason = None, None
     if not request.no_robot:
 
-        def softer(share: float):
+        def softer(how):
             start = planned(*size)[2]
-            return softened(curve, fitted.rod, trajectory, start, share, friction, chosen)
+            return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
 
         corrected = trajectory.metadata.get("optimised", {}).get("kept", False)
         joint_path, reason, more, followed = arm_steps(
@@ -191,8 +211,7 @@ def command(
             trajectory = followed
             save_plan(out, curve, trajectory)
         written += more
-    figures = _figures(trajectory, fitted, joint_path, reason, written)
-    _say(figures, as_json)
+    _say(_figures(trajectory, fitted, joint_path, reason, written), as_json)
     if reason is not None:
         click.echo(f"wrod: {reason}", err=True)
         click.get_current_context().exit(NO_JOINT_PATH)

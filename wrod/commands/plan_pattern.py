@@ -86,11 +86,6 @@ def fit(curve, rod, shaping: Shaping) -> Prepared:
             f"{1e3 * far:.1f} mm at s = {where:.3f} m, more than the tolerance of "
             f"{1e3 * tolerance:g} mm; give more points, or --tolerance {far + 1e-4:.4f}"
         )
-    if far > 1e-3:
-        notes.append(
-            f"the curve leaves the lines between the points by {1e3 * far:.1f} mm at most, at "
-            f"s = {where:.3f} m"
-        )
     figures["departure_from_points"] = far
     if too_long(curve, rod) is not None:
         return Prepared(curve, rod, tuple(notes), figures)  # it is refused next

@@ -7,23 +7,16 @@ from pathlib import Path
 
 NO_JOINT_PATH = 3  # exit code: the plan stands, the arm cannot follow it
 # Of a correction for a table, where an arm cannot follow all of it.
-_SHARES = (0.5, 0.0)
+_SHARE = 0.5
 
 
 def solve_grasps_of(
-    curve,
-    rod,
-    quiet: bool,
-    *,
-    method: str,
-    device,
-    shapes: bool,
-    friction=None,
-    meanwhile,
-    **options,
-):
-    """The trajectory, with the rod's shapes where they are wanted; `meanwhile` is called while what
-    they need may still be compiled."""
+    curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, pace=None,
+    expects=False, meanwhile, **options,
+):  # fmt: skip
+    """The trajectory, with the rod's shapes where they are wanted, and with what is expected of it
+    on a table where that is. `meanwhile` is called while what shapes need may still be
+    compiled."""
     from tqdm import tqdm
 
     from wrod.deployment.plan import plan
@@ -37,27 +30,52 @@ def solve_grasps_of(
 
         trajectory = plan(
             curve, rod, method, device=device, progress=progress,
-            friction=None if method == "intuitive" else friction, **options,
+            friction=None if method == "intuitive" else friction,
+            pace=None if friction is None else pace, **options,
         )  # fmt: skip
-        if friction is not None and method == "intuitive":
-            from wrod.deployment.expectation import expect
-
-            expected = expect(curve, rod, trajectory, friction, device=device or "auto")
-            trajectory.metadata["expected"] = expected
         meanwhile()
         if shapes:
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
+        wanted = expects or (friction is not None and method == "intuitive")
+        if wanted and "expected" not in trajectory.metadata:
+            bar.set_description("laying it in simulation")
+            trajectory.metadata["expected"] = _expected(curve, rod, trajectory, friction, device)
     return trajectory
 
 
-def softened(curve, rod, trajectory, start, share: float, friction, device):
-    """The trajectory with a share of its corrections for a table, and what is expected of it."""
+def _expected(curve, rod, trajectory, friction, device) -> dict | None:
+    """What is expected of a plan on a table; None, with a warning, where it cannot be laid."""
+    import warnings
+
+    from wrod.deployment.expectation import foresee
+    from wrod.errors import WrodError, WrodWarning
+
+    try:
+        return foresee(curve, rod, trajectory, friction, device=device)
+    except WrodError as error:
+        warnings.warn(WrodWarning(f"not laid in simulation: {error}"), stacklevel=3)
+        return None
+
+
+def softened(curve, rod, trajectory, start, how, friction, device):
+    """A trajectory that asks less of the arm than one that is corrected for a table, and what is
+    expected of it: with a share of its corrections, or, where `how` is the joint path of `start`,
+    corrected anew within what the arm can do beside that."""
     from wrod.deployment.corrections import with_share
     from wrod.deployment.expectation import expect
+    from wrod.deployment.optimise import optimise
+    from wrod.robot.limits import ArmLimits
 
-    less = with_share(start, trajectory, share)
-    less.metadata["expected"] = expect(curve, rod, less, friction, device=device or "auto")
+    device = device or "auto"
+    if not isinstance(how, float):
+        asked = {"limits": ArmLimits(how), "pace": trajectory.metadata["optimised"]["pace"]}
+        best = optimise(curve, rod, start, friction, device=device, **asked)
+        best.metadata["optimised"]["within_limits"] = True
+        return best
+    less = with_share(start, trajectory, how)
+    pace = trajectory.metadata["optimised"]["pace"]
+    less.metadata["expected"] = expect(curve, rod, less, friction, pace=pace, device=device)
     return less
 
 
@@ -82,8 +100,9 @@ def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, 
 
     Args:
         planned: (resize, hold) -> what the plan would be with them; `size` is what they are now.
-        softer: share -> the trajectory with that share of its corrections for a table; None: it has
-            none. Where the arm cannot follow all of them it follows as many as it can.
+        softer: what asks less of the arm than all corrections for a table, see `softened`; None:
+            there are none. Where the arm cannot follow them they are made anew within what it can
+            do, and if it cannot follow these either it follows as many as it can.
 
     Returns:
         The `JointPath` or None, the reason or None, the files written, and the trajectory followed.
@@ -131,17 +150,22 @@ def _followed(request, trajectory, rod, softer):
     try:
         return request.solve(trajectory, rod), trajectory
     except UnreachedError:
-        for share in _SHARES if softer is not None else ():
-            less = softer(share)
+        if softer is None:
+            raise
+        start = softer(0.0)
+        path = request.solve(start, rod)
+        for how in (path, _SHARE):
+            less = softer(how)
             try:
                 return request.solve(less, rod), less
             except UnreachedError:
                 continue
-        raise
+        return path, start
 
 
 def _remedy(request, failed, rod, curve, planned, size) -> str | None:
     """An option with which the joint path was found, or None."""
+    import time
     import warnings
 
     from wrod.errors import WrodError
@@ -149,11 +173,18 @@ def _remedy(request, failed, rod, curve, planned, size) -> str | None:
     from wrod.robot.remedy import remedies
 
     resize, hold = size
+    until = time.monotonic() + _REMEDY
 
     def places(heights):
         return candidates(failed.task.trajectory, failed.task.robot, heights=heights)
 
-    for change in remedies(failed, rod, curve.length + curve.remainder_length, places):
+    length = curve.length + curve.remainder_length
+    for change in remedies(failed, rod, length, places, until):
+        if time.monotonic() > until:
+            return (
+                f"nothing that helps was found in {_REMEDY / 60:.0f} minutes; use a smaller "
+                "pattern, or another arm"
+            )
         (name, value), *_ = change.items()
         try:
             with warnings.catch_warnings():
@@ -214,7 +245,8 @@ def again(**changes) -> str:
     return shlex.join([*words[:2], *given, *words[2:]])
 
 
-_SEARCH = 600.0  # [s] of looking for a size that an arm can lay
+# [s] of looking for what would help an arm, and for a size that it can lay.
+_REMEDY, _SEARCH = 180.0, 600.0
 
 
 def fitting(request, tries, planned, reason) -> str:

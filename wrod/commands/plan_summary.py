@@ -19,15 +19,17 @@ def summary(figures: dict) -> str:
         + (f", closure {figures['closure']}" if figures["closure"] else "")
         + (f", grasps of the {figures['solver']}" if figures.get("solver") else ""),
     ]
-    if "expected" in figures:
-        lines += _expectation(figures["expected"], figures.get("optimised"))
-    elif "distilled" in figures:
+    if (off := figures.get("departure_from_points", 0.0)) > 0.0:
+        lines.append(f"the curve leaves the lines between its points by {1e3 * off:.1f} mm at most")
+    if "distilled" in figures:
         said = figures["distilled"]
         lines.append(
             f"for friction {said['friction']:g} by the distilled corrections, the largest "
-            f"{100.0 * said['largest_correction']:.1f} cm; what is left was not simulated"
+            f"{100.0 * said['largest_correction']:.1f} cm"
         )
-    else:
+    if figures.get("expected") is not None:
+        lines += _expectation(figures["expected"], figures.get("optimised"))
+    if not {"optimised", "distilled"} & set(figures):
         lines.append("for no table in particular; --friction 0.3 or 0.2:0.6 corrects it for one")
     lines += [f"note: {note}" for note in figures["notes"]]
     if figures["twist"] is not None:
@@ -59,14 +61,20 @@ def summary(figures: dict) -> str:
 
 def _expectation(expected: dict, optimised: dict | None) -> list[str]:
     """What simulated deployments say of the plan, in sentences."""
-    mus = expected["friction"]
-    table = f"friction {mus[0]:.2g} to {mus[-1]:.2g}"
+    mus, errors = expected["friction"], expected["error_mean"]
     lines = [
-        f"expected on a table of {table}: {100 * expected['mean']:.2f} ± "
-        f"{100 * expected['deviation']:.2f} cm, at worst "
-        f"{100 * max(expected['error_mean']):.2f} cm "
-        f"({len(mus)} disturbed rods, laid in simulation)"
+        f"expected of {len(mus)} disturbed rods, laid in simulation: "
+        f"{100 * expected['mean']:.2f} ± {100 * expected['deviation']:.2f} cm off the pattern; "
+        + ", ".join(
+            f"{100 * e:.2f} at friction {mu:.2g}" for mu, e in zip(mus, errors, strict=True)
+        )
     ]
+    holds = expected["holds_from"]
+    lines.append(
+        f"within 5 mm of the pattern from friction {holds:.2g} on"
+        if holds is not None
+        else f"more than 5 mm off somewhere, up to the largest friction of {mus[-1]:.2g}"
+    )
     if optimised is not None:
         lines.append(
             f"grip corrected by up to {1e3 * optimised['largest_correction']:.1f} mm, from "
@@ -75,6 +83,13 @@ def _expectation(expected: dict, optimised: dict | None) -> list[str]:
             if optimised["kept"]
             else "grip left as planned: no correction lays these rods better"
         )
+        tried = ", ".join(f"{100 * e:.2f} cm at {v:g}" for v, e in optimised.get("paces", ()))
+        lines.append(
+            f"to be laid at {optimised['pace']:g} m/s of the contact"
+            + (f", the fastest that does no harm of {tried} m/s" if tried else "")
+        )
+        if optimised.get("within_limits"):
+            lines.append("corrected within what the arm's joints can do")
         if (share := optimised.get("share")) is not None:
             lines.append(
                 f"the arm follows {share:.0%} of what was found, which is what is expected; with "
@@ -104,15 +119,28 @@ def read_friction(text: str) -> float | tuple[float, float]:
         PatternError: it is none of these.
         DataError: the file is no table's.
     """
+    from wrod.deployment.spread import Spread
     from wrod.deployment.table import Table
-    from wrod.errors import PatternError
 
     if text.lower().endswith(".json"):
         return Table.load(text).interval
+    friction = read_range(text, "friction", "0.3 or 0.2:0.6")
+    Spread.of(friction)  # refused before anything is planned
+    return friction
+
+
+def read_range(text: str, what: str, example: str) -> float | tuple[float, float]:
+    """0.3, or (0.2, 0.6) of "0.2:0.6".
+
+    Raises:
+        PatternError: it is neither.
+    """
+    from wrod.errors import PatternError
+
     try:
         values = [float(word) for word in text.split(":")]
     except ValueError:
         values = []
     if len(values) not in (1, 2):
-        raise PatternError(f"--friction is {text!r}; give a coefficient (0.3) or a range (0.2:0.6)")
+        raise PatternError(f"--{what} is {text!r}; give a number or a range, as {example}")
     return values[0] if len(values) == 1 else (values[0], values[1])

@@ -8,7 +8,8 @@ from wrod.deployment.expectation import COARSE
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, interpolated
 from wrod.deployment.simulate import Trial
-from wrod.deployment.tangents import Directions, Laid, lay
+from wrod.deployment.tangents import Directions, Laid
+from wrod.deployment.together import Asked, Course
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
@@ -37,13 +38,10 @@ class Beliefs:
         rod: that is believed in at first.
         friction: likewise.
         hold: length of the free end that is held at first [m].
-        device: where the believed rod is laid.
     """
 
-    def __init__(
-        self, pattern: Pattern, rod: RodMaterial, friction: float, hold: float, device: str | None
-    ):
-        self.pattern, self.rod, self.hold, self.device = pattern, rod, hold, device
+    def __init__(self, pattern: Pattern, rod: RodMaterial, friction: float, hold: float):
+        self.pattern, self.rod, self.hold = pattern, rod, hold
         self.friction = friction
         self.field: FrictionField | None = None
         # In deviations: logarithms of friction and stiffness, natural curvature, offset.
@@ -75,16 +73,17 @@ class Beliefs:
         law = Friction(float(self.friction * np.exp(mu)))
         return Trial(self.pattern, self.rod, path, law, how, Tail.none(path))
 
-    def lay(self, path: Trajectory, columns: Directions | None = None, **options) -> Laid:
+    def lay(self, path: Trajectory, columns: Directions | None = None, **options) -> Course[Laid]:
         """What is believed to lie at the end of a path."""
         given = {"friction_field": self.field, **COARSE, **options}
         directions = None if columns is None else [columns]
-        return lay([self.trial(path)], directions, hold=self.hold, device=self.device, **given)[0]
+        (laid,) = yield Asked([self.trial(path)], directions, given)
+        return laid
 
-    def update(self, s: float, path: Trajectory, seen: Seen, **options) -> float:
+    def update(self, s: float, path: Trajectory, seen: Seen, **options) -> Course[float]:
         """By what is seen when `s` [m] is laid, at the end of a path; root mean square of what
         lies against what was believed before [m]."""
-        laid = self.lay(path, Directions.of_rod(len(path)), **options)
+        laid = yield from self.lay(path, Directions.of_rod(len(path)), **options)
         residual = seen.place - interpolated(laid.arc_length, laid.centerline, seen.arc_length)
         rates = [interpolated(laid.arc_length, c, seen.arc_length) for c in laid.tangent]
         rates[0] *= self.trial(path).friction.static  # by its logarithm

@@ -10,9 +10,10 @@ from wrod.deployment.result import METRIC_POINTS, interpolation
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
-from wrod.deployment.tangents import Laid, lay
+from wrod.deployment.tangents import Laid
+from wrod.deployment.together import Asked, Course, follow
 from wrod.patterns.pattern import Pattern
-from wrod.planning.tail import tail
+from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -27,6 +28,8 @@ COARSE_EDGE, FINE_EDGE = 1.0 / 3.0, 1.0 / 6.0
 TOLERANCE = 1e-3
 # Disturbed rods that are laid by the finished plan, none of which the optimisation has seen.
 _UNSEEN = 6
+# Friction of a table that nobody measured, and rods that are laid on such tables.
+UNMEASURED, _FORESEEN = (0.2, 0.6), 4
 _FIRST_SEED = 77_000
 # What counts as slid, and as not on the pattern [m].
 _SLID, _OFF = 1e-3, 5e-3
@@ -42,12 +45,16 @@ def expect(
     *,
     trials: int = _UNSEEN,
     hold: float = 0.05,
+    pace: float = FINE["speed"],
+    coarse: bool = False,
     device: str | None = "cpu",
 ) -> dict:
     """What a trajectory is to be expected to do on a table: disturbed rods, laid in simulation.
 
     The disturbances are those of a careful laboratory (`Disturbance.random`), placement and jitter
-    included; friction runs from the least to the largest.
+    included; friction runs from the least to the largest, and rods stretch as believed or less
+    (`Spread.stretch`). Meshes may be `coarse`: what lies differs by 0.05 cm, in a third of the
+    time.
 
     Returns:
         Plain JSON values: friction (trials,) [-]; error_mean (trials,), their mean and deviation
@@ -55,36 +62,54 @@ def expect(
         has the pattern, which is what the plan can answer for; "slides": stretches (from, to) of
         the pattern's arc length [m] where the rod slides by more than 1 mm in half of the trials;
         "off": stretches that lie more than 5 mm from the pattern in any, each with the friction
-        from which on it does not in any trial (None: in none of them); diverged: how many did.
+        from which on it does not in any trial (None: in none of them); "holds_from": the friction
+        from which on nothing does (None: none); "error_along": (50,) mean over the trials along
+        the pattern [m]; diverged: how many did.
     """
-    (expected,) = expect_each(
-        pattern, rod, [trajectory], friction, trials=trials, hold=hold, device=device
-    )
+    course = expecting(pattern, rod, [trajectory], friction, trials, pace, coarse)
+    (expected,) = follow([course], hold=hold, tolerance=TOLERANCE, device=device)[0]
     return expected
 
 
-def expect_each(
+def foresee(
+    pattern: Pattern,
+    rod: RodModel | RodMaterial,
+    trajectory: Trajectory,
+    friction: float | tuple[float, float] | None = None,
+    *,
+    device: str | None = None,
+) -> dict:
+    """`expect` for a table, or for one that nobody measured: four rods, coarse meshes."""
+    device = device or "auto"
+    if friction is not None:
+        return expect(pattern, rod, trajectory, friction, device=device)
+    return expect(
+        pattern, rod, trajectory, UNMEASURED, trials=_FORESEEN, coarse=True, device=device
+    )
+
+
+def expecting(
     pattern: Pattern,
     rod: RodModel | RodMaterial,
     trajectories: list[Trajectory],
     friction: float | tuple[float, float] | Spread,
-    *,
     trials: int = _UNSEEN,
-    hold: float = 0.05,
-    device: str | None = "cpu",
-) -> list[dict]:
+    pace: float = FINE["speed"],
+    coarse: bool = False,
+) -> Course[list[dict]]:
     """`expect` of several trajectories of a pattern, with the same disturbed rods for all."""
-    mus = np.linspace(*Spread.of(friction).friction, trials)
+    spread = Spread.of(friction)
+    mus, rods = np.linspace(*spread.friction, trials), spread.unseen(trials, rod)
     disturbances = [Disturbance.random(_FIRST_SEED + k) for k in range(trials)]
-    jobs = []
-    for trajectory in trajectories:
-        rest = tail(pattern, rod, trajectory)
-        jobs += [
-            Trial(pattern, rod, trajectory, Friction(mu), one, rest)
-            for mu, one in zip(mus.tolist(), disturbances, strict=True)
-        ]
-    how = edged(FINE, FINE_EDGE * rod.gravito_bending_length)
-    laid = lay(jobs, hold=hold, device=device, tolerance=TOLERANCE, **how)
+    rests = [Tail.none(trajectory) for trajectory in trajectories]
+    jobs = [
+        Trial(pattern, held, trajectory, Friction(mu), one, rest)
+        for trajectory, rest in zip(trajectories, rests, strict=True)
+        for held, mu, one in zip(rods, mus.tolist(), disturbances, strict=True)
+    ]
+    mesh, edge = (COARSE, COARSE_EDGE) if coarse else (FINE, FINE_EDGE)
+    how = edged(mesh, edge * rod.gravito_bending_length) | {"speed": pace}
+    laid = yield Asked(jobs, None, how)
     return [
         _expectation(pattern, laid[first : first + trials], disturbances, mus)
         for first in range(0, len(laid), trials)
@@ -109,6 +134,8 @@ def _expectation(
     ]
     s = np.linspace(0.0, pattern.length, METRIC_POINTS)
     slid = np.array([np.interp(s + pattern.remainder_length, x.arc_length, x.slip) for x in laid])
+    bad = np.flatnonzero((error > _OFF).any(axis=1))
+    good = int(bad[-1]) + 1 if len(bad) else 0
     off = []
     for start, stop in _stretches(s, np.any(error > _OFF, axis=0)):
         inside = (s >= start) & (s <= stop)
@@ -124,6 +151,8 @@ def _expectation(
         "deviation": float(means.std()),
         "slides": _stretches(s, np.mean(slid > _SLID, axis=0) >= 0.5),
         "off": off,
+        "holds_from": float(mus[good]) if good < len(mus) else None,
+        "error_along": error.mean(axis=0).tolist(),
         "diverged": int(sum(one.diverged for one in laid)),
     }
 

@@ -19,7 +19,8 @@ from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, Sight
 from wrod.deployment.simulate import Trial
-from wrod.deployment.tangents import Directions, Laid, lay
+from wrod.deployment.tangents import Directions, Laid
+from wrod.deployment.together import Asked, Course, follow
 from wrod.deployment.way import Way
 from wrod.errors import RodError
 from wrod.patterns.pattern import Pattern
@@ -34,7 +35,7 @@ _LEAST_POSES = 3
 # and the largest change of a correction in an iteration [L_gb].
 _SIZE, _ROUGHNESS, _STEP = 2e-4, 2e-4, 0.35
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
-_HORIZON = 6.0
+HORIZON = 6.0
 # Of a spline that begins at the contact, so many first coefficients are its value and slope there.
 _FIXED = 2
 # What lies is laid anew where it errs by more than this on average over so much rod before the
@@ -104,6 +105,7 @@ def lay_with_feedback(
     sight: Sight | None = None,
     known: bool = False,
     again: bool = True,
+    horizon: float = HORIZON,
     hold: float = 0.05,
     device: str | None = "cpu",
     **options,
@@ -124,6 +126,7 @@ def lay_with_feedback(
         known: believe the truth from the first look on: what is left then is the share of control,
             and of what cannot be laid any better.
         again: whether the grip may go back and lay anew what has gone wrong.
+        horizon: how far beyond the contact the path is corrected after a look [L_gb].
         hold: length of the free end that is held at first [m].
         device: "cpu", "cuda:0" or "auto".
         options: of `wrod.deployment.tangents.lay`, for the world.
@@ -131,19 +134,43 @@ def lay_with_feedback(
     Raises:
         RodError: `every` is not positive.
     """
+    course = following(
+        pattern, rod, trajectory, friction, world, every=every, sight=sight, known=known,
+        again=again, horizon=horizon, hold=hold, **options,
+    )  # fmt: skip
+    return follow([course], hold=hold, device=device)[0]
+
+
+def following(
+    pattern: Pattern,
+    rod: RodMaterial,
+    trajectory: Trajectory,
+    friction: float,
+    world: World,
+    *,
+    every: float = 0.03,
+    sight: Sight | None = None,
+    known: bool = False,
+    again: bool = True,
+    horizon: float = HORIZON,
+    hold: float = 0.05,
+    **options,
+) -> Course[Followed]:
+    """The deployments of `lay_with_feedback`, and what it returns."""
     if not every > 0.0:
         raise RodError(f"every is {every!r} m; give the positive length between two looks")
     sight = sight or Sight()
     rng = np.random.default_rng(sight.seed)
-    beliefs = Beliefs(pattern, rod, friction, hold, device)
+    beliefs = Beliefs(pattern, rod, friction, hold)
     way = Way(trajectory)
 
-    def really(path: Trajectory, **more) -> Laid:
+    def really(path: Trajectory, **more) -> Course[Laid]:
         how = world.disturbance
         how = replace(how, offset=tuple(np.asarray(how.offset) + beliefs.placed))
         trial = Trial(pattern, world.rod, path, world.friction, how, Tail.none(path))
         given = {"friction_field": world.friction_field, **options, **more}
-        return lay([trial], hold=hold, device=device, **given)[0]
+        (laid,) = yield Asked([trial], None, given)
+        return laid
 
     s = trajectory.arc_length
     gone = first = float(s[min(int(np.searchsorted(s, hold)) + _LEAST_POSES, len(s) - 1)])
@@ -151,37 +178,39 @@ def lay_with_feedback(
     while gone == first or gone < way.end - 0.5 * every:
         path, at = way.until(gone).path, way.laid_at(gone)
         held = {"release": at + hold} if gone == first else {}
-        seen = Seen.of(really(path, **held), at, sight, rng)
-        misfit = beliefs.update(at, path, seen, **held)
+        seen = Seen.of((yield from really(path, **held)), at, sight, rng)
+        misfit = yield from beliefs.update(at, path, seen, **held)
         if known:
             beliefs.know(world.friction.static, world.disturbance, world.friction_field)
         if gone == first:
             beliefs.placed -= beliefs.offset
         times = sum(look.back is not None for look in looks)
-        now = _Now(beliefs, way, gone, seen)
-        way, gone, back = now.replanned(again and gone > first and times < _MOST_TIMES)
+        now = _Now(beliefs, way, gone, seen, horizon)
+        way, gone, back = yield from now.replanned(again and gone > first and times < _MOST_TIMES)
         looks.append(_look(beliefs, path, at, misfit, back))
         gone += every
-    return Followed(way.path, really(way.path), looks)
+    return Followed(way.path, (yield from really(way.path)), looks)
 
 
 @dataclass(frozen=True)
 class _Now:
-    """A moment of a deployment: what is believed, the way, how much of it is gone [m], and what is
-    seen."""
+    """A moment of a deployment: what is believed, the way, how much of it is gone [m], what is
+    seen, and how far ahead the path is corrected [L_gb]."""
 
     beliefs: Beliefs
     way: Way
     gone: float
     seen: Seen
+    horizon: float
 
-    def replanned(self, again: bool) -> tuple[Way, float, float | None]:
+    def replanned(self, again: bool) -> Course[tuple[Way, float, float | None]]:
         """The way from now on; how much of it is gone where it begins to lay [m]; and the laid
         length to which it goes back, if it does [m]."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         at = self.way.laid_at(self.gone)
-        aside = beside(beliefs.lay(self.way.until(self.gone).path), at, self.seen)
-        before, after, way = self._corrected(self.way, self.gone, at, aside)
+        laid = yield from beliefs.lay(self.way.until(self.gone).path)
+        aside = beside(laid, at, self.seen)
+        before, after, way = yield from self._corrected(self.way, self.gone, at, aside)
         s = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
         lately = (s > at - _LOOKED_AT) & (s <= at)
         if not again or not lately.any() or before[lately].mean() < _WRONG:
@@ -189,23 +218,24 @@ class _Now:
         begins = float(s[lately & (before > _BEGINS * _WRONG)][0]) - _BEFORE
         back, turn = self.way.back(self.gone, max(begins, beliefs.hold + _BEFORE))
         to = back.laid_at(turn)
-        _, better, back = self._corrected(back, turn, to, aside)
+        _, better, back = yield from self._corrected(back, turn, to, aside)
         if not (after - better)[s <= at].sum() > _GAIN * METRIC_POINTS:
             return way, self.gone, None
         return back, turn, to
 
-    def _corrected(self, way: Way, gone: float, s: float, aside: np.ndarray):
+    def _corrected(
+        self, way: Way, gone: float, s: float, aside: np.ndarray
+    ) -> Course[tuple[np.ndarray, np.ndarray, Way]]:
         """(50,) error that is expected along the pattern before and after [m], and the way
         corrected beyond `gone`, where `s` is laid, at first without a step or a kink. What lies
         near or beyond there comes to lie by `aside` (2,) beside what is believed [m]."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         lgb = beliefs.rod.gravito_bending_length
-        last = gone + _HORIZON * lgb
+        last = gone + self.horizon * lgb
         c = way.corrections(pattern, lgb, gone, last)
         free = np.arange(3 * c.count) >= 3 * _FIXED
         near = way.until(last)
         columns = Directions.of_path(c.columns()[free][:, : len(near.laid)])
-        laid = beliefs.lay(near.path, columns)
         along = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
         there = np.tile(along <= near.laid[-1], 2)
         beyond = np.outer(aside, along > s - _LOOKED_AT).ravel()
@@ -214,7 +244,7 @@ class _Now:
             lost = np.inf if laid.diverged else 0.0
             return (misplacement(pattern, laid)[0] + beyond) * there + lost
 
-        laid = beliefs.lay(near.path, columns)
+        laid = yield from beliefs.lay(near.path, columns)
         before, rates = errs(laid), misplacement(pattern, laid)[1] * there[:, None]
         after, values = before, np.zeros(3 * c.count)
         scale = 1.0 / (METRIC_POINTS * lgb**2)
@@ -223,12 +253,13 @@ class _Now:
             step = -np.linalg.solve(matrix, scale * rates.T @ before)
             trial = np.zeros_like(values)
             trial[free] = size * step * min(1.0, _STEP / np.abs(step).max(initial=1e-12))
-            tried = errs(beliefs.lay(Way(c.apply(trial), way.laid).until(last).path))
+            path = Way(c.apply(trial), way.laid).until(last).path
+            tried = errs((yield from beliefs.lay(path)))
             if tried @ tried < after @ after:
                 after, values = tried, trial
                 break
-        said = (np.hypot(*e.reshape(2, -1)) for e in (before, after))
-        return *said, Way(c.apply(values), way.laid)
+        lost, left = (np.hypot(*e.reshape(2, -1)) for e in (before, after))
+        return lost, left, Way(c.apply(values), way.laid)
 
 
 def _look(beliefs: Beliefs, path: Trajectory, s: float, misfit: float, back: float | None) -> Look:

@@ -67,7 +67,7 @@ class Fixture:
 
 
 @dataclass(frozen=True)
-class Placement:
+class GatesPassed:
     """Whether a cable lies between the fixtures.
 
     Attributes:
@@ -241,7 +241,7 @@ class Fixtures:
         radius=arguments.number(above=0.0, high=100.0),
         speed=arguments.number(0.0),
     )
-    def judge(self, centerline: np.ndarray, radius: float, speed: float = 0.0) -> Placement:
+    def judge(self, centerline: np.ndarray, radius: float, speed: float = 0.0) -> GatesPassed:
         """Whether a rod lies between the fixtures, and stays there.
 
         It passes a gate if its centreline, seen from above, crosses the line between the two
@@ -253,6 +253,7 @@ class Fixtures:
             radius: of the rod [m].
             speed: of its fastest part [m/s].
         """
+        centerline = np.asarray(centerline)  # of Warp, it may be
         by_name = {item.name: item for item in self.items}
         passed, places = [], []
         for names in self.gates:
@@ -266,7 +267,7 @@ class Fixtures:
             places.append(at[0][0] if at else -1.0)
         gates = np.array(passed, dtype=bool)
         through = np.array(places)[gates] if len(gates) else np.zeros(0)
-        return Placement(gates, bool((np.diff(through) > 0).all()), speed < _STILL)
+        return GatesPassed(gates, bool((np.diff(through) > 0).all()), speed < _STILL)
 
 
 def _passes(line: np.ndarray, left: np.ndarray, right: np.ndarray) -> list[tuple]:

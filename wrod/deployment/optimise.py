@@ -9,9 +9,9 @@ rods and tables lie on the pattern, on average and at their worst.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,16 +23,18 @@ from wrod.deployment.expectation import (
     FINE_EDGE,
     TOLERANCE,
     edged,
-    expect_each,
+    expecting,
     is_better,
     misplacement,
 )
 from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
-from wrod.deployment.tangents import Directions, Laid, lay
+from wrod.deployment.tangents import Directions
+from wrod.deployment.together import Asked, Course, follow
+from wrod.errors import PatternError
 from wrod.patterns.pattern import Pattern
-from wrod.planning.tail import tail
+from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -40,6 +42,8 @@ from wrod.rods.model import RodModel
 # Cost of a correction of 1 L_gb along the whole path, and of its second differences, over that of
 # an error of 1 L_gb.
 _SIZE, _ROUGHNESS = 6e-3, 2e-2
+# Cost of an arm beyond its limits by all of one of them, at one pose.
+_LIMIT = 1e2
 # Largest change of a correction in one iteration [L_gb], what is left of it after a change for the
 # worse, and where that ends.
 _STEP, _SHORTER, _SHORTEST = 0.35, 0.4, 0.01
@@ -49,8 +53,30 @@ _COARSE_ITERATIONS, _FINE_ITERATIONS = 3, 3
 _WIDE = 1.5
 # A saving of the sample [m] that nobody doubts.
 _PLAIN = 1e-3
-# An iteration that leaves more than this part of the error is the last.
+# An iteration that leaves more than this part of the error is the last, and one that would by its
+# model, of squares, is not tried.
 _DONE = 0.95
+
+
+@dataclass(frozen=True)
+class Task:
+    """A plan that is to know its table; see `optimise`."""
+
+    pattern: Pattern
+    rod: RodModel | RodMaterial
+    trajectory: Trajectory
+    friction: float | tuple[float, float] | Spread
+    limits: Limits | None = None
+    pace: float = COARSE["speed"]
+
+
+class Limits(Protocol):
+    """What the arm that is to follow a trajectory can do."""
+
+    def excess(self, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far displacements (T, 3) [m] of its poses take the arm beyond its limits, in parts of
+        these (m,), and the derivatives (m, T, 3) of that [1/m]; nothing where they do not."""
+        ...
 
 
 def optimise(
@@ -59,11 +85,12 @@ def optimise(
     trajectory: Trajectory,
     friction: float | tuple[float, float] | Spread,
     *,
+    limits: Limits | None = None,
+    pace: float | tuple[float, float] = COARSE["speed"],
     samples: int | None = None,
     hold: float = 0.05,
     judge: bool = True,
     device: str | None = "cpu",
-    progress: Callable[[float], None] | None = None,
 ) -> Trajectory:
     """Correct a trajectory's positions until what stays on the table lies on the pattern.
 
@@ -81,155 +108,191 @@ def optimise(
         rod: what is laid.
         trajectory: to start from, as `wrod.plan` returns it.
         friction: a coefficient, known to a tenth, a range, or a `Spread`.
+        limits: of the arm, beyond which the path is not to be corrected; None: no arm.
+        pace: at which the contact is to move [m/s], or a range: then the path is corrected for both
+            of its ends and for their geometric mean, and the fastest is taken that does not lay
+            unseen rods worse than the best by twice the standard error of the differences.
         samples: rods that are laid at a time; None: two, or four for a range that is wide.
         hold: length of the free end that is held at first [m].
         judge: whether to lay the unseen rods, without which nothing is expected of the plan and
             every correction is kept.
         device: "cpu", "cuda:0" or "auto".
-        progress: called with the fraction done since the last call.
 
     Returns:
         The corrected trajectory. `metadata["optimised"]` holds the range of friction, the mean
-        error of the sample at each iteration [m], whether the correction was "kept", and the
-        largest correction [m]; `metadata["expected"]` is what `expect` says.
+        error of the sample at each iteration [m], whether the correction was "kept", the largest
+        correction [m], the pace [m/s], and of each of the "paces" that were tried what was expected
+        [m]; `metadata["expected"]` is what `expect` says.
 
     Raises:
         PatternError: friction is not usable, or the trajectory is too short to be laid.
     """
-    spread, lgb = Spread.of(friction), rod.gravito_bending_length
+    values = np.unique(np.atleast_1d(np.asarray(pace, dtype=float)))
+    if not (np.isfinite(values).all() and values[0] > 0.0):
+        raise PatternError(f"pace is {pace!r}; give a positive speed of the contact in m/s")
+    if len(values) > 1:
+        values = np.geomspace(values[0], values[-1], 3)
+    tasks = [Task(pattern, rod, trajectory, friction, limits, float(v)) for v in values]
+    how: dict[str, Any] = dict(samples=samples, hold=hold, device=device)
+    made = optimise_each(tasks, judge=judge or len(tasks) > 1, **how)
+    return made[0] if len(made) == 1 else _fastest(made)
+
+
+def _fastest(made: list[Trajectory]) -> Trajectory:
+    """Of plans from slow to fast, the fastest that is not clearly worse than the best."""
+    said = [one.metadata["expected"] for one in made]
+    best = min(said, key=lambda one: float(np.mean(one["error_robot"])))
+    chosen = [one for one, told in zip(made, said, strict=True) if not is_better(best, told)][-1]
+    tried = [[one.metadata["optimised"]["pace"], one.metadata["expected"]["mean"]] for one in made]
+    optimised = {**chosen.metadata["optimised"], "paces": tried}
+    return replace(chosen, metadata={**chosen.metadata, "optimised": optimised})
+
+
+def optimise_each(
+    tasks: Sequence[Task],
+    *,
+    samples: int | None = None,
+    hold: float = 0.05,
+    judge: bool = True,
+    device: str | None = "cpu",
+    progress: Callable[[int], object] | None = None,
+) -> list[Trajectory]:
+    """`optimise` of several plans: a GPU works on all at once, in little more time than on one.
+
+    Rods that are laid in one batch have one number of nodes, the largest that any of them needs.
+    """
+    courses = [course(task, samples=samples, hold=hold, judge=judge) for task in tasks]
+    return follow(courses, hold=hold, tolerance=TOLERANCE, device=device, progress=progress)
+
+
+def course(
+    task: Task, *, samples: int | None = None, hold: float = 0.05, judge: bool = True
+) -> Course[Trajectory]:
+    """The deployments with which a plan is optimised, and then the plan; see `optimise`."""
+    spread, trajectory = Spread.of(task.friction), task.trajectory
+    lgb = task.rod.gravito_bending_length
     if samples is None:
         samples = 4 if spread.friction[1] > _WIDE * spread.friction[0] else 2
-    corrections = Corrections(pattern, trajectory, lgb, hold)
-    problem = _Problem(pattern, rod, corrections, spread, samples, hold, device)
+    corrections = Corrections(task.pattern, trajectory, lgb, hold)
+    problem = _Problem(task, corrections, spread, samples)
     rounds = (
         (edged(COARSE, COARSE_EDGE * lgb), _COARSE_ITERATIONS),
         (edged(FINE, FINE_EDGE * lgb), _FINE_ITERATIONS),
     )
-    done = _share_of(sum(count for _, count in rounds) + 2, progress)
+    pace = {"speed": task.pace}
     x, history = np.zeros(3 * corrections.count), []
     for how, count in rounds:
-        best = problem.at(how, x)
+        best = yield from problem.at(how | pace, x)
         history.append(float(best.errors.mean()))
-        best = _descend(best, partial(problem.at, how), count - 1, history)
+        best = yield from _descend(best, problem, how | pace, count - 1, history)
         x, left = best.values, float(best.errors.mean())
-        done(count)
     corrected = corrections.apply(x)
     plain = history[0] - left > _PLAIN
     expected, kept = None, True
     if judge:
-        other = None if plain else trajectory
-        how = {"hold": hold, "device": device}
-        expected, kept = _judged(pattern, rod, corrected, other, spread, **how)
+        candidates = [corrected] if plain else [corrected, trajectory]
+        expected, *others = yield from expecting(
+            task.pattern, task.rod, candidates, spread, pace=task.pace
+        )
+        kept = not others or is_better(expected, others[0])
         if not kept:
+            (expected,) = others
             corrected, x = corrections.apply(0.0 * x), 0.0 * x
-    done(2)
     said = {
         "friction": list(spread.friction),
         "iterations": len(history),
         "errors": history,
         "kept": kept,
+        "pace": task.pace,
         "largest_correction": float(lgb * np.abs(corrections.basis @ x.reshape(-1, 3)).max()),
     }
     metadata = {**corrected.metadata, "optimised": said, "expected": expected}
     return replace(corrected, metadata=metadata)
 
 
-def _share_of(most: int, progress: Callable[[float], None] | None) -> Callable[[int], None]:
-    """What tells the share of `most` things that a count of them is."""
-
-    def done(count: int) -> None:
-        if progress is not None:
-            progress(count / most)
-
-    return done
-
-
-def _judged(pattern, rod, corrected, other, spread: Spread, **how) -> tuple[dict, bool]:
-    """What is expected of the better plan, and whether that is the corrected one; None for the
-    other keeps it."""
-    candidates = [corrected] if other is None else [corrected, other]
-    expected, *others = expect_each(pattern, rod, candidates, spread, **how)
-    kept = not others or is_better(expected, others[0])
-    return expected if kept else others[0], kept
-
-
 @dataclass(frozen=True)
 class _State:
-    """What corrections `values` come to: mean errors (rod,) [m], their measure, and the matrix and
-    the slope of its quadratic model."""
+    """What corrections `values` come to: mean errors (rod,) [m], their measure, and the value, the
+    matrix and the slope of a quadratic model of their squares and of what the corrections cost."""
 
     values: np.ndarray
     errors: np.ndarray
     measure: float
+    value: float
     matrix: np.ndarray
     slope: np.ndarray
+
+    def saved(self, step: np.ndarray) -> float:
+        """By the model, the share of the value that a step saves."""
+        return float(-(self.slope + 0.5 * self.matrix @ step) @ step / max(self.value, 1e-300))
 
 
 class _Problem:
     """The squared errors of a sample of rods, and what corrections cost, near some corrections."""
 
-    def __init__(self, pattern, rod, corrections: Corrections, spread, samples, hold, device):
-        self.pattern, self.rod, self.corrections = pattern, rod, corrections
+    def __init__(self, task: Task, corrections: Corrections, spread: Spread, samples: int):
+        self.task, self.corrections = task, corrections
         self.spread, self.samples = spread, samples
-        self.options = {"hold": hold, "device": device}
         self.cost = corrections.cost(_SIZE, _ROUGHNESS)
 
-    def at(self, how: dict, values: np.ndarray) -> _State:
-        laid = laid_sample(
-            self.pattern, self.rod, self.corrections, self.spread, values,
-            samples=self.samples, **self.options, **how,
-        )  # fmt: skip
-        parts = [misplacement(self.pattern, one) for one in laid]
+    def at(self, how: dict, values: np.ndarray) -> Course[_State]:
+        task, corrections = self.task, self.corrections
+        laid = yield sample_of(task, corrections, self.spread, values, self.samples, how)
+        parts = [misplacement(task.pattern, one) for one in laid]
         errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
         errors[[one.diverged for one in laid]] = np.inf
         matrix, slope = self.cost.copy(), self.cost @ values
+        value = 0.5 * float(values @ slope)
+        measure = 0.5 * float(errors.mean() + errors.max())
         if np.isfinite(errors).all():
             weights = 0.5 + 0.5 * errors / max(errors.mean(), 1e-12)
             for (error, rates), weight in zip(parts, weights, strict=True):
-                scale = weight / (len(parts) * METRIC_POINTS * self.corrections.lgb**2)
+                scale = weight / (len(parts) * METRIC_POINTS * corrections.lgb**2)
                 matrix += scale * rates.T @ rates
                 slope += scale * rates.T @ error
-        return _State(values, errors, 0.5 * float(errors.mean() + errors.max()), matrix, slope)
+                value += 0.5 * scale * float(error @ error)
+        if task.limits is not None:
+            excess, rates = task.limits.excess(corrections.displacement(values))
+            rates = np.einsum("mtd,ctd->mc", rates, corrections.columns()[..., :3])
+            matrix += _LIMIT * rates.T @ rates
+            slope += _LIMIT * rates.T @ excess
+            value += 0.5 * _LIMIT * float(excess @ excess)
+            measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
+        return _State(values, errors, measure, value, matrix, slope)
 
 
-def laid_sample(
-    pattern: Pattern,
-    rod: RodModel | RodMaterial,
+def sample_of(
+    task: Task,
     corrections: Corrections,
     spread: Spread,
     values: np.ndarray,
-    *,
-    samples: int = 2,
-    hold: float = 0.05,
-    device: str | None = "cpu",
-    **how,
-) -> list[Laid]:
+    samples: int,
+    how: dict[str, Any] | None = None,
+) -> Asked:
     """The rods that cover a spread, laid by a corrected path, with their derivatives by each of the
     corrections' values (3 count,) [L_gb]; `how` as for `lay`, by default on coarse meshes."""
     now = corrections.apply(values)
-    rest = tail(pattern, rod, now)
-    return lay(
-        [
-            Trial(pattern, held, now, law, told, rest)
-            for held, law, told in spread.sample(samples, rod)
-        ],
-        [Directions.of_path(corrections.columns())] * samples,
-        hold=hold,
-        device=device,
-        tolerance=TOLERANCE,
-        **(how or edged(COARSE, COARSE_EDGE * rod.gravito_bending_length)),
-    )
+    rest = Tail.none(now)  # nothing is asked of what comes after the pattern
+    trials = [
+        Trial(task.pattern, held, now, law, told, rest)
+        for held, law, told in spread.sample(samples, task.rod)
+    ]
+    how = how or edged(COARSE, COARSE_EDGE * task.rod.gravito_bending_length)
+    return Asked(trials, [Directions.of_path(corrections.columns())] * samples, how)
 
 
 def _descend(
-    best: _State, at: Callable[[np.ndarray], _State], count: int, history: list[float]
-) -> _State:
+    best: _State, problem: _Problem, how: dict, count: int, history: list[float]
+) -> Course[_State]:
     """The best of so many steps from there; `history` gets their mean errors."""
     radius = _STEP
     for _ in range(count):
         step = -np.linalg.solve(best.matrix, best.slope)
         length = float(np.abs(step).max())
-        tried = at(best.values + step * min(1.0, radius / max(length, 1e-12)))
+        step *= min(1.0, radius / max(length, 1e-12))
+        if best.saved(step) < 1.0 - _DONE**2:
+            break
+        tried = yield from problem.at(how, best.values + step)
         history.append(float(tried.errors.mean()))
         if tried.measure < best.measure:
             enough = tried.measure > _DONE * best.measure

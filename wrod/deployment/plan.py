@@ -40,6 +40,8 @@ DISTILLED = "distilled"
     friction=arguments.optional(
         arguments.either(arguments.number(0.0, 100.0), arguments.array((2,)))
     ),
+    pace=arguments.optional(arguments.either(arguments.number(5e-4, 10.0), arguments.array((2,)))),
+    expect=arguments.flag,
     device=arguments.optional(arguments.text),
     progress=arguments.optional(arguments.callback),
 )
@@ -54,6 +56,8 @@ def plan(
     roll: float | str = "plane",
     controller: Controller | None = None,
     friction: float | tuple[float, float] | None = None,
+    pace: float | tuple[float, float] | None = None,
+    expect: bool = False,
     device: str | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> Trajectory:
@@ -86,6 +90,10 @@ def plan(
             is corrected through simulated deployments until what stays lies on the pattern, for
             rods and tables that cover what is known of them (docs/deployment.md; a minute or
             two). None: the grasps as they are.
+        pace: at which the contact is to move on that table [m/s], 0.04 unless told; of a range the
+            fastest that does no harm.
+        expect: also lay the finished plan in simulation, on tables of `friction` or, where it is
+            not said, of 0.2 to 0.6 (seconds), for metadata["expected"].
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
         progress: called with the nodes done since the last call and the number of all nodes.
 
@@ -93,7 +101,8 @@ def plan(
         One pose per contact node; `metadata` names method, closure, solver, rod, pattern,
         remainder, the friction that the laid pattern ("required_friction") and the rod where it
         touches down ("contact_friction") ask for, and the warnings given; with `friction`,
-        "distilled", or "optimised" and "expected" (`wrod.deployment.optimise`). "natural_share" is
+        "distilled", or "optimised" and "expected" (`wrod.deployment.optimise`); with `expect`,
+        "expected" (`wrod.deployment.expectation.expect`). "natural_share" is
         the smallest share of its natural curvature that a grasp was made with, where a rod that
         varies along itself has none of its own (`wrod.grasps.relaxed`).
 
@@ -108,29 +117,50 @@ def plan(
         WrodWarning: some grasps are of a rod closer to straight.
         OutOfRangeWarning: some nodes are outside what the controller was trained for.
     """
-    _check_method(method, friction)
+    _check_method(method, friction, pace)
     how: dict[str, Any] = dict(
         closure=closure, spacing=spacing, roll=roll, controller=controller, device=device,
         progress=progress,
     )  # fmt: skip
-    if friction is None:
+    if friction is None and not expect:
         return plan_grasps(pattern, rod, method, remainder=remainder, **how)
-    return _corrected(prepare(pattern, rod, remainder), rod, method, friction, how)
+    return _for_a_table(prepare(pattern, rod, remainder), rod, method, friction, pace, expect, how)
 
 
-def _check_method(method: str, friction) -> None:
+def _check_method(method: str, friction, pace) -> None:
     if method not in (*SOURCES, DISTILLED):
         names = ", ".join((*SOURCES, DISTILLED))
         raise GraspError(f"unknown method {method!r}; use one of {names}")
     if method == DISTILLED and friction is None:
         raise GraspError(f"method {DISTILLED!r} corrects a plan for a table; say its friction")
+    if pace is not None and (friction is None or method == DISTILLED):
+        raise GraspError(
+            "pace is what a plan is optimised for on a table; leave it out, or optimise"
+        )
     if method == "intuitive" and friction is not None:
         raise GraspError(
             "friction corrects optimal grasps, and method 'intuitive' has none; leave one out"
         )
 
 
-def _corrected(led: Pattern, rod, method: str, friction, how: dict[str, Any]) -> Trajectory:
+def _for_a_table(
+    led: Pattern, rod, method: str, friction, pace, expect: bool, how: dict[str, Any]
+) -> Trajectory:
+    """The plan that `how` asks for, corrected for a table of such a friction, and what is expected
+    of it where that is asked for."""
+    if friction is None:
+        trajectory = plan_grasps(led, rod, method, remainder=False, **how)
+    else:
+        trajectory = _corrected(led, rod, method, friction, pace, how)
+    if expect and "expected" not in trajectory.metadata:
+        from wrod.deployment.expectation import foresee
+
+        expected = foresee(led, rod, trajectory, friction, device=how["device"])
+        trajectory.metadata["expected"] = expected
+    return trajectory
+
+
+def _corrected(led: Pattern, rod, method: str, friction, pace, how: dict[str, Any]) -> Trajectory:
     """The plan that `how` asks for, corrected for a table of such a friction."""
     from wrod.deployment.optimise import optimise
     from wrod.deployment.spread import Spread
@@ -142,4 +172,5 @@ def _corrected(led: Pattern, rod, method: str, friction, how: dict[str, Any]) ->
         from wrod.deployment.distilled import distilled
 
         return distilled(led, rod, start, float(np.mean(spread.friction)))
-    return optimise(led, rod, start, spread, device=how["device"])
+    asked = {} if pace is None else {"pace": pace}
+    return optimise(led, rod, start, spread, device=how["device"], **asked)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import chain
@@ -44,6 +44,8 @@ _SINKING = 1.0 / 600.0
 _SINKING_AT_POSTS = _SINKING / 10.0
 # Beyond these a deployment takes weeks; what a node holds in states and factors.
 _MOST_STEPS, _MOST_NODES, _NODE_BYTES = 2e7, 2e5, 4096.0
+# How far the grip may move in a step [m], and how long an edge may be [L_gb].
+_LONGEST_MOVE, _LONGEST_EDGE = 0.05, 3.0
 # Rods stepped at once on a CPU, and cores from which on threads, which cannot record their launches
 # and spend several times the processor time, are faster than one that replays them.
 _CPU_CHUNK, _MANY_CORES = 16, 8
@@ -237,7 +239,14 @@ def _chunks(count: int, device: str, threads: int | None) -> tuple[list[list[int
 
 
 def _refuse_endless(trials: list[Trial], speed, spacing, step, frame_interval) -> None:
-    """Refuse what no machine ends, or this one has no memory for, before anything is laid."""
+    """Refuse what no machine ends, or this one has no memory for, or steps and edges that miss
+    what happens, before anything is laid."""
+    _refuse_coarse_edges(trials, spacing)
+    if speed * step > _LONGEST_MOVE:
+        raise RodError(
+            f"the grip moves {speed * step:g} m in a step of {step:g} s at {speed:g} m/s, too far "
+            f"for what happens between; give a step or a speed that makes it {_LONGEST_MOVE:g} m"
+        )
     longest = max(float(trial.rod.length) for trial in trials)
     nodes, duration = longest / spacing + 100.0, 2.0 * longest / speed
     if duration / step > _MOST_STEPS or nodes > _MOST_NODES:
@@ -255,8 +264,18 @@ def _refuse_endless(trials: list[Trial], speed, spacing, step, frame_interval) -
     )
 
 
+def _refuse_coarse_edges(trials: list[Trial], spacing: float) -> None:
+    longest = _LONGEST_EDGE * min(float(trial.rod.gravito_bending_length) for trial in trials)
+    if spacing > longest:
+        raise RodError(
+            f"spacing is {spacing:g} m, and an edge of {longest:.2g} m is the longest that bends "
+            "as this rod does; give less"
+        )
+
+
 def nodes_needed(trials: list[Trial], spacing: float) -> int:
     """Nodes for edges of that length [m] where each rod is laid."""
+    _refuse_coarse_edges(trials, spacing)
     return max(len(mesh(t.rod, t.trajectory.arc_length[-1], spacing)) for t in trials)
 
 
@@ -268,17 +287,26 @@ def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
     return pattern
 
 
-def prepare_trials(trials: list[Trial], hold, release, speed, spacing, node_count) -> list[Setup]:
+def prepare_trials(
+    trials: list[Trial],
+    hold: float,
+    release: float | Sequence[float | None] | None,
+    speed: float,
+    spacing: float,
+    node_count: int | None,
+) -> list[Setup]:
     """All rods of a batch share one number of nodes: the largest that the spacing asks for.
 
-    Trials that differ in their disturbances alone share one undisturbed setup.
+    Trials that differ in their disturbances alone share one undisturbed setup. `release` is of all,
+    or of each; None is `hold`.
     """
+    each = release if isinstance(release, Sequence) else [release] * len(trials)
     count = node_count or nodes_needed(trials, spacing)
     undisturbed: dict[tuple, Setup] = {}
     setups = []
-    for trial in trials:
+    for trial, released in zip(trials, each, strict=True):
         plan = trial.pattern, trial.rod, trial.trajectory, trial.tail
-        key = tuple(map(id, plan))
+        key = (*map(id, plan), released)
         if key not in undisturbed:
             pattern = with_remainder_of(trial.pattern, trial.trajectory)
             undisturbed[key] = prepare_deployment(
@@ -288,7 +316,7 @@ def prepare_trials(trials: list[Trial], hold, release, speed, spacing, node_coun
                 mesh(trial.rod, trial.trajectory.arc_length[-1], spacing, count),
                 trial.tail or tail(pattern, trial.rod, trial.trajectory),
                 hold=hold,
-                release=release,
+                release=hold if released is None else released,
                 speed=speed,
             )
         setups.append(disturb(undisturbed[key], trial.disturbance))

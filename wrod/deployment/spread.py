@@ -23,6 +23,7 @@ _CORNERS = ((0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (-0.5, -0.5))
 # sample is in between: where it hangs from its end it is shorter by this [L_gb], unless that leaves
 # less than this part of its stretch. No path lays rods alike that differ by much more.
 _LESS_STRETCH, _LEAST_STRETCH = 0.075, 0.1
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,10 @@ class Spread:
         """(rod, friction, disturbance) of rods that cover it evenly, from low friction to high, in
         pairs that lie opposite each other: what errors answer linearly to then moves no plan."""
         low, high = self.friction
-        held = _stretching_less(rod) if self.stretch else rod
+        held = rod
+        if self.stretch:
+            hanging = (rod.length / rod.gravito_bending_length) ** 2 / (4.0 * rod.stretch_ratio)
+            held = stretching(rod, max(1.0 - _LESS_STRETCH / hanging, _LEAST_STRETCH))
         out = []
         for i in range(count):
             aside, bent = _CORNERS[i % 4] if i - i % 2 + 1 < count else (0.0, 0.0)
@@ -77,11 +81,17 @@ class Spread:
             out.append((held, Friction(mu), disturbance))
         return out
 
+    def unseen(self, count: int, rod: RodModel | RodMaterial) -> list[RodModel | RodMaterial]:
+        """Rods that stretch as believed, or less, by shares that cover what may be in an order of
+        their own."""
+        if not self.stretch:
+            return [rod] * count
+        shares = (_GOLDEN * np.arange(1, count + 1)) % 1.0
+        return [stretching(rod, _LEAST_STRETCH + (1.0 - _LEAST_STRETCH) * u) for u in shares]
 
-def _stretching_less(rod: RodModel | RodMaterial) -> RodModel | RodMaterial:
-    """A rod between this one and one that does not stretch, with the same L_gb."""
-    hanging = (rod.length / rod.gravito_bending_length) ** 2 / (4.0 * rod.stretch_ratio)
-    part = max(1.0 - _LESS_STRETCH / hanging, _LEAST_STRETCH)
+
+def stretching(rod: RodModel | RodMaterial, part: float) -> RodModel | RodMaterial:
+    """A rod that stretches by that part of what this one does, with the same L_gb."""
     if isinstance(rod, RodMaterial):
         return replace(rod, radius=float(np.sqrt(part)) * rod.radius)
     profile = rod.stretching_stiffness

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,8 @@ from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.setup import Setup, blend, one_hemisphere
 from wrod.deployment.simulate import Trial, assemble, prepare_trials, with_remainder_of
 from wrod.errors import RodError
+from wrod.kernels.lanes import lanes
+from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import deployment_tangents as kernels
 from wrod.rods.batch import RodBatch
 from wrod.rods.device import resolve_device
@@ -21,7 +24,8 @@ from wrod.rods.rotation import left_jacobian
 from wrod.solvers.contact import Contact, FrictionField
 from wrod.solvers.newton_steps import NewtonSteps
 
-_PACK = kernels.PACK
+# Directions that a thread of a CPU carries at a time.
+_PACK = 8
 
 
 @dataclass(frozen=True)
@@ -91,7 +95,7 @@ def lay(
     displacements: list[np.ndarray] | None = None,
     *,
     hold: float = 0.05,
-    release: float | None = None,
+    release: float | Sequence[float | None] | None = None,
     speed: float = 0.02,
     spacing: float = 0.005,
     node_count: int | None = None,
@@ -113,8 +117,9 @@ def lay(
         directions: of each trial, all with the same number of columns; None: no derivatives.
         displacements: (T, 6) of each trial: displacement [m] and rotation vector [rad] of the
             trajectory's poses, their time law unchanged.
-        hold, release, speed, spacing, node_count, step, scheme, tolerance, friction_field, device:
-            see `simulate_deployments`.
+        release: as in `simulate_deployments`, for all or for each.
+        hold, speed, spacing, node_count, step, scheme, tolerance, friction_field, device: see
+            `simulate_deployments`.
 
     Raises:
         RodError: a trial has fixtures or lets the rod roll while derivatives are wanted, or the
@@ -123,9 +128,7 @@ def lay(
     device = resolve_device(device)
     if directions is not None:
         _check(trials, directions)
-    setups = prepare_trials(
-        trials, hold, hold if release is None else release, speed, spacing, node_count
-    )
+    setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     if displacements is None:
         displacements = [np.zeros((len(trial.trajectory), 6)) for trial in trials]
     moves = [_over_keys(*one) for one in zip(trials, setups, displacements, strict=True)]
@@ -192,14 +195,23 @@ def _check(trials: list[Trial], directions: list[Directions]) -> None:
 
 
 def _columns(trials, setups, directions: list[Directions], moves: list[np.ndarray]):
-    """(rod, column, key, 6) rates of the grip, three (rod, column) of what the rod is, and (rod,
-    column) when each column begins [s]."""
+    """(rod, column, key, 6) rates of the grip, of one rod where all are alike, three (rod, column)
+    of what the rod is, and (rod, column) when each column begins [s]."""
+    found: dict[tuple, np.ndarray] = {}
     paths = []
     for trial, setup, columns, move in zip(trials, setups, directions, moves, strict=True):
-        rates = _over_keys(trial, setup, columns.path)
-        # Rotation vectors add up to a rotation's spin by its left Jacobian.
-        spin = np.einsum("kij,ckj->cki", left_jacobian(move[:, 3:]), rates[..., 3:])
-        paths.append(np.concatenate([rates[..., :3], spin], axis=2))
+        moved = id(move) if move.any() else None
+        key = id(columns.path), id(setup.covered), trial.disturbance.yaw, moved
+        if key not in found:
+            rates = _over_keys(trial, setup, columns.path)
+            # Rotation vectors add up to a rotation's spin by its left Jacobian.
+            if moved is not None:
+                spin = np.einsum("kij,ckj->cki", left_jacobian(move[:, 3:]), rates[..., 3:])
+                rates = np.concatenate([rates[..., :3], spin], axis=2)
+            found[key] = rates
+        paths.append(found[key])
+    if len(found) == 1:
+        paths = paths[:1]
     keys = max(rates.shape[1] for rates in paths)
     path = np.stack(
         [np.pad(r, ((0, 0), (0, keys - r.shape[1]), (0, 0)), mode="edge") for r in paths]
@@ -242,7 +254,8 @@ class Tangents:
     Args:
         batch: the rods.
         contact: with the table, the only thing that they touch.
-        path: (rod, column, key, 6) rates of the grip's position [m] and rotation vector [rad].
+        path: (rod, column, key, 6) rates of the grip's position [m] and rotation vector [rad]; of
+            one rod: the same for all.
         friction, stiffness, natural_curvature: (rod, column), see `Directions`.
         begin: (rod, column) time before which a column is nothing [s].
     """
@@ -262,23 +275,25 @@ class Tangents:
         self.count = path.shape[1]
         # Columns that begin together share a pack, which rests until then.
         self.order = np.argsort(begin.min(axis=0), kind="stable")
-        packs = -(-self.count // _PACK)
+        size = _PACK if wp.get_device(device).is_cpu else 1
+        packs = -(-self.count // size)
+        vector = kernels.vector_of(size)
 
         def packed(values):
-            """(rod, column, ...) -> (rod, pack, ..., 8)."""
+            """(rod, column, ...) -> (rod, pack, ..., size)."""
             values = values[:, self.order]
             pad = [(0, 0)] * values.ndim
-            pad[1] = (0, packs * _PACK - self.count)
-            values = np.pad(values, pad).reshape(rods, packs, _PACK, *values.shape[2:])
+            pad[1] = (0, packs * size - self.count)
+            values = np.pad(values, pad).reshape(len(values), packs, size, *values.shape[2:])
             return wp.array(
-                np.ascontiguousarray(np.moveaxis(values, 2, -1)), dtype=kernels.vec8d, device=device
+                np.ascontiguousarray(np.moveaxis(values, 2, -1)), dtype=vector, device=device
             )
 
         late = np.pad(
-            begin[:, self.order], ((0, 0), (0, packs * _PACK - self.count)), constant_values=np.inf
+            begin[:, self.order], ((0, 0), (0, packs * size - self.count)), constant_values=np.inf
         )
         self.begin = wp.array(
-            late.reshape(rods, packs, _PACK).min(axis=2), dtype=wp.float64, device=device
+            late.reshape(rods, packs, size).min(axis=2), dtype=wp.float64, device=device
         )
         self.path = packed(path)
         self.friction_rate, self.stiffness_rate, self.natural_rate = (
@@ -286,7 +301,7 @@ class Tangents:
         )
 
         def zeros(size):
-            return wp.zeros((rods, packs, size), dtype=kernels.vec8d, device=device)
+            return wp.zeros((rods, packs, size), dtype=vector, device=device)
 
         self.now, self.older, self.velocity, self.velocity_older, self.x = (
             zeros(dofs) for _ in range(5)
@@ -302,8 +317,7 @@ class Tangents:
         self.elastic, self.natural = (
             wp.zeros((rods, dofs), dtype=wp.float64, device=device) for _ in range(2)
         )
-        band = 2 * kernels.HALF_BANDWIDTH + 1
-        self.factor = wp.zeros((rods, dofs, band), dtype=wp.float64, device=device)
+        self.factor = wp.zeros((rods, dofs, banded_lu.BAND), dtype=wp.float64, device=device)
         self.roll = per_node(wp.float64)
         self.turned = zeros(nodes)
         self.packs = packs
@@ -335,38 +349,61 @@ class Tangents:
             [self.natural],
         )
         launch(
-            kernels.factorise_step,
-            (rods,),
+            banded_lu.assemble,
+            (rods, dofs),
             [accepted, batch.free, out.hessian, self.coupling],
             [self.factor],
         )
+        batch.walk(banded_lu.factorise, [accepted], [self.factor])
+        tangents = [self.now, self.older, self.velocity, self.velocity_older]
         launch(
             kernels.load_tangents,
-            (rods, self.packs),
-            [dynamics.mass, dynamics.air_damping, batch.rest_length, wp.float64(KEY_INTERVAL)]
-            + [self.path, self.friction_rate, self.stiffness_rate, self.natural_rate]
-            + [self.roll, self.begin, accepted, batch.free, dynamics.time, dynamics.step]
-            + [dynamics.coefficient, state.tangent, self.friction, self.by_coefficient, self.push]
-            + [self.memory]
-            + [self.elastic, self.natural, self.now, self.older, self.velocity]
-            + [self.velocity_older, self.bristle, self.turned],
+            (rods, self.packs, batch.node_count),
+            [dynamics.mass, dynamics.air_damping, self.friction_rate, self.stiffness_rate]
+            + [self.natural_rate, self.roll, self.begin, accepted, batch.free, dynamics.time]
+            + [dynamics.step, dynamics.coefficient, self.friction, self.by_coefficient, self.push]
+            + [self.memory, self.elastic, self.natural, *tangents, self.bristle, self.turned],
             [self.x],
         )
         launch(
-            kernels.advance_tangents,
+            kernels.load_grip,
             (rods, self.packs),
-            [self.contact.tangent_stiffness, self.friction_rate, self.begin, accepted]
-            + [dynamics.time, dynamics.step, dynamics.coefficient, self.factor]
-            + [*about_contact, self.sliding_memory, self.roll],
-            [self.x, self.now, self.older, self.velocity, self.velocity_older, self.bristle]
-            + [self.turned],
+            [batch.rest_length, wp.float64(KEY_INTERVAL), self.path, self.begin, accepted]
+            + [batch.free, dynamics.time, state.tangent],
+            [self.x],
         )
+        self._solve([self.begin, accepted, dynamics.time, self.factor])
+        launch(
+            kernels.carry_bristles,
+            (rods, self.packs, batch.node_count),
+            [self.contact.tangent_stiffness, self.friction_rate, self.begin, accepted]
+            + [dynamics.time, *about_contact, self.sliding_memory, self.roll, self.x, self.now],
+            [self.bristle, self.turned],
+        )
+        launch(
+            kernels.advance_tangents,
+            (rods, self.packs, dofs),
+            [self.begin, accepted, dynamics.time, dynamics.step, dynamics.coefficient, self.x],
+            tangents,
+        )
+
+    def _solve(self, inputs: list) -> None:
+        """Of the two kernels a CPU takes the first, one thread a pack, a GPU the second."""
+        device = self.batch.device
+        count = lanes(device)
+        dim: tuple[int, ...] = (self.batch.rod_count, self.packs)
+        kernel = kernels.solve_tangents
+        if count > 1:
+            dim, kernel = (*dim, count), kernels.solve_tangents_lanes
+        wp.launch(
+            kernel, dim=dim, inputs=inputs, outputs=[self.x], device=device, block_dim=count
+        )  # fmt: skip
 
     def values(self) -> np.ndarray:
         """(rod, column, node, 3) derivatives of the nodes now."""
         dof = self.now.numpy()
-        rods, packs, dofs, _ = dof.shape
-        columns = np.moveaxis(dof, 3, 2).reshape(rods, packs * _PACK, dofs)[:, : self.count]
+        rods, packs, dofs, size = dof.shape
+        columns = np.moveaxis(dof, 3, 2).reshape(rods, packs * size, dofs)[:, : self.count]
         out = np.empty_like(columns)
         out[:, self.order] = columns
         padded = np.pad(out, ((0, 0), (0, 0), (0, 1)))

@@ -17,7 +17,7 @@ from wrod.solvers.statics import EquilibriumSolver
 
 # Largest change of an edge in one step, as a fraction of its length.
 _STEP_LIMIT = 0.4
-# Newton steps on one step of the walk before it counts as failed.
+# Newton steps on one step of the way before it counts as failed.
 _PATIENCE = 8
 _MAX_ITERATIONS = 1500
 _FIRST_INCREMENT = 0.2
@@ -53,7 +53,7 @@ class RodsOverTable(RodBatch):
 
 
 class HeldRods:
-    """n suspended rods whose grips can be walked about; allocates once, then launches.
+    """n suspended rods whose grips can be led about; allocates once, then launches.
 
     The contact is at the origin and the tangent there is x; a ghost edge before the contact and
     twice the stiffness at the contact, of whose length only half bends, clamp it to second order.
@@ -131,8 +131,8 @@ class HeldRods:
         self.batch.set_configuration(position, director=(0.0, 0.0, 1.0))
         self.status.zero_()
 
-    def walk(self, position: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Walk the chosen rods' grips to `position` and return who arrived.
+    def continue_to(self, position: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+        """Lead the chosen rods' grips to `position` and return who arrived.
 
         Args:
             position: (n, 3) where the grips should be; not the origin.

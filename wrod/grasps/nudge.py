@@ -60,15 +60,15 @@ def nudge(
     ks = np.broadcast_to(np.asarray(stretch_ratio, dtype=np.float64), (n,))
     branch, real = (HeldRods(ls, ks, shape, device=device) for _ in range(2))
     grip = branch.grip_position()
-    on_branch = branch.walk(grip)
-    real.walk(grip)
+    on_branch = branch.continue_to(grip)
+    real.continue_to(grip)
     force = np.zeros((n, len(offset), 3))
     shapes = np.zeros((n, len(offset), nodes, 3))
     snaps_at = np.full(n, np.inf)
     for k, distance in enumerate(offset):
         if distance != 0.0:
             target = grip + distance * np.array([0.0, 1.0, 0.0])
-            on_branch &= branch.walk(target, on_branch)
+            on_branch &= branch.continue_to(target, on_branch)
             real.settle(target)
         force[:, k], shapes[:, k] = real.force(), real.shape()
         left = ~on_branch | (parting(shapes[:, k], branch.shape()) > PARTED)

@@ -15,10 +15,10 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import DataError
 from wrod.identification.clamped.measurements import ClampedMeasurements
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 
 Asks = TypeVar("Asks", bound=Callable[..., Any])
-AnySetup = TypeVar("AnySetup")  # Setup or MotionSetup
+AnySetup = TypeVar("AnySetup")  # ClampedSetup or MotionSetup
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,9 @@ class Effect:
         reference: where the model comes from.
         parameters: the unknowns.
         stage: effects are applied in this order; those that change the free length come first.
-        follows_shape: whether its load depends on the rod's shape (`Setup.wind`).
-        kinds: the measurements that it is tried on: "clamped" (`Setup`), "motion" (`MotionSetup`).
+        follows_shape: whether its load depends on the rod's shape (`ClampedSetup.wind`).
+        kinds: the measurements that it is tried on: "clamped" (`ClampedSetup`), "motion"
+            (`MotionSetup`).
     """
 
     name: str
@@ -80,10 +81,10 @@ class Effect:
         return [np.zeros(len(self.parameters))]
 
     def apply(self, setup: Any, values: np.ndarray) -> None:
-        """Change the model in place, a `Setup` or, of kind "motion", a `MotionSetup`."""
+        """Change the model in place, a `ClampedSetup` or, of kind "motion", a `MotionSetup`."""
 
     def measure(
-        self, position: np.ndarray, frame: np.ndarray, values: np.ndarray, setup: Setup
+        self, position: np.ndarray, frame: np.ndarray, values: np.ndarray, setup: ClampedSetup
     ) -> np.ndarray:
         """What the cameras report of (T, M, 3) markers, whose material frames are `frame`."""
         return position
@@ -166,7 +167,7 @@ class Model:
             effect.apply(setup, part)
         return setup
 
-    def measure(self, position, frame, values: np.ndarray, setup: Setup) -> np.ndarray:
+    def measure(self, position, frame, values: np.ndarray, setup: ClampedSetup) -> np.ndarray:
         """What the cameras report, every effect's part included."""
         for effect, part in zip(self.effects, self.split(values), strict=True):
             position = effect.measure(position, frame, part, setup)

@@ -23,6 +23,9 @@ from wrod.patterns.files import RawPoints, checked_points, read_points, refuse_s
 from wrod.patterns.shapes import SHAPES
 from wrod.patterns.smoothing import fit_heading
 
+# Of a bend as wide as the thinnest fibre [1/m].
+_SHARPEST = 1e6
+
 
 class Pattern:
     """A smooth curve in a horizontal plane, parametrised by its arc length s [m].
@@ -52,6 +55,12 @@ class Pattern:
         self.source = name if source is None else source
         self._heading, self._origin, self._height = heading, np.asarray(origin, float), height
         self._position = integrate_heading(heading, self._origin)
+        s, curvature = self.sharpest()
+        if not abs(curvature) <= _SHARPEST:
+            raise PatternError(
+                f"{self.source}: has a curvature of {curvature:.3g} 1/m at s = {s:.4g} m, which no "
+                "rod follows; smooth it or check its units"
+            )
 
     @classmethod
     @arguments.checked(
@@ -209,7 +218,10 @@ class Pattern:
 
         def curve(t):
             t = np.asarray(start + (stop - start) * t, dtype=float)
-            values = [np.broadcast_to(np.asarray(part(t), dtype=float), t.shape) for part in parts]
+            values = [
+                arguments.spread(_value(part, t, name), t.shape, name, PatternError)
+                for part in parts
+            ]
             if not np.all(np.isfinite(values)):
                 raise PatternError(f"{name}: has no finite value everywhere in {start} to {stop}")
             x, y = values if len(values) == 2 else (t, values[0])
@@ -235,6 +247,15 @@ class Pattern:
     def remainder_length(self) -> float:
         """Length of the remainder laid before s = 0 [m]; 0 if there is none."""
         return max(0.0, -float(self._heading.x[0]))
+
+    def sharpest(self) -> tuple[float, float]:
+        """Arc length [m] and signed curvature [1/m] of the tightest bend, where its
+        pieces meet and at 2001 points between."""
+        knots = self._heading.x
+        s = np.union1d(knots, np.linspace(knots[0], knots[-1], 2001))
+        curvature = self._heading(s, nu=1)
+        worst = int(np.argmax(np.abs(curvature)))
+        return float(s[worst]), float(curvature[worst])
 
     def sample(self, s: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position (n, 3) [m], unit tangent (n, 3) and signed curvature (n,) [1/m] at s (n,) [m].
@@ -268,6 +289,7 @@ class Pattern:
             )
         return np.clip(s, first, last)
 
+    @arguments.checked(PatternError)
     def with_remainder(self, length: float) -> Pattern:
         """The pattern with a lead-in whose curvature grows smoothly from zero to its own.
 
@@ -307,6 +329,7 @@ class Pattern:
         far, place = distance_from_lines(self.points[:, :2], self.sample(s)[0][:, :2])
         return far, float(s[place])
 
+    @arguments.checked(PatternError)
     def scaled(self, factor: float) -> Pattern:
         """The pattern drawn `factor` times as large, about its first point.
 
@@ -389,6 +412,17 @@ def pattern(name: str) -> Pattern:
             "(or give a file of points)"
         )
     return Pattern(*SHAPES[name](), name=name)
+
+
+def _value(function: Callable[[np.ndarray], np.ndarray], t: np.ndarray, name: str):
+    """What a function that somebody gave says of an array."""
+    try:
+        return function(t.copy())
+    except PatternError:
+        raise
+    except Exception as error:
+        said = f"{type(error).__name__}: {error}"
+        raise PatternError(f"{name}: its function stops with {said:.300}") from error
 
 
 def pattern_names() -> list[str]:

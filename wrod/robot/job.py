@@ -1,16 +1,16 @@
 """The whole job of an arm: from a neutral pose to the rod, grasp, lay, release, and back again.
 
 The rod is presented as the plan begins: it hangs at the first pose of the grip from the clip of a
-stand, which is taken away once the hand has it. The hand comes along its fingers, closes, lays the
-rod and, straight ahead, what is left of it; opens, moves back along its fingers and returns. What
-the hand does not hold is kept clear of: the arm's links, the table, the obstacles, the stand, and
-the rod as it hangs.
+stand, which stays where it is in nobody's way, and else is taken away once the hand has it. The
+hand comes along its fingers, closes, lays the rod and, straight ahead, what is left of it; opens,
+moves back along its fingers and returns. What the hand does not hold is kept clear of: the arm's
+links, the table, the obstacles, the stand, and the rod as it hangs.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
@@ -23,7 +23,7 @@ from wrod.robot.holds import Hand
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import refine, solve_poses
 from wrod.robot.placement import contact_in_base, reach
-from wrod.robot.stand import stands
+from wrod.robot.stand import stands, stays
 from wrod.robot.tail import LaidTail, tails
 from wrod.robot.timing import schedule
 from wrod.robot.transfer import Leg, Way, find_way
@@ -62,15 +62,16 @@ def with_job(path: JointPath, task: Task) -> JointPath:
         The path from and to a neutral pose. `metadata["phases"]` lists name, start and end [s] of
         `PHASES`, without "tail" where nothing of it can be laid; `metadata["neutral"]` are the
         joint positions of that pose [rad], `metadata["stand"]` the capsules of the stand: start
-        and end in the table's frame and radius [m]; without it there is no room for one. The
-        nodes' times are later by what comes before.
+        and end in the table's frame and radius [m]; without it there is no room for one.
+        `metadata["stand_stays"]`: whether it is out of the way of all that follows; if not, it has
+        to be taken away once the hand has the rod. The nodes' times are later by what comes before.
 
     Raises:
         RobotError: there is no neutral pose, or no way between it and the rod.
     """
     arm = Arm(task.robot, task.model, Hand.of(task.model), path.placement)
     rate = float(path.metadata["rate"])
-    neutral, there, back, tail, stand = _ways(arm, task, path)
+    neutral, there, back, tail, stand, left_there = _ways(arm, task, path)
     first, end = path.arc_length[[0, -1]]
     last = path.positions[-1:] if tail is None else tail.positions[-1:]
     left = end if tail is None else tail.arc_length[-1]
@@ -86,30 +87,33 @@ def with_job(path: JointPath, task: Task) -> JointPath:
     if tail is not None:
         laid = _Piece("tail", tail.positions, tail.velocities, tail.arc_length)
         pieces.insert([piece.phase for piece in pieces].index("release"), laid)
-    return _joined(path, pieces, rate, {"neutral": [float(q) for q in neutral], "stand": stand})
+    said = {"neutral": [float(q) for q in neutral], "stand": stand}
+    if stand is not None:
+        said["stand_stays"] = left_there
+    return _joined(path, pieces, rate, said)
 
 
 def _ways(arm: Arm, task: Task, path: JointPath):
     """Neutral pose (n,) [rad], way from it to the first pose, way back to it from where the hand
-    opens, the `LaidTail` before that or None, and the stand's capsules or None.
+    opens, the `LaidTail` before that or None, the stand's capsules or None, and whether it stays.
 
     Raises:
         RobotError: there is no such pose, or none with a way.
     """
     first = path.positions[0]
-    start, end, radius = arm.capsules(first[None])
-    stand = next(iter(stands(task.trajectory, (start[0], end[0], radius))), None)
     found, where = None, "first"
     laid: list[LaidTail | None] = [*tails(path, task), None]
     for tail in laid:
         last = path.positions[-1] if tail is None else tail.positions[-1]
-        after = _around(arm, task if tail is None else tail.task, -1)
-        found, where = _between(arm, task, first, last, _around(arm, task, 0, stand), after)
-        if where == "first" and stand is not None:
-            stand = None
-            found, where = _between(arm, task, first, last, _around(arm, task, 0), after)
-        if found is not None:
-            return *found, tail, stand
+        done = task if tail is None else tail.task
+        for stand, there in _stands(arm, task, path, tail):
+            before = _around(arm, task, 0, stand)
+            after = _around(arm, done, -1, stand if there else None)
+            found, where = _between(arm, task, first, last, before, after)
+            if found is not None:
+                return *found, tail, stand, there
+            if where != "first" and not there:
+                break
         if where == "first":
             break
     if where is None:
@@ -121,6 +125,21 @@ def _ways(arm: Arm, task: Task, path: JointPath):
         "the table, the obstacles and the hanging rod; move the pattern with placement, or the "
         "obstacles"
     )
+
+
+def _stands(arm: Arm, task: Task, path: JointPath, tail: LaidTail | None):
+    """Stands to try, each with whether it stays: one that can, the freest, and last None."""
+    start, end, radius = arm.capsules(path.positions[:1])
+    posts = stands(task.trajectory, (start[0], end[0], radius))
+    if posts:
+        played = path.positions if tail is None else np.vstack([path.positions, tail.positions])
+        every = max(1, len(played) // _LOOKED_AT)
+        moves = arm.capsules(np.vstack([played[::every], played[-1:]]))
+        laid = task.trajectory if tail is None else tail.task.trajectory
+        left = (post for post in posts if stays(post, moves, laid, task.rod_radius))
+        yield from ((post, True) for post in islice(left, 1))
+        yield posts[0], False
+    yield None, False
 
 
 def _between(arm: Arm, task: Task, first, last, before, after):

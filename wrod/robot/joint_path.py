@@ -65,6 +65,14 @@ class JointPath:
         late = [p["name"] for p in self.phases if p["start"] <= time + 1e-9]
         return late[-1] if late else self.phases[0]["name"]
 
+    def holds_stand(self, time: float) -> bool:
+        """Whether the rod's stand is there at a time [s]: throughout, if it is in nobody's way, and
+        else until the hand has the rod."""
+        if "stand" not in self.metadata:
+            return False
+        grasped = next(phase["end"] for phase in self.phases if phase["name"] == "grasp")
+        return bool(self.metadata.get("stand_stays")) or time <= grasped + 1e-9
+
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write `path` as CSV (fixed rate) and NPZ (also the nodes). Returns both paths."""
         path = Path(path)

@@ -9,7 +9,7 @@ import numpy as np
 
 from wrod.errors import RobotError
 from wrod.robot.arm import ARM_ROOM, Arm, gap_between, with_middles
-from wrod.robot.arm_course import Course
+from wrod.robot.arm_timeline import ArmTimeline
 from wrod.robot.collision import CollisionModel
 from wrod.robot.hold_path import Follower, HoldPath, follow, follow_both
 from wrod.robot.holds import Grasp, Hand, HandFilm, Hold, find_grasps, find_holds
@@ -209,7 +209,7 @@ def _solve(film: HandFilm, arms: list[Arm], holds, grasps, ground: np.ndarray) -
         else:
             left = [h for h in left if h is not partner]
             paths += follow_both(follower(hold), follower(partner), beside)
-    return measured(film, arms, *Course(film, arms, paths, waiting).run())
+    return measured(film, arms, *ArmTimeline(film, arms, paths, waiting).run())
 
 
 def measured(film: HandFilm, arms: list[Arm], time, frame, positions) -> ArmFilm:

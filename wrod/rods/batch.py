@@ -13,7 +13,7 @@ from wrod.kernels.elastic.bending import elasticity
 from wrod.kernels.elastic.frames import transport_reference_frames
 from wrod.kernels.elastic.loads import dead_loads
 from wrod.kernels.elastic.softened_bending import softened_elasticity
-from wrod.kernels.lanes import lanes
+from wrod.kernels.lanes import CROWD, LONG, WARP, lanes
 from wrod.rods.arrays import BatchArrays
 from wrod.rods.device import resolve_device
 from wrod.rods.state import Derivatives, RodState, node_positions
@@ -289,7 +289,7 @@ class RodBatch(BatchArrays):
         self, kernel: wp.Kernel, inputs: list, outputs: Sequence = (), *, rods: int | None = None
     ) -> None:
         """Launch a kernel that walks along the rods, over (rod, lane); see `kernels.lanes`."""
-        count = lanes(self.device)
+        count = lanes(self.device, CROWD if self.node_count > LONG else WARP)
         wp.launch(
             kernel,
             dim=(self.rod_count if rods is None else rods, count),

@@ -1,7 +1,8 @@
 """Rods, cables and ropes that were measured, with where their stiffness comes from and its spread.
 
 Stiffness of ready-made cables is hardly published: what is here was identified from recordings that
-others made public, by commands of this repository, or is the paper's. A cable of the same name from
+others made public, by commands of this repository, is the paper's, or, of guide wires, what others
+measured. A cable of the same name from
 another maker may differ by a factor of two; measure your own (`wrod loop`, `wrod measure`).
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.rods.material import TABLE_2, RodMaterial
 
@@ -47,23 +49,38 @@ def _weighed(radius: float, mass_per_length: float, stiffness: float, length: fl
     return RodMaterial(radius, lgb, length, density=density)
 
 
+def _wire(modulus: float) -> tuple[float, float, float, float]:
+    """Radius, mass per length, stiffness and length of a guide wire, 0.035 in by 2.6 m, of a
+    flexural modulus [Pa]."""
+    radius = 0.035 * 0.0254 / 2.0
+    area = math.pi * radius**2
+    return radius, 7900.0 * area, modulus * area * radius**2 / 4.0, 2.6
+
+
 _WHAT = {
     "pink-vps": "vinyl polysiloxane, pink", "green-vps": "vinyl polysiloxane, green",
     "rope": "rope", "pink-vps-thick": "vinyl polysiloxane, pink, 6.4 mm", "cable": "USB cable",
 }  # fmt: skip
 _THIN = "radius of 3 mm assumed, as the source's own simulation does"
 _BENT = "bent at rest; another piece may differ by more than the error"
+_WIRES = (
+    "flexural modulus, 3 wires at 10 places: Harrison et al., J. Endovasc. Ther. 18 (2011) 797, "
+    "doi 10.1583/11-3592.1; diameter and length: Chaudhuri et al., doi 10.1016/j.ejvsvf.2021.06.006"
+)
+_STEEL = "weight of solid steel assumed; forces of the second source rank the two the other way"
 _MEASURED = (
     ("thin-cable-white", "thin cable", (3e-3, 0.0174, 0.097e-3, 1.5), 0.12, _THIN, _LOOPS),
     ("thin-cable-black", "thin cable", (3e-3, 0.02718, 0.92e-3, 1.5), 0.30, _THIN, _LOOPS),
     ("thin-cable-red", "thin cable", (3e-3, 0.0215, 1.19e-3, 1.5), 0.33, _THIN, _LOOPS),
     ("power-cable-15mm", "electric cable", (7.5e-3, 0.40 / 0.75, 0.059, 0.75), 0.014, _BENT, _HELD),
     ("power-cable-20mm", "electric cable", (10e-3, 0.42 / 0.40, 0.107, 0.40), 0.014, _BENT, _HELD),
+    ("guidewire-amplatz", "Amplatz Super Stiff", _wire(60.3e9), None, _STEEL, _WIRES),
+    ("guidewire-lunderquist", "Lunderquist Extra Stiff", _wire(158.4e9), None, _STEEL, _WIRES),
 )  # fmt: skip
 
 
 def catalogue() -> list[CatalogueRod]:
-    """Every entry: the paper's rods, then cables by their stiffness."""
+    """Every entry: the paper's rods, then cables by their stiffness, then guide wires."""
     table = [
         CatalogueRod(name, _WHAT[name], preset, None, "density of 1180 kg/m^3 assumed", _PAPER)
         for name, preset in TABLE_2.items()
@@ -79,6 +96,7 @@ def rod_names() -> list[str]:
     return [entry.name for entry in catalogue()]
 
 
+@arguments.checked(RodError)
 def rod(name: str) -> RodMaterial:
     """A rod, cable or rope of the catalogue by name; `wrod rods` lists stiffness and sources.
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import sys
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,8 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import RodError, WrodWarning
 from wrod.rods.law import LAWS, Law, Linear
+from wrod.rods.numbers import as_number, as_pair, as_profile
+from wrod.rods.otherwise import Otherwise
 from wrod.rods.profile import Profile
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ _ROUND = 1e-9
 
 
 @dataclass(frozen=True)
-class RodModel:
+class RodModel(Otherwise):
     """An elastic rod whose properties may differ along it and across its section.
 
     Arc length s runs from the end that is laid first. The material frame is (m_1, m_2, t), t = m_1
@@ -100,19 +101,20 @@ class RodModel:
             gravity: float = 9.81,
         ) -> None: ...
 
+    @arguments.checked(RodError)
     def __post_init__(self) -> None:
         def put(name, value):
             object.__setattr__(self, name, value)
 
         for name in ("length", "radius", "gravity"):
-            put(name, _number(name, getattr(self, name), positive=True))
-        put("principal_angle", _number("principal_angle", self.principal_angle))
+            put(name, as_number(name, getattr(self, name), positive=True))
+        put("principal_angle", as_number("principal_angle", self.principal_angle))
         for name in ("internal_damping", "air_damping", "quadratic_drag"):
-            put(name, _number(name, getattr(self, name), least=0.0))
-        put("bending_stiffness", _pair("bending_stiffness", self.bending_stiffness, same=True))
-        put("natural_curvature", _pair("natural_curvature", self.natural_curvature))
+            put(name, as_number(name, getattr(self, name), least=0.0))
+        put("bending_stiffness", as_pair("bending_stiffness", self.bending_stiffness, same=True))
+        put("natural_curvature", as_pair("natural_curvature", self.natural_curvature))
         for name in ("twisting_stiffness", "stretching_stiffness", "line_mass", "natural_twist"):
-            put(name, _profile(name, getattr(self, name)))
+            put(name, as_profile(name, getattr(self, name)))
         for name, profile in (
             *(("bending_stiffness", p) for p in self.bending_stiffness),
             *((n, getattr(self, n)) for n in ("twisting_stiffness", "stretching_stiffness")),
@@ -124,7 +126,10 @@ class RodModel:
                 )
         put("point_masses", self._point_masses())
         if not isinstance(self.law, tuple(LAWS.values())):
-            raise RodError(f"rod law is {self.law!r:.80}; use one of wrod.rods.law: {_names(LAWS)}")
+            known = ", ".join(law.__name__ for law in LAWS.values())
+            raise RodError(
+                f"rod law is {arguments.shown(self.law)}; use one of wrod.rods.law: {known}"
+            )
 
     def _point_masses(self) -> tuple[tuple[float, float], ...]:
         try:
@@ -157,6 +162,17 @@ class RodModel:
                 f"rod is {type(rod).__name__}; give a wrod.RodMaterial or a wrod.RodModel"
             )
         return rod.model()
+
+    def refuse_lump(self) -> None:
+        """Refuse what is too thick for its stiffness or length to be a rod.
+
+        Raises:
+            RodError: see `RodMaterial`.
+        """
+        from wrod.rods.material import refuse_lumps
+
+        curvature = math.hypot(*(max(map(abs, c.values)) for c in self.natural_curvature))
+        refuse_lumps(self.radius, self.gravito_bending_length, self.length, curvature)
 
     def not_uniform(self) -> tuple[str, ...]:
         """What a `RodMaterial` cannot carry of this rod, by the names of the fields."""
@@ -281,7 +297,8 @@ class RodModel:
         beginning turned by `roll` [rad] from left towards up."""
         s = np.linspace(0.0, self.length, 1 if not self.varies and self._untwisted else 401)
         first, second = (c(s) for c in self.natural_curvature)
-        mean = np.mean((first + 1j * second) * np.exp(1j * (roll + self.rolled(s))))
+        turned = np.asarray(roll) + self.rolled(s)
+        mean = np.mean((first + 1j * second) * np.exp(1j * turned))
         return float(mean.real), float(mean.imag)
 
     @property
@@ -295,136 +312,6 @@ class RodModel:
         own."""
         plain = isinstance(self.law, Linear) and not self.point_masses and self._untwisted
         return plain and self.is_isotropic and not self.varies
-
-    # ---- the same rod otherwise ---------------------------------------------------------------
-
-    @arguments.checked(RodError, roll=arguments.number())
-    def bent(self, left: float, up: float = 0.0, roll: float = 0.0) -> RodModel:
-        """A rod with more natural curvature [1/m]: `left` towards the direction that m_1 is turned
-        from by `roll` [rad], `up` a quarter turn from there."""
-        held = self.turned(roll)
-        first, second = held.natural_curvature
-        return replace(held, natural_curvature=(first + left, second + up)).turned(-roll)
-
-    @arguments.checked(RodError, factor=arguments.number(above=0.0))
-    def stiffened(self, factor: float) -> RodModel:
-        """A rod of which every stiffness is `factor` times as large."""
-
-        def more(profile):
-            return profile.scaled(factor)
-
-        return replace(
-            self,
-            bending_stiffness=tuple(map(more, self.bending_stiffness)),
-            twisting_stiffness=more(self.twisting_stiffness),
-            stretching_stiffness=more(self.stretching_stiffness),
-        )
-
-    @arguments.checked(RodError, start=arguments.number(), stop=arguments.number())
-    def piece(self, start: float, stop: float) -> RodModel:
-        """What lies between two arc lengths [m], counted from the first.
-
-        Raises:
-            RodError: that is not a piece of the rod.
-        """
-        slack = 1e-9 * self.length
-        if not (-slack <= start < stop <= self.length + slack):
-            raise RodError(
-                f"there is no piece of the rod from {start!r} to {stop!r} m; it is "
-                f"{self.length:g} m long"
-            )
-
-        def cut(profile):
-            return profile.piece(start, stop)
-
-        masses = tuple(
-            (min(max(s - start, 0.0), stop - start), m)
-            for s, m in self.point_masses
-            if start <= s < stop or s >= stop >= self.length - slack
-        )
-        return replace(self._mapped(cut), length=stop - start, point_masses=masses)
-
-    def reversed(self) -> RodModel:
-        """The same rod laid from its other end: m_1 stays, m_2 and the tangent turn round."""
-        length = self.length
-        other = self._mapped(lambda profile: profile.reversed(length))
-        first, second = other.natural_curvature
-        masses = tuple((min(max(length - s, 0.0), length), m) for s, m in self.point_masses[::-1])
-        return replace(
-            other,
-            principal_angle=-self.principal_angle,
-            natural_curvature=(first, second.scaled(-1.0)),
-            point_masses=masses,
-        )
-
-    @arguments.checked(RodError, roll=arguments.number())
-    def turned(self, roll: float) -> RodModel:
-        """The same rod described in other directors: m_1 of this one is turned by `roll` [rad]
-        from their first towards their second. A rod held at a roll has it from left towards up."""
-        if roll == 0.0 and not (self.principal_angle and self.is_isotropic):
-            return self
-        cosine, sine = math.cos(roll), math.sin(roll)
-        first, second = self.natural_curvature
-        return replace(
-            self,
-            # A section that bends as easily in every direction has no principal ones.
-            principal_angle=0.0 if self.is_isotropic else self.principal_angle + roll,
-            natural_curvature=(
-                first.scaled(cosine) + second.scaled(-sine),
-                first.scaled(sine) + second.scaled(cosine),
-            ),
-        )
-
-    @arguments.checked(
-        RodError, length_unit=arguments.number(1e-9, 1e9), force_unit=arguments.number(1e-12, 1e12)
-    )
-    def scaled(self, length_unit: float, force_unit: float) -> RodModel:
-        """The rod in other units: lengths in `length_unit` [m], forces in `force_unit` [N], and
-        times such that gravity is 1. With L_gb and k_b / L_gb^2 the means are k_b = 1, weight 1/2.
-
-        Raises:
-            RodError: a unit is not positive.
-        """
-        length = _number("length_unit", length_unit, positive=True)
-        force = _number("force_unit", force_unit, positive=True)
-        time = math.sqrt(length / self.gravity)
-        mass = force / self.gravity
-
-        def by(unit):
-            return lambda profile: profile.scaled(1.0 / unit, 1.0 / length)
-
-        stiffness, curvature = by(force * length**2), by(1.0 / length)
-        return RodModel(
-            length=self.length / length,
-            bending_stiffness=tuple(map(stiffness, self.bending_stiffness)),
-            twisting_stiffness=stiffness(self.twisting_stiffness),
-            stretching_stiffness=by(force)(self.stretching_stiffness),
-            line_mass=by(mass / length)(self.line_mass),
-            radius=self.radius / length,
-            principal_angle=self.principal_angle,
-            natural_curvature=tuple(map(curvature, self.natural_curvature)),
-            natural_twist=curvature(self.natural_twist),
-            point_masses=tuple((s / length, m / mass) for s, m in self.point_masses),
-            law=self.law.scaled(length, time),
-            internal_damping=self.internal_damping / time,
-            air_damping=self.air_damping * time,
-            quadratic_drag=self.quadratic_drag * length,
-            gravity=1.0,
-        )
-
-    def _mapped(self, change) -> RodModel:
-        """The rod with every profile changed."""
-        return replace(
-            self,
-            bending_stiffness=tuple(map(change, self.bending_stiffness)),
-            natural_curvature=tuple(map(change, self.natural_curvature)),
-            **{
-                name: change(getattr(self, name))
-                for name in (
-                    "twisting_stiffness", "stretching_stiffness", "line_mass", "natural_twist"
-                )
-            },
-        )  # fmt: skip
 
     # ---- files --------------------------------------------------------------------------------
 
@@ -457,50 +344,3 @@ class RodModel:
         from wrod.rods.model_file import load_model
 
         return load_model(path, radius=radius, length=length)
-
-
-def _names(laws: dict) -> str:
-    return ", ".join(law.__name__ for law in laws.values())
-
-
-# What stands in for a profile of what is one number for the whole rod.
-_INSTEAD = {
-    "radius": "the largest one, which touches",
-    "principal_angle": "that at the beginning, and how it turns from there as natural_twist",
-}
-
-
-def _number(name: str, value, *, positive: bool = False, least: float = -math.inf) -> float:
-    if isinstance(value, (Profile, dict)):
-        raise RodError(
-            f"rod {name} is a profile and can only be one number for the whole rod; give "
-            f"{_INSTEAD.get(name, 'its mean')}"
-        )
-    is_number = isinstance(value, (int, float, np.floating, np.integer))
-    if (
-        not is_number
-        or isinstance(value, bool)
-        or not abs(value) <= sys.float_info.max
-        or value < least
-        or (positive and value <= 0.0)
-    ):
-        wanted = (
-            "a positive" if positive else "a" if least == -math.inf else f"at least {least:g}, a"
-        )
-        raise RodError(f"rod {name} is {value!r:.80}; give {wanted} finite number in SI units")
-    return float(value)
-
-
-def _profile(name: str, value) -> Profile:
-    try:
-        return Profile.of(value)
-    except RodError as error:
-        raise RodError(f"rod {name}: {error}") from None
-
-
-def _pair(name: str, value, *, same: bool = False) -> tuple[Profile, Profile]:
-    if same and not isinstance(value, (tuple, list)):
-        value = (value, value)
-    if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise RodError(f"rod {name} is {value!r:.80}; give two profiles, one per direction")
-    return _profile(name, value[0]), _profile(name, value[1])

@@ -277,11 +277,9 @@ def _add_deployment(stage, number: int, item, shift, materials) -> np.ndarray:
         if robot.name != "sawyer":  # Sawyer brings its pedestal
             add_stand(stage, f"{root}/stand", base, BASE_HEIGHT, materials)
         if "stand" in joint_path.metadata:
-            grasped = next(p["end"] for p in joint_path.phases if p["name"] == "grasp")
-            add_holder(
-                stage, f"{root}/holder", joint_path.metadata["stand"], times,
-                shown.time <= grasped + 1e-9, materials,
-            )  # fmt: skip
+            there = [joint_path.holds_stand(time) for time in shown.time]
+            parts = joint_path.metadata["stand"]
+            add_holder(stage, f"{root}/holder", parts, times, there, materials)
         front = base[:2, 0]
         poses = robot.link_poses(shown.positions[:: max(1, len(times) // 20)])
         for link in poses.values():

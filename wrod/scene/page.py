@@ -17,7 +17,15 @@ import numpy as np
 
 from wrod.errors import SceneError
 from wrod.files import write_atomically
-from wrod.scene.page_parts import ShownArm, add_holder, add_rod, add_segments, move_rod, pose_of
+from wrod.scene.page_parts import (
+    ShownArm,
+    add_holder,
+    add_rod,
+    add_segments,
+    expected_errors,
+    move_rod,
+    pose_of,
+)
 from wrod.scene.phases import covered, rods_of, with_release
 from wrod.scene.workplace import TABLE_THICKNESS, table_under
 
@@ -27,6 +35,8 @@ _ROD_POINTS = 121
 _VIEW, _WIDE = 0.75, 1.2  # [rad] of the camera up and down; width over height that is filled
 _WOOD, _LEG, _FLOOR = (128, 97, 66), (77, 79, 84), (165, 170, 176)
 _INK = (26, 56, 140)
+_COLOURS = "green: on the pattern; red: a centimetre off"
+_LINE = 0.045  # of what is seen, between the captions' lines
 
 
 def write_deployment_page(
@@ -45,11 +55,11 @@ def write_deployment_page(
 
     Args:
         trajectory: `Trajectory`.
-        joint_path: `JointPath` of it, for the arm and for true time; without it the grip alone.
+        joint_path: of it, for the arm and for true time; without it the grip alone.
         pattern: `Pattern` drawn on the table; by default the contact points.
         rod: `RodMaterial`, for its radius.
         shapes: (T, M, 3) centrelines of the rod [m]; by default from the trajectory.
-        errors: (T, M) distance of its points from where they should lie [m], shown as colours.
+        errors: (T, M) how far off its points lie [m], as colours; by default what is expected.
         time: (T,) when each shape is reached [s]; by default the joint path's, else 2 cm/s.
         captions: lines above the table.
 
@@ -70,6 +80,8 @@ def write_deployment_page(
     at_nodes = len(time) == len(trajectory)
     if joint_path is not None and at_nodes and errors is None:
         shapes, time = with_release(joint_path, shapes, time, onward)
+    if errors is None and (errors := expected_errors(trajectory, pattern, shapes)) is not None:
+        captions = [*(captions or []), *_expectation(trajectory)]
     duration = float(time[-1]) if joint_path is None else float(joint_path.time[-1])
     count = int(np.clip(np.ceil(duration * 10.0) + 1, 2, _FRAMES))
     at = np.linspace(0.0, duration, count)
@@ -83,15 +95,14 @@ def write_deployment_page(
         nodes = np.interp(at, time, np.arange(len(time)))
         line = add_rod(server, shapes, errors, nodes[0], radius)
         holder = [] if joint_path is None else add_holder(server, joint_path.metadata)
-        contact = trajectory.contact.mean(0)
-        label = _captions(server, trajectory, joint_path, captions, contact)
-        _aim(server.initial_camera, placement, _seen(trajectory, shapes, arm))
+        seen = _seen(trajectory, shapes, arm)
+        label = _captions(server, trajectory, joint_path, captions, placement, seen)
         recording = server.get_scene_serializer()
         for k, node in enumerate(nodes):
             if arm is not None:
                 arm.pose(k)
             move_rod(line, shapes, errors, node)
-            if holder and joint_path.phase_at(at[k]) not in ("approach", "grasp"):
+            if holder and not joint_path.holds_stand(at[k]):
                 for part in holder:
                     part.visible = False
                 holder = []
@@ -108,6 +119,15 @@ def write_deployment_page(
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
     return write_atomically(out, lambda file: file.write(page))
+
+
+def _expectation(trajectory) -> list[str]:
+    expected = trajectory.metadata["expected"]
+    low, high = expected["friction"][0], expected["friction"][-1]
+    return [
+        f"expected {100 * expected['mean']:.2f} cm off, friction {low:.2g} to {high:.2g}",
+        _COLOURS,
+    ]
 
 
 def _clock(now: float, duration: float, joint_path) -> str:
@@ -151,7 +171,7 @@ def write_laying_page(
         captions=[
             f"{100 * deployment.error_mean:.2f} cm from the pattern with the grip holding, "
             f"{100 * deployment.released_error_mean:.2f} cm let go",
-            "green: on the pattern; red: a centimetre off",
+            _COLOURS,
         ],
     )
 
@@ -221,17 +241,21 @@ def _workplace(server, trajectory, lies, placement, pattern, radius: float) -> N
     add_segments(server, "/pattern", points, _INK, _DRAWN)
 
 
-def _captions(server, trajectory, joint_path, captions, contact: np.ndarray):
+def _captions(server, trajectory, joint_path, captions, placement, seen: np.ndarray):
+    """Write lines above all that is seen (n, 3) [m], the clock first, and look at both."""
     said = [
+        "0.0 s",
         f"{trajectory.metadata.get('pattern', 'pattern')}: "
         f"{trajectory.arc_length[-1]:.3f} m of rod laid"
         + ("" if joint_path is None else f" by {joint_path.robot.name}"),
         *(captions or []),
     ]
-    far = float(np.ptp(trajectory.contact[:, 1])) / 2 + 0.1
-    for number, text in enumerate(said):
-        place = tuple(contact + [0.0, far, 0.30 - 0.06 * number])
-        server.scene.add_label(f"/captions/{number}", text, position=place)
-    return server.scene.add_label(
-        "/captions/time", "0.0 s", position=tuple(contact + [0.0, far, 0.36])
-    )
+    step = _LINE * float(np.ptp(seen, axis=0).max())
+    over = np.append(trajectory.contact.mean(0)[:2], seen[:, 2].max())
+    places = over + step * np.arange(len(said), 0, -1)[:, None] * [0.0, 0.0, 1.0]
+    labels = [
+        server.scene.add_label(f"/captions/{number}", text, position=tuple(place))
+        for number, (text, place) in enumerate(zip(said, places, strict=True))
+    ]
+    _aim(server.initial_camera, placement, np.vstack([seen, places[0] + [0.0, 0.0, step]]))
+    return labels[0]

@@ -12,6 +12,7 @@ from wrod.scene.workplace import BASE_HEIGHT
 
 _LINE = 3.5  # [px] of the rod's line
 _SIDES = 10  # of the rod's tube
+_LIES = 1e-3  # [m] above the contact points, what is lower lies
 _GREY, _LEG, _ROD = (115, 115, 122), (77, 79, 84), (20, 150, 60)
 
 
@@ -41,6 +42,19 @@ def _colours(errors: np.ndarray | None, node: float, count: int) -> np.ndarray:
     share = np.clip(_rod_at(errors, node) / 0.01, 0.0, 1.0)[:, None]
     good, bad = np.array(_ROD, float), np.array([215.0, 30.0, 30.0])
     return ((1 - share) * good + share * bad).astype(np.uint8)
+
+
+def expected_errors(trajectory, pattern, shapes: np.ndarray) -> np.ndarray | None:
+    """(T, M) how far off the points of shapes (T, M, 3) that lie are expected to lie [m]; None of a
+    plan that nobody laid in simulation."""
+    expected = trajectory.metadata.get("expected")
+    if expected is None or not hasattr(pattern, "sample"):
+        return None
+    steps = np.linalg.norm(np.diff(shapes, axis=1), axis=2)
+    s = np.insert(np.cumsum(steps, axis=1), 0, 0.0, axis=1) - pattern.remainder_length
+    along = expected["error_along"]
+    off = np.interp(s, np.linspace(0.0, pattern.length, len(along)), along, left=0.0, right=0.0)
+    return np.where(shapes[..., 2] < trajectory.contact[0, 2] + _LIES, off, 0.0)
 
 
 def _tube(points: np.ndarray, radius: float) -> dict:

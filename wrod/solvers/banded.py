@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import warp as wp
 
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
-from wrod.kernels.lanes import lanes
+from wrod.kernels.lanes import WARP, lanes
 from wrod.kernels.linear import banded, banded_lanes, border
 from wrod.rods.batch import RodBatch
 
@@ -15,7 +16,7 @@ from wrod.rods.batch import RodBatch
 class BandedSystem:
     """Factorisation of the free block of a batch's Hessian, and solutions with it.
 
-    A CPU takes the rods one by one; a GPU gives each rod a warp.
+    A CPU takes the rows one by one; a GPU gives each rod a warp, also of those that share a row.
 
     Args:
         batch: the rods.
@@ -27,6 +28,7 @@ class BandedSystem:
         negative_pivots: (rod,) negative eigenvalues of what was factorised.
         x: (rod, right-hand side, dof) right-hand sides, then solutions.
         shortened: (rod,) part of the first solution that `shorten` left.
+        segment: (segment,) first degree of freedom and number of those of each rod of a row.
     """
 
     def __init__(self, batch: RodBatch, right_hand_sides: int = 1):
@@ -37,12 +39,25 @@ class BandedSystem:
         self.negative_pivots = wp.zeros(rods, dtype=wp.int32, device=device)
         self.x = wp.zeros((rods, right_hand_sides, dofs), dtype=wp.float64, device=device)
         self.shortened = wp.ones(rods, dtype=wp.float64, device=device)
+        first = 4 * np.array([0, *(e + 1 for e in batch.cut_edges), batch.node_count])
+        first[-1] = dofs
+        parts = np.column_stack([first[:-1], np.diff(first)]).astype(np.int32)
+        self.segment = wp.array(parts, dtype=wp.vec2i, device=device)
 
     def shorten(self, active: wp.array) -> None:
         """Shorten the first solution to what a Newton iteration may take of it: all."""
 
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
         """Factorise the free blocks of `hessian` (rod, dof, 11), which is contiguous."""
+        if self._on_gpu and len(self.segment) > 1:
+            wp.launch(
+                banded_lanes.clear_pivots,
+                dim=self.batch.rod_count,
+                inputs=[active],
+                outputs=[self.negative_pivots],
+                device=self.batch.device,
+                block_dim=WARP,
+            )
         self._launch(
             (banded.factorise, banded_lanes.factorise),
             (self.batch.rod_count,),
@@ -59,15 +74,18 @@ class BandedSystem:
             [self.x],
         )
 
+    @property
+    def _on_gpu(self) -> bool:
+        return lanes(self.batch.device) > 1
+
     def _launch(self, kernels, dim: tuple, inputs: list, outputs: list) -> None:
-        """Of the two kernels the first takes a rod a thread, the second a rod a warp."""
+        """Of the two kernels the first takes a row a thread, the second a rod a warp."""
         device = self.batch.device
         count = lanes(device)
-        on_gpu = count > 1
         wp.launch(
-            kernels[on_gpu],
-            dim=(*dim, count) if on_gpu else dim,
-            inputs=inputs,
+            kernels[self._on_gpu],
+            dim=(*dim, len(self.segment), count) if self._on_gpu else dim,
+            inputs=[self.segment, *inputs] if self._on_gpu else inputs,
             outputs=outputs,
             device=device,
             block_dim=count,

@@ -7,6 +7,7 @@ import warp as wp
 
 from wrod.kernels.linear.banded import multiply
 from wrod.kernels.stepping import bodies as kernels
+from wrod.kernels.stepping import body_exchange, body_system
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import RodState
 from wrod.solvers.steps import Steps
@@ -16,8 +17,8 @@ class Bodies:
     """Free rigid bodies of every row of a batch, and what they hold of its rods.
 
     Rods are eliminated from the Newton step of rods and bodies together: see
-    `wrod.kernels.stepping.bodies`. A step of `Dynamics` with them conserves momentum to rounding,
-    whatever the ratio of masses.
+    `wrod.kernels.stepping.body_system`. A step of `Dynamics` with them conserves momentum to
+    rounding, whatever the ratio of masses.
 
     Args:
         batch: the rods; what is held is not free in it.
@@ -44,16 +45,18 @@ class Bodies:
         def vectors():
             return wp.zeros(shape, dtype=wp.vec3d, device=device)
 
-        def turns():
-            return wp.full(shape, wp.quatd(0.0, 0.0, 0.0, 1.0), dtype=wp.quatd, device=device)
+        def motion():
+            out = kernels.BodyMotion()
+            out.place, out.velocity, out.momentum = vectors(), vectors(), vectors()
+            out.turn = wp.full(shape, wp.quatd(0.0, 0.0, 0.0, 1.0), dtype=wp.quatd, device=device)
+            return out
 
         def floats(*size):
             return wp.zeros((shape[0], *size), dtype=wp.float64, device=device)
 
-        self.place, self._place_before, self._place_older = (vectors() for _ in range(3))
-        self.turn, self._turn_before, self._turn_older = (turns() for _ in range(3))
-        self.velocity, self._velocity_now, self._velocity_older = (vectors() for _ in range(3))
-        self.momentum, self._momentum_now, self._momentum_older = (vectors() for _ in range(3))
+        self._now, self._before, self._older = motion(), motion(), motion()
+        self.place, self.turn = self._now.place, self._now.turn
+        self.velocity, self.momentum = self._before.velocity, self._before.momentum
         self.force, self.torque = vectors(), vectors()
         self._motion, self._column = floats(motions, dofs), floats(motions, dofs)
         self._residual, self._matrix = floats(shape[1], 6), floats(shape[1], 36)
@@ -76,43 +79,28 @@ class Bodies:
                         out[row, 4 * h["edge"] + 3] = 1
         return out
 
-    def _launch(self, kernel, dim, inputs, outputs=()) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.batch.device)
-
-    @property
-    def _poses(self) -> list[wp.array]:
-        return [
-            self.place,
-            self.turn,
-            self._place_before,
-            self._turn_before,
-            self._place_older,
-            self._turn_older,
-        ]
-
     def begin(self, starting: wp.array, span: wp.array, start: RodState) -> None:
         """Predict where bodies are at the end of a step, and put there what they hold."""
-        self._launch(
+        self.batch.launch(
             kernels.predict_bodies,
             self.body.shape,
-            [self.body, starting, span, self._place_before, self._turn_before]
-            + [self.velocity, self.momentum],
-            [self.place, self.turn],
+            [self.body, starting, span, self._before],
+            [self._now],
         )
         self.put(starting, start)
 
     def put(self, chosen: wp.array, start: RodState) -> None:
         """Put what the bodies of the chosen rows hold to where they are."""
-        self._launch(
+        self.batch.launch(
             kernels.place_held,
             self.hold.shape,
-            [self.body, self.hold, chosen, self.place, self.turn, start.tangent, start.director],
+            [self.body, self.hold, chosen, self._now, start.tangent, start.director],
             [self.batch.state.dof],
         )
 
     def balance(self, steps: Steps) -> None:
         """Residuals of the bodies, which take back the convergence of rows they are large in."""
-        self._launch(
+        self.batch.launch(
             kernels.body_balance,
             self.body.shape,
             [
@@ -127,16 +115,13 @@ class Bodies:
                 steps.coefficient,
                 self.batch.state.dof,
                 self.batch.derivatives.gradient,
-                *self._poses,
-                self.velocity,
-                self._velocity_older,
-                self.momentum,
-                self._momentum_older,
+                self._before,
+                self._older,
                 self.push,
             ],
-            [self._velocity_now, self._momentum_now, self._residual, self._matrix],
+            [self._now, self._residual, self._matrix],
         )
-        self._launch(
+        self.batch.launch(
             kernels.refuse_unbalanced,
             self.batch.rod_count,
             [
@@ -153,13 +138,13 @@ class Bodies:
     def load(self, steps: Steps) -> None:
         """Right-hand sides of the rods' system: the residual, and one for each motion."""
         out, active, x = self.batch.derivatives, steps.active, steps.system.x
-        self._launch(
-            kernels.spread_motion,
+        self.batch.launch(
+            body_system.spread_motion,
             self.hold.shape,
-            [self.hold, active, self.place, self.turn, self.batch.state.dof],
+            [self.hold, active, self._now, self.batch.state.dof],
             [self._motion],
         )
-        self._launch(
+        self.batch.launch(
             multiply,
             self._motion.shape,
             [active, out.hessian, self._motion],
@@ -167,25 +152,27 @@ class Bodies:
         )
         if steps.rod_contact is not None:
             steps.system.multiply_pairs(active, self._motion, self._column)
-        self._launch(kernels.load_bodies, x.shape, [active, out.gradient, self._column], [x])
+        self.batch.launch(
+            body_system.load_bodies, x.shape, [active, out.gradient, self._column], [x]
+        )
 
     def solve(self, steps: Steps) -> None:
         """The bodies' part of the Newton step out of the solutions of `load`; the rods' then."""
         active, free, x = steps.active, self.batch.free, steps.system.x
-        self._launch(
-            kernels.condense,
+        self.batch.launch(
+            body_system.condense,
             self._small.shape,
             [active, free, self._motion, self._column, x, self._residual, self._matrix],
             [self._small],
         )
-        self._launch(
-            kernels.solve_bodies,
+        self.batch.launch(
+            body_system.solve_bodies,
             self.batch.rod_count,
             [self.body, active],
             [self._small, self._step, self._fraction],
         )
-        self._launch(
-            kernels.combine,
+        self.batch.launch(
+            body_system.combine,
             (x.shape[0], x.shape[2]),
             [active, free, self._motion, self._step, self._fraction],
             [x],
@@ -193,35 +180,28 @@ class Bodies:
 
     def move(self, steps: Steps) -> None:
         """Take the step that the rods have taken."""
-        self._launch(
-            kernels.move_bodies,
+        self.batch.launch(
+            body_system.move_bodies,
             self.body.shape,
             [self.body, steps.active, self._step, self._fraction]
             + [steps.system.shortened, steps.taken],
-            [self.place, self.turn],
+            [self._now],
         )
         self.put(steps.active, steps.start)
 
     def finish(self, steps: Steps) -> None:
         """Carry accepted steps over to the next, and take rejected ones back."""
-        self._launch(
+        self.batch.launch(
             kernels.finish_bodies,
             self.body.shape,
-            [steps.accepted, steps.rejected, steps.step, steps.span]
-            + [self._velocity_now, self._momentum_now],
-            [
-                *self._poses,
-                self.velocity,
-                self._velocity_older,
-                self.momentum,
-                self._momentum_older,
-            ],
+            [steps.accepted, steps.rejected, steps.step, steps.span],
+            [self._now, self._before, self._older],
         )
 
     def find_changes(self, body_q: wp.array, body_qd: wp.array, changed: wp.array) -> None:
         """Raise `changed` (row,) where a simulator's bodies are not as `write` left them."""
-        self._launch(
-            kernels.find_moved_bodies,
+        self.batch.launch(
+            body_exchange.find_moved_bodies,
             self.body.shape,
             [self.body, body_q, body_qd, self._written_q, self._written_qd],
             [changed],
@@ -230,27 +210,25 @@ class Bodies:
     def read(self, chosen: wp.array, body_q, body_qd, body_f, start: RodState, velocity) -> None:
         """Take a simulator's bodies up in the chosen rows, what they hold with them, and the
         forces on all."""
-        self._launch(
-            kernels.read_bodies,
+        self.batch.launch(
+            body_exchange.read_bodies,
             self.body.shape,
             [self.body, chosen, body_q, body_qd, body_f],
-            [self.place, self.turn, self._place_before, self._turn_before]
-            + [self.velocity, self.momentum, self.force, self.torque],
+            [self._now, self._before, self.force, self.torque],
         )
         self.put(chosen, start)
-        self._launch(
-            kernels.carry_velocity,
+        self.batch.launch(
+            body_exchange.carry_velocity,
             self.hold.shape,
-            [self.body, self.hold, chosen, self.place, self.turn, self.velocity, self.momentum]
-            + [self.batch.state.dof],
+            [self.body, self.hold, chosen, self._before, self.batch.state.dof],
             [velocity],
         )
 
     def write(self, body_q: wp.array, body_qd: wp.array) -> None:
         """Give a simulator its bodies back, in its precision."""
-        self._launch(
-            kernels.write_bodies,
+        self.batch.launch(
+            body_exchange.write_bodies,
             self.body.shape,
-            [self.body, self.place, self.turn, self.velocity, self.momentum],
+            [self.body, self._now, self._before],
             [body_q, body_qd, self._written_q, self._written_qd],
         )

@@ -130,32 +130,32 @@ class Contact:
             return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
 
         shapes, static, kinetic, rolling, roll = self._table()
-        idle = np.zeros((rods, nodes), dtype=bool) if self.passive is None else self.passive
-        self._model = [
-            shapes,
-            floats(np.where(idle, -_FAR, radius)),
-            floats(stiffness * _node_lengths(batch)),
-            floats(_SKIN * radius),
-            floats(static),
-            floats(kinetic),
-            floats(rolling),
-        ]
-        self._roll = floats(self._kept(roll, rolling))
+        idle = np.zeros((rods, nodes), dtype=bool)
+        if self.passive is not None:
+            if arguments.truths(self.passive) or np.shape(self.passive) != (rods, nodes):
+                raise RodError(f"Contact: passive must be truths of shape {(rods, nodes)}")
+            idle = np.asarray(self.passive)
         damping = contact_damping(np.broadcast_to(self.restitution, (rods,)))
         ratio = batch.node_mass.numpy() / (stiffness * _node_lengths(batch))
-        self._relaxation = floats(damping[:, None] * np.sqrt(ratio))
-        self.time_step = floats(np.full(rods, np.inf))
         field = self.friction_field
-        self._field = [
-            floats(np.ones((1, 1)) if field is None else np.ascontiguousarray(field.factor)),
-            wp.vec4d(*((0.0, 0.0, 1.0, 1.0) if field is None else map(float, field._place()))),
-        ]
+        self._model = model = kernels.Touchable()
+        model.shapes, model.rest_length = shapes, batch.rest_length
+        model.static_friction, model.kinetic_friction = floats(static), floats(kinetic)
+        model.roll_friction, model.rolling = floats(self._kept(roll, rolling)), floats(rolling)
+        model.radius = floats(np.where(idle, -_FAR, radius))
+        model.stiffness = floats(stiffness * _node_lengths(batch))
+        model.skin = floats(_SKIN * radius)
+        model.relaxation = floats(damping[:, None] * np.sqrt(ratio))
+        everywhere = np.ones((1, 1)), (0.0, 0.0, 1.0, 1.0)
+        factor, place = everywhere if field is None else (field.factor, field._place())
+        model.field = floats(np.ascontiguousarray(factor))
+        model.place = wp.vec4d(*map(float, place))
+        self.time_step = floats(np.full(rods, np.inf))
         self._edges = EdgeContact(
-            batch, np.where(idle, np.nan, radius), stiffness, _SKIN, shapes, self._model[4:],
-            damping, self._roll,
-        )  # fmt: skip
+            batch, np.where(idle, np.nan, radius), stiffness, _SKIN, model, damping
+        )
         self._note_fixtures()
-        per_shape = (rods, self._model[0].shape[1], nodes)
+        per_shape = (rods, shapes.shape[1], nodes)
         self._bristle = wp.zeros(per_shape, dtype=wp.vec3d, device=device)
         self._sliding = wp.zeros(per_shape, dtype=wp.int32, device=device)
         self._turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
@@ -238,7 +238,7 @@ class Contact:
     @property
     def table(self) -> wp.array:
         """(rod, shape) `wrod.kernels.contact.planes.Shape`, for kernels that move them."""
-        return self._model[0]
+        return self._model.shapes
 
     @property
     def pushes(self) -> tuple[wp.array, wp.array]:
@@ -260,37 +260,33 @@ class Contact:
         before = self.shapes, self.friction
         self.shapes, self.friction = shapes, friction
         table, static, kinetic, rolling, roll = self._table()
-        if table.shape != self._model[0].shape:
+        if table.shape != self.table.shape:
             self.shapes, self.friction = before
             raise RodError("the number of shapes changed; make a new Contact")
-        wp.copy(self._model[0], table)
-        for array, values in zip(self._model[4:], (static, kinetic, rolling), strict=True):
-            array.assign(values)
-        self._roll.assign(self._kept(roll, rolling))
+        wp.copy(self.table, table)
+        self._model.static_friction.assign(static)
+        self._model.kinetic_friction.assign(kinetic)
+        self._model.rolling.assign(rolling)
+        self._model.roll_friction.assign(self._kept(roll, rolling))
         self._note_fixtures()
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces and stiffness at `dof` to the batch's gradient and Hessian."""
         out = self.batch.derivatives
-        wp.launch(
+        self.batch.launch(
             kernels.contact,
-            dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, self._relaxation, *self._field, self.time_step]
-            + [active, dof, dof_before]
-            + [self._bristle, self._sliding],
-            outputs=[out.gradient, out.hessian],
-            device=self.batch.device,
+            (self.batch.rod_count, self.batch.node_count),
+            [self._model, self.time_step, active, dof, dof_before] + [self._bristle, self._sliding],
+            [out.gradient, out.hessian],
         )
         if self._has_fixtures:
             self._edges.add(self.time_step, active, dof, dof_before)
         if self._keeps:
-            wp.launch(
+            self.batch.launch(
                 rolls.hold_roll,
-                dim=(self.batch.rod_count, self.batch.node_count),
-                inputs=[*self._model[:4], self._relaxation, self._roll, self.time_step]
-                + [active, dof, dof_before, self._turned],
-                outputs=[out.gradient, out.hessian],
-                device=self.batch.device,
+                (self.batch.rod_count, self.batch.node_count),
+                [self._model, self.time_step, active, dof, dof_before, self._turned],
+                [out.gradient, out.hessian],
             )
 
     def linearise(
@@ -303,19 +299,18 @@ class Contact:
             dof, dof_before: (rod, dof) at the end and at the start of the steps.
             outputs: (rod, node) each: see `wrod.kernels.contact.linearised`.
         """
-        wp.launch(
+        self.batch.launch(
             linearised.linearise_contact,
-            dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, self._relaxation, *self._field, self._roll, self.time_step]
-            + [accepted, dof, dof_before, self._bristle, self._sliding, self._turned],
-            outputs=outputs,
-            device=self.batch.device,
+            (self.batch.rod_count, self.batch.node_count),
+            [self._model, self.time_step, accepted, dof, dof_before]
+            + [self._bristle, self._sliding, self._turned],
+            outputs,
         )
 
     @property
     def tangent_stiffness(self) -> wp.array:
         """(rod, node) stiffness of each node's bristle [force/length]."""
-        return self._model[2]
+        return self._model.stiffness
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) touch everything for the first time."""
@@ -323,21 +318,9 @@ class Contact:
             (self._bristle, self._sliding),
             (self._edges.bristle, self._edges.sliding),
         ):
-            wp.launch(
-                kernels.forget_friction,
-                dim=bristle.shape,
-                inputs=[chosen],
-                outputs=[bristle, sliding],
-                device=self.batch.device,
-            )
+            self.batch.launch(kernels.forget_friction, bristle.shape, [chosen], [bristle, sliding])
         for turned in (self._turned, self._edges.turned):
-            wp.launch(
-                rolls.forget_roll,
-                dim=turned.shape,
-                inputs=[chosen],
-                outputs=[turned],
-                device=self.batch.device,
-            )
+            self.batch.launch(rolls.forget_roll, turned.shape, [chosen], [turned])
 
     def refuse(
         self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
@@ -350,34 +333,29 @@ class Contact:
         self, chosen: wp.array, dof: wp.array, dof_before: wp.array, touching: wp.array
     ) -> None:
         """Raise `touching` (rod,) of the chosen rods to 1 where they touch, to 2 in an impact."""
-        wp.launch(
+        self.batch.launch(
             kernels.find_touching,
-            dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model[:2], chosen, dof, dof_before],
-            outputs=[touching],
-            device=self.batch.device,
+            (self.batch.rod_count, self.batch.node_count),
+            [self._model, chosen, dof, dof_before],
+            [touching],
         )
         if self._has_fixtures:
             self._edges.find_touching(chosen, dof, dof_before, touching)
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
-        wp.launch(
+        self.batch.launch(
             kernels.settle_friction,
-            dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[*self._model, self._relaxation, *self._field, self.time_step]
-            + [accepted, dof, dof_before],
-            outputs=[self._bristle, self._sliding, self.slip, self.force],
-            device=self.batch.device,
+            (self.batch.rod_count, self.batch.node_count),
+            [self._model, self.time_step, accepted, dof, dof_before],
+            [self._bristle, self._sliding, self.slip, self.force],
         )
         if self._keeps:
-            wp.launch(
+            self.batch.launch(
                 rolls.settle_roll,
-                dim=(self.batch.rod_count, self.batch.node_count),
-                inputs=[*self._model[:4], self._relaxation, self._roll, self.time_step]
-                + [accepted, dof, dof_before],
-                outputs=[self._turned],
-                device=self.batch.device,
+                (self.batch.rod_count, self.batch.node_count),
+                [self._model, self.time_step, accepted, dof, dof_before],
+                [self._turned],
             )
         if self._has_fixtures:
             self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)

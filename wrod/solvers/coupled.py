@@ -14,35 +14,91 @@ from wrod.solvers.rod_contact import RodContact
 _DENSE_NODES, _BLOCKS_PER_ROW = 200, 100
 
 
-class CoupledSystem(BandedSystem):
-    """A `BandedSystem` with the stiffness of a `RodContact` in it; rods that touch nothing are
-    factorised as banded ones are.
+class PairedSystem(BandedSystem):
+    """What systems with the stiffness of a `RodContact` have in common: the pairs that touch.
 
     `negative_pivots` counts the negative eigenvalues of the whole matrix, contacts included.
 
     Args:
         contact: the contact between rods, evaluated (`RodContact.add`) before each `factorise`.
         right_hand_sides: how many `solve` takes.
+        pairs: most pairs of a row that may touch.
+    """
+
+    def __init__(self, contact: RodContact, right_hand_sides: int, pairs: int):
+        batch = contact.batch
+        super().__init__(batch, right_hand_sides)
+        self.contact = contact
+        rods, device = batch.rod_count, batch.device
+        self.banded, self.coupled, self.pair_count, self._changed = (
+            wp.zeros(rods, dtype=wp.int32, device=device) for _ in range(4)
+        )
+        self.touching = wp.zeros((rods, pairs), dtype=wp.vec3i, device=device)
+
+    def _collect(self, active: wp.array) -> None:
+        """List the pairs that touch."""
+        contact = self.contact
+        self.batch.walk(
+            touching.collect,
+            [active, contact.partner_count, contact.partner, contact.depth],
+            [self.pair_count, self.touching, contact.overflow]
+            + [self.banded, self.coupled, self._changed],
+        )
+
+    @property
+    def _pairs(self) -> list:
+        """Where pairs are, and which."""
+        contact = self.contact
+        where = [contact.time_step, *contact.configuration, contact.rubbing]
+        return [*where, self.pair_count, self.touching]
+
+    def _together(self, kernel, inputs, outputs) -> None:
+        """Launch a kernel whose lanes work on a rod together."""
+        batch = self.batch
+        count = lanes(batch.device, TEAM)
+        wp.launch(
+            kernel,
+            (batch.rod_count, count),
+            inputs=inputs,
+            outputs=outputs,
+            device=batch.device,
+            block_dim=count,
+        )
+
+    def multiply_pairs(self, active: wp.array, vector: wp.array, product: wp.array) -> None:
+        """Add the touching pairs' part of matrix times `vector` (rod, j, dof) to `product`."""
+        chosen = [active, self.coupled, self.contact.overflow]
+        inputs = [self.contact.pieces, *chosen, *self._pairs, vector]
+        self._together(coupling.multiply_pairs, inputs, [product])
+
+    def shorten(self, active: wp.array) -> None:
+        """Shorten the first solution to what contacts allow in one iteration."""
+        contact = self.contact
+        self.batch.walk(
+            touching.limit_motion,
+            [contact.reach, contact.overflow, active],
+            [self.x, contact.sticking, self.shortened],
+        )
+
+
+class CoupledSystem(PairedSystem):
+    """A `PairedSystem` that is factorised exactly, a row a block; rows that touch nothing are
+    factorised as banded ones are.
+
+    Args:
+        contact, right_hand_sides: as of `PairedSystem`.
     """
 
     def __init__(self, contact: RodContact, right_hand_sides: int = 1):
         batch = contact.batch
-        super().__init__(batch, right_hand_sides)
-        self.contact = contact
+        super().__init__(contact, right_hand_sides, 6 * batch.node_count)
         rods, nodes, device = batch.rod_count, batch.node_count, batch.device
-
-        def ints(*shape):
-            return wp.zeros((rods, *shape), dtype=wp.int32, device=device)
-
         if nodes <= _DENSE_NODES:
             self._capacity = nodes * (nodes + 1) // 2
         else:
             self._capacity = nodes * _BLOCKS_PER_ROW
-        pairs = 6 * nodes
-        self.banded, self.coupled, self.pair_count, self._changed = (ints() for _ in range(4))
-        self.touching = wp.zeros((rods, pairs), dtype=wp.vec3i, device=device)
         self._distance, self._tally, self._rank, self._order, self._first, self._last, self._row = (
-            ints(nodes) for _ in range(7)
+            wp.zeros((rods, nodes), dtype=wp.int32, device=device) for _ in range(7)
         )
         self._block = wp.zeros((rods, self._capacity), dtype=wp.mat44d, device=device)
         if lanes(device) == 1:
@@ -59,41 +115,17 @@ class CoupledSystem(BandedSystem):
                 for width in (skyline_lanes.STRIDE, skyline_lanes.STRIDE, 4, 4)
             )
 
-    def _together(self, kernel, inputs, outputs) -> None:
-        """Launch a kernel whose lanes work on a rod together."""
-        batch = self.batch
-        count = lanes(batch.device, TEAM)
-        wp.launch(
-            kernel,
-            (batch.rod_count, count),
-            inputs=inputs,
-            outputs=outputs,
-            device=batch.device,
-            block_dim=count,
-        )
-
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
         batch, contact = self.batch, self.contact
         overflow = contact.overflow
-        batch.walk(
-            touching.collect,
-            [active, contact.partner_count, contact.partner, contact.depth],
-            [
-                self.pair_count,
-                self.touching,
-                overflow,
-                self.banded,
-                self.coupled,
-                self._changed,
-            ],
-        )
+        self._collect(active)
         super().factorise(hessian, self.banded)
         self._together(
             skyline_order.renumber,
             [
                 self.coupled,
                 self._changed,
-                contact.piece,
+                contact.pieces.kind,
                 self.pair_count,
                 self.touching,
                 self._capacity,
@@ -114,23 +146,7 @@ class CoupledSystem(BandedSystem):
         )
         self._together(
             coupling.add_pairs,
-            [
-                contact.law,
-                contact.edge_radius,
-                batch.rest_length,
-                contact.piece,
-                *chosen,
-                contact.time_step,
-                *contact.configuration,
-                contact.bristle,
-                contact.held_load,
-                contact.sliding,
-                contact.sticking,
-                self.pair_count,
-                self.touching,
-                self._rank,
-                self._row,
-            ],
+            [self.contact.pieces, *chosen, *self._pairs, self._rank, self._row],
             [self._block],
         )
         chosen = [self.coupled, overflow]
@@ -155,38 +171,3 @@ class CoupledSystem(BandedSystem):
         kernel = skyline.solve if on_cpu else skyline_lanes.solve
         for j in range(columns or self.x.shape[1]):
             self._together(kernel, inputs, [self.x[:, j : j + 1]])
-
-    def multiply_pairs(self, active: wp.array, vector: wp.array, product: wp.array) -> None:
-        """Add the touching pairs' part of matrix times `vector` (rod, j, dof) to `product`."""
-        contact = self.contact
-        self._together(
-            coupling.multiply_pairs,
-            [
-                contact.law,
-                contact.edge_radius,
-                self.batch.rest_length,
-                contact.piece,
-                active,
-                self.coupled,
-                contact.overflow,
-                contact.time_step,
-                *contact.configuration,
-                contact.bristle,
-                contact.held_load,
-                contact.sliding,
-                contact.sticking,
-                self.pair_count,
-                self.touching,
-                vector,
-            ],
-            [product],
-        )
-
-    def shorten(self, active: wp.array) -> None:
-        """Shorten the first solution to what contacts allow in one iteration."""
-        contact = self.contact
-        self.batch.walk(
-            touching.limit_motion,
-            [contact.reach, contact.overflow, active],
-            [self.x, contact.sticking, self.shortened],
-        )

@@ -10,12 +10,12 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import RodError
-from wrod.kernels.stepping import dynamics as kernels
+from wrod.kernels.stepping import pace
 from wrod.rods.batch import RodBatch
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.bodies import Bodies
+from wrod.solvers.condensed import paired_system
 from wrod.solvers.contact import Contact
-from wrod.solvers.coupled import CoupledSystem
 from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.inertia import lumped_masses, rounding_of, usual_force
 from wrod.solvers.newton_steps import Follower, NewtonSteps
@@ -100,6 +100,7 @@ class Dynamics(NewtonSteps):
         ),
         motion=arguments.optional(arguments.like("a motion", "prescribe")),
         follower=arguments.optional(arguments.like("a follower", "follow")),
+        bodies=arguments.optional(arguments.like("rigid bodies", "columns")),
         force_scale=arguments.optional(arguments.array((), (None,))),
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(0, 10_000),
@@ -142,7 +143,7 @@ class Dynamics(NewtonSteps):
         self.rod_contact = coupling[0] if coupling else None
         columns = 1 if bodies is None else 1 + bodies.columns
         if coupling:
-            self.system = CoupledSystem(coupling[0], columns)
+            self.system = paired_system(coupling[0], columns)
         else:
             self.system = BandedSystem(batch, columns)
 
@@ -274,7 +275,7 @@ class Dynamics(NewtonSteps):
                 (CUDA before 12.4).
         """
         smallest = step * _SMALLEST_STEP
-        self._per_rod(kernels.set_until, [wp.float64(duration), self.time], [self.until])
+        self._per_rod(pace.set_until, [wp.float64(duration)], [self.pace])
         self._begin_advance(step)
 
         def take_rounds() -> None:
@@ -313,11 +314,7 @@ class Dynamics(NewtonSteps):
         return [(event.name, event.elapsed) for event in wp.timing_end()]
 
     def _begin_advance(self, step: float) -> None:
-        self._per_rod(
-            kernels.begin_advance,
-            [wp.float64(step), self.until, self.time, self.diverged],
-            [self.wanted_step, self.running, self.starting],
-        )
+        self._per_rod(pace.begin_advance, [wp.float64(step)], [self.pace])
 
     def _recorded(self, key: tuple) -> wp.Graph | None:
         """What was recorded for the same numbers."""
@@ -333,7 +330,7 @@ class Dynamics(NewtonSteps):
     def _ask(self, most: int) -> None:
         """Find out on the device whether to take another round, `most` of them at a time."""
         outputs = [self._rounds, self._going]
-        self.batch.walk(kernels.ask_on, [self.running, most], outputs, rods=1)
+        self.batch.walk(pace.ask_on, [self.running, most], outputs, rods=1)
 
     def _record(self, take_round: Callable[[], None]) -> wp.Graph:
         """What takes rounds until all rods are there, or for a while; asking a GPU from outside

@@ -8,6 +8,7 @@ import warp as wp
 
 from wrod.kernels.stepping import dynamics as kernels
 from wrod.kernels.stepping import newton_iteration as newton
+from wrod.kernels.stepping import pace
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.inelastic import InternalVariables
 from wrod.solvers.steps import SCHEMES, Motion, Steps
@@ -52,11 +53,7 @@ class NewtonSteps(Steps):
     def restart(self, chosen: wp.array) -> None:
         """Let the rods that are not 0 in `chosen` (rod,) start anew from the batch's state, which
         must have its frames, and from `velocity`; one that was cut out takes part again."""
-        self._per_rod(
-            kernels.forget_history,
-            [chosen],
-            [self.step_before, self.wanted_step, self.diverged, self.leaves],
-        )
+        self._per_rod(pace.forget_history, [chosen], [self.pace])
         self._copy(chosen, self.batch.state, self.start)
         self.internal.restart(chosen)
         for contact in self.contacts:
@@ -82,30 +79,10 @@ class NewtonSteps(Steps):
         """Begin a step of the rods that have finished their last."""
         batch = self.batch
         self._per_rod(
-            kernels.begin_step,
-            [
-                self._scheme,
-                wp.float64(self.tolerance),
-                self.rounding,
-                self.viscosity.stretching_time,
-                self.until,
-                self.starting,
-                self.time,
-                self.step_before,
-                self.wanted_step,
-                self.leaves,
-            ],
-            [
-                self.step,
-                self.span,
-                self.touching,
-                self.coefficient,
-                self.step_tolerance,
-                self.iteration,
-                self.active,
-                self.converged,
-                self.system.negative_pivots,
-            ],
+            pace.begin_step,
+            [self._scheme, wp.float64(self.tolerance), self.rounding]
+            + [self.viscosity.stretching_time],
+            [self.pace, self.system.negative_pivots],
         )
         self.viscosity.begin(self.starting, self.coefficient, self.span)
         self.internal.begin(self.starting, self.span)
@@ -117,15 +94,7 @@ class NewtonSteps(Steps):
             self.bodies.begin(self.starting, self.span, self.start)
         self._per_dof(
             kernels.predict,
-            [
-                self.starting,
-                batch.free,
-                self.span,
-                self.velocity,
-                self.velocity_older,
-                self.coefficient,
-                wp.float64(self._growth),
-            ],
+            [self.pace, batch.free, self.velocity, self.velocity_older, wp.float64(self._growth)],
             [batch.state.dof],
         )
 
@@ -140,9 +109,7 @@ class NewtonSteps(Steps):
             [
                 self.mass,
                 self.air_damping,
-                self.active,
-                self.span,
-                self.coefficient,
+                self.pace,
                 dof,
                 start.dof,
                 self.dof_older,
@@ -152,13 +119,11 @@ class NewtonSteps(Steps):
             [out.gradient, out.hessian],
         )
         if self.drag is not None:
-            wp.launch(
+            batch.launch(
                 kernels.add_drag,
-                dim=(batch.rod_count, batch.node_count),
-                inputs=[self.drag, self.active, self.span, self.coefficient, dof, start.dof]
-                + [self.dof_older],
-                outputs=[out.gradient, out.hessian],
-                device=batch.device,
+                (batch.rod_count, batch.node_count),
+                [self.drag, self.pace, dof, start.dof, self.dof_older],
+                [out.gradient, out.hessian],
             )
         for contact in self.contacts:
             contact.add(self.active, dof, start.dof)
@@ -181,7 +146,7 @@ class NewtonSteps(Steps):
         if self._scheme and self.contacts:
             self._per_dof(
                 kernels.extrapolate,
-                [self.converged, self.step, self.span, dof, start.dof],
+                [self.converged, self.pace, dof, start.dof],
                 [self._end],
             )
             for contact in self.contacts:
@@ -191,37 +156,10 @@ class NewtonSteps(Steps):
     def _judge(self, largest: float, smallest: float) -> None:
         """What becomes of every rod's step: taken, gone on with, or cut."""
         self._per_rod(
-            kernels.judge_step,
-            [
-                self.until,
-                self.max_iterations,
-                wp.float64(largest),
-                wp.float64(smallest),
-                wp.float64(_GROWTH),
-                self.refuses_saddles,
-                self._scheme,
-                self.converged,
-                self.system.negative_pivots,
-                self.step,
-                self.span,
-                self.coefficient,
-                self.touching,
-            ],
-            [
-                self.leaves,
-                self.iteration,
-                self.active,
-                self.time,
-                self.step_before,
-                self.wanted_step,
-                self.running,
-                self.step_count,
-                self.iteration_count,
-                self.starting,
-                self.accepted,
-                self.rejected,
-                self.diverged,
-            ],
+            pace.judge_step,
+            [self.max_iterations, wp.float64(largest), wp.float64(smallest), wp.float64(_GROWTH)]
+            + [self.refuses_saddles, self._scheme, self.system.negative_pivots],
+            [self.pace],
         )
 
     def _correct(self) -> None:
@@ -259,19 +197,16 @@ class NewtonSteps(Steps):
         self.internal.finish(self.accepted, self.step)
         if frames is not None:
             self._per_dof(
-                kernels.record_frames,
-                [wp.float64(frame_interval), self.accepted, self.time, self.step, dof, start.dof],
+                pace.record_frames,
+                [wp.float64(frame_interval), self.pace, dof, start.dof],
                 [frames],
             )
         self._per_dof(
             kernels.shift_history,
             [
-                self.accepted,
+                self.pace,
                 batch.derivatives.gradient,
                 batch.free if self.bodies is None else self.bodies.carried,
-                self.step,
-                self.span,
-                self.coefficient,
                 dof,
                 start.dof,
             ],
@@ -287,7 +222,7 @@ class NewtonSteps(Steps):
     def _complete(self) -> None:
         """Bring accepted steps from where their forces are to their ends."""
         batch, start, dof = self.batch, self.start, self.batch.state.dof
-        inputs = [self.accepted, self.step, self.span, dof, start.dof]
+        inputs = [self.accepted, self.pace, dof, start.dof]
         self._per_dof(kernels.extrapolate, inputs, [dof])
         if self.motion is not None:
             self.motion.prescribe(self.accepted, self.time, self._no_step, start)

@@ -11,9 +11,9 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import RodError
+from wrod.kernels.contact import pair_contact, touching
 from wrod.kernels.contact import pairs as contact_pairs
 from wrod.kernels.contact import rods as kernels
-from wrod.kernels.contact import touching
 from wrod.kernels.contact.segments import AT_END, AT_START, EDGE, SPLINE
 from wrod.rods.batch import RodBatch
 from wrod.solvers.friction import Friction, contact_damping
@@ -72,6 +72,7 @@ class RodContact:
         stiffness=arguments.optional(arguments.array((), (None,))),
         restitution=arguments.array((), (None,)),
         partners=arguments.whole(1, 4096),
+        passive=arguments.optional(arguments.truths),
         smooth=arguments.flag,
     )
     def __init__(
@@ -92,7 +93,7 @@ class RodContact:
         cut = np.zeros((rods, edges), dtype=bool)
         cut[:, list(batch.cut_edges)] = True
         radius = _per_edge(radius, rods, edges)
-        idle = cut if passive is None else cut | passive
+        idle = cut if passive is None else cut | _passive(passive, cut.shape)
         mean_radius = np.where(cut, 0.0, radius).sum(axis=1) / (~cut).sum(axis=1)
         if stiffness is None:
             stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
@@ -117,12 +118,15 @@ class RodContact:
         # Two edges that meet move as one of half their mass.
         mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
         law = _laws(friction, stiffness, damping * np.sqrt(mass / stiffness), _SKIN * mean_radius)
-        self.law = wp.array(law, dtype=kernels.Law, device=device)
+        self.pieces = pieces = pair_contact.Pieces()
+        pieces.law = wp.array(law, dtype=pair_contact.PairLaw, device=device)
+        pieces.rest_length = batch.rest_length
         touching_radius, piece = np.where(idle, 0.0, radius), np.zeros(cut.shape, dtype=np.int32)
         if smooth:
             touching_radius, piece = _splines(cut, touching_radius)
         self.edge_radius = floats(touching_radius)
-        self.piece = wp.array(piece, dtype=wp.int32, device=device)
+        pieces.radius = self.edge_radius
+        pieces.kind = wp.array(piece, dtype=wp.int32, device=device)
         self._splines = int(smooth)
         self.cut = wp.array(cut.astype(np.int32), dtype=wp.int32, device=device)
         self.reach = floats(0.5 * np.where(cut, np.inf, radius).min(axis=1))
@@ -143,40 +147,35 @@ class RodContact:
             zeros(wp.int32) for _ in range(5)
         )
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
+        self.rubbing = rubbing = pair_contact.Rubbing()
+        rubbing.bristle, rubbing.load = self.bristle, self.held_load
+        rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
         self.configuration: tuple[wp.array, ...] = ()
         self._check_start()
 
-    @property
-    def _model(self):
-        return [self.law, self.edge_radius, self.batch.rest_length, self.piece]
-
     def prepare(self, starting: wp.array, rejected: wp.array, dof: wp.array) -> None:
         """List the pairs that may touch in a step that starts at `dof`, for the first time or
         because the last trial was rejected."""
         batch = self.batch
-        wp.launch(
+        batch.launch(
             kernels.begin_sticking,
-            dim=batch.rod_count,
-            inputs=[starting, rejected],
-            outputs=[self.sticking, self._overloaded, self._renewals],
-            device=batch.device,
+            batch.rod_count,
+            [starting, rejected],
+            [self.sticking, self._overloaded, self._renewals],
         )
-        wp.launch(
+        batch.launch(
             contact_pairs.bound_groups,
-            dim=self._lower.shape,
-            inputs=[self._splines, starting, dof],
-            outputs=[self._lower, self._upper],
-            device=batch.device,
+            self._lower.shape,
+            [self._splines, starting, dof],
+            [self._lower, self._upper],
         )
-        wp.launch(
+        batch.launch(
             contact_pairs.list_partners,
-            dim=self.partner_count.shape,
-            inputs=[
-                self.edge_radius,
-                batch.rest_length,
-                self.piece,
+            self.partner_count.shape,
+            [
+                self.pieces,
                 self._arc,
                 wp.float64(_SKIP),
                 self.reach,
@@ -195,48 +194,25 @@ class RodContact:
                 self._new_load,
                 self._new_sliding,
             ],
-            outputs=[self.overflow],
-            device=batch.device,
+            [self.overflow],
         )
-        wp.launch(
-            kernels.hold_loads,
-            dim=self.load.shape,
-            inputs=[starting, self.load],
-            outputs=[self.held_load],
-            device=batch.device,
-        )
+        batch.launch(kernels.hold_loads, self.load.shape, [starting, self.load], [self.held_load])
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces at `dof` to the batch's gradient; their stiffness is for `CoupledSystem`."""
         self.configuration = (dof, dof_before)
-        wp.launch(
+        self.batch.launch(
             kernels.rod_contact,
-            dim=self.partner_count.shape,
-            inputs=[
-                *self._model,
-                self.time_step,
-                active,
-                dof,
-                dof_before,
-                self.partner_count,
-                self.partner,
-                self.bristle,
-                self.held_load,
-                self.sliding,
-                self.sticking,
-            ],
-            outputs=[self.batch.derivatives.gradient, self.depth, self._overloaded],
-            device=self.batch.device,
+            self.partner_count.shape,
+            [self.pieces, self.time_step, active, dof, dof_before]
+            + [self.partner_count, self.partner, self.rubbing],
+            [self.batch.derivatives.gradient, self.depth, self._overloaded],
         )
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rows that are not 0 in `chosen` (rod,) touch everything for the first time."""
-        wp.launch(
-            contact_pairs.forget_partners,
-            dim=self.partner_count.shape,
-            inputs=[chosen],
-            outputs=[self.partner_count],
-            device=self.batch.device,
+        self.batch.launch(
+            contact_pairs.forget_partners, self.partner_count.shape, [chosen], [self.partner_count]
         )
 
     def refuse(
@@ -244,13 +220,12 @@ class RodContact:
     ) -> None:
         """Take back the convergence of steps that are too large for nothing to tunnel, and of those
         whose friction belongs to loads that are not there any more."""
-        wp.launch(
+        self.batch.launch(
             kernels.renew_loads,
-            dim=self.partner_count.shape,
-            inputs=[*self._model, self.time_step, converged, self._renewals, dof, dof_before]
-            + [self.partner_count, self.partner, self.bristle, self.sliding, self.held_load],
-            outputs=[self._renewed],
-            device=self.batch.device,
+            self.partner_count.shape,
+            [self.pieces, self.time_step, converged, self._renewals, dof, dof_before]
+            + [self.partner_count, self.partner],
+            [self.rubbing, self._renewed],
         )
         self.batch.walk(
             touching.refuse_large_steps,
@@ -275,13 +250,11 @@ class RodContact:
         self, chosen: wp.array, dof: wp.array, dof_before: wp.array, touching: wp.array
     ) -> None:
         """Raise `touching` (rod,) of the chosen rods to 1 where they touch, to 2 in an impact."""
-        wp.launch(
+        self.batch.launch(
             kernels.find_touching,
-            dim=self.partner_count.shape,
-            inputs=[*self._model[1:], self.reach, chosen, dof, dof_before]
-            + [self.partner_count, self.partner],
-            outputs=[touching],
-            device=self.batch.device,
+            self.partner_count.shape,
+            [self.pieces, self.reach, chosen, dof, dof_before] + [self.partner_count, self.partner],
+            [touching],
         )
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
@@ -297,16 +270,9 @@ class RodContact:
         wp.launch(
             kernels.settle_friction,
             dim=self.partner_count.shape,
-            inputs=[*self._model, self.time_step, accepted, dof, dof_before]
-            + [self.partner_count, self.partner, self.held_load],
-            outputs=[
-                self.bristle,
-                self.load,
-                self.sliding,
-                self.slip,
-                self.force,
-                self.penetration,
-            ],
+            inputs=[self.pieces, self.time_step, accepted, dof, dof_before]
+            + [self.partner_count, self.partner],
+            outputs=[self.rubbing, self.load, self.slip, self.force, self.penetration],
             device=device,
         )
 
@@ -356,12 +322,19 @@ def _laws(friction: list[Friction], stiffness, relaxation, skin) -> list:
     """The law of each row's pairs."""
     laws = []
     for r, f in enumerate(friction):
-        law = kernels.Law()
+        law = pair_contact.PairLaw()
         law.stiffness, law.skin, law.relaxation = stiffness[r], skin[r], relaxation[r]
         law.static_friction = f.static
         law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
         laws.append(law)
     return laws
+
+
+def _passive(value, shape: tuple[int, int]) -> np.ndarray:
+    found = np.asarray(value)
+    if found.shape not in (shape[1:], shape):
+        raise RodError(f"RodContact: passive has shape {found.shape} and must have {shape}")
+    return found
 
 
 def _per_edge(radius, rods: int, edges: int) -> np.ndarray:

@@ -11,6 +11,7 @@ from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.lanes import WARP
 from wrod.kernels.stepping import continuation
+from wrod.kernels.stepping.pace import Pace
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import RodState, node_positions
 
@@ -40,6 +41,7 @@ class Steps:
         running, starting, active, converged, accepted, rejected, diverged: (rod,) where each is.
         start: configurations at the start of the step.
         velocity, velocity_older, dof_older: (rod, dof) of the last steps.
+        pace: all that is (rod,) above, for kernels.
         taken: (rod,) part of the last Newton step that was taken.
         reaction: (rod, dof) forces that held prescribed degrees of freedom at the end of the last
             step.
@@ -75,6 +77,9 @@ class Steps:
         self.running, self.starting, self.active, self.converged = (ints() for _ in range(4))
         self.iteration, self.iteration_count = ints(), ints()
         self.accepted, self.rejected, self.diverged, self.step_count = (ints() for _ in range(4))
+        self.pace = Pace()
+        for name in Pace.vars:
+            setattr(self.pace, name, getattr(self, name))
         shape = (rods, batch.dof_count)
         self.velocity, self.velocity_older = (
             wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(2)
@@ -117,10 +122,9 @@ class Steps:
 
     def _copy(self, chosen: wp.array, source: RodState, target: RodState) -> None:
         batch = self.batch
-        wp.launch(
+        batch.launch(
             continuation.copy_configuration,
-            dim=(batch.rod_count, batch.node_count),
-            inputs=[chosen, source.dof, source.tangent, source.director, source.reference_twist],
-            outputs=[target.dof, target.tangent, target.director, target.reference_twist],
-            device=batch.device,
+            (batch.rod_count, batch.node_count),
+            [chosen, source.dof, source.tangent, source.director, source.reference_twist],
+            [target.dof, target.tangent, target.director, target.reference_twist],
         )

@@ -103,13 +103,13 @@ class Rays:
     def pull_taut(self) -> None:
         """From wherever the rods stand to taut on their rays."""
         everyone = np.ones(len(self.radius), dtype=bool)
-        self.rods.walk(self.rods.grip_position())
+        self.rods.continue_to(self.rods.grip_position())
         position = taut_position(self.direction * self.length[:, None], self.length)
         self.move(np.linalg.norm(position, axis=1), everyone)
 
     def move(self, radius: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Walk the chosen rods to a distance; (n,) bool: who arrived."""
-        arrived = self.rods.walk(self.direction * radius[:, None], chosen)
+        """Lead the chosen rods to a distance; (n,) bool: who arrived."""
+        arrived = self.rods.continue_to(self.direction * radius[:, None], chosen)
         self.radius = np.linalg.norm(self.rods.grip_position(), axis=1)
         return arrived
 

@@ -21,7 +21,7 @@ from wrod.grasps.optimal import solve_grasps
 from wrod.rods.device import resolve_device
 
 EDGE_COUNT = 64
-# Rods walked at once: few on a CPU, whose cache they should not leave; many on a GPU.
+# Rods led at once: few on a CPU, whose cache they should not leave; many on a GPU.
 _CPU_CHUNK, _CUDA_CHUNK = 128, 16384
 # Room for rounding when a rod is asked whether it keeps off the table and rests on it.
 _CLEARANCE, _FORCE = -1e-6, -1e-6
@@ -81,7 +81,7 @@ def equilibrium(
 ) -> HeldGrips:
     """The suspended rod for given grip positions, on the gentle branch.
 
-    Every rod starts as the optimal grasp of its (l_s, kappa, k_s) and is walked to its position
+    Every rod starts as the optimal grasp of its (l_s, kappa, k_s) and is led to its position
     along a path that turns about the contact. One that is lost on the way, or does not end
     admissible, is pulled taut first and let in along the ray from the contact.
 
@@ -117,14 +117,14 @@ def equilibrium(
     def solve(chunk: slice) -> HeldGrips:
         rods = HeldRods(ls[chunk], ks[chunk], start[chunk], device=device)
         goal, can = position[chunk], possible[chunk]
-        rods.walk(rods.grip_position())
-        result = held_grips(rods, rods.walk(goal, can))
+        rods.continue_to(rods.grip_position())
+        result = held_grips(rods, rods.continue_to(goal, can))
         again = can & ~result.admissible
         if again.any():
             rods.reset(start[chunk])
-            rods.walk(rods.grip_position(), again)
-            rods.walk(taut_position(goal, ls[chunk]), again)
-            other = held_grips(rods, rods.walk(goal, again))
+            rods.continue_to(rods.grip_position(), again)
+            rods.continue_to(taut_position(goal, ls[chunk]), again)
+            other = held_grips(rods, rods.continue_to(goal, again))
             better = other.admissible | (other.converged & ~result.converged)
             for field in fields(HeldGrips):
                 getattr(result, field.name)[better] = getattr(other, field.name)[better]

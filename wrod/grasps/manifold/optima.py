@@ -67,7 +67,7 @@ def find_optima(
     rods = HeldRods(
         np.full(len(chosen), length), np.full(len(chosen), ratio), fine.shape, device=device
     )
-    rods.walk(rods.grip_position())
+    rods.continue_to(rods.grip_position())
     eigenvalue, stable = rods.eigenvalue(), rods.negative_pivots() == 0
     nudges = nudge(fine.shape, length, ratio, device=device)
     optima = [

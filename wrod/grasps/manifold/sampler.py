@@ -1,4 +1,4 @@
-"""Walks rods over the manifold of grasps and reads them out as grids. Dimensionless."""
+"""Leads rods over the manifold of grasps and reads them out as grids. Dimensionless."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Patch:
 
 
 class Sampler:
-    """Walks rods over the manifold and reads them out."""
+    """Leads rods over the manifold and reads them out."""
 
     def __init__(self, length, ratio, start, offset, device, threads):
         self.length, self.ratio, self.start, self.offset = length, ratio, start, offset
@@ -117,7 +117,7 @@ class Sampler:
         rods = enter()
         columns = []
         for u in np.linspace(0.0, 1.0, _LEVELS):
-            rods.walk(_on_circle(radius, begin + u * (end - begin)))
+            rods.continue_to(_on_circle(radius, begin + u * (end - begin)))
             columns.append(rods.shape())
         return self._patch(np.stack(columns, axis=1))
 
@@ -130,15 +130,15 @@ class Sampler:
             rods = self._rods(len(flat[chunk]))
             rods.reset(flat[chunk])
             grip = rods.grip_position()
-            rods.walk(grip)
+            rods.continue_to(grip)
             force = rods.force()
             eigenvalue = rods.eigenvalue()
             sideways = np.array([0.0, 1.0, 0.0])
             # The branch under the same nudge, whether or not a rod would stay on it.
             branch = self._rods(len(grip))
             branch.reset(rods.shape())
-            branch.walk(grip)
-            arrived = branch.walk(grip + _NUDGE * sideways)
+            branch.continue_to(grip)
+            arrived = branch.continue_to(grip + _NUDGE * sideways)
             rods.settle(grip + _NUDGE * sideways)
             snaps = ~arrived | (parting(rods.shape(), branch.shape()) > PARTED)
             rods.settle(grip + self.offset * sideways)
@@ -168,7 +168,7 @@ def _turn_until_flat(rods: HeldRods, radius: np.ndarray, angle: float) -> np.nda
         if not pending.any():
             break
         there = here - step
-        arrived = rods.walk(_on_circle(radius, there), pending) & pending
+        arrived = rods.continue_to(_on_circle(radius, there), pending) & pending
         new = rods.moment()[:, 1]
         crossed = arrived & (new <= 0.0)
         share = np.where(crossed, bend / np.where(crossed, bend - new, 1.0), 1.0)

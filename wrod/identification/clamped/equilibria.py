@@ -23,7 +23,7 @@ from wrod.identification.clamped.layout import (
 )
 from wrod.identification.clamped.sensing import Prediction, View
 from wrod.identification.clamped.sensitivity import WIND_PASSES, WIND_TOLERANCE, Sensitivity
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import transport
@@ -48,7 +48,9 @@ class ClampedSolver:
         DataError: a trial of the first solution does not reach its reported poses.
     """
 
-    def __init__(self, setups: Sequence[Setup], *, device: str = "cpu", start=None, shape=None):
+    def __init__(
+        self, setups: Sequence[ClampedSetup], *, device: str = "cpu", start=None, shape=None
+    ):
         first = setups[0]
         self.candidate_count, self.trial_count = len(setups), len(first.clamp_position)
         self.edge_count = len(first.fraction) - 1
@@ -113,7 +115,7 @@ class ClampedSolver:
 
     # ---- equilibria ---------------------------------------------------------------------------
 
-    def solve(self, setups: Sequence[Setup], *, walk: bool = True) -> np.ndarray:
+    def solve(self, setups: Sequence[ClampedSetup], *, walk: bool = True) -> np.ndarray:
         """Bring every rod to equilibrium with its model; (C, T) whether it got there.
 
         Without `walk` the clamps go to their new poses at once and a rod that does not follow is
@@ -163,7 +165,7 @@ class ClampedSolver:
                 break
         return result.converged
 
-    def _find(self, setups: Sequence[Setup], poses, shape) -> None:
+    def _find(self, setups: Sequence[ClampedSetup], poses, shape) -> None:
         """Lead every rod to its poses, and from there to its branch."""
         count = self.batch.rod_count
         measured = None
@@ -188,7 +190,7 @@ class ClampedSolver:
                 "length, L_gb and the poses"
             )
 
-    def shape_to(self, setups: Sequence[Setup], shape: np.ndarray, state=None) -> None:
+    def shape_to(self, setups: Sequence[ClampedSetup], shape: np.ndarray, state=None) -> None:
         """Put the rods' (rod, node, 3) nodes between the clamps somewhere, the clamps to their
         poses, and the twist evenly along them; or leave it as in a saved `state`."""
         clamp, grip = end_poses(setups)
@@ -218,11 +220,11 @@ class ClampedSolver:
         batch.state.dof.assign(dof)
         batch.transport_frames(before, batch.state, batch.every_rod)
 
-    def relax(self, setups: Sequence[Setup]) -> np.ndarray:
+    def relax(self, setups: Sequence[ClampedSetup]) -> np.ndarray:
         """Equilibrium of every rod from where it is; (rod,) whether it got there."""
         return self._equilibrium(setups, None, 1e-9, _FALL_PATIENCE)
 
-    def _walk_to(self, setups: Sequence[Setup], poses) -> np.ndarray:
+    def _walk_to(self, setups: Sequence[ClampedSetup], poses) -> np.ndarray:
         """From straight and untwisted to the reported poses, the gripper turning the short way."""
         (a, ra), (b, rb) = poses
         start = (
@@ -247,7 +249,7 @@ class ClampedSolver:
             converged = self._equilibrium(setups, targets, 1e-9)
         return converged
 
-    def _turn_principal(self, setups: Sequence[Setup]) -> None:
+    def _turn_principal(self, setups: Sequence[ClampedSetup]) -> None:
         """Turn the directors that the solver carries to the principal directions of the models.
 
         Were only the clamps' to turn, the rod would be twisted on the way and might stay so.
@@ -286,7 +288,7 @@ class ClampedSolver:
             dof[:, column] = angle + 2 * np.pi * np.rint((dof[:, column] - angle) / (2 * np.pi))
         return dof
 
-    def _assign(self, setups: Sequence[Setup]) -> None:
+    def _assign(self, setups: Sequence[ClampedSetup]) -> None:
         arrays = vars(batch_arrays(setups))
         self.batch.set_softening(arrays.pop("softening"))
         for name, value in arrays.items():
@@ -294,7 +296,7 @@ class ClampedSolver:
             array.assign(np.ascontiguousarray(np.broadcast_to(value, full_shape(array))))
         self._assign_sections(setups)
 
-    def _assign_sections(self, setups: Sequence[Setup]) -> None:
+    def _assign_sections(self, setups: Sequence[ClampedSetup]) -> None:
         """Laws of bending and couplings beyond what `batch_arrays` holds."""
         self.batch.set_layers([(np.real(k), np.real(c)) for k, c in law_layers(setups)])
         coupling = np.real(coupling_of(setups))
@@ -304,7 +306,7 @@ class ClampedSolver:
 
     # ---- what the sensors see ------------------------------------------------------------------
 
-    def predict(self, setups: Sequence[Setup]) -> Prediction:
+    def predict(self, setups: Sequence[ClampedSetup]) -> Prediction:
         """Markers and wrench in the present state."""
         zero = np.zeros((self.batch.rod_count, self.batch.dof_count))
         self.batch.evaluate(order=1)

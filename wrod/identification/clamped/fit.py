@@ -11,7 +11,7 @@ import numpy as np
 
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Model
 
 _MAX_ITERATIONS = 30
@@ -26,7 +26,7 @@ _REACH = 0.04
 _BATCH = 20
 # A linearisation has as many columns for every rod of a batch as its widest candidate asks for, so
 # candidates with more parameters than this have a batch of their own.
-_WIDE = 12
+WIDE = 12
 # In a race, a gain below this share of what is left above the noise decides nothing.
 _INDIFFERENT = 1e-3
 
@@ -97,7 +97,7 @@ def fit_models(
     # does not depend on the machine, nor does the race. A wind is iterated over the whole batch:
     # its candidates stay among themselves.
     windy = [c for c, m in enumerate(models) if any(e.follows_shape for e in m.effects)]
-    wide = [c for c, v in enumerate(starts) if len(v) > _WIDE and c not in windy]
+    wide = [c for c, v in enumerate(starts) if len(v) > WIDE and c not in windy]
     still = [c for c in range(len(models)) if c not in windy and c not in wide]
     slices = max(-(-len(still) // _BATCH), 1)
     groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]
@@ -145,7 +145,7 @@ class _Iteration:
     def __init__(self, laboratory: Laboratory, models, starts, trials, weights, best, state, least):
         self.laboratory, self.models, self.trials = laboratory, list(models), trials
         self.weights, self.best = weights, best
-        self.base = Setup.base(laboratory.measurements, trials, laboratory.edge_count)
+        self.base = ClampedSetup.base(laboratory.measurements, trials, laboratory.edge_count)
         self.values = [np.array(v, dtype=float) for v in starts]
         self.means = [m.prior_mean(v) for m, v in zip(self.models, self.values, strict=True)]
         self.scales = [np.array([p.scale for p in m.parameters]) for m in models]

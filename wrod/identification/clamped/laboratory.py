@@ -12,7 +12,7 @@ from wrod.identification.clamped.layout import COMPLEX_STEP, node_part
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.noise import NoiseModel, outliers_of, whiteners
 from wrod.identification.clamped.sensing import Prediction
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Model
 
 _SMALLEST_STEP = 1.0 / 64
@@ -36,7 +36,7 @@ class Laboratory:
         self.measurements = measurements
         self.edge_count, self.device = edge_count, device
         self.trials = np.arange(measurements.trial_count)
-        self.base = Setup.base(measurements, self.trials, edge_count)
+        self.base = ClampedSetup.base(measurements, self.trials, edge_count)
         solver = ClampedSolver([self.base], device=device, shape=self.base.measured)
         self.base_state, self.branches = solver.saved(), solver.branches
         self.target, self.deviation = self._observations()
@@ -102,7 +102,7 @@ class Laboratory:
         A trial whose rod reaches another equilibrium on the coarser mesh keeps none.
         """
         fine = self.observe(model, values, corrected=False)
-        half = Setup.base(self.measurements, self.trials, self.edge_count // 2)
+        half = ClampedSetup.base(self.measurements, self.trials, self.edge_count // 2)
         solver = ClampedSolver([half], device=self.device, shape=half.measured)
         setup = self._lead(solver, half, model, values)
         coarse = self.observed(model, values, setup, solver.predict([setup]), 0).real
@@ -121,15 +121,17 @@ class Laboratory:
 
     def solver_at(
         self, model: Model, values: np.ndarray, trials: np.ndarray | None = None
-    ) -> tuple[ClampedSolver, Setup]:
+    ) -> tuple[ClampedSolver, ClampedSetup]:
         """Trials (default: all) at equilibrium with a model."""
         trials = self.trials if trials is None else trials
-        base = Setup.base(self.measurements, trials, self.edge_count)
+        base = ClampedSetup.base(self.measurements, trials, self.edge_count)
         state = tuple(a[trials] for a in self.base_state)
         solver = ClampedSolver([base], device=self.device, start=state)
         return solver, self._lead(solver, base, model, values)
 
-    def _lead(self, solver: ClampedSolver, base: Setup, model: Model, values) -> Setup:
+    def _lead(
+        self, solver: ClampedSolver, base: ClampedSetup, model: Model, values
+    ) -> ClampedSetup:
         """Lead the rods from the base model to another, in steps that keep them on their branch."""
         setup, done, step = base, 0.0, 0.5
         while done < 1.0 and len(values):
@@ -179,7 +181,7 @@ class Laboratory:
         None where a trial has no equilibrium with the values.
         """
         m, trials = self.measurements, self.measurements.test
-        base = Setup.base(m, trials, self.edge_count)
+        base = ClampedSetup.base(m, trials, self.edge_count)
         state = tuple(a[trials] for a in self.base_state)
         solver = ClampedSolver([base] * len(models), device=self.device, start=state)
         reached = np.ones(len(models), dtype=bool)
@@ -211,7 +213,7 @@ class Laboratory:
         return seen + self.mesh_correction, rates[0]
 
     def observed(
-        self, model: Model, values, setup: Setup, prediction: Prediction, candidate: int
+        self, model: Model, values, setup: ClampedSetup, prediction: Prediction, candidate: int
     ) -> np.ndarray:
         """(t, R) readings of one candidate, complex if the prediction is."""
         position = model.measure(

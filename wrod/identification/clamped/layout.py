@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 
 COMPLEX_STEP = 1e-30
 # Share of the stiffness in a layer that is not there: the mean of its two stiffnesses divides.
@@ -35,7 +35,7 @@ class BatchArrays:
     gravity: np.ndarray
 
 
-def batch_arrays(setups: Sequence[Setup]) -> BatchArrays:
+def batch_arrays(setups: Sequence[ClampedSetup]) -> BatchArrays:
     """Lay setups out for the batch, ghosts included; complex if they are."""
     rows: dict[str, list] = {name: [] for name in BatchArrays.__dataclass_fields__}
     for s in setups:
@@ -62,7 +62,7 @@ def batch_arrays(setups: Sequence[Setup]) -> BatchArrays:
     return BatchArrays(**{name: np.repeat(np.stack(v), trials, axis=0) for name, v in rows.items()})
 
 
-def law_layers(setups: Sequence[Setup]) -> list[tuple[np.ndarray, np.ndarray]]:
+def law_layers(setups: Sequence[ClampedSetup]) -> list[tuple[np.ndarray, np.ndarray]]:
     """(stiffness, softening), each (rod, node, 2), of every term of the setups' laws of bending;
     complex if they are. A setup of fewer terms than another has terms of next to no stiffness."""
     trials = len(setups[0].clamp_position)
@@ -84,7 +84,7 @@ def law_layers(setups: Sequence[Setup]) -> list[tuple[np.ndarray, np.ndarray]]:
     return layers
 
 
-def coupling_of(setups: Sequence[Setup]) -> np.ndarray:
+def coupling_of(setups: Sequence[ClampedSetup]) -> np.ndarray:
     """(rod, node, 2) coupling of bending with twist in principal directions; complex if it is."""
     rows = []
     for s in setups:
@@ -100,7 +100,7 @@ def _with_ghosts(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values[:1], values, values[-1:]])
 
 
-def end_poses(setups: Sequence[Setup], keep=np.real):
+def end_poses(setups: Sequence[ClampedSetup], keep=np.real):
     """((a, R_A), (b, R_B)) of every rod."""
     return tuple(
         tuple(keep(np.concatenate([getattr(s, f"{end}_{part}") for s in setups])) for part in parts)
@@ -108,7 +108,7 @@ def end_poses(setups: Sequence[Setup], keep=np.real):
     )
 
 
-def dead_force(setups: Sequence[Setup]) -> np.ndarray:
+def dead_force(setups: Sequence[ClampedSetup]) -> np.ndarray:
     """(rod, node, 3) forces of the setups, none on the ghosts."""
     first = setups[0]
     shape = (len(first.clamp_position), len(first.fraction), 3)

@@ -13,7 +13,7 @@ import numpy as np
 
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Effect, Model
 
 
@@ -77,7 +77,7 @@ def _linearised(laboratory: Laboratory, group: list[Effect]):
     if not chosen:
         return
     models, starts = [Model((e,)) for e, _ in chosen], [start for _, start in chosen]
-    base = Setup.base(m, m.train, laboratory.edge_count)
+    base = ClampedSetup.base(m, m.train, laboratory.edge_count)
     state = tuple(a[m.train] for a in laboratory.base_state)
     solver = ClampedSolver([base] * len(chosen), device=laboratory.device, start=state)
     setups = [model.setup(base, start) for model, start in zip(models, starts, strict=True)]

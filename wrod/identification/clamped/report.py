@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import os
-import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import DataError, WrodWarning
-from wrod.files import write_atomically
+from wrod.errors import DataError
 from wrod.identification.clamped.branches import Branch
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
@@ -21,19 +18,18 @@ from wrod.identification.clamped.loading import load_measurements
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.noise import NoiseModel
 from wrod.identification.clamped.selection import select
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.clamped.trace import Print, trace
 from wrod.identification.clamped.verdict import Selection
 from wrod.identification.effect import (
     Effect,
-    Estimate,
     Model,
     checked_as_identification,
     effects,
 )
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
+from wrod.identification.report import FoundEffect, Report, millimetres
 from wrod.rods.device import resolve_device
-from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
 METRIC = "RMS over test trials and markers of the 3-D distance [mm]"
@@ -41,27 +37,7 @@ _FORMAT = "wrod-identification-1"
 
 
 @dataclass(frozen=True)
-class FoundEffect:
-    """An effect of the chosen model.
-
-    Attributes:
-        name, title, reference: of the effect.
-        parameters: what was found, with standard errors.
-        after: test error with the effects up to this one [m].
-        alone: test error with this effect alone [m].
-        Both are None where a test trial has no equilibrium with what was fitted.
-    """
-
-    name: str
-    title: str
-    reference: str
-    parameters: dict[str, Estimate]
-    after: float | None
-    alone: float | None
-
-
-@dataclass(frozen=True)
-class IdentificationReport:
+class IdentificationReport(Report):
     """What the measurements say.
 
     Attributes:
@@ -96,42 +72,10 @@ class IdentificationReport:
     outliers: np.ndarray
     branches: tuple[Branch, ...]
 
-    @property
-    def model(self) -> RodModel:
-        """The rod with every effect that belongs to it."""
-        return self.found.rod
-
-    @property
-    def material(self) -> RodMaterial:
-        """The rod with what a `RodMaterial` can carry of it."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", WrodWarning)
-            return self.model.material()
-
     def to_dict(self) -> dict:
         """The content of `report.json`; lengths of errors in mm, everything else SI."""
         s = self.selection
-        return {
-            "format": _FORMAT,
-            "data": self.measurements.name,
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "metric": METRIC,
-            "noise_floor_mm": 1e3 * self.noise_floor,
-            "before_mm": 1e3 * self.before,
-            "after_mm": 1e3 * self.after,
-            "effects": [
-                {
-                    "name": e.name,
-                    "title": e.title,
-                    "reference": e.reference,
-                    "parameters": {key: asdict(value) for key, value in e.parameters.items()},
-                    "after_mm_with_this_effect": _millimetres(e.after),
-                    "after_mm_with_this_effect_alone": _millimetres(e.alone),
-                }
-                for e in self.effects
-            ],
-            "candidates": list(self.candidates),
+        return self.head(_FORMAT, self.measurements.name, METRIC) | {
             "confounded": s.confounded,
             "selection": [
                 {"model": list(r.current), "accepted": r.accepted, "reason": r.reason}
@@ -143,7 +87,6 @@ class IdentificationReport:
                 "final": s.fit.chi_squared,
                 "residuals": s.fit.residual_count,
             },
-            "set_aside": list(self.found.set_aside),
             "noise": self.noise.to_dict() | {"said": self.noise.described()},
             "readings_set_aside": {
                 "missing_markers": self.missing,
@@ -170,14 +113,7 @@ class IdentificationReport:
         """Write report.json, report.html, model.json and rod.json into a folder."""
         from wrod.identification.clamped.page import write_page
 
-        out = Path(out)
-        content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        return [
-            write_atomically(out / "report.json", lambda file: file.write(content)),
-            write_page(out / "report.html", self),
-            self.found.save(out / "model.json"),
-            self.material.save(out / "rod.json"),
-        ]
+        return [*self.written(out, write_page), self.material.save(Path(out) / "rod.json")]
 
 
 @checked_as_identification(arguments.like("measurements", "clamp_position"))
@@ -242,10 +178,10 @@ def identify_clamped(
 
 def _found_rod(m: ClampedMeasurements, laboratory: Laboratory, fit: Fit) -> FoundRod:
     """The free part of the rod between the clamps, arc length from clamp A."""
-    base = Setup.base(m, m.test[:1], laboratory.edge_count)
+    base = ClampedSetup.base(m, m.test[:1], laboratory.edge_count)
     like = RodModel.of(m.material)
 
-    def read(setup: Setup) -> RodModel:
+    def read(setup: ClampedSetup) -> RodModel:
         # What slipped into or out of a clamp is still the same rod.
         return rod_of(setup, setup.arc_length, like=like)
 
@@ -286,7 +222,7 @@ def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[Foun
                 effect.reference,
                 parameters,
                 after[k],
-                after[len(effects) + k],
+                {"after_mm_with_this_effect_alone": after[len(effects) + k]},
             )
         )
     return tuple(found)
@@ -304,11 +240,7 @@ def _scores(laboratory: Laboratory, selection: Selection) -> list[dict]:
             "bic_gain": gain,
             "chi_squared": fit.chi_squared,
             "parameter_count": len(fit.values),
-            "test_mm": _millimetres(error),
+            "test_mm": millimetres(error),
         }
         for fit, gain, error in zip(fits, selection.rounds[0].gains, errors, strict=True)
     ]
-
-
-def _millimetres(value: float | None) -> float | None:
-    return None if value is None else 1e3 * value

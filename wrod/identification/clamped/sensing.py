@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.clamped.layout import COMPLEX_STEP, node_part
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.rods.batch import RodBatch
 
 
@@ -41,7 +41,7 @@ class View:
 
     def observe(
         self,
-        setups: Sequence[Setup],
+        setups: Sequence[ClampedSetup],
         step: np.ndarray,
         reaction_rate: np.ndarray,
         wanted: Sequence[bool] | None = None,
@@ -93,7 +93,7 @@ class View:
         return t + i * t_rate, m1 + i * m1_rate
 
 
-def _marker_shares(setup: Setup) -> tuple[np.ndarray, np.ndarray]:
+def _marker_shares(setup: ClampedSetup) -> tuple[np.ndarray, np.ndarray]:
     """(M, 4) nodes, ghosts included, around each marker and their weights in its position.
 
     Cubic Lagrange between the clamps; beyond one, inside a gripper, along its ghost edge.

@@ -23,7 +23,7 @@ from wrod.identification.clamped.layout import (
     wind_load,
 )
 from wrod.identification.clamped.sensing import Prediction, View
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.kernels.elastic.loads import dead_loads
 from wrod.kernels.elastic.softened_bending import softened_bending_rate
@@ -53,7 +53,7 @@ class Sensitivity:
 
     def predict_rates(
         self,
-        rates: Sequence[Sequence[Setup]],
+        rates: Sequence[Sequence[ClampedSetup]],
         wanted: Sequence[Sequence[bool]] | None = None,
     ) -> list[Prediction]:
         """The present prediction with a derivative as imaginary part, for each list of setups.
@@ -120,7 +120,7 @@ class Sensitivity:
         )
         return product.numpy()
 
-    def _gradient_rate(self, setups: Sequence[Setup]) -> np.ndarray:
+    def _gradient_rate(self, setups: Sequence[ClampedSetup]) -> np.ndarray:
         """(rod, dof) derivative of the energy's gradient along the setups' imaginary parts."""
         batch, device = self.batch, self.device
         rate = {}
@@ -235,7 +235,7 @@ class Sensitivity:
                     }
                     add(coupling, 0.5 * sign / h, **moved)
 
-    def _prescribed_rate(self, setups: Sequence[Setup]) -> np.ndarray:
+    def _prescribed_rate(self, setups: Sequence[ClampedSetup]) -> np.ndarray:
         """(rod, dof) rates of the clamps' degrees of freedom."""
         step = np.zeros((self.batch.rod_count, self.batch.dof_count))
         (a, ra), (b, rb) = end_poses(setups, keep=np.imag)

@@ -10,7 +10,7 @@ from wrod.identification.clamped.measurements import ClampedMeasurements
 
 
 @dataclass
-class Setup:
+class ClampedSetup:
     """Everything that an effect may change; n edges between the clamps, T trials; SI units.
 
     The arrays may be complex: a parameter's exact derivative comes from a small imaginary part
@@ -66,7 +66,9 @@ class Setup:
     coupling: np.ndarray
 
     @classmethod
-    def base(cls, measurements: ClampedMeasurements, trials: np.ndarray, edge_count: int) -> Setup:
+    def base(
+        cls, measurements: ClampedMeasurements, trials: np.ndarray, edge_count: int
+    ) -> ClampedSetup:
         """The straight, uniform, isotropic, linear rod clamped as reported."""
         m, rod = measurements, measurements.material
         nodes = edge_count + 1

@@ -9,7 +9,7 @@ import numpy as np
 
 from wrod.identification.clamped.fit import Fit
 from wrod.identification.clamped.laboratory import Laboratory
-from wrod.identification.clamped.setup import Setup
+from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Effect, Model
 from wrod.identification.verdict import CLAMPED, CORRELATED
 
@@ -268,7 +268,7 @@ def _cost_without(fit: Fit, places: list[int]) -> float:
 def _changed(laboratory: Laboratory, own: list[Effect]) -> frozenset[str]:
     """What the effects change: fields of the setup, `measure` for what cameras report."""
     m = laboratory.measurements
-    base = Setup.base(m, m.train[:1], 8)
+    base = ClampedSetup.base(m, m.train[:1], 8)
     found = set()
     for effect in own:
         if type(effect).measure is not Effect.measure:
@@ -278,7 +278,7 @@ def _changed(laboratory: Laboratory, own: list[Effect]) -> frozenset[str]:
         effect.apply(setup, start + 1e-3 * np.array([p.scale for p in effect.parameters]))
         found |= {
             f.name
-            for f in fields(Setup)
+            for f in fields(ClampedSetup)
             if not np.array_equal(getattr(setup, f.name), getattr(base, f.name))
         }
     return frozenset(found)

@@ -25,7 +25,7 @@ _REACH = np.array([0.03, 0.005, 0.005])
 
 
 @dataclass(frozen=True)
-class Placement:
+class Alignment:
     """A predicted curve beside a photograph.
 
     Attributes:
@@ -67,12 +67,12 @@ def seen_from(
     return middle + (place[:last, :2] - middle) * scale
 
 
-def raw(photograph: LaidPhotograph, curve: np.ndarray) -> Placement:
+def raw(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
     """The curve where it was predicted."""
-    return Placement(curve, 0.0, np.zeros(2), cKDTree(curve).query(photograph.points)[0])
+    return Alignment(curve, 0.0, np.zeros(2), cKDTree(curve).query(photograph.points)[0])
 
 
-def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Placement:
+def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Alignment:
     """The curve after the one rigid motion in the plane that brings it nearest to what is seen.
 
     Least sum of distances smoothed below the picture's uncertainty, as photographs are judged by
@@ -88,7 +88,7 @@ def rigid(photograph: LaidPhotograph, curve: np.ndarray) -> Placement:
         near = cKDTree(_moved(motion, curve, centre)).query(points)[1]
         motion = _fitted(points, curve[near], normal[near], centre, motion, scale)
         line = _moved(motion, curve, centre)
-        here = Placement(line, motion[0], motion[1:], cKDTree(line).query(points)[0])
+        here = Alignment(line, motion[0], motion[1:], cKDTree(line).query(points)[0])
         if here.mean >= best.mean - 1e-3 * scale:
             return min(here, best, key=lambda placement: placement.mean)
         best = here

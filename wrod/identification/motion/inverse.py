@@ -13,24 +13,21 @@ of every span is left free: what is looked at are the combinations of reactions 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 import numpy as np
 import warp as wp
 
 from wrod.identification.effect import Model
-from wrod.identification.motion.curves import through_markers
 from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.setup import MotionSetup
+from wrod.identification.motion.smoothing import sampled_frames, smoothed, smoothing
 from wrod.identification.motion.start import held_ends
 from wrod.identification.motion.tangents import COMPLEX_STEP, kind_of, node_columns
-from wrod.identification.motion.windows import Windows, windows_of
+from wrod.identification.motion.windows import Windows
 from wrod.kernels.stepping import motion_tangents
 from wrod.rods.batch import RodBatch
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
-# Standard deviation of the Gaussian that paths are smoothed with, in time and at least [s, frames].
-_SMOOTH, _LEAST = 0.015, 1.2
 # Rounds in which the tensions and the shapes between markers settle, and what is expected of the
 # missing force meanwhile, over the weight.
 _ROUNDS, _EXPECTED = 3, 0.1
@@ -161,9 +158,9 @@ def inverse_motion(
     is left.
     """
     m = measurements
-    weights = _smoothing(m.rate)
+    weights = smoothing(m.rate)
     reach = weights.shape[1] // 2
-    sampled = _sampled(m, np.asarray(recordings), spacing, reach)
+    sampled = sampled_frames(m, np.asarray(recordings), spacing, reach)
     if len(sampled) == 0:
         return None
     found, settled = _settled(m, setup, sampled, weights, device)
@@ -182,65 +179,15 @@ def inverse_motion(
 
 def _settled(m, setup, sampled, weights, device):
     """The sampled rods at rest between their markers, and (S,) whether they came to rest."""
-    path = _smoothed(m, setup, sampled, weights)
-    found = _Condensation(m, setup, path, _batch(m, setup, path, device))
+    path = smoothed(m, setup, sampled, weights)
+    found = _Condensation(m, setup, path, _batch(setup, path, device))
     for _ in range(_ROUNDS):
         found.solve()
         found.relax()
     return found, found.solve()
 
 
-def _sampled(m, recordings, spacing, reach):
-    """[(recording, frame)] with recorded frames in sequence all around."""
-    frames = np.arange(reach, m.frame_count - reach, spacing)
-    out = [
-        (r, f) for r in recordings for f in frames if (m.gap[r, f - reach : f + reach] == 1).all()
-    ]
-    return np.array(out, dtype=int).reshape(-1, 2)
-
-
-def _smoothing(rate: float) -> np.ndarray:
-    """(3, 2 k + 1) weights for the path, its velocity and its acceleration, from neighbours.
-
-    A Gaussian and its derivatives: what is fast is weakened alike in all three, so that smoothed
-    paths still obey the equations of motion, to first order.
-    """
-    width = max(_LEAST, _SMOOTH * rate)
-    k = np.arange(-int(np.ceil(4 * width)), int(np.ceil(4 * width)) + 1)
-    bell = np.exp(-0.5 * (k / width) ** 2)
-    first = k * bell
-    second = ((k / width) ** 2 - 1.0) * bell
-    second -= bell * second.sum() / bell.sum()
-    return np.stack(
-        [bell / bell.sum(), first * rate / (first @ k), 2.0 * second * rate**2 / (second @ k**2)]
-    )
-
-
-def _smoothed(m, setup, sampled, weights) -> SimpleNamespace:
-    """Nodes with velocity and acceleration in the sampled frames, and their windows."""
-    recording, frame = sampled.T
-    reach = weights.shape[1] // 2
-    around = frame[:, None] + np.arange(-reach, reach + 1)
-    x = m.positions[recording[:, None], around]
-    pieces = int(setup.marker_node[2] - setup.marker_node[1])
-    position = m.positions.copy()
-    position[recording, frame] = np.einsum("k,skmc->smc", weights[0], x)
-    smooth = replace(m, positions=position)
-    parts = [
-        windows_of(smooth, [r], frame[recording == r] - 1, 2) for r in dict.fromkeys(recording)
-    ]
-    windows = Windows(**{k: np.concatenate([getattr(p, k) for p in parts]) for k in vars(parts[0])})
-    nodes = through_markers(x, pieces, m.marker_arc_length)
-    return SimpleNamespace(
-        windows=windows,
-        weights=weights,
-        position=through_markers(position[recording, frame], pieces, m.marker_arc_length),
-        velocity=np.einsum("k,sknc->snc", weights[1], nodes),
-        acceleration=np.einsum("k,sknc->snc", weights[2], nodes),
-    )
-
-
-def _batch(m, setup, path, device) -> RodBatch:
+def _batch(setup, path, device) -> RodBatch:
     """The rods under weight, drag and minus mass times acceleration."""
     a = {k: np.real(v) for k, v in setup.arrays().items()}
     speed = np.linalg.norm(path.velocity, axis=2, keepdims=True)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -13,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import DataError, WrodWarning
-from wrod.files import write_atomically
+from wrod.errors import DataError
 from wrod.identification.effect import (
     Effect,
     Estimate,
@@ -37,6 +34,7 @@ from wrod.identification.motion.selection import (
 from wrod.identification.motion.setup import START_L_GB, MotionSetup
 from wrod.identification.motion.trace import MotionTrace, trace_motion
 from wrod.identification.motion.windows import Windows
+from wrod.identification.report import FoundEffect, Report
 from wrod.rods.device import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -54,26 +52,7 @@ _SUBDIVISIONS = 4
 
 
 @dataclass(frozen=True)
-class FoundMotionEffect:
-    """An effect of the chosen model.
-
-    Attributes:
-        name, title, reference: of the effect.
-        parameters: what was found, with standard errors.
-        validation, after: errors with the model up to this effect, in the order found, before the
-            last fit to longer stretches [m].
-    """
-
-    name: str
-    title: str
-    reference: str
-    parameters: dict[str, Estimate]
-    validation: float
-    after: float
-
-
-@dataclass(frozen=True)
-class MotionReport:
+class MotionReport(Report):
     """What recordings of motion say.
 
     Attributes:
@@ -98,7 +77,7 @@ class MotionReport:
     noise_floor: float
     numerical_error: float
     base: dict[str, dict[str, Estimate]]
-    effects: tuple[FoundMotionEffect, ...]
+    effects: tuple[FoundEffect, ...]
     candidates: tuple[dict, ...]
     selection: MotionSelection
     residual: Residual
@@ -111,32 +90,14 @@ class MotionReport:
     def to_dict(self) -> dict:
         """The content of `report.json`; errors in mm, everything else SI."""
         s, m = self.selection, self.measurements
-        return {
-            "format": _FORMAT,
-            "data": m.name,
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "metric": METRIC,
-            "noise_floor_mm": 1e3 * self.noise_floor,
+        return self.head(_FORMAT, m.name, METRIC) | {
+            "noise_in_time": m.time_noise.to_dict() if m.time_noise else None,
             "numerical_error_mm": 1e3 * self.numerical_error,
-            "before_mm": 1e3 * self.before,
             "before_without_internal_damping_mm": 1e3 * s.undamped,
-            "after_mm": 1e3 * self.after,
             "validation_before_mm": 1e3 * s.validation_before,
             "validation_after_mm": 1e3 * s.validation_after,
             "base": _plain(self.base),
-            "effects": [
-                {
-                    "name": e.name,
-                    "title": e.title,
-                    "reference": e.reference,
-                    "parameters": {k: asdict(v) for k, v in e.parameters.items()},
-                    "after_mm_with_this_effect": 1e3 * e.after,
-                    "validation_mm_with_this_effect": 1e3 * e.validation,
-                }
-                for e in self.effects
-            ],
-            "candidates": list(self.candidates),
+            "parameters_at_a_bound": list(s.at_bound),
             "confounded": list(s.confounded),
             "correlation": {"effects": list(s.correlated), "largest": s.correlation.tolist()},
             "selection": [
@@ -149,7 +110,6 @@ class MotionReport:
                 }
                 for r in s.rounds
             ],
-            "set_aside": list(self.found.set_aside),
             "residual": self.residual.to_dict(),
             "steps_failed": {
                 when: [m.names[r] for r in self.windows.recording[failed]]
@@ -171,13 +131,7 @@ class MotionReport:
         """Write report.json, report.html and model.json into a folder."""
         from wrod.identification.motion.page import write_motion_page
 
-        out = Path(out)
-        content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        return [
-            write_atomically(out / "report.json", lambda file: file.write(content)),
-            write_motion_page(out / "report.html", self),
-            self.found.save(out / "model.json"),
-        ]
+        return self.written(out, write_motion_page)
 
     @cached_property
     def found(self) -> FoundRod:
@@ -219,18 +173,6 @@ class MotionReport:
         assumed = ("radius", "line_mass") + ("stretching_stiffness",) * (not stretches)
         base = MotionSetup.base(m.edge_length(_SUBDIVISIONS), _SUBDIVISIONS, m.gravity)
         return found_rod(base, model, values, read, assumed)
-
-    @property
-    def model(self) -> RodModel:
-        """The rod with every effect that belongs to it; see `found`."""
-        return self.found.rod
-
-    @property
-    def material(self) -> RodMaterial:
-        """The rod with what a `RodMaterial` can carry of it."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", WrodWarning)
-            return self.model.material()
 
 
 @checked_as_identification(arguments.like("recordings", "positions"))
@@ -341,9 +283,9 @@ def _found(selection: MotionSelection, described):
     by_name = {e.name: e for e in selection.model.effects}
     for r in (r for r in selection.rounds if r.accepted in by_name):
         effect = by_name[r.accepted]
-        yield FoundMotionEffect(
+        yield FoundEffect(
             effect.name, effect.title, effect.reference, described[effect.name],
-            r.validation, r.test,
+            r.test, {"validation_mm_with_this_effect": r.validation},
         )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The course of two arms: runs of work as filmed, and between them ways that keep clear."""
+"""The timeline of two arms: runs of work as filmed, and between them ways that keep clear."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CHECK = 0.05  # [s] between the points at which both arms are compared
 _PAUSE = 0.2  # [s]
 
 
-class Course:
+class ArmTimeline:
     """Puts the frames of a scene together.
 
     Args:

@@ -1,0 +1,275 @@
+"""Two pieces of rods that touch: edges are capsules, pieces of a spline are tubes.
+
+See `wrod.kernels.contact.rods` for the forces, and `wrod.kernels.contact.segments` for the shortest
+way between two pieces.
+"""
+
+import warp as wp
+from wrod.kernels.contact.planes import damped_force, normal_force
+from wrod.kernels.contact.segments import (
+    EDGE,
+    SMOOTHING,
+    Nearest,
+    nearest,
+    nearest_of_pieces,
+    piece_chord,
+    piece_size,
+    piece_slopes,
+    piece_weights,
+)
+from wrod.kernels.elastic.frames import ONE, ZERO, node
+
+wp.set_module_options({"enable_backward": False})
+
+
+# Which bristles hold any load: none, those that held before, all.
+SLIPPING = wp.constant(0)
+HELD = wp.constant(1)
+EVERY = wp.constant(2)
+
+
+@wp.struct
+class PairLaw:
+    """What all pairs of a rod share: stiffness, skin, relaxation time of the normal force, and the
+    coefficients of friction."""
+
+    stiffness: wp.float64
+    skin: wp.float64
+    relaxation: wp.float64
+    static_friction: wp.float64
+    kinetic_friction: wp.float64
+
+
+@wp.struct
+class Pieces:
+    """What may touch: (rod,) laws; (rod, piece) radii (0: touches nothing), rest lengths and kinds,
+    see `wrod.kernels.contact.segments`."""
+
+    law: wp.array(dtype=PairLaw)
+    radius: wp.array2d(dtype=wp.float64)
+    rest_length: wp.array2d(dtype=wp.float64)
+    kind: wp.array2d(dtype=wp.int32)
+
+
+@wp.struct
+class Rubbing:
+    """Friction in a step: (rod, piece, partner) bristles in the pair's own frame, loads that bound
+    them, and whether they slid in the last step; (rod,) which bristles hold any load."""
+
+    bristle: wp.array3d(dtype=wp.vec2d)
+    load: wp.array3d(dtype=wp.float64)
+    sliding: wp.array3d(dtype=wp.int32)
+    sticking: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Pair:
+    """A touching pair: closest points, normal force, its slope, unit normal from the second edge to
+    the first, pull of the bristle on the first edge and its stiffness, and, for the next step, the
+    bristle in the pair's own frame, by how much it slid, and the mid angles between the edges."""
+
+    near: Nearest
+    force: wp.float64
+    slope: wp.float64
+    normal: wp.vec3d
+    pull: wp.vec3d
+    grip: wp.mat33d
+    bristle: wp.vec2d
+    slid: wp.float64
+
+
+@wp.func
+def piece_nodes(dof: wp.array2d(dtype=wp.float64), kind: int, r: int, i: int) -> wp.mat33d:
+    """Nodes of piece i as columns; of an edge the second one twice."""
+    last = i + piece_size(kind) - 1
+    return wp.matrix_from_cols(node(dof, r, i), node(dof, r, i + 1), node(dof, r, last))
+
+
+@wp.func
+def nearest_of_edges(
+    m: Pieces, dof: wp.array2d(dtype=wp.float64), r: int, i: int, j: int
+) -> Nearest:
+    a = SMOOTHING * m.rest_length[r, i] * m.rest_length[r, i]
+    b = SMOOTHING * m.rest_length[r, j] * m.rest_length[r, j]
+    first = m.kind[r, i]
+    second = m.kind[r, j]
+    if first == EDGE and second == EDGE:
+        return nearest(
+            node(dof, r, i), node(dof, r, i + 1), node(dof, r, j), node(dof, r, j + 1), a, b
+        )
+    return nearest_of_pieces(
+        piece_nodes(dof, first, r, i), piece_nodes(dof, second, r, j), first, second, a, b
+    )
+
+
+@wp.func
+def spin_share(kind: int, s: wp.float64) -> wp.float64:
+    """Share of the edge after it in the spin of a piece at s; the rest is its own edge's."""
+    return wp.where(kind == EDGE, ZERO, s)
+
+
+@wp.func
+def surface_motion(
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    kind: int,
+    r: int,
+    i: int,
+    s: wp.float64,
+    arm: wp.float64,
+    normal: wp.vec3d,
+) -> wp.vec3d:
+    """Motion in this step of the material point at `arm` normal from the centreline of piece i."""
+    now = piece_nodes(dof, kind, r, i)
+    before = piece_nodes(dof_before, kind, r, i)
+    slope = piece_slopes(kind, s)
+    t = wp.normalize(now * slope)
+    turn = t - wp.normalize(before * slope)
+    after = spin_share(kind, s)
+    spin = (ONE - after) * (dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3])
+    if kind != EDGE:
+        spin += after * (dof[r, 4 * i + 7] - dof_before[r, 4 * i + 7])
+    centre = (now - before) * piece_weights(kind, s)
+    swing = wp.dot(t, normal) * turn - wp.dot(normal, turn) * t + spin * wp.cross(t, normal)
+    return centre + arm * swing
+
+
+@wp.func
+def first_tangent(t: wp.vec3d, n: wp.vec3d) -> wp.vec3d:
+    """Direction of the first edge in the plane of contact; any, where it is along the normal."""
+    e = t - wp.dot(t, n) * n
+    if wp.length(e) < wp.float64(1.0e-6):
+        e = wp.vec3d(n[1], n[2], n[0])
+        e = e - wp.dot(e, n) * n
+    return wp.normalize(e)
+
+
+@wp.func
+def relative_motion(
+    m: Pieces,
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    near: Nearest,
+    n: wp.vec3d,
+    r: int,
+    i: int,
+    j: int,
+) -> wp.vec3d:
+    """Motion in this step of the surface of piece i on that of piece j, where they are nearest."""
+    first = surface_motion(dof, dof_before, m.kind[r, i], r, i, near.s, -m.radius[r, i], n)
+    return first - surface_motion(dof, dof_before, m.kind[r, j], r, j, near.t, m.radius[r, j], n)
+
+
+@wp.func
+def pair_contact(
+    m: Pieces,
+    rubbing: Rubbing,
+    dt: wp.float64,
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    sticks: int,
+    r: int,
+    i: int,
+    j: int,
+    k: int,
+) -> Pair:
+    """Piece i and its partner k, piece j."""
+    out = Pair()
+    law = m.law[r]
+    sliding = rubbing.sliding[r, i, k]
+    near = nearest_of_edges(m, dof, r, i, j)
+    out.near = near
+    p = m.radius[r, i] + m.radius[r, j] - near.distance
+    normal = normal_force(p, law.stiffness, law.skin)
+    out.force = normal[0]
+    out.slope = normal[1]
+    if out.force > ZERO:
+        # Centrelines that cross have no normal; the step is refused for its depth anyway.
+        n = near.gap / wp.max(wp.length(near.gap), wp.float64(1.0e-12))
+        out.normal = n
+        e1 = first_tangent(wp.normalize(near.first), n)
+        e2 = wp.cross(n, e1)
+        motion = relative_motion(m, dof, dof_before, near, n, r, i, j)
+        normal = damped_force(p, -wp.dot(motion, n), law.relaxation, dt, law.stiffness, law.skin)
+        out.force = normal[0]
+        out.slope = normal[1]
+        bristle = rubbing.bristle[r, i, k]
+        b1 = bristle[0] + wp.dot(motion, e1)
+        b2 = bristle[1] + wp.dot(motion, e2)
+        stretch = b1 * e1 + b2 * e2
+        size = wp.length(stretch)
+        mu = wp.where(sliding != 0, law.kinetic_friction, law.static_friction)
+        limit = mu * rubbing.load[r, i, k] / law.stiffness
+        out.grip = law.stiffness * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
+        out.bristle = wp.vec2d(b1, b2)
+        if size > limit or limit == ZERO:
+            # Also without friction, where the bristle never holds.
+            size = wp.max(size, wp.float64(1.0e-30))
+            out.slid = size - limit
+            holds = sticks == EVERY or (sticks == HELD and sliding == 0)
+            if limit == ZERO or not holds:
+                shrink = limit / size
+                out.bristle = shrink * out.bristle
+                along = stretch / size
+                out.grip = shrink * (out.grip - law.stiffness * wp.outer(along, along))
+                stretch = shrink * stretch
+        out.pull = law.stiffness * stretch
+    return out
+
+
+@wp.struct
+class EdgeMotion:
+    """How the surface point of a piece follows its nodes (weight and slope, 3 each; 3x3) and its
+    angles."""
+
+    weight: wp.vec3d
+    slope: wp.vec3d
+    swing: wp.mat33d
+    spin: wp.vec3d
+    share: wp.float64
+
+
+@wp.func
+def edge_motion(kind: int, e: wp.vec3d, s: wp.float64, arm: wp.float64, n: wp.vec3d) -> EdgeMotion:
+    """Derivative of `surface_motion`, closest point and normal held."""
+    length = wp.length(e)
+    t = e / length
+    eye = wp.identity(3, dtype=wp.float64)
+    swing = wp.dot(t, n) * eye - wp.outer(t, n)
+    out = EdgeMotion()
+    out.weight = piece_weights(kind, s)
+    out.slope = piece_slopes(kind, s)
+    out.swing = (arm / length) * (swing * (eye - wp.outer(t, t)))
+    out.spin = arm * wp.cross(t, n)
+    out.share = spin_share(kind, s)
+    return out
+
+
+@wp.func
+def add_force(gradient: wp.array2d(dtype=wp.float64), r: int, a: int, v: wp.vec3d):
+    for c in range(3):
+        wp.atomic_add(gradient, r, a + c, v[c])
+
+
+@wp.func
+def add_edge_force(
+    gradient: wp.array2d(dtype=wp.float64),
+    kind: int,
+    r: int,
+    i: int,
+    push: wp.vec3d,
+    turn: wp.vec3d,
+    m: EdgeMotion,
+    pull: wp.vec3d,
+):
+    """Gradient of a force `push` at the closest point, `turn` on the chord and `pull` at the
+    surface of piece i."""
+    chord = piece_chord(kind)
+    swing = wp.transpose(m.swing) * pull
+    for k in range(piece_size(kind)):
+        force = m.weight[k] * (push + pull) + m.slope[k] * swing + chord[k] * turn
+        add_force(gradient, r, 4 * (i + k), force)
+    spin = wp.dot(m.spin, pull)
+    wp.atomic_add(gradient, r, 4 * i + 3, (ONE - m.share) * spin)
+    if kind != EDGE:
+        wp.atomic_add(gradient, r, 4 * i + 7, m.share * spin)

@@ -1,0 +1,71 @@
+"""Errors against time of `wrod bench cosserat`, a panel for each experiment."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from wrod.files import write_atomically
+
+_LOOKS = {
+    "wrod": ("#d1495b", "o"), "pyelastica": ("#3a8f5c", "s"), "newton-vbd": ("#0b5fa5", "D"),
+    "mujoco": ("#c98a1b", "^"), "dismech": ("#6b4c9a", "v"),
+}  # fmt: skip
+_INK, _MUTED, _FAINT = "#22262b", "#59616b", "#e6e9ee"
+
+
+def draw(path: str | os.PathLike[str], rows: list[dict], metrics: dict, machine: str) -> Path:
+    """Write a PNG: lower left is better; who has no row, and why, stands in the panel.
+
+    Args:
+        path: of the picture.
+        rows: of the command.
+        metrics: (experiment: name of its error).
+        machine: what they were measured on.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    names = list(dict.fromkeys(row["experiment"] for row in rows))
+    across = min(3, len(names))
+    figure = Figure(figsize=(4.6 * across, 3.9 * -(-len(names) // across)), layout="constrained")
+    FigureCanvasAgg(figure)
+    for k, name in enumerate(names):
+        axes = figure.add_subplot(-(-len(names) // across), across, k + 1)
+        absent = _panel(axes, [row for row in rows if row["experiment"] == name], metrics[name])
+        axes.set_title(f"{name}: {metrics[name].replace('_', ' ')}", fontsize=10, color=_INK)
+        axes.set_xlabel("time per simulated second [s]", fontsize=8, color=_MUTED)
+        axes.text(0.02, 0.02, "\n".join(absent), transform=axes.transAxes, fontsize=6.5,
+                  color=_MUTED, va="bottom")  # fmt: skip
+        axes.tick_params(labelsize=8, colors=_MUTED)
+        axes.grid(True, which="major", color=_FAINT)
+        axes.set_axisbelow(True)
+    figure.suptitle(machine, fontsize=8, color=_MUTED)
+    path = Path(path)
+    write_atomically(
+        path, lambda file: figure.savefig(file, dpi=110, format="png", metadata={"Software": None}),
+        "wb",
+    )  # fmt: skip
+    return path
+
+
+def _panel(axes, rows: list[dict], metric: str) -> list[str]:
+    """Draw a line for each solver; a sentence for each that has none."""
+    absent = []
+    for solver, (color, marker) in _LOOKS.items():
+        mine = [row for row in rows if row["solver"] == solver]
+        done = [row for row in mine if (row.get("metrics") or {}).get(metric) is not None]
+        if done:
+            cost = [row["seconds"] / row["simulated"] for row in done]
+            error = [max(abs(row["metrics"][metric]), 1e-7) for row in done]
+            axes.plot(cost, error, color=color, marker=marker, lw=1.5, ms=5, label=solver)
+            for x, y, row in zip(cost, error, done, strict=True):
+                axes.annotate(row["elements"], (x, y), xytext=(4, 3), textcoords="offset points",
+                              fontsize=6.5, color=_MUTED)  # fmt: skip
+        elif mine:
+            absent.append(f"{solver}: {mine[0]['said']:.60}")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    if axes.has_data():
+        axes.legend(fontsize=7, frameon=False)
+    return absent

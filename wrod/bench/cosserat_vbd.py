@@ -1,0 +1,146 @@
+"""Newton's own cable as a solver of `cosseratbench`, for what hangs: no contact, no driven ends."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+
+import newton
+import numpy as np
+import warp as wp
+from cosseratbench import Capability, Trajectory
+from cosseratbench.scenario import End, EndCondition, Rod, Scenario
+from cosseratbench.solver import Diverged
+from scipy.spatial.transform import Rotation
+
+# Largest step [s], iterations of a step; damping time of bending in the slowest period.
+_STEP, _ITERATIONS, _DAMPING = 1.0 / 600.0, 20, 0.14
+
+
+class VbdSolver:
+    """`newton.Rod` under `SolverVBD`, in float32: capsules of the rod's mass, joined by rod joints.
+
+    The middle of a clamped segment is where the clamp is; a pinned end is a ball joint.
+
+    Args:
+        time_step_scale: factor of the time step.
+    """
+
+    name = "newton-vbd"
+    backend_version = version("newton")
+    capabilities = frozenset({Capability.STRETCH, Capability.SHEAR})
+
+    def __init__(self, time_step_scale: float = 1.0):
+        self.time_step_scale = time_step_scale
+
+    def settings(self, scenario: Scenario, *, n_elements: int, n_frames: int) -> dict:
+        """The numerical choices of a run."""
+        interval = scenario.duration / (n_frames - 1)
+        steps = 2 * int(np.ceil(0.5 * interval / (_STEP * self.time_step_scale)))
+        period = 2.0 * np.pi / scenario.slowest_frequency()
+        damping = _DAMPING * period if scenario.quasi_static else 0.0
+        return {"steps_a_frame": steps, "iterations": _ITERATIONS, "bend_damping_time": damping}
+
+    def run(self, scenario: Scenario, *, n_elements: int, n_frames: int) -> Trajectory:
+        """Raises `cosseratbench.solver.Diverged`."""
+        if len(scenario.rods) != 1 or scenario.rods[0].motion(End.START) is not None:
+            raise NotImplementedError("one rod, held still")
+        options = self.settings(scenario, n_elements=n_elements, n_frames=n_frames)
+        rod, count = scenario.rods[0], options["steps_a_frame"]
+        scene = _Scene(scenario, rod, n_elements, options["bend_damping_time"])
+        times = np.linspace(0.0, scenario.duration, n_frames)
+        dt = float(times[1]) / count
+        found = [scene.read()]
+        for time in times[1:]:
+            scene.load(rod)
+            scene.advance(count, dt)
+            found.append(scene.read())
+            if not np.isfinite(found[-1][0]).all():
+                raise Diverged("a body is nowhere", time=float(time))
+        positions, directors = (np.array(part) for part in zip(*found, strict=True))
+        return Trajectory(times, (positions,), (directors,))
+
+
+class _Scene:
+    """The model of one rod, its states, and the graph of a step there and back."""
+
+    def __init__(self, scenario: Scenario, rod: Rod, count: int, damping: float):
+        held = rod.start is EndCondition.CLAMPED
+        if rod.end is EndCondition.CLAMPED:
+            raise NotImplementedError("a rod that is clamped at its end")
+        edge = rod.length / (count - 0.5 * held)
+        points = rod.nodes(count)
+        if held:
+            way = (points[1] - points[0]) / np.linalg.norm(points[1] - points[0])
+            points = points[0] + np.outer((np.arange(count + 1) - 0.5) * edge, way)
+        builder = newton.ModelBuilder(gravity=scenario.gravity)
+        material, area = rod.material, rod.area
+        ends = np.outer(np.arange(count + 1) * edge, [0.0, 0.0, 1.0])
+        described = newton.Rod(
+            points.astype(np.float32), rest_points=ends.astype(np.float32), radius=rod.radius,
+            youngs_modulus=material.youngs_modulus, shear_modulus=material.shear_modulus,
+        )  # fmt: skip
+        bending = material.youngs_modulus * rod.second_moment_of_area / edge
+        bodies, _ = builder.add_rod(
+            rod=described, bend_damping=damping * bending,
+            cfg=newton.ModelBuilder.ShapeConfig(
+                density=material.density, has_shape_collision=False
+            ),
+        )  # fmt: skip
+        for condition, body, side in ((rod.start, bodies[0], -1), (rod.end, bodies[-1], 1)):
+            if condition is EndCondition.PINNED:
+                at = wp.transform(tuple(points[0 if side < 0 else -1]), wp.quat_identity())
+                inside = wp.transform((0.0, 0.0, 0.5 * side * edge), wp.quat_identity())
+                builder.add_joint_ball(-1, body, parent_xform=at, child_xform=inside)
+        builder.color()
+        self.model = model = builder.finalize()
+        mass = material.density * area * edge / model.body_mass.numpy()
+        for name, power in (("mass", 1), ("inertia", 1), ("inv_mass", -1), ("inv_inertia", -1)):
+            array = getattr(model, f"body_{name}")
+            values = array.numpy()
+            array.assign(values * mass.reshape(-1, *[1] * (values.ndim - 1)) ** power)
+        if held:
+            flags = model.body_flags.numpy()
+            flags[bodies[0]] = int(newton.BodyFlags.KINEMATIC)
+            model.body_flags.assign(flags)
+        self._solver = newton.solvers.SolverVBD(model, iterations=_ITERATIONS)
+        self._states, self._control = [model.state(), model.state()], model.control()
+        self._half, self._graph, self._origin = 0.5 * edge, None, points[0] if not held else None
+        self._clamp = rod.nodes(1)[0]
+        pose = self._states[0].body_q.numpy().astype(float)
+        given = rod.directors(count)
+        self._director = Rotation.from_quat(pose[:, 3:]).inv().apply(given)
+
+    def load(self, rod: Rod) -> None:
+        """The loads at the ends, as the rod lies now."""
+        force = np.zeros((self.model.body_count, 6), dtype=np.float32)
+        pose = self._states[0].body_q.numpy()
+        for load in rod.loads:
+            k, side = (-1, 1.0) if load.at is End.END else (0, -1.0)
+            arm = Rotation.from_quat(pose[k, 3:]).apply([0.0, 0.0, side * self._half])
+            force[k] += [*load.force, *np.cross(arm, load.force)]
+        for state in self._states:
+            state.body_f.assign(force)
+
+    def _there_and_back(self, dt: float) -> None:
+        for _ in range(2):
+            self._solver.step(*self._states, self._control, None, dt)
+            self._states.reverse()
+
+    def advance(self, count: int, dt: float) -> None:
+        """Steps, an even number; replayed from a graph."""
+        if self._graph is None:
+            self._there_and_back(dt)  # compiles
+            with wp.ScopedCapture(device=self.model.device) as capture:
+                self._there_and_back(dt)
+            self._graph = capture.graph
+            count -= 2
+        for _ in range(count // 2):
+            wp.capture_launch(self._graph)
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        """(node, 3) positions and (edge, 3) directors; a clamp's node is at the clamp."""
+        pose = self._states[0].body_q.numpy().astype(float)
+        turn = Rotation.from_quat(pose[:, 3:])
+        ahead = turn.apply([0.0, 0.0, self._half])
+        first = pose[:1, :3] - ahead[:1] if self._origin is not None else self._clamp[None]
+        return np.concatenate([first, pose[:, :3] + ahead]), turn.apply(self._director)

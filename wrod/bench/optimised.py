@@ -1,0 +1,146 @@
+"""`wrod bench optimised`: time of plans that know their table, and of deployments' derivatives."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+# Rods that are laid at once: one, and on a GPU as many as a learner might.
+_BATCHES = (1, 64)
+
+
+@click.command(name="optimised")
+@click.option("--rod", "rod_name", default="green-vps", show_default=True)
+@click.option("--names", default="letter-U,letter-A", show_default=True, help="Patterns.")
+@click.option("--friction", default=0.3, show_default=True)
+@click.option(
+    "--patterns",
+    type=click.Path(file_okay=False, exists=True, path_type=Path),
+    help="Folder of pattern files; default: the built-in patterns.",
+)
+@click.option("--together", type=click.IntRange(min=0), default=0, show_default=True,
+              help="Optimise so many plans of random patterns together, too.")  # fmt: skip
+@click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(
+    rod_name: str, names: str, friction: float, patterns: Path | None, together: int, device: str,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Optimise plans, and lay rods with and without derivatives by all directions of a plan.
+
+    Each is done once before, so that kernels are there. Derivatives on a GPU are compared with
+    those of a CPU.
+    """
+    from wrod.bench.table3_paper import read_pattern
+    from wrod.machine import machine_line
+    from wrod.planning.remainder import prepare
+    from wrod.rods.catalogue import rod
+    from wrod.rods.device import resolve_device
+
+    device, material = resolve_device(device), rod(rod_name)
+    courses = {
+        name: prepare(read_pattern(name, patterns), material, None) for name in names.split(",")
+    }
+    say = (lambda text: None) if as_json else click.echo
+    told: dict[str, Any] = {"machine": machine_line(device), "plans": [], "derivatives": []}
+    say(told["machine"])
+    for name, led in courses.items():
+        _planned(led, material, friction, device)
+        row = {"pattern": name} | _planned(led, material, friction, device)
+        told["plans"].append(row)
+        say(
+            f"{name} at friction {friction:g}: {row['seconds']:.2f} s ({row['cpu_seconds']:.1f} s "
+            f"of processors), {row['deployments']} times laid; sample from "
+            f"{100 * row['errors'][0]:.3f} to {100 * min(row['errors']):.3f} cm, expected "
+            f"{100 * row['expected']:.3f} cm"
+        )
+    (led, *_) = courses.values()
+    for count in _BATCHES if device != "cpu" else _BATCHES[:1]:
+        row = _derived(led, material, friction, count, device)
+        told["derivatives"].append(row)
+        agree = "" if device == "cpu" else (
+            f"; as a CPU's within {row['apart']:.1e} m, derivatives within "
+            f"{row['rates_apart']:.1e} of the largest"
+        )  # fmt: skip
+        say(
+            f"{count} rods: laid in {row['bare']:.2f} s, with {row['columns']} directions in "
+            f"{row['derived']:.2f} s, {row['derived'] / row['bare']:.1f} times as long{agree}"
+        )
+    if together:
+        told["together"] = row = _together(together, device)
+        say(f"{row['plans']} plans of random patterns together: {row['seconds']:.1f} s")
+    if as_json:
+        click.echo(json.dumps(told, indent=2))
+
+
+def _planned(led, material, friction: float, device: str) -> dict:
+    """Time and outcome of an optimised plan, its grasps included."""
+    from wrod.deployment.plan import plan
+
+    clock, spent = time.perf_counter(), time.process_time()
+    made = plan(led, material, remainder=False, friction=friction, device=device)
+    said, expected = made.metadata["optimised"], made.metadata["expected"]
+    return {
+        "seconds": time.perf_counter() - clock,
+        "cpu_seconds": time.process_time() - spent,
+        "deployments": said["iterations"] + 1,
+        "errors": said["errors"],
+        "kept": said["kept"],
+        "expected": expected["mean"],
+        "expected_robot": float(np.mean(expected["error_robot"])),
+    }
+
+
+def _derived(led, material, friction: float, count: int, device: str) -> dict:
+    """Time of a batch of rods with and without derivatives, and how far a CPU's lie apart."""
+    from wrod.deployment.corrections import Corrections
+    from wrod.deployment.expectation import COARSE, TOLERANCE
+    from wrod.deployment.plan import plan
+    from wrod.deployment.setup import Disturbance
+    from wrod.deployment.simulate import Trial
+    from wrod.deployment.tangents import Directions, lay
+    from wrod.planning.tail import Tail
+    from wrod.solvers.contact import Friction
+
+    start = plan(led, material, spacing=0.005, remainder=False, device=device)
+    columns = Corrections(led, start, material.gravito_bending_length, 0.05).columns()
+    directions, rest = Directions.of_path(columns), Tail.none(start)
+    trials = [
+        Trial(led, material, start, Friction(friction), Disturbance.random(k), rest)
+        for k in range(count)
+    ]
+
+    def timed(asked, where: str, chosen: list[Trial]):
+        clock = time.perf_counter()
+        laid = lay(chosen, asked, tolerance=TOLERANCE, device=where, **COARSE)
+        return time.perf_counter() - clock, laid
+
+    each = [directions] * count
+    timed(each, device, trials)
+    bare, _ = timed(None, device, trials)
+    derived, laid = timed(each, device, trials)
+    row = {"rods": count, "columns": len(directions), "bare": bare, "derived": derived}
+    if device != "cpu":
+        _, (same,) = timed([directions], "cpu", trials[:1])
+        largest = np.abs(same.tangent).max()
+        row["apart"] = float(np.abs(same.centerline - laid[0].centerline).max())
+        row["rates_apart"] = float(np.abs(same.tangent - laid[0].tangent).max() / largest)
+    return row
+
+
+def _together(count: int, device: str) -> dict:
+    """Time of plans of random patterns that are optimised together, as for `wrod distil`."""
+    from wrod.deployment.expectation import TOLERANCE
+    from wrod.deployment.together import follow
+    from wrod.training.plans import solve
+
+    clock = time.perf_counter()
+    made = follow([solve(k, 0) for k in range(count)], tolerance=TOLERANCE, device=device)
+    return {
+        "plans": sum(one is not None for one in made), "seconds": time.perf_counter() - clock
+    }  # fmt: skip

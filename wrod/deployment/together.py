@@ -1,0 +1,115 @@
+"""Courses of deployments side by side: what several ask for at a time is laid in one batch.
+
+A course is a generator: it yields what it wants laid (`Asked`), is sent what lies, and returns its
+result. A GPU takes as long for hundreds of rods as for one, so that courses of many plans go on in
+step there; a CPU takes one course after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from wrod.deployment.simulate import Trial, nodes_needed
+from wrod.deployment.tangents import Directions, Laid, lay
+from wrod.rods.device import resolve_device
+
+T = TypeVar("T")
+# Options that every rod of a batch has for itself.
+_OWN = {"spacing", "release"}
+_SPACING = 0.005
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Rods that a course wants laid.
+
+    Attributes:
+        trials: what to lay.
+        directions: of each trial, all with the same number of columns; None: no derivatives.
+        how: options of `lay`: spacing [m] and others.
+    """
+
+    trials: list[Trial]
+    directions: list[Directions] | None = None
+    how: dict[str, Any] = field(default_factory=dict)
+
+
+Course = Generator[Asked, list[Laid], T]
+
+
+def follow(
+    courses: Sequence[Course[T]],
+    *,
+    device: str | None = "cpu",
+    progress: Callable[[int], object] | None = None,
+    **options,
+) -> list[T]:
+    """The results of courses, which go on side by side on a GPU and one by one on a CPU.
+
+    Args:
+        courses: what to follow.
+        device: "cpu", "cuda:0" or "auto".
+        progress: called with the number of courses that have ended since the last call.
+        options: of `wrod.deployment.tangents.lay`, the same for all.
+    """
+    device = resolve_device(device)
+    results: dict[int, T] = {}
+    size = 1 if device == "cpu" else max(len(courses), 1)
+    for first in range(0, len(courses), size):
+        answers: dict[int, Any] = dict.fromkeys(range(first, min(first + size, len(courses))))
+        while answers:
+            asked: dict[int, Asked] = {}
+            for k, answer in answers.items():
+                try:
+                    asked[k] = courses[k].send(answer)
+                except StopIteration as end:
+                    results[k] = end.value
+            if progress is not None and len(asked) < len(answers):
+                progress(len(answers) - len(asked))
+            answers = _laid(asked, {"device": device, **options})
+    return [results[k] for k in range(len(courses))]
+
+
+def _laid(asked: dict[int, Asked], options: dict[str, Any]) -> dict[int, list[Laid]]:
+    """What lies of what each course asked for: one batch for all that agree on how, and on whether
+    they want derivatives, but for the length of their edges and the time of their release."""
+    groups: dict[tuple, list[int]] = {}
+    for k, one in asked.items():
+        # A field of friction is that very one.
+        known = (str, float, int, type(None))
+        how = {n: v if isinstance(v, known) else id(v) for n, v in one.how.items()}
+        names = sorted(how.keys() - _OWN)
+        key = (one.directions is None, *((name, how[name]) for name in names))
+        groups.setdefault(key, []).append(k)
+    answers: dict[int, list[Laid]] = {}
+    for members in groups.values():
+        ones = [asked[k] for k in members]
+        how = {name: v for name, v in ones[0].how.items() if name not in _OWN}
+        trials = [trial for one in ones for trial in one.trials]
+        directions = None
+        if ones[0].directions is not None:
+            every = [d for one in ones for d in one.directions or ()]
+            most = max(map(len, every))
+            directions = [_padded(d, most) for d in every]
+        nodes = max(nodes_needed(one.trials, one.how.get("spacing", _SPACING)) for one in ones)
+        released = [one.how.get("release") for one in ones for _ in one.trials]
+        laid = lay(trials, directions, node_count=nodes, release=released, **how, **options)
+        for k, one in zip(members, ones, strict=True):
+            answers[k], laid = laid[: len(one.trials)], laid[len(one.trials) :]
+            if one.directions is not None:
+                answers[k] = [
+                    replace(x, tangent=x.tangent[: len(d)])
+                    for x, d in zip(answers[k], one.directions, strict=True)
+                ]
+    return answers
+
+
+def _padded(columns: Directions, count: int) -> Directions:
+    """With so many columns, the last of which change nothing."""
+    more = count - len(columns)
+    none = Directions.of_path(np.zeros((more, *columns.path.shape[1:])))
+    return columns + none if more else columns

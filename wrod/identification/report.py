@@ -1,0 +1,112 @@
+"""What the reports of all identifications share."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wrod.errors import WrodWarning
+from wrod.files import write_atomically
+from wrod.identification.effect import Estimate
+from wrod.identification.found_rod import FoundRod
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect of the chosen model.
+
+    Attributes:
+        name, title, reference: of the effect.
+        parameters: what was found, with standard errors.
+        after: test error with the effects up to this one [m].
+        others: further errors, by what `to_dict` calls them [m].
+        An error is None where something has no equilibrium with what was fitted.
+    """
+
+    name: str
+    title: str
+    reference: str
+    parameters: dict[str, Estimate]
+    after: float | None
+    others: dict[str, float | None]
+
+    def to_dict(self) -> dict:
+        """Plain figures; errors in mm, everything else SI."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "reference": self.reference,
+            "parameters": {key: asdict(value) for key, value in self.parameters.items()},
+            "after_mm_with_this_effect": millimetres(self.after),
+            **{key: millimetres(error) for key, error in self.others.items()},
+        }
+
+
+class Report:
+    """A verdict with its evidence, and the rod that was found."""
+
+    verdict: str
+    reason: str
+    before: float
+    after: float
+    noise_floor: float
+    effects: tuple[FoundEffect, ...]
+    candidates: tuple[dict, ...]
+
+    if TYPE_CHECKING:
+
+        @property
+        def found(self) -> FoundRod: ...
+
+    @property
+    def model(self) -> RodModel:
+        """The rod with every effect that belongs to it; see `found`."""
+        return self.found.rod
+
+    @property
+    def material(self) -> RodMaterial:
+        """The rod with what a `RodMaterial` can carry of it."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", WrodWarning)
+            return self.model.material()
+
+    def head(self, form: str, data: str, metric: str) -> dict[str, Any]:
+        """The part of `to_dict` that says what was found."""
+        return {
+            "format": form,
+            "data": data,
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "metric": metric,
+            "noise_floor_mm": 1e3 * self.noise_floor,
+            "before_mm": 1e3 * self.before,
+            "after_mm": 1e3 * self.after,
+            "effects": [e.to_dict() for e in self.effects],
+            "candidates": list(self.candidates),
+            "set_aside": list(self.found.set_aside),
+        }
+
+    def to_dict(self) -> dict:
+        """The content of `report.json`; errors in mm, everything else SI."""
+        raise NotImplementedError
+
+    def written(self, out: str | os.PathLike[str], page: Callable[[Path, Any], Path]) -> list[Path]:
+        """Write report.json, report.html by `page`, and model.json into a folder."""
+        out = Path(out)
+        content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
+        return [
+            write_atomically(out / "report.json", lambda file: file.write(content)),
+            page(out / "report.html", self),
+            self.found.save(out / "model.json"),
+        ]
+
+
+def millimetres(value: float | None) -> float | None:
+    return None if value is None else 1e3 * value

@@ -1,0 +1,53 @@
+"""Numbers and profiles of a rod, checked."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+
+from wrod.errors import RodError
+from wrod.rods.profile import Profile
+
+# What stands in for a profile of what is one number for the whole rod.
+_INSTEAD = {
+    "radius": "the largest one, which touches",
+    "principal_angle": "that at the beginning, and how it turns from there as natural_twist",
+}
+
+
+def as_number(name: str, value, *, positive: bool = False, least: float = -math.inf) -> float:
+    if isinstance(value, (Profile, dict)):
+        raise RodError(
+            f"rod {name} is a profile and can only be one number for the whole rod; give "
+            f"{_INSTEAD.get(name, 'its mean')}"
+        )
+    is_number = isinstance(value, (int, float, np.floating, np.integer))
+    if (
+        not is_number
+        or isinstance(value, bool)
+        or not abs(value) <= sys.float_info.max
+        or value < least
+        or (positive and value <= 0.0)
+    ):
+        wanted = (
+            "a positive" if positive else "a" if least == -math.inf else f"at least {least:g}, a"
+        )
+        raise RodError(f"rod {name} is {value!r:.80}; give {wanted} finite number in SI units")
+    return float(value)
+
+
+def as_profile(name: str, value) -> Profile:
+    try:
+        return Profile.of(value)
+    except RodError as error:
+        raise RodError(f"rod {name}: {error}") from None
+
+
+def as_pair(name: str, value, *, same: bool = False) -> tuple[Profile, Profile]:
+    if same and not isinstance(value, (tuple, list)):
+        value = (value, value)
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise RodError(f"rod {name} is {value!r:.80}; give two profiles, one per direction")
+    return as_profile(name, value[0]), as_profile(name, value[1])
