@@ -67,7 +67,8 @@ def _deployments(count: int, rounds: int, device: str) -> dict:
 
     from wrod.bench.table3 import _plans, _trial
     from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, read_pattern
-    from wrod.deployment.simulate import assemble, nodes_needed, prepare_trials
+    from wrod.deployment.assembly import assemble
+    from wrod.deployment.simulate import nodes_needed, prepare_trials
 
     plans = _plans(RODS, {name: read_pattern(name, None) for name in PATTERNS}, None, device, True)
     keys = product(range(10), RODS, SUBSTRATES, PATTERNS, METHODS)
