@@ -149,6 +149,9 @@ class RodContact:
         self.rubbing = rubbing = pair_contact.Rubbing()
         rubbing.bristle, rubbing.load = self.bristle, self.held_load
         rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
+        rubbing.way, rubbing.turned = (
+            zeros(dtype, edges, partners) for dtype in (wp.vec2d, wp.float64)
+        )
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
         self.configuration: tuple[wp.array, ...] = ()
@@ -202,7 +205,7 @@ class RodContact:
             kernels.hold_loads,
             dim=self.load.shape,
             inputs=[starting, self.load],
-            outputs=[self.held_load],
+            outputs=[self.rubbing],
             device=batch.device,
         )
 
