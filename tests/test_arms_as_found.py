@@ -12,6 +12,7 @@ from wrod.robot.collision import CollisionModel
 from wrod.robot.kinematics import grasp_poses
 from wrod.robot.model import load_robot
 from wrod.robot.obstacles import Obstacles
+from wrod.robot.placement import Placement
 from wrod.robot.urdf import read_urdf
 
 
@@ -118,13 +119,27 @@ def obstacles(tmp_path, **entry):
     return Obstacles.load(path)
 
 
+def test_the_hanging_rod_keeps_clear_of_what_the_arm_would_miss(tmp_path, line):
+    place = Placement(0.35, -0.25, -0.3, 0.0)
+    foot = (line.contact @ place.base_from_world[:3, :3].T + place.base_from_world[:3, 3])[100]
+    post = obstacles(tmp_path, size=[0.02, 0.02, 0.12], xyz=[foot[0], foot[1], -0.24])
+    with pytest.raises(RobotError, match=r"the hanging rod comes within \d+ mm of an obstacle at"):
+        wrod.solve_joint_path(line, "ur5e", place, obstacles=post)
+    path = wrod.solve_joint_path(line, "ur5e", table_height=-0.3, obstacles=post)
+    pose = path.placement.base_from_world
+    shapes = line.shape @ pose[:3, :3].T + pose[:3, 3]
+    near = np.linalg.norm(shapes[..., :2] - foot[:2], axis=-1)[shapes[..., 2] < -0.18]
+    assert near.min() > 0.01
+
+
 def test_an_obstacle_in_the_way_is_named_and_one_beside_is_kept_clear_of(
     tmp_path, line, monkeypatch
 ):
     free = wrod.solve_joint_path(line, "ur5e")
     place = free.placement
-    hand = grasp_poses(free.robot, free.node_positions)[:, :3, 3]
-    wall = obstacles(tmp_path, size=[0.1, 0.1, 0.1], xyz=hand[len(hand) // 2].tolist())
+    poses = grasp_poses(free.robot, free.node_positions)
+    hand, behind = poses[:, :3, 3], poses[:, :3, 3] - 0.12 * poses[:, :3, 2]
+    wall = obstacles(tmp_path, size=[0.1, 0.1, 0.1], xyz=behind[len(hand) // 2].tolist())
     with (
         monkeypatch.context() as short,
         pytest.raises(RobotError, match=r"and the obstacle (overlap by|come within)"),

@@ -162,7 +162,7 @@ def test_a_controller_of_straight_rods_refuses_curved_ones():
 def test_plan_command_takes_a_controller(made, tmp_path):
     args = ["plan", "line", "--rod", str(made / "rod.json"), "--length", "0.7", "--no-robot"]
     args += ["--roll", "plane", "--no-expect"]
-    args += ["--controller", str(made / "trained" / "controller.safetensors"), "--no-shapes"]
+    args += ["--controller", str(made / "trained"), "--no-shapes"]
     args += ["--spacing", "0.1", "--device", "cpu", "--json"]
     result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "plan")])
     assert result.exit_code == 0, result.output

@@ -9,8 +9,9 @@ from wrod.identification.effect import Effect, Model, Parameter, effects
 from wrod.identification.motion import solver as motion_solver
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
 from wrod.identification.motion.loading import motion_from_arrays
+from wrod.identification.motion.noise import noise_in_time
 from wrod.identification.motion.promises import losses_of
-from wrod.identification.motion.selection import select_motion
+from wrod.identification.motion.selection import select_motion, verdict_of
 from wrod.identification.motion.solver import MotionSolver
 from wrod.identification.motion.split import folds, split_evenly, with_test
 from wrod.identification.motion.tangents import COMPLEX_STEP
@@ -93,21 +94,25 @@ def test_twist_starts_where_newton_fails(measured, monkeypatch):
 
 
 class _Linear(MotionLaboratory):
-    """Motions that are linear in effects that move every marker alike; truth is a + b."""
+    """Motions that are linear in effects that move every marker alike; truth is a + b, and the
+    mesh lacks a shift upwards."""
 
-    def __init__(self, measurements):
+    def __init__(self, measurements, lacking=0.0):
         super().__init__(measurements)
-        self.base.shift = np.zeros(3)
+        self.base.shift, self.lacking = np.zeros(3), np.array([0.0, 0.0, lacking])
         self.noise = np.random.default_rng(0).normal(0.0, 1e-4, measurements.positions.shape)
 
     def run(self, windows, setup, rates=()):
         frames = np.minimum(windows.start[:, None] + np.arange(windows.seen.shape[1]), FRAMES - 1)
         noise = self.noise[windows.recording[:, None], frames]
-        x = windows.markers + noise + np.real(setup.shift) - [2e-3, 2e-3, 0.0]
+        x = windows.markers + noise + np.real(setup.shift) - [2e-3, 2e-3, 0.0] - self.lacking
         columns = [np.imag(r.shift) / COMPLEX_STEP for r in rates]
         rate = np.zeros((*x.shape[:3], len(rates), 3))
         rate[:] = np.array(columns).reshape(-1, 3)
         return x, rate, np.zeros(len(x), dtype=bool)
+
+    def discretisation(self, windows, model, values, predicted):
+        return np.broadcast_to(self.lacking, predicted.shape)
 
 
 class _Shift(Effect):
@@ -133,6 +138,51 @@ def test_an_effect_that_later_ones_make_idle_leaves_again(measured):
     # Where nothing is damped no fit can say that something is.
     assert selection.rounds[0].accepted is None
     assert selection.after < 0.1 * selection.before
+
+
+def test_an_effect_that_makes_up_for_the_mesh_is_refused(measured):
+    shifts = [_Shift("up", (0, 0, 1)), _Shift("a", (1, 0, 0)), _Shift("b", (0, 1, 0))]
+    selection = select_motion(_Linear(measured, lacking=1e-3), shifts)
+    assert sorted(selection.model.names[3:]) == ["a", "b"]
+    assert selection.rounds[-1].reason.startswith("up lowers the validation error by")
+    assert selection.rounds[-1].reason.endswith("it makes up for them")
+
+
+def test_a_parameter_at_its_bound_is_no_explanation(measured):
+    """What the shift is bounded by stands for more; the rest is noise."""
+
+    class Bounded(_Shift):
+        parameters = (Parameter("size", "m", 1.0, upper=1.95e-3),)
+
+        def __init__(self, name, direction):
+            self.name, self.direction = name, np.array(direction)
+
+    selection = select_motion(_Linear(measured), [Bounded("a", (1, 1, 0))])
+    assert selection.at_bound == ("size",)
+    verdict, reason = verdict_of(selection, 2e-4)
+    assert verdict == "partly-explained" and "size ended at a bound" in reason
+    free = select_motion(_Linear(measured), [_Shift("a", (1, 1, 0))])
+    assert free.at_bound == () and verdict_of(free, 2e-4)[0] == "explained"
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.7, 0.95])
+def test_noise_in_time_is_told_by_what_is_rigid(correlation):
+    """Two grips that fly about; white noise of 20 um and AR(1) noise of 50 um."""
+    rng = np.random.default_rng(3)
+    frames = np.zeros((30, 300, 4, 3))
+    frames[:, :, [1, 3], 2] = 0.03
+    path = 0.2 * np.sin(np.linspace(0.0, 20.0, 300))[None, :, None, None] * rng.normal(size=3)
+    noise = rng.normal(size=frames.shape)
+    for k in range(1, 300):
+        kept = np.sqrt(1.0 - correlation**2)
+        noise[:, k] = correlation * noise[:, k - 1] + kept * noise[:, k]
+    white = 2e-5 * rng.normal(size=frames.shape)
+    found = noise_in_time(frames + path + 5e-5 * noise + white)
+    assert found.std == pytest.approx(np.hypot(5e-5, 2e-5), rel=0.08)
+    if correlation:
+        assert found.correlation == pytest.approx(correlation, abs=0.03)
+        assert found.slow == pytest.approx(5e-5, rel=0.08)
+    assert noise_in_time(frames[:, :10]) is None
 
 
 def test_a_loss_is_that_of_the_other_parameters_fitted_anew():

@@ -227,15 +227,15 @@ def test_worlds_are_averaged_at_equal_distance_from_the_grip():
 def test_mechanisms_of_waves_are_in_the_rod_both_ways_round():
     from wrod.bench.photographs_waves import _height, mechanisms
 
-    every = {(one.cause, one.sense): one for one in mechanisms()}
+    every = {(one.cause, one.sense): one for one in mechanisms("rope")}
     assert {sense for cause, sense in every if cause.startswith("hung")} == {"left", "right"}
-    rods = {key: one.rod() for key, one in every.items()}
+    rods = {key: one.rod("rope") for key, one in every.items()}
     left, right = (rods["bends set in, in the plane", sense] for sense in ("left", "right"))
     s = np.linspace(0.0, left.length, 50)
     bends = left.natural_curvature[0](s)
     assert np.ptp(bends) > 10.0
     assert bends == pytest.approx(-right.natural_curvature[0](s))
-    helix = rods["helix of the strands' set", "left"]
+    helix = rods["helix of 7 /m, held", "right-handed, rolled by 90"]
     assert helix.natural_twist(0.1) == pytest.approx(2.0 * np.pi / 0.28)
     # A line towards -y with a slope, and a wave of 6 mm from crest to trough on it.
     y = -np.linspace(0.0, 0.47, 2000)

@@ -1,4 +1,7 @@
-"""`wrod bench cables`: cross-validation of what is found in recordings of rods in motion."""
+"""`wrod bench cables`: cross-validation of what is found in recordings of rods in motion.
+
+Restartable: a fold that has ended is kept.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from pathlib import Path
 import click
 
 from wrod.bench import side_by_side
+from wrod.bench.ledger import Ledger
 
 
 def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -> dict:
@@ -36,7 +40,7 @@ def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -
         return dict(zip((m.names[r] for r in m.test), map(float, mean), strict=True))
 
     return {
-        "rod": m.name,
+        "rod": Path(path).stem,
         "fold": fold,
         "undamped_mm": 1e3 * s.undamped,
         "base_mm": each(Model(s.model.effects[: len(BASE)]), s.base_values),
@@ -122,7 +126,11 @@ def lines(found: dict) -> list[str]:
 @click.option("--contiguous", is_flag=True, help="Folds of neighbours, not every n-th recording.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Write JSON here.")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Keep the folds that have ended (folds.jsonl) and the figures (cables.json) here.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
 def command(
     folder: Path,
@@ -136,7 +144,7 @@ def command(
     """Cross-validate `wrod identify` on recordings of rods in motion.
 
     Every recording is predicted by a model that has not seen it: neither its fit nor the choice of
-    its effects.
+    its effects. With --out a run that was stopped goes on.
     """
     import sys
 
@@ -159,23 +167,38 @@ def command(
                 "choose effects by"
             )
     device = resolve_device(device)
-    rows: dict[Path, list[dict]] = {p: [] for p in paths}
-    jobs = [(str(p), k, number, contiguous, device) for k in range(number) for p in paths]
+    settings = {"folds": number, "contiguous": contiguous, "data": [p.stem for p in paths]}
+    ledger = None
+    if out:
+        out.mkdir(parents=True, exist_ok=True)
+        ledger = Ledger(out / "folds.jsonl", settings, ("rod", "fold"), "cables")
+    rows = list(ledger.rows) if ledger else []
+    have = {(row["rod"], row["fold"]) for row in rows}
+    # The rods in turn, so that a run which is stopped has some of each.
+    jobs = [
+        (str(p), k, number, contiguous, device)
+        for k in range(number)
+        for p in paths
+        if (p.stem, k) not in have
+    ]
     ended = side_by_side.run(fold_row, jobs, workers)
-    for job, row in tqdm(ended, total=len(jobs), disable=None, file=sys.stderr):
-        rows[Path(job[0])].append(row)
-    done = [sorted(rows[p], key=lambda r: r["fold"]) for p in paths]
+    for _, row in tqdm(ended, total=len(jobs), disable=None, file=sys.stderr):
+        rows.append(row)
+        if ledger:
+            ledger.add([row])
+    rows.sort(key=lambda r: (settings["data"].index(r["rod"]), r["fold"]))
+    done = [[r for r in rows if r["rod"] == p.stem] for p in paths]
     found = [summary(r) for r in done]
     content = {
         "machine": machine_line(device),
         "folds": number,
         "contiguous": contiguous,
         "summary": found,
-        "rows": [r for part in done for r in part],
+        "rows": rows,
     }
     text = json.dumps(content, indent=2, allow_nan=False)
     if out:
-        write_atomically(out, lambda file: file.write(text + "\n"))
+        write_atomically(out / "cables.json", lambda file: file.write(text + "\n"))
     if as_json:
         click.echo(text)
         return
@@ -184,4 +207,4 @@ def command(
     for part in found:
         click.echo("\n".join(lines(part)))
     if out:
-        click.echo(f"wrote {out}")
+        click.echo(f"wrote {out / 'cables.json'}")

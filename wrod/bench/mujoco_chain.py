@@ -104,7 +104,6 @@ def chain(
     radius: float,
     friction: float,
     natural_curvature: float = 0.0,
-    twisting: float = 1.0,
     held: int = 0,
     hand: bool = True,
     step: float = 0.004,
@@ -116,7 +115,7 @@ def chain(
     Args:
         nodes: its first shape.
         director: (3,) across the first segment.
-        stiffness: in bending [N m^2]; in twisting `twisting` times as much.
+        stiffness: in bending, and in twisting [N m^2].
         weight: per length [N/m].
         radius: [m].
         friction: coefficient of table and rod.

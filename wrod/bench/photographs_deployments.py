@@ -24,7 +24,7 @@ class Deployments:
     """Simulated deployments, each computed once and kept in a file."""
 
     def __init__(self, path: Path, settings: dict, *, device, threads, quiet, workers=1):
-        self.path, self.workers = path, workers
+        self.path, self.workers, self.device = path, workers, device
         self._ledger = Ledger(path, settings, KEYS, "photographs")
         self._options = {k: settings[k] for k in ("spacing", "step")}
         self._options |= {"device": device, "threads": threads if workers == 1 else 1}

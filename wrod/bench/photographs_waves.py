@@ -1,4 +1,4 @@
-"""What makes the rope's straight line wave: mechanisms one by one, for `wrod bench photographs`."""
+"""What makes straight lines of INT wave: mechanisms one by one, for `wrod bench photographs`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,22 @@ from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.placement import Alignment, rigid
 from wrod.identification.laid.world import HELD, LaidRod, World, plan_without_lead_in
 from wrod.planning.tail import Tail
+from wrod.planning.trajectory import Trajectory
 from wrod.rods.catalogue import rod as preset
+from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 from wrod.solvers.contact import Friction
 
-ROD, PATTERNS = "rope", ("line", "letterU")
-# Length of the rope's wave as it is seen [m].
-_WAVE = 0.28
+RODS, PATTERNS = ("rope", "pink-vps"), ("line", "letterU")
+# Length of the waves as they are seen, of both rods, and its phase in the rope [m].
+_WAVE, _PHASE = 0.28, 0.045
+# Ways round that a rod may be rolled in the grip.
+_ROLLS = 8
+# By how much a grip may shake [m].
+_SHAKE = 5e-3
+# Mechanisms laid in one batch.
+_TOGETHER = 16
 _STEP, _FAST_STEP, _SPACING = 0.025, 0.0125, 0.01
 # Where a line's wave is measured [m].
 _FROM, _TO = 0.05, 0.42
@@ -42,6 +50,7 @@ class Mechanism:
         wave: amplitude of a natural curvature in the plane that alternates, `_WAVE` long [1/m].
         twist: natural twist of a straight rod [rad/m].
         speed: of laying [m/s].
+        shake: sideways amplitude of the grip, `_WAVE` long on the table [m].
     """
 
     cause: str
@@ -53,106 +62,167 @@ class Mechanism:
     wave: float = 0.0
     twist: float = 0.0
     speed: float = 0.02
+    shake: float = 0.0
 
-    def rod(self) -> RodModel:
-        rod = RodModel.of(self.world.rod(preset(ROD)))
+    def rod(self, name: str) -> RodModel:
+        rod = RodModel.of(self.world.rod(preset(name)))
         if self.helix or self.twist:
             rod = replace(rod, natural_twist=Profile((2.0 * np.pi * self.helix + self.twist,)))
         if self.wave:
             s = np.linspace(0.0, rod.length, 120)
-            bend = self.wave * np.cos(2.0 * np.pi * (s - 0.045) / _WAVE)
+            bend = self.wave * np.cos(2.0 * np.pi * (s - _PHASE) / _WAVE)
             rod = replace(rod, natural_curvature=(Profile(tuple(bend), tuple(s)), Profile((0.0,))))
         return rod
 
+    def path(self, photograph: LaidPhotograph, rod: RodMaterial) -> Trajectory:
+        path = plan_without_lead_in(photograph.pattern, rod, "intuitive")
+        if not self.shake:
+            return path
+        along = path.pattern_arc_length
+        tangent = photograph.pattern.sample(np.clip(along, 0.0, photograph.pattern.length))[1]
+        left = np.cross([0.0, 0.0, 1.0], tangent)
+        off = self.shake * np.sin(2.0 * np.pi * along / _WAVE)
+        return replace(path, position=path.position + off[:, None] * left)
 
-def mechanisms() -> list[Mechanism]:
-    """All that were looked at, each both ways round."""
-    straight = World(0.4, radius_ratio=0.5)
-    found = [Mechanism("straight, its start held", "", replace(straight, held=True))]
+
+# How much of a rod hangs too low [m] and stretches, and what bends it by itself [1/m].
+_OF_ROD: dict[str, tuple[tuple[float, ...], float, tuple[float, ...]]] = {
+    "rope": ((0.01, 0.03), 0.5, (4.0, 7.0)),
+    "pink-vps": ((0.004, 0.012, 0.022), 1.0, (2.0, 4.0)),
+}
+
+
+def mechanisms(rod: str = RODS[0]) -> list[Mechanism]:
+    """All that were looked at, each as many ways round as there are."""
+    excesses, thin, bends = _OF_ROD[rod]
+    straight = World(0.4, radius_ratio=thin)
+    held = replace(straight, held=True)
+    found = [Mechanism("straight, its start held", "", held)]
     for sense, roll in (("left", 0.0), ("right", np.pi)):
         bent = replace(straight, curvature=2.0, roll=float(roll))
-        little, much = replace(bent, excess=0.01), replace(bent, excess=0.03)
+        little, much = (replace(bent, excess=e) for e in (excesses[0], excesses[-1]))
         sign = float(np.cos(roll))
         found += [
-            Mechanism("hung, 10 mm too long", sense, little),
-            Mechanism("hung, 30 mm too long", sense, much),
+            Mechanism(f"hung, {1e3 * e:.0f} mm too long", sense, replace(bent, excess=e))
+            for e in excesses
+        ]
+        found += [
             Mechanism("stick and slip (0.6, 0.2)", sense, replace(little, friction=0.6), 1.0 / 3.0),
             Mechanism("rolls on the table", sense, little, rolling=True),
-            Mechanism("helix of the strands' set", sense, replace(little, curvature=7.0),
-                      helix=1.0 / _WAVE),
-            Mechanism("bends set in, in the plane", sense, replace(straight, held=True),
-                      wave=7.0 * sign),
-            Mechanism("twisted in, 1 turn a metre", sense, replace(straight, held=True),
-                      twist=2.0 * np.pi * sign),
+            Mechanism("bends set in, in the plane", sense, held, wave=bends[-1] * sign),
+            Mechanism("twisted in, 1 turn a metre", sense, held, twist=2.0 * np.pi * sign),
+            Mechanism(f"the grip shakes by {1e3 * _SHAKE:.0f} mm", sense, held,
+                      shake=_SHAKE * sign),
             Mechanism("laid at 0.22 m/s: it sways", sense, replace(much, curvature=1.5),
                       speed=0.22),
         ]  # fmt: skip
+    for k in range(_ROLLS):
+        roll = 2.0 * np.pi * k / _ROLLS
+        for size in bends:
+            for start, world in (("held", held), ("hung", replace(straight, excess=excesses[0]))):
+                bent = replace(world, curvature=size, roll=roll)
+                found += [
+                    Mechanism(f"bent by {size:g} /m, {start}", _rolled(k), bent),
+                    *(
+                        Mechanism(f"helix of {size:g} /m, {start}", f"{hand}, {_rolled(k)}", bent,
+                                  helix=turns / _WAVE)
+                        for hand, turns in (("left-handed", -1.0), ("right-handed", 1.0))
+                    ),
+                ]  # fmt: skip
     return found
+
+
+def _rolled(k: int) -> str:
+    return f"rolled by {360 * k // _ROLLS}"
 
 
 def waves(
     photographs: list[LaidPhotograph], verdicts: list[Verdict], laid: Deployments, out: Path
 ) -> tuple[dict, list[Path]]:
-    """Lay every mechanism along the rope's line and U; table, and a picture of the line."""
-    own = {p.pattern_name: p for p in photographs if p.rod == ROD}
-    if not all(name in own for name in PATTERNS):
-        return {"rows": [], "text": ""}, []
-    camera = verdicts[0].camera
-    jobs = [(own[name], one) for one in mechanisms() for name in PATTERNS]
-    rods = laid.map(_lay, jobs)
+    """Lay every mechanism along the lines and U's of `RODS`; tables, and pictures of the lines."""
+    found: dict[str, Any] = {"rods": {}, "text": ""}
+    files = []
+    for rod in RODS:
+        own = {p.pattern_name: p for p in photographs if p.rod == rod}
+        if all(name in own for name in PATTERNS):
+            figures, path = _waves_of(rod, own, verdicts[0].camera, laid, out)
+            found["rods"][rod] = figures
+            found["text"] += figures.pop("text")
+            files.append(path)
+    return found, files
+
+
+def _waves_of(rod: str, own: dict[str, LaidPhotograph], camera: Camera, laid, out: Path):
+    every = mechanisms(rod)
+    jobs = [(own[name], group, laid.device) for name in PATTERNS for group in _laid_together(every)]
     placed = {
-        (one.cause, one.sense, p.pattern_name): _placed(p, rod, camera)
-        for (p, one), rod in zip(jobs, rods, strict=True)
+        (one.cause, one.sense, p.pattern_name): _placed(p, where, camera)
+        for (p, group, _), rods in zip(jobs, laid.map(_lay, jobs), strict=True)
+        for one, where in zip(group, rods, strict=True)
     }
     rows: list[dict[str, Any]] = []
-    for cause in dict.fromkeys(one.cause for one in mechanisms()):
-        senses = [one.sense for one in mechanisms() if one.cause == cause]
+    for cause in dict.fromkeys(one.cause for one in every):
+        senses = [one.sense for one in every if one.cause == cause]
         best = min(senses, key=lambda s: _mean(placed[cause, s, "line"]))
-        line, other = placed[cause, best, "line"], placed[cause, best, "letterU"]
+        line = placed[cause, best, "line"]
         rows.append(
             {
                 "cause": cause,
                 "sense": best,
                 "line_mm": 1e3 * _mean(line),
                 "height_mm": 0.0 if line is None else 1e3 * _height(line.curve),
-                "letterU_mm": 1e3 * _mean(other),
+                "letterU_mm": 1e3 * _mean(placed[cause, best, "letterU"]),
+                "letterU_best_mm": 1e3 * min(_mean(placed[cause, s, "letterU"]) for s in senses),
+                "senses": len(senses),
             }
         )
     seen = 1e3 * _height(own["line"].points)
     text = [
-        f"The rope's waves ({seen:.0f} mm from crest to trough), one mechanism at a time [mm]",
+        f"The {rod}'s waves ({seen:.1f} mm from crest to trough), one mechanism at a time [mm]",
         "",
-        "| mechanism (better sense) | line | its height | U in the same world |",
-        "| --- | --- | --- | --- |",
+        "| mechanism (best sense) | line | its height | U in the same world | U in its own best |",
+        "| --- | --- | --- | --- | --- |",
         *(
             f"| {r['cause']}{r['sense'] and ', ' + r['sense']} | {r['line_mm']:.1f} | "
-            f"{r['height_mm']:.0f} | {r['letterU_mm']:.1f} |"
+            f"{r['height_mm']:.0f} | {r['letterU_mm']:.1f} | {r['letterU_best_mm']:.1f} of "
+            f"{r['senses']} |"
             for r in rows
         ),
     ]
     lines = {row["cause"]: placed[row["cause"], row["sense"], "line"] for row in rows}
-    written = [_draw(own["line"], lines, out / "waves.png")]
-    return {"rows": rows, "seen_mm": seen, "text": "\n".join(text) + "\n"}, written
+    path = _draw(own["line"], lines, out / f"waves-{rod}.png")
+    return {"rows": rows, "seen_mm": seen, "text": "\n".join(text) + "\n\n"}, path
 
 
-def _lay(photograph: LaidPhotograph, one: Mechanism) -> LaidRod:
-    believed = preset(ROD)
-    path = plan_without_lead_in(photograph.pattern, believed, "intuitive")
-    end = Tail.none(path)
-    mu = one.world.friction
-    law = Friction(mu, one.kinetic * mu, rolling=one.rolling)
-    fast = one.speed > 0.05
-    (laid,) = simulate_deployments(
-        [Trial(photograph.pattern, one.rod(), path, law, tail=end)],
-        hold=HELD if one.world.held else 0.0,
+def _laid_together(every: list[Mechanism]) -> list[list[Mechanism]]:
+    """Groups that begin alike, at one speed, and roll or do not."""
+    groups: dict[tuple, list[Mechanism]] = {}
+    for one in every:
+        groups.setdefault((one.world.held, one.speed, one.rolling), []).append(one)
+    return [g[k : k + _TOGETHER] for g in groups.values() for k in range(0, len(g), _TOGETHER)]
+
+
+def _lay(photograph: LaidPhotograph, group: list[Mechanism], device: str) -> list[LaidRod]:
+    trials = []
+    for one in group:
+        path = one.path(photograph, preset(photograph.rod))
+        mu = one.world.friction
+        law = Friction(mu, one.kinetic * mu, rolling=one.rolling)
+        rod = one.rod(photograph.rod)
+        trials.append(Trial(photograph.pattern, rod, path, law, tail=Tail.none(path)))
+    fast = group[0].speed > 0.05
+    laid = simulate_deployments(
+        trials,
+        hold=HELD if group[0].world.held else 0.0,
         spacing=_SPACING,
         step=_FAST_STEP if fast else _STEP,
-        speed=one.speed,
+        speed=group[0].speed,
         # Slow laying does not swing; what swings is damped as a rope in air is.
         air_damping=0.3 if fast else None,
+        device=device,
         threads=1,
     )
-    return LaidRod(laid.arc_length, laid.centerline, not laid.diverged)
+    return [LaidRod(one.arc_length, one.centerline, not one.diverged) for one in laid]
 
 
 def _placed(photograph: LaidPhotograph, rod: LaidRod, camera: Camera) -> Alignment | None:
@@ -191,8 +261,9 @@ def _draw(photograph: LaidPhotograph, lines: dict[str, Alignment | None], path: 
         axis.set_title(f"{cause}: {1e3 * _mean(placed):.1f} mm", fontsize=8)
         axis.tick_params(labelsize=7)
     low, high = -seen[:, 1].max() - 0.03, -seen[:, 1].min() + 0.03
+    reach = max(20.0, 1e3 * 2.5 * np.abs(seen[:, 0] - seen[:, 0].mean()).max())
     axes.flat[0].set_xlim(low, high)
-    axes.flat[0].set_ylim(-40.0, 40.0)
+    axes.flat[0].set_ylim(1e3 * seen[:, 0].mean() - reach, 1e3 * seen[:, 0].mean() + reach)
     figure.supxlabel("along the line [m]", fontsize=8)
     figure.supylabel("across [mm]", fontsize=8)
     figure.tight_layout()

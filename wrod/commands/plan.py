@@ -41,8 +41,8 @@ _GRASPS = (
         "--controller",
         "controller_file",
         type=click.Path(path_type=Path),
-        help="Controller that `wrod train` made, of this naturally curved rod for one; default: "
-        "the one that ships, for straight rods.",
+        help="Controller that `wrod train` made, its file or folder; of a naturally curved rod it "
+        "has to be that rod's. Default: those that ship, for straight rods.",
     ),
     click.option(
         "--spacing", default=0.0025, show_default=True, help="Distance between nodes [m]."
@@ -155,7 +155,7 @@ def command(
     from wrod.planning.roll import read_roll
 
     how, chosen = grasps.read(), None if device == "auto" else device
-    request.check()
+    request = request.check()
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
 

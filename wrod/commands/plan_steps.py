@@ -163,6 +163,7 @@ def _followed(request, trajectory, rod, softer):
 
 def _remedy(request, failed, rod, curve, planned, size) -> str | None:
     """An option with which the joint path was found, or None."""
+    import time
     import warnings
 
     from wrod.errors import WrodError
@@ -170,11 +171,18 @@ def _remedy(request, failed, rod, curve, planned, size) -> str | None:
     from wrod.robot.remedy import remedies
 
     resize, hold = size
+    until = time.monotonic() + _REMEDY
 
     def places(heights):
         return candidates(failed.task.trajectory, failed.task.robot, heights=heights)
 
-    for change in remedies(failed, rod, curve.length + curve.remainder_length, places):
+    length = curve.length + curve.remainder_length
+    for change in remedies(failed, rod, length, places, until):
+        if time.monotonic() > until:
+            return (
+                f"nothing that helps was found in {_REMEDY / 60:.0f} minutes; use a smaller "
+                "pattern, or another arm"
+            )
         (name, value), *_ = change.items()
         try:
             with warnings.catch_warnings():
@@ -235,7 +243,8 @@ def again(**changes) -> str:
     return shlex.join([*words[:2], *given, *words[2:]])
 
 
-_SEARCH = 600.0  # [s] of looking for a size that an arm can lay
+# [s] of looking for what would help an arm, and for a size that it can lay.
+_REMEDY, _SEARCH = 180.0, 600.0
 
 
 def fitting(request, tries, planned, reason) -> str:

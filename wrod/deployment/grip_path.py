@@ -155,10 +155,10 @@ class GripMotion:
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
         batch = self.batch
-        wp.launch(
+        batch.launch(
             kernels.prescribe,
-            dim=batch.rod_count,
-            inputs=[
+            batch.rod_count,
+            [
                 wp.float64(KEY_INTERVAL),
                 self.position,
                 self.rotation,
@@ -173,6 +173,5 @@ class GripMotion:
                 start.tangent,
                 start.director,
             ],
-            outputs=[batch.free, batch.state.dof],
-            device=batch.device,
+            [batch.free, batch.state.dof],
         )

@@ -53,7 +53,8 @@ _COARSE_ITERATIONS, _FINE_ITERATIONS = 3, 3
 _WIDE = 1.5
 # A saving of the sample [m] that nobody doubts.
 _PLAIN = 1e-3
-# An iteration that leaves more than this part of the error is the last.
+# An iteration that leaves more than this part of the error is the last, and one that would by its
+# model, of squares, is not tried.
 _DONE = 0.95
 
 
@@ -288,9 +289,10 @@ def _descend(
     for _ in range(count):
         step = -np.linalg.solve(best.matrix, best.slope)
         length = float(np.abs(step).max())
-        tried = yield from problem.at(
-            how, best.values + step * min(1.0, radius / max(length, 1e-12))
-        )
+        step *= min(1.0, radius / max(length, 1e-12))
+        if best.saved(step) < 1.0 - _DONE**2:
+            break
+        tried = yield from problem.at(how, best.values + step)
         history.append(float(tried.errors.mean()))
         if tried.measure < best.measure:
             enough = tried.measure > _DONE * best.measure

@@ -65,6 +65,7 @@ class Disturbance:
     seed: int = 0
     slip: float = 0.0
 
+    @arguments.checked(RodError)
     def __post_init__(self) -> None:
         number, two = arguments.number(-1e6, 1e6), arguments.array((2,))
         for name, check in (

@@ -87,6 +87,7 @@ class SolverDER(RodBuilding, SolverBase):
         contact_stiffness=arguments.optional(arguments.number()),
         self_contact=arguments.optional(arguments.number(0.0, 1e3)),
         rod_contact=arguments.optional(arguments.number(0.0, 1e3)),
+        bodies=arguments.either(arguments.text, arguments.indices),
     )
     def __init__(
         self,

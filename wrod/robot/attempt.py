@@ -20,6 +20,7 @@ from wrod.robot.search import Branch, find_branches, follow_from
 
 _COARSE = 0.025  # [m] of travel between the samples that are searched and improved
 _LAID = 0.004  # [m] between the points of the laid rod that gaps are measured to
+_OVER_TABLE = 0.03  # [m] above the table, from where on the rod keeps clear of obstacles
 _HANGING, _HELD = 25, 0.06  # points of the hanging rod; [m] of it that are in the gripper's reach
 _RANKED = 24  # different branches whose obstacles are looked at
 _TRIED = 4  # branches that are improved and compared
@@ -168,19 +169,46 @@ class Task:
         )
         # Between the spline's knots, where nothing was solved: the honest place to check.
         check = np.sort(np.concatenate([self.path.travel, (knots[:-1] + knots[1:]) / 2]))
-        report = inspect(
-            self.robot,
-            self.model,
-            self.path,
-            self.trajectory.arc_length,
-            check,
-            spline(check),
-            targets(check),
-            self.surroundings(branch.placement, check),
-            self.limit_margin,
-            self.clearance,
-        )
+        report = self.inspected(branch.placement, check, spline(check), targets(check))
         return Solution(branch, spline, report)
+
+    def inspected(self, placement: Placement, travel, positions, targets) -> PathReport:
+        """What joint positions (K, n) keep at samples of travel (K,), and the rod with them."""
+        around = self.surroundings(placement, travel)
+        report = inspect(
+            self.robot, self.model, self.path, self.trajectory.arc_length, travel, positions,
+            targets, around, self.limit_margin, self.clearance,
+        )  # fmt: skip
+        gap, sample = self.rod_gap(around)
+        if gap >= self.clearance or report.problem is not None:
+            return report
+        node = self.path.node_of(travel[sample])
+        problem = (
+            f"the hanging rod comes within {1e3 * max(gap, 0.0):.0f} mm of an obstacle at node "
+            f"{node} (arc length {self.trajectory.arc_length[node]:.3f} m)"
+        )
+        return replace(report, problem=problem, shortfall=50.0 + self.clearance - gap)
+
+    def rod_gap(self, around: Surroundings) -> tuple[float, int]:
+        """Least gap of the hanging rod to an obstacle [m], and at which sample."""
+        if around.hanging is None or self.obstacles is None:
+            return math.inf, 0
+        least = np.full(around.hanging.shape[:2], math.inf)
+        low, high = around.hanging.min((0, 1)), around.hanging.max((0, 1))
+        for start, end, radius in zip(*self.obstacles, strict=True):
+            reach = radius + self.rod_radius + self.clearance
+            near = np.minimum(start, end) - reach < high
+            if not (near & (np.maximum(start, end) + reach > low)).all():
+                continue
+            along = end - start
+            share = (around.hanging - start) @ along / max(float(along @ along), 1e-12)
+            nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
+            away = np.linalg.norm(around.hanging - nearest, axis=2) - radius - self.rod_radius
+            least = np.minimum(least, away)
+        # What is near the table touches what the table is given as.
+        least[around.hanging[..., 2] < around.table_height + _OVER_TABLE] = math.inf
+        sample = int(least.min(1).argmin())
+        return float(least.min()), sample
 
 
 def hanging_rod(trajectory: Trajectory) -> np.ndarray | None:

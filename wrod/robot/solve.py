@@ -38,6 +38,7 @@ class UnreachedError(RobotError):
         self.task, self.best, self.places = task, best, places
 
 
+_MANY, _PLACES = 400, 24  # places that are looked at for the rod's sake, and for the arm's
 _LOST = 0.3  # [m] miss of the nearest branch from which on other grip angles are not tried
 _REFINED = 4  # branches that are varied where none was good enough as it was
 _DEEPER, _ROUNDS = 5, 8  # further searches near the best of them, and their rounds
@@ -61,6 +62,7 @@ _DEEPER, _ROUNDS = 5, 8  # further searches near the best of them, and their rou
     limit_margin=arguments.number(0.0, 3.0),
     clearance=arguments.number(0.0, 1.0),
     rod_radius=arguments.number(1e-6, 1.0),
+    whole_job=arguments.flag,
 )
 def solve_joint_path(
     trajectory: Trajectory,
@@ -140,13 +142,25 @@ def _places(task: Task, fixed: Placement | None, table_height) -> list[Placement
     """Where the pattern may lie: at the given place, or at those that keep it within reach."""
     arm = task.robot
     heights = arm.table_heights if table_height is None else (float(table_height),)
-    places = [fixed] if fixed else candidates(task.trajectory, arm, heights=heights)
+    count = _PLACES if task.obstacles is None else _MANY
+    places = [fixed] if fixed else candidates(task.trajectory, arm, count, heights)
     if not places:
         raise RobotError(
             "the pattern is too large for this robot: no placement keeps it within reach and "
             "off the pedestal"
         )
-    return places
+    if task.obstacles is None:
+        return places
+    rooms = [task.rod_gap(task.surroundings(place, task.travel)) for place in places]
+    free = [place for place, (gap, _) in zip(places, rooms, strict=True) if gap > task.clearance]
+    if not free:
+        gap, sample = max(rooms)
+        node = task.path.node_of(task.travel[sample])
+        raise RobotError(
+            f"the hanging rod comes within {1e3 * max(gap, 0.0):.0f} mm of an obstacle at node "
+            f"{node}{'' if fixed else ', wherever the pattern is placed'}; move the obstacle"
+        )
+    return free[:_PLACES]
 
 
 def _solved(task: Task, places: list[Placement], angles, fixed: Placement | None) -> Solution:

@@ -12,7 +12,6 @@ from wrod.robot.grip import GripPath
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import refine
 from wrod.robot.knots import COARSEST, joint_spline
-from wrod.robot.report import inspect
 from wrod.robot.timing import schedule
 
 FINGERS = 0.012  # [m] from the grasp point to the outside of the gripper's fingers
@@ -79,11 +78,7 @@ def _followed(path: JointPath, task: Task, begin: float, end: float) -> LaidTail
     knots = np.linspace(begin, end, max(8, int(np.ceil((end - begin) / COARSEST)) + 1))
     spline, knots = joint_spline(task.robot, targets, coarse, np.array(followed), knots)
     check = np.sort(np.concatenate([knots, (knots[:-1] + knots[1:]) / 2]))
-    report = inspect(
-        task.robot, task.model, task.path, task.trajectory.arc_length, check, spline(check),
-        targets(check), task.surroundings(path.placement, check), task.limit_margin,
-        task.clearance,
-    )  # fmt: skip
+    report = task.inspected(path.placement, check, spline(check), targets(check))
     if report.problem is not None:
         return None
 

@@ -109,7 +109,7 @@ class BatchArrays:
 
     def _inelastic(self, number) -> wp.array | None:
         """The rods' laws that remember, and what they remember; None where there are none."""
-        number = np.asarray(number, dtype=np.float64)
+        number = arguments.floats(number, "RodBatch: inelastic", RodError)
         if not number.any():
             return None
         shape = (self.rod_count, self.node_count)
@@ -242,11 +242,14 @@ class BatchArrays:
             raise RodError(f"free has shape {np.shape(free)}; give {shape}") from None
         self.free.assign(free.astype(np.int32))
 
+    def launch(self, kernel: wp.Kernel, dim, inputs: list, outputs: Sequence = ()) -> None:
+        """Launch a kernel on the batch's device."""
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
+
     def _launch_twist(self, source: RodState, target: RodState, active: wp.array) -> None:
-        wp.launch(
+        self.launch(
             reference_twist,
-            dim=(self.rod_count, self.node_count - 2),
-            inputs=[active, target.tangent, target.director, source.reference_twist],
-            outputs=[target.reference_twist],
-            device=self.device,
+            (self.rod_count, self.node_count - 2),
+            [active, target.tangent, target.director, source.reference_twist],
+            [target.reference_twist],
         )

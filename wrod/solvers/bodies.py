@@ -79,12 +79,9 @@ class Bodies:
                         out[row, 4 * h["edge"] + 3] = 1
         return out
 
-    def _launch(self, kernel, dim, inputs, outputs=()) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.batch.device)
-
     def begin(self, starting: wp.array, span: wp.array, start: RodState) -> None:
         """Predict where bodies are at the end of a step, and put there what they hold."""
-        self._launch(
+        self.batch.launch(
             kernels.predict_bodies,
             self.body.shape,
             [self.body, starting, span, self._before],
@@ -94,7 +91,7 @@ class Bodies:
 
     def put(self, chosen: wp.array, start: RodState) -> None:
         """Put what the bodies of the chosen rows hold to where they are."""
-        self._launch(
+        self.batch.launch(
             kernels.place_held,
             self.hold.shape,
             [self.body, self.hold, chosen, self._now, start.tangent, start.director],
@@ -103,7 +100,7 @@ class Bodies:
 
     def balance(self, steps: Steps) -> None:
         """Residuals of the bodies, which take back the convergence of rows they are large in."""
-        self._launch(
+        self.batch.launch(
             kernels.body_balance,
             self.body.shape,
             [
@@ -124,7 +121,7 @@ class Bodies:
             ],
             [self._now, self._residual, self._matrix],
         )
-        self._launch(
+        self.batch.launch(
             kernels.refuse_unbalanced,
             self.batch.rod_count,
             [
@@ -141,13 +138,13 @@ class Bodies:
     def load(self, steps: Steps) -> None:
         """Right-hand sides of the rods' system: the residual, and one for each motion."""
         out, active, x = self.batch.derivatives, steps.active, steps.system.x
-        self._launch(
+        self.batch.launch(
             body_system.spread_motion,
             self.hold.shape,
             [self.hold, active, self._now, self.batch.state.dof],
             [self._motion],
         )
-        self._launch(
+        self.batch.launch(
             multiply,
             self._motion.shape,
             [active, out.hessian, self._motion],
@@ -155,24 +152,26 @@ class Bodies:
         )
         if steps.rod_contact is not None:
             steps.system.multiply_pairs(active, self._motion, self._column)
-        self._launch(body_system.load_bodies, x.shape, [active, out.gradient, self._column], [x])
+        self.batch.launch(
+            body_system.load_bodies, x.shape, [active, out.gradient, self._column], [x]
+        )
 
     def solve(self, steps: Steps) -> None:
         """The bodies' part of the Newton step out of the solutions of `load`; the rods' then."""
         active, free, x = steps.active, self.batch.free, steps.system.x
-        self._launch(
+        self.batch.launch(
             body_system.condense,
             self._small.shape,
             [active, free, self._motion, self._column, x, self._residual, self._matrix],
             [self._small],
         )
-        self._launch(
+        self.batch.launch(
             body_system.solve_bodies,
             self.batch.rod_count,
             [self.body, active],
             [self._small, self._step, self._fraction],
         )
-        self._launch(
+        self.batch.launch(
             body_system.combine,
             (x.shape[0], x.shape[2]),
             [active, free, self._motion, self._step, self._fraction],
@@ -181,7 +180,7 @@ class Bodies:
 
     def move(self, steps: Steps) -> None:
         """Take the step that the rods have taken."""
-        self._launch(
+        self.batch.launch(
             body_system.move_bodies,
             self.body.shape,
             [self.body, steps.active, self._step, self._fraction]
@@ -192,7 +191,7 @@ class Bodies:
 
     def finish(self, steps: Steps) -> None:
         """Carry accepted steps over to the next, and take rejected ones back."""
-        self._launch(
+        self.batch.launch(
             kernels.finish_bodies,
             self.body.shape,
             [steps.accepted, steps.rejected, steps.step, steps.span],
@@ -201,7 +200,7 @@ class Bodies:
 
     def find_changes(self, body_q: wp.array, body_qd: wp.array, changed: wp.array) -> None:
         """Raise `changed` (row,) where a simulator's bodies are not as `write` left them."""
-        self._launch(
+        self.batch.launch(
             body_exchange.find_moved_bodies,
             self.body.shape,
             [self.body, body_q, body_qd, self._written_q, self._written_qd],
@@ -211,14 +210,14 @@ class Bodies:
     def read(self, chosen: wp.array, body_q, body_qd, body_f, start: RodState, velocity) -> None:
         """Take a simulator's bodies up in the chosen rows, what they hold with them, and the
         forces on all."""
-        self._launch(
+        self.batch.launch(
             body_exchange.read_bodies,
             self.body.shape,
             [self.body, chosen, body_q, body_qd, body_f],
             [self._now, self._before, self.force, self.torque],
         )
         self.put(chosen, start)
-        self._launch(
+        self.batch.launch(
             body_exchange.carry_velocity,
             self.hold.shape,
             [self.body, self.hold, chosen, self._before, self.batch.state.dof],
@@ -227,7 +226,7 @@ class Bodies:
 
     def write(self, body_q: wp.array, body_qd: wp.array) -> None:
         """Give a simulator its bodies back, in its precision."""
-        self._launch(
+        self.batch.launch(
             body_exchange.write_bodies,
             self.body.shape,
             [self.body, self._now, self._before],

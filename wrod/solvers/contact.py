@@ -130,7 +130,11 @@ class Contact:
             return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
 
         shapes, static, kinetic, rolling, roll = self._table()
-        idle = np.zeros((rods, nodes), dtype=bool) if self.passive is None else self.passive
+        idle = np.zeros((rods, nodes), dtype=bool)
+        if self.passive is not None:
+            if arguments.truths(self.passive) or np.shape(self.passive) != (rods, nodes):
+                raise RodError(f"Contact: passive must be truths of shape {(rods, nodes)}")
+            idle = np.asarray(self.passive)
         damping = contact_damping(np.broadcast_to(self.restitution, (rods,)))
         ratio = batch.node_mass.numpy() / (stiffness * _node_lengths(batch))
         field = self.friction_field
@@ -269,23 +273,20 @@ class Contact:
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces and stiffness at `dof` to the batch's gradient and Hessian."""
         out = self.batch.derivatives
-        wp.launch(
+        self.batch.launch(
             kernels.contact,
-            dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[self._model, self.time_step, active, dof, dof_before]
-            + [self._bristle, self._sliding],
-            outputs=[out.gradient, out.hessian],
-            device=self.batch.device,
+            (self.batch.rod_count, self.batch.node_count),
+            [self._model, self.time_step, active, dof, dof_before] + [self._bristle, self._sliding],
+            [out.gradient, out.hessian],
         )
         if self._has_fixtures:
             self._edges.add(self.time_step, active, dof, dof_before)
         if self._keeps:
-            wp.launch(
+            self.batch.launch(
                 rolls.hold_roll,
-                dim=(self.batch.rod_count, self.batch.node_count),
-                inputs=[self._model, self.time_step, active, dof, dof_before, self._turned],
-                outputs=[out.gradient, out.hessian],
-                device=self.batch.device,
+                (self.batch.rod_count, self.batch.node_count),
+                [self._model, self.time_step, active, dof, dof_before, self._turned],
+                [out.gradient, out.hessian],
             )
 
     def linearise(
@@ -298,13 +299,12 @@ class Contact:
             dof, dof_before: (rod, dof) at the end and at the start of the steps.
             outputs: (rod, node) each: see `wrod.kernels.contact.linearised`.
         """
-        wp.launch(
+        self.batch.launch(
             linearised.linearise_contact,
-            dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[self._model, self.time_step, accepted, dof, dof_before]
+            (self.batch.rod_count, self.batch.node_count),
+            [self._model, self.time_step, accepted, dof, dof_before]
             + [self._bristle, self._sliding, self._turned],
-            outputs=outputs,
-            device=self.batch.device,
+            outputs,
         )
 
     @property
@@ -318,21 +318,9 @@ class Contact:
             (self._bristle, self._sliding),
             (self._edges.bristle, self._edges.sliding),
         ):
-            wp.launch(
-                kernels.forget_friction,
-                dim=bristle.shape,
-                inputs=[chosen],
-                outputs=[bristle, sliding],
-                device=self.batch.device,
-            )
+            self.batch.launch(kernels.forget_friction, bristle.shape, [chosen], [bristle, sliding])
         for turned in (self._turned, self._edges.turned):
-            wp.launch(
-                rolls.forget_roll,
-                dim=turned.shape,
-                inputs=[chosen],
-                outputs=[turned],
-                device=self.batch.device,
-            )
+            self.batch.launch(rolls.forget_roll, turned.shape, [chosen], [turned])
 
     def refuse(
         self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array
@@ -345,32 +333,29 @@ class Contact:
         self, chosen: wp.array, dof: wp.array, dof_before: wp.array, touching: wp.array
     ) -> None:
         """Raise `touching` (rod,) of the chosen rods to 1 where they touch, to 2 in an impact."""
-        wp.launch(
+        self.batch.launch(
             kernels.find_touching,
-            dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[self._model, chosen, dof, dof_before],
-            outputs=[touching],
-            device=self.batch.device,
+            (self.batch.rod_count, self.batch.node_count),
+            [self._model, chosen, dof, dof_before],
+            [touching],
         )
         if self._has_fixtures:
             self._edges.find_touching(chosen, dof, dof_before, touching)
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
-        wp.launch(
+        self.batch.launch(
             kernels.settle_friction,
-            dim=(self.batch.rod_count, self.batch.node_count),
-            inputs=[self._model, self.time_step, accepted, dof, dof_before],
-            outputs=[self._bristle, self._sliding, self.slip, self.force],
-            device=self.batch.device,
+            (self.batch.rod_count, self.batch.node_count),
+            [self._model, self.time_step, accepted, dof, dof_before],
+            [self._bristle, self._sliding, self.slip, self.force],
         )
         if self._keeps:
-            wp.launch(
+            self.batch.launch(
                 rolls.settle_roll,
-                dim=(self.batch.rod_count, self.batch.node_count),
-                inputs=[self._model, self.time_step, accepted, dof, dof_before],
-                outputs=[self._turned],
-                device=self.batch.device,
+                (self.batch.rod_count, self.batch.node_count),
+                [self._model, self.time_step, accepted, dof, dof_before],
+                [self._turned],
             )
         if self._has_fixtures:
             self._edges.settle(self.time_step, accepted, dof, dof_before, self.slip, self.force)

@@ -56,7 +56,7 @@ class EdgeContact:
     def _launch(self, kernel, inputs, outputs) -> None:
         batch = self.batch
         dim = (batch.rod_count, batch.node_count - 1)
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=batch.device)
+        batch.launch(kernel, dim, inputs, outputs)
 
     def add(self, step: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         out, old = self.batch.derivatives, [self.bristle, self.sliding, self.turned]
@@ -73,13 +73,7 @@ class EdgeContact:
     def settle(self, step, accepted, dof, dof_before, slip: wp.array, force: wp.array) -> None:
         inputs = [self._model, step, accepted, dof, dof_before]
         pushes = [self.push, self.moment]
-        wp.launch(
-            kernels.clear_pushes,
-            dim=self.push.shape,
-            inputs=[accepted],
-            outputs=pushes,
-            device=self.batch.device,
-        )
+        self.batch.launch(kernels.clear_pushes, self.push.shape, [accepted], pushes)
         outputs = [self.bristle, self.sliding, self.turned, slip, force, *pushes]
         self._launch(kernels.settle_edges, inputs, outputs)
 

@@ -45,10 +45,9 @@ class InternalVariables:
 
     def _launch(self, kernel: wp.Kernel, inputs: list, columns: int | None = None) -> None:
         batch = self.batch
-        wp.launch(
+        batch.launch(
             kernel,
-            dim=(batch.rod_count, batch.node_count if columns is None else columns),
-            inputs=inputs,
-            outputs=[batch.inelastic],
-            device=batch.device,
+            (batch.rod_count, batch.node_count if columns is None else columns),
+            inputs,
+            [batch.inelastic],
         )

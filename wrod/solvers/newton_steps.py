@@ -119,12 +119,11 @@ class NewtonSteps(Steps):
             [out.gradient, out.hessian],
         )
         if self.drag is not None:
-            wp.launch(
+            batch.launch(
                 kernels.add_drag,
-                dim=(batch.rod_count, batch.node_count),
-                inputs=[self.drag, self.pace, dof, start.dof, self.dof_older],
-                outputs=[out.gradient, out.hessian],
-                device=batch.device,
+                (batch.rod_count, batch.node_count),
+                [self.drag, self.pace, dof, start.dof, self.dof_older],
+                [out.gradient, out.hessian],
             )
         for contact in self.contacts:
             contact.add(self.active, dof, start.dof)

@@ -71,7 +71,9 @@ class PrescribedMotion:
         slides = [slides] * hands if isinstance(slides, str) else slides
         texts = isinstance(slides, (list, tuple)) and all(isinstance(s, str) for s in slides)
         if not texts or len(slides) != hands or not all(set(s) <= set(_AXES) for s in slides):
-            raise RodError(f"slides is {slides!r:.80}; give axes, like 'x', one for each held edge")
+            raise RodError(
+                f"slides is {arguments.shown(slides)}; give axes, like 'x', one for each held edge"
+            )
 
         self._edge = wp.array(np.tile(edges, (rods, 1)), dtype=wp.int32, device=device)
         self._part = wp.array(part, dtype=wp.float64, device=device)
@@ -108,13 +110,12 @@ def carry_edges(
             hand), times (key,), position and rotation of each hand's keys.
         running: of the rods; time, step: of each; start: `RodState` at the step's beginning.
     """
-    wp.launch(
+    batch.launch(
         carry,
-        dim=poses[0].shape,
-        inputs=[batch.rest_length, *poses, batch.free, running, time, step]
+        poses[0].shape,
+        [batch.rest_length, *poses, batch.free, running, time, step]
         + [start.dof, start.tangent, start.director],
-        outputs=[batch.state.dof],
-        device=batch.device,
+        [batch.state.dof],
     )
 
 

@@ -72,6 +72,7 @@ class RodContact:
         stiffness=arguments.optional(arguments.array((), (None,))),
         restitution=arguments.array((), (None,)),
         partners=arguments.whole(1, 4096),
+        passive=arguments.optional(arguments.truths),
         smooth=arguments.flag,
     )
     def __init__(
@@ -92,7 +93,7 @@ class RodContact:
         cut = np.zeros((rods, edges), dtype=bool)
         cut[:, list(batch.cut_edges)] = True
         radius = _per_edge(radius, rods, edges)
-        idle = cut if passive is None else cut | passive
+        idle = cut if passive is None else cut | _passive(passive, cut.shape)
         mean_radius = np.where(cut, 0.0, radius).sum(axis=1) / (~cut).sum(axis=1)
         if stiffness is None:
             stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
@@ -146,39 +147,40 @@ class RodContact:
             zeros(wp.int32) for _ in range(5)
         )
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
-        self.rubbing = rubbing = pair_contact.Rubbing()
-        rubbing.bristle, rubbing.load = self.bristle, self.held_load
-        rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
-        rubbing.way, rubbing.turned = (
-            zeros(dtype, edges, partners) for dtype in (wp.vec2d, wp.float64)
-        )
+        self.rubbing = pair_contact.Rubbing()
+        self._share_friction(zeros(wp.vec2d, edges, partners), zeros(wp.float64, edges, partners))
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
         self.configuration: tuple[wp.array, ...] = ()
         self._check_start()
 
+    def _share_friction(self, way: wp.array, turned: wp.array) -> None:
+        """What kernels know of friction."""
+        rubbing = self.rubbing
+        rubbing.bristle, rubbing.load = self.bristle, self.held_load
+        rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
+        rubbing.way, rubbing.turned = way, turned
+
     def prepare(self, starting: wp.array, rejected: wp.array, dof: wp.array) -> None:
         """List the pairs that may touch in a step that starts at `dof`, for the first time or
         because the last trial was rejected."""
         batch = self.batch
-        wp.launch(
+        batch.launch(
             kernels.begin_sticking,
-            dim=batch.rod_count,
-            inputs=[starting, rejected],
-            outputs=[self.sticking, self._overloaded, self._renewals],
-            device=batch.device,
+            batch.rod_count,
+            [starting, rejected],
+            [self.sticking, self._overloaded, self._renewals],
         )
-        wp.launch(
+        batch.launch(
             contact_pairs.bound_groups,
-            dim=self._lower.shape,
-            inputs=[self._splines, starting, dof],
-            outputs=[self._lower, self._upper],
-            device=batch.device,
+            self._lower.shape,
+            [self._splines, starting, dof],
+            [self._lower, self._upper],
         )
-        wp.launch(
+        batch.launch(
             contact_pairs.list_partners,
-            dim=self.partner_count.shape,
-            inputs=[
+            self.partner_count.shape,
+            [
                 self.pieces,
                 self._arc,
                 wp.float64(_SKIP),
@@ -198,37 +200,25 @@ class RodContact:
                 self._new_load,
                 self._new_sliding,
             ],
-            outputs=[self.overflow],
-            device=batch.device,
+            [self.overflow],
         )
-        wp.launch(
-            kernels.hold_loads,
-            dim=self.load.shape,
-            inputs=[starting, self.load],
-            outputs=[self.rubbing],
-            device=batch.device,
-        )
+        batch.launch(kernels.hold_loads, self.load.shape, [starting, self.load], [self.rubbing])
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces at `dof` to the batch's gradient; their stiffness is for `CoupledSystem`."""
         self.configuration = (dof, dof_before)
-        wp.launch(
+        self.batch.launch(
             kernels.rod_contact,
-            dim=self.partner_count.shape,
-            inputs=[self.pieces, self.time_step, active, dof, dof_before]
+            self.partner_count.shape,
+            [self.pieces, self.time_step, active, dof, dof_before]
             + [self.partner_count, self.partner, self.rubbing],
-            outputs=[self.batch.derivatives.gradient, self.depth, self._overloaded],
-            device=self.batch.device,
+            [self.batch.derivatives.gradient, self.depth, self._overloaded],
         )
 
     def restart(self, chosen: wp.array) -> None:
         """Let the rows that are not 0 in `chosen` (rod,) touch everything for the first time."""
-        wp.launch(
-            contact_pairs.forget_partners,
-            dim=self.partner_count.shape,
-            inputs=[chosen],
-            outputs=[self.partner_count],
-            device=self.batch.device,
+        self.batch.launch(
+            contact_pairs.forget_partners, self.partner_count.shape, [chosen], [self.partner_count]
         )
 
     def refuse(
@@ -236,13 +226,12 @@ class RodContact:
     ) -> None:
         """Take back the convergence of steps that are too large for nothing to tunnel, and of those
         whose friction belongs to loads that are not there any more."""
-        wp.launch(
+        self.batch.launch(
             kernels.renew_loads,
-            dim=self.partner_count.shape,
-            inputs=[self.pieces, self.time_step, converged, self._renewals, dof, dof_before]
+            self.partner_count.shape,
+            [self.pieces, self.time_step, converged, self._renewals, dof, dof_before]
             + [self.partner_count, self.partner],
-            outputs=[self.rubbing, self._renewed],
-            device=self.batch.device,
+            [self.rubbing, self._renewed],
         )
         self.batch.walk(
             touching.refuse_large_steps,
@@ -267,13 +256,11 @@ class RodContact:
         self, chosen: wp.array, dof: wp.array, dof_before: wp.array, touching: wp.array
     ) -> None:
         """Raise `touching` (rod,) of the chosen rods to 1 where they touch, to 2 in an impact."""
-        wp.launch(
+        self.batch.launch(
             kernels.find_touching,
-            dim=self.partner_count.shape,
-            inputs=[self.pieces, self.reach, chosen, dof, dof_before]
-            + [self.partner_count, self.partner],
-            outputs=[touching],
-            device=self.batch.device,
+            self.partner_count.shape,
+            [self.pieces, self.reach, chosen, dof, dof_before] + [self.partner_count, self.partner],
+            [touching],
         )
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
@@ -347,6 +334,13 @@ def _laws(friction: list[Friction], stiffness, relaxation, skin) -> list:
         law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
         laws.append(law)
     return laws
+
+
+def _passive(value, shape: tuple[int, int]) -> np.ndarray:
+    found = np.asarray(value)
+    if found.shape not in (shape[1:], shape):
+        raise RodError(f"RodContact: passive has shape {found.shape} and must have {shape}")
+    return found
 
 
 def _per_edge(radius, rods: int, edges: int) -> np.ndarray:

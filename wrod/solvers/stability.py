@@ -102,17 +102,16 @@ def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarra
     unit = np.where(bending > 0.0, bending, np.inf).min(axis=1) / length**4
     hessian = batch.evaluate(order=2).hessian
     shifted = wp.clone(hessian)
-    wp.launch(
+    batch.launch(
         shift_by_mass,
-        dim=mass.shape,
-        inputs=[
+        mass.shape,
+        [
             batch.every_rod,
             hessian,
             wp.array(mass, dtype=wp.float64, device=batch.device),
             wp.array(-neutral * unit, dtype=wp.float64, device=batch.device),
         ],
-        outputs=[shifted],
-        device=batch.device,
+        [shifted],
     )
     system = BandedSystem(batch)
     system.factorise(shifted, batch.every_rod)

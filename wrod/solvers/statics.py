@@ -159,12 +159,11 @@ class EquilibriumSolver:
         batch = self.batch
         progress = wp.array(progress, dtype=wp.float64, device=batch.device)
         self._copy(self.active, start, batch.state)
-        wp.launch(
+        batch.launch(
             continuation.interpolate_prescribed,
-            dim=(batch.rod_count, batch.dof_count),
-            inputs=[self.active, batch.free, begin, target, progress],
-            outputs=[batch.state.dof],
-            device=batch.device,
+            (batch.rod_count, batch.dof_count),
+            [self.active, batch.free, begin, target, progress],
+            [batch.state.dof],
         )
         batch.transport_frames(start, batch.state, self.active)
         if ramp_loads:
@@ -174,12 +173,11 @@ class EquilibriumSolver:
         batch = self.batch
         if isinstance(chosen, np.ndarray):
             chosen = wp.array(chosen.astype(np.int32), dtype=wp.int32, device=batch.device)
-        wp.launch(
+        batch.launch(
             continuation.copy_configuration,
-            dim=(batch.rod_count, batch.node_count),
-            inputs=[chosen, source.dof, source.tangent, source.director, source.reference_twist],
-            outputs=[target.dof, target.tangent, target.director, target.reference_twist],
-            device=batch.device,
+            (batch.rod_count, batch.node_count),
+            [chosen, source.dof, source.tangent, source.director, source.reference_twist],
+            [target.dof, target.tangent, target.director, target.reference_twist],
         )
 
     def _rounding(self) -> np.ndarray:
@@ -228,12 +226,11 @@ class EquilibriumSolver:
         batch, system = self.batch, self.system
         retry = self.active
         for _ in range(30):
-            wp.launch(
+            batch.launch(
                 newton.choose_shift,
-                dim=batch.rod_count,
-                inputs=[retry, batch.free, hessian, system.negative_pivots],
-                outputs=[system.shift, self.shift_unit, self.retry],
-                device=batch.device,
+                batch.rod_count,
+                [retry, batch.free, hessian, system.negative_pivots],
+                [system.shift, self.shift_unit, self.retry],
             )
             if not self.retry.numpy().any():
                 return

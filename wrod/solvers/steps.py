@@ -117,14 +117,13 @@ class Steps:
     def _per_dof(self, kernel, inputs, outputs=()) -> None:
         batch = self.batch
         dim = (batch.rod_count, batch.dof_count)
-        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
+        batch.launch(kernel, dim, inputs, outputs)
 
     def _copy(self, chosen: wp.array, source: RodState, target: RodState) -> None:
         batch = self.batch
-        wp.launch(
+        batch.launch(
             continuation.copy_configuration,
-            dim=(batch.rod_count, batch.node_count),
-            inputs=[chosen, source.dof, source.tangent, source.director, source.reference_twist],
-            outputs=[target.dof, target.tangent, target.director, target.reference_twist],
-            device=batch.device,
+            (batch.rod_count, batch.node_count),
+            [chosen, source.dof, source.tangent, source.director, source.reference_twist],
+            [target.dof, target.tangent, target.director, target.reference_twist],
         )

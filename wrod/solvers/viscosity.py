@@ -58,7 +58,7 @@ class Viscosity:
     def _launch(self, kernel, columns: int, inputs: list, outputs: list) -> None:
         batch = self.batch
         dim = (batch.rod_count, columns)
-        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
+        batch.launch(kernel, dim, inputs, outputs)
 
     def begin(self, starting: wp.array, coefficient: wp.array, step: wp.array) -> None:
         """Let the rest shape of the rods that start a step flow as their history says."""

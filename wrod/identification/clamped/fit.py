@@ -26,7 +26,7 @@ _REACH = 0.04
 _BATCH = 20
 # A linearisation has as many columns for every rod of a batch as its widest candidate asks for, so
 # candidates with more parameters than this have a batch of their own.
-_WIDE = 12
+WIDE = 12
 # In a race, a gain below this share of what is left above the noise decides nothing.
 _INDIFFERENT = 1e-3
 
@@ -97,7 +97,7 @@ def fit_models(
     # does not depend on the machine, nor does the race. A wind is iterated over the whole batch:
     # its candidates stay among themselves.
     windy = [c for c, m in enumerate(models) if any(e.follows_shape for e in m.effects)]
-    wide = [c for c, v in enumerate(starts) if len(v) > _WIDE and c not in windy]
+    wide = [c for c, v in enumerate(starts) if len(v) > WIDE and c not in windy]
     still = [c for c in range(len(models)) if c not in windy and c not in wide]
     slices = max(-(-len(still) // _BATCH), 1)
     groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]

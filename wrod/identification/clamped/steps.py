@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrod.identification.clamped.fit import Fit, fit_models
+from wrod.identification.clamped.fit import WIDE, Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.pairs import likely_pairs
 from wrod.identification.clamped.verdict import BIC_MARGIN, Round
@@ -61,13 +61,19 @@ def extensions(laboratory, current: Fit, candidates, progress) -> list[Fit]:
     return best_of_each(_fit(laboratory, models, starts, current, progress))
 
 
+def _narrow(candidates: Sequence[Effect]) -> list[Effect]:
+    """Effects of few numbers: a profile along the rod stands by itself or joins what is there.
+    Pairs and exchanges with its dozens of numbers would take most of the time, and mean little."""
+    return [e for e in candidates if len(e.parameters) <= WIDE]
+
+
 def pairs_beside(laboratory, current: Fit, candidates, progress) -> list[Fit]:
     """Pairs that are likely by superposition: the best single effect may stand for two others."""
     if current.chi_squared - current.residual_count < FLUCTUATION * np.sqrt(
         2.0 * current.residual_count
     ):
         return []
-    chosen = likely_pairs(laboratory, candidates, _PAIRS)
+    chosen = likely_pairs(laboratory, _narrow(candidates), _PAIRS)
     chosen = [
         (model, start) for model, start in chosen if current.model.names[0] not in model.names
     ]
@@ -87,7 +93,7 @@ def exchanged(laboratory, best: Fit, candidates, progress) -> tuple[Fit, list[Fi
         parts = best.model.split(best.values)
         rest, values = Model(best.model.effects[1:]), np.concatenate(parts[1:])
         models, starts = [], []
-        for effect in candidates:
+        for effect in _narrow(candidates):
             if effect.name not in best.model.names:
                 for start in _starts(laboratory, effect):
                     models.append(rest.extended(effect))
@@ -141,7 +147,7 @@ def leaner(laboratory, current: Fit, candidates, rounds: list[Round], progress) 
     tried = {frozenset(f.model.names) for r in rounds for f in r.fits}
     pairs = [
         (model, start)
-        for model, start in likely_pairs(laboratory, candidates, _LEANER_FROM)
+        for model, start in likely_pairs(laboratory, _narrow(candidates), _LEANER_FROM)
         if len(start) < len(current.values) and frozenset(model.names) not in tried
     ][:_LEANER]
     models, starts = [model for model, _ in pairs], [start for _, start in pairs]

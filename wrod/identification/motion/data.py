@@ -10,6 +10,7 @@ import numpy as np
 
 from wrod.errors import DataError
 from wrod.identification.motion.curves import spline_lengths, through_markers
+from wrod.identification.motion.noise import TimeNoise, noise_in_time
 from wrod.identification.motion.setup import START_L_GB
 
 
@@ -110,6 +111,11 @@ class MotionMeasurements:
         """
         fourth = np.diff(self.positions[self.fit], n=4, axis=1)
         return float(np.median(np.abs(fourth)) / (0.6745 * np.sqrt(70.0)))
+
+    @cached_property
+    def time_noise(self) -> TimeNoise | None:
+        """Noise with what hangs together in time, by the grips' markers; None for few frames."""
+        return noise_in_time(self.positions)
 
     @property
     def noise_floor(self) -> float:

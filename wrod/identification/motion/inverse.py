@@ -180,14 +180,14 @@ def inverse_motion(
 def _settled(m, setup, sampled, weights, device):
     """The sampled rods at rest between their markers, and (S,) whether they came to rest."""
     path = smoothed(m, setup, sampled, weights)
-    found = _Condensation(m, setup, path, _batch(m, setup, path, device))
+    found = _Condensation(m, setup, path, _batch(setup, path, device))
     for _ in range(_ROUNDS):
         found.solve()
         found.relax()
     return found, found.solve()
 
 
-def _batch(m, setup, path, device) -> RodBatch:
+def _batch(setup, path, device) -> RodBatch:
     """The rods under weight, drag and minus mass times acceleration."""
     a = {k: np.real(v) for k, v in setup.arrays().items()}
     speed = np.linalg.norm(path.velocity, axis=2, keepdims=True)

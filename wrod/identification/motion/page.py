@@ -40,6 +40,12 @@ def _page(report) -> str:
         f"{len(m.test)} to score. {m.lost_frames} frames were lost in {int((m.gap > 1).sum())} "
         f"gaps; a grip's two markers were exchanged in {int(m.repaired.sum())} frames."
     )
+    if noise := m.time_noise:
+        facts += (
+            " By the distance of a grip's two markers, a coordinate errs by "
+            f"{1e3 * noise.slow:.2f} mm that hang together ({noise.correlation:.2f} from frame to "
+            f"frame) and by {1e3 * noise.white:.2f} mm that do not."
+        )
     numbers = [
         ("before", report.before),
         ("after", report.after),

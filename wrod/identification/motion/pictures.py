@@ -17,6 +17,9 @@ from wrod.identification.style import (
     new_figure,
 )
 
+# What an effect's error on the recordings that choose it is called in a report.
+_VALIDATION = "validation_mm_with_this_effect"
+
 
 def shapes(report, count: int = 6) -> bytes:
     """Measured markers and predictions in six frames of the test recording in the middle."""
@@ -130,7 +133,11 @@ def ladder(report) -> bytes | None:
         return None
     names = ["base model", *(e.name.replace("_", " ") for e in added), "last fit"]
     # The last fit has seen the validation recordings.
-    validation = [report.selection.validation_before, *(e.validation for e in added), np.nan]
+    validation = [
+        report.selection.validation_before,
+        *(e.others[_VALIDATION] for e in added),
+        np.nan,
+    ]
     test = [report.before, *(e.after for e in added), report.after]
     figure = new_figure(11.0, 0.9 + 0.32 * len(names))
     axes = figure.add_subplot()

@@ -91,11 +91,13 @@ class MotionReport(Report):
         """The content of `report.json`; errors in mm, everything else SI."""
         s, m = self.selection, self.measurements
         return self.head(_FORMAT, m.name, METRIC) | {
+            "noise_in_time": m.time_noise.to_dict() if m.time_noise else None,
             "numerical_error_mm": 1e3 * self.numerical_error,
             "before_without_internal_damping_mm": 1e3 * s.undamped,
             "validation_before_mm": 1e3 * s.validation_before,
             "validation_after_mm": 1e3 * s.validation_after,
             "base": _plain(self.base),
+            "parameters_at_a_bound": list(s.at_bound),
             "confounded": list(s.confounded),
             "correlation": {"effects": list(s.correlated), "largest": s.correlation.tolist()},
             "selection": [

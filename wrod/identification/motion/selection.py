@@ -4,7 +4,10 @@ The base model is a straight, uniform rod with drag in air and inside. In each r
 are ranked by the misfit that they promise to take away in the problem linearised around the present
 model, all in one run. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them
 with the least error on whole validation recordings are fitted. The best joins if it lowers that
-error by `LEAST_GAIN` or more; the rounds end when none does, or after `MOST_EFFECTS`. Then every
+error by `LEAST_GAIN` or more against the present model fitted for as many steps more, both as
+predicted and with what the mesh and the time step leave added to the predictions: an effect that
+makes up for edges and steps lowers the first and raises the second. The rounds end when none does,
+when no more is left than noise, mesh and time step leave, or after `MOST_EFFECTS`. Then every
 effect without which the refitted model's validation error rises by less than `LEAST_GAIN` is taken
 out again; only those are tried that the linearised problem hardly needs. What is left is fitted to
 whole recordings, those of the validation included.
@@ -12,7 +15,7 @@ whole recordings, those of the validation included.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -99,6 +102,12 @@ class MotionSelection:
     correlated: tuple[str, ...]
     correlation: np.ndarray
 
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Parameters of the effects beyond the base model that ended at a bound."""
+        added = Model(self.model.effects[len(BASE) :])
+        return added.at_bound(self.values[len(self.values) - len(added.parameters) :])
+
 
 def select_motion(
     laboratory: MotionLaboratory, candidates: list[Effect], *, progress=None
@@ -109,10 +118,12 @@ def select_motion(
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A model fitted to the medium windows, and its error on the validation recordings [m]."""
+    """A model fitted to the medium windows; what it predicts for the validation recordings, and its
+    error there [m]."""
 
     model: Model
     values: np.ndarray
+    predicted: np.ndarray
     validation: float
 
 
@@ -139,8 +150,11 @@ class _Selection:
         return self.rod.error(windows, self.rod.predict(windows, model, values))
 
     def _fit(self, model: Model, values: np.ndarray, steps: int) -> _Fitted:
-        values = self.rod.refine(self.medium, model, values, steps)
-        return _Fitted(model, values, self._error(self.validation, model, values))
+        return self._validated(model, self.rod.refine(self.medium, model, values, steps))
+
+    def _validated(self, model: Model, values: np.ndarray) -> _Fitted:
+        predicted = self.rod.predict(self.validation, model, values)
+        return _Fitted(model, values, predicted, self.rod.error(self.validation, predicted))
 
     def run(self) -> MotionSelection:
         known = effects("motion")
@@ -156,11 +170,11 @@ class _Selection:
         now = base
         while self.left and len(now.model.effects) < len(BASE) + MOST_EFFECTS:
             self.say(" + ".join(now.model.names[len(BASE) :]) or "effects")
-            better = self._round(now)
-            if better is None:
+            now, better = self._round(now)
+            if not better:
                 break
-            now = better
         now = self._without_idle(now)
+        self._damped_after_all(now)
         self.say("whole recordings")
         rod, whole = self.rod, self.whole
         base_values, _ = rod.fit(whole, base.model, base.values, iterations=4, converged=0.005)
@@ -196,15 +210,14 @@ class _Selection:
             Round(model.names, tuple(rows), accepted, reason, after.validation, test, removed)
         )
 
-    def _round(self, now: _Fitted) -> _Fitted | None:
-        """The model with one effect more, if one is worth it."""
+    def _round(self, now: _Fitted) -> tuple[_Fitted, bool]:
+        """The model with one effect more, if one is worth it, and whether one was."""
         ranked, at = promises_of(self.rod, self.medium, now.model, now.values, self.left)
         tried, stepped = {}, {}
         for _, effect, start, index in ranked[:TRIED]:
             model = now.model.extended(effect)
             values = self.rod.step(self.medium, model, np.r_[now.values, start], at.part(index))
-            error = self._error(self.validation, model, values)
-            stepped[effect.name] = _Fitted(model, values, error)
+            stepped[effect.name] = self._validated(model, values)
         for name in sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]:
             fitted = self._fit(stepped[name].model, stepped[name].values, steps=3)
             tried[name] = min(stepped[name], fitted, key=lambda t: t.validation)
@@ -213,16 +226,65 @@ class _Selection:
             Candidate(e.name, p, found[e.name].validation if e.name in found else float("nan"))
             for p, e, *_ in ranked
         ]
-        best = min(found.values(), key=lambda t: t.validation)
-        gain = 1.0 - best.validation / now.validation
-        if not gain >= LEAST_GAIN:
-            reason = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
+        now, best, reason = self._best(now, sorted(found.values(), key=lambda t: t.validation))
+        if best is None:
             self._note(now.model, now, rows, reason)
-            return None
+            return now, False
         name = best.model.names[-1]
-        self._note(now.model, best, rows, _lowers(gain), accepted=name)
+        self._note(now.model, best, rows, reason, accepted=name)
         self.left = [c for c in self.left if c.name != name]
-        return best
+        return best, True
+
+    def _best(self, now: _Fitted, found: list[_Fitted]) -> tuple[_Fitted, _Fitted | None, str]:
+        """The present model, fitted on, the first of the others that is worth its effect, and why.
+
+        Args:
+            found: with one effect more each, the best ahead.
+        """
+        rod, windows = self.rod, self.validation
+        gain = 1.0 - found[0].validation / now.validation
+        if not gain >= LEAST_GAIN:
+            return now, None, f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
+        # Others were fitted on from the present model: what further steps bring is not theirs.
+        now = min(now, self._fit(now.model, now.values, steps=3), key=lambda t: t.validation)
+        lacking = rod.discretisation(windows, now.model, now.values, now.predicted)
+        floor = rod.error_between(windows, lacking, np.zeros_like(lacking))
+        floor = float(np.hypot(floor, rod.measurements.noise_floor))
+        if MOTION.is_noise(now.validation, floor):
+            return (
+                now,
+                None,
+                f"{1e3 * now.validation:.3f} mm are left, no more than noise, "
+                + (f"mesh and time step leave, {1e3 * floor:.3f} mm"),
+            )
+        refused = ""
+        for one in found:
+            gain = 1.0 - one.validation / now.validation
+            if not gain >= LEAST_GAIN:
+                short = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
+                return now, None, refused or short
+            resolved = [rod.error(windows, t.predicted + lacking) for t in (one, now)]
+            if resolved[0] <= (1.0 - LEAST_GAIN) * resolved[1]:
+                return now, one, _lowers(gain)
+            refused = refused or (
+                f"{one.model.names[-1]} {_lowers(gain)}, but not with what the mesh and the time "
+                "step leave added to the predictions: it makes up for them"
+            )
+        return now, None, refused
+
+    def _damped_after_all(self, now: _Fitted) -> None:
+        """Internal damping may count only beside effects that were found later."""
+        first = self.rounds[0]
+        place = now.model.names.index(BASE[2])
+        parts = now.model.split(now.values)
+        if first.accepted or len(now.model.effects) == len(BASE) or not parts[place][0] > 0.0:
+            return
+        rest = Model(tuple(e for i, e in enumerate(now.model.effects) if i != place))
+        values = np.concatenate([v for i, v in enumerate(parts) if i != place])
+        gain = 1.0 - now.validation / self._fit(rest, values, steps=3).validation
+        if gain >= LEAST_GAIN:
+            reason = f"{first.reason}, with the later effects by {100 * gain:.1f} %"
+            self.rounds[0] = replace(first, accepted=BASE[2], reason=reason)
 
     def _without_idle(self, now: _Fitted) -> _Fitted:
         """The model without effects that later ones have made idle, the oldest looked at first."""
@@ -258,7 +320,11 @@ def verdict_of(selection: MotionSelection, floor: float) -> tuple[str, str]:
     if len(selection.model.effects) == len(BASE):
         return "unexplained", f"{numbers}: no effect lowers the error of recordings not fitted"
     if MOTION.is_noise(after, floor):
-        return "explained", f"{numbers}: the floor is {1e3 * floor:.2f} mm"
+        reason = f"{numbers}: the floor is {1e3 * floor:.2f} mm"
+        if not selection.at_bound:
+            return "explained", reason
+        stuck = ", ".join(selection.at_bound)
+        return "partly-explained", f"{reason}, but {stuck} ended at a bound and stands for more"
     if after <= (1.0 - MOTION.takes) * before:
         return "partly-explained", f"{numbers}: {1e2 * (1 - after / before):.0f} % less"
     return "unexplained", f"{numbers}: no effect takes a fifth of it away"
