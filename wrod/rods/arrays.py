@@ -46,6 +46,13 @@ class BatchArrays:
 
     def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
         if isinstance(value, wp.array):
+            size = shape if dtype == wp.float64 else shape[:-1]
+            if value.dtype != dtype or tuple(value.shape) != tuple(size):
+                said = f"{value.dtype.__name__} of shape {value.shape}"
+                raise RodError(
+                    f"{name} is an array of Warp of {said}; it must be "
+                    f"{dtype.__name__} of shape {size}"
+                )
             return value
         value = _floats(name, value)
         if value.size == 0 or not np.isfinite(value).all():
@@ -150,8 +157,7 @@ class BatchArrays:
         """
         rods, nodes, device = self.rod_count, self.node_count, self.device
         state = self.state
-        if not isinstance(position, wp.array):
-            position = self._array("position", position, (rods, nodes, 3), wp.vec3d)
+        position = self._array("position", position, (rods, nodes, 3), wp.vec3d)
         angle = self._array("angle", angle, (rods, nodes - 1))
         source, shape = ANY_DIRECTOR, (0, 0)
         if director is not None:
