@@ -128,7 +128,7 @@ def optimise(
         PatternError: friction is not usable, or the trajectory is too short to be laid.
     """
     values = np.unique(np.atleast_1d(np.asarray(pace, dtype=float)))
-    if not (np.isfinite(values).all() and 5e-4 <= values[0] and values[-1] <= 10.0):
+    if not (np.isfinite(values).all() and values[0] >= 5e-4 and values[-1] <= 10.0):
         raise PatternError(f"pace is {pace!r}; give a speed of the contact from 5e-4 to 10 m/s")
     if len(values) > 1:
         values = np.geomspace(values[0], values[-1], 3)
