@@ -96,7 +96,7 @@ class SolverDER(RodBuilding, SolverBase):
         scheme: str = "bdf2",
         max_step: float | None = None,
         tolerance: float = 1e-6,
-        max_iterations: int = 12,
+        max_iterations: int = 25,
         contact_stiffness: float | None = None,
         self_contact: float | None = None,
         rod_contact: float | None = None,
