@@ -173,7 +173,7 @@ def test_the_fastest_pace_is_taken_that_does_no_harm(bend):
     assert chosen["pace"] == 0.04
     assert [pace for pace, _ in chosen["paces"]] == [0.02, 0.04, 0.08]
     assert _fastest([slow, at(0.08, 1.0, 2.2, 2.9, 1.4)]).metadata["optimised"]["pace"] == 0.08
-    with pytest.raises(PatternError, match="pace is 0.0"):
+    with pytest.raises(PatternError, match=r"pace is 0\.0"):
         optimise(bend[0], ROD, bend[1], 0.3, pace=0.0)
 
 
