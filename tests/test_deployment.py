@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import wrod
+from wrod.deployment.assembly import assemble
 from wrod.deployment.grip_path import smooth_noise, travel
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import mesh
-from wrod.deployment.simulate import Trial, assemble, prepare_trials, simulate_deployments
+from wrod.deployment.simulate import prepare_trials, simulate_deployments
 from wrod.deployment.tangents import Directions, lay
+from wrod.deployment.trial import Trial
 from wrod.errors import DataError, PatternError, RodError
 from wrod.planning.tail import tail
 

@@ -211,7 +211,16 @@ def several(one: Check, least: int = 1) -> Check:
 
 def mesh(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
     """As `array`, or an array of Warp, which is taken as it is."""
-    return either(like("an array", "ptr", "device", "dtype"), array(*shapes, finite=finite))
+    plain = array(*shapes, finite=finite)
+
+    def check(value: Any) -> str | None:
+        if isinstance(value, type) or not all(hasattr(value, n) for n in ("ptr", "dtype")):
+            return plain(value)
+        scalar = getattr(value.dtype, "_wp_scalar_type_", value.dtype)
+        good = getattr(scalar, "__name__", "") == "float64"
+        return None if good else "must be of float64, as all arrays of Warp that are handed over"
+
+    return check
 
 
 def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:

@@ -15,7 +15,7 @@ _SWING = 0.01  # amplitude over the length
 
 
 def _numbers(context, parameter, value: str) -> list[int]:
-    return parse_list(value, parameter.opts[0], 1, 10_000, whole=True)
+    return [int(n) for n in parse_list(value, parameter.opts[0], 1, 10_000, whole=True)]
 
 
 @click.command(name="newton")

@@ -176,7 +176,8 @@ class PatternOptions:
             PatternError, PerceptionError: unknown, unreadable, or an option does not belong to it.
         """
         from wrod.errors import PatternError
-        from wrod.patterns.pattern import Pattern, pattern, pattern_names
+        from wrod.patterns.named import pattern, pattern_names
+        from wrod.patterns.pattern import Pattern
 
         path, units = Path(name), self.units
         elsewhere = ("units", "layer", "stroke")

@@ -20,6 +20,8 @@ REFUSED, INTERRUPTED, TERMINATED, FAULT = 2, 130, 143, 70
 _MOST_SAID = 2000  # letters
 # How Python and Warp say that a limit of the process was met.
 _LIMITED = ("can't start new thread", "Failed to load the shared library", "failed to map segment")
+# The signals that asked the running command to end.
+_STRUCK: list[int] = []
 # Set it to see where a fault of ours is.
 TRACEBACK = "WROD_TRACEBACK"
 # Modules that a base install lacks, and the extra that brings each.
@@ -107,19 +109,18 @@ def interruptible() -> Iterator[None]:
     without timers, interruptions stay as they are. SIGTERM interrupts as SIGINT does, so that no
     temporary file stays.
     """
+    _STRUCK.clear()
     usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
     heard = [number for number, one in usual.items() if signal.getsignal(number) is one]
     if not heard or not hasattr(signal, "setitimer"):
         yield
         return
 
-    struck = []
-
     def strike(number, frame):
         if number != signal.SIGALRM:
-            struck.append(number)
+            _STRUCK.append(number)
         signal.setitimer(signal.ITIMER_REAL, 0.5)
-        raise KeyboardInterrupt(*struck[:1])
+        raise KeyboardInterrupt(*_STRUCK[:1])
 
     told = sys.unraisablehook
 
@@ -143,7 +144,7 @@ def interruptible() -> Iterator[None]:
         yield
     finally:
         sys.unraisablehook, sys.excepthook = told, shown
-        if struck:
+        if _STRUCK:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -153,6 +154,8 @@ def stop(ctx: click.Context, error: BaseException) -> None:
     """Say in one sentence why the command ends, and which of its outputs are whole; then exit."""
     from wrod.files.writing import finished
 
+    if _STRUCK:  # a library may have made another error of it
+        error = KeyboardInterrupt(*_STRUCK[:1])
     if isinstance(error, BrokenPipeError):
         os._exit(1)  # nobody reads any more what would be said
     said = sentence(error)

@@ -62,7 +62,7 @@ class Controller:
         self._lacks_thrust = (
             metadata["architecture"] == "chain"
             and self.closure != "zero_tension"
-            and len(parameters["mean"]) != WITH_THRUST
+            and len(parameters["mean"]) < WITH_THRUST
         )
         self._on_device: dict = {}
 
@@ -206,6 +206,11 @@ class Controller:
         torch = sys.modules.get("torch")
         if torch is not None and any(isinstance(value, torch.Tensor) for value in inputs):
             like = next(value for value in inputs if isinstance(value, torch.Tensor))
+            if like.is_meta or like.dtype in (torch.bfloat16, torch.float16) or like.is_sparse:
+                raise GraspError(
+                    f"grasp inputs are of {like.dtype} on {like.device}; give dense tensors of "
+                    "float32 or float64 that hold numbers"
+                )
             kind = like.dtype if like.dtype.is_floating_point else torch.float64
             tensors = [torch.as_tensor(v, dtype=kind, device=like.device) for v in inputs]
             xp, stack = torch, lambda arrays: torch.stack(arrays, -1)

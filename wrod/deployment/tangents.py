@@ -10,9 +10,11 @@ import warp as wp
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from wrod.deployment.assembly import assemble
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.setup import Setup, blend, one_hemisphere
-from wrod.deployment.simulate import Trial, assemble, prepare_trials, with_remainder_of
+from wrod.deployment.simulate import prepare_trials, with_remainder_of
+from wrod.deployment.trial import Trial
 from wrod.errors import RodError
 from wrod.kernels.lanes import lanes
 from wrod.kernels.linear import banded_lu

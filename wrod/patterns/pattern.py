@@ -18,9 +18,8 @@ from wrod.patterns.corners import distance_from_lines, find_corners, heading_wit
 from wrod.patterns.curve import heading_of_curve, integrate_heading, lead_in
 from wrod.patterns.drawings import EXACT, read_drawing
 from wrod.patterns.drawings import SUFFIXES as DRAWINGS
-from wrod.patterns.expressions import compile_expression
+from wrod.patterns.expressions import compile_expression, value_of
 from wrod.patterns.files import RawPoints, checked_points, read_points, refuse_spikes, unit_scale
-from wrod.patterns.shapes import SHAPES
 from wrod.patterns.smoothing import fit_heading
 
 # Of a bend as wide as the thinnest fibre [1/m].
@@ -219,7 +218,7 @@ class Pattern:
         def curve(t):
             t = np.asarray(start + (stop - start) * t, dtype=float)
             values = [
-                arguments.spread(_value(part, t, name), t.shape, name, PatternError)
+                arguments.spread(value_of(part, t, name), t.shape, name, PatternError)
                 for part in parts
             ]
             if not np.all(np.isfinite(values)):
@@ -289,6 +288,7 @@ class Pattern:
             )
         return np.clip(s, first, last)
 
+    @arguments.checked(PatternError)
     def with_remainder(self, length: float) -> Pattern:
         """The pattern with a lead-in whose curvature grows smoothly from zero to its own.
 
@@ -328,6 +328,7 @@ class Pattern:
         far, place = distance_from_lines(self.points[:, :2], self.sample(s)[0][:, :2])
         return far, float(s[place])
 
+    @arguments.checked(PatternError)
     def scaled(self, factor: float) -> Pattern:
         """The pattern drawn `factor` times as large, about its first point.
 
@@ -395,34 +396,3 @@ class Pattern:
             file.writelines(f"{x:.9f},{y:.9f},{z:.9f}\n" for x, y, z in position)
 
         return write_atomically(path, write)
-
-
-@arguments.checked(PatternError, name=arguments.text)
-def pattern(name: str) -> Pattern:
-    """Built-in pattern by name, such as "letter-A".
-
-    Raises:
-        PatternError: no pattern has that name.
-    """
-    if name not in SHAPES:
-        raise PatternError(
-            f"unknown pattern {name!r}; built in are {', '.join(pattern_names())} "
-            "(or give a file of points)"
-        )
-    return Pattern(*SHAPES[name](), name=name)
-
-
-def _value(function: Callable[[np.ndarray], np.ndarray], t: np.ndarray, name: str):
-    """What a function that somebody gave says of an array."""
-    try:
-        return function(t.copy())
-    except PatternError:
-        raise
-    except Exception as error:
-        said = f"{type(error).__name__}: {error}"
-        raise PatternError(f"{name}: its function stops with {said:.300}") from error
-
-
-def pattern_names() -> list[str]:
-    """Names of the built-in patterns."""
-    return list(SHAPES)

@@ -91,6 +91,7 @@ class RodMaterial:
     gravity: float = 9.81
     natural_curvature: tuple[float, float] = (0.0, 0.0)
 
+    @arguments.checked(RodError)
     def __post_init__(self) -> None:
         for name in ("radius", "gravito_bending_length", "length", "density", "gravity"):
             value = getattr(self, name)
@@ -129,6 +130,7 @@ class RodMaterial:
             )
 
     @classmethod
+    @arguments.checked(RodError)
     def from_youngs_modulus(
         cls,
         youngs_modulus: float,

@@ -101,6 +101,7 @@ class RodModel(Otherwise):
             gravity: float = 9.81,
         ) -> None: ...
 
+    @arguments.checked(RodError)
     def __post_init__(self) -> None:
         def put(name, value):
             object.__setattr__(self, name, value)
@@ -296,7 +297,8 @@ class RodModel(Otherwise):
         beginning turned by `roll` [rad] from left towards up."""
         s = np.linspace(0.0, self.length, 1 if not self.varies and self._untwisted else 401)
         first, second = (c(s) for c in self.natural_curvature)
-        mean = np.mean((first + 1j * second) * np.exp(1j * (roll + self.rolled(s))))
+        turned = np.asarray(roll) + self.rolled(s)
+        mean = np.mean((first + 1j * second) * np.exp(1j * turned))
         return float(mean.real), float(mean.imag)
 
     @property

@@ -147,13 +147,19 @@ class RodContact:
             zeros(wp.int32) for _ in range(5)
         )
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
-        self.rubbing = rubbing = pair_contact.Rubbing()
-        rubbing.bristle, rubbing.load = self.bristle, self.held_load
-        rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
+        self.rubbing = pair_contact.Rubbing()
+        self._share_friction(zeros(wp.vec2d, edges, partners), zeros(wp.float64, edges, partners))
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
         self.configuration: tuple[wp.array, ...] = ()
         self._check_start()
+
+    def _share_friction(self, way: wp.array, turned: wp.array) -> None:
+        """What kernels know of friction."""
+        rubbing = self.rubbing
+        rubbing.bristle, rubbing.load = self.bristle, self.held_load
+        rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
+        rubbing.way, rubbing.turned = way, turned
 
     def prepare(self, starting: wp.array, rejected: wp.array, dof: wp.array) -> None:
         """List the pairs that may touch in a step that starts at `dof`, for the first time or
@@ -196,7 +202,7 @@ class RodContact:
             ],
             [self.overflow],
         )
-        batch.launch(kernels.hold_loads, self.load.shape, [starting, self.load], [self.held_load])
+        batch.launch(kernels.hold_loads, self.load.shape, [starting, self.load], [self.rubbing])
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces at `dof` to the batch's gradient; their stiffness is for `CoupledSystem`."""
