@@ -62,8 +62,9 @@ def call(words: list[str], folder: Path) -> End:
     return forked(run, folder)
 
 
-def forked(run, folder: Path) -> End:
-    """Run a function there; what it returns is the exit code."""
+def forked(run, folder: Path, *, limited: bool = True) -> End:
+    """Run a function there; what it returns is the exit code. `limited`: in address space, which
+    torch's threads in a new process reserve more of than they use."""
     before, (reader, writer) = _resident(), os.pipe()
     child = os.fork()
     if child == 0:
@@ -74,8 +75,9 @@ def forked(run, folder: Path) -> End:
             os.dup2(writer, 2)
             os.chdir(folder)
             resource.setrlimit(resource.RLIMIT_CPU, (int(SECONDS) + 2, int(SECONDS) + 4))
-            most = _virtual() + 3 * 2**30
-            resource.setrlimit(resource.RLIMIT_AS, (most, most))
+            if limited:
+                most = _virtual() + 3 * 2**30
+                resource.setrlimit(resource.RLIMIT_AS, (most, most))
             code = run()
         except BaseException:
             os.write(1, traceback.format_exc().encode(errors="replace"))

@@ -13,6 +13,10 @@ from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
 FOLDERS = {"wrod": "wrod", "kernels": "wrod.kernels", "training": "wrod.training",
            "scenes": "wrod.scenes"}  # fmt: skip
 # What is counted as lines of the library, and what may have long functions.
@@ -93,19 +97,13 @@ def _measure(module: str, tree: ast.Module, house: House) -> None:
 
 def circles(imports: dict[str, set[str]]) -> list[list[str]]:
     """Groups that import each other in a loop (strongly connected components)."""
-    reach = {name: _reached(name, imports) for name in imports}
-    found = {frozenset(b for b in reach[a] if a in reach[b]) for a in imports if a in reach[a]}
-    return sorted(sorted(group) for group in found)
-
-
-def _reached(name: str, imports: dict[str, set[str]]) -> set[str]:
-    out, wait = set(), list(imports[name])
-    while wait:
-        one = wait.pop()
-        if one not in out:
-            out.add(one)
-            wait += imports.get(one, ())
-    return out
+    names = list(imports)
+    number = {name: k for k, name in enumerate(names)}
+    pairs = [(number[a], number[b]) for a in names for b in imports[a] if b in number]
+    graph = coo_matrix((np.ones(len(pairs)), np.reshape(pairs, (-1, 2)).T), shape=[len(names)] * 2)
+    count, label = connected_components(graph, connection="strong")
+    groups = [[names[k] for k in np.flatnonzero(label == g)] for g in range(count)]
+    return sorted(sorted(group) for group in groups if len(group) > 1)
 
 
 def arrows_up(rooms: dict[str, set[str]]) -> list[tuple[str, str]]:

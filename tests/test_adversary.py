@@ -1,7 +1,8 @@
 """Some calls of the campaign of hostile calls (tests/adversary.py); `make fuzz` makes thousands."""
 
 import pytest
-from adversary import Campaign, material, run, wrong
+from adversary import Campaign, run, wrong
+from adversary_material import VALID, material
 
 # Of commands that end in a second.
 CALLS = [("loop", 8), ("rods", 2), ("markers", 5), ("measure", 8), ("show", 8)]
@@ -25,3 +26,11 @@ def test_hostile_calls_end_as_they_may(campaign, command, count, tried):
             bad.append(f"{kind}: {said}")
     tried["calls"] = (count, refused)
     assert not bad, "\n".join(bad)
+
+
+def test_what_is_broken_was_a_valid_call(campaign):
+    assert VALID.keys() == campaign.commands.keys()
+    files = {f"{{{name}}}": path for name, path in campaign.files.items()}
+    for name, words in VALID.items():
+        words = [files.get(word, word) for word in words]
+        campaign.commands[name].make_context(name, words)

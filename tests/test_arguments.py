@@ -6,6 +6,8 @@ refused before the work, so a call that still works after a second has taken its
 
 import atexit
 import importlib
+import inspect
+import itertools
 import os
 import random
 import shutil
@@ -29,7 +31,9 @@ from wrod.errors import WrodError
 from wrod.identification.template import write_template
 
 FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
-SHARE = 6  # of the wrong values of a parameter, in the tests; `make fuzz` tries all
+# Of the wrong values of a parameter, in the tests; `make fuzz` tries all, for so long [s] and in
+# another order each time.
+SHARE, LONGEST = 6, 90.0
 
 
 class Hostile:
@@ -69,7 +73,28 @@ WRONG = {
     "range": range(3), "bytearray": bytearray(b"abc"), "module": np, "type": float,
     "exception": ValueError("x"), "ellipsis": ..., "slice": slice(3), "surrogate": "\udcff",
     "folder": "/", "device": "/dev/null", "proc": "/proc/self/environ", "rich": Liar(),
+    "endless": itertools.repeat(1.0), "broadcast": np.broadcast_to(1.0, (2**33, 3)),
+    "no rows": np.zeros((0, 3)), "no columns": np.zeros((3, 0)), "matrix type": np.matrix("1 2"),
+    "bytes array": np.array([b"a"]), "enum": signal.SIGINT, "nested dict": {1: {}},
+    "zeros": np.zeros((4, 3)), "huge array": np.full((4, 3), 1e300), "frozen": frozenset({"a"}),
 }  # fmt: skip
+WRONG["own list"] = own = []
+own.append(own)
+deep: list = []
+for _ in range(100_000):
+    deep = [deep]
+WRONG["deep list"] = deep
+with suppress(ImportError):
+    import torch
+
+    WRONG |= {
+        "gradient": torch.ones((4, 3), requires_grad=True), "meta": torch.ones(3, device="meta"),
+        "bfloat": torch.ones(3, dtype=torch.bfloat16), "sparse": torch.eye(3).to_sparse(),
+    }  # fmt: skip
+with suppress(ImportError):
+    import warp
+
+    WRONG |= {"warp": warp.ones((4, 3), dtype=float), "warp points": warp.zeros(3, dtype=warp.vec3)}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -562,24 +587,37 @@ def test_every_public_callable_is_here():
 def test_only_typed_errors(name, tmp_path, monkeypatch, tried):
     monkeypatch.chdir(tmp_path)
     function, valid = CALLS[name]()
+    valid = _defaults(function) | valid
     bad, count, refused = [], 0, 0
-    draw = random.Random(name)
-    for parameter in valid:
-        kinds = list(WRONG.items())
-        for kind, value in kinds if FUZZ > 1 else draw.sample(kinds, SHARE):
-            changed = {**valid, parameter: value}
-            places = [changed.pop(key) for key in list(changed) if key.startswith("*")]
-            count += 1
+    draw, late = random.Random(name if FUZZ == 1 else None), time.monotonic() + LONGEST
+    share = SHARE if FUZZ == 1 else len(WRONG)
+    calls = [(one, *two) for one in valid for two in draw.sample(list(WRONG.items()), share)]
+    draw.shuffle(calls)
+    for parameter, kind, value in calls:
+        if time.monotonic() > late:
+            break
+        changed = {**valid, parameter: value}
+        places = [changed.pop(key) for key in list(changed) if key.startswith("*")]
+        count += 1
+        end, said, seconds = _called(function, places, changed)
+        if seconds > 5.0:  # the first call of a machine also compiles kernels
             end, said, seconds = _called(function, places, changed)
-            if seconds > 5.0:  # the first call of a machine also compiles kernels
-                end, said, seconds = _called(function, places, changed)
-            refused += end
-            if said:
-                bad.append(f"{parameter} {kind}: {said}")
-            if end and seconds > 5.0:  # what is taken may take its time
-                bad.append(f"{parameter} {kind}: {seconds:.0f} s")
+        refused += end
+        if said:
+            bad.append(f"{parameter} {kind}: {said}")
+        if end and seconds > 5.0:  # what is taken may take its time
+            bad.append(f"{parameter} {kind}: {seconds:.0f} s")
     tried["wrong arguments"] = (count, refused)
     assert not bad, "\n".join(bad)
+
+
+def _defaults(function) -> dict:
+    """Arguments that nobody has to give."""
+    try:
+        parameters = inspect.signature(function).parameters
+    except ValueError:  # NumPy's own
+        return {}
+    return {name: one.default for name, one in parameters.items() if one.default is not one.empty}
 
 
 def _called(function, places: list, changed: dict) -> tuple[bool, str, float]:

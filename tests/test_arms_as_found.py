@@ -137,8 +137,9 @@ def test_an_obstacle_in_the_way_is_named_and_one_beside_is_kept_clear_of(
 ):
     free = wrod.solve_joint_path(line, "ur5e")
     place = free.placement
-    hand = grasp_poses(free.robot, free.node_positions)[:, :3, 3]
-    wall = obstacles(tmp_path, size=[0.1, 0.1, 0.1], xyz=hand[len(hand) // 2].tolist())
+    poses = grasp_poses(free.robot, free.node_positions)
+    hand, behind = poses[:, :3, 3], poses[:, :3, 3] - 0.12 * poses[:, :3, 2]
+    wall = obstacles(tmp_path, size=[0.1, 0.1, 0.1], xyz=behind[len(hand) // 2].tolist())
     with (
         monkeypatch.context() as short,
         pytest.raises(RobotError, match=r"and the obstacle (overlap by|come within)"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_identification import synthetic
 
-from wrod.bench.hidden_effects import BUILT, hidden_set
+from wrod.bench.hidden_sets import BUILT, hidden_set
 from wrod.identification import identify
 from wrod.identification.clamped.described import Attraction, LocalBend, LocalLoad, Stretch
 from wrod.identification.clamped.laboratory import Laboratory

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import wrod
+from wrod.deployment.assembly import assemble
 from wrod.deployment.grip_path import smooth_noise, travel
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import mesh
-from wrod.deployment.simulate import Trial, assemble, prepare_trials, simulate_deployments
+from wrod.deployment.simulate import prepare_trials, simulate_deployments
 from wrod.deployment.tangents import Directions, lay
+from wrod.deployment.trial import Trial
 from wrod.errors import DataError, PatternError, RodError
 from wrod.planning.tail import tail
 
@@ -269,6 +271,10 @@ def test_bad_input_is_refused(plans):
         wrod.simulate_deployment(pattern, ROD, trajectory, hold=0.5)
     with pytest.raises(RodError, match="speed"):
         wrod.simulate_deployment(pattern, ROD, trajectory, speed=-1.0)
+    with pytest.raises(RodError, match=r"moves 0\.1 m in a step"):
+        wrod.simulate_deployment(pattern, ROD, trajectory, speed=10.0, step=0.01)
+    with pytest.raises(RodError, match=r"spacing is 0\.06 m"):
+        wrod.simulate_deployment(pattern, ROD, trajectory, spacing=0.06)
     with pytest.raises(RodError, match="friction"):
         wrod.simulate_deployment(pattern, ROD, trajectory, friction=-0.1)
     with pytest.raises(RodError, match="scheme"):

@@ -5,9 +5,14 @@ from __future__ import annotations
 import contextlib
 import re
 import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 
 from wrod.commands import main
@@ -50,3 +55,72 @@ def test_python_of_documents_runs(page, tmp_path, monkeypatch):
     names: dict = {}
     for number, body in enumerate(blocks(page, "python")):
         exec(compile(body, f"{page.name}, block {number}", "exec"), names)
+
+
+# Commands that the slow test leaves out: benches print their own figures, and of these files there
+# are no stand-ins.
+ELSEWHERE = ("wrod bench", "...", "loop.jpg", "-train.npz", "DATA.npz")
+
+
+def typed(page: Path) -> list[str]:
+    """Lines of a page's shell blocks that call wrod, as a reader types them."""
+    text = "\n".join(body for body in blocks(page, "sh")).replace("\\\n", " ")
+    lines = [line for line in text.splitlines() if line.startswith(("wrod ", "python -m wrod"))]
+    return [line for line in lines if not any(word in line for word in ELSEWHERE)]
+
+
+def stand_ins(page: Path, folder: Path, shared: Path) -> None:
+    """What a page's reader has of their own: photographs, measurements, an arm, a cell, a rod."""
+    import json
+
+    import wrod
+    from wrod.perception.camera import TopCamera
+
+    text, drawn = page.read_text(), shared / "images" / "drawn"
+    shutil.copytree(ROOT / "examples", folder / "examples")
+    (folder / "out").mkdir()
+    shutil.copy(drawn / "layout.json", folder)
+    shutil.copy(drawn / "images" / "A.jpg", folder / "photo.jpg")
+    shutil.copy(drawn / "images" / "U.jpg", folder / "drawing.jpg")
+    shutil.copy(ROOT / "scenes" / "robots" / "sawyer.urdf", folder / "arm.urdf")
+    for cell in blocks(page, "json"):
+        if isinstance(json.loads(cell), list):
+            (folder / "cell.json").write_text(cell)
+    if "--sheet" in text:
+        from PIL import Image
+        from test_perception_scan import HEIGHT, WIDTH, drawing, wave
+
+        from wrod.perception.metric import MarkerLayout
+
+        camera = TopCamera((WIDTH / 2, HEIGHT / 2, 0.5), (WIDTH / 2, HEIGHT / 2, 0.0))
+        picture = drawing(camera, MarkerLayout({}, (WIDTH, HEIGHT)), wave())
+        Image.fromarray(np.asarray(picture)).save(folder / "drawing.jpg", quality=95)
+    if "measurements.npz" in text:
+        run_typed("wrod identify --template clamped --out out/template", folder)
+        shutil.copy(folder / "out" / "template" / "clamped.npz", folder / "measurements.npz")
+    if "model.json" in text:
+        model = wrod.RodModel.of(wrod.rod("green-vps"))
+        replace(model, natural_curvature=(0.0, 4.0)).save(folder / "model.json")
+
+
+def run_typed(line: str, folder: Path) -> None:
+    words = shlex.split(line, comments=True)
+    words = words[1:] if words[0] == "python" else ["-m", "wrod", *words[1:]]
+    end = subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True)
+    assert end.returncode == 0, f"{line}\n{end.stdout[-2000:]}\n{end.stderr[-2000:]}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [p for p in PAGES if typed(p)], ids=lambda p: p.stem)
+def test_commands_of_documents_run(page, tmp_path, monkeypatch, shared):
+    stand_ins(page, tmp_path, shared)
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for kind, body in BLOCK.findall(page.read_text()):
+        if kind == "python":
+            exec(compile(body, page.name, "exec"), names)
+        elif kind == "sh":
+            lines = body.replace("\\\n", " ").splitlines()
+            for line in lines:
+                if line in typed(page):
+                    run_typed(line, tmp_path)

@@ -18,8 +18,10 @@ from wrod.files import (
     decode_labels,
     read_arrays,
     read_json,
+    read_tensors,
     read_text,
     schemas,
+    write_tensors,
 )
 from wrod.files.array_schemas import ARRAYS
 
@@ -289,3 +291,14 @@ def test_lengths_agree_between_arrays():
               "bias.1": np.ones(3), "scale": np.ones(3)}  # fmt: skip
     with pytest.raises(DataError, match=r"weight\.1 has shape \(3, 4\).*weight\.0 is 5 long there"):
         check_arrays(layers, "Corrector", "c")
+
+
+def test_tensors_have_a_checksum(tmp_path):
+    path = write_tensors(tmp_path / "a.safetensors", {"format": "x"}, {"a": np.arange(9.0)})
+    label, arrays = read_tensors(path, "a file")
+    assert json.loads(label)["format"] == "x" and np.array_equal(arrays["a"], np.arange(9.0))
+    content = bytearray(path.read_bytes())
+    content[-3] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="damaged"):
+        read_tensors(path, "a file")

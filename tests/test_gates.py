@@ -11,11 +11,12 @@ import wrod
 from wrod.bench import applications_cables as cables
 from wrod.bench.applications_report import success_interval
 from wrod.bench.applications_trials import CABLE_FRICTION, cable_scene
+from wrod.deployment.assembly import _batch
 from wrod.deployment.fixtures import Fixture, Fixtures
 from wrod.deployment.gates import approach, design_gates, sideways_deviation
 from wrod.deployment.grip_path import KEY_INTERVAL, GripSchedule
 from wrod.deployment.setup import DEVIATIONS, Disturbance, Setup, disturb
-from wrod.deployment.simulate import Trial, _batch
+from wrod.deployment.trial import Trial
 from wrod.errors import PatternError
 from wrod.patterns.shapes import straight, strokes, turn
 from wrod.rods.batch import RodBatch

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import house
+import pytest
 
 ROOT = Path(__file__).parents[1]
 # A uniform rod, any rod, and the file that holds either convert into each other, in methods that
@@ -12,8 +13,12 @@ ONE_CONCEPT = ["wrod.rods.material", "wrod.rods.model", "wrod.rods.model_file"]
 WIDE = 9
 
 
-def test_no_room_looks_up_and_no_files_go_in_circles():
-    seen = house.read(ROOT)
+@pytest.fixture(scope="module")
+def seen():
+    return house.read(ROOT)
+
+
+def test_no_room_looks_up_and_no_files_go_in_circles(seen):
     assert len(seen.rooms) > 20 and sum(map(len, seen.rooms.values())) > 100
     assert house.arrows_up(seen.rooms) == []
     assert house.circles(seen.rooms) == []
@@ -24,8 +29,7 @@ def test_no_room_looks_up_and_no_files_go_in_circles():
     )  # fmt: skip
 
 
-def test_functions_are_short_outside_kernels():
-    seen = house.read(ROOT)
+def test_functions_are_short_outside_kernels(seen):
     assert seen.long == []
     assert len(seen.wide) <= WIDE, seen.wide
 

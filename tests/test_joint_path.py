@@ -13,7 +13,6 @@ from wrod.errors import DataError, RobotError
 from wrod.robot.collision import segment_distance
 from wrod.robot.grip import Grip
 from wrod.robot.joint_path import JointPath
-from wrod.robot.kinematics import grasp_poses
 from wrod.robot.model import load_robot
 from wrod.robot.placement import Placement
 
@@ -274,28 +273,6 @@ def test_placement_text_is_in_degrees():
 def test_same_input_gives_the_same_path(letter, letter_path):
     again = wrod.solve_joint_path(letter)
     assert np.array_equal(again.positions, letter_path.positions)
-
-
-def test_newton_inverse_kinematics_agrees_that_the_poses_are_reached(letter_path):
-    """The grasp of another library's kinematics, float32, at the joint positions found."""
-    newton = pytest.importorskip("newton")
-    from wrod.scenes.sawyer import PATH
-
-    builder = newton.ModelBuilder()
-    builder.add_urdf(str(PATH), floating=False)
-    model = builder.finalize(device="cpu")
-    joints = [label.split("/")[-1] for label in model.joint_label]
-    bodies = [label.split("/")[-1] for label in model.body_label]
-    starts, values = model.joint_q_start.numpy(), model.joint_q.numpy()
-    for node in (0, len(letter_path.node_time) // 2, -1):
-        for name, angle in zip(letter_path.names, letter_path.node_positions[node], strict=True):
-            values[starts[joints.index(name)]] = angle
-        model.joint_q.assign(values)
-        state = model.state()
-        newton.eval_fk(model, model.joint_q, model.joint_qd, state)
-        there = state.body_q.numpy()[bodies.index("grasp"), :3]
-        ours = grasp_poses(letter_path.robot, letter_path.node_positions[[node]])[0, :3, 3]
-        assert np.abs(there - ours).max() < 1e-4
 
 
 @pytest.mark.slow

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import pytest
@@ -32,6 +33,29 @@ def test_unphysical_values_are_named(field, value):
     values = {"radius": 0.0016, "gravito_bending_length": 0.03, "length": 0.9, field: value}
     with pytest.raises(RodError, match=field):
         wrod.RodMaterial(**values)
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"radius": 0.4}, "gravito_bending_length .* at least 2 radii"),
+        ({"length": 1e-3}, "length .* at least 10 radii"),
+        ({"natural_curvature": (1e12, 0.0)}, "tighter than its own radius"),
+        ({"gravito_bending_length": 5.0}, "stiffer than diamond"),
+    ],
+)
+def test_what_is_no_rod_is_refused(changed, says):
+    values = {"radius": 0.0016, "gravito_bending_length": 0.03, "length": 0.9} | changed
+    with pytest.raises(RodError, match=says):
+        wrod.RodMaterial(**values)
+
+
+def test_models_that_are_no_rods_are_refused_where_they_are_read_and_planned(tmp_path):
+    lump = dataclasses.replace(wrod.rod("green-vps").model(), radius=0.4)
+    with pytest.raises(RodError, match="at least 2 radii"):
+        wrod.RodModel.load(lump.save(tmp_path / "lump.json"))
+    with pytest.raises(RodError, match="at least 2 radii"):
+        wrod.plan(wrod.pattern("line"), lump, "intuitive")
 
 
 def test_unknown_rod_lists_the_known_ones():

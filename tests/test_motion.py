@@ -129,7 +129,7 @@ def test_tangents_are_the_derivatives_of_the_motion(recorded):
     model = Model(tuple(effects("motion").values()))
     rng = np.random.default_rng(1)
     values = np.array([0.1 * min(p.scale, 1.0) * rng.uniform(0.5, 1.0) for p in model.parameters])
-    windows = laboratory.windows([0, 1], [5], frames=20)
+    windows = laboratory.windows([0, 1], [5], frames=12)
     _, rates, _ = laboratory.run(
         windows, model.setup(laboratory.base, values), laboratory.rates(model, values)
     )

@@ -209,3 +209,20 @@ def test_reversed_pattern_is_the_same_curve_from_its_other_end(name):
     assert np.abs(k + m).max() < 1e-9
     with pytest.raises(PatternError, match="has a remainder"):
         there.with_remainder(0.05).reversed()
+
+
+@pytest.mark.parametrize("text", ["0.01*sin(1e6*x)", "abs(x-0.1)", "0.1*sqrt(x)"])
+def test_ripples_and_kinks_that_no_sample_sees_are_refused(text):
+    with pytest.raises(PatternError, match="finer"):
+        wrod.Pattern.from_expression(text, start=0.0, stop=0.3)
+
+
+def test_functions_that_somebody_gives_are_judged():
+    for function in (lambda x: 1 / 0, lambda x: x[:3], lambda x: "words", lambda x: 1j * x):
+        with pytest.raises(PatternError):
+            wrod.Pattern.from_expression(function, start=0.0, stop=0.3)
+
+
+def test_a_pattern_too_small_for_any_rod_is_refused():
+    with pytest.raises(PatternError, match="no rod follows"):
+        wrod.pattern("circle").scaled(1e-6)

@@ -173,6 +173,13 @@ def test_pattern_too_long_says_by_how_much():
         wrod.plan(huge, ROD, "intuitive")
 
 
+def test_contacts_that_miss_a_bend_are_refused_or_told_of():
+    with pytest.raises(PatternError, match=r"by up to 15 mm; give a shorter spacing"):
+        wrod.plan(wrod.pattern("circle"), ROD, "intuitive", spacing=0.1)
+    with pytest.warns(WrodWarning, match=r"by up to 3\.7 mm"):
+        wrod.plan(wrod.pattern("circle"), ROD, "intuitive", spacing=0.05)
+
+
 def test_bend_tighter_than_the_rod_is_refused():
     angle = np.linspace(0.0, 3.0, 60)
     small = wrod.Pattern.from_points(0.0012 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
@@ -253,10 +260,10 @@ def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
     from wrod.planning.shapes import with_shapes
 
     circle, rod = wrod.pattern("circle"), wrod.rod("green-vps")
-    plain = wrod.plan(circle, rod, "neural", spacing=0.1)
+    plain = wrod.plan(circle, rod, "neural", spacing=0.025)
     assert plain.shape is None and plain.metadata["remainder_length"] > 0.0
     shown = with_shapes(plain, circle, device="cpu")
-    numeric = wrod.plan(circle, rod, "numeric", spacing=0.1, device="cpu")
+    numeric = wrod.plan(circle, rod, "numeric", spacing=0.025, device="cpu")
     np.testing.assert_allclose(shown.shape, numeric.shape, atol=5e-5)
     np.testing.assert_allclose(shown.shape[:, -1], plain.position, atol=1e-12)
     np.testing.assert_array_equal(shown.position, plain.position)
@@ -266,7 +273,7 @@ def test_neural_plans_get_the_shapes_of_the_solver(recwarn):
         "largest_grip_difference": pytest.approx(apart, abs=1e-12),
     }
     assert with_shapes(numeric, circle) is numeric
-    intuitive = wrod.plan(circle, rod, "intuitive", spacing=0.1)
+    intuitive = wrod.plan(circle, rod, "intuitive", spacing=0.025)
     assert with_shapes(intuitive, circle) is intuitive
     assert not recwarn.list
 

@@ -131,7 +131,8 @@ def test_newton_reads_the_file_and_agrees(robot):
     newton.eval_fk(model, model.joint_q, model.joint_qd, state)
     bodies = [label.split("/")[-1] for label in model.body_label]
     poses = robot.link_poses(NEUTRAL)
-    for link in ("right_l3", "right_l6", "head"):
+    poses["grasp"] = grasp_poses(robot, np.reshape(NEUTRAL, (1, -1)))
+    for link in ("right_l3", "right_l6", "head", "grasp"):
         place = state.body_q.numpy()[bodies.index(link), :3]
         assert np.abs(place - poses[link][0, :3, 3]).max() < 1e-5  # Newton is float32
 

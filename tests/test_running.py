@@ -13,7 +13,14 @@ import pytest
 from click.testing import CliRunner
 
 from wrod.commands import LazyGroup, main
-from wrod.commands.running import FAULT, INTERRUPTED, REFUSED, holding_output, interruptible
+from wrod.commands.running import (
+    FAULT,
+    INTERRUPTED,
+    REFUSED,
+    TERMINATED,
+    holding_output,
+    interruptible,
+)
 from wrod.errors import DataError, RodError
 from wrod.files import write_atomically
 from wrod.files.locking import locked
@@ -46,6 +53,10 @@ def ends(error, *words, write=None):
         (FileNotFoundError(errno.ENOENT, "No such file", "out/a"), "out/a: .*again", REFUSED),
         (ModuleNotFoundError("no", name="pxr"), r"pip install 'wrod\[scene\]'", REFUSED),
         (ModuleNotFoundError("no", name="torch.nn"), r"pip install 'wrod\[train\]'", REFUSED),
+        (KeyboardInterrupt(signal.SIGTERM), "wrod: terminated", TERMINATED),
+        (ImportError("a.so: failed to map segment"), "too little memory", REFUSED),
+        (UnicodeDecodeError("utf-8", b"a", 0, 1, "x"), "not UTF-8", REFUSED),
+        (UserWarning("odd"), "odd .*PYTHONWARNINGS", REFUSED),
         (ZeroDivisionError("x"), "a fault of wrod's own", FAULT),
     ],
 )
@@ -54,6 +65,14 @@ def test_every_end_is_one_sentence(error, says, code, tmp_path):
 
     said, found = ends(error, "--out", str(tmp_path / "out"))
     assert found == code and re.search(says, said) and len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["TQDM_MININTERVAL", "NUMPY_MADVISE_HUGEPAGE"])
+def test_variables_that_a_library_cannot_read_are_named(name, tmp_path):
+    words = ["plan", "line", "--rod", "rope", "--method", "intuitive", "--no-robot", "--spacing"]
+    call = [sys.executable, "-m", "wrod", *words, "0.05", "--out", str(tmp_path / "out")]
+    run = subprocess.run(call, env=os.environ | {name: "x"}, capture_output=True, text=True)
+    assert run.returncode == REFUSED and f"{name}='x'" in run.stderr and len(run.stderr) < 300
 
 
 def test_what_is_complete_is_said(tmp_path):

@@ -39,7 +39,7 @@ def test_summary_is_the_mean_over_trials_and_then_over_cells():
         (("--methods", "guess"), "unknown method 'guess'"),
         (("--engines", "wrod,bullet"), "unknown engine 'bullet'"),
         (("--trials", "0"), "--trials"),
-        (("--frictions", "slippery"), "frictions is 'slippery'"),
+        (("--frictions", "slippery"), "--frictions is 'slippery'"),
     ],
 )
 def test_bad_options_are_refused(tmp_path, options, says):

@@ -19,7 +19,15 @@ from msgspec import to_builtins
 from wrod.training.sampling import INPUTS, RodInputs
 
 from wrod.errors import DataError
-from wrod.files import check_arrays, decode_json, read_json, read_tensors, schemas, write_atomically
+from wrod.files import (
+    check_arrays,
+    decode_json,
+    read_json,
+    read_tensors,
+    schemas,
+    write_atomically,
+    write_tensors,
+)
 
 FORMAT = "wrod-grasps-1"
 MANIFEST = "manifest.json"
@@ -163,8 +171,6 @@ def write_shard(folder: Path, manifest: Manifest, shard: int, columns: dict) -> 
     Raises:
         DataError: the dataset's folder has vanished meanwhile; shards alone are no dataset.
     """
-    from safetensors.numpy import save
-
     if not (Path(folder) / MANIFEST).exists():
         raise DataError(
             f"{folder}: was removed while grasps were written to it; run the same command again"
@@ -181,11 +187,8 @@ def write_shard(folder: Path, manifest: Manifest, shard: int, columns: dict) -> 
         "dataset": manifest.identity,
         "first": first,
         "count": count,
-        "sha256": _checksum(arrays),
     }
-    # One key only: the order of several would not be the same in every process.
-    content = save(arrays, metadata={"wrod": json.dumps(label)})
-    return write_atomically(shard_path(folder, shard), lambda file: file.write(content), "wb")
+    return write_tensors(shard_path(folder, shard), label, arrays)
 
 
 def sweep(folder: Path, mine: range) -> None:
@@ -216,8 +219,6 @@ def read_shard(folder: Path, manifest: Manifest, shard: int, count: int | None =
     missing = manifest.columns.keys() - found.keys()
     if missing or len(found["inputs"]) != label["count"]:
         raise DataError(f"{path}: {min(missing, default='a row')} is missing; delete the file")
-    if label.get("sha256") != _checksum(arrays):
-        raise DataError(f"{path}: is damaged (checksum); delete it to solve it again")
     return found
 
 
@@ -251,11 +252,3 @@ def _open(path: Path) -> tuple[dict, dict]:
     what = "a shard of a dataset; delete the file"
     text, arrays = read_tensors(path, what)
     return to_builtins(decode_json(text, schemas.Shard, str(path), what)), arrays
-
-
-def _checksum(arrays: dict) -> str:
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        digest.update(name.encode())
-        digest.update(np.ascontiguousarray(arrays[name]).data)
-    return digest.hexdigest()

@@ -5,9 +5,9 @@ from .deployment.fixtures import Fixtures as Fixtures
 from .deployment.plan import plan as plan
 from .deployment.result import Deployment as Deployment
 from .deployment.setup import Disturbance as Disturbance
-from .deployment.simulate import Trial as Trial
 from .deployment.simulate import simulate_deployment as simulate_deployment
 from .deployment.simulate import simulate_deployments as simulate_deployments
+from .deployment.trial import Trial as Trial
 from .grasps.optimal import solve_grasps as solve_grasps
 from .grasps.results import Grasps as Grasps
 from .grasps.rod_grasps import RodGrasps as RodGrasps
@@ -23,9 +23,9 @@ from .knots.plan import KnotPlan as KnotPlan
 from .knots.trials import Handling as Handling
 from .knots.tying import tie as tie
 from .newton_solver import SolverDER as SolverDER
+from .patterns.named import pattern as pattern
+from .patterns.named import pattern_names as pattern_names
 from .patterns.pattern import Pattern as Pattern
-from .patterns.pattern import pattern as pattern
-from .patterns.pattern import pattern_names as pattern_names
 from .perception.measure import measure_deployment as measure_deployment
 from .perception.scan import scan as scan
 from .perception.trace import trace_centerlines as trace_centerlines

@@ -1,23 +1,44 @@
 """`python -m wrod` is the command `wrod`; an interruption while it is loaded is said as later."""
 
-import contextlib
-import signal
 import sys
 
 
 def main() -> None:
     """Load the command line and run it."""
     try:
+        import os
+
         from wrod.commands import main as run
 
         run()
     except KeyboardInterrupt:
         print("wrod: interrupted", file=sys.stderr)
         sys.exit(130)
+    except Exception as error:  # while it was loaded
+        from wrod.errors import blamed_variables
+
+        said = blamed_variables(error)
+        if said is None and isinstance(error, (ImportError, MemoryError, OSError)):
+            said = (
+                f"cannot be loaded ({' '.join(f'{type(error).__name__}: {error}'.split())[:300]}); "
+                "this process may have too little memory or too few open files (ulimit -a), or the "
+                "installation may not be whole"
+            )
+        if said is None or os.environ.get("WROD_TRACEBACK"):
+            raise
+        print(f"wrod: {said}", file=sys.stderr)
+        sys.exit(2)
     finally:
-        # All is said and written: what strikes while Python winds up changes nothing.
-        with contextlib.suppress(ValueError):  # not the main thread
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _wind_up()
+
+
+def _wind_up() -> None:
+    """All is said and written: what strikes while Python winds up changes nothing."""
+    import contextlib
+    import signal
+
+    with contextlib.suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import math
@@ -16,6 +17,8 @@ import numpy as np
 from wrod.errors import WrodError
 
 _LARGEST = sys.float_info.max
+# Numbers in an array: more would take gigabytes, if only to look whether all are finite.
+_MOST = 2**27
 F = TypeVar("F", bound=Callable)
 # Says what is wrong with a value ("must be ..."), or None if nothing is.
 Check = Callable[[Any], str | None]
@@ -48,9 +51,14 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
                     continue
                 wrong = check(given[name])
                 if wrong is not None:
-                    shown = _shown(given[name])
-                    raise error(f"{_name(function, args)}: {name} is {shown}; it {wrong}")
-            return function(*args, **kwargs)
+                    said = shown(given[name])
+                    raise error(f"{_name(function, args)}: {name} is {said}; it {wrong}")
+            try:
+                return function(*args, **kwargs)
+            except RecursionError:
+                raise error(
+                    f"{function.__qualname__}: what it is given is nested too deeply"
+                ) from None
 
         return guarded  # type: ignore[return-value]
 
@@ -123,6 +131,8 @@ def array(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
             return f"must be an array of shape {said}"
         if found.dtype.kind not in "fiu":
             return f"must be an array of numbers of shape {said}"
+        if found.size > _MOST:
+            return f"has {found.size:.3g} numbers and may have {_MOST:.3g}"
         fits = [
             len(shape) == found.ndim
             and all(a in (None, b) for a, b in zip(shape, found.shape, strict=True))
@@ -193,7 +203,7 @@ def several(one: Check, least: int = 1) -> Check:
         for k, item in enumerate(value):
             wrong = one(item)
             if wrong is not None:
-                return f"holds at place {k} {_shown(item)}, which {wrong}"
+                return f"holds at place {k} {shown(item)}, which {wrong}"
         return None
 
     return check
@@ -201,7 +211,16 @@ def several(one: Check, least: int = 1) -> Check:
 
 def mesh(*shapes: tuple[int | None, ...], finite: bool = True) -> Check:
     """As `array`, or an array of Warp, which is taken as it is."""
-    return either(like("an array", "ptr", "device", "dtype"), array(*shapes, finite=finite))
+    plain = array(*shapes, finite=finite)
+
+    def check(value: Any) -> str | None:
+        if isinstance(value, type) or not all(hasattr(value, n) for n in ("ptr", "dtype")):
+            return plain(value)
+        scalar = getattr(value.dtype, "_wp_scalar_type_", value.dtype)
+        good = getattr(scalar, "__name__", "") == "float64"
+        return None if good else "must be of float64, as all arrays of Warp that are handed over"
+
+    return check
 
 
 def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:
@@ -214,11 +233,13 @@ def floats(value: Any, where: str, error: type[WrodError]) -> np.ndarray:
     """
     try:
         found = np.asarray(value)
-        if found.dtype.kind in "biufO":  # and no times, which would be counted in nanoseconds
+        if (
+            found.size <= _MOST and found.dtype.kind in "biufO"
+        ):  # and no times, which would be counted in nanoseconds
             return found.astype(np.float64, copy=False)
     except Exception:  # whatever an object does that is asked to be an array
         pass
-    raise error(f"{where} is {_shown(value)}; it must be an array of numbers")
+    raise error(f"{where} is {shown(value)}; it must be an array of numbers")
 
 
 def truths(value: Any) -> str | None:
@@ -283,11 +304,12 @@ def _range(low: float, high: float, above: float | None = None) -> str:
     return f" from {low:g} to {high:g}"
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value for a sentence, whatever it is."""
     if isinstance(value, np.ndarray) and value.size > 8:
         return f"an array of shape {value.shape}"
+    said = f"of type {type(value).__name__}"
     if isinstance(value, str | numbers.Number | np.ndarray | list | tuple | dict | None):
-        said = repr(value)
-    else:
-        said = f"of type {type(value).__name__}"
+        with contextlib.suppress(Exception):  # it may be nested deeply, or hold anything
+            said = repr(value)
     return said if len(said) <= 60 else f"{said[:59]}…"

@@ -17,6 +17,7 @@ force_option = click.option(
 # Of one core of a server's processor; docs/measured.md has them.
 GRASPS_PER_SECOND, SENSITIVITIES_COST, NODE_STEP = 2000.0, 3.0, 2.3e-5
 APPLICATION = {"S cable": 25.0, "U cable": 15.0, "trefoil": 8.0, "reef": 68.0}
+EQUILIBRIUM, BOUNDARY = 4e-3, 0.8
 IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
 # Multiplications and additions of a core with eight float64 lanes that training keeps busy.
 _OPERATIONS = 4e9
@@ -103,6 +104,12 @@ def grasps(
     rate *= _cores() if device == "cpu" else 600.0
     # Meshes of 128 edges, of which a dozen arrays of the degrees of freedom live at once.
     return Cost(count / ranks / rate, 50e3 * min(shard_size, count), float(row_bytes) * count)
+
+
+def manifold(count: int, lengths: int, *, device: str) -> Cost:
+    """Of equilibria of held grips, and of the boundary for some suspended lengths."""
+    seconds = EQUILIBRIUM * count + BOUNDARY * lengths
+    return Cost(seconds / (_cores() if device == "cpu" else 20.0), 10e3 * count)
 
 
 def training(steps: int, batch: int, width: int, depth: int, rows: int, *, device: str) -> Cost:

@@ -3,6 +3,29 @@
 The command line turns every `WrodError` into that sentence and exit code 2; the API raises it.
 """
 
+import os
+import traceback
+
+# Beginnings of the names of environment variables that are not the library's own name.
+_PREFIXES = {"numpy": ("NUMPY", "NPY"), "matplotlib": ("MPL",), "cv2": ("OPENCV",)}
+
+
+def blamed_variables(error: BaseException) -> str | None:
+    """The sentence for an error of a library that has environment variables of its own set, which
+    it reads when it is loaded or first called; None if there is none."""
+    frames = [
+        frame.f_globals.get("__name__") for frame, _ in traceback.walk_tb(error.__traceback__)
+    ]
+    library = str(frames[-1] if frames else "").partition(".")[0]
+    prefixes = _PREFIXES.get(library, (library.upper(),))
+    found = [f"{k}={v!r:.80}" for k, v in os.environ.items() if k.partition("_")[0] in prefixes]
+    if not found or library == "wrod":
+        return None
+    return (
+        f"{library} stops with {type(error).__name__}: {str(error)[:300]}; it reads "
+        f"{', '.join(found[:5])} of the environment: unset what it cannot mean"
+    )
+
 
 class WrodError(ValueError):
     """Base of every error that wrod raises for input it cannot use."""

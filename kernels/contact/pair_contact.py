@@ -54,12 +54,15 @@ class Pieces:
 @wp.struct
 class Rubbing:
     """Friction in a step: (rod, piece, partner) bristles in the pair's own frame, loads that bound
-    them, and whether they slid in the last step; (rod,) which bristles hold any load."""
+    them, and whether they slid in the last step; (rod,) which bristles hold any load. From
+    iteration to iteration: which way each slid, and 1 where that turned round, fading."""
 
     bristle: wp.array3d(dtype=wp.vec2d)
     load: wp.array3d(dtype=wp.float64)
     sliding: wp.array3d(dtype=wp.int32)
     sticking: wp.array(dtype=wp.int32)
+    way: wp.array3d(dtype=wp.vec2d)
+    turned: wp.array3d(dtype=wp.float64)
 
 
 @wp.struct
@@ -211,7 +214,10 @@ def pair_contact(
                 shrink = limit / size
                 out.bristle = shrink * out.bristle
                 along = stretch / size
-                out.grip = shrink * (out.grip - law.stiffness * wp.outer(along, along))
+                # Newton would throw from side to side what slides to and fro from iteration to
+                # iteration: it gets the secant's stiffness along its way for a while.
+                rest = (ONE - rubbing.turned[r, i, k]) * law.stiffness
+                out.grip = shrink * (out.grip - rest * wp.outer(along, along))
                 stretch = shrink * stretch
         out.pull = law.stiffness * stretch
     return out

@@ -28,11 +28,13 @@ from wrod.kernels.contact.pair_contact import (
 )
 from wrod.kernels.contact.planes import note_touch
 from wrod.kernels.contact.segments import piece_size
-from wrod.kernels.elastic.frames import ZERO, node
+from wrod.kernels.elastic.frames import ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
 
 
+# Share of the stiffness of what turned round that is left after an iteration in which it did not.
+FADING = wp.constant(wp.float64(0.5))
 # A load is out of date when it differs by more than this part; how often a step takes them anew.
 STALE = wp.constant(wp.float64(0.05))
 MOST_RENEWALS = wp.constant(2)
@@ -68,6 +70,13 @@ def rod_contact(
         sticks = rubbing.sticking[r]
         c = pair_contact(m, rubbing, step[r], dof, dof_before, sticks, r, i, j, k)
         depth_out[r, i, k] = m.radius[r, i] + m.radius[r, j] - c.near.distance
+        turned = wp.float64(FADING * rubbing.turned[r, i, k])
+        if c.slid > ZERO and wp.length(c.bristle) > ZERO:
+            way = wp.normalize(c.bristle)
+            if wp.dot(way, rubbing.way[r, i, k]) < ZERO:
+                turned = ONE
+            rubbing.way[r, i, k] = way
+        rubbing.turned[r, i, k] = turned
         if c.force > ZERO:
             if c.slid > ZERO and rubbing.load[r, i, k] > ZERO:
                 overloaded_out[r] = 1
@@ -117,12 +126,14 @@ def find_touching(
 def hold_loads(
     starting: wp.array(dtype=wp.int32),
     load: wp.array3d(dtype=wp.float64),
-    held_out: wp.array3d(dtype=wp.float64),
+    rubbing: Rubbing,
 ):
-    """A step begins with the loads of the last."""
+    """A step begins with the loads of the last, and nothing slides yet."""
     r, i, k = wp.tid()
     if starting[r] != 0:
-        held_out[r, i, k] = load[r, i, k]
+        rubbing.load[r, i, k] = load[r, i, k]
+        rubbing.way[r, i, k] = wp.vec2d(ZERO, ZERO)
+        rubbing.turned[r, i, k] = ZERO
 
 
 @wp.kernel

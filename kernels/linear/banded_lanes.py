@@ -15,7 +15,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-_LANES = """
+LANES = """
 #if defined(__CUDA_ARCH__)
 #define WROD_SHARED __shared__
 #define WROD_LANES for (int lane = threadIdx.x % 32, once = 1; once; once = 0)
@@ -45,7 +45,7 @@ _LANES = """
 """
 
 _FACTORISE = (
-    _LANES
+    LANES
     + """
     const double smallest = 1.0e-14;
     const size_t begin = (size_t)r * hessian.shape[1] + first;
@@ -179,7 +179,7 @@ def factorise_rod(
 
 
 _SOLVE = (
-    _LANES
+    LANES
     + """
     const size_t begin = (size_t)r * factor_in.shape[1] + first;
     const double* factor = factor_in.data + begin * BAND;

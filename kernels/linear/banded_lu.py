@@ -10,11 +10,13 @@ from typing import Any
 import warp as wp
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.elastic.frames import ONE, ZERO
-from wrod.kernels.lanes import wait_for_lanes
+from wrod.kernels.linear.banded_lanes import LANES
 
 wp.set_module_options({"enable_backward": False})
 
 BAND = wp.constant(2 * 10 + 1)
+# A right-hand side by itself, as a GPU has them.
+ALONE = wp.types.vector(length=1, dtype=wp.float64)
 
 
 @wp.func
@@ -32,7 +34,7 @@ def jacobian_entry(
 
 
 @wp.kernel
-def factorise(
+def assemble(
     # In:
     active: wp.array(dtype=wp.int32),
     free: wp.array2d(dtype=wp.int32),
@@ -41,43 +43,100 @@ def factorise(
     # Out:
     factor_out: wp.array3d(dtype=wp.float64),
 ):
-    """A = L U. Rows that are not free are those of the identity; their columns are kept, which is
-    how what is prescribed moves the rest. Launched over (rod, lane) in blocks of `TEAM`."""
-    r, lane = wp.tid()
+    """The matrix, where `factorise` takes it from. Rows that are not free are those of the
+    identity; their columns are kept, which is how what is prescribed moves the rest."""
+    r, a = wp.tid()
     if active[r] == 0:
         return
     n = hessian.shape[1]
-    for a in range(lane, n, wp.block_dim()):
-        for k in range(BAND):
-            b = a + k - HALF_BANDWIDTH
-            value = wp.float64(0.0)
-            if free[r, a] == 0:
-                value = wp.where(b == a, ONE, ZERO)
-            elif b >= 0 and b < n:
-                value = jacobian_entry(hessian, coupling, r, a, b)
-            factor_out[r, a, k] = value
-    wait_for_lanes()
-    for t in range(n):
-        # What row t takes from the ten below it, an entry a lane.
-        inverse = ONE / factor_out[r, t, HALF_BANDWIDTH]
-        rows = wp.min(HALF_BANDWIDTH, n - 1 - t)
-        for m in range(lane, rows * HALF_BANDWIDTH, wp.block_dim()):
-            i = m / HALF_BANDWIDTH + 1
-            j = m % HALF_BANDWIDTH + 1
-            below = factor_out[r, t + i, HALF_BANDWIDTH - i] * inverse
-            factor_out[r, t + i, HALF_BANDWIDTH - i + j] = (
-                factor_out[r, t + i, HALF_BANDWIDTH - i + j]
-                - below * factor_out[r, t, HALF_BANDWIDTH + j]
-            )
-        wait_for_lanes()
-    for a in range(lane, n, wp.block_dim()):
-        for k in range(1, wp.min(a, HALF_BANDWIDTH) + 1):
-            factor_out[r, a, HALF_BANDWIDTH - k] = (
-                factor_out[r, a, HALF_BANDWIDTH - k] / factor_out[r, a - k, HALF_BANDWIDTH]
-            )
-    wait_for_lanes()
-    for a in range(lane, n, wp.block_dim()):
-        factor_out[r, a, HALF_BANDWIDTH] = ONE / factor_out[r, a, HALF_BANDWIDTH]
+    for k in range(BAND):
+        b = a + k - HALF_BANDWIDTH
+        value = wp.float64(0.0)
+        if free[r, a] == 0:
+            value = wp.where(b == a, ONE, ZERO)
+        elif b >= 0 and b < n:
+            value = jacobian_entry(hessian, coupling, r, a, b)
+        factor_out[r, a, k] = value
+
+
+# A window of 42 rows, 32 whose pivots are due and the 10 below them, goes down the matrix. Row `at`
+# holds entries (a, a - 10 + k), k = 0...20. A pivot updates the 100 entries below and to the right
+# of it at once, four a lane; left of the diagonal they stay L times the pivot until they are
+# written.
+_FACTORISE = (
+    LANES
+    + """
+    const int ROW = 21, WIDE = 22;
+    const int n = factor.shape[1];
+    double* rows = factor.data + (size_t)r * n * ROW;
+    WROD_SHARED double wide[42 * 22];
+    // Reciprocals of the pivots of the 10 rows before the window and of its first 32:
+    WROD_SHARED double inverses[42];
+#define WROD_WIDE(at, k) wide[(at) * WIDE + (k)]
+#define WROD_ROWS(at, first, count) \\
+    for (int m = lane; m < (count) * ROW; m += 32) { \\
+        const int k = m % ROW, row = m / ROW, a = (first) + row; \\
+        WROD_WIDE((at) + row, k) = a < n ? rows[a * ROW + k] : (k == REACH ? 1.0 : 0.0); \\
+    }
+
+    WROD_SYNC();
+    WROD_LANES {
+        WROD_ROWS(0, 0, CHUNK + REACH)
+        for (int m = lane; m < 42; m += 32) inverses[m] = 0.0;
+    }
+    WROD_SYNC();
+    for (int base = 0; base < n; base += CHUNK) {
+        const int count = n - base < CHUNK ? n - base : CHUNK;
+        for (int t = 0; t < count; ++t) {
+            const double inverse = 1.0 / WROD_WIDE(t, REACH);
+            WROD_LANES {
+                _Pragma("unroll") for (int m = 0; m < 4; ++m) {
+                    const int i = (lane + 32 * m) / REACH + 1, j = (lane + 32 * m) % REACH + 1;
+                    if (i <= REACH)
+                        WROD_WIDE(t + i, REACH - i + j) -=
+                            WROD_WIDE(t + i, REACH - i) * inverse * WROD_WIDE(t, REACH + j);
+                }
+                if (lane == 31) inverses[REACH + t] = inverse;
+            }
+            WROD_SYNC();
+        }
+        WROD_LANES {
+            for (int m = lane; m < count * ROW; m += 32) {
+                const int k = m % ROW, t = m / ROW;
+                double value = WROD_WIDE(t, k);
+                if (k < REACH) value *= inverses[t + k];
+                if (k == REACH) value = inverses[REACH + t];
+                rows[base * ROW + m] = value;
+            }
+        }
+        WROD_SYNC();
+        WROD_LANES {
+            for (int m = lane; m < REACH * WIDE; m += 32) wide[m] = wide[CHUNK * WIDE + m];
+            if (lane < REACH) inverses[lane] = inverses[CHUNK + lane];
+        }
+        WROD_SYNC();
+        WROD_LANES { WROD_ROWS(REACH, base + CHUNK + REACH, CHUNK) }
+        WROD_SYNC();
+    }
+"""
+)
+
+
+@wp.func_native(_FACTORISE)
+def factorise_rod(r: int, factor: wp.array3d(dtype=wp.float64)): ...
+
+
+@wp.kernel
+def factorise(
+    # In:
+    active: wp.array(dtype=wp.int32),
+    # In and out:
+    factor: wp.array3d(dtype=wp.float64),
+):
+    """A = L U in place of what `assemble` wrote, launched over (rod, lane) in blocks of a warp."""
+    r, _lane = wp.tid()
+    if active[r] != 0:
+        factorise_rod(r, factor)
 
 
 @wp.func
@@ -96,3 +155,85 @@ def substitute(factor: wp.array3d(dtype=wp.float64), r: int, p: int, x: wp.array
         for k in range(1, 11):
             value -= factor[r, a, 10 + k] * x[r, p, wp.min(a + k, n - 1)]
         x[r, p, a] = factor[r, a, 10] * value
+
+
+# Each lane has one unknown of a chunk of 32, which the others learn by a shuffle; the window holds
+# what the chunk's rows have left of the diagonal, then what they have from it on.
+_SUBSTITUTE = (
+    LANES
+    + """
+    const int ROW = 21;
+    const int n = factor.shape[1];
+    const double* rows = factor.data + (size_t)r * n * ROW;
+    double* solution = (double*)x.data + ((size_t)r * x.shape[1] + p) * n;
+    WROD_LANE_VALUE(double, value);
+    WROD_LANE_VALUE(double, known);
+    for (int base = 0; base < n; base += CHUNK) {
+        WROD_SYNC();
+        WROD_LANES {
+            WROD_OWN(value) = base + lane < n ? solution[base + lane] : 0.0;
+            _Pragma("unroll") for (int m = lane; m < CHUNK * REACH; m += 32) {
+                const int k = m % REACH, row = m / REACH, a = base + row;
+                WROD_AT(row, REACH - k) = a < n ? rows[a * ROW + k] : 0.0;
+            }
+        }
+        WROD_SYNC();
+        for (int t = CHUNK - REACH; t < CHUNK; ++t) {
+            const double other = WROD_FROM(known, t);
+            WROD_LANES {
+                const int k = lane + CHUNK - t;
+                if (k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
+            }
+        }
+        _Pragma("unroll 4") for (int t = 0; t < CHUNK; ++t) {
+            const double other = WROD_FROM(value, t);
+            WROD_LANES {
+                const int k = lane - t;
+                if (k > 0 && k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
+            }
+        }
+        WROD_LANES {
+            WROD_OWN(known) = WROD_OWN(value);
+            if (base + lane < n) solution[base + lane] = WROD_OWN(value);
+        }
+    }
+    WROD_LANES { WROD_OWN(known) = 0.0; }
+    for (int base = (n - 1) / CHUNK * CHUNK; base >= 0; base -= CHUNK) {
+        WROD_SYNC();
+        WROD_LANES {
+            WROD_OWN(value) = base + lane < n ? solution[base + lane] : 0.0;
+            _Pragma("unroll") for (int m = lane; m < CHUNK * BAND; m += 32) {
+                const int k = m % BAND, row = m / BAND, a = base + row;
+                WROD_AT(row, k) = a < n ? rows[a * ROW + REACH + k] : 0.0;
+            }
+        }
+        WROD_SYNC();
+        for (int t = 0; t < REACH; ++t) {
+            const double other = WROD_FROM(known, t);
+            WROD_LANES {
+                const int k = CHUNK + t - lane;
+                if (k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
+            }
+        }
+        _Pragma("unroll 4") for (int t = CHUNK - 1; t >= 0; --t) {
+            const double other = WROD_FROM(value, t) * WROD_AT(t, 0);
+            WROD_LANES {
+                const int k = t - lane;
+                if (k > 0 && k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
+            }
+        }
+        WROD_LANES {
+            WROD_OWN(known) = WROD_OWN(value) * WROD_AT(lane, 0);
+            if (base + lane < n) solution[base + lane] = WROD_OWN(known);
+        }
+    }
+"""
+)
+
+
+@wp.func_native(_SUBSTITUTE)
+def substitute_lanes(
+    factor: wp.array3d(dtype=wp.float64), r: int, p: int, x: wp.array3d(dtype=ALONE)
+):
+    """`substitute` for one right-hand side a warp."""
+    ...

@@ -52,11 +52,13 @@ def weigh_pairs(
     # State out:
     weight_out: wp.array2d(dtype=wp.vec4d),
     tiles_out: wp.array(dtype=wp.int32),
+    arrived_out: wp.array(dtype=wp.int32),
 ):
-    """W, and how many tiles S has. Launched over (row, pair)."""
+    """W, and how many tiles S has; nobody has begun on them. Launched over (row, pair)."""
     r, n = wp.tid()
     chosen = coupled[r] != 0 and overflow[r] == 0
     if n == 0:
+        arrived_out[r] = 0
         tiles_out[r] = wp.where(chosen, (3 * count[r] + TILE_SIZE - 1) // TILE_SIZE, 0)
     if not chosen or n >= count[r]:
         return

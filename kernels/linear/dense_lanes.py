@@ -1,10 +1,12 @@
-"""Dense factorisation and solution by many blocks: A = L D L^T of rows' symmetric matrices, no
+"""Dense factorisation and solution by a whole GPU: A = L D L^T of rows' symmetric matrices, no
 pivoting.
 
-A panel of 32 columns is taken off what is to its right, in two launches: every tile of 32 rows
-finds its part of L (each factorises the tile on the diagonal for itself), then tiles of 64 x 64 are
-updated. By Sylvester's law the number of negative D is that of the negative eigenvalues. Matrices
-are stored by rows, and read below their diagonal; kernels are launched in blocks of `BLOCK`.
+A panel of 32 columns is taken off what is to its right, in two rounds: every tile of 32 rows finds
+its part of L (each block factorises the tile on the diagonal for itself), then tiles of 64 x 64 are
+updated. Blocks of one launch take the tiles in turns and wait for each other in between, for which
+there may be no more of them than the device has multiprocessors. By Sylvester's law the number of
+negative D is that of the negative eigenvalues. Matrices are stored by rows, and read below their
+diagonal; kernels are launched in blocks of `BLOCK`.
 
 Compiled for a CPU the same source loops over the lanes, so that it can be tested without a GPU.
 """
@@ -15,8 +17,6 @@ wp.set_module_options({"enable_backward": False})
 
 BLOCK = 256
 TILE = 32
-# Panels that are taken off before anyone asks whether there are more.
-UNROLL = 4
 
 _LANES = f"""
     const int BLOCK = {BLOCK}, T = {TILE}, STRIDE = {TILE} + 1;
@@ -25,157 +25,167 @@ _LANES = f"""
 #define WROD_BLOCK for (int lane = threadIdx.x, once = 1; once; once = 0)
 #define WROD_WAIT() __syncthreads()
 #define WROD_WAIT_NEAR() __syncwarp()
+    // Blocks of a row that have come here, in all.
+#define WROD_WAIT_FAR() \\
+    __syncthreads(); \\
+    if (blocks > 1) {{ \\
+        if (threadIdx.x == 0) {{ \\
+            __threadfence(); \\
+            const int mine = atomicAdd(arrived.data + r, 1); \\
+            const int goal = (mine / blocks + 1) * blocks; \\
+            while (*(volatile int*)(arrived.data + r) < goal) {{}} \\
+            __threadfence(); \\
+        }} \\
+        __syncthreads(); \\
+    }}
 #else
 #define WROD_SHARED
 #define WROD_BLOCK for (int lane = 0; lane < BLOCK; ++lane)
 #define WROD_WAIT()
 #define WROD_WAIT_NEAR()
+#define WROD_WAIT_FAR()
 #endif
 """
 
-_PANEL = (
+_FACTORISE = (
     _LANES
     + """
     const double smallest = 1.0e-14;
-    const int n = matrix.shape[1];
+    const int WIDE = 64, LINE = WIDE + 1;
+    const int n = matrix.shape[1], end = T * tiles;
     double* a = matrix.data + (size_t)r * n * n;
-    const double* sizes = size.data + (size_t)r * n + T * k;
-    WROD_SHARED double d[T * STRIDE];
-    WROD_SHARED double x[T * STRIDE];
-    WROD_SHARED double pivots[T];
-    WROD_SHARED double inverses[T];
-    WROD_WAIT();
-    WROD_BLOCK {
-        for (int e = lane; e < T * T; e += BLOCK) {
-            const int p = e / T, c = e % T;
-            d[p * STRIDE + c] = a[(size_t)(T * k + p) * n + T * k + c];
-            x[p * STRIDE + c] = a[(size_t)(T * i + p) * n + T * k + c];
-        }
-    }
-    WROD_WAIT();
-    // Left of the present pivot entries are those of L D.
-    int negative = 0;
-    for (int j = 0; j < T; ++j) {
-        double pivot = d[j * STRIDE + j];
-        const double least = smallest * (fabs(sizes[j]) + smallest);
-        if (fabs(pivot) < least) pivot = pivot < 0.0 ? -least : least;
-        negative += pivot < 0.0;
-        const double inverse = 1.0 / pivot;
-        WROD_BLOCK {
-            if (lane == 0) {
-                pivots[j] = pivot;
-                inverses[j] = inverse;
+    double* products = panel.data + (size_t)r * n * T;
+    WROD_SHARED double pool[2 * T * LINE];
+    double* d = pool;
+    double* x = pool + T * STRIDE;
+    double* pivots = pool + 2 * T * STRIDE;
+    double* inverses = pivots + T;
+    double* upper = pool;
+    double* lower = pool + T * LINE;
+    for (int k = 0; k < tiles; ++k) {
+        const double* sizes = size.data + (size_t)r * n + T * k;
+        for (int i = k + block; i < tiles; i += blocks) {
+            WROD_WAIT();
+            WROD_BLOCK {
+                for (int e = lane; e < T * T; e += BLOCK) {
+                    const int p = e / T, c = e % T;
+                    d[p * STRIDE + c] = a[(size_t)(T * k + p) * n + T * k + c];
+                    x[p * STRIDE + c] = a[(size_t)(T * i + p) * n + T * k + c];
+                }
             }
-            for (int e = lane; e < T * T; e += BLOCK) {
-                const int p = e / T, c = e % T;
-                if (c > j && p >= c)
-                    d[p * STRIDE + c] -= d[p * STRIDE + j] * d[c * STRIDE + j] * inverse;
+            WROD_WAIT();
+            // Left of the present pivot entries are those of L D.
+            int negative = 0;
+            for (int j = 0; j < T; ++j) {
+                double pivot = d[j * STRIDE + j];
+                const double least = smallest * (fabs(sizes[j]) + smallest);
+                if (fabs(pivot) < least) pivot = pivot < 0.0 ? -least : least;
+                negative += pivot < 0.0;
+                const double inverse = 1.0 / pivot;
+                WROD_BLOCK {
+                    if (lane == 0) {
+                        pivots[j] = pivot;
+                        inverses[j] = inverse;
+                    }
+                    for (int e = lane; e < T * T; e += BLOCK) {
+                        const int p = e / T, c = e % T;
+                        if (c > j && p >= c)
+                            d[p * STRIDE + c] -= d[p * STRIDE + j] * d[c * STRIDE + j] * inverse;
+                    }
+                }
+                WROD_WAIT();
+            }
+            if (i == k) {
+                double* out = diagonal.data + ((size_t)r * n + T * k) * T;
+                WROD_BLOCK {
+                    for (int e = lane; e < T * T; e += BLOCK) {
+                        const int p = e / T, c = e % T;
+                        double entry = 0.0;
+                        if (c < p) entry = d[p * STRIDE + c] * inverses[c];
+                        if (c == p) entry = pivots[c];
+                        out[e] = entry;
+                    }
+                    if (lane == 0) wp::atomic_add(negatives.data + r, -negative);
+                }
+            } else {
+                // Eight lanes take a row of the tile below: L D first.
+                for (int j = 0; j < T; ++j) {
+                    WROD_BLOCK {
+                        const int p = lane / (BLOCK / T), part = lane % (BLOCK / T);
+                        const double entry = x[p * STRIDE + j] * inverses[j];
+                        for (int c = part; c < T; c += BLOCK / T)
+                            if (c > j) x[p * STRIDE + c] -= entry * d[c * STRIDE + j];
+                    }
+                    WROD_WAIT_NEAR();
+                }
+                WROD_WAIT();
+                WROD_BLOCK {
+                    for (int e = lane; e < T * T; e += BLOCK) {
+                        const int p = e / T, c = e % T;
+                        const double entry = x[p * STRIDE + c];
+                        products[(size_t)T * T * i + e] = entry;
+                        a[(size_t)(T * i + p) * n + T * k + c] = entry * inverses[c];
+                    }
+                }
             }
         }
-        WROD_WAIT();
-    }
-    if (i == k) {
-        double* out = diagonal.data + ((size_t)r * n + T * k) * T;
-        WROD_BLOCK {
-            for (int e = lane; e < T * T; e += BLOCK) {
-                const int p = e / T, c = e % T;
-                double entry = 0.0;
-                if (c < p) entry = d[p * STRIDE + c] * inverses[c];
-                if (c == p) entry = pivots[c];
-                out[e] = entry;
+        WROD_WAIT_FAR();
+        const int begin = T * (k + 1), wide = (tiles - k) / 2;
+        int i = 0, j = block;
+        while (j > i) j -= ++i;
+        for (; i < wide; j += blocks) {
+            while (j > i) j -= ++i;
+            if (i >= wide) break;
+            const int top = begin + WIDE * i, left = begin + WIDE * j;
+            WROD_WAIT();
+            WROD_BLOCK {
+                for (int e = lane; e < WIDE * T; e += BLOCK) {
+                    const int p = e / T, c = e % T;
+                    const size_t row = top + p, other = left + p;
+                    upper[c * LINE + p] = top + p < end ? products[row * T + c] : 0.0;
+                    lower[c * LINE + p] = left + p < end ? a[other * n + T * k + c] : 0.0;
+                }
             }
-            if (lane == 0) wp::atomic_add(negatives.data + r, -negative);
+            WROD_WAIT();
+            WROD_BLOCK {
+                const int y = lane / 16, z = lane % 16;
+                double sum[4][4] = {};
+                for (int c = 0; c < T; ++c) {
+                    double u[4], v[4];
+                    _Pragma("unroll") for (int m = 0; m < 4; ++m) {
+                        u[m] = upper[c * LINE + y + 16 * m];
+                        v[m] = lower[c * LINE + z + 16 * m];
+                    }
+                    _Pragma("unroll") for (int m = 0; m < 4; ++m)
+                        _Pragma("unroll") for (int l = 0; l < 4; ++l) sum[m][l] += u[m] * v[l];
+                }
+                _Pragma("unroll") for (int m = 0; m < 4; ++m) {
+                    const int p = top + y + 16 * m;
+                    _Pragma("unroll") for (int l = 0; l < 4; ++l) {
+                        const int c = left + z + 16 * l;
+                        if (p < end && c <= p) a[(size_t)p * n + c] -= sum[m][l];
+                    }
+                }
+            }
         }
-        return;
-    }
-    // Eight lanes take a row of the tile below: L D first.
-    for (int j = 0; j < T; ++j) {
-        WROD_BLOCK {
-            const int p = lane / (BLOCK / T), part = lane % (BLOCK / T);
-            const double entry = x[p * STRIDE + j] * inverses[j];
-            for (int c = part; c < T; c += BLOCK / T)
-                if (c > j) x[p * STRIDE + c] -= entry * d[c * STRIDE + j];
-        }
-        WROD_WAIT_NEAR();
-    }
-    WROD_WAIT();
-    double* products = panel.data + ((size_t)r * n + T * i) * T;
-    WROD_BLOCK {
-        for (int e = lane; e < T * T; e += BLOCK) {
-            const int p = e / T, c = e % T;
-            products[e] = x[p * STRIDE + c];
-            a[(size_t)(T * i + p) * n + T * k + c] = x[p * STRIDE + c] * inverses[c];
-        }
+        WROD_WAIT_FAR();
     }
 """
 )
 
 
-@wp.func_native(_PANEL)
-def take_panel(
+@wp.func_native(_FACTORISE)
+def factorise_row(
     size: wp.array2d(dtype=wp.float64),
+    tiles: int,
     r: int,
-    k: int,
-    i: int,
+    block: int,
+    blocks: int,
+    arrived: wp.array(dtype=wp.int32),
     matrix: wp.array3d(dtype=wp.float64),
     panel: wp.array3d(dtype=wp.float64),
     diagonal: wp.array3d(dtype=wp.float64),
     negatives: wp.array(dtype=wp.int32),
-): ...
-
-
-_UPDATE = (
-    _LANES
-    + """
-    const int WIDE = 64, LINE = WIDE + 1;
-    const int n = matrix.shape[1], begin = T * (k + 1), end = T * tiles;
-    double* a = matrix.data + (size_t)r * n * n;
-    const double* products = panel.data + (size_t)r * n * T;
-    const int top = begin + WIDE * i, left = begin + WIDE * j;
-    WROD_SHARED double upper[T * LINE];
-    WROD_SHARED double lower[T * LINE];
-    WROD_WAIT();
-    WROD_BLOCK {
-        for (int e = lane; e < WIDE * T; e += BLOCK) {
-            const int p = e / T, c = e % T;
-            upper[c * LINE + p] = top + p < end ? products[(size_t)(top + p) * T + c] : 0.0;
-            lower[c * LINE + p] = left + p < end ? a[(size_t)(left + p) * n + T * k + c] : 0.0;
-        }
-    }
-    WROD_WAIT();
-    WROD_BLOCK {
-        const int y = lane / 16, x = lane % 16;
-        double sum[4][4] = {};
-        for (int c = 0; c < T; ++c) {
-            double u[4], v[4];
-            _Pragma("unroll") for (int m = 0; m < 4; ++m) {
-                u[m] = upper[c * LINE + y + 16 * m];
-                v[m] = lower[c * LINE + x + 16 * m];
-            }
-            _Pragma("unroll") for (int m = 0; m < 4; ++m)
-                _Pragma("unroll") for (int l = 0; l < 4; ++l) sum[m][l] += u[m] * v[l];
-        }
-        _Pragma("unroll") for (int m = 0; m < 4; ++m) {
-            const int p = top + y + 16 * m;
-            _Pragma("unroll") for (int l = 0; l < 4; ++l) {
-                const int c = left + x + 16 * l;
-                if (p < end && c <= p) a[(size_t)p * n + c] -= sum[m][l];
-            }
-        }
-    }
-"""
-)
-
-
-@wp.func_native(_UPDATE)
-def update_tile(
-    panel: wp.array3d(dtype=wp.float64),
-    tiles: int,
-    r: int,
-    k: int,
-    i: int,
-    j: int,
-    matrix: wp.array3d(dtype=wp.float64),
 ): ...
 
 
@@ -250,88 +260,27 @@ def solve_row(
 
 
 @wp.kernel
-def start_panels(
-    # State in:
-    tiles: wp.array(dtype=wp.int32),
-    # State out:
-    going_out: wp.array(dtype=wp.int32),
-):
-    """Begin with the first panel, if any row has one. `going_out` is whether, and which."""
-    most = int(0)
-    for r in range(tiles.shape[0]):
-        most = wp.max(most, tiles[r])
-    going_out[0] = wp.where(most > 0, 1, 0)
-    going_out[1] = 0
-
-
-@wp.kernel
-def next_panels(
-    # State in:
-    tiles: wp.array(dtype=wp.int32),
-    step: int,
-    # State in and out:
-    going: wp.array(dtype=wp.int32),
-):
-    """Go on by some panels, and tell whether any row has more."""
-    most = int(0)
-    for r in range(tiles.shape[0]):
-        most = wp.max(most, tiles[r])
-    going[1] = going[1] + step
-    going[0] = wp.where(going[1] < most, 1, 0)
-
-
-@wp.kernel
-def take_panels(
+def factorise(
     # State in:
     tiles: wp.array(dtype=wp.int32),
     size: wp.array2d(dtype=wp.float64),
-    going: wp.array(dtype=wp.int32),
-    after: int,
-    stride: int,
+    blocks: int,
     # State in and out:
+    arrived: wp.array(dtype=wp.int32),
     matrix: wp.array3d(dtype=wp.float64),
     panel: wp.array3d(dtype=wp.float64),
     negative_pivots: wp.array(dtype=wp.int32),
     # State out:
     diagonal_out: wp.array3d(dtype=wp.float64),
 ):
-    """Take panel `going[1] + after` off its tiles; negative pivots are subtracted from the count.
+    """L D L^T in place; negative pivots are subtracted from the count. `arrived` begins at zero.
 
-    Launched over (row, tiles of the panel in turns of `stride`, lane).
+    Launched over (row, `blocks`, lane).
     """
-    r, first, _lane = wp.tid()
-    k = going[1] + after
-    for i in range(k + first, tiles[r], stride):
-        take_panel(size, r, k, i, matrix, panel, diagonal_out, negative_pivots)
-
-
-@wp.kernel
-def update(
-    # State in:
-    tiles: wp.array(dtype=wp.int32),
-    panel: wp.array3d(dtype=wp.float64),
-    going: wp.array(dtype=wp.int32),
-    after: int,
-    stride: int,
-    # State in and out:
-    matrix: wp.array3d(dtype=wp.float64),
-):
-    """Take the product of the panel's parts off what is right of it.
-
-    Launched over (row, tiles of 64 x 64 in turns of `stride`, lane).
-    """
-    r, first, _lane = wp.tid()
-    k = going[1] + after
-    wide = wp.max(tiles[r] - k, 0) // 2  # of what is left, tiles[r] - k - 1 small ones
-    count = wide * (wide + 1) // 2
-    i = int(0)
-    j = int(first)
-    for _ in range(first, count, stride):
-        while j > i:
-            i += 1
-            j -= i
-        update_tile(panel, tiles[r], r, k, i, j, matrix)
-        j += stride
+    r, block, _lane = wp.tid()
+    factorise_row(
+        size, tiles[r], r, block, blocks, arrived, matrix, panel, diagonal_out, negative_pivots
+    )
 
 
 @wp.kernel

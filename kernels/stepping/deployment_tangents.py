@@ -11,7 +11,8 @@ Where a node changes between sticking and sliding, or touches down, the derivati
 side on which the step ended.
 
 On a CPU a thread carries eight directions as a vector and reads the factorisation once for all; on
-a GPU each direction has a thread. Arrays of tangents (rod, pack, ...) hold vectors of that size.
+a GPU each direction is solved for by a warp. Arrays of tangents (rod, pack, ...) hold vectors of
+that size, or of one.
 """
 
 from functools import cache
@@ -20,7 +21,7 @@ from typing import Any
 import warp as wp
 from wrod.kernels.elastic.curvature import add_component_rate, component, stencil
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
-from wrod.kernels.linear.banded_lu import substitute
+from wrod.kernels.linear.banded_lu import ALONE, substitute, substitute_lanes
 from wrod.kernels.stepping.grip import spline
 
 wp.set_module_options({"enable_backward": False})
@@ -228,6 +229,23 @@ def solve_tangents(
 
 
 @wp.kernel
+def solve_tangents_lanes(
+    # Model:
+    begin: wp.array2d(dtype=wp.float64),
+    # State in:
+    accepted: wp.array(dtype=wp.int32),
+    time: wp.array(dtype=wp.float64),
+    factor: wp.array3d(dtype=wp.float64),
+    # State in and out:
+    x: wp.array3d(dtype=ALONE),
+):
+    """`solve_tangents` on a GPU, launched over (rod, direction, lane) in blocks of a warp."""
+    r, p, _lane = wp.tid()
+    if accepted[r] != 0 and time[r] >= begin[r, p]:
+        substitute_lanes(factor, r, p, x)
+
+
+@wp.kernel
 def carry_bristles(
     # Model:
     stiffness: wp.array2d(dtype=wp.float64),
@@ -321,7 +339,7 @@ def _of(dtype: type, known):
 @cache
 def vector_of(size: int) -> type:
     """The type of `size` directions that a thread carries, for which the kernels are then built."""
-    dtype = wp.types.vector(length=size, dtype=wp.float64)
+    dtype = ALONE if size == 1 else wp.types.vector(length=size, dtype=wp.float64)
     for kernel in (load_tangents, load_grip, solve_tangents, carry_bristles, advance_tangents):
         known = kernel.adj.arg_types.values()
         wp.overload(kernel, [_of(dtype, t) for t in known])

@@ -108,6 +108,52 @@ def test_michells_ring(ratio):
     assert modes >= 1
 
 
+def localised_helix(m, edges, length=25.0, bending=1.0, twisting=10.0):
+    """A clamped rod under a tension of 1, and a torque 2 m, that has buckled in its middle, as an
+    infinite one would (Coyne 1990): cos(theta) = 1 - 2 (1 - m^2) sech^2(s sqrt(1 - m^2)), and the
+    helix turns by psi' = 2 m / (1 + cos(theta))."""
+    fine = np.linspace(-0.5 * length, 0.5 * length, 64 * edges + 1)
+    rest = np.sqrt(1.0 - m * m)
+    cosine = 1.0 - 2.0 * (rest / np.cosh(fine * rest)) ** 2
+    sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
+    step = fine[1] - fine[0]
+
+    def integral(values):
+        return np.concatenate([[0.0], np.cumsum(0.5 * step * (values[1:] + values[:-1]))])
+
+    turn = integral(2.0 * m / (1.0 + cosine))
+    ways = np.column_stack([cosine, sine * np.cos(turn), sine * np.sin(turn)])
+    path = np.stack([integral(way) for way in ways.T], axis=1)[::64]
+    h = length / edges
+    ahead = np.array([[h, 0.0, 0.0]])
+    position = np.concatenate([path[:1] - ahead, path, path[-1:] + ahead])[None]
+    s = h * (np.arange(edges + 3) - 1)
+    batch = wrod.RodBatch.of(
+        strip(length, (bending, bending), twisting, 1e4), s, position, clamped=(True, True),
+        director=[0, 0, 1], gravity=[0, 0, 0],
+    )  # fmt: skip
+    at = np.clip((np.arange(edges + 2) - 0.5) / edges, 0.0, 1.0)
+    batch.set_configuration(position, angle=(2.0 * m / twisting * length * at)[None])
+    wrod.prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
+    return batch
+
+
+@pytest.mark.parametrize("m", [0.8, 0.9])
+def test_localised_helical_buckling(m):
+    """Ends that are so near and turned so far hold a tension of 1 and a torque of 2 m, to second
+    order in the edge."""
+    errors = []
+    for edges in (125, 250):
+        batch = localised_helix(m, edges)
+        assert wrod.solve_equilibria(batch, max_iterations=200).converged.all()
+        gradient = batch.evaluate(order=1).gradient.numpy()[0]
+        tension, torque = gradient[-7] + gradient[-3], gradient[-4]
+        errors.append((tension - 1.0, torque / (2.0 * m) - 1.0))
+    errors = np.abs(errors)
+    assert (errors[1] < 5e-3).all()
+    assert (errors[1] < 0.35 * errors[0]).all()
+
+
 def test_modes_that_cost_nothing_are_not_counted():
     """A free straight rod has six rigid motions and a spin, and none is unstable."""
     position = np.zeros((1, 41, 3))

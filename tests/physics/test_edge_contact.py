@@ -8,6 +8,7 @@ from test_contact import CONTACT, RADIUS, WEIGHT, G, _PullDown, rods, straight
 from wrod.rods.batch import RodBatch
 from wrod.solvers.contact import Box, Contact, Cylinder, Friction, Plane
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.statics import prescribe
 
 TURN = (0.0, 0.0, float(np.sin(0.3)), float(np.cos(0.3)))
@@ -296,3 +297,44 @@ def test_a_load_that_sinks_a_rod_deep_is_no_tunnelling():
     assert not dynamics.advance(0.3, 5e-3).diverged.any()
     assert 0.5 * RADIUS < contact.penetration()[0] < RADIUS
     assert contact.force.numpy()[0, :, 2].sum() == pytest.approx(WEIGHT * 0.066, rel=0.05)
+
+
+def test_capstan_of_rod_on_rod():
+    """A rope drawn half a turn around a thicker rod: it rubs with its inner side, which goes by R /
+    (R + r) slower than its middle, so that power balances for tensions in the ratio
+    exp(mu pi R / (R + r))."""
+    post, edge, load, friction = 6e-3, 0.8e-3, 0.2, 0.3
+    reach = post + RADIUS
+    angle = np.linspace(np.pi, 0, round(np.pi * reach / edge) + 1)
+    arc = reach * np.column_stack([np.cos(angle), 0 * angle, np.sin(angle)])
+    down = edge * np.arange(1, 9)
+    side = np.column_stack([0 * down + reach, 0 * down, -down])
+    # The post first: the rope's end is the row's.
+    nodes = [[[0.0, -0.03, 0.0], [0.0, 0.03, 0.0]], (side * [-1, 1, 1])[::-1], arc, side]
+    position = np.concatenate(nodes)[None]
+    point_load = np.zeros_like(position)
+    point_load[0, 2] = [0.0, 0.0, -load]
+    batch = RodBatch(
+        position, stretching_stiffness=100.0, bending_stiffness=1e-8, twisting_stiffness=1e-8,
+        node_mass=1e-2 * edge, point_load=point_load,
+    )  # fmt: skip
+    batch.cut([1])
+    free = np.ones(batch.dof_count, dtype=bool)
+    free[:8] = free[-3:] = False
+    batch.set_free(free)
+    radius = np.full((1, batch.node_count - 1), RADIUS)
+    radius[0, 0] = post
+    contact = RodContact(batch, radius, Friction(friction), stiffness=1e4, partners=64)
+    dynamics = Dynamics(
+        batch, scheme="euler", radius=radius, contact=contact, air_damping=20.0,
+        motion=_Pull(batch, np.array([0.0, 0.0, -1.0])),
+    )  # fmt: skip
+    ratios, until = [], 0.1
+    for _ in range(4):
+        assert not dynamics.advance(until, 2e-3).diverged.any()
+        tension = tensions(batch)
+        ratios.append(tension[-2] / tension[3])
+        until += edge / 4 / 0.01
+    assert contact.penetration.numpy()[0] < 0.05 * RADIUS
+    exact = np.exp(friction * np.pi * post / (post + RADIUS))
+    assert np.mean(ratios) == pytest.approx(exact, rel=0.02)

@@ -28,14 +28,12 @@ def command(
     from tqdm import tqdm
 
     from wrod.bench.bend_shapes import BENDS
+    from wrod.commands.options import parse_list
     from wrod.errors import RodError
     from wrod.machine import machine_line
     from wrod.rods.catalogue import rod
 
-    try:
-        friction = [float(f) for f in frictions.split(",")]
-    except ValueError:
-        raise RodError(f"friction is {frictions!r}; give numbers with commas between") from None
+    friction = parse_list(frictions, "--friction", 0.0, 100.0)
     names = only or tuple(BENDS)
     for name in names:
         if name not in BENDS:

@@ -126,11 +126,13 @@ def _asked_for(
     patterns: Path | None, full: bool, **given: str | None
 ) -> tuple[list[float], list[Curve]]:
     """Friction coefficients, and the curves that are laid."""
+    from wrod.commands.options import parse_list
+
     chosen = dict(_FULL if full else _SMALL)
     chosen |= {name: text for name, text in given.items() if text is not None}
-    frictions = _numbers(chosen["frictions"], "frictions", 0.0, 10.0)
-    curvatures = _numbers(chosen["curvatures"], "curvatures", 0.0, 3.5)
-    stretch_ratios = _numbers(chosen["stretch_ratios"], "stretch-ratios", 50.0, 1e5)
+    frictions = parse_list(chosen["frictions"], "--frictions", 0.0, 10.0)
+    curvatures = parse_list(chosen["curvatures"], "--curvatures", 0.0, 3.5)
+    stretch_ratios = parse_list(chosen["stretch_ratios"], "--stretch-ratios", 50.0, 1e5)
     curves = _drawn(chosen["rods"], chosen["names"], patterns)
     return frictions, curves + _arcs(curvatures, stretch_ratios)
 
@@ -174,18 +176,6 @@ class Curve:
     name: str
     led: Any
     rod: Any
-
-
-def _numbers(text: str, name: str, low: float, high: float) -> list[float]:
-    from wrod.errors import RodError
-
-    try:
-        values = [float(word) for word in text.split(",")]
-    except ValueError:
-        values = []
-    if not values or not all(low <= value <= high for value in values):
-        raise RodError(f"{name} is {text!r}; give numbers from {low:g} to {high:g}, such as 0,1,2")
-    return sorted(set(values))
 
 
 def _arcs(curvatures: list[float], ratios: list[float]) -> list[Curve]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from wrod.errors import DataError
+from wrod.errors import DataError, RodError
 
 _METRICS = {
     "cantilever": "tip_deflection_error",
@@ -46,24 +46,27 @@ def command(chosen, solvers, elements, out, as_json) -> None:
         click.echo(machine_line())
         click.echo(f"{'experiment':12s} {'solver':11s} {'n':>4s} {'s':>8s}  outcome")
     rows = []
-    for experiment, solver, count in product(
-        chosen or _METRICS, solvers or _SOLVERS, elements or (None,)
-    ):
-        row = _run(experiment, solver, count)
-        rows.append(row)
-        if not as_json:
-            click.echo(
-                f"{experiment:12s} {solver:11s} {row['elements']:4d} {row['seconds']:8.2f}"
-                f"  {row['said']}"
-            )
+    for experiment in chosen or _METRICS:
+        for solver, count in product(solvers or _SOLVERS, elements or (None,)):
+            row = _run(experiment, solver, count)
+            rows.append(row)
+            if not as_json:
+                click.echo(
+                    f"{experiment:12s} {solver:11s} {row['elements']:4d} {row['seconds']:8.2f}"
+                    f"  {row['said']}"
+                )
+        if out is not None:
+            _draw(out, rows)  # after each: some take their time
     if as_json:
         click.echo(json.dumps({"machine": machine_line(), "rows": rows}))
-    if out is not None:
-        from wrod.bench.cosserat_picture import draw
 
-        out.mkdir(parents=True, exist_ok=True)
-        path = draw(out / "peers.png", rows, _METRICS, machine_line())
-        click.echo(f"wrote {path}", err=as_json)
+
+def _draw(out: Path, rows: list[dict]) -> None:
+    from wrod.bench.cosserat_picture import draw
+    from wrod.machine import machine_line
+
+    out.mkdir(parents=True, exist_ok=True)
+    draw(out / "peers.png", rows, _METRICS, machine_line())
 
 
 def _adapter(name: str, registry):
@@ -92,7 +95,7 @@ def _run(name: str, solver: str, elements: int | None) -> dict:
     }
     try:
         adapter = _adapter(solver, registry)
-    except (ImportError, KeyError) as error:
+    except (ImportError, KeyError, RodError) as error:
         return {**row, "outcome": "not installed", "said": f"not installed ({error})"}
     try:
         summary = run(experiment, adapter, n_elements=elements).summary()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
-
 import numpy as np
 from cosseratbench import Capability, Trajectory
 from cosseratbench.scenario import Cylinder, End, EndCondition, Rod, Scenario
@@ -25,7 +23,7 @@ class WrodSolver:
     """
 
     name = "wrod"
-    backend_version = version("wrod")
+    backend_version = wrod.__version__
     capabilities = frozenset(
         {
             Capability.STRETCH,

@@ -40,7 +40,7 @@ def command(
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
     from wrod.machine import machine_line
-    from wrod.patterns.pattern import pattern
+    from wrod.patterns.named import pattern
     from wrod.planning.tail import tail
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device

@@ -7,21 +7,14 @@ wrist sensor, clamp A always rolled the same way.
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.bench.continuous_rod import World, constant, labels, measured, tangent_turn, turn_axis
-from wrod.bench.hidden_noise import with_noise
-from wrod.errors import DataError
-from wrod.rods.material import RodMaterial
+from wrod.bench.continuous_rod import World, constant, tangent_turn, turn_axis
 
-_REDRAWS = 3
-TRIALS, TEST_TRIALS, MARKERS, NOISE = 24, 8, 31, 5e-4
+TRIALS = 24
 _AIR_DRAG = 1.2 * 1.2  # rho_air C_d, as the plug-in takes it [kg/m^3]
 
 Truth = dict[tuple[str, ...], tuple[float, ...]]
@@ -367,157 +360,3 @@ def shaking_camera(rng, rod):
 def _direction(rng) -> np.ndarray:
     v = rng.normal(size=3)
     return v / np.linalg.norm(v)
-
-
-KNOWN: dict[str, Callable] = {
-    f.__name__: f
-    for f in (
-        natural_curvature,
-        natural_helix,
-        natural_twist,
-        stiffness,
-        stiffness_gradient,
-        anisotropic_bending,
-        twist_stiffness,
-        bend_twist,
-        softening,
-        stiffening,
-        softening_by_tanh,
-        softening_by_yield,
-        point_mass,
-        density,
-        density_profile,
-        gravity_tilt,
-        air_flow,
-        grip_slip,
-        grip_rotation,
-        clamp_rotation,
-        camera_scale,
-        camera_offset,
-        camera_rotation,
-        marker_offset,
-    )
-}
-PAIRS = (
-    (natural_curvature, gravity_tilt),
-    (natural_curvature, point_mass),
-    (natural_curvature, grip_slip),
-    (natural_curvature, stiffness),
-    (natural_curvature, softening),
-    (natural_curvature, camera_offset),
-    (natural_helix, camera_rotation),
-    (natural_helix, grip_slip),
-    (gravity_tilt, point_mass),
-    (gravity_tilt, stiffness),
-    (gravity_tilt, grip_slip),
-    (point_mass, grip_slip),
-    (point_mass, stiffness_gradient),
-    (softening, point_mass),
-    (stiffness, grip_rotation),
-    (stiffness, camera_scale),
-    (air_flow, grip_slip),
-    (density_profile, grip_rotation),
-    (anisotropic_bending, gravity_tilt),
-)
-BUILT: dict[str, Callable] = {
-    f.__name__: f for f in (kink, half_draught, soft_spot, sleeve, magnet)
-}
-# Softenings by another law than the plug-in's.
-OTHER_LAWS = (softening_by_tanh.__name__, softening_by_yield.__name__)
-UNCOVERED: dict[str, Callable] = {f.__name__: f for f in (sticking_roll, shaking_camera)}
-
-
-def _combined(parts: list[Hidden]) -> Hidden:
-    """Worlds that change different things, put together."""
-    base, changed, truth = World(), {}, {}
-    for part in parts:
-        truth |= part.truth
-        for field in fields(World):
-            value = getattr(part.world, field.name)
-            if not np.array_equal(value, getattr(base, field.name)):
-                assert field.name not in changed, f"two effects set {field.name}"
-                changed[field.name] = value
-    return Hidden(replace(base, **changed), truth)
-
-
-def cases() -> dict[str, Callable[[np.random.Generator, RodMaterial], Hidden]]:
-    """Every case by name: nothing (three rods), each effect, pairs, and what no plug-in covers."""
-    pairs = {
-        f"{a.__name__} + {b.__name__}": lambda rng, rod, a=a, b=b: _combined(
-            [a(rng, rod), b(rng, rod)]
-        )
-        for a, b in PAIRS
-    }
-    nothing = {f"none {k}": none for k in (1, 2, 3)}
-    return {**nothing, **KNOWN, **pairs, **BUILT, **UNCOVERED}
-
-
-def hidden_set(name: str, seed: int, noise: str = "white") -> tuple[dict[str, np.ndarray], Hidden]:
-    """A case's measurements, as `wrod.load_measurements` reads them from a file, and its truth.
-
-    Args:
-        noise: of the markers, one of `wrod.bench.hidden_noise.NOISES`.
-
-    Raises:
-        DataError: several draws in a row have a trial without an equilibrium.
-    """
-    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-
-    def draw():
-        rod = _rod(rng)
-        hidden, poses = cases()[name](rng, rod), _poses(rng, rod)
-        own = int(rng.integers(2**31))
-        if noise == "white":
-            return measured(poses, hidden.world, seed=own, noise=NOISE), hidden
-        data = measured(poses, hidden.world, seed=own, noise=0.0)
-        return with_noise(data, noise, own), hidden
-
-    for _ in range(_REDRAWS):
-        with suppress(DataError):  # a rod that is led through a fold
-            return draw()
-    return draw()
-
-
-def _rod(rng) -> RodMaterial:
-    """Rods like those of the published sets: 6 to 17 gravito-bending lengths long."""
-    radius, density, gravito_bending_length = (
-        (0.0020, 900.0, 0.034),
-        (0.0018, 2100.0, 0.080),
-        (0.0016, 1180.0, 0.032),
-        (0.0022, 1300.0, 0.055),
-    )[rng.integers(4)]
-    length = round(float(rng.uniform(0.44, 0.58)), 2)
-    return RodMaterial(radius, gravito_bending_length, length, density=density)
-
-
-def _poses(rng, rod: RodMaterial) -> dict[str, np.ndarray]:
-    """Everything but what is measured: skew arcs between a post and a gripper."""
-    heading = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
-    reach = rng.uniform(0.53, 0.85, TRIALS) * rod.length
-    side, rise = np.radians(rng.uniform(-18, 18, TRIALS)), rng.uniform(-0.2, 0.2, TRIALS)
-    rise *= rod.length
-    level = np.sqrt(reach**2 - rise**2)
-    across = np.stack([level * np.cos(side), level * np.sin(side), rise], axis=1)
-
-    def frames(azimuth, elevation, roll):
-        """Columns m1, m2, tangent; without a roll m1 is level."""
-        level = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
-        angles = np.stack([azimuth, -elevation, roll], axis=1)
-        return (heading * Rotation.from_euler("ZYX", angles, degrees=True)).as_matrix() @ level
-
-    def uniform(lower, upper):
-        return rng.uniform(lower, upper, TRIALS)
-
-    roll = np.full(TRIALS, float(rng.integers(60, 121)))
-    clamp = np.array([0.4, 0.0, 0.43]) + rng.uniform(-0.15, 0.15, 3) * [1.0, 1.6, 0.3]
-    return {
-        "arc_length": np.linspace(0.0, rod.length, MARKERS),
-        "clamp_position": np.tile(clamp, (TRIALS, 1)),
-        "clamp_rotation": frames(uniform(-28, 28), uniform(-35, 8), roll),
-        "grip_position": clamp + heading.apply(across),
-        "grip_rotation": frames(uniform(-30, 30), uniform(-8, 35), roll + uniform(-88, 88)),
-        "train_idx": np.arange(TRIALS - TEST_TRIALS),
-        "test_idx": np.arange(TRIALS - TEST_TRIALS, TRIALS),
-        **labels(rod),
-        "noise_std": NOISE,
-    }

@@ -21,7 +21,7 @@ OUTCOMES = (
 
 def examine(case: str, seed: int, noise: str = "white", device: str = "cpu") -> dict:
     """Make one set, identify it, and compare what is said with what was hidden."""
-    from wrod.bench.hidden_effects import OTHER_LAWS, UNCOVERED, hidden_set
+    from wrod.bench.hidden_sets import OTHER_LAWS, UNCOVERED, hidden_set
     from wrod.bench.identify_row import row
     from wrod.errors import DataError
     from wrod.identification.clamped.loading import measurements_from_arrays
@@ -135,7 +135,7 @@ def lines(rows: Sequence[dict]) -> list[str]:
 
 def summary(rows: Sequence[dict]) -> list[str]:
     """How often each outcome came, for each kind of case."""
-    from wrod.bench.hidden_effects import BUILT, KNOWN, UNCOVERED
+    from wrod.bench.hidden_sets import BUILT, KNOWN, UNCOVERED
 
     def kind(row):
         name = row["set"]

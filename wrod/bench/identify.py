@@ -70,8 +70,8 @@ def command(
 
 
 def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
-    from wrod.bench.hidden_effects import cases
     from wrod.bench.hidden_noise import NOISES
+    from wrod.bench.hidden_sets import cases
     from wrod.bench.hidden_table import examine_all, lines, summary
     from wrod.bench.ledger import Ledger
     from wrod.errors import DataError

@@ -27,13 +27,11 @@ def command(
     from tqdm import tqdm
 
     from wrod.bench.overhand import knot_force, pull, solve_braid
+    from wrod.commands.options import parse_list
     from wrod.errors import RodError
     from wrod.machine import machine_line
 
-    try:
-        friction = [float(f) for f in frictions.split(",")]
-    except ValueError:
-        raise RodError(f"friction is {frictions!r}; give numbers with commas between") from None
+    friction = parse_list(frictions, "--friction", 0.0, 100.0)
     if not (5 <= tightest < loosest and loosest >= 20):
         raise RodError(
             f"loop radii {loosest:g} to {tightest:g}: the loosest must be 20 h or more, for the "

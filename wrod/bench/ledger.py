@@ -41,8 +41,7 @@ class Ledger:
         self.path, self.keys, self.rows = path, tuple(keys), []
         head = {"format": f"wrod-{title}-1", **settings}
         self._head = head
-        if not path.exists():
-            write_atomically(path, lambda file: file.write(json.dumps(head) + "\n"))
+        if not path.exists():  # it begins with the first trial
             return
         lines = read_text(path, "a campaign's file", limit=_MOST_BYTES).split("\n")
         whole, broken = lines[:-1], lines[-1]  # a killed run may leave half a line
@@ -75,7 +74,7 @@ class Ledger:
 
     def add(self, rows: list[dict]) -> None:
         self.rows += rows
-        if not self.path.exists():  # removed meanwhile: what was finished is known here
+        if not self.path.exists():  # new, or removed meanwhile: what was finished is known here
             lines = [self._head, *self.rows]
             write_atomically(
                 self.path, lambda file: file.writelines(json.dumps(row) + "\n" for row in lines)

@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from wrod import cost
+
 
 def held_inputs(count: int, seed: int = 0):
     """Grip positions about the optimal grasps of rods of 2 to 30 L_gb, all directions above."""
@@ -28,8 +30,11 @@ def held_inputs(count: int, seed: int = 0):
 @click.option("--lengths", default=50, show_default=True, help="Values of l_s for the boundary.")
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--threads", default=0, show_default=True, help="CPU threads; 0: one per core.")
+@cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(count: int, lengths: int, device: str, threads: int, as_json: bool) -> None:
+def command(
+    count: int, lengths: int, device: str, threads: int, as_json: bool, force: bool
+) -> None:
     """Equilibria for given grips, the manifold's boundary, and what stability adds to a plan."""
     import numpy as np
 
@@ -40,6 +45,9 @@ def command(count: int, lengths: int, device: str, threads: int, as_json: bool) 
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
+    work = cost.manifold(count, lengths, device=device)
+    what, remedy = f"{count} grips and {lengths} boundaries", "give smaller numbers"
+    cost.settle(work, what, None, remedy, force=force, quiet=as_json)
     options: dict[str, Any] = {"device": device, "threads": threads or None}
 
     def clocked(work):
@@ -91,19 +99,27 @@ def command(count: int, lengths: int, device: str, threads: int, as_json: bool) 
     if as_json:
         click.echo(json.dumps(figures))
         return
+    _say(figures)
+
+
+def _say(figures: dict[str, Any]) -> None:
+    """Print the figures for people."""
     click.echo(figures["machine"])
     click.echo(
-        f"{count} held grips on {device}: {figures['equilibria_per_second']:.1f} per s, "
+        f"{figures['equilibria']} held grips on {figures['device']}: "
+        f"{figures['equilibria_per_second']:.1f} per s, "
         f"{figures['equilibria_cpu_ms']:.2f} CPU ms each, {figures['iterations']:.1f} iterations, "
         f"{figures['converged']:.1%} converged, {figures['admissible']:.1%} admissible"
     )
     counts = ", ".join(f"{n} {name}" for name, n in figures["boundary_ends"].items())
     click.echo(
-        f"boundary for {lengths} suspended lengths, {len(edge.angle)} rays each: "
+        f"boundary for {figures['boundary_lengths']} suspended lengths, "
+        f"{figures['boundary_rays']} rays each: "
         f"{figures['boundary_seconds']:.1f} s ({figures['boundary_cpu_seconds']:.1f} CPU s); "
         f"low ends: {counts}"
     )
     click.echo(
-        f"200 grasps of a trajectory: solving {solving:.3f} CPU s, their stability "
-        f"{both - solving:.3f} CPU s"
+        f"200 grasps of a trajectory: solving {figures['solving_cpu_seconds']:.3f} CPU s, "
+        "their stability "
+        f"{figures['stability_cpu_seconds']:.3f} CPU s"
     )

@@ -7,19 +7,15 @@ from pathlib import Path
 
 import click
 
+from wrod.commands.options import parse_list
+
 # Steps of the implicit solvers over the period.
 _DER_STEP, _VBD_STEP = 1.0 / 80.0, 1.0 / 400.0
 _SWING = 0.01  # amplitude over the length
 
 
 def _numbers(context, parameter, value: str) -> list[int]:
-    try:
-        numbers = [int(part) for part in value.split(",")]
-    except ValueError:
-        numbers = []
-    if not numbers or min(numbers) < 1:
-        raise click.BadParameter(f"{value!r}: give whole numbers above 0, as 10,20,40")
-    return numbers
+    return [int(n) for n in parse_list(value, parameter.opts[0], 1, 10_000, whole=True)]
 
 
 @click.command(name="newton")

@@ -158,6 +158,7 @@ def run_case(
 ) -> dict:
     """Plan and solve one case; figures of its joint path, or the error.
 
+    The rod's shapes are computed, as `wrod plan` does: what hangs is in the arm's way.
     With `scene`, its USD scene is written and asked of OpenUSD's validators too.
     """
     import warnings
@@ -166,6 +167,7 @@ def run_case(
 
     import wrod
     from wrod.errors import WrodError, WrodWarning
+    from wrod.planning.shapes import with_shapes
 
     row: dict[str, Any] = {"robot": robot, "pattern": pattern, "rod": rod_name}
     started = time.process_time()
@@ -176,7 +178,7 @@ def run_case(
                 curve = wrod.pattern(pattern)
             else:
                 curve = wrod.Pattern.load(folder / f"{pattern.replace('-', '')}.txt")
-            trajectory = wrod.plan(curve, wrod.rod(rod_name), method=method)
+            trajectory = with_shapes(wrod.plan(curve, wrod.rod(rod_name), method=method))
         started = time.process_time()
         path = wrod.solve_joint_path(
             trajectory, robot, whole_job=True, rod_radius=wrod.rod(rod_name).radius

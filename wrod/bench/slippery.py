@@ -82,8 +82,8 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.bench.closures import _numbers
     from wrod.bench.mujoco_chain import require_mujoco
+    from wrod.commands.options import parse_list
     from wrod.rods.device import resolve_device
 
     if trials < 1:
@@ -95,7 +95,7 @@ def command(
         require_mujoco()
     device = resolve_device(asked.device)
     shelf = Shelf(out / "plans", asked.patterns, device)
-    mus = _numbers(frictions, "frictions", 0.01, 10.0)
+    mus = parse_list(frictions, "--frictions", 0.01, 10.0)
     pace = {"speed": asked.speed, "step": asked.step, "release": asked.release}
     settings = {
         **pace,

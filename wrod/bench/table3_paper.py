@@ -60,7 +60,8 @@ def measured() -> dict[tuple[str, str, str, str], tuple[float, float]]:
 
 def read_pattern(name: str, folder: Path | None):
     """The built-in pattern of that name, or that of a folder of files (line.txt, letterA.txt)."""
-    from wrod.patterns.pattern import Pattern, pattern
+    from wrod.patterns.named import pattern
+    from wrod.patterns.pattern import Pattern
 
     if folder is None:
         return pattern(name)

@@ -42,10 +42,14 @@ def command(
     diameter.
     """
     from wrod.errors import RodError
-    from wrod.rods.material import LOOP_HEIGHT_RATIO, RodMaterial
+    from wrod.rods.material import LOOP_HEIGHT_RATIO, LOOP_LENGTH_RATIO, RodMaterial
 
-    if length < 2.0 * height:  # it goes up and comes down
-        raise RodError(f"a rod of --length {length:g} m stands no loop of --height {height:g} m")
+    needed = LOOP_LENGTH_RATIO / LOOP_HEIGHT_RATIO * height
+    if length < needed:
+        raise RodError(
+            f"a rod of --length {length:g} m stands no loop of --height {height:g} m: {needed:.3g} "
+            "m are off the table in that; check both numbers"
+        )
     ratio = LOOP_HEIGHT_RATIO
     rod = RodMaterial.from_loop_height(height, radius, length, density=density, poisson=poisson)
     if derive:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -175,7 +176,8 @@ class PatternOptions:
             PatternError, PerceptionError: unknown, unreadable, or an option does not belong to it.
         """
         from wrod.errors import PatternError
-        from wrod.patterns.pattern import Pattern, pattern, pattern_names
+        from wrod.patterns.named import pattern, pattern_names
+        from wrod.patterns.pattern import Pattern
 
         path, units = Path(name), self.units
         elsewhere = ("units", "layer", "stroke")
@@ -212,9 +214,33 @@ def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> t
         numbers = tuple(float(part) for part in text.lower().split(separator))
     except ValueError:
         numbers = ()
-    if len(numbers) != count:
-        raise PerceptionError(f"{option} {text}: give {count} numbers separated by {separator!r}")
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise PerceptionError(
+            f"{option} {text:.80}: give {count} finite numbers separated by {separator!r}"
+        )
     return numbers
+
+
+def parse_list(
+    text: str, option: str, low: float, high: float, *, whole: bool = False
+) -> list[float]:
+    """Different numbers with commas between, rising.
+
+    Raises:
+        DataError: names the option where one is no number or out of bounds.
+    """
+    from wrod.errors import DataError
+
+    try:
+        found = sorted({(int if whole else float)(word) for word in text.split(",")})
+    except ValueError:
+        found = []
+    if not found or not all(low <= value <= high for value in found):
+        kind = "whole numbers" if whole else "numbers"
+        raise DataError(
+            f"{option} is {text!r:.80}; give {kind} from {low:g} to {high:g} with commas between"
+        )
+    return found
 
 
 def _scanned(path: Path, units: str | None, given: dict):

@@ -12,10 +12,11 @@ _SHARE = 0.5
 
 def solve_grasps_of(
     curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, pace=None,
-    expects=False, **options,
+    expects=False, meanwhile, **options,
 ):  # fmt: skip
     """The trajectory, with the rod's shapes where they are wanted, and with what is expected of it
-    on a table where that is."""
+    on a table where that is. `meanwhile` is called while what shapes need may still be
+    compiled."""
     from tqdm import tqdm
 
     from wrod.deployment.plan import plan
@@ -32,6 +33,7 @@ def solve_grasps_of(
             friction=None if method == "intuitive" else friction,
             pace=None if friction is None else pace, **options,
         )  # fmt: skip
+        meanwhile()
         if shapes:
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
@@ -163,6 +165,7 @@ def _followed(request, trajectory, rod, softer):
 
 def _remedy(request, failed, rod, curve, planned, size) -> str | None:
     """An option with which the joint path was found, or None."""
+    import time
     import warnings
 
     from wrod.errors import WrodError
@@ -170,11 +173,18 @@ def _remedy(request, failed, rod, curve, planned, size) -> str | None:
     from wrod.robot.remedy import remedies
 
     resize, hold = size
+    until = time.monotonic() + _REMEDY
 
     def places(heights):
         return candidates(failed.task.trajectory, failed.task.robot, heights=heights)
 
-    for change in remedies(failed, rod, curve.length + curve.remainder_length, places):
+    length = curve.length + curve.remainder_length
+    for change in remedies(failed, rod, length, places, until):
+        if time.monotonic() > until:
+            return (
+                f"nothing that helps was found in {_REMEDY / 60:.0f} minutes; use a smaller "
+                "pattern, or another arm"
+            )
         (name, value), *_ = change.items()
         try:
             with warnings.catch_warnings():
@@ -235,7 +245,8 @@ def again(**changes) -> str:
     return shlex.join([*words[:2], *given, *words[2:]])
 
 
-_SEARCH = 600.0  # [s] of looking for a size that an arm can lay
+# [s] of looking for what would help an arm, and for a size that it can lay.
+_REMEDY, _SEARCH = 180.0, 600.0
 
 
 def fitting(request, tries, planned, reason) -> str:

@@ -47,6 +47,8 @@ def command(
     from wrod.scene.render import render
     from wrod.scene.view import write_page
 
+    if not scene.exists():
+        raise DataError(f"{scene}: no such file; give a .usdc, .usda or .usd stage")
     pages = out.suffix.lower() == ".html" or moments
     count = frames if frames is not None else (1 if out.suffix else 24)
     if not pages:

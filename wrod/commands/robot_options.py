@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
 import click
 
+_DEFAULT_ROBOT = "sawyer"
+
 ROBOT = (
     click.option(
         "--robot",
-        default="sawyer",
+        default=_DEFAULT_ROBOT,
         show_default=True,
         help="sawyer, panda, ur5e, ur10e, iiwa, xarm7, gen3, or a URDF or xacro file.",
     ),
@@ -86,23 +89,32 @@ class RobotRequest:
     exports: tuple[str, ...]
     view: bool
 
-    def check(self) -> None:
+    def check(self) -> RobotRequest:
         """Refuse in milliseconds what would fail after the plan.
+
+        Returns:
+            The request, without an arm where its libraries are missing and nobody asked for one.
 
         Raises:
             RobotError, SceneError: a bad option, a file that cannot be used, a missing library.
+
+        Warns:
+            WrodWarning: names the extra for an arm.
         """
-        from wrod.errors import RobotError, SceneError
+        import warnings
+
+        from wrod.errors import RobotError, SceneError, WrodWarning
 
         if self.no_robot:
             self._refuse_ignored()
-            return
+            return self
         for module, extra in _NEEDED.items():
             if find_spec(module) is None:
-                raise RobotError(
-                    f"joint paths and scenes need {module}; install wrod[{extra}], or plan with "
-                    "--no-robot"
-                )
+                said = f"joint paths and scenes need {module}; install wrod[{extra}]"
+                if self._given() or self.robot != _DEFAULT_ROBOT:
+                    raise RobotError(f"{said}, or plan with --no-robot")
+                warnings.warn(f"{said}; planned without an arm", WrodWarning, stacklevel=2)
+                return replace(self, no_robot=True)
         if self.view and find_spec("viser") is None:
             raise SceneError("--view needs Viser; install wrod[view]")
         for name in ("table_height", "gripper_length", "speed"):
@@ -129,17 +141,25 @@ class RobotRequest:
                 )
         if self.obstacles is not None:
             Obstacles.load(self.obstacles)
-        import warnings
-
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # said again when the arm is loaded
             describe_robot(
                 self.robot, flange=self.flange, tip=self.tip, gripper_length=self.gripper_length
             )
+        return self
 
-    def _refuse_ignored(self) -> None:
-        from wrod.errors import RobotError
+    def load_ahead(self) -> None:
+        """Load what the joint path needs, and begin to compile what the scene's picture does."""
+        if self.no_robot:
+            return
+        from wrod.scene.deliver import compile_pictures_ahead
 
+        compile_pictures_ahead()
+        with suppress(ImportError):  # said where it is needed
+            import pytorch_kinematics  # noqa: F401
+
+    def _given(self) -> list[str]:
+        """Options of an arm that were given, but for its name."""
         given = [
             f"--{name.replace('_', '-')}"
             for name in (
@@ -147,13 +167,17 @@ class RobotRequest:
             )
             if getattr(self, name) is not None
         ]  # fmt: skip
-        given += (
+        return given + (
             ["--export"] * bool(self.exports)
             + ["--view"] * self.view
             + ["--placement"] * (self.placement != "auto")
             + ["--lay-only"] * self.lay_only
         )
-        if given:
+
+    def _refuse_ignored(self) -> None:
+        from wrod.errors import RobotError
+
+        if given := self._given():
             raise RobotError(f"{', '.join(given)} belong to an arm; drop them or --no-robot")
 
     def solve(self, trajectory, rod, **changes):

@@ -13,13 +13,15 @@ from pathlib import Path
 
 import click
 
-from wrod.errors import DataError, WrodError
+from wrod.errors import DataError, WrodError, blamed_variables
 
-# Exit codes: of input that cannot be used, of an interruption, and of a fault of ours.
-REFUSED, INTERRUPTED, FAULT = 2, 130, 70
+# Exit codes: of input that cannot be used, of interruptions, and of a fault of ours.
+REFUSED, INTERRUPTED, TERMINATED, FAULT = 2, 130, 143, 70
 _MOST_SAID = 2000  # letters
 # How Python and Warp say that a limit of the process was met.
-_LIMITED = ("can't start new thread", "Failed to load the shared library")
+_LIMITED = ("can't start new thread", "Failed to load the shared library", "failed to map segment")
+# The signals that asked the running command to end.
+_STRUCK: list[int] = []
 # Set it to see where a fault of ours is.
 TRACEBACK = "WROD_TRACEBACK"
 # Modules that a base install lacks, and the extra that brings each.
@@ -45,7 +47,9 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
     if isinstance(error, WrodError):
         return str(error), REFUSED
     if isinstance(error, KeyboardInterrupt):
-        return "interrupted; what was finished is kept, and the same command goes on", INTERRUPTED
+        word = "terminated" if signal.SIGTERM in error.args else "interrupted"
+        code = TERMINATED if signal.SIGTERM in error.args else INTERRUPTED
+        return f"{word}; what was finished is kept, and the same command goes on", code
     if isinstance(error, ModuleNotFoundError):
         module = (error.name or "").partition(".")[0]
         extra = _EXTRAS.get(module)
@@ -54,7 +58,9 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return None
     if isinstance(error, MemoryError) or ("allocat" in str(error) and "bytes" in str(error)):
         return "out of memory; ask for less at once (fewer trials, a smaller batch)", REFUSED
-    if isinstance(error, RuntimeError) and str(error).startswith(_LIMITED):
+    if isinstance(error, (RuntimeError, ImportError)) and any(
+        one in str(error) for one in _LIMITED
+    ):
         return f"{error}; this process may have too few threads or too little memory (ulimit -a)", 2
     if isinstance(error, OSError):
         where = error.filename if error.filename is not None else "the output"
@@ -63,7 +69,12 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return f"{where}: {said}; {remedy} or choose another, then run the same command again", 2
     if isinstance(error, RecursionError):
         return "the input is nested too deeply", REFUSED
-    return None
+    if isinstance(error, UnicodeError):
+        return f"an input holds text that is not UTF-8 ({error}); save it as UTF-8", REFUSED
+    if isinstance(error, Warning):
+        return f"{error} (a warning, which PYTHONWARNINGS makes an error)", REFUSED
+    blamed = blamed_variables(error)
+    return None if blamed is None else (blamed, REFUSED)
 
 
 def open_streams() -> None:
@@ -95,19 +106,21 @@ def interruptible() -> Iterator[None]:
     Python drops a KeyboardInterrupt that strikes in a callback or a finaliser ("Exception
     ignored", with a traceback), and the command would go on. It is raised again every half second
     until the command has ended, and what is dropped is not told. Outside the main thread, or
-    without timers, interruptions stay as they are.
+    without timers, interruptions stay as they are. SIGTERM interrupts as SIGINT does, so that no
+    temporary file stays.
     """
-    usable = hasattr(signal, "setitimer")
-    if not usable or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    _STRUCK.clear()
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    heard = [number for number, one in usual.items() if signal.getsignal(number) is one]
+    if not heard or not hasattr(signal, "setitimer"):
         yield
         return
 
-    struck = []
-
     def strike(number, frame):
-        struck.append(number)
+        if number != signal.SIGALRM:
+            _STRUCK.append(number)
         signal.setitimer(signal.ITIMER_REAL, 0.5)
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt(*_STRUCK[:1])
 
     told = sys.unraisablehook
 
@@ -116,25 +129,33 @@ def interruptible() -> Iterator[None]:
             told(dropped)
 
     try:
-        before = signal.signal(signal.SIGINT, strike), signal.signal(signal.SIGALRM, strike)
+        before = {number: signal.signal(number, strike) for number in [*heard, signal.SIGALRM]}
     except ValueError:  # not the main thread
         yield
         return
-    sys.unraisablehook = tell
+    shown = sys.excepthook
+
+    def show(kind, error, trace):  # Cython prints what it drops in this way first
+        if kind is not KeyboardInterrupt:
+            shown(kind, error, trace)
+
+    sys.unraisablehook, sys.excepthook = tell, show
     try:
         yield
     finally:
-        sys.unraisablehook = told
-        if struck:
+        sys.unraisablehook, sys.excepthook = told, shown
+        if _STRUCK:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGINT, before[0])
-        signal.signal(signal.SIGALRM, before[1])
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def stop(ctx: click.Context, error: BaseException) -> None:
     """Say in one sentence why the command ends, and which of its outputs are whole; then exit."""
     from wrod.files.writing import finished
 
+    if _STRUCK:  # a library may have made another error of it
+        error = KeyboardInterrupt(*_STRUCK[:1])
     if isinstance(error, BrokenPipeError):
         os._exit(1)  # nobody reads any more what would be said
     said = sentence(error)

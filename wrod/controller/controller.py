@@ -3,7 +3,6 @@ Controller), in NumPy, or in torch where torch tensors come in."""
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import warnings
@@ -16,7 +15,7 @@ from wrod import arguments
 from wrod.controller.curved import curved, twisted
 from wrod.controller.model import WITH_THRUST, chain, paper
 from wrod.errors import DataError, GraspError, OutOfRangeWarning
-from wrod.files import check_arrays, decode_labels, read_tensors, schemas, write_atomically
+from wrod.files import check_arrays, decode_labels, read_tensors, schemas, write_tensors
 
 _FORMAT = "wrod-controller-1"
 # Networks by name, each of (xp, parameters, (n, 3) inputs): position, rotation vector and force or
@@ -63,7 +62,7 @@ class Controller:
         self._lacks_thrust = (
             metadata["architecture"] == "chain"
             and self.closure != "zero_tension"
-            and len(parameters["mean"]) != WITH_THRUST
+            and len(parameters["mean"]) < WITH_THRUST
         )
         self._on_device: dict = {}
 
@@ -93,6 +92,7 @@ class Controller:
         what = "a controller that `wrod train` wrote"
         label, parameters = read_tensors(path, what)
         metadata = decode_labels(label, schemas.Controller, str(path), what)
+        metadata.pop("sha256", None)
         parameters = check_arrays(parameters, "Controller", str(path))
         try:
             controller = cls(parameters, metadata)
@@ -108,11 +108,7 @@ class Controller:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write weights and metadata as safetensors."""
-        from safetensors.numpy import save
-
-        label = json.dumps({**self.metadata, "format": _FORMAT})
-        content = save(self._parameters, metadata={"wrod": label})
-        return write_atomically(path, lambda file: file.write(content), "wb")
+        return write_tensors(path, {**self.metadata, "format": _FORMAT}, self._parameters)
 
     def predict(self, suspended_length, curvature, stretch_ratio):
         """Optimal grasps.
@@ -210,6 +206,11 @@ class Controller:
         torch = sys.modules.get("torch")
         if torch is not None and any(isinstance(value, torch.Tensor) for value in inputs):
             like = next(value for value in inputs if isinstance(value, torch.Tensor))
+            if like.is_meta or like.dtype in (torch.bfloat16, torch.float16) or like.is_sparse:
+                raise GraspError(
+                    f"grasp inputs are of {like.dtype} on {like.device}; give dense tensors of "
+                    "float32 or float64 that hold numbers"
+                )
             kind = like.dtype if like.dtype.is_floating_point else torch.float64
             tensors = [torch.as_tensor(v, dtype=kind, device=like.device) for v in inputs]
             xp, stack = torch, lambda arrays: torch.stack(arrays, -1)

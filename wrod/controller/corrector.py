@@ -3,7 +3,6 @@ contact, in NumPy, or in torch while it is trained."""
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import warnings
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError, OutOfRangeWarning
-from wrod.files import check_arrays, decode_labels, read_tensors, schemas, write_atomically
+from wrod.files import check_arrays, decode_labels, read_tensors, schemas, write_tensors
 
 _FORMAT = "wrod-corrector-1"
 # Where the curvature is seen, from behind the contact to ahead of it [L_gb].
@@ -114,6 +113,7 @@ class Corrector:
         what = "a corrector that `wrod distil` wrote"
         label, parameters = read_tensors(path, what)
         metadata = decode_labels(label, schemas.Corrector, str(path), what)
+        metadata.pop("sha256", None)
         parameters = check_arrays(parameters, "Corrector", str(path))
         try:
             one = cls(parameters, metadata)
@@ -127,11 +127,7 @@ class Corrector:
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write weights and metadata as safetensors."""
-        from safetensors.numpy import save
-
-        label = json.dumps({**self.metadata, "format": _FORMAT})
-        content = save(self._parameters, metadata={"wrod": label})
-        return write_atomically(path, lambda file: file.write(content), "wb")
+        return write_tensors(path, {**self.metadata, "format": _FORMAT}, self._parameters)
 
     def predict(self, course: Course) -> np.ndarray:
         """(T, 3) corrections of the grip's position (forward, left, up) in the contact's frame

@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from wrod.deployment.assembly import assemble
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance, one_hemisphere
-from wrod.deployment.simulate import Trial, assemble, prepare_trials, with_remainder_of
+from wrod.deployment.simulate import prepare_trials, with_remainder_of
+from wrod.deployment.trial import Trial
 from wrod.errors import RodError
 from wrod.planning.tail import Tail
 from wrod.solvers.contact import Friction

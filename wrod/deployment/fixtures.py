@@ -253,6 +253,7 @@ class Fixtures:
             radius: of the rod [m].
             speed: of its fastest part [m/s].
         """
+        centerline = np.asarray(centerline)  # of Warp, it may be
         by_name = {item.name: item for item in self.items}
         passed, places = [], []
         for names in self.gates:

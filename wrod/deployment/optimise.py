@@ -53,7 +53,8 @@ _COARSE_ITERATIONS, _FINE_ITERATIONS = 3, 3
 _WIDE = 1.5
 # A saving of the sample [m] that nobody doubts.
 _PLAIN = 1e-3
-# An iteration that leaves more than this part of the error is the last.
+# An iteration that leaves more than this part of the error is the last, and one that would by its
+# model, of squares, is not tried.
 _DONE = 0.95
 
 
@@ -127,8 +128,8 @@ def optimise(
         PatternError: friction is not usable, or the trajectory is too short to be laid.
     """
     values = np.unique(np.atleast_1d(np.asarray(pace, dtype=float)))
-    if not (np.isfinite(values).all() and values[0] > 0.0):
-        raise PatternError(f"pace is {pace!r}; give a positive speed of the contact in m/s")
+    if not (np.isfinite(values).all() and values[0] >= 5e-4 and values[-1] <= 10.0):
+        raise PatternError(f"pace is {pace!r}; give a speed of the contact from 5e-4 to 10 m/s")
     if len(values) > 1:
         values = np.geomspace(values[0], values[-1], 3)
     tasks = [Task(pattern, rod, trajectory, friction, limits, float(v)) for v in values]
@@ -288,9 +289,10 @@ def _descend(
     for _ in range(count):
         step = -np.linalg.solve(best.matrix, best.slope)
         length = float(np.abs(step).max())
-        tried = yield from problem.at(
-            how, best.values + step * min(1.0, radius / max(length, 1e-12))
-        )
+        step *= min(1.0, radius / max(length, 1e-12))
+        if best.saved(step) < 1.0 - _DONE**2:
+            break
+        tried = yield from problem.at(how, best.values + step)
         history.append(float(tried.errors.mean()))
         if tried.measure < best.measure:
             enough = tried.measure > _DONE * best.measure

@@ -124,8 +124,7 @@ def plan(
     )  # fmt: skip
     if friction is None and not expect:
         return plan_grasps(pattern, rod, method, remainder=remainder, **how)
-    led = prepare(pattern, rod, remainder)
-    return _for_a_table(led, rod, method, friction, pace, expect, how)
+    return _for_a_table(prepare(pattern, rod, remainder), rod, method, friction, pace, expect, how)
 
 
 def _check_method(method: str, friction, pace) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
@@ -13,8 +12,9 @@ import numpy as np
 import warp as wp
 
 from wrod import arguments
+from wrod.deployment.assembly import assemble
+from wrod.deployment.bounds import check_pace, refuse_coarse_edges, refuse_endless
 from wrod.deployment.fixtures import Fixtures
-from wrod.deployment.grip_path import GripMotion
 from wrod.deployment.result import Deployment, deployment_error
 from wrod.deployment.setup import (
     Disturbance,
@@ -23,42 +23,21 @@ from wrod.deployment.setup import (
     mesh,
     prepare_deployment,
 )
+from wrod.deployment.trial import Trial
 from wrod.errors import RodError
-from wrod.machine import require_memory
 from wrod.patterns.pattern import Pattern
-from wrod.planning.tail import Tail, tail
+from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
-from wrod.rods.batch import RodBatch
 from wrod.rods.device import resolve_device
-from wrod.rods.discretisation import quadratic_drag
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
-from wrod.solvers.contact import Contact, Friction, FrictionField, Plane
-from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.compiling import compile_steps
+from wrod.solvers.contact import Friction, FrictionField
 
-# The table gives way by this fraction of the radius under the rod's weight; where the rod touches
-# down, which loads it with about 2 w L_gb at a point, that makes some 1 % of the radius.
-_SINKING = 1.0 / 600.0
-_SINKING_AT_POSTS = _SINKING / 10.0
-# Beyond these a deployment takes weeks; what a node holds in states and factors.
-_MOST_STEPS, _MOST_NODES, _NODE_BYTES = 2e7, 2e5, 4096.0
 # Rods stepped at once on a CPU, and cores from which on threads, which cannot record their launches
 # and spend several times the processor time, are faster than one that replays them.
 _CPU_CHUNK, _MANY_CORES = 16, 8
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One deployment to simulate; see `simulate_deployment`."""
-
-    pattern: Pattern
-    rod: RodModel | RodMaterial
-    trajectory: Trajectory
-    friction: Friction
-    disturbance: Disturbance = field(default_factory=Disturbance)
-    tail: Tail | None = None
-    fixtures: Fixtures | None = None
 
 
 @arguments.checked(
@@ -179,11 +158,12 @@ def simulate_deployments(
         progress: called with the fraction done since the last call, of all trials.
     """
     release = hold if release is None else release
-    _check_pace(speed, spacing, hold, release)
+    check_pace(speed, spacing, hold, release)
     if not trials:
         return []
     device = resolve_device(device)
-    _refuse_endless(trials, speed, spacing, step, frame_interval)
+    refuse_endless(trials, speed, spacing, step, frame_interval)
+    compile_steps(device)
     setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     options: dict[str, Any] = dict(
         scheme=scheme, air_damping=air_damping, internal_damping=internal_damping,
@@ -214,16 +194,6 @@ def simulate_deployments(
     return list(chain.from_iterable(map(run, chunks)))
 
 
-def _check_pace(speed: float, spacing: float, hold: float, release: float) -> None:
-    for name, value in (("speed", speed), ("spacing", spacing)):
-        if not (np.isfinite(value) and value > 0):
-            raise RodError(f"{name} is {value!r}; give a positive finite number")
-    if not (np.isfinite(hold) and hold >= 0):
-        raise RodError(f"hold is {hold!r}; give a length in metres, or 0 for a free end")
-    if not release >= hold:
-        raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
-
-
 def _chunks(count: int, device: str, threads: int | None) -> tuple[list[list[int]], int]:
     """Trials that are simulated at once, and the threads that do."""
     cores, size, workers = os.cpu_count() or 1, count, 1
@@ -234,27 +204,9 @@ def _chunks(count: int, device: str, threads: int | None) -> tuple[list[list[int
     return [every[first : first + size] for first in range(0, count, size)], workers
 
 
-def _refuse_endless(trials: list[Trial], speed, spacing, step, frame_interval) -> None:
-    """Refuse what no machine ends, or this one has no memory for, before anything is laid."""
-    longest = max(float(trial.rod.length) for trial in trials)
-    nodes, duration = longest / spacing + 100.0, 2.0 * longest / speed
-    if duration / step > _MOST_STEPS or nodes > _MOST_NODES:
-        raise RodError(
-            f"{longest:g} m of rod at {speed:g} m/s in steps of {step:g} s and edges of "
-            f"{spacing:g} m take {duration / step:.2g} steps of {nodes:.2g} nodes; give a larger "
-            "speed, step or spacing"
-        )
-    frames = 0.0 if frame_interval is None else duration / frame_interval
-    require_memory(
-        len(trials) * nodes * (_NODE_BYTES + 24.0 * frames),
-        f"{len(trials)} trials of {nodes:.0f} nodes"
-        + (f" and {frames:.0f} frames" if frames else ""),
-        "ask for fewer trials or frames, or a larger spacing",
-    )
-
-
 def nodes_needed(trials: list[Trial], spacing: float) -> int:
     """Nodes for edges of that length [m] where each rod is laid."""
+    refuse_coarse_edges(trials, spacing)
     return max(len(mesh(t.rod, t.trajectory.arc_length[-1], spacing)) for t in trials)
 
 
@@ -367,86 +319,3 @@ def _simulate(
             )
         )
     return deployments
-
-
-def assemble(
-    trials: list[Trial],
-    setups: list[Setup],
-    *,
-    scheme: str = "euler",
-    air_damping: float | None = None,
-    internal_damping: float | None = None,
-    tolerance: float = 1e-5,
-    device: str = "cpu",
-    keeps_recording: bool = False,
-    friction_field: FrictionField | None = None,
-) -> tuple[RodBatch, Contact, Dynamics]:
-    """The rods of prepared trials, what they touch, and what steps them; see
-    `simulate_deployments`."""
-    batch, rods = _batch(trials, setups, device)
-    radius = np.array([rod.radius for rod in rods])
-    load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
-    contact = Contact(
-        batch,
-        radius,
-        _stiffness(rods, [t.fixtures for t in trials]),
-        [t.friction for t in trials],
-        [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
-        keeps_roll=np.array([RodModel.of(t.rod).has_sides for t in trials]),
-        friction_field=friction_field,
-    )
-    drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
-    dynamics = Dynamics(
-        batch,
-        scheme=scheme,
-        radius=radius,
-        drag=None if drag is None else np.stack([np.zeros_like(drag), drag], axis=2),
-        air_damping=np.array([_damping(air_damping, rod.air_damping or 1.0) for rod in rods]),
-        internal_damping=np.array(
-            [_damping(internal_damping, rod.internal_damping) for rod in rods]
-        ),
-        contact=contact,
-        motion=GripMotion(
-            batch,
-            [setup.schedule for setup in setups],
-            [rod.principal_angle for rod in rods],
-        ),
-        force_scale=load,
-        tolerance=tolerance,
-        keeps_recording=keeps_recording,
-    )
-    return batch, contact, dynamics
-
-
-def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndarray:
-    """(rod,) contact stiffness per length [Pa].
-
-    Fixtures carry the rod's bending, not its weight: a post presses with about k_b / L_gb^2, some
-    2 w L_gb, on an edge or two.
-    """
-    sinking = [_SINKING if f is None else _SINKING_AT_POSTS for f in fixtures]
-    return np.array(
-        [rod.weight / (part * rod.radius) for rod, part in zip(rods, sinking, strict=True)]
-    )
-
-
-def _damping(asked: float | None, own: float) -> float:
-    return own if asked is None else asked
-
-
-def _batch(trials, setups, device) -> tuple[RodBatch, list[RodModel]]:
-    """The rods as they are: with the L_gb that they have, not the one that the plan believed, and
-    described in the directors of the laid rod, the first to its left, the second above it."""
-    held = []
-    for trial in trials:
-        rod, bent = RodModel.of(trial.rod), trial.disturbance
-        rod = rod.stiffened((1.0 + bent.lgb_error) ** 3)
-        held.append(rod.turned(trial.trajectory.roll).bent(bent.natural_curvature))
-    batch = RodBatch.of(
-        held,
-        np.stack([setup.arc_length for setup in setups]),
-        np.stack([setup.position for setup in setups]),
-        director=np.stack([setup.director for setup in setups]),
-        device=device,
-    )
-    return batch, held

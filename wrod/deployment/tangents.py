@@ -10,11 +10,13 @@ import warp as wp
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from wrod.deployment.assembly import assemble
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.setup import Setup, blend, one_hemisphere
-from wrod.deployment.simulate import Trial, assemble, prepare_trials, with_remainder_of
+from wrod.deployment.simulate import prepare_trials, with_remainder_of
+from wrod.deployment.trial import Trial
 from wrod.errors import RodError
-from wrod.kernels.lanes import TEAM, lanes
+from wrod.kernels.lanes import lanes
 from wrod.kernels.linear import banded_lu
 from wrod.kernels.stepping import deployment_tangents as kernels
 from wrod.rods.batch import RodBatch
@@ -348,15 +350,13 @@ class Tangents:
             [batch.bending_stiffness, accepted, state.dof, state.director],
             [self.natural],
         )
-        team = lanes(batch.device, TEAM)
-        wp.launch(
-            banded_lu.factorise,
-            (rods, team),
-            inputs=[accepted, batch.free, out.hessian, self.coupling],
-            outputs=[self.factor],
-            device=batch.device,
-            block_dim=team,
+        launch(
+            banded_lu.assemble,
+            (rods, dofs),
+            [accepted, batch.free, out.hessian, self.coupling],
+            [self.factor],
         )
+        batch.walk(banded_lu.factorise, [accepted], [self.factor])
         tangents = [self.now, self.older, self.velocity, self.velocity_older]
         launch(
             kernels.load_tangents,
@@ -374,14 +374,7 @@ class Tangents:
             + [batch.free, dynamics.time, state.tangent],
             [self.x],
         )
-        wp.launch(
-            kernels.solve_tangents,
-            (rods, self.packs),
-            inputs=[self.begin, accepted, dynamics.time, self.factor],
-            outputs=[self.x],
-            device=batch.device,
-            block_dim=lanes(batch.device),
-        )
+        self._solve([self.begin, accepted, dynamics.time, self.factor])
         launch(
             kernels.carry_bristles,
             (rods, self.packs, batch.node_count),
@@ -395,6 +388,18 @@ class Tangents:
             [self.begin, accepted, dynamics.time, dynamics.step, dynamics.coefficient, self.x],
             tangents,
         )
+
+    def _solve(self, inputs: list) -> None:
+        """Of the two kernels a CPU takes the first, one thread a pack, a GPU the second."""
+        device = self.batch.device
+        count = lanes(device)
+        dim: tuple[int, ...] = (self.batch.rod_count, self.packs)
+        kernel = kernels.solve_tangents
+        if count > 1:
+            dim, kernel = (*dim, count), kernels.solve_tangents_lanes
+        wp.launch(
+            kernel, dim=dim, inputs=inputs, outputs=[self.x], device=device, block_dim=count
+        )  # fmt: skip
 
     def values(self) -> np.ndarray:
         """(rod, column, node, 3) derivatives of the nodes now."""

@@ -4,7 +4,7 @@ Everything may import this room; it imports the errors alone.
 """
 
 from wrod.files.array_checks import check_arrays, read_fields
-from wrod.files.arrays import read_arrays, read_tensors
+from wrod.files.arrays import read_arrays, read_tensors, write_tensors
 from wrod.files.reading import (
     checked_path,
     decode_json,
@@ -27,4 +27,5 @@ __all__ = [
     "read_tensors",
     "read_text",
     "write_atomically",
+    "write_tensors",
 ]

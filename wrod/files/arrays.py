@@ -6,17 +6,22 @@ another kind than numbers and text is refused before anything is unpacked.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import os
 import warnings
 import zipfile
 from collections.abc import Collection
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
 
 from wrod.errors import DataError, WrodError
 from wrod.files.reading import MIB, checked_path, shown
+from wrod.files.writing import write_atomically
 
 # Bytes of all arrays of a file together, unpacked.
 MAX_ARRAYS = 512 * MIB
@@ -134,7 +139,8 @@ def read_tensors(
     """The text "wrod" among the metadata of a .safetensors file, and its arrays by name.
 
     Raises:
-        WrodError: of type `error`: there is no such file, it is damaged or larger than `limit`.
+        WrodError: of type `error`: there is no such file, it is larger than `limit`, or damaged:
+            cut, or of another checksum than the one that its label may give.
     """
     from safetensors import SafetensorError, safe_open
 
@@ -147,4 +153,30 @@ def read_tensors(
         raise error(f"{path}: is truncated or not {what} ({shown(reason, 200)})") from None
     except MemoryError:
         raise error(f"{path}: does not fit into memory") from None
+    try:
+        said = json.loads(label)
+    except (ValueError, RecursionError):  # for the reader of labels
+        said = None
+    if isinstance(said, dict) and said.get("sha256", None) not in (None, _digest(arrays)):
+        raise error(f"{path}: is damaged (its checksum is another); make it again")
     return label, arrays
+
+
+def write_tensors(
+    path: str | os.PathLike[str], label: dict[str, Any], arrays: dict[str, np.ndarray]
+) -> Path:
+    """Write a .safetensors file that `read_tensors` reads, with a checksum in its label."""
+    from safetensors.numpy import save
+
+    # One key only: the order of several would not be the same in every process.
+    text = json.dumps({**label, "sha256": _digest(arrays)})
+    content = save(arrays, metadata={"wrod": text})
+    return write_atomically(path, lambda file: file.write(content), "wb")
+
+
+def _digest(arrays: dict[str, np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(arrays[name]).data)
+    return digest.hexdigest()

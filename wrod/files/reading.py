@@ -199,7 +199,10 @@ def entry_message(reason: str) -> str:
 
 def shown(value: object, most: int = 80) -> str:
     """A value for a message, cut where it is long."""
-    text = str(value) if isinstance(value, (str, os.PathLike, Exception)) else repr(value)
+    try:
+        text = str(value) if isinstance(value, (str, os.PathLike, Exception)) else repr(value)
+    except RecursionError:
+        text = f"of type {type(value).__name__}"
     text = text if text.isprintable() else ascii(text)
     return text if len(text) <= most else f"{text[: most - 1]}…"
 

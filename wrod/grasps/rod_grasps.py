@@ -124,7 +124,9 @@ def solve_rod_grasps(
         (model.length - contact) / lgb, scaled, stretch * lgb**2 / bending
     )
 
-    share = np.broadcast_to(np.asarray(natural_share, dtype=np.float64), contact.shape)
+    share = arguments.spread(
+        natural_share, contact.shape, "solve_rod_grasps: natural_share", GraspError
+    )
 
     def rods(edges: int) -> RodArrays:
         arrays = _on_meshes(model, contact, length, edges, lgb, bending)

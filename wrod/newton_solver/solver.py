@@ -87,6 +87,7 @@ class SolverDER(RodBuilding, SolverBase):
         contact_stiffness=arguments.optional(arguments.number()),
         self_contact=arguments.optional(arguments.number(0.0, 1e3)),
         rod_contact=arguments.optional(arguments.number(0.0, 1e3)),
+        bodies=arguments.either(arguments.text, arguments.indices),
     )
     def __init__(
         self,
@@ -95,7 +96,7 @@ class SolverDER(RodBuilding, SolverBase):
         scheme: str = "bdf2",
         max_step: float | None = None,
         tolerance: float = 1e-6,
-        max_iterations: int = 12,
+        max_iterations: int = 25,
         contact_stiffness: float | None = None,
         self_contact: float | None = None,
         rod_contact: float | None = None,

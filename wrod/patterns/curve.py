@@ -7,6 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import BPoly, BSpline, PPoly, make_interp_spline
 
+from wrod.errors import PatternError
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -64,6 +66,14 @@ def heading_of_curve(
     position = make_interp_spline(t, np.stack([x, y], axis=1), 7)
     velocity = position.derivative()
     half = (t[1] - t[0]) / 2.0
+    other = t[:-1] + 0.764 * half  # no simple fraction, which ripples might repeat at
+    between = position(other) - np.stack(curve(other), axis=1)
+    step = np.hypot(np.diff(x), np.diff(y))[:, None]
+    if not (np.abs(between) <= 0.05 * step).all():  # it turns by half a radian there
+        raise PatternError(
+            f"the curve has features finer than a {count - 1}th of its range; give a shorter range "
+            "without kinks, jumps and ripples, or the points of a drawing"
+        )
     speed = np.linalg.norm(velocity(t[:-1, None] + half * (1.0 + _NODES)), axis=-1)
     arc = np.concatenate([[0.0], np.cumsum(half * speed @ _WEIGHTS)])
     tangent = velocity(t)

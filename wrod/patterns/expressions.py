@@ -92,3 +92,14 @@ def compile_expression(text: str, variable: str) -> Callable[[np.ndarray], np.nd
         return result
 
     return evaluate
+
+
+def value_of(function: Callable[[np.ndarray], np.ndarray], t: np.ndarray, name: str):
+    """What a function that somebody gave says of an array."""
+    try:
+        return function(t.copy())
+    except PatternError:
+        raise
+    except Exception as error:
+        said = f"{type(error).__name__}: {error}"
+        raise PatternError(f"{name}: its function stops with {said:.300}") from error

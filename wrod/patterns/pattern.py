@@ -18,10 +18,12 @@ from wrod.patterns.corners import distance_from_lines, find_corners, heading_wit
 from wrod.patterns.curve import heading_of_curve, integrate_heading, lead_in
 from wrod.patterns.drawings import EXACT, read_drawing
 from wrod.patterns.drawings import SUFFIXES as DRAWINGS
-from wrod.patterns.expressions import compile_expression
+from wrod.patterns.expressions import compile_expression, value_of
 from wrod.patterns.files import RawPoints, checked_points, read_points, refuse_spikes, unit_scale
-from wrod.patterns.shapes import SHAPES
 from wrod.patterns.smoothing import fit_heading
+
+# Of a bend as wide as the thinnest fibre [1/m].
+_SHARPEST = 1e6
 
 
 class Pattern:
@@ -52,6 +54,12 @@ class Pattern:
         self.source = name if source is None else source
         self._heading, self._origin, self._height = heading, np.asarray(origin, float), height
         self._position = integrate_heading(heading, self._origin)
+        s, curvature = self.sharpest()
+        if not abs(curvature) <= _SHARPEST:
+            raise PatternError(
+                f"{self.source}: has a curvature of {curvature:.3g} 1/m at s = {s:.4g} m, which no "
+                "rod follows; smooth it or check its units"
+            )
 
     @classmethod
     @arguments.checked(
@@ -209,7 +217,10 @@ class Pattern:
 
         def curve(t):
             t = np.asarray(start + (stop - start) * t, dtype=float)
-            values = [np.broadcast_to(np.asarray(part(t), dtype=float), t.shape) for part in parts]
+            values = [
+                arguments.spread(value_of(part, t, name), t.shape, name, PatternError)
+                for part in parts
+            ]
             if not np.all(np.isfinite(values)):
                 raise PatternError(f"{name}: has no finite value everywhere in {start} to {stop}")
             x, y = values if len(values) == 2 else (t, values[0])
@@ -235,6 +246,15 @@ class Pattern:
     def remainder_length(self) -> float:
         """Length of the remainder laid before s = 0 [m]; 0 if there is none."""
         return max(0.0, -float(self._heading.x[0]))
+
+    def sharpest(self) -> tuple[float, float]:
+        """Arc length [m] and signed curvature [1/m] of the tightest bend, where its
+        pieces meet and at 2001 points between."""
+        knots = self._heading.x
+        s = np.union1d(knots, np.linspace(knots[0], knots[-1], 2001))
+        curvature = self._heading(s, nu=1)
+        worst = int(np.argmax(np.abs(curvature)))
+        return float(s[worst]), float(curvature[worst])
 
     def sample(self, s: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position (n, 3) [m], unit tangent (n, 3) and signed curvature (n,) [1/m] at s (n,) [m].
@@ -268,6 +288,7 @@ class Pattern:
             )
         return np.clip(s, first, last)
 
+    @arguments.checked(PatternError)
     def with_remainder(self, length: float) -> Pattern:
         """The pattern with a lead-in whose curvature grows smoothly from zero to its own.
 
@@ -307,6 +328,7 @@ class Pattern:
         far, place = distance_from_lines(self.points[:, :2], self.sample(s)[0][:, :2])
         return far, float(s[place])
 
+    @arguments.checked(PatternError)
     def scaled(self, factor: float) -> Pattern:
         """The pattern drawn `factor` times as large, about its first point.
 
@@ -374,23 +396,3 @@ class Pattern:
             file.writelines(f"{x:.9f},{y:.9f},{z:.9f}\n" for x, y, z in position)
 
         return write_atomically(path, write)
-
-
-@arguments.checked(PatternError, name=arguments.text)
-def pattern(name: str) -> Pattern:
-    """Built-in pattern by name, such as "letter-A".
-
-    Raises:
-        PatternError: no pattern has that name.
-    """
-    if name not in SHAPES:
-        raise PatternError(
-            f"unknown pattern {name!r}; built in are {', '.join(pattern_names())} "
-            "(or give a file of points)"
-        )
-    return Pattern(*SHAPES[name](), name=name)
-
-
-def pattern_names() -> list[str]:
-    """Names of the built-in patterns."""
-    return list(SHAPES)

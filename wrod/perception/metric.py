@@ -165,10 +165,10 @@ class MarkerLayout:
             lengths = np.hypot(*sides.T)
             turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
             square = np.abs(turns) > 0.9 * lengths.max() ** 2
-            if lengths.max() < 1e-4 or not square.all() or abs(np.sign(turns).sum()) != 4:
+            if lengths.max() < 1e-4 or not square.all() or (turns > 0.0).any():
                 raise PerceptionError(
-                    f"{path}: marker {number} is no square; give its four corners [x, y] in "
-                    "metres, one after the other"
+                    f"{path}: marker {number} is no square; give its four corners [x, y], y up, in "
+                    "metres, clockwise from its upper left one"
                 )
         middles = np.array([corner.mean(axis=0) for corner in corners.values()])
         if np.linalg.svd(middles - middles.mean(axis=0))[1][1] < 1e-3:

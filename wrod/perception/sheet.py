@@ -16,6 +16,8 @@ from wrod.files import write_atomically
 PAPERS = {"a4": (0.297, 0.210), "a3": (0.420, 0.297), "letter": (0.2794, 0.2159)}
 _INCH = 0.0254  # [m]
 _CODE = 6  # squares across a marker of DICT_4X4: four of code in a border of one
+# Of A0, whose picture has 140 million pixels [m].
+_LARGEST = 1.2
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,11 @@ class MarkerSheet:
         numbers = (*self.size, self.side, self.margin)
         if not all(np.isfinite(n) and n > 0 for n in numbers):
             raise PerceptionError("a sheet's size, markers and margin must be positive [m]")
+        if max(self.size) > _LARGEST:
+            raise PerceptionError(
+                f"a sheet of {self.size[0]:g} x {self.size[1]:g} m is larger than any that is "
+                f"printed; give at most {_LARGEST:g} m, and metres"
+            )
         if self.side < 0.005:
             raise PerceptionError(
                 f"markers of {1e3 * self.side:g} mm are too small for a camera; give 5 mm or more"

@@ -15,6 +15,7 @@ from wrod.patterns.pattern import Pattern
 from wrod.planning.friction import friction_bound
 from wrod.planning.remainder import prepare
 from wrod.planning.reservations import (
+    judge_spacing,
     refuse_tight_bends,
     refuse_unconverged,
     warn_relaxed,
@@ -60,12 +61,13 @@ def plan_grasps(
     """
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
+    RodModel.of(rod).refuse_lump()
     pattern = prepare(pattern, rod, remainder)
+    refuse_tight_bends(pattern, rod)
     if closure is None:
         closure = _usual_closure(pattern, rod, method, controller)
     s = _contacts(pattern, spacing)
     _, _, curvature = course = pattern.sample(s)
-    refuse_tight_bends(pattern, rod, s, curvature)
     roll = roll_angle(roll, pattern, rod)
     inputs = GraspInputs.of(
         rod, rod.length - (s - s[0]), curvature,
@@ -132,6 +134,7 @@ def _contacts(pattern: Pattern, spacing: float) -> np.ndarray:
             f"spacing is {spacing!r} m; give at least {total / _MAX_NODES:.2g} m, which "
             f"makes {_MAX_NODES} contact nodes"
         )
+    judge_spacing(pattern, spacing)
     return np.linspace(first, pattern.length, int(np.ceil(total / spacing - 1e-9)) + 1)
 
 

@@ -19,18 +19,34 @@ from wrod.rods.model import RodModel
 # would swing out three times as far as a chain.
 CHAIN_MARGIN = 1.446
 SMALL_STABILITY_MARGIN = CHAIN_MARGIN / 3.0
+# What contacts may miss of a bend between them [m], and from where it is worth a word.
+_ANOTHER, _STRAYS = 1e-2, 1e-3
 
 
-def refuse_tight_bends(
-    pattern: Pattern, rod: RodModel | RodMaterial, s: np.ndarray, curvature: np.ndarray
-) -> None:
-    worst = int(np.argmax(np.abs(curvature)))
-    if abs(curvature[worst]) * rod.radius >= 1.0:
+def refuse_tight_bends(pattern: Pattern, rod: RodModel | RodMaterial) -> None:
+    s, curvature = pattern.sharpest()
+    if abs(curvature) * rod.radius >= 1.0:
         raise PatternError(
-            f"{pattern.source}: has a curvature of {curvature[worst]:.0f} 1/m at s = "
-            f"{s[worst]:.3f} m, tighter than the rod's own radius of {rod.radius:g} m; "
-            "smooth the pattern or make it larger"
+            f"{pattern.source}: has a curvature of {curvature:.0f} 1/m at s = {s:.3f} m, tighter "
+            f"than the rod's own radius of {rod.radius:g} m; smooth the pattern or make it larger"
         )
+
+
+def judge_spacing(pattern: Pattern, spacing: float) -> None:
+    """Refuse contacts so far apart that what is between them is another pattern, and warn of a
+    millimetre."""
+    s, curvature = pattern.sharpest()
+    strays = spacing * min(spacing * abs(curvature), np.pi) / 8.0  # of an arc from its chord
+    if strays <= _STRAYS:
+        return
+    said = (
+        f"{pattern.source}: contacts {spacing:g} m apart cut bends of a radius of "
+        f"{1.0 / abs(curvature):.3g} m (s = {s:.3f} m) by up to {1e3 * strays:.2g} mm; give a "
+        "shorter spacing"
+    )
+    if strays > _ANOTHER:
+        raise PatternError(said)
+    warnings.warn(said, WrodWarning, stacklevel=4)
 
 
 def refuse_unconverged(poses: Grasps, inputs: GraspInputs, s: np.ndarray) -> None:

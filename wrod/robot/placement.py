@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import numbers
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,6 +16,10 @@ from wrod.robot.model import Robot
 
 PEDESTAL_ROOM = 0.08  # [m] the table begins this far from the shapes that do not move
 TABLE_MARGIN = 0.06  # [m] of table around the pattern
+
+
+# No arm reaches further [m].
+_FARTHEST = 100.0
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,15 @@ class Placement:
     y: float
     z: float
     yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        given = (self.x, self.y, self.z, self.yaw)
+        real = all(isinstance(one, numbers.Real) for one in given)
+        if not (real and all(abs(one) <= _FARTHEST for one in given)):
+            raise RobotError(
+                f"placement {given!r:.120}: give finite numbers, metres and an angle, within "
+                f"{_FARTHEST:g}"
+            )
 
     @property
     def base_from_world(self) -> np.ndarray:
@@ -69,8 +83,6 @@ class Placement:
                 f"placement {value!r:.80} is not 'auto' and not x,y,z,yaw: position of the "
                 "pattern's origin from the robot's base [m], with z the table's height, and yaw"
             ) from None
-        if not all(map(math.isfinite, (x, y, z, yaw))):
-            raise RobotError(f"placement {value!r:.80} is not finite")
         return cls(x, y, z, yaw)
 
 

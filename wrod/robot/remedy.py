@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -42,12 +44,15 @@ def low_end(trajectory, clearance: float) -> float | None:
     return float(arc[max(first - 1, 0)] / arc[-1])
 
 
-def other_height(failed: UnreachedError, candidates: Callable) -> float | None:
+def other_height(
+    failed: UnreachedError, candidates: Callable, until: float = math.inf
+) -> float | None:
     """A table height [m] at which the same path is found, nearest to what was tried first.
 
     Args:
         failed: the error that says what was tried.
         candidates: heights -> placements.
+        until: when to stop [s of the monotonic clock].
     """
     from wrod.robot.kinematics import one_torch_thread
 
@@ -55,6 +60,8 @@ def other_height(failed: UnreachedError, candidates: Callable) -> float | None:
     task = failed.task
     with one_torch_thread():
         for step in _STEPS:
+            if time.monotonic() > until:
+                break
             places = candidates((middle + step,))
             if not places:
                 continue
@@ -118,14 +125,17 @@ def draw_reach(path, failed: UnreachedError):
     return write_atomically(path, lambda file: figure.savefig(file, dpi=110), "wb")
 
 
-def remedies(failed: UnreachedError, rod, pattern_length: float, candidates) -> Iterator[dict]:
+def remedies(
+    failed: UnreachedError, rod, pattern_length: float, candidates, until: float = math.inf
+) -> Iterator[dict]:
     """What to try, most likely first: {"resize" | "table_height" | "hold" | "remainder" | "robot":
     value}. Where the pattern turns the hand further than its joint, less turning comes first and
-    arms whose last joint turns further come last."""
+    arms whose last joint turns further come last. Heights of the table are tried `until` then [s of
+    the monotonic clock]."""
     turned, room = turning(failed.task)
     if turned > room and failed.task.trajectory.metadata.get("remainder_length", 0.0) > 0.0:
         yield {"remainder": False}
-    yield from _others(failed, rod, pattern_length, candidates)
+    yield from _others(failed, rod, pattern_length, candidates, until)
     if turned > room:
         for name in ROBOTS:
             last = load_robot(name)
@@ -133,7 +143,9 @@ def remedies(failed: UnreachedError, rod, pattern_length: float, candidates) -> 
                 yield {"robot": name}
 
 
-def _others(failed: UnreachedError, rod, pattern_length: float, candidates) -> Iterator[dict]:
+def _others(
+    failed: UnreachedError, rod, pattern_length: float, candidates, until: float
+) -> Iterator[dict]:
     share = low_end(failed.task.trajectory, failed.task.clearance)
     if share is not None:
         # Not as short as possible: the next millimetres are as low.
@@ -146,7 +158,7 @@ def _others(failed: UnreachedError, rod, pattern_length: float, candidates) -> I
     if needed < 0.9 * rod.length:
         yield {"hold": float(np.ceil(100 * needed) / 100)}
     try:
-        height = other_height(failed, candidates)
+        height = other_height(failed, candidates, until)
     except RobotError:
         height = None
     if height is not None:

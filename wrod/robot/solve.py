@@ -62,6 +62,7 @@ _DEEPER, _ROUNDS = 5, 8  # further searches near the best of them, and their rou
     limit_margin=arguments.number(0.0, 3.0),
     clearance=arguments.number(0.0, 1.0),
     rod_radius=arguments.number(1e-6, 1.0),
+    whole_job=arguments.flag,
 )
 def solve_joint_path(
     trajectory: Trajectory,

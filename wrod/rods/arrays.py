@@ -46,6 +46,13 @@ class BatchArrays:
 
     def _array(self, name, value, shape, dtype=wp.float64, positive=False) -> wp.array:
         if isinstance(value, wp.array):
+            size = shape if dtype == wp.float64 else shape[:-1]
+            if value.dtype != dtype or tuple(value.shape) != tuple(size):
+                said = f"{value.dtype.__name__} of shape {value.shape}"
+                raise RodError(
+                    f"{name} is an array of Warp of {said}; it must be "
+                    f"{dtype.__name__} of shape {size}"
+                )
             return value
         value = _floats(name, value)
         if value.size == 0 or not np.isfinite(value).all():
@@ -109,8 +116,8 @@ class BatchArrays:
 
     def _inelastic(self, number) -> wp.array | None:
         """The rods' laws that remember, and what they remember; None where there are none."""
-        number = np.asarray(number, dtype=np.float64)
-        if not number.any():
+        number = np.atleast_1d(arguments.floats(number, "RodBatch: inelastic", RodError))
+        if not number[..., 0].any():
             return None
         shape = (self.rod_count, self.node_count)
         number = self._array("inelastic", number, (*shape, 4), wp.vec4d)
@@ -150,8 +157,7 @@ class BatchArrays:
         """
         rods, nodes, device = self.rod_count, self.node_count, self.device
         state = self.state
-        if not isinstance(position, wp.array):
-            position = self._array("position", position, (rods, nodes, 3), wp.vec3d)
+        position = self._array("position", position, (rods, nodes, 3), wp.vec3d)
         angle = self._array("angle", angle, (rods, nodes - 1))
         source, shape = ANY_DIRECTOR, (0, 0)
         if director is not None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.rods.material import TABLE_2, RodMaterial
 
@@ -95,6 +96,7 @@ def rod_names() -> list[str]:
     return [entry.name for entry in catalogue()]
 
 
+@arguments.checked(RodError)
 def rod(name: str) -> RodMaterial:
     """A rod, cable or rope of the catalogue by name; `wrod rods` lists stiffness and sources.
 

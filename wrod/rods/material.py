@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 # `wrod.identification.folded_loop` derives it from the heavy elastica. The paper's 0.9066 belongs
 # to (k_b/(pi h^2 rho g))^(1/3), 2^(1/3) larger.
 LOOP_HEIGHT_RATIO = 1.14224
+# Rod between where it leaves the table and where it meets it again, over L_gb.
+LOOP_LENGTH_RATIO = 5.83
 # What rods, on whatever planet, may have: beyond, stiffnesses leave the range of float64.
 _BOUNDS = {
     "radius": (1e-7, 10.0),
@@ -27,6 +29,37 @@ _BOUNDS = {
     "density": (1e-6, 1e7),
     "gravity": (1e-9, 1e6),
 }
+# L_gb and length over the radius [-]: with less, what bends is a lump and no rod. A gel of 50 kPa
+# and 1 cm radius has an L_gb of 3.9 radii.
+_SLENDER = {"gravito_bending_length": 2.0, "length": 10.0}
+# Nothing has a larger Young's modulus [Pa].
+_STIFFEST = 2e12
+
+
+def refuse_lumps(
+    radius: float, gravito_bending_length: float, length: float, curvature: float
+) -> None:
+    """Refuse what no theory of rods describes.
+
+    Args:
+        radius, gravito_bending_length, length: [m].
+        curvature: largest at rest [1/m].
+
+    Raises:
+        RodError: L_gb or length are too short for the radius, or it bends at rest into itself.
+    """
+    values = {"gravito_bending_length": gravito_bending_length, "length": length}
+    for name, least in _SLENDER.items():
+        if values[name] < least * radius:
+            raise RodError(
+                f"rod {name} is {values[name]:g} m with a radius of {radius:g} m; a rod has at "
+                f"least {least:g} radii, so check both numbers and their units"
+            )
+    if curvature * radius >= 1.0:
+        raise RodError(
+            f"rod natural_curvature is {curvature:g} 1/m with a radius of {radius:g} m; no rod "
+            "bends tighter than its own radius, so check both numbers and their units"
+        )
 
 
 @dataclass(frozen=True)
@@ -46,7 +79,8 @@ class RodMaterial:
             is laid first; (0, 0) is a straight rod [1/m].
 
     Raises:
-        RodError: a value is not finite, not positive, or Poisson's ratio is outside (-1, 0.5].
+        RodError: a value is not finite, not positive, or Poisson's ratio is outside (-1, 0.5]; L_gb
+            is under 2 or the length under 10 radii; it bends at rest tighter than its radius.
     """
 
     radius: float
@@ -57,6 +91,7 @@ class RodMaterial:
     gravity: float = 9.81
     natural_curvature: tuple[float, float] = (0.0, 0.0)
 
+    @arguments.checked(RodError)
     def __post_init__(self) -> None:
         for name in ("radius", "gravito_bending_length", "length", "density", "gravity"):
             value = getattr(self, name)
@@ -85,8 +120,17 @@ class RodMaterial:
                 "the components along the material directors in 1/m"
             )
         object.__setattr__(self, "natural_curvature", (first, second))
+        lengths = self.gravito_bending_length, self.length
+        refuse_lumps(self.radius, *lengths, math.hypot(first, second))
+        if self.youngs_modulus > _STIFFEST:
+            raise RodError(
+                f"rod gravito_bending_length is {self.gravito_bending_length:g} m with a radius of "
+                f"{self.radius:g} m and a density of {self.density:g} kg/m^3: a Young's modulus of "
+                f"{self.youngs_modulus:.2g} Pa, stiffer than diamond; check the numbers' units"
+            )
 
     @classmethod
+    @arguments.checked(RodError)
     def from_youngs_modulus(
         cls,
         youngs_modulus: float,
@@ -102,7 +146,10 @@ class RodMaterial:
             raise RodError(
                 f"rod youngs_modulus is {youngs_modulus!r:.80}; give a positive number of pascals"
             )
-        probe = cls(radius, 1.0, length, poisson, density, gravity)  # validates before the division
+        if youngs_modulus > _STIFFEST:
+            raise RodError(f"rod youngs_modulus is {youngs_modulus:g} Pa; diamond has 1.2e12 Pa")
+        long = 1.0 if not isinstance(radius, (int, float)) else max(1.0, 2.0 * abs(radius))
+        probe = cls(radius, long, length, poisson, density, gravity)  # before the division
         lgb = (youngs_modulus * radius**2 / (8.0 * probe.density * probe.gravity)) ** (1.0 / 3.0)
         return cls(radius, lgb, length, poisson, density, gravity)
 

@@ -101,6 +101,7 @@ class RodModel(Otherwise):
             gravity: float = 9.81,
         ) -> None: ...
 
+    @arguments.checked(RodError)
     def __post_init__(self) -> None:
         def put(name, value):
             object.__setattr__(self, name, value)
@@ -126,7 +127,9 @@ class RodModel(Otherwise):
         put("point_masses", self._point_masses())
         if not isinstance(self.law, tuple(LAWS.values())):
             known = ", ".join(law.__name__ for law in LAWS.values())
-            raise RodError(f"rod law is {self.law!r:.80}; use one of wrod.rods.law: {known}")
+            raise RodError(
+                f"rod law is {arguments.shown(self.law)}; use one of wrod.rods.law: {known}"
+            )
 
     def _point_masses(self) -> tuple[tuple[float, float], ...]:
         try:
@@ -159,6 +162,17 @@ class RodModel(Otherwise):
                 f"rod is {type(rod).__name__}; give a wrod.RodMaterial or a wrod.RodModel"
             )
         return rod.model()
+
+    def refuse_lump(self) -> None:
+        """Refuse what is too thick for its stiffness or length to be a rod.
+
+        Raises:
+            RodError: see `RodMaterial`.
+        """
+        from wrod.rods.material import refuse_lumps
+
+        curvature = math.hypot(*(max(map(abs, c.values)) for c in self.natural_curvature))
+        refuse_lumps(self.radius, self.gravito_bending_length, self.length, curvature)
 
     def not_uniform(self) -> tuple[str, ...]:
         """What a `RodMaterial` cannot carry of this rod, by the names of the fields."""
@@ -283,7 +297,8 @@ class RodModel(Otherwise):
         beginning turned by `roll` [rad] from left towards up."""
         s = np.linspace(0.0, self.length, 1 if not self.varies and self._untwisted else 401)
         first, second = (c(s) for c in self.natural_curvature)
-        mean = np.mean((first + 1j * second) * np.exp(1j * (roll + self.rolled(s))))
+        turned = np.asarray(roll) + self.rolled(s)
+        mean = np.mean((first + 1j * second) * np.exp(1j * turned))
         return float(mean.real), float(mean.imag)
 
     @property

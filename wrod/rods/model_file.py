@@ -150,8 +150,10 @@ def _new(path, content: dict, instead: dict) -> RodModel:
         model = with_length(model, instead.pop("length"))
         if model.length > longest * (1.0 + 1e-9) and model.varies:
             said.append(f"beyond the measured {longest:g} m it goes on as it is there")
+    model = replace(model, **instead)
+    model.refuse_lump()
     _warn(path, said)
-    return replace(model, **instead)
+    return model
 
 
 def with_length(model: RodModel, length: float) -> RodModel:

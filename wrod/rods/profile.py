@@ -57,6 +57,7 @@ class Profile:
         object.__setattr__(self, "knots", tuple(knots.tolist()))
 
     @classmethod
+    @arguments.checked(RodError)
     def of(cls, value) -> Profile:
         """A profile as it is, a number, or {"knots": [...], "values": [...]}.
 

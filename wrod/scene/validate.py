@@ -24,7 +24,10 @@ def open_stage(path: str | os.PathLike[str]):
         return Usd.Stage.Open(os.fspath(path))
     except Tf.ErrorException as error:
         # Its last line is "Error in ... at line ... in file ... : 'what went wrong'".
-        reason = str(error).strip().splitlines()[-1].rpartition(" : ")[2].strip("')\" ")
+        try:
+            reason = str(error).strip().splitlines()[-1].rpartition(" : ")[2].strip("')\" ")
+        except UnicodeError:
+            reason = "it holds text that is not UTF-8"
         raise SceneError(f"{path}: not a readable USD stage ({shown(reason, 200)})") from None
 
 

@@ -14,8 +14,8 @@ from wrod.solvers.rod_contact import RodContact
 _RODS, _NODES = 8, 200
 # Numbers that the condensed matrices of a batch may have.
 _LARGEST = 5e8
-# Columns, threads and blocks that a GPU works on at a time.
-_COLUMNS, _THREADS, _BLOCKS = 2048, 1 << 17, 264
+# Columns and threads that a GPU works on at a time.
+_COLUMNS, _THREADS = 2048, 1 << 17
 
 
 class CondensedSystem(PairedSystem):
@@ -50,10 +50,11 @@ class CondensedSystem(PairedSystem):
         self._matrix, self._size = zeros(unknowns, unknowns), zeros(unknowns)
         self._panel, self._diagonal = zeros(unknowns, tile), zeros(unknowns, tile)
         self._t, self._push = zeros(columns, unknowns), wp.zeros_like(self.x)
-        self._tiles = zeros(dtype=wp.int32)
-        self._going = wp.zeros(2, dtype=wp.int32, device=device)
-        self._goes_on = self._going[:1]  # a condition of a graph is one number
-        self._turns = (_COLUMNS, _THREADS, _BLOCKS) if self._on_gpu else (1, 1, 1)
+        self._tiles, self._arrived = (zeros(dtype=wp.int32) for _ in range(2))
+        self._turns = (_COLUMNS, _THREADS) if self._on_gpu else (1, 1)
+        # Blocks that wait for each other must all be there at once.
+        there = wp.get_device(device).sm_count if self._on_gpu else 1
+        self._blocks = max(1, there // rods)
 
     def _spread(self, kernel, dim: tuple, inputs: list, outputs: list, block: int = 0) -> None:
         """Launch over (row, *dim), with the lanes of a block as last dimension where there are."""
@@ -74,14 +75,14 @@ class CondensedSystem(PairedSystem):
 
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
         batch, contact = self.batch, self.contact
-        columns, threads, _ = self._turns
+        columns, threads = self._turns
         self._collect(active)
         super().factorise(hessian, active)
         self._spread(
             condensing.weigh_pairs,
             (self.touching.shape[1],),
             [contact.pieces, self.coupled, contact.overflow, batch.free, *self._pairs],
-            [self._weight, self._tiles],
+            [self._weight, self._tiles, self._arrived],
         )
         rods = [self.segment, self._owner]
         _, count, pairs, weight = self._touched
@@ -98,34 +99,12 @@ class CondensedSystem(PairedSystem):
             [*rods, *self._touched, self._column, threads],
             [self._matrix, self._size],
         )
-        device = batch.device
-        wp.launch(dense_lanes.start_panels, 1, [self._tiles], [self._going], device=device)
-        wp.capture_while(self._goes_on, self._take_panels)
-
-    def _take_panels(self) -> None:
-        """Some panels of the dense factorisation."""
-        blocks = self._turns[2]
-        for after in range(dense_lanes.UNROLL):
-            self._spread(
-                dense_lanes.take_panels,
-                (blocks,),
-                [self._tiles, self._size, self._going, after, blocks],
-                [self._matrix, self._panel, self.negative_pivots, self._diagonal],
-                dense_lanes.BLOCK,
-            )
-            self._spread(
-                dense_lanes.update,
-                (blocks,),
-                [self._tiles, self._panel, self._going, after, blocks],
-                [self._matrix],
-                dense_lanes.BLOCK,
-            )
-        wp.launch(
-            dense_lanes.next_panels,
-            1,
-            [self._tiles, dense_lanes.UNROLL],
-            [self._going],
-            device=self.batch.device,
+        self._spread(
+            dense_lanes.factorise,
+            (self._blocks,),
+            [self._tiles, self._size, self._blocks],
+            [self._arrived, self._matrix, self._panel, self.negative_pivots, self._diagonal],
+            dense_lanes.BLOCK,
         )
 
     def solve(self, active: wp.array, columns: int | None = None) -> None:
@@ -158,7 +137,6 @@ def paired_system(contact: RodContact, right_hand_sides: int) -> PairedSystem:
     """The system for rods in contact: exact, or condensed for large rows on a GPU."""
     batch = contact.batch
     large = batch.node_count > _NODES and len(batch.cut_edges) + 1 >= _RODS
-    on_gpu = wp.get_device(batch.device).is_cuda and wp.is_conditional_graph_supported()
-    if large and on_gpu:
+    if large and wp.get_device(batch.device).is_cuda:
         return CondensedSystem(contact, right_hand_sides)
     return CoupledSystem(contact, right_hand_sides)

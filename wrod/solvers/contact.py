@@ -130,7 +130,11 @@ class Contact:
             return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=device)
 
         shapes, static, kinetic, rolling, roll = self._table()
-        idle = np.zeros((rods, nodes), dtype=bool) if self.passive is None else self.passive
+        idle = np.zeros((rods, nodes), dtype=bool)
+        if self.passive is not None:
+            if arguments.truths(self.passive) or np.shape(self.passive) != (rods, nodes):
+                raise RodError(f"Contact: passive must be truths of shape {(rods, nodes)}")
+            idle = np.asarray(self.passive)
         damping = contact_damping(np.broadcast_to(self.restitution, (rods,)))
         ratio = batch.node_mass.numpy() / (stiffness * _node_lengths(batch))
         field = self.friction_field

@@ -100,6 +100,7 @@ class Dynamics(NewtonSteps):
         ),
         motion=arguments.optional(arguments.like("a motion", "prescribe")),
         follower=arguments.optional(arguments.like("a follower", "follow")),
+        bodies=arguments.optional(arguments.like("rigid bodies", "columns")),
         force_scale=arguments.optional(arguments.array((), (None,))),
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(0, 10_000),
@@ -300,6 +301,17 @@ class Dynamics(NewtonSteps):
             with wp.ScopedCapture(device) as capture:
                 take_rounds()
             self._recording = (key, capture.graph)
+
+    def launch_times(self, until: float, step: float, rounds: int) -> list[tuple[str, float]]:
+        """(name, milliseconds) of all that rounds of steps towards `until` launch on a GPU, one by
+        one and not as a graph: what they cost, and where."""
+        self.until.fill_(until)
+        self._begin_advance(step)
+        wp.timing_begin(cuda_filter=wp.TIMING_ALL)
+        for _ in range(rounds):
+            self._take_round(step, step * _SMALLEST_STEP, None, 1.0)
+        wp.synchronize_device(self.batch.device)
+        return [(event.name, event.elapsed) for event in wp.timing_end()]
 
     def _begin_advance(self, step: float) -> None:
         self._per_rod(pace.begin_advance, [wp.float64(step)], [self.pace])

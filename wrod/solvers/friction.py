@@ -31,6 +31,7 @@ class FrictionField:
     x: tuple[float, float]
     y: tuple[float, float]
 
+    @arguments.checked(RodError)
     def __post_init__(self) -> None:
         factor = arguments.floats(self.factor, "FrictionField: factor", RodError)
         for name in ("x", "y"):
@@ -82,6 +83,7 @@ class Friction:
     rolling: bool = False
     roll: float | None = None
 
+    @arguments.checked(RodError)
     def __post_init__(self) -> None:
         values = [self.static, self.static if self.kinetic is None else self.kinetic]
         real = all(arguments.number()(v) is None for v in values)

@@ -45,7 +45,9 @@ class PrescribedMotion:
 
     def __init__(self, batch: RodBatch, edge, times, position, rotation, *, part=0.5, slides=""):
         if not hasattr(batch, "node_count") or isinstance(batch, type):
-            raise RodError(f"PrescribedMotion: batch is {batch!r:.80}; give a wrod.RodBatch")
+            raise RodError(
+                f"PrescribedMotion: batch is {arguments.shown(batch)}; give a wrod.RodBatch"
+            )
         self.batch, device = batch, batch.device
         edges = arguments.floats(edge, "PrescribedMotion: edge", RodError)
         whole = np.isfinite(edges).all() and (np.abs(edges) < 1e9).all() and (edges % 1 == 0).all()
@@ -71,7 +73,9 @@ class PrescribedMotion:
         slides = [slides] * hands if isinstance(slides, str) else slides
         texts = isinstance(slides, (list, tuple)) and all(isinstance(s, str) for s in slides)
         if not texts or len(slides) != hands or not all(set(s) <= set(_AXES) for s in slides):
-            raise RodError(f"slides is {slides!r:.80}; give axes, like 'x', one for each held edge")
+            raise RodError(
+                f"slides is {arguments.shown(slides)}; give axes, like 'x', one for each held edge"
+            )
 
         self._edge = wp.array(np.tile(edges, (rods, 1)), dtype=wp.int32, device=device)
         self._part = wp.array(part, dtype=wp.float64, device=device)

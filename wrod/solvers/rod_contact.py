@@ -72,6 +72,7 @@ class RodContact:
         stiffness=arguments.optional(arguments.array((), (None,))),
         restitution=arguments.array((), (None,)),
         partners=arguments.whole(1, 4096),
+        passive=arguments.optional(arguments.truths),
         smooth=arguments.flag,
     )
     def __init__(
@@ -92,7 +93,7 @@ class RodContact:
         cut = np.zeros((rods, edges), dtype=bool)
         cut[:, list(batch.cut_edges)] = True
         radius = _per_edge(radius, rods, edges)
-        idle = cut if passive is None else cut | passive
+        idle = cut if passive is None else cut | _passive(passive, cut.shape)
         mean_radius = np.where(cut, 0.0, radius).sum(axis=1) / (~cut).sum(axis=1)
         if stiffness is None:
             stretching = np.where(cut, 0.0, batch.stretching_stiffness.numpy()).max(axis=1)
@@ -146,13 +147,19 @@ class RodContact:
             zeros(wp.int32) for _ in range(5)
         )
         self.slip, self.penetration = zeros(wp.float64, edges), zeros(wp.float64)
-        self.rubbing = rubbing = pair_contact.Rubbing()
-        rubbing.bristle, rubbing.load = self.bristle, self.held_load
-        rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
+        self.rubbing = pair_contact.Rubbing()
+        self._share_friction(zeros(wp.vec2d, edges, partners), zeros(wp.float64, edges, partners))
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
         self.configuration: tuple[wp.array, ...] = ()
         self._check_start()
+
+    def _share_friction(self, way: wp.array, turned: wp.array) -> None:
+        """What kernels know of friction."""
+        rubbing = self.rubbing
+        rubbing.bristle, rubbing.load = self.bristle, self.held_load
+        rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
+        rubbing.way, rubbing.turned = way, turned
 
     def prepare(self, starting: wp.array, rejected: wp.array, dof: wp.array) -> None:
         """List the pairs that may touch in a step that starts at `dof`, for the first time or
@@ -195,7 +202,7 @@ class RodContact:
             ],
             [self.overflow],
         )
-        batch.launch(kernels.hold_loads, self.load.shape, [starting, self.load], [self.held_load])
+        batch.launch(kernels.hold_loads, self.load.shape, [starting, self.load], [self.rubbing])
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces at `dof` to the batch's gradient; their stiffness is for `CoupledSystem`."""
@@ -327,6 +334,13 @@ def _laws(friction: list[Friction], stiffness, relaxation, skin) -> list:
         law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
         laws.append(law)
     return laws
+
+
+def _passive(value, shape: tuple[int, int]) -> np.ndarray:
+    found = np.asarray(value)
+    if found.shape not in (shape[1:], shape):
+        raise RodError(f"RodContact: passive has shape {found.shape} and must have {shape}")
+    return found
 
 
 def _per_edge(radius, rods: int, edges: int) -> np.ndarray:

@@ -1,0 +1,105 @@
+"""From trials of deployments to batches of rods, tables and steps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrod.deployment.fixtures import Fixtures
+from wrod.deployment.grip_path import GripMotion
+from wrod.deployment.setup import Setup
+from wrod.deployment.trial import Trial
+from wrod.rods.batch import RodBatch
+from wrod.rods.discretisation import quadratic_drag
+from wrod.rods.model import RodModel
+from wrod.solvers.contact import Contact, FrictionField, Plane
+from wrod.solvers.dynamics import Dynamics
+
+# The table gives way by this fraction of the radius under the rod's weight; where the rod touches
+# down, which loads it with about 2 w L_gb at a point, that makes some 1 % of the radius.
+_SINKING = 1.0 / 600.0
+_SINKING_AT_POSTS = _SINKING / 10.0
+
+
+def assemble(
+    trials: list[Trial],
+    setups: list[Setup],
+    *,
+    scheme: str = "euler",
+    air_damping: float | None = None,
+    internal_damping: float | None = None,
+    tolerance: float = 1e-5,
+    device: str = "cpu",
+    keeps_recording: bool = False,
+    friction_field: FrictionField | None = None,
+) -> tuple[RodBatch, Contact, Dynamics]:
+    """The rods of prepared trials, what they touch, and what steps them; see
+    `simulate_deployments`."""
+    batch, rods = _batch(trials, setups, device)
+    radius = np.array([rod.radius for rod in rods])
+    load = np.array([rod.weight * rod.gravito_bending_length for rod in rods])
+    contact = Contact(
+        batch,
+        radius,
+        _stiffness(rods, [t.fixtures for t in trials]),
+        [t.friction for t in trials],
+        [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
+        keeps_roll=np.array([RodModel.of(t.rod).has_sides for t in trials]),
+        friction_field=friction_field,
+    )
+    drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))
+    dynamics = Dynamics(
+        batch,
+        scheme=scheme,
+        radius=radius,
+        drag=None if drag is None else np.stack([np.zeros_like(drag), drag], axis=2),
+        air_damping=np.array([_damping(air_damping, rod.air_damping or 1.0) for rod in rods]),
+        internal_damping=np.array(
+            [_damping(internal_damping, rod.internal_damping) for rod in rods]
+        ),
+        contact=contact,
+        motion=GripMotion(
+            batch,
+            [setup.schedule for setup in setups],
+            [rod.principal_angle for rod in rods],
+        ),
+        force_scale=load,
+        tolerance=tolerance,
+        keeps_recording=keeps_recording,
+    )
+    return batch, contact, dynamics
+
+
+def _stiffness(rods: list[RodModel], fixtures: list[Fixtures | None]) -> np.ndarray:
+    """(rod,) contact stiffness per length [Pa].
+
+    Fixtures carry the rod's bending, not its weight: a post presses with about k_b / L_gb^2, some
+    2 w L_gb, on an edge or two.
+    """
+    sinking = [_SINKING if f is None else _SINKING_AT_POSTS for f in fixtures]
+    return np.array(
+        [rod.weight / (part * rod.radius) for rod, part in zip(rods, sinking, strict=True)]
+    )
+
+
+def _damping(asked: float | None, own: float) -> float:
+    return own if asked is None else asked
+
+
+def _batch(trials, setups, device) -> tuple[RodBatch, list[RodModel]]:
+    """The rods as they are: with the L_gb that they have, not the one that the plan believed, and
+    described in the directors of the laid rod, the first to its left, the second above it."""
+    held = []
+    rods = {id(trial.rod): trial.rod for trial in trials}
+    models = {key: RodModel.of(rod) for key, rod in rods.items()}
+    for trial in trials:
+        rod, bent = models[id(trial.rod)], trial.disturbance
+        rod = rod.stiffened((1.0 + bent.lgb_error) ** 3)
+        held.append(rod.turned(trial.trajectory.roll).bent(bent.natural_curvature))
+    batch = RodBatch.of(
+        held,
+        np.stack([setup.arc_length for setup in setups]),
+        np.stack([setup.position for setup in setups]),
+        director=np.stack([setup.director for setup in setups]),
+        device=device,
+    )
+    return batch, held

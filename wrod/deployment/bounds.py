@@ -1,0 +1,58 @@
+"""What of a deployment is refused before anything is laid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wrod.errors import RodError
+from wrod.machine import require_memory
+
+# Beyond these a deployment takes weeks; what a node holds in states and factors.
+_MOST_STEPS, _MOST_NODES, _NODE_BYTES = 2e7, 2e5, 4096.0
+# How far the grip may move in a step [m], and how long an edge may be [L_gb].
+_LONGEST_MOVE, _LONGEST_EDGE = 0.05, 3.0
+
+
+def check_pace(speed: float, spacing: float, hold: float, release: float) -> None:
+    for name, value in (("speed", speed), ("spacing", spacing)):
+        if not (np.isfinite(value) and value > 0):
+            raise RodError(f"{name} is {value!r}; give a positive finite number")
+    if not (np.isfinite(hold) and hold >= 0):
+        raise RodError(f"hold is {hold!r}; give a length in metres, or 0 for a free end")
+    if not release >= hold:
+        raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
+
+
+def refuse_endless(trials, speed, spacing, step, frame_interval) -> None:
+    """Refuse what no machine ends, or this one has no memory for, or steps and edges that miss
+    what happens, before anything is laid."""
+    refuse_coarse_edges(trials, spacing)
+    if speed * step > _LONGEST_MOVE:
+        raise RodError(
+            f"the grip moves {speed * step:g} m in a step of {step:g} s at {speed:g} m/s, too far "
+            f"for what happens between; give a step or a speed that makes it {_LONGEST_MOVE:g} m"
+        )
+    longest = max(float(trial.rod.length) for trial in trials)
+    nodes, duration = longest / spacing + 100.0, 2.0 * longest / speed
+    if duration / step > _MOST_STEPS or nodes > _MOST_NODES:
+        raise RodError(
+            f"{longest:g} m of rod at {speed:g} m/s in steps of {step:g} s and edges of "
+            f"{spacing:g} m take {duration / step:.2g} steps of {nodes:.2g} nodes; give a larger "
+            "speed, step or spacing"
+        )
+    frames = 0.0 if frame_interval is None else duration / frame_interval
+    require_memory(
+        len(trials) * nodes * (_NODE_BYTES + 24.0 * frames),
+        f"{len(trials)} trials of {nodes:.0f} nodes"
+        + (f" and {frames:.0f} frames" if frames else ""),
+        "ask for fewer trials or frames, or a larger spacing",
+    )
+
+
+def refuse_coarse_edges(trials, spacing: float) -> None:
+    longest = _LONGEST_EDGE * min(float(trial.rod.gravito_bending_length) for trial in trials)
+    if spacing > longest:
+        raise RodError(
+            f"spacing is {spacing:g} m, and an edge of {longest:.2g} m is the longest that bends "
+            "as this rod does; give less"
+        )

@@ -1,0 +1,28 @@
+"""Built-in patterns by name."""
+
+from __future__ import annotations
+
+from wrod import arguments
+from wrod.errors import PatternError
+from wrod.patterns.pattern import Pattern
+from wrod.patterns.shapes import SHAPES
+
+
+@arguments.checked(PatternError, name=arguments.text)
+def pattern(name: str) -> Pattern:
+    """Built-in pattern by name, such as "letter-A".
+
+    Raises:
+        PatternError: no pattern has that name.
+    """
+    if name not in SHAPES:
+        raise PatternError(
+            f"unknown pattern {name!r}; built in are {', '.join(pattern_names())} "
+            "(or give a file of points)"
+        )
+    return Pattern(*SHAPES[name](), name=name)
+
+
+def pattern_names() -> list[str]:
+    """Names of the built-in patterns."""
+    return list(SHAPES)
