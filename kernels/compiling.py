@@ -1,22 +1,43 @@
-"""Modules compiled side by side, before the first of their kernels is launched one after the other.
+"""Modules compiled side by side, before the first of their kernels is launched one after the other,
+or while something else is done.
 
 A module is compiled for each size of block that its kernels are launched in; a CPU has one.
 """
 
 import os
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
+from types import ModuleType
 
 import warp as wp
 
 
-def compile_together(device: str, launches: Iterable[tuple[wp.Kernel, int]]) -> None:
-    """Compile, as far as that was not done before, the modules of kernels for their block sizes."""
+@cache
+def _compilers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count() or 1)
+
+
+@cache
+def _begun(device: str, module: wp.Module, block: int) -> Future:
+    return _compilers().submit(wp.force_load, device, [module], block_dim=block)
+
+
+def compile_ahead(
+    device: str, launches: Iterable[tuple[wp.Kernel | ModuleType, int]]
+) -> list[Future]:
+    """Begin to compile the modules of kernels, or Python modules with all their kernels, for their
+    block sizes, as far as that was not begun before."""
     on_cpu = wp.get_device(device).is_cpu
-    wanted = {(kernel.module, 1 if on_cpu else block) for kernel, block in launches}
+    wanted = {(_module(what), 1 if on_cpu else block) for what, block in launches}
+    return [_begun(device, module, block) for module, block in wanted]
 
-    def load(one: tuple) -> None:
-        wp.force_load(device, [one[0]], block_dim=one[1])
 
-    with ThreadPoolExecutor(min(len(wanted), os.cpu_count() or 1)) as pool:
-        list(pool.map(load, wanted))
+def compile_together(device: str, launches: Iterable[tuple[wp.Kernel | ModuleType, int]]) -> None:
+    """Compile them, and wait until they are."""
+    for compiled in compile_ahead(device, launches):
+        compiled.result()
+
+
+def _module(what: wp.Kernel | ModuleType) -> wp.Module:
+    return wp.get_module(what.__name__) if isinstance(what, ModuleType) else what.module

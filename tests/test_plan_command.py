@@ -102,6 +102,7 @@ def test_main_command_ends_in_joint_path_scene_and_picture(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == names | page
     assert all(f"wrote {path}" in result.output for path in tmp_path.iterdir())
     assert "rad from the joint limits" in result.output
+    assert "the rod waits at a stand that " in result.output
     assert (tmp_path / "scene.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 

@@ -184,7 +184,10 @@ def test_paper_network_is_the_paper_s(table):
     np.testing.assert_allclose(network.mean, table.inputs.mean(axis=0))
 
 
-@pytest.mark.parametrize("columns", [controller_model.OUTPUTS, controller_model.WITH_THRUST])
+@pytest.mark.parametrize(
+    "columns",
+    [controller_model.OUTPUTS, controller_model.WITH_THRUST, controller_model.WITH_PULL],
+)
 def test_encoding_inverts_decoding(table, columns):
     rng = np.random.default_rng(0)
     inputs = table.inputs[table.inputs[:, 1] > 0.05]
@@ -195,6 +198,12 @@ def test_encoding_inverts_decoding(table, columns):
     size = np.sqrt(raw[:, 5] ** 2 + raw[:, 7] ** 2 + odd**2 * (raw[:, 6] ** 2 + raw[:, 8] ** 2))
     raw[:, 5:9] /= size[:, None]
     back = controller_model.encode(np, inputs, position, quaternion, force, columns)
+    if columns == controller_model.WITH_PULL:  # of which two parts count as their sum
+        for found, given in zip(
+            controller_model.decode(np, inputs, back), (position, quaternion, force), strict=True
+        ):
+            np.testing.assert_allclose(found, given, atol=1e-9)
+        back, raw = back[:, :9], raw[:, :9]
     np.testing.assert_allclose(back, raw, atol=1e-9)
 
 

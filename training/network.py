@@ -14,8 +14,9 @@ from wrod.controller import model as controller_model
 from wrod.controller.controller import ARCHITECTURES
 
 _LEAST = 1e-9
-# Below it a thrust at the contact is the solver's rounding.
-_NO_THRUST = 1e-6
+# Below it a thrust at the contact is the solver's rounding; one that is so many times kappa squared
+# does not vanish on a straight pattern.
+_NO_THRUST, _PULL = 1e-6, 10.0
 
 
 class GraspNetwork(torch.nn.Module):
@@ -97,8 +98,11 @@ def _quaternions(table: GraspTable) -> np.ndarray:
 def _raw_outputs(table: GraspTable) -> np.ndarray:
     rows = table.take(np.abs(table.inputs[:, 1]) > 1e-2)
     force = rows.outputs[:, 6:]
-    thrust = np.abs(force[:, 0]).max() > _NO_THRUST
-    columns = controller_model.WITH_THRUST if thrust else controller_model.OUTPUTS
+    thrust = np.abs(force[:, 0])
+    columns = controller_model.OUTPUTS
+    if thrust.max() > _NO_THRUST:
+        pulls = (thrust / rows.inputs[:, 1] ** 2).max() > _PULL
+        columns = controller_model.WITH_PULL if pulls else controller_model.WITH_THRUST
     return controller_model.encode(
         np, rows.inputs, rows.outputs[:, :3], _quaternions(rows), force, columns
     )

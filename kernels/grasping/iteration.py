@@ -35,6 +35,8 @@ FORCE_DONE = wp.constant(wp.float64(1.0e-12))
 FORCE_ROUNDING = wp.constant(wp.float64(1.0e-5))
 GENERAL_FORCE_DONE = wp.constant(wp.float64(1.0e-11))
 GENERAL_FORCE_ROUNDING = wp.constant(wp.float64(0.01))
+# After a longer way along the family the slope is of what is out of balance, and small by luck.
+STILL = wp.constant(wp.float64(3.0e-7))
 # A slope that has been refined so often is as good as it gets.
 MOST_REFINED = wp.constant(8)
 
@@ -50,6 +52,8 @@ class Task:
     tolerance: wp.array(dtype=wp.float64)
     increment: wp.array(dtype=wp.float64)
     closure: int
+    # Change of the force that does not matter, on meshes that only lead to finer ones.
+    force_done: wp.float64
     # Largest change of an edge in one step, as a fraction of its length.
     step_limit: wp.float64
     # Newton steps on one continuation step before it counts as failed, and in all.
@@ -148,7 +152,8 @@ def make_go_on(size: int) -> wp.Function:
                 if w.waited <= 3:
                     w.reach = wp.float64(1.5) * w.reach
                 w.waited = 0
-            along_family = wp.clamp(change, -w.reach, w.reach)
+            if w.holds == 0:
+                along_family = wp.clamp(change, -w.reach, w.reach)
             v = v + along_family * w.tangent
         w.waited += 1
         node_1 = turn + v[0] * first_direction(half_turn(kappa, h0))
@@ -203,7 +208,7 @@ def make_solver(size: int):
         slot = thread % scratch.condensed.shape[0]
         h0 = rod.rest[r, 0]
         force_done = wp.max(
-            wp.static(GENERAL_FORCE_DONE if general else FORCE_DONE),
+            wp.max(task.force_done, wp.static(GENERAL_FORCE_DONE if general else FORCE_DONE)),
             wp.static(GENERAL_FORCE_ROUNDING if general else FORCE_ROUNDING) * task.tolerance[r],
         )
         kappa = wp.float64(curvature[r])
@@ -223,9 +228,11 @@ def make_solver(size: int):
             if task.closure != ZERO_TENSION and balanced:
                 d = first_direction(half_turn(kappa, h0))
                 change = walk.follow_family(
-                    w, scratch, slot, edges, d, turn, v, task.closure, task.weight[r]
-                )
-            settled = at_target and (wp.abs(change) <= force_done or w.refined > MOST_REFINED)
+                    w, scratch, slot, edges, d, turn, v, task.closure, task.weight[r],
+                    task.tolerance[r],
+                )  # fmt: skip
+            settled = at_target and wp.abs(w.moved) <= STILL + wp.float64(100.0) * task.force_done
+            settled = settled and (wp.abs(change) <= force_done or w.refined > MOST_REFINED)
             lost = not wp.isfinite(w.worst) or w.waited > task.patience
             if balanced and settled and w.worst <= task.tolerance[r]:
                 w.status = CONVERGED

@@ -15,6 +15,9 @@ LONG_FORCE = wp.constant(wp.float64(0.7577))
 UPRIGHT = wp.constant(wp.float64(1.5707963267948966))
 THREE = wp.constant(wp.float64(3.0))
 SIX = wp.constant(wp.float64(6.0))
+# Grasps of so many ranges of curvature and of stretch ratio are solved side by side.
+CURVATURE_BINS = wp.constant(wp.float64(16.0))
+STRETCH_BINS = wp.constant(wp.float64(8.0))
 # What rounding leaves unbalanced, over machine precision, and the least that is asked for.
 ROUNDING = wp.constant(wp.float64(8.0 * 2.220446049250313e-16))
 TOLERANCE = wp.constant(wp.float64(1.0e-9))
@@ -234,20 +237,39 @@ def list_unsolved(
         work_out[wp.atomic_add(count_out, 0, 1)] = r
 
 
+@wp.func
+def share_of(value: wp.float64, least: wp.float64, most: wp.float64) -> wp.float64:
+    """Where a value lies between two others on a logarithmic scale, within 0 ... 1."""
+    return wp.clamp(wp.log(value / least) / wp.log(most / least), ZERO, ONE)
+
+
 @wp.kernel
 def expect_work(
     # In:
+    length: wp.array(dtype=wp.float64),
     curvature: wp.array(dtype=wp.float64),
+    stretch_ratio: wp.array(dtype=wp.float64),
     first: int,
     # Out:
     key_out: wp.array(dtype=wp.float32),
     order_out: wp.array(dtype=wp.int32),
 ):
-    """Rows `first` on, and keys that bring those of the same number of iterations together, most
-    first: neighbouring threads of a GPU wait for each other."""
+    """Rows `first` on, and keys that bring those of about the same number of iterations together,
+    most first: neighbouring threads of a GPU wait for each other. By curvature in coarse bins, in
+    each by stretch ratio in coarse bins, in each by length; over the studied range."""
     r = wp.tid()
-    key_out[r] = -wp.float32(wp.abs(curvature[first + r]))
-    order_out[r] = first + r
+    row = first + r
+    bend = wp.floor(
+        CURVATURE_BINS * wp.min(wp.abs(curvature[row]) / wp.float64(3.5), wp.float64(0.999))
+    )
+    stiff = wp.floor(
+        STRETCH_BINS
+        * wp.float64(0.999)
+        * share_of(stretch_ratio[row], wp.float64(150.0), wp.float64(15000.0))
+    )
+    long = wp.float64(0.999) * share_of(length[row], ONE, wp.float64(50.0))
+    key_out[r] = wp.float32(long - STRETCH_BINS * bend - stiff)
+    order_out[r] = row
 
 
 @wp.kernel

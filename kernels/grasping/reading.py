@@ -116,7 +116,8 @@ def read_straight(
     turning_out[r] = turning
 
 
-@wp.kernel
+# Of its own module, as its solver is.
+@wp.kernel(module="unique", enable_backward=False)
 def read_general(
     # In:
     edges: int,

@@ -15,11 +15,13 @@ from wrod.kernels.linear.frontal import make_elimination
 
 wp.set_module_options({"enable_backward": False})
 
-# How much better balanced two grasps are than they are apart, for their slopes to be compared.
-SHARP = wp.constant(wp.float64(2.0e-2))
-# So near to the closure's minimum rounding counts, and nearer than this it is all that counts.
-NEAR = wp.constant(wp.float64(1.0e-6))
-LEAST_SECANT = wp.constant(wp.float64(1.0e-9))
+# Slope that an imbalance may feign, over the imbalance and the force.
+FEIGNED = wp.constant(wp.float64(6.0))
+# So near to the closure's minimum rounding counts, over the imbalance that it leaves.
+NEAR = wp.constant(wp.float64(3.0))
+# Two grasps that are nearer are not compared; the doubt that a mesh's steepness leaves on the next.
+LEAST_SECANT = wp.constant(wp.float64(1.0e-6))
+OTHER_MESH = wp.constant(wp.float64(2.0e-2))
 # The smallest step of a continuation.
 LEAST_INCREMENT = wp.constant(wp.float64(1.0e-4))
 
@@ -68,6 +70,10 @@ def _struct(size: int) -> type:
         moved: wp.float64
         slope: wp.float64
         steepness: wp.float64
+        # By how much the steepness may be off.
+        doubt: wp.float64
+        # Whether the balance comes first, before the way along the family.
+        holds: int
         # How far it may go along the family at once.
         reach: wp.float64
         # Balance, now and when the slope was taken.
@@ -111,6 +117,7 @@ def _ends(size: int, walk: type) -> tuple[wp.Function, wp.Function]:
         w.steepness = family[r, size + 2]
         w.tangent = vector()
         w.heading = wp.vec3d(ONE, ZERO, ZERO)
+        w.doubt = wp.where(w.steepness == ONE, ONE, OTHER_MESH)
         w.reach = HALF
         w.status = RUNNING
         return w
@@ -177,9 +184,12 @@ def _family(size: int, walk: type) -> wp.Function:
         v: vector,
         closure: int,
         weight: wp.float64,
+        tolerance: wp.float64,
     ) -> wp.float64:
         """The way along the family to the closure's minimum from where the Newton step `v` leads:
-        the slope of what it makes small over the slope's derivative, by two grasps' secant."""
+        the slope of what it makes small over the slope's derivative, by two grasps' secant. What is
+        out of balance, more than by `tolerance`, is in the slope too: where that may be all of it,
+        the rod holds, for one step."""
         condensed = scratch.condensed
         rate = vector()
         rate[last] = ONE
@@ -189,9 +199,13 @@ def _family(size: int, walk: type) -> wp.Function:
         gradient += border.grip_rate(condensed, slot, turn + v[0] * direction, v)
         force = counted(closure, wp.vec3d(w.pull + v[last], -gradient[1], weight - gradient[2]))
         way = counted(closure, rate_of_force(along, condensed, slot, direction))
+        at_goal = w.place == w.goal
+        slope = wp.abs(wp.dot(force, way)) / wp.length(way)
+        feigned = w.worst > tolerance and slope < FEIGNED * wp.length(force) * w.worst
+        w.holds = wp.where(at_goal and feigned and w.holds == 0, 1, 0)
         if wp.static(size == 3):
-            slope = wp.abs(wp.dot(force, way)) / wp.length(way)
-            if w.place == w.goal and slope < NEAR:
+            near = at_goal and slope < NEAR * tolerance and w.holds == 0
+            if near:
                 w.refined += 1
                 way = refined_rate_of_force(w, along, scratch, slot, edges, direction)
                 way = counted(closure, way)
@@ -200,13 +214,17 @@ def _family(size: int, walk: type) -> wp.Function:
             length = -length
         heading = way / length
         slope = wp.dot(force, heading)
-        if w.place != w.goal:
+        if not at_goal:
             w.steepness = ONE
-        elif w.worst + w.worst_before < SHARP * wp.abs(w.moved) and wp.abs(w.moved) > LEAST_SECANT:
-            # What is out of balance is in the slope too.
+        elif w.moved != ZERO:
+            gone = wp.abs(w.moved)
+            doubt = wp.length(force) * (w.worst + w.worst_before) / gone + gone
             secant = (slope - w.slope) / w.moved
-            if secant > wp.float64(0.1) and secant < wp.float64(10.0):
+            w.doubt += gone
+            sane = secant > wp.float64(0.1) and secant < wp.float64(10.0)
+            if sane and gone > LEAST_SECANT and doubt < w.doubt:
                 w.steepness = secant
+                w.doubt = doubt
         w.along = along
         w.tangent = along / length
         w.heading = heading

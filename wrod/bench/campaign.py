@@ -160,6 +160,7 @@ def figures(
     nodes: int,
     summary: list[str],
     written: Sequence[Path],
+    compiled: float = 0.0,
 ) -> dict:
     """What a campaign's command tells machines.
 
@@ -170,6 +171,7 @@ def figures(
         planned: seconds that the plans took.
         summary: what the rows say, in sentences.
         written: files.
+        compiled: seconds that compiling kernels for a GPU took.
     """
     from wrod.machine import machine_line
 
@@ -178,6 +180,7 @@ def figures(
         "device": device,
         "trials": trials,
         "simulated_now": spent.trials,
+        "compiling_seconds": compiled,
         "planning_seconds": planned,
         "simulation_seconds": spent.seconds,
         "rod_steps_per_second": spent.rate,
@@ -193,8 +196,10 @@ def say(told: dict, spent: Spent, as_json: bool) -> None:
         click.echo(json.dumps(told, indent=2))
         return
     click.echo(told["machine"])
-    planned = told["planning_seconds"]
-    click.echo(f"{spent} of {told['nodes']} nodes on {told['device']} (plans {planned:.1f} s)")
+    before = f"plans {told['planning_seconds']:.1f} s"
+    if told["compiling_seconds"]:
+        before = f"compiling {told['compiling_seconds']:.1f} s, {before}"
+    click.echo(f"{spent} of {told['nodes']} nodes on {told['device']} ({before})")
     for line in told["summary"]:
         click.echo(line)
     for path in told["written"]:

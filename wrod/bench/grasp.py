@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from pathlib import Path
 from typing import Any
 
 import click
@@ -15,9 +16,36 @@ from wrod import cost
 @click.option("--count", default=512, show_default=True, help="Grasps in the main measurement.")
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--threads", default=1, show_default=True, help="CPU threads.")
+@click.option(
+    "--against",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder of another checkout of wrod: its grasps per second beside this one's, medians of "
+    "five calls in turn.",
+)
+@click.option(
+    "--counts",
+    default="4096,65536,1048576",
+    show_default=True,
+    help="--against: grasps a call, separated by commas.",
+)
+@click.option(
+    "--patience",
+    default=60.0,
+    show_default=True,
+    help="--against: take fewer calls of what needs longer than this for five [s].",
+)
 @cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(count: int, device: str, threads: int, as_json: bool, force: bool) -> None:
+def command(
+    count: int,
+    device: str,
+    threads: int,
+    against: Path | None,
+    counts: str,
+    patience: float,
+    as_json: bool,
+    force: bool,
+) -> None:
     """Cold starts over l_s 1..50, |kappa| 0..3.5, k_s 150..15000."""
     import warp as wp
 
@@ -27,6 +55,9 @@ def command(count: int, device: str, threads: int, as_json: bool, force: bool) -
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
+    if against is not None:
+        _compare(against, counts, device, patience, as_json)
+        return
 
     on_gpu = device != "cpu"
     # 3.75 times as many grasps, some of them of closures that take twice as long, with shapes.
@@ -66,19 +97,24 @@ def command(count: int, device: str, threads: int, as_json: bool, force: bool) -
     if as_json:
         click.echo(json.dumps(figures))
         return
+    _say(figures, threads)
+
+
+def _say(figures: dict, threads: int) -> None:
+    """Print the figures for people."""
     click.echo(figures["machine"])
-    click.echo(f"device {device}, {threads} thread(s); cold starts over the whole range")
+    click.echo(f"device {figures['device']}, {threads} thread(s); cold starts over the whole range")
     click.echo(
         f"{'grasps':>8} {'edges':>6} {'closure':>13} {'per s':>9} {'cpu ms':>8} "
         f"{'converged':>10} {'iterations':>10}"
     )
-    for row in rows:
+    for row in figures["rows"]:
         click.echo(
             f"{row['grasps']:8d} {row['edges']:6d} {row['closure']:>13} {row['per_second']:9.1f} "
             f"{1e3 * row['cpu_seconds_per_grasp']:8.3f} {row['converged']:10.4f} "
             f"{row['iterations']:10.1f}"
         )
-    if on_gpu:
+    if "gpu" in figures:
         click.echo(
             "one call of {grasps} grasps: {wall:.1f} ms, the GPU works {gpu:.1f} ms of them "
             "({busy:.0%}); {launches} launches, {copies} copies between host and GPU\n"
@@ -87,6 +123,27 @@ def command(count: int, device: str, threads: int, as_json: bool, force: bool) -
             "GFLOP/s and {peak_gbytes} GB/s would be "
             "limited to {bound:.0f} grasps/s by {limit}".format(**figures["gpu"])
         )
+
+
+def _compare(other: Path, counts: str, device: str, patience: float, as_json: bool) -> None:
+    from wrod.bench.grasp_against import compare, head, line
+    from wrod.grasps.inputs import CLOSURES
+    from wrod.machine import machine_line
+
+    try:
+        numbers = [int(word) for word in counts.split(",")]
+    except ValueError:
+        numbers = []
+    if not numbers or min(numbers) < 1:
+        raise click.BadParameter(f"{counts!r} is no list of counts; give e.g. 4096,65536")
+    measured = compare(other, numbers, tuple(CLOSURES), device, patience)
+    if as_json:
+        click.echo(json.dumps({"machine": machine_line(device), "rows": list(measured)}))
+        return
+    click.echo(machine_line(device))
+    click.echo(head())
+    for row in measured:
+        click.echo(line(row))
 
 
 # Float64 and memory of an H200 (data sheet).

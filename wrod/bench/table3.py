@@ -113,6 +113,7 @@ def _table(
     from wrod.files import schemas
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
+    from wrod.solvers.compiling import compile_steps
 
     asked.check()
     device, settings = resolve_device(device), asked.settings(how)
@@ -134,12 +135,14 @@ def _table(
         force=force, quiet=quiet,
     )  # fmt: skip
     start = time.perf_counter()
+    compile_steps(device)
+    compiled = time.perf_counter() - start
     plans = _plans(rods, curves, asked.closure, device, quiet)
     if asked.known_table:
         plans |= _corrected_plans(plans, substrates, out / "plans", device, workers, quiet)
     first = [_trial(key, plans) for key in keys[: len(keys) // asked.trials]]
     nodes = nodes_needed(first, how["spacing"])
-    planned = time.perf_counter() - start
+    planned = time.perf_counter() - start - compiled
 
     def simulate(part, progress):
         deployments = simulate_deployments(
@@ -156,7 +159,7 @@ def _table(
     words, written = _reported(out, rows, curves, asked.trials, settings)
     told = campaign.figures(
         spent, device=device, trials=len(rows), planned=planned, nodes=nodes, summary=words,
-        written=[*written, ledger.path],
+        written=[*written, ledger.path], compiled=compiled,
     )  # fmt: skip
     return told, spent
 

@@ -51,7 +51,7 @@ def cell(curve, rod, controller, device: str, nodes: int) -> dict:
     lgb = rod.gravito_bending_length
     inputs = ((rod.length - s) / lgb, curve.sample(s)[2] * lgb, np.full(nodes, rod.stretch_ratio))
     clock = time.perf_counter()
-    grasps = solve_grasps(*inputs, device=device, shapes=False)
+    grasps = solve_grasps(*inputs, closure=controller.closure, device=device, shapes=False)
     numeric = time.perf_counter() - clock
     if not grasps.converged.all():
         raise GraspError(f"{curve.name}: {np.sum(~grasps.converged)} grasps did not converge")
@@ -89,10 +89,13 @@ def cell(curve, rod, controller, device: str, nodes: int) -> dict:
     type=click.Path(dir_okay=False, path_type=Path),
     help="Controller file; default: the one that ships.",
 )
+@click.option("--closure", default="zero_tension", show_default=True, help="Of the one that ships.")
 @click.option("--device", default="auto", show_default=True, help="Of the numeric solver.")
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def command(patterns: Path, weights: Path | None, device: str, as_json: bool) -> None:
-    """Compare controller and numeric solver on rods 1 to 3 and the paper's seven patterns."""
+def command(patterns: Path, weights: Path | None, closure: str, device: str, as_json: bool) -> None:
+    """Compare controller and numeric solver on rods 1 to 3 and the paper's seven patterns.
+
+    Both solve the controller's closure; the paper's figures are those of no tension."""
     from tqdm import tqdm
 
     from wrod.controller.controller import Controller
@@ -103,9 +106,10 @@ def command(patterns: Path, weights: Path | None, device: str, as_json: bool) ->
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
-    controller = Controller.load(weights)
+    controller = Controller.load(weights, closure=closure)
     curves = {name: Pattern.load(patterns / f"{name}.txt") for name in PATTERNS}
-    solve_grasps([5.0], [0.5], [1e3], device=device)  # compile outside the clock
+    # Compile outside the clock.
+    solve_grasps([5.0], [0.5], [1e3], closure=controller.closure, device=device)
     rows = []
     for name in tqdm(RODS, unit="rod", leave=False, disable=as_json):
         for column, pattern in enumerate(PATTERNS):

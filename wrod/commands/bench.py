@@ -14,6 +14,7 @@ BENCHMARKS = (
     "table4",
     "table3",
     "deploy",
+    "rounds",
     "knot-force",
     "bends",
     "newton",

@@ -120,6 +120,14 @@ class _GraspRequest:
             else read_range(self.pace, "pace", "0.04 or 0.02:0.08"),
         }
 
+    def compile_ahead(self, device: str | None) -> None:
+        """Begin to compile what the rod solver needs, while the rest is read and planned."""
+        from wrod.grasps.levels import compile_grasps_ahead
+        from wrod.rods.device import resolve_device
+
+        if self.shapes:
+            compile_grasps_ahead(resolve_device(device))
+
 
 @click.command(name="plan")
 @click.argument("pattern")
@@ -158,6 +166,7 @@ def command(
     request = request.check()
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
+    grasps.compile_ahead(chosen)
 
     def planned(
         resize: float | None, hold: float | None, friction=None, tried=None, led=None, expects=False
@@ -178,7 +187,8 @@ def command(
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),
-            device=chosen, friction=friction, expects=expects, **{**how, "remainder": False},
+            device=chosen, friction=friction, expects=expects,
+            meanwhile=request.load_ahead, **{**how, "remainder": False},
         )  # fmt: skip
         return fitted, curve, trajectory
 
@@ -201,8 +211,7 @@ def command(
             trajectory = followed
             save_plan(out, curve, trajectory)
         written += more
-    figures = _figures(trajectory, fitted, joint_path, reason, written)
-    _say(figures, as_json)
+    _say(_figures(trajectory, fitted, joint_path, reason, written), as_json)
     if reason is not None:
         click.echo(f"wrod: {reason}", err=True)
         click.get_current_context().exit(NO_JOINT_PATH)

@@ -56,6 +56,11 @@ def summary(figures: dict) -> str:
             lines.append(
                 ", ".join(f"{p['name']} {p['end'] - p['start']:.0f} s" for p in path["phases"])
             )
+        if "stand" in path:
+            lines.append(
+                "the rod waits at a stand that "
+                + ("may stay" if path["stand_stays"] else "goes away once the hand has the rod")
+            )
     return "\n".join(lines)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -147,6 +148,16 @@ class RobotRequest:
             )
         return self
 
+    def load_ahead(self) -> None:
+        """Load what the joint path needs, and begin to compile what the scene's picture does."""
+        if self.no_robot:
+            return
+        from wrod.scene.deliver import compile_pictures_ahead
+
+        compile_pictures_ahead()
+        with suppress(ImportError):  # said where it is needed
+            import pytorch_kinematics  # noqa: F401
+
     def _given(self) -> list[str]:
         """Options of an arm that were given, but for its name."""
         given = [
@@ -178,6 +189,7 @@ class RobotRequest:
         Raises:
             RobotError: there is none.
         """
+        from wrod.deployment.corrections import pace_of
         from wrod.robot.obstacles import Obstacles
         from wrod.robot.solve import solve_joint_path
 
@@ -191,12 +203,12 @@ class RobotRequest:
             "rod_radius": rod.radius,
             "whole_job": not self.lay_only,
         }
-        planned = trajectory.metadata.get("optimised") or {}
+        pace = pace_of(trajectory)
         if self.speed is not None:
             options["grip_speed"] = self.speed
-        elif "pace" in planned:
+        elif pace is not None:
             # On a straight line a grip goes down as fast as forward.
-            options["grip_speed"] = math.sqrt(2.0) * planned["pace"]
+            options["grip_speed"] = math.sqrt(2.0) * pace
         return solve_joint_path(trajectory, self.robot, **{**options, **changes})
 
     def export(self, joint_path, folder) -> list[Path]:

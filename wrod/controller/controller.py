@@ -62,7 +62,7 @@ class Controller:
         self._lacks_thrust = (
             metadata["architecture"] == "chain"
             and self.closure != "zero_tension"
-            and len(parameters["mean"]) != WITH_THRUST
+            and len(parameters["mean"]) < WITH_THRUST
         )
         self._on_device: dict = {}
 

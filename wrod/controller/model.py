@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 
 WEIGHT = 0.5
-# x, y and z beyond the catenary; F_y, F_z; quaternion (w, x, y, z); F_x, if there is one.
-OUTPUTS, WITH_THRUST = 9, 10
+# x, y and z beyond the catenary; F_y, F_z; quaternion (w, x, y, z); F_x, if there is one, where it
+# vanishes with kappa squared; and F_x that is there on a straight pattern too.
+OUTPUTS, WITH_THRUST, WITH_PULL = 9, 10, 11
 FEATURES = 8
 _LONGEST, _SOFTEST = 50.0, 150.0
 _THREADED, _TRAJECTORY = 2**18, 4096
@@ -57,11 +58,13 @@ def end_of_chain(xp, inputs, force):
 
 
 def decode(xp, inputs, raw):
-    """Outputs (position (n, 3), quaternion (n, 4), force (n, 3)) of `raw` (n, OUTPUTS), or (n,
-    WITH_THRUST)."""
+    """Outputs (position (n, 3), quaternion (n, 4), force (n, 3)) of `raw` (n, OUTPUTS), (n,
+    WITH_THRUST) or (n, WITH_PULL)."""
     kappa = inputs[:, 1]
     odd = kappa / xp.sqrt(1.0 + kappa**2)
-    thrust = kappa * odd * raw[:, OUTPUTS] if raw.shape[1] == WITH_THRUST else 0.0 * kappa
+    thrust = kappa * odd * raw[:, OUTPUTS] if raw.shape[1] >= WITH_THRUST else 0.0 * kappa
+    if raw.shape[1] == WITH_PULL:
+        thrust = thrust + raw[:, WITH_THRUST]
     force = xp.stack([thrust, kappa * raw[:, 3], raw[:, 4]], -1)
     x, y, z = end_of_chain(xp, inputs, force)
     position = xp.stack([x + raw[:, 0], y + odd * raw[:, 1], z + raw[:, 2]], -1)
@@ -76,6 +79,9 @@ def encode(xp, inputs, position, quaternion, force, columns=OUTPUTS):
     kappa = inputs[:, 1]
     odd = kappa / xp.sqrt(1.0 + kappa**2)
     x, y, z = end_of_chain(xp, inputs, force)
+    # Of both parts of a pull no more is known than their sum.
+    pull = force[:, 0] / (1.0 + kappa * odd)
+    thrust = pull if columns == WITH_PULL else force[:, 0] / (kappa * odd)
     raw = [
         position[:, 0] - x,
         (position[:, 1] - y) / odd,
@@ -86,7 +92,8 @@ def encode(xp, inputs, position, quaternion, force, columns=OUTPUTS):
         quaternion[:, 1] / odd,
         quaternion[:, 2],
         quaternion[:, 3] / odd,
-        force[:, 0] / (kappa * odd),
+        thrust,
+        pull,
     ]
     return xp.stack(raw[:columns], -1)
 

@@ -89,8 +89,10 @@ def _batch(trials, setups, device) -> tuple[RodBatch, list[RodModel]]:
     """The rods as they are: with the L_gb that they have, not the one that the plan believed, and
     described in the directors of the laid rod, the first to its left, the second above it."""
     held = []
+    rods = {id(trial.rod): trial.rod for trial in trials}
+    models = {key: RodModel.of(rod) for key, rod in rods.items()}
     for trial in trials:
-        rod, bent = RodModel.of(trial.rod), trial.disturbance
+        rod, bent = models[id(trial.rod)], trial.disturbance
         rod = rod.stiffened((1.0 + bent.lgb_error) ** 3)
         held.append(rod.turned(trial.trajectory.roll).bent(bent.natural_curvature))
     batch = RodBatch.of(

@@ -229,9 +229,16 @@ def disturb(setup: Setup, disturbance: Disturbance) -> Setup:
         schedule=replace(
             schedule,
             position=disturbance.displaced(position, setup.origin),
-            rotation=one_hemisphere((turn * Rotation.from_quat(schedule.rotation)).as_quat()),
+            rotation=_about_z(schedule.rotation, disturbance.yaw),
         ),
     )
+
+
+def _about_z(quaternions: np.ndarray, angle: float) -> np.ndarray:
+    """Rotations (n, 4) turned about z by `angle` [rad]; neighbours stay neighbours."""
+    x, y, z, w = quaternions.T
+    c, s = np.cos(0.5 * angle), np.sin(0.5 * angle)
+    return np.column_stack([c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z])
 
 
 def _slipped(setup: Setup, disturbance: Disturbance) -> np.ndarray:
@@ -254,13 +261,15 @@ def blend(t: np.ndarray, approach: float) -> np.ndarray:
 def _frame_without_twist(frame, position, on_table, tip) -> np.ndarray:
     """The contact frame carried along the hanging part to the grip, x axis along the rod."""
     edges = np.diff(position[int(on_table.sum()) - 1 :], axis=0)
-    tangents = edges / np.linalg.norm(edges, axis=1)[:, None]
-    before, side = frame[:, 0], frame[:, 1]
-    for tangent in tangents:  # the smallest rotation from each tangent to the next
-        axis = np.cross(before, tangent)
-        along = (axis @ side) / (1.0 + before @ tangent)
-        side = (before @ tangent) * side + np.cross(axis, side) + along * axis
-        before = tangent
+    tangents = np.vstack([frame[:, 0], edges / np.linalg.norm(edges, axis=1)[:, None]])
+    # The smallest rotation from each tangent to the next.
+    axis = np.cross(tangents[:-1], tangents[1:])
+    cosine = np.sum(tangents[:-1] * tangents[1:], axis=1)[:, None, None]
+    turns = cosine * np.eye(3) + np.cross(axis[:, :, None], np.eye(3), axisa=1, axisb=0, axisc=1)
+    turns += axis[:, :, None] * axis[:, None, :] / (1.0 + cosine)
+    side = frame[:, 1]
+    for turn in turns:
+        side = turn @ side
     x = tip / np.linalg.norm(tip)
     side = side - (side @ x) * x
     side /= np.linalg.norm(side)

@@ -32,6 +32,7 @@ from wrod.rods.device import resolve_device
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
+from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Friction, FrictionField
 
 # Rods stepped at once on a CPU, and cores from which on threads, which cannot record their launches
@@ -162,6 +163,7 @@ def simulate_deployments(
         return []
     device = resolve_device(device)
     refuse_endless(trials, speed, spacing, step, frame_interval)
+    compile_steps(device)
     setups = prepare_trials(trials, hold, release, speed, spacing, node_count)
     options: dict[str, Any] = dict(
         scheme=scheme, air_damping=air_damping, internal_damping=internal_damping,

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from wrod.kernels.compiling import compile_together
+from wrod.kernels.compiling import compile_ahead, compile_together
 from wrod.kernels.grasping import iteration, mesh, reading, sensitivity
 from wrod.kernels.grasping.closures import CONVERGED
 from wrod.kernels.grasping.scratch import Scratch
@@ -23,6 +23,8 @@ _STEP_LIMIT = 0.4
 _PATIENCE = 14
 _MAX_ITERATIONS = 400
 _FIRST_INCREMENT = 0.5
+# Change of the force that a mesh before the last two leaves.
+_LEADING_DONE = 1e-5
 # A ladder starts on this many edges or more.
 _COARSEST = 32
 # Threads a block on a GPU: few, so that finished blocks make room; and where they all take as long.
@@ -58,24 +60,40 @@ def make_scratch(slots: int, edges: int, device: str, size: int = 3) -> Scratch:
 
 
 def make_task(
-    model: list[wp.array], tolerance: wp.array, increment: wp.array, closure: int
+    model: list[wp.array],
+    tolerance: wp.array,
+    increment: wp.array,
+    closure: int,
+    force_done: float = 0.0,
 ) -> iteration.Task:
-    """`model` are (stretch ratio, target curvature, weight), (rod,) each."""
+    """`model` are (stretch ratio, target curvature, weight), (rod,) each; `force_done` is what
+    change of the force does not matter."""
     task = iteration.Task()
     _, task.target, task.weight = model
     task.tolerance, task.increment, task.closure = tolerance, increment, closure
+    task.force_done = force_done
     task.step_limit, task.patience = _STEP_LIMIT, _PATIENCE
     task.most_iterations = _MAX_ITERATIONS
     return task
 
 
+def _kernels(sensitivities: bool) -> list[tuple[wp.Kernel, int]]:
+    """What grasps of straight rods need, and the blocks that it is launched in."""
+    launches = [(iteration.solve_straight, _BLOCK), (mesh.refine, _BLOCK)]
+    launches += [(reading.judge, _WIDE_BLOCK)]
+    launches += [(sensitivity.find_sensitivities, _BLOCK)] if sensitivities else []
+    return launches
+
+
+def compile_grasps_ahead(device: str) -> None:
+    """Begin to compile what grasps of straight rods need, while something else is done."""
+    compile_ahead(device, _kernels(sensitivities=False))
+
+
 @cache
 def compile_kernels(device: str, sensitivities: bool) -> None:
-    """Compile what grasps of straight rods need, side by side, and once for all threads."""
-    launches = [(iteration.solve_straight, _BLOCK), (mesh.refine, _BLOCK)]
-    launches += [(mesh.lay_mesh, _WIDE_BLOCK), (reading.judge, _WIDE_BLOCK)]
-    launches += [(sensitivity.find_sensitivities, _BLOCK)] if sensitivities else []
-    compile_together(device, launches)
+    """Compile it, side by side, and once for all threads."""
+    compile_together(device, _kernels(sensitivities))
 
 
 class WorkList:
@@ -147,6 +165,7 @@ class MeshLevel:
             inputs=[length, stretch_ratio, self.edges],
             outputs=[self.rest, self.rest_rate, self.tolerance],
             device=self.device,
+            block_dim=_BLOCK,
         )
         self.read.status.zero_()
 
@@ -188,14 +207,21 @@ class MeshLevel:
             self.state,
         )
 
-    def solve(self, work: WorkList, model: list[wp.array], closure: int, scratch: Scratch) -> None:
+    def solve(
+        self,
+        work: WorkList,
+        model: list[wp.array],
+        closure: int,
+        scratch: Scratch,
+        force_done: float = 0.0,
+    ) -> None:
         """Iterate every rod of the list until it has converged or failed.
 
-        `model` are (stretch ratio, target curvature, weight), (rod,) each.
+        `model` and `force_done` are those of `make_task`.
         """
         rod = iteration.StraightRod()
         rod.rest, rod.stretch_ratio = self.rest, model[0]
-        task = make_task(model, self.tolerance, self.increment, closure)
+        task = make_task(model, self.tolerance, self.increment, closure, force_done)
         work.launch(
             iteration.solve_straight, [self.edges, rod, task, scratch, *self.state], [self.read]
         )
@@ -276,9 +302,10 @@ class Ladder:
         wp.launch(
             mesh.expect_work,
             dim=rods,
-            inputs=[inputs[1], first],
+            inputs=[*inputs, first],
             outputs=[self.key, self.order],
             device=self.device,
+            block_dim=_BLOCK,
         )
         if sort:
             wp.utils.radix_sort_pairs(self.key, self.order, rods)
@@ -288,6 +315,7 @@ class Ladder:
             inputs=[*inputs, self.order, rods],
             outputs=[self.length, *self.model, self.work.index, self.work.count],
             device=self.device,
+            block_dim=_BLOCK,
         )
 
     def climb(self, rods: int, closure: int) -> None:
@@ -297,11 +325,13 @@ class Ladder:
         self.iterations.zero_()
         for level in levels:
             level.lay(self.length, model[0], rods)
-        levels[0].hang(work)
-        levels[0].solve(work, model, closure, scratch)
-        for i in range(1, len(levels)):
-            levels[i].refine(work, levels[i - 1], levels[i - 2] if i > 1 else None)
-            levels[i].solve(work, model, closure, scratch)
+        for i, level in enumerate(levels):
+            if i == 0:
+                level.hang(work)
+            else:
+                level.refine(work, levels[i - 1], levels[i - 2] if i > 1 else None)
+            done = _LEADING_DONE if i < len(levels) - 2 else 0.0
+            level.solve(work, model, closure, scratch, done)
         coarse, fine = levels[-2:]
         # Too coarse a mesh to start from: start on the finest and come back from there.
         lost.count.zero_()
@@ -311,6 +341,7 @@ class Ladder:
             inputs=[coarse.read.status, fine.read.status, CONVERGED],
             outputs=[lost.index, lost.count],
             device=self.device,
+            block_dim=_BLOCK,
         )
         fine.hang(lost)
         fine.solve(lost, model, closure, scratch)

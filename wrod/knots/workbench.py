@@ -10,9 +10,11 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 from wrod.rods.batch import RodBatch
+from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import end_to_end, mesh_arrays
 from wrod.rods.material import RodMaterial
 from wrod.rods.state import RodState
+from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.prescribed import carry_edges
@@ -158,6 +160,7 @@ class Workbench:
         ]
         arrays = end_to_end(lines)
         arrays["natural_curvature"][:, :, 0] += self.natural_curvature
+        compile_steps(resolve_device(self.device), coupled=True)
         batch = RodBatch(self.position, director=self.director, device=self.device, **arrays)
         if cuts:
             batch.cut(cuts)

@@ -53,7 +53,7 @@ def with_shapes(
     inputs = GraspInputs.of(
         rod, rod.length - trajectory.arc_length, curvature,
         roll=trajectory.roll,
-        closure=closure, device=device, progress=progress,
+        closure=closure, device=device, progress=progress, eigenvalues=False,
     )  # fmt: skip
     try:
         poses = SOURCES["numeric"](inputs)

@@ -29,7 +29,8 @@ class GraspInputs:
     """What a grasp source is given: (T,) dimensionless lengths and curvatures of all nodes, the
     natural curvature (left, up) of the rod as it is held [1/L_gb], and the controller to ask; None
     is the one that ships, which knows straight rods. A rod that is more than uniform, isotropic and
-    linear comes along with its roll [rad]."""
+    linear comes along with its roll [rad]. Eigenvalues, which say how near solved grasps are to
+    instability, are left out where `eigenvalues` is false."""
 
     suspended_length: np.ndarray
     curvature: np.ndarray
@@ -42,6 +43,7 @@ class GraspInputs:
     controller: Controller | None = None
     rod: RodModel | None = None
     roll: float = 0.0
+    eigenvalues: bool = True
 
     @classmethod
     def of(
@@ -55,6 +57,7 @@ class GraspInputs:
         device: str | None = None,
         progress: Callable[[int, int], object] | None = None,
         controller: Controller | None = None,
+        eigenvalues: bool = True,
     ) -> GraspInputs:
         """Inputs of a rod: suspended length (T,) [m] and curvature (T,) [1/m] at the contacts, and
         the roll that it is held at [rad] (see `RodMaterial.curvature_held`)."""
@@ -74,6 +77,7 @@ class GraspInputs:
             controller,
             None if model.is_uniform and -1.0 < rod.poisson <= 0.5 + 1e-9 else model,
             roll,
+            eigenvalues,
         )
 
     @property
@@ -150,7 +154,7 @@ def _numeric(inputs: GraspInputs) -> Grasps:
         inputs.stretch_ratio,
         closure=inputs.closure,
         device=inputs.device,
-        eigenvalues=True,
+        eigenvalues=inputs.eigenvalues,
         progress=None if watch is None else lambda done: watch(done, count),
         **own,
     )
@@ -229,8 +233,9 @@ def _auto(inputs: GraspInputs) -> Grasps:
         given = getattr(predicted, name)
         whole[name][known] = True if given is None else given
     # Nobody has looked how close the predicted ones are to instability.
-    whole["eigenvalue"] = np.full(len(known), np.inf)
-    whole["eigenvalue"][~known] = solved.eigenvalue
+    if solved.eigenvalue is not None:
+        whole["eigenvalue"] = np.full(len(known), np.inf)
+        whole["eigenvalue"][~known] = solved.eigenvalue
     return Grasps(**whole)
 
 

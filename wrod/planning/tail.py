@@ -85,6 +85,7 @@ def tail(
             roll=trajectory.roll,
             closure=trajectory.metadata.get("closure") or "zero_tension",
             device="cpu",
+            eigenvalues=False,
         )
     )
     position = contact + lgb * np.einsum("tij,tj->ti", frame, poses.position)

@@ -116,8 +116,8 @@ class BatchArrays:
 
     def _inelastic(self, number) -> wp.array | None:
         """The rods' laws that remember, and what they remember; None where there are none."""
-        number = arguments.floats(number, "RodBatch: inelastic", RodError)
-        if not number.any():
+        number = np.atleast_1d(arguments.floats(number, "RodBatch: inelastic", RodError))
+        if not number[..., 0].any():
             return None
         shape = (self.rod_count, self.node_count)
         number = self._array("inelastic", number, (*shape, 4), wp.vec4d)

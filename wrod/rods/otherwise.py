@@ -98,6 +98,8 @@ class Otherwise:
     def turned(self, roll: float) -> Self:
         """The same rod described in other directors: m_1 of this one is turned by `roll` [rad]
         from their first towards their second. A rod held at a roll has it from left towards up."""
+        if roll == 0.0 and not (self.principal_angle and self.is_isotropic):
+            return self
         cosine, sine = math.cos(roll), math.sin(roll)
         first, second = self.natural_curvature
         return replace(

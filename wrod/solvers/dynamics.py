@@ -302,6 +302,17 @@ class Dynamics(NewtonSteps):
                 take_rounds()
             self._recording = (key, capture.graph)
 
+    def launch_times(self, until: float, step: float, rounds: int) -> list[tuple[str, float]]:
+        """(name, milliseconds) of all that rounds of steps towards `until` launch on a GPU, one by
+        one and not as a graph: what they cost, and where."""
+        self.until.fill_(until)
+        self._begin_advance(step)
+        wp.timing_begin(cuda_filter=wp.TIMING_ALL)
+        for _ in range(rounds):
+            self._take_round(step, step * _SMALLEST_STEP, None, 1.0)
+        wp.synchronize_device(self.batch.device)
+        return [(event.name, event.elapsed) for event in wp.timing_end()]
+
     def _begin_advance(self, step: float) -> None:
         self._per_rod(pace.begin_advance, [wp.float64(step)], [self.pace])
 

@@ -117,7 +117,8 @@ class Steps:
     def _per_dof(self, kernel, inputs, outputs=()) -> None:
         batch = self.batch
         dim = (batch.rod_count, batch.dof_count)
-        batch.launch(kernel, dim, inputs, outputs)
+        # In blocks as those of `_per_rod`, so that their module is compiled for one size only.
+        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device, block_dim=WARP)
 
     def _copy(self, chosen: wp.array, source: RodState, target: RodState) -> None:
         batch = self.batch

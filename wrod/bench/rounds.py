@@ -1,0 +1,121 @@
+"""`wrod bench rounds`: what a round of time steps costs on a GPU, kernel by kernel."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+
+import click
+
+# Simulated seconds after which a batch is looked at, and that it is timed for.
+_AFTER, _TIMED = 4.0, 1.0
+_STEP = 0.01
+_SHOWN = 12
+
+
+@click.command(name="rounds")
+@click.option(
+    "--rods",
+    "counts",
+    default="1260,100,10",
+    show_default=True,
+    help="Deployments at once, separated by commas: of table 3, one trial of each cell first.",
+)
+@click.option("--knots", default=10, show_default=True, help="Trefoils at once; 0: none.")
+@click.option("--rounds", default=200, show_default=True, help="Rounds that are looked at.")
+@click.option("--device", default="auto", show_default=True, help="cuda:0 or auto.")
+@click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+def command(counts: str, knots: int, rounds: int, device: str, as_json: bool) -> None:
+    """A round is a Newton iteration of every rod that is under way.
+
+    Times of kernels are of rounds that are launched one by one; a round's own time is of a graph of
+    them, as simulations take them.
+    """
+    import wrod.kernels  # noqa: F401  # starts Warp quietly
+    from wrod.errors import RodError
+    from wrod.machine import machine_line
+    from wrod.rods.device import resolve_device
+
+    device = resolve_device(device)
+    if device == "cpu":
+        raise RodError("kernels of a round are timed on a GPU only; none was found")
+    try:
+        numbers = [int(word) for word in counts.split(",")]
+    except ValueError:
+        raise click.BadParameter(f"{counts!r} is no list of counts; give e.g. 1260,10") from None
+    rows = [_deployments(count, rounds, device) for count in numbers]
+    if knots:
+        rows.append(_knots(knots, rounds, device))
+    if as_json:
+        click.echo(json.dumps({"machine": machine_line(device), "rows": rows}))
+        return
+    click.echo(machine_line(device))
+    for row in rows:
+        click.echo(
+            f"{row['rods']} {row['what']} of {row['nodes']} nodes: {row['round']:.3f} ms a round "
+            f"in a graph, {row['rounds_a_second']:.0f} rounds a simulated second; one by one the "
+            f"GPU works {row['work']:.3f} ms in {row['launches']:.0f} launches, of which"
+        )
+        for name, milliseconds in row["kernels"]:
+            click.echo(f"  {1e3 * milliseconds:8.1f} us  {name}")
+
+
+def _deployments(count: int, rounds: int, device: str) -> dict:
+    """Those of table 3, by its command's defaults."""
+    from itertools import cycle, islice, product
+
+    from wrod.bench.table3 import _plans, _trial
+    from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, read_pattern
+    from wrod.deployment.assembly import assemble
+    from wrod.deployment.simulate import nodes_needed, prepare_trials
+
+    plans = _plans(RODS, {name: read_pattern(name, None) for name in PATTERNS}, None, device, True)
+    keys = product(range(10), RODS, SUBSTRATES, PATTERNS, METHODS)
+    keys = [(rod, table, name, method, trial) for trial, rod, table, name, method in keys]
+    trials = [_trial(key, plans) for key in islice(cycle(keys), count)]
+    setups = prepare_trials(trials, 0.05, 0.05, 0.02, 0.005, nodes_needed(trials, 0.005))
+    _, _, dynamics = assemble(trials, setups, device=device)
+    return {"what": "deployments", **_timed(dynamics, 0.0, rounds)}
+
+
+def _knots(count: int, rounds: int, device: str) -> dict:
+    """Trefoils that have just been laid, their hands at rest."""
+    from wrod.bench.applications_trials import KNOT_FRICTION, ROD_FRICTION, knot_plan
+    from wrod.knots.laying import lay
+    from wrod.knots.trials import Handling
+    from wrod.knots.tying_run import TyingRun
+
+    trials = [Handling.random(seed) for seed in range(count)]
+    run = TyingRun(
+        knot_plan("trefoil"), trials, "neural", KNOT_FRICTION, ROD_FRICTION, 0.03, 0.06, _STEP,
+        None, device,
+    )  # fmt: skip
+    lay(run, 0)
+    return {"what": "knots", **_timed(run.bench.dynamics, run.bench.time, rounds)}
+
+
+def _timed(dynamics, now: float, rounds: int) -> dict:
+    """What rounds of a simulation that has come to the time `now` cost."""
+    import warp as wp
+
+    batch = dynamics.batch
+    before = dynamics.advance(now + _AFTER, _STEP)
+    wp.synchronize_device(batch.device)
+    clock = time.perf_counter()
+    after = dynamics.advance(now + _AFTER + _TIMED, _STEP)
+    seconds = time.perf_counter() - clock
+    taken = int((after.iterations - before.iterations).max())
+    spent, launches = Counter(), 0
+    for name, milliseconds in dynamics.launch_times(now + 1e3, _STEP, rounds):
+        spent[name.removeprefix("forward kernel ")] += milliseconds / rounds
+        launches += 1
+    return {
+        "rods": batch.rod_count,
+        "nodes": batch.node_count,
+        "round": 1e3 * seconds / taken,
+        "rounds_a_second": taken / _TIMED,
+        "work": sum(spent.values()),
+        "launches": launches / rounds,
+        "kernels": spent.most_common(_SHOWN),
+    }

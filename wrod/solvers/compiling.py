@@ -1,0 +1,45 @@
+"""What time steps launch on a GPU, compiled side by side before the first of them.
+
+Modules that are not listed are compiled when they are launched first, one after the other.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+
+import warp as wp
+
+from wrod.kernels.compiling import compile_together
+from wrod.kernels.lanes import TEAM, WARP
+
+_WIDE = 256  # Warp's own
+# Modules of `wrod.kernels`, by the size of the blocks in which they are launched.
+_STEPS = {
+    WARP: ("stepping.dynamics", "stepping.newton_iteration", "linear.banded_lanes"),
+    _WIDE: (
+        "elastic.bending",
+        "elastic.frames",
+        "elastic.loads",
+        "stepping.continuation",
+        "contact.planes",
+    ),
+}
+_SECTIONS = {_WIDE: ("elastic.section", "elastic.inelastic")}
+_LAYING = {_WIDE: ("stepping.grip",)}
+_COUPLED = {
+    WARP: ("contact.touching",),
+    TEAM: ("linear.skyline_order", "linear.skyline_lanes", "linear.coupling"),
+    _WIDE: ("contact.rods", "contact.pairs", "stepping.hands"),
+}
+
+
+@cache
+def compile_steps(device: str, *, coupled: bool = False) -> None:
+    """Compile, on a GPU, what simulated deployments launch; of rods that touch rods with `coupled`
+    instead of those that a grip lays."""
+    if wp.get_device(device).is_cpu:
+        return
+    tables = (_STEPS, _SECTIONS, _COUPLED if coupled else _LAYING)
+    names = [(name, block) for table in tables for block, row in table.items() for name in row]
+    compile_together(device, [(import_module(f"wrod.kernels.{n}"), block) for n, block in names])
