@@ -49,6 +49,7 @@ VALID = {
     "bench table3": ["--trials", "1", "--rod", "green-vps", "--substrate", "steel", "--pattern",
                      "line", "--spacing", "0.05", "--step", "0.05", "--speed", "0.5", "--device",
                      "cpu", "--out", "{out}"],
+    "bench optimised": ["--names", "line", "--device", "cpu"],
     "bench deploy": ["--pattern", "line", "--batch", "1", "--levels", "1", "--device", "cpu"],
     "bench rounds": ["--rods", "2", "--knots", "0", "--rounds", "2", "--device", "cuda:0"],
     "bench knot-force": ["--friction", "0.1", "--loosest", "30", "--tightest", "25", "--out",

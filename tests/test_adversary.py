@@ -29,6 +29,7 @@ def test_hostile_calls_end_as_they_may(campaign, command, count, tried):
 
 
 def test_what_is_broken_was_a_valid_call(campaign):
+    assert VALID.keys() == campaign.commands.keys()
     files = {f"{{{name}}}": path for name, path in campaign.files.items()}
     for name, words in VALID.items():
         words = [files.get(word, word) for word in words]

@@ -321,7 +321,7 @@ def test_foreign_files_are_refused_by_every_loader(tried, foreign):
 
 # What a command needs beside the option that is broken.
 NEEDS = {
-    "plan": ["letter-U", "--rod", "green-vps", "--no-robot"],
+    "plan": ["letter-U", "--rod", "green-vps", "--no-robot", "--no-expect"],
     "deploy": ["letter-U", "--rod", "green-vps"],
     "loop": ["--height", "0.04", "--radius", "0.0016", "--length", "0.8"],
     "measure": ["--overhang", "0.07", "--fall", "0.03", "--radius", "0.0016", "--length", "0.8"],

@@ -9,9 +9,9 @@ from click.testing import CliRunner
 
 import wrod
 from wrod.commands import main
-from wrod.deployment.corrections import Corrections
+from wrod.deployment.corrections import Corrections, pace_of
 from wrod.deployment.expectation import expect, is_better, robot_error
-from wrod.deployment.optimise import optimise
+from wrod.deployment.optimise import _fastest, optimise
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
@@ -159,6 +159,24 @@ def test_a_correction_is_kept_for_what_it_saves_every_rod():
     assert not is_better({"error_robot": [1.1, 2.1, 3.1, 1.6], "diverged": 0}, before)
     assert not is_better({"error_robot": [0.9, 1.8, 2.9, 1.4], "diverged": 1}, before)
     assert not is_better(before, before)
+
+
+def test_the_fastest_pace_is_taken_that_does_no_harm(bend):
+    def at(pace, *errors):
+        expected = {"error_robot": errors, "mean": np.mean(errors), "diverged": 0}
+        said = {"optimised": {"pace": pace}, "expected": expected}
+        return replace(bend[1], metadata={**bend[1].metadata, **said})
+
+    slow, middle = at(0.02, 1.0, 2.0, 3.0, 1.5), at(0.04, 1.1, 1.9, 3.0, 1.6)
+    fast = at(0.08, 2.1, 3.0, 4.1, 2.5)
+    chosen = _fastest([slow, middle, fast]).metadata["optimised"]
+    assert chosen["pace"] == 0.04
+    assert [pace for pace, _ in chosen["paces"]] == [0.02, 0.04, 0.08]
+    assert _fastest([slow, at(0.08, 1.0, 2.2, 2.9, 1.4)]).metadata["optimised"]["pace"] == 0.08
+    paces = [pace_of(at(v, 0.0)) for v in (0.04, "fast", float("nan"), -1.0, None)]
+    assert paces == [0.04, None, None, None, None] and pace_of(bend[1]) is None
+    with pytest.raises(PatternError, match=r"pace is 0\.0"):
+        optimise(bend[0], ROD, bend[1], 0.3, pace=0.0)
 
 
 def test_misplacement_is_no_error_of_the_plan(bend):

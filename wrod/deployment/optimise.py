@@ -128,8 +128,8 @@ def optimise(
         PatternError: friction is not usable, or the trajectory is too short to be laid.
     """
     values = np.unique(np.atleast_1d(np.asarray(pace, dtype=float)))
-    if not (np.isfinite(values).all() and values[0] > 0.0):
-        raise PatternError(f"pace is {pace!r}; give a positive speed of the contact in m/s")
+    if not (np.isfinite(values).all() and values[0] >= 5e-4 and values[-1] <= 10.0):
+        raise PatternError(f"pace is {pace!r}; give a speed of the contact from 5e-4 to 10 m/s")
     if len(values) > 1:
         values = np.geomspace(values[0], values[-1], 3)
     tasks = [Task(pattern, rod, trajectory, friction, limits, float(v)) for v in values]

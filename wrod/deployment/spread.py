@@ -15,6 +15,8 @@ from wrod.solvers.contact import Friction
 
 # A single friction coefficient is taken to be known to this part.
 _UNCERTAIN = 0.1
+# No table has a larger friction coefficient.
+_MOST = 100.0
 # Deviations of uniform variables, in those of normal ones whose middle 90 % they cover.
 _REACH = 1.65
 # Of the errors of L_gb and natural curvature of two pairs of rods: a half, in opposite corners.
@@ -48,14 +50,16 @@ class Spread:
         """That of a coefficient, known to a tenth, or of a range.
 
         Raises:
-            PatternError: not positive and finite, or the first is larger than the second.
+            PatternError: not positive, over 100, or the first is larger than the second.
         """
         if isinstance(friction, Spread):
             return friction
         values = np.atleast_1d(np.asarray(friction, dtype=float))
         if len(values) == 1:
             values = values[0] * np.array([1.0 - _UNCERTAIN, 1.0 + _UNCERTAIN])
-        if len(values) != 2 or not (np.isfinite(values).all() and 0 < values[0] <= values[1]):
+        if len(values) != 2 or not (
+            np.isfinite(values).all() and 0 < values[0] <= values[1] <= _MOST
+        ):
             raise PatternError(
                 f"friction is {friction!r}; give a positive coefficient or a range such as "
                 "(0.2, 0.6)"
