@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 import wrod
 from wrod.commands import main
-from wrod.deployment.corrections import Corrections
+from wrod.deployment.corrections import Corrections, pace_of
 from wrod.deployment.expectation import expect, is_better, robot_error
 from wrod.deployment.optimise import _fastest, optimise
 from wrod.deployment.setup import Disturbance
@@ -173,6 +173,8 @@ def test_the_fastest_pace_is_taken_that_does_no_harm(bend):
     assert chosen["pace"] == 0.04
     assert [pace for pace, _ in chosen["paces"]] == [0.02, 0.04, 0.08]
     assert _fastest([slow, at(0.08, 1.0, 2.2, 2.9, 1.4)]).metadata["optimised"]["pace"] == 0.08
+    paces = [pace_of(at(v, 0.0)) for v in (0.04, "fast", float("nan"), -1.0, None)]
+    assert paces == [0.04, None, None, None, None] and pace_of(bend[1]) is None
     with pytest.raises(PatternError, match=r"pace is 0\.0"):
         optimise(bend[0], ROD, bend[1], 0.3, pace=0.0)
 

@@ -87,6 +87,10 @@ class Planned:
         return path, curve
 
 
+# Pace of a plan that was corrected for none [m/s].
+_PACE = 0.02
+
+
 @dataclass(frozen=True)
 class Laying:
     """The world that the rod is laid in, and how; see `LAYING`."""
@@ -114,8 +118,9 @@ class Laying:
 
     def pace(self, path) -> float:
         """Speed of the contact [m/s]: as asked for, or what the path was corrected for."""
-        planned = path.metadata.get("optimised") or {}
-        return self.speed or float(planned.get("pace", 0.02))
+        from wrod.deployment.corrections import pace_of
+
+        return self.speed or pace_of(path) or _PACE
 
     def settle(self, rod, path, out: Path, device: str, *, force: bool, quiet: bool) -> None:
         """Say what it costs, and refuse what costs too much."""

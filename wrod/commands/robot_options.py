@@ -189,6 +189,7 @@ class RobotRequest:
         Raises:
             RobotError: there is none.
         """
+        from wrod.deployment.corrections import pace_of
         from wrod.robot.obstacles import Obstacles
         from wrod.robot.solve import solve_joint_path
 
@@ -202,12 +203,12 @@ class RobotRequest:
             "rod_radius": rod.radius,
             "whole_job": not self.lay_only,
         }
-        planned = trajectory.metadata.get("optimised") or {}
+        pace = pace_of(trajectory)
         if self.speed is not None:
             options["grip_speed"] = self.speed
-        elif "pace" in planned:
+        elif pace is not None:
             # On a straight line a grip goes down as fast as forward.
-            options["grip_speed"] = math.sqrt(2.0) * planned["pace"]
+            options["grip_speed"] = math.sqrt(2.0) * pace
         return solve_joint_path(trajectory, self.robot, **{**options, **changes})
 
     def export(self, joint_path, folder) -> list[Path]:

@@ -10,6 +10,8 @@ from scipy.interpolate import BSpline
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 
+# Paces that a contact may have [m/s].
+_SLOWEST, _FASTEST = 5e-4, 10.0
 # Spacing of the knots of the corrections [L_gb].
 _KNOTS = 1.0
 
@@ -77,6 +79,15 @@ def moved(trajectory: Trajectory, displacement: np.ndarray) -> Trajectory:
         shape=shape,
         metadata={**trajectory.metadata, "contact_friction": None},
     )
+
+
+def pace_of(trajectory: Trajectory) -> float | None:
+    """Pace of the contact that a plan was corrected for [m/s]; None: it was not, or its file holds
+    none that could be."""
+    said = trajectory.metadata.get("optimised")
+    pace = said.get("pace") if isinstance(said, dict) else None
+    usable = isinstance(pace, int | float) and _SLOWEST <= pace <= _FASTEST
+    return float(pace) if usable else None
 
 
 def with_share(start: Trajectory, corrected: Trajectory, share: float) -> Trajectory:
