@@ -170,7 +170,6 @@ def command(
     request = request.check()
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
-    grasps.compile_ahead(chosen)
 
     def planned(
         resize: float | None, hold: float | None, friction=None, tried=None, led=None, expects=False
@@ -188,6 +187,7 @@ def command(
                 said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
                 raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
+        grasps.compile_ahead(chosen)
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),
