@@ -203,11 +203,13 @@ def test_auto_falls_back_where_the_controller_was_not_trained(recwarn):
 
 
 def test_other_closures_are_not_the_controller_s(recwarn):
+    shipped, line = Controller.load(), wrod.pattern("line")
     with pytest.raises(GraspError, match="'zero_tension' only, not 'min_force'"):
-        wrod.plan(wrod.pattern("line"), ROD, "neural", closure="min_force")
-    line = wrod.pattern("line")
+        wrod.plan(line, ROD, "neural", closure="min_force", controller=shipped)
     auto, numeric = (
-        wrod.plan(line, ROD, method, closure="min_force", spacing=0.2, device="cpu")
+        wrod.plan(
+            line, ROD, method, closure="min_force", spacing=0.2, device="cpu", controller=shipped
+        )
         for method in ("auto", "numeric")
     )
     np.testing.assert_allclose(auto.position, numeric.position, atol=1e-9)

@@ -235,7 +235,7 @@ def test_mechanisms_of_waves_are_in_the_rod_both_ways_round():
     bends = left.natural_curvature[0](s)
     assert np.ptp(bends) > 10.0
     assert bends == pytest.approx(-right.natural_curvature[0](s))
-    helix = rods["helix of 7 /m, held", "right-handed, rolled by 90"]
+    helix = rods["right-handed helix of 7 /m, held", "rolled by 90"]
     assert helix.natural_twist(0.1) == pytest.approx(2.0 * np.pi / 0.28)
     # A line towards -y with a slope, and a wave of 6 mm from crest to trough on it.
     y = -np.linspace(0.0, 0.47, 2000)

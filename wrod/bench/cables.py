@@ -167,7 +167,8 @@ def command(
                 "choose effects by"
             )
     device = resolve_device(device)
-    settings = {"folds": number, "contiguous": contiguous, "data": [p.stem for p in paths]}
+    stems = [p.stem for p in paths]
+    settings = {"folds": number, "contiguous": contiguous, "data": stems}
     ledger = None
     if out:
         out.mkdir(parents=True, exist_ok=True)
@@ -186,7 +187,7 @@ def command(
         rows.append(row)
         if ledger:
             ledger.add([row])
-    rows.sort(key=lambda r: (settings["data"].index(r["rod"]), r["fold"]))
+    rows.sort(key=lambda r: (stems.index(r["rod"]), r["fold"]))
     done = [[r for r in rows if r["rod"] == p.stem] for p in paths]
     found = [summary(r) for r in done]
     content = {

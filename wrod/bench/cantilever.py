@@ -142,6 +142,11 @@ def come_to_rest(solver: Solver, problem: Cantilever, duration: float, rods: int
     begin = clock(solver)
     solver.advance(timed)
     spent = clock(solver) - begin
+    if spent <= 0.0:
+        raise RodError(
+            f"{timed} steps are over before this machine's clock ticks; give more --periods or "
+            "--edges"
+        )
     before = solver.tips()
     solver.advance(last)
     tips = solver.tips()

@@ -31,7 +31,7 @@ _SAME_CURVATURE, _SAME_POISSON = 5e-4, 1e-3
 
 
 # Closures whose networks ship, and their files' names.
-SHIPPED = {"zero_tension": "default", "min_friction": "min-friction"}
+SHIPPED = {"zero_tension": "default", "min_friction": "min-friction", "min_force": "min-force"}
 
 
 class Controller:

@@ -148,7 +148,8 @@ class RodMaterial:
             )
         if youngs_modulus > _STIFFEST:
             raise RodError(f"rod youngs_modulus is {youngs_modulus:g} Pa; diamond has 1.2e12 Pa")
-        long = 1.0 if not isinstance(radius, (int, float)) else max(1.0, 2.0 * abs(radius))
+        whole = isinstance(radius, (int, float)) and 0 < radius <= _BOUNDS["radius"][1]
+        long = max(1.0, 2.0 * radius) if whole else 1.0
         probe = cls(radius, long, length, poisson, density, gravity)  # before the division
         lgb = (youngs_modulus * radius**2 / (8.0 * probe.density * probe.gravity)) ** (1.0 / 3.0)
         return cls(radius, lgb, length, poisson, density, gravity)
