@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from wrod.errors import WrodError
+from wrod.errors import DataError, WrodError
 
 _LARGEST = sys.float_info.max
 # Numbers in an array: more would take gigabytes, if only to look whether all are finite.
@@ -313,3 +313,23 @@ def shown(value: Any) -> str:
         with contextlib.suppress(Exception):  # it may be nested deeply, or hold anything
             said = repr(value)
     return said if len(said) <= 60 else f"{said[:59]}…"
+
+
+def parse_list(
+    text: str, option: str, low: float, high: float, *, whole: bool = False
+) -> list[float]:
+    """Different numbers with commas between, rising.
+
+    Raises:
+        DataError: names the option where one is no number or out of bounds.
+    """
+    try:
+        found = sorted({(int if whole else float)(word) for word in text.split(",")})
+    except ValueError:
+        found = []
+    if not found or not all(low <= value <= high for value in found):
+        kind = "whole numbers" if whole else "numbers"
+        raise DataError(
+            f"{option} is {text!r:.80}; give {kind} from {low:g} to {high:g} with commas between"
+        )
+    return found

@@ -27,8 +27,8 @@ def command(
     A minute or two of CPU each."""
     from tqdm import tqdm
 
+    from wrod.arguments import parse_list
     from wrod.bench.bend_shapes import BENDS
-    from wrod.commands.options import parse_list
     from wrod.errors import RodError
     from wrod.machine import machine_line
     from wrod.rods.catalogue import rod

@@ -26,8 +26,8 @@ def command(
     import numpy as np
     from tqdm import tqdm
 
+    from wrod.arguments import parse_list
     from wrod.bench.overhand import knot_force, pull, solve_braid
-    from wrod.commands.options import parse_list
     from wrod.errors import RodError
     from wrod.machine import machine_line
 

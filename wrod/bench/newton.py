@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from wrod.commands.options import parse_list
+from wrod.arguments import parse_list
 
 # Steps of the implicit solvers over the period.
 _DER_STEP, _VBD_STEP = 1.0 / 80.0, 1.0 / 400.0

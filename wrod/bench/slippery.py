@@ -82,8 +82,8 @@ def command(
     """
     from tqdm import tqdm
 
+    from wrod.arguments import parse_list
     from wrod.bench.mujoco_chain import require_mujoco
-    from wrod.commands.options import parse_list
     from wrod.rods.device import resolve_device
 
     if trials < 1:

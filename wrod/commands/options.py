@@ -221,28 +221,6 @@ def parse_numbers(text: str, count: int, option: str, separator: str = ",") -> t
     return numbers
 
 
-def parse_list(
-    text: str, option: str, low: float, high: float, *, whole: bool = False
-) -> list[float]:
-    """Different numbers with commas between, rising.
-
-    Raises:
-        DataError: names the option where one is no number or out of bounds.
-    """
-    from wrod.errors import DataError
-
-    try:
-        found = sorted({(int if whole else float)(word) for word in text.split(",")})
-    except ValueError:
-        found = []
-    if not found or not all(low <= value <= high for value in found):
-        kind = "whole numbers" if whole else "numbers"
-        raise DataError(
-            f"{option} is {text!r:.80}; give {kind} from {low:g} to {high:g} with commas between"
-        )
-    return found
-
-
 def _scanned(path: Path, units: str | None, given: dict):
     from wrod.errors import PatternError
     from wrod.perception.scan import scan
