@@ -14,6 +14,7 @@ from wrod.robot.attempt import hanging_rod
 from wrod.robot.job import GRASP_TIME, PHASES
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import grasp_poses
+from wrod.robot.stand import stays
 
 
 @pytest.fixture(scope="module")
@@ -153,6 +154,18 @@ def test_stand_holds_the_rod_below_the_hand_and_out_of_its_way(job, line):
             assert post.query(world.reshape(-1, 3))[0].min() > thick + 0.005
     rods = np.concatenate([line.shape.reshape(-1, 3), line.contact])
     assert post.query(rods)[0].min() > thick + 0.0016
+
+
+def test_a_stand_where_the_rod_comes_does_not_stay(job, line):
+    far = np.full((1, 1, 3), 5.0)
+    away = far, far + [0.0, 0.0, 0.1], np.array([0.01])
+    (foot, top, thick), (_, held, thin) = job.metadata["stand"]
+    assert stays([[foot, top, thick], [top, held, thin]], away, line, 0.0016)
+    at = line.contact[100] * [1.0, 1.0, 0.0]
+    moved = [at, at + [0.0, 0.0, 0.2], thick], [at + [0.0, 0.0, 0.2], np.array(held), thin]
+    assert not stays(list(moved), away, line, 0.0016)
+    beside = np.array([[top]]) + 0.012  # an arm that comes by
+    assert not stays(job.metadata["stand"], (beside, beside, np.array([0.005])), line, 0.0016)
 
 
 def test_an_arm_that_cannot_lay_the_tail_lets_go_of_it(line, monkeypatch):

@@ -4,6 +4,7 @@ import pytest
 import wrod
 from tests.browser import CHROMIUM, Browser
 from wrod.scene.page import write_deployment_page
+from wrod.scene.page_parts import expected_errors
 
 pytest.importorskip("viser")
 
@@ -37,6 +38,20 @@ def arm_page(tmp_path_factory):
     path = wrod.solve_joint_path(trajectory, rod_radius=rod.radius, whole_job=True)
     out = tmp_path_factory.mktemp("page") / "scene.html"
     return write_deployment_page(out, trajectory, path, pattern=pattern, rod=rod)
+
+
+def test_what_lies_is_coloured_by_what_is_expected_of_it():
+    pattern = wrod.pattern("line")
+    trajectory = wrod.plan(pattern, wrod.rod("rope"), method="intuitive", spacing=0.02)
+    x = np.linspace(0.0, 0.8, 81)
+    z = trajectory.contact[0, 2] + np.clip(x - 0.4, 0.0, None)
+    shapes = np.column_stack([x, 0.0 * x, z])[None]
+    assert expected_errors(trajectory, pattern, shapes) is None
+    trajectory.metadata["expected"] = {"error_along": np.linspace(0.0, 0.01, 50).tolist()}
+    (errors,) = expected_errors(trajectory, pattern, shapes)
+    lies = x < 0.401
+    np.testing.assert_allclose(errors[lies], 0.01 * x[lies] / pattern.length, atol=1e-9)
+    assert (errors[~lies] == 0.0).all()
 
 
 looks = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to look at the page with")

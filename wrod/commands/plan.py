@@ -124,9 +124,13 @@ class _GraspRequest:
         """Begin to compile what the rod solver needs, while the rest is read and planned."""
         from wrod.grasps.levels import compile_grasps_ahead
         from wrod.rods.device import resolve_device
+        from wrod.solvers.compiling import compile_steps_ahead
 
+        device = resolve_device(device)
         if self.shapes:
-            compile_grasps_ahead(resolve_device(device))
+            compile_grasps_ahead(device)
+        if self.expects:
+            compile_steps_ahead(device)
 
 
 @click.command(name="plan")
@@ -166,7 +170,6 @@ def command(
     request = request.check()
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
-    grasps.compile_ahead(chosen)
 
     def planned(
         resize: float | None, hold: float | None, friction=None, tried=None, led=None, expects=False
@@ -184,6 +187,7 @@ def command(
                 said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
                 raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
+        grasps.compile_ahead(chosen)
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),

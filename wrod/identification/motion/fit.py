@@ -103,7 +103,7 @@ class MotionLaboratory:
         x, rate, failed = self._run(windows, setup, rates)
         if failed.any() and self.substeps < _FINEST:
             worst = np.flatnonzero(failed)
-            part = Windows(**{k: v[worst] for k, v in vars(windows).items()})
+            part = windows.part(worst)
             again = self.finer().run(part, setup, rates)
             x[worst], failed[worst] = again[0], again[2]
             if rates:
@@ -117,7 +117,7 @@ class MotionLaboratory:
 
         solvers = [
             MotionSolver(
-                Windows(**{k: v[rods] for k, v in vars(windows).items()}),
+                windows.part(rods),
                 self.measurements.rate,
                 substeps=self.substeps,
                 device=self.device,

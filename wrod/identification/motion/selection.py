@@ -34,6 +34,8 @@ LEAST_GAIN = 0.01
 MOST_EFFECTS = 6
 # (frames, recordings) of the windows: to begin with, of the selection and of the last fit.
 _SHORT, _MEDIUM, _WHOLE = (60, 10), (150, 10), (None, 32)
+# Validation recordings that are predicted on a finer mesh with shorter steps.
+_RESOLVED = 4
 # Effects without which the linearised misfit rises by more than this share are not idle.
 _BUSY = 0.02
 
@@ -134,6 +136,7 @@ class _Selection:
         self.left = [c for c in candidates if c.name not in BASE]
         self.short, self.medium = (self._windows(m.fit, *size) for size in (_SHORT, _MEDIUM))
         self.validation, self.test = laboratory.windows(m.validation), laboratory.windows(m.test)
+        self.resolved = _some(np.arange(len(m.validation)), _RESOLVED)
         # Where nothing is kept for a test the validation recordings are one, and stay unfitted.
         apart = len(np.intersect1d(m.test, m.validation)) == 0
         every = np.union1d(m.fit, m.validation) if apart else m.fit
@@ -241,13 +244,14 @@ class _Selection:
         Args:
             found: with one effect more each, the best ahead.
         """
-        rod, windows = self.rod, self.validation
         gain = 1.0 - found[0].validation / now.validation
         if not gain >= LEAST_GAIN:
             return now, None, f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
         # Others were fitted on from the present model: what further steps bring is not theirs.
         now = min(now, self._fit(now.model, now.values, steps=3), key=lambda t: t.validation)
-        lacking = rod.discretisation(windows, now.model, now.values, now.predicted)
+        rod, few = self.rod, self.resolved
+        windows = self.validation.part(few)
+        lacking = rod.discretisation(windows, now.model, now.values, now.predicted[few])
         floor = rod.error_between(windows, lacking, np.zeros_like(lacking))
         floor = float(np.hypot(floor, rod.measurements.noise_floor))
         if MOTION.is_noise(now.validation, floor):
@@ -263,7 +267,7 @@ class _Selection:
             if not gain >= LEAST_GAIN:
                 short = f"the best {_lowers(gain)}, less than {100 * LEAST_GAIN:g} %"
                 return now, None, refused or short
-            resolved = [rod.error(windows, t.predicted + lacking) for t in (one, now)]
+            resolved = [rod.error(windows, t.predicted[few] + lacking) for t in (one, now)]
             if resolved[0] <= (1.0 - LEAST_GAIN) * resolved[1]:
                 return now, one, _lowers(gain)
             refused = refused or (

@@ -42,6 +42,10 @@ class Windows:
     length_change: np.ndarray
     arc_length: np.ndarray
 
+    def part(self, index: np.ndarray) -> Windows:
+        """Some of them."""
+        return Windows(**{key: value[index] for key, value in vars(self).items()})
+
 
 def windows_of(
     measurements: MotionMeasurements,

@@ -1,0 +1,179 @@
+"""Derivatives that are carried along with the steps of a deployment."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from wrod.deployment.grip_path import KEY_INTERVAL
+from wrod.kernels.lanes import lanes
+from wrod.kernels.linear import banded_lu
+from wrod.kernels.stepping import deployment_tangents as kernels
+from wrod.rods.batch import RodBatch
+from wrod.solvers.contact import Contact
+from wrod.solvers.newton_steps import NewtonSteps
+
+# Directions that a thread of a CPU carries at a time.
+_PACK = 8
+
+
+class Tangents:
+    """Tangents of a batch of deployments (a `wrod.solvers.newton_steps.Follower`).
+
+    Args:
+        batch: the rods.
+        contact: with the table, the only thing that they touch.
+        path: (rod, column, key, 6) rates of the grip's position [m] and rotation vector [rad]; of
+            one rod: the same for all.
+        friction, stiffness, natural_curvature: (rod, column), see `Directions`.
+        begin: (rod, column) time before which a column is nothing [s].
+    """
+
+    def __init__(
+        self,
+        batch: RodBatch,
+        contact: Contact,
+        path: np.ndarray,
+        friction: np.ndarray,
+        stiffness: np.ndarray,
+        natural_curvature: np.ndarray,
+        begin: np.ndarray,
+    ):
+        self.batch, self.contact = batch, contact
+        rods, nodes, dofs, device = batch.rod_count, batch.node_count, batch.dof_count, batch.device
+        self.count = path.shape[1]
+        # Columns that begin together share a pack, which rests until then.
+        self.order = np.argsort(begin.min(axis=0), kind="stable")
+        size = _PACK if wp.get_device(device).is_cpu else 1
+        packs = -(-self.count // size)
+        vector = kernels.vector_of(size)
+
+        def packed(values):
+            """(rod, column, ...) -> (rod, pack, ..., size)."""
+            values = values[:, self.order]
+            pad = [(0, 0)] * values.ndim
+            pad[1] = (0, packs * size - self.count)
+            values = np.pad(values, pad).reshape(len(values), packs, size, *values.shape[2:])
+            return wp.array(
+                np.ascontiguousarray(np.moveaxis(values, 2, -1)), dtype=vector, device=device
+            )
+
+        late = np.pad(
+            begin[:, self.order], ((0, 0), (0, packs * size - self.count)), constant_values=np.inf
+        )
+        self.begin = wp.array(
+            late.reshape(rods, packs, size).min(axis=2), dtype=wp.float64, device=device
+        )
+        self.path = packed(path)
+        self.friction_rate, self.stiffness_rate, self.natural_rate = (
+            packed(v) for v in (friction, stiffness, natural_curvature)
+        )
+
+        def zeros(size):
+            return wp.zeros((rods, packs, size), dtype=vector, device=device)
+
+        self.now, self.older, self.velocity, self.velocity_older, self.x = (
+            zeros(dofs) for _ in range(5)
+        )
+        self.bristle = zeros(3 * nodes)
+
+        def per_node(dtype):
+            return wp.zeros((rods, nodes), dtype=dtype, device=device)
+
+        self.friction, self.coupling = per_node(wp.mat33d), per_node(wp.mat33d)
+        self.by_coefficient, self.push = per_node(wp.vec3d), per_node(wp.vec3d)
+        self.memory, self.sliding_memory = per_node(wp.mat33d), per_node(wp.mat33d)
+        self.elastic, self.natural = (
+            wp.zeros((rods, dofs), dtype=wp.float64, device=device) for _ in range(2)
+        )
+        self.factor = wp.zeros((rods, dofs, banded_lu.BAND), dtype=wp.float64, device=device)
+        self.roll = per_node(wp.float64)
+        self.turned = zeros(nodes)
+        self.packs = packs
+
+    def follow(self, dynamics: NewtonSteps) -> None:
+        """Carry the tangents over the accepted steps."""
+        batch, accepted = self.batch, dynamics.accepted
+        state, start, out = batch.state, dynamics.start, batch.derivatives
+        rods, dofs = batch.rod_count, batch.dof_count
+
+        def launch(kernel, dim, inputs, outputs):
+            wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
+
+        about_contact = [self.friction, self.coupling, self.by_coefficient, self.push]
+        memory = [self.memory, self.sliding_memory, self.roll]
+        self.contact.linearise(accepted, state.dof, start.dof, about_contact + memory)
+        launch(
+            kernels.elastic_forces,
+            (rods, dofs),
+            [dynamics.mass, dynamics.air_damping, batch.node_mass, batch.gravity, accepted]
+            + [dynamics.step, dynamics.coefficient, state.dof, start.dof, dynamics.dof_older]
+            + [dynamics.velocity, dynamics.velocity_older, out.gradient, self.push],
+            [self.elastic, self.natural],
+        )
+        launch(
+            kernels.natural_forces,
+            (rods, batch.node_count - 2),
+            [batch.bending_stiffness, accepted, state.dof, state.director],
+            [self.natural],
+        )
+        launch(
+            banded_lu.assemble,
+            (rods, dofs),
+            [accepted, batch.free, out.hessian, self.coupling],
+            [self.factor],
+        )
+        batch.walk(banded_lu.factorise, [accepted], [self.factor])
+        tangents = [self.now, self.older, self.velocity, self.velocity_older]
+        launch(
+            kernels.load_tangents,
+            (rods, self.packs, batch.node_count),
+            [dynamics.mass, dynamics.air_damping, self.friction_rate, self.stiffness_rate]
+            + [self.natural_rate, self.roll, self.begin, accepted, batch.free, dynamics.time]
+            + [dynamics.step, dynamics.coefficient, self.friction, self.by_coefficient, self.push]
+            + [self.memory, self.elastic, self.natural, *tangents, self.bristle, self.turned],
+            [self.x],
+        )
+        launch(
+            kernels.load_grip,
+            (rods, self.packs),
+            [batch.rest_length, wp.float64(KEY_INTERVAL), self.path, self.begin, accepted]
+            + [batch.free, dynamics.time, state.tangent],
+            [self.x],
+        )
+        self._solve([self.begin, accepted, dynamics.time, self.factor])
+        launch(
+            kernels.carry_bristles,
+            (rods, self.packs, batch.node_count),
+            [self.contact.tangent_stiffness, self.friction_rate, self.begin, accepted]
+            + [dynamics.time, *about_contact, self.sliding_memory, self.roll, self.x, self.now],
+            [self.bristle, self.turned],
+        )
+        launch(
+            kernels.advance_tangents,
+            (rods, self.packs, dofs),
+            [self.begin, accepted, dynamics.time, dynamics.step, dynamics.coefficient, self.x],
+            tangents,
+        )
+
+    def _solve(self, inputs: list) -> None:
+        """Of the two kernels a CPU takes the first, one thread a pack, a GPU the second."""
+        device = self.batch.device
+        count = lanes(device)
+        dim: tuple[int, ...] = (self.batch.rod_count, self.packs)
+        kernel = kernels.solve_tangents
+        if count > 1:
+            dim, kernel = (*dim, count), kernels.solve_tangents_lanes
+        wp.launch(
+            kernel, dim=dim, inputs=inputs, outputs=[self.x], device=device, block_dim=count
+        )  # fmt: skip
+
+    def values(self) -> np.ndarray:
+        """(rod, column, node, 3) derivatives of the nodes now."""
+        dof = self.now.numpy()
+        rods, packs, dofs, size = dof.shape
+        columns = np.moveaxis(dof, 3, 2).reshape(rods, packs * size, dofs)[:, : self.count]
+        out = np.empty_like(columns)
+        out[:, self.order] = columns
+        padded = np.pad(out, ((0, 0), (0, 0), (0, 1)))
+        return padded.reshape(rods, self.count, -1, 4)[..., :3]
