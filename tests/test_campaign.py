@@ -83,8 +83,7 @@ def test_comparison_of_closures_is_resumed_to_the_same_files(tmp_path, monkeypat
 
 @pytest.mark.parametrize("text", ["", "one", "0.1,-1", "nan"])
 def test_bad_axes_are_refused(tmp_path, text):
-    from wrod.bench.closures import _numbers
-    from wrod.errors import RodError
-
-    with pytest.raises(RodError, match="frictions"):
-        _numbers(text, "frictions", 0.0, 10.0)
+    arguments = ["bench", "closures", "--frictions", text, "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2 and "frictions" in result.output
+    assert not (tmp_path / "out").exists()

@@ -11,11 +11,11 @@ import wrod
 from wrod.commands import main
 from wrod.deployment.corrections import Corrections, pace_of
 from wrod.deployment.expectation import expect, is_better, robot_error
-from wrod.deployment.optimise import _fastest, optimise
+from wrod.deployment.optimise import Task, _fastest, course, optimise
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
-from wrod.deployment.tangents import Directions, lay
+from wrod.deployment.tangents import Directions, Laid, lay
 from wrod.deployment.together import Asked, _laid
 from wrod.errors import GraspError, PatternError
 from wrod.solvers.contact import Friction
@@ -159,6 +159,21 @@ def test_a_correction_is_kept_for_what_it_saves_every_rod():
     assert not is_better({"error_robot": [1.1, 2.1, 3.1, 1.6], "diverged": 0}, before)
     assert not is_better({"error_robot": [0.9, 1.8, 2.9, 1.4], "diverged": 1}, before)
     assert not is_better(before, before)
+
+
+def test_no_step_is_made_by_derivatives_that_ran_away(bend):
+    pattern, trajectory = bend
+    run = course(Task(pattern, ROD, trajectory, 0.3), samples=1, judge=False)
+    asked, count = next(run), 0
+    with np.errstate(over="ignore"), pytest.raises(StopIteration) as ended:
+        while True:
+            count += 1
+            s = np.linspace(0.0, pattern.length, 60)
+            place = np.pad(pattern.sample(s)[0][:, :2] + 0.002, ((0, 0), (0, 1)))
+            rates = np.full((len(asked.directions[0]), 60, 3), 1e200)
+            asked = run.send([Laid(s, place, rates, np.zeros(60), False, 1)])
+    assert count == 2  # on a coarse mesh and on a fine one
+    np.testing.assert_array_equal(ended.value.value.position, trajectory.position)
 
 
 def test_the_fastest_pace_is_taken_that_does_no_harm(bend):

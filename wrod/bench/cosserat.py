@@ -100,10 +100,12 @@ def _run(name: str, solver: str, elements: int | None) -> dict:
     try:
         summary = run(experiment, adapter, n_elements=elements).summary()
     except Exception as error:
+        what = f"{type(error).__name__}: {error}".splitlines()[0]
+        if isinstance(error, RodError):
+            return {**row, "outcome": "refused", "said": f"refused ({what:.80})"}
         if solver == "wrod":
             raise
         # A peer's adapter that does not fit the version of its library, for one.
-        what = f"{type(error).__name__}: {error}".splitlines()[0]
         return {**row, "outcome": "crashed", "said": f"its adapter crashed ({what:.80})"}
     row |= {"seconds": summary.get("wall_time") or 0.0, "outcome": summary["outcome"]}
     row["simulated"] = experiment.build(**experiment.values()).duration

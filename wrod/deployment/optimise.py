@@ -251,6 +251,9 @@ class _Problem:
                 matrix += scale * rates.T @ rates
                 slope += scale * rates.T @ error
                 value += 0.5 * scale * float(error @ error)
+        if not (np.isfinite(matrix).all() and np.isfinite(slope).all()):
+            # Derivatives that ran away say nothing: no step is made from here.
+            matrix, slope = self.cost.copy(), np.zeros_like(values)
         if task.limits is not None:
             excess, rates = task.limits.excess(corrections.displacement(values))
             rates = np.einsum("mtd,ctd->mc", rates, corrections.columns()[..., :3])
