@@ -249,6 +249,7 @@ def _stamp(path: str) -> dict[str, int]:
 def _call(words: list[str]) -> int:
     sys.stdout, sys.stderr = (os.fdopen(os.dup(k), "w", errors="backslashreplace") for k in (1, 2))
     signal.signal(signal.SIGXCPU, signal.SIG_DFL)
+    multiprocessing.current_process()._config["daemon"] = False  # calls may have processes
     try:
         main(words)
     except SystemExit as reason:
@@ -291,6 +292,7 @@ def wrong(end: End, left: list[str], around) -> str | None:
         if "Traceback" in end.said:
             return f"exit {end.code}: {end.said[-500:]}"
         fine = end.code in (0, 1, 2, 3, 137, 141)
+        fine |= "ulimit -s" in around and end.code in (-signal.SIGSEGV, 139)
         return None if fine else f"exit {end.code}: {end.said[-500:]}"
     if end.code == 0:
         return f"says {end.said[-300:]}" if "Traceback" in end.said else None

@@ -33,7 +33,7 @@ from wrod.identification.template import write_template
 FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 # Of the wrong values of a parameter, in the tests; `make fuzz` tries all, for so long [s] and in
 # another order each time.
-SHARE, LONGEST = 6, 90.0
+SHARE, LONGEST = 5, 90.0
 
 
 class Hostile:

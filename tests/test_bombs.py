@@ -21,7 +21,7 @@ from wrod.commands import COMMANDS, main
 FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 # Of a family's kinds, in the tests; `make fuzz` tries all, for so long [s] and in another order
 # each time.
-SHARE, LONGEST = 3, 120.0
+SHARE, LONGEST = 2, 120.0
 ROD = ["--rod", "green-vps"]
 PLAN = ["plan", "line", *ROD, "--method", "intuitive", "--no-expect", "--out", "out"]
 # Out of reach, so that the search for a path ends at once: arms and meshes are read before it.

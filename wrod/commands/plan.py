@@ -124,13 +124,9 @@ class _GraspRequest:
         """Begin to compile what the rod solver needs, while the rest is read and planned."""
         from wrod.grasps.levels import compile_grasps_ahead
         from wrod.rods.device import resolve_device
-        from wrod.solvers.compiling import compile_steps_ahead
 
-        device = resolve_device(device)
         if self.shapes:
-            compile_grasps_ahead(device)
-        if self.expects:
-            compile_steps_ahead(device)
+            compile_grasps_ahead(resolve_device(device))
 
 
 @click.command(name="plan")

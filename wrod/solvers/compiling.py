@@ -1,4 +1,4 @@
-"""What time steps launch, compiled side by side before the first of them.
+"""What time steps launch on a GPU, compiled side by side before the first of them.
 
 Modules that are not listed are compiled when they are launched first, one after the other.
 """
@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from functools import cache
 from importlib import import_module
-from types import ModuleType
 
 import warp as wp
 
-from wrod.kernels.compiling import compile_ahead, compile_together
+from wrod.kernels.compiling import compile_together
 from wrod.kernels.lanes import TEAM, WARP
 
 _WIDE = 256  # Warp's own
@@ -27,8 +26,6 @@ _STEPS = {
     ),
 }
 _LAYING = {_WIDE: ("stepping.grip",)}
-# What a CPU has instead.
-_ON_CPU = {"linear.banded_lanes": "linear.banded"}
 _COUPLED = {
     WARP: ("contact.touching",),
     TEAM: ("linear.skyline_order", "linear.skyline_lanes", "linear.coupling"),
@@ -38,25 +35,10 @@ _COUPLED = {
 
 @cache
 def compile_steps(device: str, *, coupled: bool = False) -> None:
-    """Compile what simulated deployments launch; on a GPU, with `coupled`, what rods do that touch
-    rods instead of those that a grip lays."""
-    compile_together(device, _launched(device, coupled))
-
-
-@cache
-def compile_steps_ahead(device: str) -> None:
-    """Begin to compile what simulated deployments launch, while something else is done."""
-    compile_ahead(device, _launched(device, False))
-
-
-def _launched(device: str, coupled: bool) -> list[tuple[ModuleType, int]]:
-    on_cpu = wp.get_device(device).is_cpu
-    if on_cpu and coupled:
-        return []
-    names = [
-        (_ON_CPU.get(name, name) if on_cpu else name, block)
-        for table in (_STEPS, _COUPLED if coupled else _LAYING)
-        for block, row in table.items()
-        for name in row
-    ]
-    return [(import_module(f"wrod.kernels.{name}"), block) for name, block in names]
+    """Compile, on a GPU, what simulated deployments launch; of rods that touch rods with `coupled`
+    instead of those that a grip lays."""
+    if wp.get_device(device).is_cpu:
+        return
+    tables = (_STEPS, _COUPLED if coupled else _LAYING)
+    names = [(name, block) for table in tables for block, row in table.items() for name in row]
+    compile_together(device, [(import_module(f"wrod.kernels.{n}"), block) for n, block in names])
