@@ -7,6 +7,7 @@ from click.testing import CliRunner
 
 from wrod.bench.cantilever import Cantilever
 from wrod.bench.newton import command
+from wrod.errors import DataError
 from wrod.rods.catalogue import rod
 
 
@@ -33,7 +34,8 @@ def test_command(tmp_path):
     table = (tmp_path / "newton.md").read_text()
     assert "SolverVBD | 6 | 4 iterations" in table
     for value in ("0", "a,b", ""):
-        assert CliRunner().invoke(command, ["--edges", value]).exit_code == 2
+        refused = CliRunner().invoke(command, ["--edges", value]).exception
+        assert isinstance(refused, DataError) and "--edges" in str(refused)
 
 
 def test_many_worlds():

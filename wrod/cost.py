@@ -19,6 +19,8 @@ GRASPS_PER_SECOND, SENSITIVITIES_COST, NODE_STEP = 2000.0, 3.0, 2.3e-5
 APPLICATION = {"S cable": 25.0, "U cable": 15.0, "trefoil": 8.0, "reef": 68.0}
 EQUILIBRIUM, BOUNDARY = 4e-3, 0.8
 IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
+# A plan that is corrected for its table, and a deployment that looks on and plans anew.
+CORRECTED_PLAN, LOOKING_ON = 15.0, 30.0
 # Multiplications and additions of a core with eight float64 lanes that training keeps busy.
 _OPERATIONS = 4e9
 # Longer than this is a mistake more often than a wish [s].

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
 import numpy as np
 
+from wrod import cost
 from wrod.bench.ledger import Ledger
 
 # Points at which laid curves are kept.
@@ -61,7 +62,7 @@ def run(
 
     done = ledger.done()
     pending = [key for key in keys if key not in done]
-    size = batch or (_CPU_BATCH if device == "cpu" else max(len(pending), 1))
+    size = _at_once(len(pending), batch, device)
     start, steps = time.perf_counter(), 0
     with tqdm(
         total=len(keys), initial=len(keys) - len(pending), unit="trial", disable=quiet,
@@ -73,6 +74,10 @@ def run(
             ledger.add(rows)
             steps += sum(row["steps"] for row in rows)
     return Spent(len(pending), steps, time.perf_counter() - start)
+
+
+def _at_once(trials: int, batch: int | None, device: str) -> int:
+    return batch or (_CPU_BATCH if device == "cpu" else max(trials, 1))
 
 
 def _counted(bar, count: int) -> Callable[[float], None]:
@@ -111,6 +116,7 @@ class Common:
     batch: int | None
     device: str
     as_json: bool
+    force: bool
 
 
 def options(*, speed: float, step: float, spacing: float) -> Callable:
@@ -141,6 +147,7 @@ def options(*, speed: float, step: float, spacing: float) -> Callable:
         click.option("--batch", type=int, help="Trials simulated at once; default: 32, CUDA all."),
         click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto."),
         click.option("--json", "as_json", is_flag=True, help="Print figures for machines."),
+        cost.force_option,
     ]
 
     def decorate(function):
@@ -149,6 +156,28 @@ def options(*, speed: float, step: float, spacing: float) -> Callable:
         return function
 
     return decorate
+
+
+def settle(
+    trials: int, length: float, out: Path, *, force: bool, quiet: bool, more: float = 0.0,
+    device: str, batch: int | None, **how: float,
+) -> None:  # fmt: skip
+    """Say what the deployments that are missing will cost, or refuse it (`cost.settle`).
+
+    Args:
+        trials: that are missing.
+        length: of the longest rod that is laid [m].
+        more: what else takes time on one core [s].
+        device, batch: as for `run`.
+        how: they are laid: speed, step, spacing.
+    """
+    at_once = min(_at_once(trials, batch, device), trials)
+    work = cost.deployments(trials, length, device=device, **how)
+    cost.settle(
+        replace(work, seconds=work.seconds + more, memory=work.memory * at_once / max(trials, 1)),
+        f"{trials} deployments", out,
+        "ask for fewer trials, or for a larger --spacing or --step", force=force, quiet=quiet,
+    )  # fmt: skip
 
 
 def figures(

@@ -64,6 +64,7 @@ def _compared(
     batch: int | None,
     device: str,
     quiet: bool,
+    force: bool,
     **given,
 ) -> tuple[dict[str, Any], campaign.Spent]:
     """What the command tells, and what the trials cost."""
@@ -83,6 +84,12 @@ def _compared(
     settings = how | {"nodes": nodes, "patterns": "built-in" if patterns is None else patterns.name}
     out.mkdir(parents=True, exist_ok=True)
     ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", schemas.CampaignRow)
+    wanted = len(curves) * len(frictions) * (trials * len(METHODS) + 1)
+    campaign.settle(
+        max(wanted - len(ledger.done()), 0), max(curve.rod.length for curve in curves), out,
+        force=force, quiet=quiet, device=device, batch=batch, speed=speed, step=step,
+        spacing=spacing,
+    )  # fmt: skip
     start = time.perf_counter()
     plans, lacking = _plans(curves, METHODS, device, quiet)
     planned = time.perf_counter() - start

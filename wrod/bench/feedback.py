@@ -12,6 +12,8 @@ from typing import Any
 import click
 import numpy as np
 
+from wrod import cost
+
 # Row by row, what the true rod differs by though nobody declared it.
 EFFECTS = {
     "none": "as believed",
@@ -65,9 +67,10 @@ _FIRST_SEED = 9_000
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
+@cost.force_option
 def command(
     rods: str, names: str, effects: str, ways: str, seeds: int, out: Path, workers: int,
-    device: str, as_json: bool, **how,
+    device: str, as_json: bool, force: bool, **how,
 ) -> None:  # fmt: skip
     """Lay patterns with rods and tables that differ from the plan's, blindly and looking on.
 
@@ -101,6 +104,12 @@ def command(
     ]
     jobs = [(shelf, key, how) for key in keys if key not in done]
     unplanned = sorted({job[1][:2] for job in jobs})
+    looking = sum(key[3] != "blind" for _, key, _ in jobs)
+    seconds = cost.CORRECTED_PLAN * len(unplanned) + cost.LOOKING_ON * looking
+    cost.settle(
+        cost.Cost(seconds / workers), f"{len(jobs)} deployments", out,
+        "ask for fewer --seeds, --names or --effects", force=force, quiet=as_json,
+    )  # fmt: skip
     shelf.stock([(*place, how["friction"], "optimised") for place in unplanned], workers)
     courses.run(_course, jobs, lambda _, row: ledger.add([row]), device=device, workers=workers)
     rows = ledger.of(keys)

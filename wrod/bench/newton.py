@@ -66,6 +66,10 @@ def command(
     With --bodies: SolverDER's coupling with free bodies and an arm against closed forms and
     statics, and a pile, on the CPU. With --many: lines of JSON, as they come.
     """
+    from importlib import import_module
+
+    # Before newton, which starts Warp: its banner would be the first line of --json.
+    import_module("wrod.kernels")
     if bodies:
         _measure_bodies(as_json)
         return

@@ -64,6 +64,21 @@ class Deployments:
             return
         from tqdm import tqdm
 
+        from wrod import cost
+        from wrod.identification.laid.world import SPEED
+        from wrod.rods.catalogue import rod
+
+        count = sum(len(worlds) for _, _, worlds, _ in jobs)
+        work = cost.deployments(
+            count, max(rod(photograph.rod).length for photograph, *_ in jobs), speed=SPEED,
+            step=self._options["step"], spacing=self._options["spacing"], device=self.device,
+        )  # fmt: skip
+        # At most a thousand worlds a picture, a few dozen at once: never more than a machine has.
+        cost.settle(
+            cost.Cost(work.seconds), f"{count} deployments", None, "", force=True,
+            quiet=self._quiet,
+        )  # fmt: skip
+
         with tqdm(total=len(jobs), leave=False, desc="deployments", disable=self._quiet) as bar:
             if self.workers == 1:
                 for job in jobs:

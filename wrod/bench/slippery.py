@@ -11,6 +11,7 @@ from typing import Any
 import click
 import numpy as np
 
+from wrod import cost
 from wrod.bench import campaign, courses
 from wrod.bench.ledger import Ledger
 from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_csv
@@ -120,6 +121,12 @@ def command(
 
     done = ledger.done()
     jobs = [(shelf, key, spacing, how) for key in keys if key not in done]
+    longest = max(shelf.course(*cell[:2])[1].length for cell in cells)
+    campaign.settle(
+        len(jobs), longest, out, device=device, batch=asked.batch, force=asked.force, quiet=as_json,
+        more=_effort([key for _, key, *_ in jobs]), speed=asked.speed, step=asked.step,
+        spacing=spacing,
+    )  # fmt: skip
     shelf.stock([(*key[:3], _CORRECTED[key[3]]) for _, key, *_ in jobs if key[3] in _CORRECTED],
                 workers)  # fmt: skip
     with tqdm(total=len(keys), initial=len(done), unit="trial", disable=as_json) as bar:
@@ -130,6 +137,13 @@ def command(
 
         courses.run(_course, jobs, note, device=device, workers=workers)
     _tell(ledger.of(keys), shelf, out, [ledger.path], as_json)
+
+
+def _effort(keys: list[tuple]) -> float:
+    """Processor time of corrected plans, and of looking on [s]."""
+    plans = len({(*key[:3], _CORRECTED[key[3]]) for key in keys if key[3] in _CORRECTED})
+    looking = sum(key[3] == "feedback" for key in keys)
+    return cost.CORRECTED_PLAN * plans + cost.LOOKING_ON * looking
 
 
 def _tell(rows: list[dict], shelf: Shelf, out: Path, kept: list[Path], as_json: bool) -> None:

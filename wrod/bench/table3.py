@@ -9,7 +9,6 @@ from pathlib import Path
 
 import click
 
-from wrod import cost
 from wrod.bench import campaign, courses
 from wrod.bench.ledger import Ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
@@ -45,7 +44,6 @@ def _only(what: str, parameter: str, names: tuple[str, ...]):
 @_only("substrate", "substrates", SUBSTRATES)
 @_only("pattern", "names", PATTERNS)
 @campaign.options(speed=0.02, step=0.01, spacing=0.005)
-@cost.force_option
 def command(as_json: bool, **given) -> None:
     """Rods 1-3 x fabric, steel, foam x seven patterns x {INT, OPT} x ten trials.
 
@@ -129,11 +127,10 @@ def _table(
     ]
     lay = {name: how[name] for name in ("speed", "step", "spacing")}
     pending = len(set(keys) - ledger.done())
-    cost.settle(
-        cost.deployments(pending, max(rod(name).length for name in rods), device=device, **lay),
-        f"{pending} deployments", out, "ask for fewer --trials, or a larger --spacing or --step",
-        force=force, quiet=quiet,
-    )  # fmt: skip
+    longest = max(rod(name).length for name in rods)
+    campaign.settle(
+        pending, longest, out, force=force, quiet=quiet, device=device, batch=batch, **lay
+    )
     start = time.perf_counter()
     compile_steps(device)
     compiled = time.perf_counter() - start

@@ -9,9 +9,6 @@ import click
 
 from wrod import cost
 
-# Processor time of one optimised plan [s].
-_PLAN = 15.0
-
 
 @click.command(name="distil", short_help="Train a network that corrects plans for a table.")
 @click.option(
@@ -42,7 +39,7 @@ def command(
 
     rank = Rank.from_environment()
     cost.settle(
-        cost.Cost(_PLAN * size / rank.count, 1e9, 3e4 * size),
+        cost.Cost(cost.CORRECTED_PLAN * size / rank.count, 1e9, 3e4 * size),
         f"{size} optimised plans", out, "ask for fewer", force=force, quiet=as_json,
     )  # fmt: skip
     with cost.progress_bar(

@@ -24,6 +24,8 @@ from wrod.solvers.contact import Friction
 
 # Length of the free end that is held along the pattern, where it is held [m].
 HELD = 0.05
+# Of the contact [m/s].
+SPEED = 0.02
 # The grip rests for so long before it would let go, in the deployment's schedule [s].
 _RESTING = 0.45
 
@@ -96,7 +98,7 @@ def lay(
     *,
     spacing: float = 0.01,
     step: float = 0.025,
-    speed: float = 0.02,
+    speed: float = SPEED,
     device: str = "cpu",
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
