@@ -188,7 +188,7 @@ def command(
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),
             device=chosen, friction=friction, expects=expects,
-            meanwhile=request.load_ahead, **{**how, "remainder": False},
+            **{**how, "remainder": False},
         )  # fmt: skip
         return fitted, curve, trajectory
 

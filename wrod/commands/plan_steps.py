@@ -12,11 +12,10 @@ _SHARE = 0.5
 
 def solve_grasps_of(
     curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, pace=None,
-    expects=False, meanwhile, **options,
+    expects=False, **options,
 ):  # fmt: skip
     """The trajectory, with the rod's shapes where they are wanted, and with what is expected of it
-    on a table where that is. `meanwhile` is called while what shapes need may still be
-    compiled."""
+    on a table where that is."""
     from tqdm import tqdm
 
     from wrod.deployment.plan import plan
@@ -33,7 +32,6 @@ def solve_grasps_of(
             friction=None if method == "intuitive" else friction,
             pace=None if friction is None else pace, **options,
         )  # fmt: skip
-        meanwhile()
         if shapes:
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -147,16 +146,6 @@ class RobotRequest:
                 self.robot, flange=self.flange, tip=self.tip, gripper_length=self.gripper_length
             )
         return self
-
-    def load_ahead(self) -> None:
-        """Load what the joint path needs, and begin to compile what the scene's picture does."""
-        if self.no_robot:
-            return
-        from wrod.scene.deliver import compile_pictures_ahead
-
-        compile_pictures_ahead()
-        with suppress(ImportError):  # said where it is needed
-            import pytorch_kinematics  # noqa: F401
 
     def _given(self) -> list[str]:
         """Options of an arm that were given, but for its name."""

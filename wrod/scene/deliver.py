@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,17 +11,9 @@ import numpy as np
 from wrod.errors import SceneError
 from wrod.robot.joint_path import JointPath
 from wrod.scene.export import export_usd
-from wrod.scene.render import Renderer, compile_renderer, save_png, time_codes
+from wrod.scene.render import Renderer, save_png, time_codes
 
 PICTURE_SIZE = (720, 540)  # of each of the four
-
-
-@cache
-def compile_pictures_ahead() -> Future | None:
-    """Begin to compile what `draw_scene` needs, with Newton, while something else is done."""
-    if find_spec("newton") is None:
-        return None
-    return ThreadPoolExecutor(1).submit(compile_renderer)
 
 
 def deliver(
@@ -63,7 +53,6 @@ def deliver(
         )
     if find_spec("newton") is not None:
         progress("picture")
-        wait(filter(None, [compile_pictures_ahead()]))  # what went wrong there goes wrong here too
         written.append(draw_scene(scene, out / "scene.png"))
     return written
 

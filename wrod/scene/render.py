@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -87,34 +86,6 @@ class Renderer:
         )
         packed = np.ascontiguousarray(self._color.numpy()[0])
         return packed.view(np.uint8).reshape(*packed.shape, 4)[..., :3].copy()
-
-
-# What has all that is compiled: a body that moves, and a camera.
-_SMALLEST_STAGE = """#usda 1.0
-(
-    startTimeCode = 0
-    endTimeCode = 1
-    metersPerUnit = 1
-    upAxis = "Z"
-)
-def Cube "box"
-{
-    double size = 0.1
-    double3 xformOp:translate.timeSamples = { 0: (0, 0, -1), 1: (0, 0, -2) }
-    uniform token[] xformOpOrder = ["xformOp:translate"]
-}
-def Camera "perspective"
-{
-}
-"""
-
-
-def compile_renderer() -> None:
-    """Compile what pictures need, by drawing one of a box: for a thread that does so meanwhile."""
-    with tempfile.TemporaryDirectory() as folder:
-        stage = Path(folder) / "box.usda"
-        stage.write_text(_SMALLEST_STAGE)
-        Renderer(stage, size=(8, 8)).frame(0.0)
 
 
 def time_codes(start: float, end: float, frames: int) -> np.ndarray:
