@@ -40,7 +40,7 @@ def test_loop_is_closed(tmp_path, controllers):
     args += ["--pattern", "letter-U", "--effect", "natural_curvature", "--curvature", "5"]
     args += ["--candidate", "natural_curvature", "--candidate", "stiffness"]
     args += ["--spacing", "0.008", "--speed", "0.05", "--friction", "1.0"]
-    args += ["--grasps", "250", "--steps", "800"]
+    args += ["--grasps", "1000", "--steps", "2000"]
     args += [part for name in controllers for part in ("--controller", name)]
     result = CliRunner().invoke(main, args)
     assert result.exit_code == 0, result.output
