@@ -33,6 +33,12 @@ _SOLVE = """
 #define WROD_OWN_ENTRY(name, m) name[m]
 #define WROD_FROM(name, source) __shfl_sync(0xffffffffu, name, source)
 #define WROD_BALLOT(bits, name) bits = __ballot_sync(0xffffffffu, name)
+#define WROD_SEND(to, from) \\
+    asm volatile("cp.async.ca.shared.global [%0], [%1], 8;" \\
+                 ::"r"((unsigned)__cvta_generic_to_shared(to)), "l"(from))
+#define WROD_ARRIVE() \\
+    asm volatile("cp.async.wait_all;" ::: "memory"); \\
+    __syncwarp()
     auto reciprocal = [](double value) {
         double guess;
         asm("rcp.approx.ftz.f64 %0, %1;" : "=d"(guess) : "d"(value));
@@ -53,13 +59,17 @@ _SOLVE = """
 #define WROD_BALLOT(bits, name) \\
     bits = 0; \\
     for (int lane = 0; lane < 32; ++lane) bits |= (unsigned)(name[lane] != 0) << lane
+#define WROD_SEND(to, from) *(to) = *(from)
+#define WROD_ARRIVE()
     auto reciprocal = [](double value) { return 1.0 / value; };
 #endif
     const int BAND = 11, REACH = 10, CHUNK = 32, ROWS = CHUNK + REACH;
-    // Row `at` of a window holds the entries (a, a - k), k = 0...10, of what is left, then of L and
-    // D; the diagonal as it was, against which pivots that cancel are measured; the right side.
-    const int STRIDE = 13, SIZE = 11, RIGHT = 12;
-    WROD_SHARED double windows[2][ROWS * STRIDE];
+    // A window holds rows of the entries (a, a - k), k = 0...10, of what is left, then of L and D;
+    // then the rows' diagonal as it was, against which pivots that cancel are measured; then their
+    // right side.
+    const int SIZE = ROWS * BAND, RIGHT = SIZE + ROWS;
+    WROD_SHARED double windows[2][RIGHT + ROWS];
+    WROD_SHARED double arrivals[2][ROWS * BAND];
     // Four columns of L D and of L below their diagonal block, and of the right-hand side.
     WROD_SHARED double products[2][44];
     WROD_SHARED double scaleds[2][44];
@@ -76,41 +86,43 @@ _SOLVE = """
     // of the second, and at least as many between them as each reaches over.
     const int meet = CHUNK * ((n + CHUNK - REACH) / (2 * CHUNK));
     const int other = n - REACH - meet > 0 ? (n - REACH - meet) / 4 * 4 : 0;
-    // Row a of an end, and entry (a, a - k) of its matrix.
+    // Row a of an end, and where its rows from a on are kept.
 #define WROD_PLACE(end, a) ((end) ? n - 1 - (a) : (a))
-#define WROD_ENTRY(end, a, k) ((size_t)((end) ? n - 1 - (a) + (k) : (a)) * BAND + (k))
-    // Send for rows from `from` on, entry lane + 32 m in place m.
+#define WROD_KEPT(end, a) (factor + ((end) ? n - other + (a) : (a)) * BAND)
+    // Send for 32 rows from `from` on; of the second end these are parts of 42.
 #define WROD_FETCH(end, from) \\
-    _Pragma("unroll") for (int m = 0; m < BAND; ++m) { \\
-        const int k = (lane + 32 * m) % BAND, a = (from) + (lane + 32 * m) / BAND; \\
-        const bool inside = a >= k && a < n; \\
-        WROD_OWN_ENTRY(ahead, m) = inside ? band[WROD_ENTRY(end, a, k)] : 0.0; \\
-    } \\
     { \\
+        const int low = ((end) ? n - CHUNK - (from) : (from)) * BAND; \\
+        _Pragma("unroll") for (int m = 0; m < 15; ++m) { \\
+            const int e = lane + 32 * m; \\
+            const bool wanted = m < 11 || ((end) && e < ROWS * BAND); \\
+            if (wanted && low + e >= 0 && low + e < n * BAND) \\
+                WROD_SEND(arrival + e, band + (low + e)); \\
+        } \\
         const int a = (from) + lane; \\
         const bool inside = a >= 0 && a < n; \\
         WROD_OWN(opened) = inside ? open[WROD_PLACE(end, a)] : 0; \\
         WROD_OWN(coming) = inside ? right[WROD_PLACE(end, a)] : 0.0; \\
     }
-    // They arrive. Rows and columns that are not free are the identity's. Of what lies between the
-    // ends the first has all, the second what it changes.
+    // They have arrived. Rows and columns that are not free are the identity's. Of what lies between
+    // the ends the first has all, the second what it changes.
 #define WROD_PUT(end, at, from) \\
-    _Pragma("unroll") for (int m = 0; m < BAND; ++m) { \\
-        const int k = (lane + 32 * m) % BAND, row = (lane + 32 * m) / BAND, a = (from) + row; \\
-        double entry = k == 0 ? 1.0 : 0.0; \\
-        const bool both = (bits >> (row + 32) & 1) && (bits >> (row + 32 - k) & 1); \\
-        if (a >= k && a < ((end) ? n : n - other) && both) \\
-            entry = WROD_OWN_ENTRY(ahead, m) + (k == 0 ? shifted : 0.0); \\
-        if ((end) && a - k >= other) entry = 0.0; \\
-        if ((at) + row >= 0) { \\
-            window[((at) + row) * STRIDE + k] = entry; \\
-            if (k == 0) window[((at) + row) * STRIDE + SIZE] = entry; \\
-        } \\
-    } \\
     if ((at) + lane >= 0) { \\
-        const bool due = (from) + lane < ((end) ? other : n - other); \\
-        window[((at) + lane) * STRIDE + RIGHT] = \\
-            due && (bits >> (lane + 32) & 1) ? WROD_OWN(coming) : 0.0; \\
+        const int a = (from) + lane; \\
+        const unsigned opens = (unsigned)(bits >> (lane + 32 - REACH)); \\
+        const bool inside = a < ((end) ? n : n - other) && (opens >> REACH & 1); \\
+        double* row = window + ((at) + lane) * BAND; \\
+        const double* sent = arrival + ((end) ? 31 - lane : lane) * BAND; \\
+        _Pragma("unroll") for (int k = 0; k < BAND; ++k) { \\
+            double entry = k == 0 ? 1.0 : 0.0; \\
+            if (a >= k && inside && (opens >> (REACH - k) & 1)) \\
+                entry = sent[(end) ? k * (BAND + 1) : k] + (k == 0 ? shifted : 0.0); \\
+            if ((end) && a - k >= other) entry = 0.0; \\
+            row[k] = entry; \\
+            if (k == 0) window[SIZE + (at) + lane] = entry; \\
+        } \\
+        const bool due = a < ((end) ? other : n - other) && (opens >> REACH & 1); \\
+        window[RIGHT + (at) + lane] = due ? WROD_OWN(coming) : 0.0; \\
     }
 
     // Two pivots, of [[a, b], [b, c]], and their reciprocals; returns how many are negative.
@@ -137,7 +149,7 @@ _SOLVE = """
                 double* window = windows[end];
                 double* product = products[end];
                 double* scaled = scaleds[end];
-                WROD_LANE_ARRAY(double, ahead, 11);
+                double* arrival = arrivals[end];
                 WROD_LANE_VALUE(double, coming);
                 WROD_LANE_VALUE(int, opened);
                 int negative = 0;
@@ -149,10 +161,13 @@ _SOLVE = """
                     WROD_LANES { WROD_FETCH(end, REACH - CHUNK) }
                     WROD_BALLOT(now, opened);
                     bits = (unsigned long long)now << 32;
+                    WROD_ARRIVE();
                     WROD_LANES { WROD_PUT(end, REACH - CHUNK, REACH - CHUNK) }
+                    WROD_SYNC();
                     WROD_LANES { WROD_FETCH(end, REACH) }
                     WROD_BALLOT(now, opened);
                     bits = bits >> 32 | (unsigned long long)now << 32;
+                    WROD_ARRIVE();
                     WROD_LANES { WROD_PUT(end, REACH, REACH) }
                 } else {
                     WROD_LANES {
@@ -162,10 +177,12 @@ _SOLVE = """
                     WROD_BALLOT(now, opened);
                 }
                 // Entries lane, lane + 32 and lane + 64 of what four columns change: where the
-                // factors are, and where it stands; last the ten of the right-hand side.
+                // factors are, where it stands and how far on four columns later; last the ten of
+                // the right-hand side.
                 WROD_LANE_ARRAY(int, left_at, 3);
                 WROD_LANE_ARRAY(int, right_at, 3);
                 WROD_LANE_ARRAY(int, stands, 3);
+                WROD_LANE_ARRAY(int, moves, 3);
                 WROD_LANES {
                     _Pragma("unroll") for (int m = 0; m < 3; ++m) {
                         const int e = lane + 32 * m;
@@ -175,7 +192,8 @@ _SOLVE = """
                         WROD_OWN_ENTRY(left_at, m) = 4 * i;
                         WROD_OWN_ENTRY(right_at, m) = 4 * j;
                         WROD_OWN_ENTRY(stands, m) =
-                            i < 10 ? (4 + i) * STRIDE + i - j : (4 + j) * STRIDE + RIGHT;
+                            i < 10 ? (4 + i) * BAND + i - j : RIGHT + 4 + j;
+                        WROD_OWN_ENTRY(moves, m) = i < 10 ? BAND : 1;
                     }
                 }
                 WROD_SYNC();
@@ -183,13 +201,14 @@ _SOLVE = """
                     WROD_LANES { WROD_FETCH(end, base + ROWS) }
                     const int count = stop - base < CHUNK ? stop - base : CHUNK;
                     for (int t = 0; t < count; t += 4) {
-                        double* rows = window + t * STRIDE;
+                        double* rows = window + t * BAND;
+                        const double* sizes = window + SIZE + t;
                         double d[4][4], inverse[4], l[4][4];
                         _Pragma("unroll") for (int i = 0; i < 4; ++i)
                             _Pragma("unroll") for (int j = 0; j <= i; ++j)
-                                d[i][j] = rows[i * STRIDE + i - j];
+                                d[i][j] = rows[i * BAND + i - j];
                         negative += pivots(
-                            d[0][0], d[1][0], d[1][1], rows[SIZE], rows[STRIDE + SIZE], inverse
+                            d[0][0], d[1][0], d[1][1], sizes[0], sizes[1], inverse
                         );
                         l[1][0] = d[1][0] * inverse[0];
                         _Pragma("unroll") for (int i = 2; i < 4; ++i) {
@@ -201,32 +220,33 @@ _SOLVE = """
                         d[3][2] -= d[3][0] * l[2][0] + d[3][1] * l[2][1];
                         d[3][3] -= d[3][0] * l[3][0] + d[3][1] * l[3][1];
                         negative += pivots(
-                            d[2][2], d[3][2], d[3][3], rows[2 * STRIDE + SIZE],
-                            rows[3 * STRIDE + SIZE], inverse + 2
+                            d[2][2], d[3][2], d[3][3], sizes[2], sizes[3],
+                            inverse + 2
                         );
                         l[3][2] = d[3][2] * inverse[2];
                         WROD_LANES {
                             if (lane < 11) {
                                 // A row below, or the right-hand side.
+                                double* from = lane < 10 ? rows + (4 + lane) * (BAND + 1)
+                                                         : window + RIGHT + t;
+                                const int next = lane < 10 ? -1 : 1;
                                 double m[4];
+                                _Pragma("unroll") for (int c = 0; c < 4; ++c)
+                                    m[c] = lane < 10 && 4 + lane - c > REACH ? 0.0 : from[c * next];
                                 _Pragma("unroll") for (int c = 0; c < 4; ++c) {
-                                    const int k = 4 + lane - c;
-                                    const int at = lane < 10 ? (4 + lane) * STRIDE + k
-                                                             : c * STRIDE + RIGHT;
-                                    m[c] = lane < 10 && k > REACH ? 0.0 : rows[at];
                                     _Pragma("unroll") for (int e = 0; e < c; ++e)
                                         m[c] -= m[e] * l[c][e];
                                     const double entry = m[c] * inverse[c];
                                     product[4 * lane + c] = m[c];
                                     scaled[4 * lane + c] = entry;
-                                    if (lane == 10 || k <= REACH) rows[at] = entry;
+                                    if (lane == 10 || 4 + lane - c <= REACH) from[c * next] = entry;
                                 }
                             }
                             if (lane == 11) {
                                 _Pragma("unroll") for (int i = 0; i < 4; ++i) {
-                                    rows[i * STRIDE] = d[i][i];
+                                    rows[i * BAND] = d[i][i];
                                     _Pragma("unroll") for (int j = 0; j < i; ++j)
-                                        rows[i * STRIDE + i - j] = l[i][j];
+                                        rows[i * BAND + i - j] = l[i][j];
                                 }
                             }
                         }
@@ -239,37 +259,40 @@ _SOLVE = """
                                     double change = 0.0;
                                     _Pragma("unroll") for (int c = 0; c < 4; ++c)
                                         change += left[c] * below[c];
-                                    rows[WROD_OWN_ENTRY(stands, m)] -= change;
+                                    window[WROD_OWN_ENTRY(stands, m)
+                                           + t * WROD_OWN_ENTRY(moves, m)] -= change;
                                 }
                             }
                         }
                         WROD_SYNC();
                     }
                     WROD_LANES {
-                        _Pragma("unroll") for (int m = lane; m < CHUNK * BAND; m += 32) {
-                            const int k = m % BAND, t = m / BAND;
-                            if (t < count)
-                                factor[(size_t)WROD_PLACE(end, base + t) * BAND + k] =
-                                    window[t * STRIDE + k];
-                        }
+                        double* kept = WROD_KEPT(end, base);
+                        _Pragma("unroll") for (int m = lane; m < CHUNK * BAND; m += 32)
+                            if (m < count * BAND) kept[m] = window[m];
                         if (lane < count)
-                            solution[WROD_PLACE(end, base + lane)] = window[lane * STRIDE + RIGHT];
+                            solution[WROD_PLACE(end, base + lane)] = window[RIGHT + lane];
                     }
                     // The last window stays for the way back.
                     if (base + CHUNK < stop || (end == 0 && phase == 0)) {
                         WROD_SYNC();
                         WROD_LANES {
-                            for (int m = lane; m < REACH * STRIDE; m += 32)
-                                window[m] = window[CHUNK * STRIDE + m];
+                            for (int m = lane; m < REACH * BAND; m += 32)
+                                window[m] = window[CHUNK * BAND + m];
+                            if (lane < REACH) {
+                                window[SIZE + lane] = window[SIZE + CHUNK + lane];
+                                window[RIGHT + lane] = window[RIGHT + CHUNK + lane];
+                            }
                         }
                         bits = now;
                         WROD_BALLOT(now, opened);
                         bits |= (unsigned long long)now << 32;
-                        WROD_SYNC();
+                        WROD_ARRIVE();
                         WROD_LANES { WROD_PUT(end, REACH, base + ROWS) }
                         WROD_SYNC();
                     }
                 }
+                WROD_ARRIVE();  // what was sent for beyond the last window
                 counts[end] = phase == 0 ? negative : counts[end] + negative;
             }
         }
@@ -283,12 +306,11 @@ _SOLVE = """
                         for (int m = lane; m < REACH * BAND; m += 32) {
                             const int k = m % BAND, i = m / BAND;
                             if (k <= i)
-                                windows[0][(to + i) * STRIDE + k] +=
-                                    windows[1][(from + 9 - i + k) * STRIDE + k];
+                                windows[0][(to + i) * BAND + k] +=
+                                    windows[1][(from + 9 - i + k) * BAND + k];
                         }
                         if (lane < REACH)
-                            windows[0][(to + lane) * STRIDE + RIGHT] +=
-                                windows[1][(from + 9 - lane) * STRIDE + RIGHT];
+                            windows[0][RIGHT + to + lane] += windows[1][RIGHT + from + 9 - lane];
                     }
                     WROD_SYNC();
                 }
@@ -300,48 +322,44 @@ _SOLVE = """
     // of the chunk, and learns the others.
     WROD_LANE_VALUE(double, value);
     WROD_LANE_VALUE(double, known);
-    WROD_LANE_ARRAY(double, ahead, 11);
+    // Which of its two windows an end is at.
+    int turns[2] = {0, 0};
     for (int phase = 0; phase < 2; ++phase) {
         WROD_ENDS {
-            double* window = windows[end];
             const bool begins = phase == 0 || end == 1;
             const int stop = phase == 0 ? n - other : end ? other : meet;
             const int least = phase == 0 ? meet : 0;
+            int turn = end == 0 ? turns[0] : turns[1];
             if (phase == 1 || end == 0) {
                 for (int base = (stop - 1) / CHUNK * CHUNK; base >= least && stop > 0;
                      base -= CHUNK) {
-                    const bool there = begins && base + CHUNK >= stop;
-                    if (there) {
+                    if (begins && base + CHUNK >= stop) {
                         WROD_LANES {
                             // Beyond `stop` the second end knows what the first has found.
                             const int a = base + lane, b = a + CHUNK;
-                            WROD_OWN(value) = a < stop ? window[lane * STRIDE + RIGHT]
+                            WROD_OWN(value) = a < stop ? windows[end][RIGHT + lane]
                                 : end && a < stop + REACH ? solution[WROD_PLACE(1, a)] : 0.0;
                             WROD_OWN(known) =
                                 end && b < stop + REACH ? solution[WROD_PLACE(1, b)] : 0.0;
                         }
                     } else {
+                        const double* last = turn ? arrivals[end] : windows[end];
+                        turn = 1 - turn;
+                        double* here = turn ? arrivals[end] : windows[end];
                         WROD_LANES {
                             WROD_OWN(value) = solution[WROD_PLACE(end, base + lane)];
                             for (int m = lane; m < REACH * BAND; m += 32)
-                                window[(CHUNK + m / BAND) * STRIDE + m % BAND] =
-                                    window[m / BAND * STRIDE + m % BAND];
+                                here[CHUNK * BAND + m] = last[m];
                         }
-                        WROD_SYNC();
-                        WROD_LANES {
-                            _Pragma("unroll") for (int m = 0; m < BAND; ++m)
-                                window[(lane + 32 * m) / BAND * STRIDE + (lane + 32 * m) % BAND] =
-                                    WROD_OWN_ENTRY(ahead, m);
-                        }
-                        WROD_SYNC();
+                        WROD_ARRIVE();
                     }
-                    const int next = base - CHUNK;
+                    const double* window = turn ? arrivals[end] : windows[end];
                     WROD_LANES {
-                        if (next >= 0) {
-                            _Pragma("unroll") for (int m = 0; m < BAND; ++m)
-                                WROD_OWN_ENTRY(ahead, m) =
-                                    factor[(size_t)WROD_PLACE(end, next + (lane + 32 * m) / BAND)
-                                           * BAND + (lane + 32 * m) % BAND];
+                        const double* kept = WROD_KEPT(end, base - CHUNK);
+                        double* there = turn ? windows[end] : arrivals[end];
+                        if (base >= CHUNK) {
+                            _Pragma("unroll") for (int m = lane; m < CHUNK * BAND; m += 32)
+                                WROD_SEND(there + m, kept + m);
                         }
                     }
                     const int count = stop - base < CHUNK ? stop - base : CHUNK;
@@ -350,7 +368,7 @@ _SOLVE = """
                         WROD_LANES {
                             const int k = CHUNK + t - lane;
                             const double entry =
-                                k <= REACH && lane < count ? window[(CHUNK + t) * STRIDE + k] : 0.0;
+                                k <= REACH && lane < count ? window[(CHUNK + t) * BAND + k] : 0.0;
                             WROD_OWN(value) -= entry * found;
                         }
                     }
@@ -359,7 +377,7 @@ _SOLVE = """
                         WROD_LANES {
                             const int k = t - lane;
                             const double entry = k > 0 && k <= REACH && lane < count
-                                                     ? window[t * STRIDE + k] : 0.0;
+                                                     ? window[t * BAND + k] : 0.0;
                             WROD_OWN(value) -= entry * found;
                         }
                     }
@@ -370,6 +388,7 @@ _SOLVE = """
                     }
                     WROD_SYNC();
                 }
+                if (end == 0) turns[0] = turn;
             }
         }
         WROD_MEET();
@@ -401,7 +420,7 @@ def solve_rod(
 ): ...
 
 
-@wp.kernel(launch_bounds=(64, 10))
+@wp.kernel(launch_bounds=(64, 8))
 def solve(
     # In:
     segment: wp.array(dtype=wp.vec2i),
