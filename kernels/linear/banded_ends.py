@@ -104,8 +104,8 @@ _SOLVE = """
         WROD_OWN(opened) = inside ? open[WROD_PLACE(end, a)] : 0; \\
         WROD_OWN(coming) = inside ? right[WROD_PLACE(end, a)] : 0.0; \\
     }
-    // They have arrived. Rows and columns that are not free are the identity's. Of what lies between
-    // the ends the first has all, the second what it changes.
+    // They have arrived. Rows and columns that are not free are the identity's. Of what lies
+    // between the ends the first has all, the second what it changes.
 #define WROD_PUT(end, at, from) \\
     if ((at) + lane >= 0) { \\
         const int a = (from) + lane; \\
