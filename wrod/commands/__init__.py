@@ -39,6 +39,7 @@ COMMANDS = (
     "train",
     "distil",
     "render",
+    "compile",
     "bench",
 )
 

@@ -33,6 +33,7 @@ from wrod.commands.plan_steps import (
 )
 from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
+from wrod.commands.running import draw_beside
 from wrod.errors import PatternError
 
 _GRASPS = (
@@ -164,6 +165,8 @@ def command(
 
     how, chosen = grasps.read(), None if device == "auto" else device
     request = request.check()
+    if not request.no_robot:
+        draw_beside()
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
 

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import SceneError
+from wrod.files import write_atomically
 from wrod.robot.joint_path import JointPath
+from wrod.scene.beside import painter
 from wrod.scene.export import export_usd
 from wrod.scene.render import Renderer, save_png, time_codes
 
@@ -43,6 +45,9 @@ def deliver(
         out / "scene.usdc", trajectory=trajectory, joint_path=joint_path, pattern=pattern, rod=rod
     )
     written.append(scene)
+    beside = painter()
+    if beside is not None:
+        beside.begin(scene)
     if find_spec("viser") is not None:
         from wrod.scene.page import write_deployment_page
 
@@ -53,12 +58,26 @@ def deliver(
         )
     if find_spec("newton") is not None:
         progress("picture")
-        written.append(draw_scene(scene, out / "scene.png"))
+        drawn = None if beside is None else beside.finish()
+        path = out / "scene.png"
+        if drawn is None:
+            written.append(draw_scene(scene, path))
+        else:
+            written.append(write_atomically(path, lambda file: file.write(drawn), "wb"))
     return written
 
 
 def draw_scene(scene: Path, path: Path) -> Path:
-    """Write four moments of a scene, seen in perspective, as one PNG.
+    """Write `four_moments` of a scene as a PNG.
+
+    Raises:
+        SceneError: see `wrod.scene.render.Renderer`.
+    """
+    return save_png(path, four_moments(scene))
+
+
+def four_moments(scene: Path) -> np.ndarray:
+    """(height, width, 3) four moments of a scene, seen in perspective, uint8 RGB.
 
     Raises:
         SceneError: see `wrod.scene.render.Renderer`.
@@ -69,4 +88,4 @@ def draw_scene(scene: Path, path: Path) -> Path:
         raise SceneError(f"{scene}: has too few time codes for four pictures")
     first, second, third, fourth = (renderer.frame(float(code)) for code in codes)
     rows = [np.hstack([first, second]), np.hstack([third, fourth])]
-    return save_png(path, np.vstack(rows))
+    return np.vstack(rows)

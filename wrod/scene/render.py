@@ -141,6 +141,11 @@ def render(
 
 def save_png(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
     """Write a (height, width, 3) uint8 picture."""
+    return write_atomically(path, lambda file: write_png(file, picture), "wb")
+
+
+def write_png(file, picture: np.ndarray) -> None:
+    """The same into an open binary file."""
     from matplotlib import image
 
-    return write_atomically(path, lambda file: image.imsave(file, picture, format="png"), "wb")
+    image.imsave(file, picture, format="png")
