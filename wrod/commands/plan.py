@@ -165,8 +165,7 @@ def command(
 
     how, chosen = grasps.read(), None if device == "auto" else device
     request = request.check()
-    if not request.no_robot:
-        draw_beside()
+    draw_beside(not request.no_robot)
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
 
@@ -219,9 +218,13 @@ def command(
         click.echo(f"wrod: {reason}", err=True)
         click.get_current_context().exit(NO_JOINT_PATH)
     if request.view:
-        from wrod.scene.view import view as show
+        _view(out / "scene.usdc")
 
-        show(out / "scene.usdc")
+
+def _view(scene: Path) -> None:
+    from wrod.scene.view import view
+
+    view(scene)
 
 
 def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[Path]) -> dict:

@@ -235,11 +235,11 @@ def holding_output(command: click.Command) -> click.Command:
     return command
 
 
-def draw_beside() -> None:
-    """Until the running command ends, have a process that draws its scene (`wrod.scene.beside`),
-    unless others share this one: for them Newton is loaded once."""
+def draw_beside(draws: bool) -> None:
+    """Until the running command ends, have a process that draws its scene (`wrod.scene.beside`) if
+    it `draws` one, unless others share this process: for them Newton is loaded once."""
     context = click.get_current_context()
-    if context.find_root().obj is not None:
+    if draws and context.find_root().obj is not None:
         from wrod.scene.beside import painting
 
         context.with_resource(painting())

@@ -91,8 +91,7 @@ def _paint() -> None:
     import newton.sensors  # noqa: F401  # takes seconds, in which the scene is made
 
     from wrod.scene import newton_model  # noqa: F401
-    from wrod.scene.deliver import four_moments
-    from wrod.scene.render import write_png
+    from wrod.scene.render import four_moments, write_png
 
     scene = os.fsdecode(sys.stdin.buffer.read())
     if scene:

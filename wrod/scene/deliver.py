@@ -6,16 +6,11 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
-
-from wrod.errors import SceneError
 from wrod.files import write_atomically
 from wrod.robot.joint_path import JointPath
 from wrod.scene.beside import painter
 from wrod.scene.export import export_usd
-from wrod.scene.render import Renderer, save_png, time_codes
-
-PICTURE_SIZE = (720, 540)  # of each of the four
+from wrod.scene.render import four_moments, save_png
 
 
 def deliver(
@@ -74,18 +69,3 @@ def draw_scene(scene: Path, path: Path) -> Path:
         SceneError: see `wrod.scene.render.Renderer`.
     """
     return save_png(path, four_moments(scene))
-
-
-def four_moments(scene: Path) -> np.ndarray:
-    """(height, width, 3) four moments of a scene, seen in perspective, uint8 RGB.
-
-    Raises:
-        SceneError: see `wrod.scene.render.Renderer`.
-    """
-    renderer = Renderer(scene, "perspective", PICTURE_SIZE)
-    codes = time_codes(renderer.scene.start, renderer.scene.end, 4)
-    if len(codes) < 4:
-        raise SceneError(f"{scene}: has too few time codes for four pictures")
-    first, second, third, fourth = (renderer.frame(float(code)) for code in codes)
-    rows = [np.hstack([first, second]), np.hstack([third, fourth])]
-    return np.vstack(rows)

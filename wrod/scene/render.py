@@ -14,6 +14,7 @@ from wrod.files import write_atomically
 _SKY, _GROUND = (0.50, 0.51, 0.55), (0.20, 0.19, 0.18)
 _SUN = (-0.35, 0.40, -0.85)
 _BACKGROUND = (226, 230, 236)
+_MOMENT = (720, 540)  # of each of the four of a scene
 
 
 class Renderer:
@@ -137,6 +138,21 @@ def render(
         if progress is not None:
             progress(number + 1, len(times))
     return written
+
+
+def four_moments(scene: Path) -> np.ndarray:
+    """(height, width, 3) four moments of a scene, seen in perspective, uint8 RGB.
+
+    Raises:
+        SceneError: see `wrod.scene.render.Renderer`.
+    """
+    renderer = Renderer(scene, "perspective", _MOMENT)
+    codes = time_codes(renderer.scene.start, renderer.scene.end, 4)
+    if len(codes) < 4:
+        raise SceneError(f"{scene}: has too few time codes for four pictures")
+    first, second, third, fourth = (renderer.frame(float(code)) for code in codes)
+    rows = [np.hstack([first, second]), np.hstack([third, fourth])]
+    return np.vstack(rows)
 
 
 def save_png(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
