@@ -1,7 +1,5 @@
 """Deployments of `wrod bench photographs`: each simulated once, kept in a file, over processes."""
 
-from __future__ import annotations
-
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from multiprocessing import get_context

@@ -1,7 +1,5 @@
 """Jobs of a bench in processes side by side."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed

@@ -1,7 +1,5 @@
 """Where rods are computed."""
 
-from __future__ import annotations
-
 import warp as wp
 
 from wrod.errors import RodError

@@ -1,7 +1,5 @@
 """Which effects of a model of motion the recordings cannot tell apart."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.identification.effect import Effect, Model

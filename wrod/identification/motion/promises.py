@@ -1,7 +1,5 @@
 """What effects promise to take away, and what a model would lose without one, if it were linear."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.identification.effect import Model

@@ -13,8 +13,6 @@ out again; only those are tried that the linearised problem hardly needs. What i
 whole recordings, those of the validation included.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
