@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from wrod.bench import side_by_side
-from wrod.bench.ledger import Ledger
+from wrod.files.ledger import Ledger
 
 
 def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -> dict:

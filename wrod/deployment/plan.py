@@ -104,8 +104,7 @@ def plan(
         "distilled", or "optimised" and "expected" (`wrod.deployment.optimise`); with `expect`,
         "expected" (`wrod.deployment.expectation.expect`). "natural_share" is
         the smallest share of its natural curvature that a grasp was made with, where a rod that
-        varies along itself has none of its own (`wrod.grasps.relaxed`); with `expect` or
-        `friction` 0 where the straight rod's grasps are expected to lay it better.
+        varies along itself has none of its own (`wrod.grasps.relaxed`; 0: `own_or_straight`).
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,

@@ -5,6 +5,7 @@ closer to straight; whether that lays it better than the straight rod's grasps d
 springs once it lies. That is for the simulation to say, before a plan is chosen.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 
 from wrod.deployment.expectation import TOLERANCE, UNMEASURED, expecting
 from wrod.deployment.together import follow
+from wrod.errors import WrodWarning
 from wrod.patterns.pattern import Pattern
 from wrod.planning.plan import plan_grasps
 from wrod.planning.trajectory import Trajectory
@@ -59,18 +61,17 @@ def own_or_straight(
     if own.metadata.get("natural_share", 1.0) == 1.0:
         return own
     straightened = replace(RodModel.of(rod), natural_curvature=(0.0, 0.0))
-    rival = plan_grasps(
-        pattern, straightened, method, remainder=False, **how | {"roll": own.roll}
-    )
+    rival = plan_grasps(pattern, straightened, method, remainder=False, **how | {"roll": own.roll})
     errors = expected_errors(
         rod, [(pattern, own), (pattern, rival)], friction, device=how["device"]
     )
     if errors[0] <= errors[1]:
         return own
     said = (
-        f"the grasps of the rod as if it were straight are expected to lay it {100 * errors[1]:.1f}"
-        f" cm off, its own {100 * errors[0]:.1f} cm, so that the former are taken"
+        f"the grasps of the rod as if it were straight are taken, which are expected to lay it "
+        f"{100 * errors[1]:.1f} cm off, its own {100 * errors[0]:.1f} cm"
     )
+    warnings.warn(said, WrodWarning, stacklevel=4)
     return replace(
         rival,
         metadata=rival.metadata
