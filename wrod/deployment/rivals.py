@@ -21,6 +21,7 @@ from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.model_file import rod_as_json
+from wrod.rods.profile import Profile
 
 # Disturbed rods that every rival lays.
 _TRIALS = 4
@@ -60,7 +61,7 @@ def own_or_straight(
     own = plan_grasps(pattern, rod, method, remainder=False, **how)
     if own.metadata.get("natural_share", 1.0) == 1.0:
         return own
-    straightened = replace(RodModel.of(rod), natural_curvature=(0.0, 0.0))
+    straightened = replace(RodModel.of(rod), natural_curvature=(Profile((0.0,)), Profile((0.0,))))
     rival = plan_grasps(pattern, straightened, method, remainder=False, **how | {"roll": own.roll})
     errors = expected_errors(
         rod, [(pattern, own), (pattern, rival)], friction, device=how["device"]
