@@ -49,6 +49,8 @@ def command(
         raise DataError("no measurements given; name an .npz file, or --template to write one")
     from wrod.identification import identify
 
+    work = cost.identification(data)
+    cost.settle(work, f"{data.name} identified", out, "give less data", quiet=as_json)
     bar_format = "{desc}: {elapsed}"
     with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.commands.options import (
     DEVICE,
     DRAWING,
@@ -120,6 +121,14 @@ class _GraspRequest:
             else read_range(self.pace, "pace", "0.04 or 0.02:0.08"),
         }
 
+    def settle(self, quiet: bool) -> None:
+        """Say how long it takes to correct the plan for its table; of a range of paces three are
+        tried."""
+        if self.method != "distilled":
+            plans = 3 if ":" in (self.pace or "") else 1
+            work = cost.Cost(cost.CORRECTED_PLAN * plans)
+            cost.settle(work, "the plan, corrected for its table", None, "", quiet=quiet)
+
     def compile_ahead(self, device: str | None) -> None:
         """Begin to compile what the rod solver needs, while the rest is read and planned."""
         from wrod.grasps.levels import compile_grasps_ahead
@@ -166,6 +175,8 @@ def command(
     request = request.check()
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
+    if friction is not None:
+        grasps.settle(as_json)
 
     def planned(
         resize: float | None, hold: float | None, friction=None, tried=None, led=None, expects=False
