@@ -72,6 +72,9 @@ SCRIPTS = {
     "settings here": "printf 'backend: nothing\\nfont.size: \\377\\n' > matplotlibrc\n"
     "echo 'raise SystemExit(77)' | tee click.py random.py sitecustomize.py wrod.py > numpy.py\n"
     "CALL; a=$?\nrm -f matplotlibrc *.py\necho EXIT $a\n",
+    "json": "CALL --json 2> ../log | python3 -c 'import json, sys; text = sys.stdin.read()\n"
+    "text and [json.loads(text, parse_constant=int)]'; s=\"${PIPESTATUS[*]}\"\n"
+    "cat ../log; echo EXIT $s\n",
     "grows": "CALL & p=$!\nsleep SECONDS; echo rubbish >> READ; wait $p\necho EXIT $?\n",
     "shrinks": "CALL & p=$!\nsleep SECONDS; : > READ; wait $p\necho EXIT $?\n",
 } | {

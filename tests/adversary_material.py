@@ -61,7 +61,7 @@ VALID = {
     "bench cosserat": ["--experiment", "cantilever", "--solver", "wrod", "--elements", "8"],
     "bench identify": ["--sets", "{sets}", "--out", "{out}"],
     "bench cables": ["--data", "{cables}", "--folds", "2", "--out", "{out}"],
-    "bench loop": ["--effect", "stiffness", "--pattern", "line", "--trials", "1", "--grasps",
+    "bench loop": ["--effect", "stiffness", "--pattern", "line", "--trials", "8", "--grasps",
                    "100", "--controller", "numeric", "--out", "{out}"],
     "bench closures": ["--rods", "green-vps", "--names", "line", "--frictions", "0.6",
                        "--curvatures", "0", "--stretch-ratios", "2000", "--out", "{out}"],

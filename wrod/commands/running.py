@@ -64,7 +64,7 @@ _NEEDS = {
     "train": ("torch",),
     "distil": ("torch",),
     "render": ("newton", "pxr", "PIL"),
-    "bench robot": ("torch", "pytorch_kinematics", "ruckig", "trimesh"),
+    "bench robot": ("pytorch_kinematics", "torch", "ruckig", "trimesh"),
     "bench perception": ("cv2", "skimage"),
     "bench newton": ("newton",),
     "bench cosserat": ("cosseratbench",),
