@@ -41,6 +41,15 @@ MORE = {
     ],
     "show": [["{points.svg}", "--rod", "{rod.json}", "--out", "{out}.png"]],
     "identify": [["{motion.npz}", "--effect", "quadratic_drag", "--out", "{out}"]],
+    "bench table3": [
+        ["--trials", "2", "--rod", "green-vps", "--substrate", "steel", "--pattern", "line",
+         "--spacing", "0.05", "--step", "0.05", "--speed", "0.1", "--batch", "1", "--workers", "2",
+         "--device", "cpu", "--out", "{out}"],
+    ],
+    "bench slippery": [
+        ["--names", "line", "--methods", "intuitive", "--frictions", "0.6", "--trials", "2",
+         "--workers", "2", "--out", "{out}"],
+    ],
     "bench controller": [["{controller.safetensors}", "--count", "4", "--device", "cpu"]],
 }  # fmt: skip
 # Texts that options take somewhere.
@@ -78,10 +87,11 @@ SCRIPTS = {
     "grows": "CALL & p=$!\nsleep SECONDS; echo rubbish >> READ; wait $p\necho EXIT $?\n",
     "shrinks": "CALL & p=$!\nsleep SECONDS; : > READ; wait $p\necho EXIT $?\n",
 } | {
-    f"SIG{name}": f"CALL & p=$!\nsleep SECONDS; kill -{name} $p\nwait $p; a=$?\n"
+    f"SIG{name}": f"set -m; CALL & p=$!\nsleep SECONDS; kill -{name} -- -$p\nwait $p; a=$?\n"
     "find $(dirname $OUT) -name '.*' -type f -printf 'HALF %p\\n'\necho EXIT $a\n"
     for name in ("INT", "TERM", "HUP")
 }  # fmt: skip
+# A signal goes to the process and to those that it began, as from a terminal.
 # Exit codes that the scripts may tell beside success, refusal and "no joint path".
 ALLOWED = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
 UNABLE = "setpriv --bounding-set -dac_override,-dac_read_search,-fowner,-sys_admin"

@@ -267,6 +267,13 @@ def _read_files(command: click.Command, given: dict) -> list[str]:
     return found
 
 
+def _remove_empty(folder: Path) -> None:
+    """Remove a folder and those in it that hold no file."""
+    for place, _, _ in os.walk(folder, topdown=False):
+        with contextlib.suppress(OSError):  # it holds something
+            os.rmdir(place)
+
+
 def holding_output(command: click.Command) -> click.Command:
     """The command, which now holds its --out against other processes while it runs."""
     run: Callable | None = command.callback
@@ -293,8 +300,8 @@ def holding_output(command: click.Command) -> click.Command:
             with locked(out, os.environ.get("RANK", "")):
                 return run(*args, **kwargs)
         except BaseException:
-            if not existing and Path(out).is_dir() and not any(Path(out).iterdir()):
-                Path(out).rmdir()  # nothing was finished: leave nothing
+            if not existing:
+                _remove_empty(Path(out))  # nothing was finished: leave nothing
             raise
 
     command.callback = guarded
