@@ -72,7 +72,6 @@ def command(
     # Before newton, which starts Warp: its banner would be the first line of --json.
     import_module("wrod.kernels")
     if bodies:
-        cost.settle(cost.Cost(cost.NEWTON_BODIES), "all scenes", None, "", quiet=as_json)
         _measure_bodies(as_json)
         return
     if many:
@@ -83,15 +82,12 @@ def command(
 
     from wrod.bench.cantilever import Cantilever
     from wrod.bench.newton_report import draw, markdown
-    from wrod.errors import RodError
     from wrod.machine import machine_line
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
     from wrod.rods.material import RodMaterial
 
     device = resolve_device(device)
-    if not (scale > 0 and length > 0 and periods > 0):
-        raise RodError("scale, length and periods must be positive")
     small = rod(rod_name)
     material = RodMaterial(
         scale * small.radius, scale * small.gravito_bending_length, scale * small.length,
@@ -202,6 +198,7 @@ def _measure_bodies(as_json: bool) -> None:
     from wrod.bench.newton_bodies import measure
     from wrod.machine import machine_line
 
+    cost.settle(cost.Cost(cost.NEWTON_BODIES), "all scenes", None, "", quiet=as_json)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Newton corrects the inertia of small bodies
         if as_json:
