@@ -4,8 +4,8 @@ It is beside the package, for the package takes longer to import than this file.
 its first line, while Python itself starts, Python tells in its own words.
 """
 
+import _signal as signal  # signal itself takes its time to load
 import os
-import signal
 
 
 def _end(number, frame) -> None:

@@ -10,7 +10,7 @@ from wrod.identification.motion import solver as motion_solver
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
 from wrod.identification.motion.loading import motion_from_arrays
 from wrod.identification.motion.noise import noise_in_time
-from wrod.identification.motion.promises import losses_of
+from wrod.identification.motion.promises import losses_of, promises_of
 from wrod.identification.motion.selection import select_motion, verdict_of
 from wrod.identification.motion.solver import MotionSolver
 from wrod.identification.motion.split import folds, split_evenly, with_test
@@ -195,6 +195,30 @@ def test_a_loss_is_that_of_the_other_parameters_fitted_anew():
     assert loss == pytest.approx(
         {"a": 0.5 * 0.25 * (2 - 1 / 3) / 2, "b": 0.5 * 4 * (3 - 1 / 2) / 2}
     )
+
+
+def test_candidates_are_linearised_about_the_present_model():
+    """A softening that starts at once with a stiffening doubled the rod's stiffness for all."""
+
+    class Recorder:
+        misfit, calls = None, []
+
+        def linearise(self, windows, model, values):
+            self.calls.append((model, values))
+            n = len(values)
+            return Linearised(2.0, np.eye(n), np.arange(n) + 1.0, 0.0, 0, np.eye(n))
+
+    known = effects("motion")
+    left = [known[n] for n in ("natural_twist", "softening", "stiffening", "gravity_tilt")]
+    rod, base = Recorder(), Model((known["stiffness"],))
+    found = promises_of(rod, None, base, np.array([0.3]), left)
+    assert [values[0] for _, values in rod.calls] == [0.3] * 3
+    moved = [{e.name for e, v in zip(m.effects[1:], m.split(x)[1:], strict=True) if v.any()}
+             for m, x in rod.calls]  # fmt: skip
+    assert moved == [set(), {"softening"}, {"stiffening"}]
+    sizes = {effect.name: len(at.gradient) for _, effect, _, at in found}
+    assert sizes == {"natural_twist": 2, "softening": 3, "stiffening": 3, "gravity_tilt": 3}
+    assert found[0][1].name == "gravity_tilt"
 
 
 def _row(fold, base, after, rounds):

@@ -1,7 +1,5 @@
 """What work will cost, said before it begins, and refused where the machine has not that much."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """`wrod bench applications`: cables laid between fixtures, and knots. Restartable."""
 
-from __future__ import annotations
-
 import json
 import time
 from itertools import product

@@ -1,7 +1,5 @@
 """`wrod bench bends`: does a pull tell a reef knot from a granny, and what does friction do?"""
 
-from __future__ import annotations
-
 import json
 import time
 

@@ -3,8 +3,6 @@
 Restartable: a fold that has ended is kept.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Campaigns of simulated deployments: finished trials are kept, so that a stopped run goes on."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Sequence

@@ -10,8 +10,6 @@ orientation (unit quaternion), force n and moment m of the part beyond s on the 
 or what a section with a coupling of bending and twist has in its place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """`wrod bench controller`: errors over the whole range, and time of a trajectory."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

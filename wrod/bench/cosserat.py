@@ -1,7 +1,5 @@
 """`wrod bench cosserat`: other people's experiments on rods, beside other people's solvers."""
 
-from __future__ import annotations
-
 import json
 from importlib.util import find_spec
 from itertools import product

@@ -1,7 +1,5 @@
 """`wrod bench deploy`: what one simulated deployment costs, and how it converges."""
 
-from __future__ import annotations
-
 import json
 import time
 

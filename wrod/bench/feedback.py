@@ -1,7 +1,5 @@
 """`wrod bench feedback`: what looking at the laid rod saves where the rod is not as believed."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Grasps per second of another checkout beside this one's: both solve the same, turn by turn."""
 
-from __future__ import annotations
-
 import statistics
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`wrod bench hands`: real cables clamped in a robot's hand, explained and predicted."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

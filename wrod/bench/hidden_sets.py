@@ -1,7 +1,5 @@
 """Sets of measurements with something hidden: the cases, their rods and poses."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 from contextlib import suppress

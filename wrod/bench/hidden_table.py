@@ -1,7 +1,5 @@
 """The confusion table of `wrod bench identify --hidden`: what was hidden, what was found."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

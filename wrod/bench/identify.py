@@ -1,7 +1,5 @@
 """`wrod bench identify`: verdicts, parameters, errors and times on sets of measurements."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

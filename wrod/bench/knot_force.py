@@ -1,7 +1,5 @@
 """`wrod bench knot-force`: the force to pull an overhand knot tight, against theory."""
 
-from __future__ import annotations
-
 import json
 import time
 

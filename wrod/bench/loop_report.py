@@ -1,7 +1,5 @@
 """What `wrod bench loop` found, as CSV, Markdown and a picture."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What `wrod bench loop` does, step by step: identify, train, plan, lay, report."""
 
-from __future__ import annotations
-
 import time
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace

@@ -1,7 +1,5 @@
 """What `wrod bench loop` lays: every pattern with the old and the new model behind a controller."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

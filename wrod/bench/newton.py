@@ -1,7 +1,5 @@
 """`wrod bench newton`: `SolverDER` beside Newton's cable and PyElastica, on one problem."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`wrod bench optimised`: time of plans that know their table, and of deployments' derivatives."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`wrod bench perception`: accuracy and time of the centrelines of labelled photographs."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Deployments of `wrod bench photographs`: each simulated once, kept in a file, over processes."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`wrod bench plan`: time of plans, pattern by pattern and rod by rod."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`wrod bench robot`: joint paths for the seven patterns and rods 1 to 3, of one arm or of all."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Jobs of a bench in processes side by side."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """`wrod bench table3`: the paper's accuracy table, laid in simulation. Restartable."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, fields
 from itertools import product

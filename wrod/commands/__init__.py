@@ -1,7 +1,5 @@
 """Command line: one file per command, loaded only when it is called."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import sys

@@ -1,7 +1,5 @@
 """`wrod identify DATA.npz`: what a rod's model misses, and a better model."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

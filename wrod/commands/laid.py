@@ -1,7 +1,5 @@
 """`wrod laid RODS... --pattern P`: what rods on the table say of the model that laid them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`wrod manifold`: the admissible grips of a straight pattern, their optima and stability."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`wrod plan PATTERN`: the trajectory of the grip as files and as a picture."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What every command has around it: one sentence for what goes wrong, and a lock on its output."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import functools

@@ -1,7 +1,5 @@
 """Writing files that are either whole or not there."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import stat

@@ -4,8 +4,6 @@ which has bounds in time and memory, and whose expressions reach no attribute th
 `python -m wrod.robot.expansion FILE` is that process.
 """
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Where rods are computed."""
 
-from __future__ import annotations
-
 import warp as wp
 
 import wrod.kernels  # noqa: F401  # starts Warp without its banner, which would be in --json

@@ -1,7 +1,5 @@
 """`identify`: from measurements to a verdict, a better model and a report."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

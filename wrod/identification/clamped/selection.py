@@ -15,8 +15,6 @@ from what the chosen model leaves; where it is another one, everything is weighe
 anew.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

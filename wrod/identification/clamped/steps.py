@@ -1,7 +1,5 @@
 """The moves of a selection: beside a model, in pairs, by exchange, pruned; trials held out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

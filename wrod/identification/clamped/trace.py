@@ -6,8 +6,6 @@ shapes. Its Gaussian prior is smooth and of the size that makes the data likelie
 Bayes), so that noise leaves no print. Prints are ranked by the logarithm of the evidence.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`identify_motion`: from recordings of a rod in motion to a verdict, a model and a report."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
