@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from wrod import cost
 from wrod.bench.loop_report import draw, markdown, summary, write_csv
 from wrod.bench.loop_trials import (
     EFFECTS,
@@ -108,6 +109,7 @@ class Loop:
 def run(loop: Loop) -> dict[str, Any]:
     """All of it; plain figures, the laid curves in files only."""
     curves = {name: read_pattern(name, loop.patterns) for name in loop.names or PATTERNS}
+    _settle(loop, curves)
     cases, written = (_recorded if loop.recording else _hidden)(loop)
     if loop.recording and not loop.names:
         (case,) = cases.values()
@@ -130,6 +132,40 @@ def run(loop: Loop) -> dict[str, Any]:
         "rows": [{k: v for k, v in one.items() if k != "curve"} for one in rows],
         "written": [str(path) for path in written],
     }
+
+
+def _settle(loop: Loop, curves: dict) -> None:
+    """Say what identification, training and deployments cost, or refuse it."""
+    controllers, believed = len(loop.controllers), rod(loop.rod_name)
+    if loop.recording is not None:
+        known, cases, learning = cost.identification(loop.recording), 1, 0.0
+        count, length = 2 * max(len(loop.names), 1), 2.0
+    else:
+        cases = len(loop.effects or EFFECTS)
+        known = cost.Cost(cost.IDENTIFIED_SET * cases)
+        count, length = len(curves) * controllers * (1 + 2 * cases), believed.length
+        learning = _learning(loop) * cases if "network" in loop.controllers else 0.0
+    work = cost.deployments(
+        count, length, speed=loop.speed, step=loop.step, spacing=loop.spacing, device=loop.device
+    )
+    what = f"{cases} identified, {count} deployments"
+    remedy = "ask for fewer effects, patterns or --grasps, or a larger --spacing or --step"
+    work = replace(work, seconds=work.seconds + known.seconds + learning)
+    cost.settle(work, what, loop.out, remedy, quiet=loop.quiet)
+
+
+def _learning(loop: Loop) -> float:
+    """Seconds of a naturally curved rod's grasps and of a network that learns them."""
+    from wrod.training.recipes import recipe
+
+    how = recipe("curved")
+    training = cost.training(
+        loop.steps or how.steps, how.batch, how.width, how.depth, loop.grasps, device=loop.device
+    )
+    solving = cost.grasps(
+        loop.grasps, 0, loop.grasps, sensitivities=True, device=loop.device, ranks=1
+    )
+    return training.seconds + solving.seconds
 
 
 def _hidden(loop: Loop) -> tuple[dict[str, Case], list[Path]]:

@@ -51,6 +51,8 @@ def command(
     from wrod.identification import identify, is_motion
 
     kept = {"steps": out / "steps.jsonl"} if is_motion(data) else {}
+    work = cost.identification(data)
+    cost.settle(work, f"{data.name} identified", out, "give less data", quiet=as_json)
     bar_format = "{desc}: {elapsed}"
     with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:
 
