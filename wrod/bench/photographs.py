@@ -50,7 +50,7 @@ def command(
     from wrod.bench.photographs_judge import judge
     from wrod.bench.photographs_report import left_out_table
     from wrod.errors import DataError
-    from wrod.files import write_atomically
+    from wrod.files import write_json
     from wrod.identification.laid.photographs import load_photographs
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -83,7 +83,7 @@ def command(
     }
     written = [] if quick else _add_predictions(figures, out, photographs, verdicts, laid, data)
     summary = out / "photographs.json"
-    write_atomically(summary, lambda file: file.write(json.dumps(figures, indent=2) + "\n"))
+    write_json(summary, figures)
     figures["written"] = [str(path) for path in (*written, summary, laid.path)]
     if as_json:
         click.echo(json.dumps(figures, indent=2))

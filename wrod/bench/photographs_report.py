@@ -1,7 +1,5 @@
 """What `wrod bench photographs` prints and writes: table, predictions, a picture per rod."""
 
-import json
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +8,7 @@ from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_judge import Verdict, worlds_for_optimal
 from wrod.bench.photographs_worlds import worlds_of
 from wrod.deployment.result import deployment_error
-from wrod.files import read_fields, write_atomically
+from wrod.files import read_fields, write_figure, write_json, write_npz
 from wrod.identification.laid.camera import Camera
 from wrod.identification.laid.photographs import LaidPhotograph, load_photograph
 from wrod.identification.laid.placement import raw, rigid
@@ -97,19 +95,14 @@ def write_predictions(
             name = f"{photograph.rod}-{photograph.pattern_name}-opt"
             path = out / f"{name}.npz"
             arrays["sigma"] = np.hypot(arrays["sigma"], left)
-
-            def write(file, arrays=arrays):
-                np.savez_compressed(file, **arrays)
-
-            files.append(write_atomically(path, write, "wb"))
+            files.append(write_npz(path, **arrays))
             found[name] = figures | {
                 "worlds": list(worlds), "weights": weights.tolist(),
                 "expected_distance_mm": 1e3 * left,
             }  # fmt: skip
     found = {"cases": found, "practice": _practice(out, data)}
     path = out / "prediction.json"
-    text = json.dumps(found, indent=2) + "\n"
-    return found, [*files, write_atomically(path, lambda file: file.write(text))]
+    return found, [*files, write_json(path, found)]
 
 
 def _prediction(photograph, rods, share, camera: Camera):
@@ -163,15 +156,13 @@ def _practice(out: Path, data: Path) -> str:
 def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) -> list[Path]:
     """A picture per rod: above the photographs and what the other pictures predict of them, below
     the predicted optimal deployments."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     written = []
     for verdict in verdicts:
         own = [p for p in photographs if p.rod == verdict.rod]
-        figure, axes = plt.subplots(2, len(own), figsize=(3.2 * len(own), 7.0), squeeze=False)
+        figure = Figure(figsize=(3.2 * len(own), 7.0))
+        axes = figure.subplots(2, len(own), squeeze=False)
         for (above, below), p, one, camera in zip(
             axes.T, own, verdict.predicted, verdict.cameras, strict=True
         ):
@@ -199,8 +190,7 @@ def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) 
         )
         figure.tight_layout()
         path = out / f"{verdict.rod}.png"
-        write_atomically(path, partial(figure.savefig, dpi=110), "wb")
-        plt.close(figure)
+        write_figure(path, figure, 110)
         written.append(path)
     return written
 
@@ -210,17 +200,15 @@ def draw_lines(
 ) -> list[Path]:
     """The straight lines, stretched across: seen, and in worlds where the rod was hung over the
     line with little and with more excess."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     lines = [p for p in photographs if p.pattern_name == "line"]
     if not lines:
         return []
     camera = verdicts[0].camera
     shown = ("held, friction 0.4", "hung, less excess", "hung", "hung, more excess")
-    figure, axes = plt.subplots(len(lines), 1, figsize=(8.0, 2.2 * len(lines)), squeeze=False)
+    figure = Figure(figsize=(8.0, 2.2 * len(lines)))
+    axes = figure.subplots(len(lines), 1, squeeze=False)
     for axis, p in zip(axes[:, 0], lines, strict=True):
         worlds = worlds_of(p.rod)
         rods = laid.of(p, "int", {name: worlds[name] for name in shown})
@@ -241,6 +229,5 @@ def draw_lines(
     axes[-1, 0].set_xlabel("along the line [m]", fontsize=8)
     figure.tight_layout()
     path = out / "lines.png"
-    write_atomically(path, lambda file: figure.savefig(file, dpi=110), "wb")
-    plt.close(figure)
+    write_figure(path, figure, 110)
     return [path]

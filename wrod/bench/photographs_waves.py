@@ -9,7 +9,7 @@ import numpy as np
 from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_judge import Verdict
 from wrod.deployment.simulate import Trial, simulate_deployments
-from wrod.files import write_atomically
+from wrod.files import write_figure
 from wrod.identification.laid.camera import Camera
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.placement import Alignment, rigid
@@ -249,13 +249,11 @@ def _height(curve: np.ndarray) -> float:
 
 
 def _draw(photograph: LaidPhotograph, lines: dict[str, Alignment | None], path: Path) -> Path:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     rows = -(-len(lines) // 3)
-    figure, axes = plt.subplots(rows, 3, figsize=(11.0, 1.9 * rows), sharex=True, sharey=True)
+    figure = Figure(figsize=(11.0, 1.9 * rows))
+    axes = figure.subplots(rows, 3, sharex=True, sharey=True)
     seen = photograph.points
     for axis, (cause, placed) in zip(axes.flat, lines.items(), strict=False):
         axis.plot(-seen[:, 1], 1e3 * seen[:, 0], ".", color="tab:red", ms=1.5)
@@ -272,6 +270,5 @@ def _draw(photograph: LaidPhotograph, lines: dict[str, Alignment | None], path: 
     figure.supxlabel("along the line [m]", fontsize=8)
     figure.supylabel("across [mm]", fontsize=8)
     figure.tight_layout()
-    write_atomically(path, lambda file: figure.savefig(file, dpi=110), "wb")
-    plt.close(figure)
+    write_figure(path, figure, 110)
     return path

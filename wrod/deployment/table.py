@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError
-from wrod.files import read_json, schemas, write_atomically
+from wrod.files import read_json, schemas, write_json
 
 _FORMAT = "wrod-table-1"
 
@@ -47,7 +46,7 @@ class Table:
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the table as JSON."""
         content = {"format": _FORMAT, **asdict(self)}
-        return write_atomically(path, lambda file: file.write(json.dumps(content, indent=2) + "\n"))
+        return write_json(path, content)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Table:
