@@ -2,6 +2,7 @@
 
 import warp as wp
 
+import wrod.kernels  # noqa: F401  # starts Warp without its banner, which would be in --json
 from wrod.errors import RodError
 
 
