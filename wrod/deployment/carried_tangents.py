@@ -96,7 +96,7 @@ class Tangents:
         rods, dofs = batch.rod_count, batch.dof_count
 
         def launch(kernel, dim, inputs, outputs):
-            wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
+            batch.launch(kernel, dim, inputs, outputs)
 
         about_contact = [self.friction, self.coupling, self.by_coefficient, self.push]
         memory = [self.memory, self.sliding_memory, self.roll]
