@@ -121,7 +121,7 @@ class Tangents:
             [accepted, batch.free, out.hessian, self.coupling],
             [self.factor],
         )
-        batch.walk(banded_lu.factorise, [accepted], [self.factor])
+        batch.launch_lanes(banded_lu.factorise, [accepted], [self.factor])
         tangents = [self.now, self.older, self.velocity, self.velocity_older]
         launch(
             kernels.load_tangents,

@@ -15,7 +15,7 @@ _FORMAT = "wrod-table-1"
 
 
 @dataclass(frozen=True)
-class Table:
+class TableFriction:
     """What is known of a table.
 
     Attributes:
@@ -49,11 +49,11 @@ class Table:
         return write_json(path, content)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Table:
+    def load(cls, path: str | os.PathLike[str]) -> TableFriction:
         """Read what `save` or `wrod laid --table` wrote.
 
         Raises:
             DataError: the file is missing, not a table, or holds unusable values.
         """
-        found = read_json(path, schemas.Table, "a table that `wrod laid --table` wrote")
+        found = read_json(path, schemas.TableFriction, "a table that `wrod laid --table` wrote")
         return cls(found.friction, found.log_error, found.correlation)

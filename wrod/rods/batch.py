@@ -278,7 +278,7 @@ class RodBatch(BatchArrays):
         )
         return out
 
-    def walk(
+    def launch_lanes(
         self, kernel: wp.Kernel, inputs: list, outputs: Sequence = (), *, rods: int | None = None
     ) -> None:
         """Launch a kernel that walks along the rods, over (rod, lane); see `kernels.lanes`."""

@@ -21,9 +21,9 @@ class _Law:
     remembers: ClassVar[bool] = False
 
     @property
-    def at_rest(self) -> Law | None:
+    def at_rest(self) -> BendingLaw | None:
         """The law of a rod that has had its time, or None where that depends on the way there."""
-        return cast("Law", self) if not self.remembers else None
+        return cast("BendingLaw", self) if not self.remembers else None
 
     @property
     def softening(self) -> tuple[float, float]:
@@ -35,9 +35,9 @@ class _Law:
         """(law, share, scale [1/m], time [s]) that `RodBatch` takes."""
         return _ELASTIC, 0.0, 0.0, 1.0
 
-    def scaled(self, length_unit: float, time_unit: float) -> Law:
+    def scaled(self, length_unit: float, time_unit: float) -> BendingLaw:
         """The law with lengths [m] and times [s] in other units."""
-        return cast("Law", self)
+        return cast("BendingLaw", self)
 
     def _check(self, wanted: str, good: bool) -> None:
         if not good:
@@ -105,8 +105,9 @@ class _Slipping(_Law):
         curvature, kept = self._values
         return self.number, 1.0 - kept, curvature, 1.0
 
-    def scaled(self, length_unit: float, time_unit: float) -> Law:
-        return replace(self, **{fields(self)[0].name: self._values[0] * length_unit})
+    def scaled(self, length_unit: float, time_unit: float) -> BendingLaw:
+        longer = {fields(self)[0].name: self._values[0] * length_unit}
+        return cast("BendingLaw", replace(self, **longer))
 
 
 @dataclass(frozen=True)
@@ -189,16 +190,16 @@ class Dahl(_Slipping):
     kept_stiffness: float
 
 
-Law = Linear | Softening | Plastic | StandardLinearSolid | Dahl
+BendingLaw = Linear | Softening | Plastic | StandardLinearSolid | Dahl
 LAWS = {law.name: law for law in (Linear, Softening, Plastic, StandardLinearSolid, Dahl)}
 
 
-def law_as_json(law: Law) -> dict:
+def law_as_json(law: BendingLaw) -> dict:
     """What `law_of` reads."""
     return {"name": law.name, **asdict(law)}
 
 
-def law_of(content) -> Law:
+def law_of(content) -> BendingLaw:
     """The law that a file describes.
 
     Raises:

@@ -231,7 +231,7 @@ class RodContact:
             + [self.partner_count, self.partner],
             [self.rubbing, self._renewed],
         )
-        self.batch.walk(
+        self.batch.launch_lanes(
             touching.refuse_large_steps,
             [
                 self.edge_radius,

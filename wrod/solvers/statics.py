@@ -197,7 +197,7 @@ class EquilibriumSolver:
             batch.evaluate(order=2, active=self.active)
             # The factorisation comes first: at equilibrium its pivots tell the stability.
             system.factorise(out.hessian, self.active)
-            batch.walk(
+            batch.launch_lanes(
                 newton.measure_residual,
                 [
                     batch.free,
@@ -238,7 +238,7 @@ class EquilibriumSolver:
     def _step(self, search: bool) -> None:
         batch, rods = self.batch, self.batch.rod_count
         out, system, trial = batch.derivatives, self.system, self.trial
-        batch.walk(
+        batch.launch_lanes(
             newton.start_line_search,
             [
                 wp.float64(_STEP_LIMIT),
