@@ -11,6 +11,8 @@ import wrod
 
 # Largest step [s]: of what moves, and of what comes to rest.
 _STEP, _QUIET_STEP = 2e-3, 5e-3
+# Largest unbalanced force over the weight; a swing of 2 cm is a fiftieth of it.
+_TOLERANCE = 1e-7
 # Of a shape, a fraction of the radius under the rod's weight.
 _SINKING = 1.0 / 200.0
 
@@ -55,6 +57,8 @@ class WrodSolver:
         dynamics = wrod.Dynamics(
             batch,
             scheme=options["integrator"].split()[0],
+            inertia="consistent",
+            tolerance=_TOLERANCE,
             radius=_radius(scenario, rods)[None, :-1],
             air_damping=options["damping_rate"],
             contact=_contacts(batch, scenario, rods),
