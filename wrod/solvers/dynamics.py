@@ -67,8 +67,8 @@ class Dynamics(NewtonSteps):
         air_damping: (rod,) drag per mass and velocity [1/time].
         drag: (rod, node, 2) drag of each node per velocity, and per velocity squared, on top of it;
             default: none.
-        inertia: "lumped" at the nodes, or "consistent": that of edges whose mass is spread along them,
-            as exact for rigid edges; the period of a swinging cable is then off by a tenth.
+        inertia: "lumped" at the nodes, or "consistent": of mass that is spread along the edges,
+            with which a swinging cable's period is off by a tenth as much.
         internal_damping: Kelvin-Voigt time of the material [time], which does not oppose rigid
             motion: (rod,), or for every strain as in `wrod.solvers.viscosity.Viscosity`.
         contact: what the rods touch, one or several, or None; at most one `RodContact`.
