@@ -106,7 +106,7 @@ def test_rods_go_on_where_another_solver_has_moved_bodies(told):
     material = wrod.RodMaterial(radius=0.0016, gravito_bending_length=0.032, length=0.2)
     SolverDER.add_rod(builder, points, material)
     model = builder.finalize(device="cpu")
-    boxes, cable = newton.solvers.SolverSemiImplicit(model), SolverDER(model, scheme="midpoint")
+    boxes, cable = newton.solvers.SolverXPBD(model), SolverDER(model, scheme="midpoint")
     state, other, dt = model.state(), model.state(), 0.005
 
     def go_on(steps):

@@ -123,7 +123,7 @@ def add_edge_inertia(
         wp.atomic_sub(gradient, r, b, force)
         wp.atomic_sub(hessian, r, a, 0, matrix)
         wp.atomic_sub(hessian, r, b, 0, matrix)
-        wp.atomic_add(hessian, r, a, 4, matrix)
+        wp.atomic_add(hessian, r, b, 4, matrix)
 
 
 @wp.func
