@@ -1,7 +1,5 @@
 """The training loop: steps, watching, checkpoints that resume, new samples where it errs most."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

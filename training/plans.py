@@ -1,8 +1,6 @@
 """Optimised plans at scale: random smooth patterns, the corrections of the grip's path that lay
 them on tables of all sorts, one small file a plan, split over ranks."""
 
-from __future__ import annotations
-
 import json
 import os
 import warnings

@@ -1,7 +1,5 @@
 """How controllers are trained: the default recipe, and the paper's for comparison."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from wrod.errors import DataError

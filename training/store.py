@@ -5,8 +5,6 @@ its bytes follow from the manifest and its number alone. Whoever solves a shard,
 writes the same file, so ranks need no word with each other.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Pictures of cables: how they are laid from above, and how they come to a gate."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

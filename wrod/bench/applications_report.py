@@ -1,7 +1,5 @@
 """The success table of the applications beside the paper's, and its picture."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from operator import itemgetter
 from pathlib import Path

@@ -1,11 +1,11 @@
 """`wrod bench bends`: does a pull tell a reef knot from a granny, and what does friction do?"""
 
-from __future__ import annotations
-
 import json
 import time
 
 import click
+
+from wrod import cost
 
 
 @click.command(name="bends")
@@ -45,6 +45,7 @@ def command(
         raise RodError(f"load is {load:g} N; it must be positive")
     rows = []
     jobs = [(name, f) for name in names for f in (friction if name != "unknot" else friction[:1])]
+    cost.settle(cost.Cost(cost.BEND * len(jobs)), f"{len(jobs)} bends", None, "", quiet=as_json)
     for name, f in tqdm(jobs, leave=False, disable=as_json):
         clock = time.process_time()
         rows.append({**pull_bend(name, pair, f, load), "cpu_seconds": time.process_time() - clock})

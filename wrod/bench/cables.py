@@ -3,15 +3,14 @@
 Restartable: a fold that has ended is kept.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.bench import side_by_side
-from wrod.bench.ledger import Ledger
+from wrod.files.ledger import Ledger
 
 
 def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -> dict:
@@ -182,6 +181,8 @@ def command(
         for p in paths
         if (p.stem, k) not in have
     ]
+    seconds = sum(cost.identification(job[0]).seconds for job in jobs) / workers
+    cost.settle(cost.Cost(seconds), f"{len(jobs)} folds", out, "ask for fewer", quiet=as_json)
     ended = side_by_side.run(fold_row, jobs, workers)
     for _, row in tqdm(ended, total=len(jobs), disable=None, file=sys.stderr):
         rows.append(row)

@@ -1,7 +1,5 @@
 """Pictures of the comparison of closures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

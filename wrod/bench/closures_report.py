@@ -1,7 +1,5 @@
 """Results of the comparison of closures, told as CSV and Markdown."""
 
-from __future__ import annotations
-
 import csv
 from collections import defaultdict
 from dataclasses import dataclass

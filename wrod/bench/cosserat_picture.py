@@ -1,7 +1,5 @@
 """Errors against time of `wrod bench cosserat`, a panel for each experiment."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

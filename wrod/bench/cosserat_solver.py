@@ -1,7 +1,5 @@
 """wrod as a solver of `cosseratbench`, from public names only (entry point "wrod")."""
 
-from __future__ import annotations
-
 import numpy as np
 from cosseratbench import Capability, Trajectory
 from cosseratbench.scenario import Cylinder, End, EndCondition, Rod, Scenario

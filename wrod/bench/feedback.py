@@ -1,7 +1,5 @@
 """`wrod bench feedback`: what looking at the laid rod saves where the rod is not as believed."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache
@@ -80,9 +78,9 @@ def command(
     more than 1.5 times the error of trials without it.
     """
     from wrod.bench import courses
-    from wrod.bench.ledger import Ledger
     from wrod.bench.slippery import Shelf
     from wrod.errors import RodError
+    from wrod.files.ledger import Ledger
     from wrod.rods.batch import resolve_device
 
     chosen, asked = effects.split(","), ways.split(",")

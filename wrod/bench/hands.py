@@ -1,7 +1,5 @@
 """`wrod bench hands`: real cables clamped in a robot's hand, explained and predicted."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +7,8 @@ from typing import Any
 
 import click
 import numpy as np
+
+from wrod import cost
 
 CABLES = ("black-short", "orange-long")
 LOADS = ("unweighted", "weighted")
@@ -50,6 +50,8 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     if folds < 2:
         raise DataError(f"folds is {folds}; give 2 or more")
     device = resolve_device(device)
+    seconds = cost.HAND if quick else 2 * cost.HAND + cost.FOLD * folds + cost.LOOPS
+    cost.settle(cost.Cost(seconds), "all fits", out, "ask for fewer --folds", quiet=as_json)
     out.mkdir(parents=True, exist_ok=True)
     figures: dict = {"machine": machine_line(device), "cables": {}}
     predictions, statics = {}, {}

@@ -5,8 +5,6 @@ hidden, the noise. The layout is that of published sets: 24 trials (16 to fit on
 wrist sensor, clamp A always rolled the same way.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

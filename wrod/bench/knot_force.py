@@ -1,11 +1,11 @@
 """`wrod bench knot-force`: the force to pull an overhand knot tight, against theory."""
 
-from __future__ import annotations
-
 import json
 import time
 
 import click
+
+from wrod import cost
 
 
 @click.command(name="knot-force")
@@ -37,6 +37,8 @@ def command(
             f"loop radii {loosest:g} to {tightest:g}: the loosest must be 20 h or more, for the "
             "knot's strands to start apart, and the tightest below it, 5 h or more"
         )
+    work = cost.Cost(cost.KNOT_STEP * len(friction) * (loosest - tightest))
+    cost.settle(work, f"{len(friction)} knots", None, "ask for a smaller --loosest", quiet=as_json)
     contact, energy = solve_braid()
     clock, cpu = time.perf_counter(), time.process_time()
     with tqdm(total=100, unit="%", leave=False) as bar:

@@ -1,7 +1,5 @@
 """Synthetic measurements of a clamped rod: what cameras and wrist would see of a true rod."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

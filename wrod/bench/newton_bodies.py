@@ -1,7 +1,5 @@
 """Scenes of `wrod bench newton --bodies`: cables that pull bodies, in Newton."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The comparison of cantilevers, told as Markdown and as a picture."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`wrod bench photographs`: real rods laid by a robot, against simulated ones. Restartable."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -1,15 +1,12 @@
 """Deployments of `wrod bench photographs`: each simulated once, kept in a file, over processes."""
 
-from __future__ import annotations
-
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
-from wrod.bench.ledger import Ledger
+from wrod.bench import side_by_side
+from wrod.files.ledger import Ledger
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.world import LaidRod, World, lay, plan_without_lead_in
 from wrod.rods.catalogue import rod as preset
@@ -80,26 +77,20 @@ class Deployments:
         )  # fmt: skip
 
         with tqdm(total=len(jobs), leave=False, desc="deployments", disable=self._quiet) as bar:
-            if self.workers == 1:
-                for job in jobs:
-                    self._ledger.add(_lay(*job))
-                    bar.update()
-                return
-            with ProcessPoolExecutor(
-                min(self.workers, len(jobs)), mp_context=get_context("spawn")
-            ) as pool:
-                for one in as_completed([pool.submit(_lay, *job) for job in jobs]):
-                    self._ledger.add(one.result())
-                    bar.update()
+            for _, rows in side_by_side.run(_lay, jobs, self.workers):
+                self._ledger.add(rows)
+                bar.update()
 
     def map(self, function, jobs: list[tuple]) -> list:
         """`function(*job)` of every job in order, over the processes."""
-        if self.workers == 1 or len(jobs) < 2:
-            return [function(*job) for job in jobs]
-        with ProcessPoolExecutor(
-            min(self.workers, len(jobs)), mp_context=get_context("spawn")
-        ) as pool:
-            return list(pool.map(function, *zip(*jobs, strict=True)))
+        asked = [(function, number, job) for number, job in enumerate(jobs)]
+        workers = 1 if len(jobs) < 2 else self.workers
+        found = dict(result for _, result in side_by_side.run(_numbered, asked, workers))
+        return [found[number] for number in range(len(jobs))]
+
+
+def _numbered(function, number: int, job: tuple) -> tuple:
+    return number, function(*job)
 
 
 def _lay(photograph: LaidPhotograph, method: str, worlds: dict[str, World], options) -> list[dict]:

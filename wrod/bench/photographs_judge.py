@@ -1,7 +1,5 @@
 """What photographs say of the worlds of `wrod bench photographs`, and what they predict."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np

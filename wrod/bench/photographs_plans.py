@@ -1,7 +1,5 @@
 """Default plans made with what photographs told of rod and table, laid in the worlds found."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What `wrod bench photographs` prints and writes: table, predictions, a picture per rod."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Table 3 with the friction of every surface found from its intuitive column."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments

@@ -1,7 +1,5 @@
 """What makes straight lines of INT wave: mechanisms one by one, for `wrod bench photographs`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The worlds that `wrod bench photographs` tries."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.stats import norm, qmc
 

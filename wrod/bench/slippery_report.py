@@ -1,7 +1,5 @@
 """What `wrod bench slippery` tells of its trials."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from pathlib import Path

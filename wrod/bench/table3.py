@@ -1,7 +1,5 @@
 """`wrod bench table3`: the paper's accuracy table, laid in simulation. Restartable."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, fields
 from itertools import product
@@ -10,8 +8,8 @@ from pathlib import Path
 import click
 
 from wrod.bench import campaign, courses
-from wrod.bench.ledger import Ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
+from wrod.files.ledger import Ledger
 
 
 def _only(what: str, parameter: str, names: tuple[str, ...]):

@@ -1,7 +1,5 @@
 """Results of the campaign, told as CSV, Markdown and a picture."""
 
-from __future__ import annotations
-
 import csv
 from collections import defaultdict
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Options are declared where their commands are; here they get their limits, so th
 no rod, table or machine has is refused with its option's name before anything is done.
 """
 
-from __future__ import annotations
-
 import math
 import os
 

@@ -1,7 +1,5 @@
 """What `wrod plan` tells a reader about a plan."""
 
-from __future__ import annotations
-
 from math import degrees, pi
 
 

@@ -1,7 +1,5 @@
 """`wrod scan IMAGE...`: ordered centrelines of the rods or strokes in pictures."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`wrod show PATTERN`: the pattern as it is read, before anything is planned."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

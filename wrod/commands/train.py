@@ -1,7 +1,5 @@
 """`wrod train`: a controller from a dataset, or from nothing with --generate."""
 
-from __future__ import annotations
-
 import json
 import sys
 from contextlib import contextmanager

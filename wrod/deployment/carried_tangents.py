@@ -1,7 +1,5 @@
 """Derivatives that are carried along with the steps of a deployment."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 

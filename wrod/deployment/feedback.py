@@ -7,8 +7,6 @@ left is corrected for the rod that is believed in now. Where that says that what
 gone wrong, and that it can be laid better, the grip goes back, lifts it, and lays it anew.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of simulated deployments: where the rod was to lie and where it lies."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

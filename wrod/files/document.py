@@ -1,7 +1,5 @@
 """`python -m wrod.files.document`: docs/formats.md, from the schemas themselves."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import sys

@@ -1,13 +1,11 @@
 """Writing files that are either whole or not there."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import stat
 import tempfile
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,8 @@ from wrod.errors import DataError
 
 # The last of what was written whole, for the message of a command that ends early.
 _FINISHED: deque[Path] = deque(maxlen=1000)
+# What the running command reads, which it may not replace.
+_READ: set[str] = set()
 
 
 def write_atomically(
@@ -26,7 +26,7 @@ def write_atomically(
     What a link points to is written, the link stays.
 
     Raises:
-        DataError: a folder, device, pipe or socket stands there.
+        DataError: a folder, device, pipe or socket stands there, or a file that the command reads.
         OSError: it cannot be written.
     """
     path = Path(os.path.realpath(path))
@@ -47,7 +47,10 @@ def write_atomically(
 
 
 def refuse_no_file(path: str | os.PathLike[str]) -> None:
-    """Raise a DataError if what stands there is no regular file, which a move would replace."""
+    """Raise a DataError if what stands there is no regular file, which a move would replace, or one
+    that the command reads."""
+    if os.path.realpath(path) in _READ:
+        raise DataError(f"{path}: is read by this command, and would be replaced; choose another")
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
@@ -63,5 +66,11 @@ def finished() -> list[Path]:
 
 
 def begin() -> None:
-    """Forget what `finished` knows: a new command begins."""
+    """Forget what `finished` and `protect` know: a new command begins."""
     _FINISHED.clear()
+    _READ.clear()
+
+
+def protect(paths: Iterable[str]) -> None:
+    """Let nothing that the command writes replace these files, which it reads."""
+    _READ.update(os.path.realpath(path) for path in paths)

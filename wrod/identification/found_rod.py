@@ -5,8 +5,6 @@ and so in the rod. Effects that leave the rod as it is (cameras, clamps, grips, 
 a draught) belong to the set-up of the measurement and are set aside, by name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

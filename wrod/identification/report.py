@@ -1,7 +1,5 @@
 """What the reports of all identifications share."""
 
-from __future__ import annotations
-
 import json
 import os
 import warnings

@@ -1,7 +1,5 @@
 """What the pictures of identification's reports have in common."""
 
-from __future__ import annotations
-
 import io
 
 INK, FAINT, MUTED = "#22262b", "#c9ced6", "#59616b"

@@ -1,7 +1,5 @@
 """Example files of measurements: what `wrod identify` reads, filled in for a simulated cable."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`SolverDER`: discrete elastic rods as a solver of Newton."""
 
-from __future__ import annotations
-
 import warnings
 import weakref
 from collections.abc import Sequence

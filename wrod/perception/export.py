@@ -1,7 +1,5 @@
 """Scans as files for other programs."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """How far a deployed rod lies from its pattern (Eq. metric)."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From a picture to a metric pattern."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The sheet of markers that gives a photograph its scale, and the layout to read it by."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Pictures of plans: pattern, grip path, grip frames and a few rod shapes."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What would help where no joint path was found: computed, and tried before it is said."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Rods as JSON: `RodModel` (`model.json`), `RodMaterial`, and what earlier versions wrote."""
 
-from __future__ import annotations
-
 import json
 import os
 import warnings

@@ -1,7 +1,5 @@
 """The same rod otherwise: bent, stiffened, cut, turned round, in other directors or units."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Self

@@ -5,8 +5,6 @@ slider and pause below. The rod is a tube of its true radius, and a line of a fe
 wherever that would be thinner.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

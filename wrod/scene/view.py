@@ -1,8 +1,6 @@
 """A deployment in the browser: a live viewer on this machine, or one self-contained page (Newton
 on Viser)."""
 
-from __future__ import annotations
-
 import os
 import time as clock
 from collections.abc import Callable

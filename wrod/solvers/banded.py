@@ -1,7 +1,5 @@
 """Systems of equations with the banded Hessians of a batch of rods."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

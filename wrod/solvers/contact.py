@@ -1,7 +1,5 @@
 """Shapes that rods touch: the table and fixtures on it, with Coulomb friction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Linear systems of rods whose contacts couple nodes far apart along them."""
 
-from __future__ import annotations
-
 import warp as wp
 
 from wrod.kernels.contact import touching

@@ -1,7 +1,5 @@
 """Motion of batches of rods: implicit time steps, each rod at its own pace."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

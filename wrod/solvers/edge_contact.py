@@ -1,7 +1,5 @@
 """The part of `Contact` that deals with solids: contact of edges."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 

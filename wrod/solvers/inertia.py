@@ -1,7 +1,5 @@
 """Lumped masses of a batch, and what residuals of its steps are measured against."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod import arguments

@@ -4,8 +4,6 @@ Newton's collision pipeline is not used: it works in float32 on rigid shapes, an
 carry neither exact Hessians nor the history of friction that an implicit step of a rod needs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 

@@ -6,8 +6,6 @@ smallest lambda of H v = lambda M v, M the rest length that each node stands for
 length of the softest sideways motion, which does not depend on the mesh.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Equilibria of batches of rods: damped Newton on the elastic and gravitational energy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The manifold of grasps of a straight pattern: forces, stability, optima. Dimensionless."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass

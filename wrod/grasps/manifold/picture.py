@@ -1,7 +1,5 @@
 """Pictures of the manifold of grasps: its forces, its sideways softness, and its optima nudged."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -4,8 +4,6 @@ At equilibrium the gradient of the energy vanishes, so a change of the model mov
 -H^-1 (rate of the gradient), H the Hessian that Newton's iteration already has.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

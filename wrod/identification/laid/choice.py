@@ -6,8 +6,6 @@ with a weight that falls by e for every millimetre by which it is farther from t
 their mean replaces the model with nothing fitted only as far as pictures that it has not seen gain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

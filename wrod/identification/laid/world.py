@@ -6,8 +6,6 @@ believes. The rod hangs from the grip with its free end on the pattern's first p
 begins that goes straight above the contact; or its first centimetres are held along the pattern.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 

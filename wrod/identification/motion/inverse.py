@@ -10,8 +10,6 @@ The lengths between markers are not known nearly as well as a rod resists stretc
 of every span is left free: what is looked at are the combinations of reactions that do not feel it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

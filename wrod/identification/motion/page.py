@@ -1,7 +1,5 @@
 """The report on a motion as one self-contained page."""
 
-from __future__ import annotations
-
 import html
 from pathlib import Path
 
