@@ -196,7 +196,7 @@ def test_a_folder_that_vanishes_is_said(tmp_path):
 
 
 def test_a_ledger_that_vanishes_is_written_anew(tmp_path):
-    from wrod.bench.ledger import Ledger
+    from wrod.files.ledger import Ledger
 
     path = tmp_path / "out" / "trials.jsonl"
     ledger = Ledger(path, {"step": 1}, ("trial",))

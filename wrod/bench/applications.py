@@ -60,9 +60,9 @@ def command(
     from wrod.bench.applications_cables import disturbances_text
     from wrod.bench.applications_report import markdown, table
     from wrod.bench.applications_trials import METHODS
-    from wrod.bench.ledger import Ledger
     from wrod.errors import RodError
     from wrod.files import schemas
+    from wrod.files.ledger import Ledger
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 

@@ -10,7 +10,7 @@ import click
 
 from wrod import cost
 from wrod.bench import side_by_side
-from wrod.bench.ledger import Ledger
+from wrod.files.ledger import Ledger
 
 
 def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -> dict:

@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from wrod import cost
-from wrod.bench.ledger import Ledger
+from wrod.files.ledger import Ledger
 
 # Points at which laid curves are kept.
 _CURVE_POINTS = 60

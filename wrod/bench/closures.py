@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from wrod.bench import campaign
-from wrod.bench.ledger import Ledger
+from wrod.files.ledger import Ledger
 
 # Arcs, in L_gb: constant curvature, and easing in and out of it, without which no table would hold
 # their ends. They may lie on themselves, as rods do not touch each other.

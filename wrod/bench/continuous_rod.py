@@ -11,7 +11,7 @@ or what a section with a coupling of bending and twist has in its place.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,8 @@ def as_they_are(position: np.ndarray, frame: np.ndarray) -> np.ndarray:
 NO_MASS, NO_CURVATURE, NO_FORCE = constant(0.0), constant(0.0, 0.0), constant(0.0, 0.0, 0.0)
 ISOTROPIC = constant(1.0, 1.0)
 _SMALLEST_STEP = 0.02
+# Solutions after the whole effect is there, in which what gives comes to rest.
+_SETTLED = 6
 
 
 @dataclass
@@ -64,6 +66,10 @@ class World:
         law: e -> (M / B, its derivative) of the curvature e >= 0 beyond that at rest; None: linear.
         coupling: of bending about (m1, m2) with twist, over sqrt(B GJ); linear rods only.
         see: what the cameras make of (T, M, 3) markers and (T, M, 3, 3) frames.
+        clamp_give, grip_give: moment of the rod on what holds it, in the frame there (3,) [N m] ->
+            rotation vector by which that turns.
+        each: (trial, past) -> what is different in that trial, as fields of a world; past: arc
+            lengths (K,) and curvatures (2, K) of the trial before, None at first; linear rods only.
     """
 
     bending: Callable = ISOTROPIC
@@ -85,6 +91,9 @@ class World:
     law: Callable | None = None
     coupling: np.ndarray = field(default_factory=lambda: np.zeros(2))
     see: Callable = as_they_are
+    clamp_give: Callable | None = None
+    grip_give: Callable | None = None
+    each: Callable | None = None
 
 
 def tangent_turn(axis) -> np.ndarray:
@@ -168,9 +177,21 @@ def _coupled(moment, torque, bending, twisting, coupling) -> np.ndarray:
     return np.linalg.solve(section, np.concatenate([moment, torque[None]]).T[:, :, None])[:, :, 0].T
 
 
+def length_of(rod: RodMaterial, world: World, share: float = 1.0) -> float:
+    """Free length between the clamps [m]."""
+    return rod.length + share * world.slip
+
+
+def _curvature_of(rod: RodMaterial, world: World, found) -> np.ndarray:
+    """(2, K) curvatures of a linear, isotropic rod in its material frame [1/m]."""
+    local = np.einsum("ijk,ik->jk", frames_of(found.y[3:7]), found.y[10:13])[:2]
+    s = length_of(rod, world) * found.x
+    return local / (rod.bending_stiffness * world.bending(s)) + world.curvature(s)
+
+
 def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6):
     """One trial with a share of the effect; (s, y) of the guess on the unit interval."""
-    length = rod.length + share * world.slip
+    length = length_of(rod, world, share)
     k_b, k_s = rod.bending_stiffness, rod.stretching_stiffness * world.stretching**share
     k_t = rod.twisting_stiffness * world.twisting**share
     line = rod.weight / rod.gravity
@@ -290,28 +311,37 @@ def measured(
     positions, frames, forces, torques = [], [], [], []
     guesses = _first_guesses(m)
 
-    def held(end, i, share):
+    def held(end, i, share, guess):
         turn = np.broadcast_to(getattr(world, f"{end}_turn"), (trials, 3))[i]
         position, rotation = (getattr(m, f"{end}_{part}")[i] for part in ("position", "rotation"))
         shift = rotation @ getattr(world, f"{end}_shift")
+        if give := getattr(world, f"{end}_give"):
+            moment = guess[1][10:13, 0] if end == "clamp" else -guess[1][10:13, -1]
+            turn = turn + give(rotation.T @ moment)
         return position + share * shift, rotation @ Rotation.from_rotvec(share * turn).as_matrix()
 
+    past = None
+    gives = world.clamp_give is not None or world.grip_give is not None
     for i in range(trials):
-        guess, share, step = guesses[i], 0.0, 1.0 / steps
-        while share < 1.0:
+        own = replace(world, **world.each(i, past)) if world.each else world
+        guess, share, step, settled = guesses[i], 0.0, 1.0 / steps, 0 if gives else _SETTLED
+        while share < 1.0 or settled < _SETTLED:
             ahead = share + step if share + step < 1.0 - 1e-9 else 1.0
-            (a, ra), (b, rb) = held("clamp", i, ahead), held("grip", i, ahead)
+            (a, ra), (b, rb) = held("clamp", i, ahead, guess), held("grip", i, ahead, guess)
             tolerance = 1e-6 if ahead == 1.0 else 1e-4
             try:
                 # On the way a rough solution keeps to the branch as well.
-                found = _solve(rod, world, ahead, a, ra, b, rb, guess, tolerance)
+                found = _solve(rod, own, ahead, a, ra, b, rb, guess, tolerance)
             except DataError:
                 step *= 0.5
                 if step < _SMALLEST_STEP:
                     raise
                 continue
+            settled += share == 1.0
             guess, share = (found.x, found.y), ahead
-        length = rod.length + world.slip
+        if world.each:
+            past = length_of(rod, own) * found.x, _curvature_of(rod, own, found)
+        length = length_of(rod, own)
         y = found.sol(np.minimum(m.arc_length / length, 1.0))
         # What has slipped into the gripper lies straight in it.
         inside = np.maximum(m.arc_length - length, 0.0)

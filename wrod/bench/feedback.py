@@ -78,9 +78,9 @@ def command(
     more than 1.5 times the error of trials without it.
     """
     from wrod.bench import courses
-    from wrod.bench.ledger import Ledger
     from wrod.bench.slippery import Shelf
     from wrod.errors import RodError
+    from wrod.files.ledger import Ledger
     from wrod.rods.batch import resolve_device
 
     chosen, asked = effects.split(","), ways.split(",")

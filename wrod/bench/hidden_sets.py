@@ -12,6 +12,7 @@ from wrod.bench import hidden_effects as hidden_in
 from wrod.bench.continuous_rod import World, labels, measured
 from wrod.bench.hidden_effects import TRIALS, Hidden
 from wrod.bench.hidden_noise import with_noise
+from wrod.bench.hidden_strange import STRANGE
 from wrod.errors import DataError
 from wrod.rods.material import RodMaterial
 
@@ -81,7 +82,11 @@ BUILT: dict[str, Callable] = {
 # Softenings by another law than the plug-in's.
 OTHER_LAWS = (hidden_in.softening_by_tanh.__name__, hidden_in.softening_by_yield.__name__)
 UNCOVERED: dict[str, Callable] = {
-    f.__name__: f for f in (hidden_in.sticking_roll, hidden_in.shaking_camera)
+    f.__name__: f for f in (hidden_in.sticking_roll, hidden_in.shaking_camera, *STRANGE)
+}
+# What says of them as much as can be said: effects, prints.
+NEAR: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    f.__name__: near for f, near in STRANGE.items()
 }
 
 

@@ -134,6 +134,13 @@ def summary(rows: list[dict]) -> list[str]:
     ]
     if worse:
         lines.append(f"Worse than before: {'; '.join(worse)}.")
+    for row in rows:
+        if row["rivals"]:
+            said = ", ".join(f"{name} {error:.1f} cm" for name, error in row["rivals"].items())
+            lines.append(
+                f"{row['pattern']} ({_title(row['effect'])}, {row['controller']}): what the found "
+                f"rod was expected to be laid by, from which the new plan was chosen: {said}."
+            )
     lost = sum(row["diverged"] for row in rows)
     if lost:
         lines.append(f"{lost} of {len(rows)} deployments diverged.")

@@ -32,8 +32,8 @@ from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
 
 _BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-# The free end is held for so much of a cable's L_gb; a green VPS rod's 5 cm are 1.6 of them.
-_HELD = 1.5
+# The free end of a cable is held for so much of its L_gb; a green VPS rod's 5 cm are 1.6 of them.
+_HELD, _VPS_HELD = 1.5, 0.05
 
 
 @dataclass
@@ -199,9 +199,10 @@ def _hidden(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
 
 def _recorded(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
     """The one case of a recorded cable: what was found in it is the best that is known of it."""
-    with loop.timed("identification"):
-        report = identified_cable(loop.recording, loop.candidates, loop.device)
     name = loop.recording.stem
+    steps = loop.out / name / "steps.jsonl"
+    with loop.timed("identification"):
+        report = identified_cable(loop.recording, loop.candidates, loop.device, steps)
     written, model = report.save(loop.out / name), report.model
     roll = read_roll(loop.roll_text, model)
     return {name: Case(model, report.base_rod, report, model, None, roll)}, written
@@ -217,17 +218,17 @@ def _trained(loop: Loop, model, folder: Path, roll):
 
 def _laid(loop: Loop, cases: dict[str, Case], curves: dict) -> list[dict]:
     """A row for each deployment."""
-    jobs, law = {}, Friction(loop.friction, rolling=loop.rolling)
+    jobs, law, hold = {}, Friction(loop.friction, rolling=loop.rolling), _VPS_HELD
+    if loop.recording:
+        rods = [rod for case in cases.values() for rod in (case.true, case.believed)]
+        hold = _HELD * max(rod.gravito_bending_length for rod in rods)
     with loop.timed("plans"):
         for name, curve in loop.along(curves.items(), "plans"):
-            jobs |= trials_along(name, curve, cases, loop.controllers, law)
-    more = {}
-    if loop.recording:
-        more["hold"] = _HELD * max(t.rod.gravito_bending_length for t in jobs.values())
+            jobs |= trials_along(name, curve, cases, loop.controllers, law, hold)
     with loop.timed("deployments"), loop.bar("laid") as bar:
         laid = simulate_deployments(
             list(jobs.values()), speed=loop.speed, step=loop.step, spacing=loop.spacing,
-            device=loop.device, **more,
+            device=loop.device, hold=hold,
             progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
         )  # fmt: skip
     return [row(key, jobs[key], d) for key, d in zip(jobs, laid, strict=True)]

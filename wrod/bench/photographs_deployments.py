@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.bench import side_by_side
-from wrod.bench.ledger import Ledger
+from wrod.files.ledger import Ledger
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.world import LaidRod, World, lay, plan_without_lead_in
 from wrod.rods.catalogue import rod as preset

@@ -47,8 +47,8 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.bench.ledger import Ledger
     from wrod.errors import RobotError
+    from wrod.files.ledger import Ledger
     from wrod.robot.model import ROBOTS
     from wrod.rods.catalogue import rod_names
 

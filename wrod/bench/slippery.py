@@ -13,9 +13,9 @@ import numpy as np
 
 from wrod import cost
 from wrod.bench import campaign, courses
-from wrod.bench.ledger import Ledger
 from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_csv
 from wrod.errors import RodError
+from wrod.files.ledger import Ledger
 
 ENGINES = ("wrod", "mujoco")
 # A rod that is put down exactly, and one that lies exactly where a robot that stands elsewhere, and

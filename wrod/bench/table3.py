@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from wrod.bench import campaign, courses
-from wrod.bench.ledger import Ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
+from wrod.files.ledger import Ledger
 
 
 def _only(what: str, parameter: str, names: tuple[str, ...]):
