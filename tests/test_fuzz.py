@@ -60,7 +60,7 @@ FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 SECONDS, BYTES = 10, 2 * 2**30
 SCENES = Path(sawyer.__file__).parent
 # Of a test of many files, so that `make fuzz` ends [s].
-LONGEST = 60
+LONGEST = 30
 
 
 def tries(count):

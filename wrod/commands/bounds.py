@@ -113,11 +113,14 @@ class Real(click.FloatRange):
 
 
 class Place(click.Path):
-    """A path that says something: an empty one would be the current folder."""
+    """A path that says something: an empty one would be the current folder. Where a folder is
+    asked for, a device or pipe is none."""
 
     def convert(self, value, param, ctx):
         if not os.fspath(value):
             self.fail("is empty; give a path.", param, ctx)
+        if not self.file_okay and os.path.exists(value) and not os.path.isdir(value):
+            self.fail(f"{os.fspath(value)!r} is no folder.", param, ctx)
         return super().convert(value, param, ctx)
 
 

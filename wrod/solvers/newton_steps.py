@@ -41,6 +41,7 @@ class NewtonSteps(Steps):
     viscosity: Viscosity
     internal: InternalVariables
     mass: wp.array
+    edge_mass: wp.array | None
     air_damping: wp.array
     drag: wp.array | None
     rounding: wp.array
@@ -118,6 +119,14 @@ class NewtonSteps(Steps):
             ],
             [out.gradient, out.hessian],
         )
+        if self.edge_mass is not None:
+            batch.launch(
+                kernels.add_edge_inertia,
+                self.edge_mass.shape,
+                [self.edge_mass, self.pace, dof, start.dof, self.dof_older]
+                + [self.velocity, self.velocity_older],
+                [out.gradient, out.hessian],
+            )
         if self.drag is not None:
             batch.launch(
                 kernels.add_drag,
