@@ -132,7 +132,7 @@ def trials_along(
             new = trial(case.true, case.model, controller, case.network, case.roll)
             roll = new.trajectory.roll
             old = trial(case.true, believed, controller, roll=roll)
-            if new.trajectory.metadata.get("natural_share", 1.0) < 1.0:
+            if new.trajectory.natural_share < 1.0:
                 rivals = {("own", 0): new, ("old", 0): old}
                 for turn in (90, 180, 270):
                     held = roll + np.radians(turn)
@@ -172,7 +172,7 @@ def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
         "closure": metadata["closure"],
         **{name: 100.0 * getattr(deployment, name) for name in names},
         "contact_friction": metadata["contact_friction"],
-        "natural_share": metadata.get("natural_share", 1.0),
+        "natural_share": trial.trajectory.natural_share,
         "rivals": metadata.get("rivals", {}),
         "slip": 100.0 * float(deployment.slip.max()),
         "diverged": deployment.diverged,

@@ -63,7 +63,7 @@ def _subtitle(trajectory: Trajectory) -> str:
             f"gravito-bending length {rod['gravito_bending_length'] * 100:.2f} cm"
         )
     parts.append(f"{len(trajectory)} contact nodes")
-    if trajectory.metadata.get("closure"):
+    if trajectory.closure:
         parts.append(f"closure {trajectory.metadata['closure'].replace('_', ' ')}")
     return "   ·   ".join(parts)
 
@@ -166,7 +166,7 @@ def _draw_above(axes, trajectory: Trajectory, shapes: np.ndarray | None) -> None
 
 
 def _draw_profiles(bends, heights, pattern: Pattern, trajectory: Trajectory) -> None:
-    remainder = float(trajectory.metadata.get("remainder_length", 0.0))
+    remainder = trajectory.remainder_length
     s = trajectory.arc_length
     curvature = _curvature(pattern, trajectory)
     bends.axhline(0.0, color=FAINT, lw=0.8)
@@ -200,7 +200,7 @@ def _legend(figure, has_shapes: bool, trajectory: Trajectory) -> None:
     from matplotlib.lines import Line2D
 
     entries = [Line2D([], [], color=_PATTERN, lw=3, label="pattern")]
-    if trajectory.metadata.get("remainder_length"):
+    if trajectory.remainder_length:
         entries.append(Line2D([], [], color=_REMAINDER, lw=3, label="remainder"))
     entries.append(Line2D([], [], color=colormaps[_PATH_COLORS](0.45), lw=2.2, label="grip path"))
     if has_shapes:
