@@ -100,7 +100,13 @@ def network_for(
 
 
 def trials_along(
-    name: str, curve, cases: dict[str, Case], controllers: tuple[str, ...], law, hold: float
+    name: str,
+    curve,
+    cases: dict[str, Case],
+    controllers: tuple[str, ...],
+    law,
+    hold: float,
+    known: bool,
 ) -> dict:
     """Deployments along one pattern by (effect, controller, pattern, plan): old, new, and of a rod
     without any effect.
@@ -109,8 +115,9 @@ def trials_along(
     differs. Where the rod that was found cannot hang in all of its grasps, both are laid with it in
     simulation beforehand, rolled four ways; the new plan is the one that is expected to be best.
     `law` is the table's `Friction`, `hold` the length of the free end that is held at first [m].
-    All cases believe in one rod.
+    Where that friction is `known`, new plans are corrected for it. All cases believe in one rod.
     """
+    from wrod.deployment.optimise import optimise
     from wrod.deployment.plan import plan
     from wrod.deployment.simulate import Trial, with_remainder_of
     from wrod.planning.tail import tail
@@ -139,6 +146,9 @@ def trials_along(
                     rivals["own", turn] = trial(case.true, case.model, controller, roll=held)
                     rivals["old", turn] = trial(case.true, believed, controller, roll=held)
                 new = _expected_best(rivals, case.model, law, hold)
+            if known:
+                path = optimise(new.pattern, case.model, new.trajectory, law.static, hold=hold)
+                new = replace(new, trajectory=path, tail=tail(new.pattern, case.model, path))
             jobs[effect, controller, name, "old"] = old
             jobs[effect, controller, name, "new"] = new
     return jobs
