@@ -97,7 +97,10 @@ class MarkerSheet:
         text = json.dumps(self.layout(), indent=1) + "\n"
         return [
             write_atomically(
-                folder / "markers.pdf", lambda f: figure.savefig(f, format="pdf"), "wb"
+                # Without the time, so that the same sheet is the same file.
+                folder / "markers.pdf",
+                lambda f: figure.savefig(f, format="pdf", metadata={"CreationDate": None}),
+                "wb",
             ),
             write_atomically(
                 folder / "markers.png", lambda f: figure.savefig(f, format="png", dpi=300), "wb"
