@@ -213,7 +213,7 @@ def command(
             start = planned(*size)[2]
             return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
 
-        corrected = trajectory.metadata.get("optimised", {}).get("kept", False)
+        corrected = (trajectory.optimised or {}).get("kept", False)
         joint_path, reason, more, followed = arm_steps(
             request, out, trajectory, curve, fitted.rod, as_json, planned, size,
             softer if corrected else None,

@@ -342,7 +342,7 @@ class Dynamics(NewtonSteps):
     def _ask(self, most: int) -> None:
         """Find out on the device whether to take another round, `most` of them at a time."""
         outputs = [self._rounds, self._going]
-        self.batch.walk(pace.ask_on, [self.running, most], outputs, rods=1)
+        self.batch.launch_lanes(pace.ask_on, [self.running, most], outputs, rods=1)
 
     def _record(self, take_round: Callable[[], None]) -> wp.Graph:
         """What takes rounds until all rods are there, or for a while; asking a GPU from outside

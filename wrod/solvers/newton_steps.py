@@ -136,7 +136,7 @@ class NewtonSteps(Steps):
             )
         for contact in self.contacts:
             contact.add(self.active, dof, start.dof)
-        batch.walk(
+        batch.launch_lanes(
             newton.measure_residual,
             [
                 batch.free,
@@ -183,7 +183,7 @@ class NewtonSteps(Steps):
         if bodies is not None:
             bodies.solve(self)
         self.system.shorten(self.active)
-        batch.walk(
+        batch.launch_lanes(
             kernels.take_newton_step,
             [wp.float64(_STEP_LIMIT), self.active, self.system.x],
             [batch.state.dof, self.taken],
