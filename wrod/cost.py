@@ -23,11 +23,11 @@ IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
 CORRECTED_PLAN, LOOKING_ON = 15.0, 30.0
 # A recording of motion identified, a joint path with approach and retreat, a plan, a bend pulled,
 # an overhand knot that is tightened by a loop radius of one h.
-RECORDING, JOINT_PATH, PLAN, BEND, KNOT_STEP = 7.0, 12.0, 0.5, 90.0, 1.0
+RECORDING, JOINT_PATH, PLAN, BEND, KNOT_STEP = 7.0, 12.0, 0.5, 90.0, 0.6
 # A row of `wrod bench newton` beside an edge in an iteration of Newton's cable; its scenes of
 # bodies, and of many worlds and of a pile, for each edge; what hangs in a hand, and what loops do.
-NEWTON_ROW, VBD_EDGE, NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 3.0, 4e-7, 40.0, 1e-3, 1e-3
-HAND, FOLD, LOOPS, EXPERIMENT = 20.0, 60.0, 60.0, 10.0
+NEWTON_ROW, VBD_EDGE, NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 5.0, 8e-7, 40.0, 1e-3, 1e-3
+HAND, FOLD, LOOPS, EXPERIMENT = 28.0, 60.0, 60.0, 10.0
 # Multiplications and additions of a core with eight float64 lanes that training keeps busy.
 _OPERATIONS = 4e9
 # Longer than this is a mistake more often than a wish [s].
