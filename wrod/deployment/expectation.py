@@ -116,12 +116,12 @@ def expecting(
     ]
 
 
-def is_better(after: dict, before: dict) -> bool:
+def is_better(after: dict, before: dict, sure: float = _SURE) -> bool:
     """Whether a plan lays the same disturbed rods better than another, by what `expect` says of
-    both: by twice the standard error of the mean of their differences, misplacement aside."""
+    both: by so many standard errors of the mean of their differences, misplacement aside."""
     saved = np.array(before["error_robot"]) - np.array(after["error_robot"])
     doubt = saved.std(ddof=1) / np.sqrt(len(saved)) if len(saved) > 1 else 0.0
-    return bool(after["diverged"] <= before["diverged"] and saved.mean() > _SURE * doubt)
+    return bool(after["diverged"] <= before["diverged"] and saved.mean() > sure * doubt)
 
 
 def _expectation(

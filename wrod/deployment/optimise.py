@@ -19,8 +19,6 @@ from wrod.deployment.corrections import Corrections
 from wrod.deployment.expectation import (
     COARSE,
     COARSE_EDGE,
-    FINE,
-    FINE_EDGE,
     TOLERANCE,
     edged,
     expecting,
@@ -47,8 +45,10 @@ _LIMIT = 1e2
 # Largest change of a correction in one iteration [L_gb], what is left of it after a change for the
 # worse, and where that ends.
 _STEP, _SHORTER, _SHORTEST = 0.35, 0.4, 0.01
-# Times that the sample is laid at most, on coarse meshes and then on fine ones.
-_COARSE_ITERATIONS, _FINE_ITERATIONS = 3, 3
+# Steps at most; further ones, on fine meshes too, save nothing that unseen rods feel.
+_STEPS = 2
+# Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
+_TOLERANCE = 5e-3
 # Ranges of friction that call for more rods, by the largest over the least.
 _WIDE = 1.5
 # A saving of the sample [m] that nobody doubts.
@@ -97,11 +97,10 @@ def optimise(
     Rods that cover the spread of friction, L_gb and natural curvature are laid together with their
     derivatives by smooth displacements of the grip; a Gauss-Newton step, limited in size, reduces
     their squared errors, the worse ones weighing more, and what the corrections cost in size and
-    roughness. A step that makes it worse is taken back and shortened. First they are laid on coarse
-    meshes, then on fine ones. Then disturbed rods that none of this has seen are laid: what they
-    show is what is expected of the plan. Where the sample is better by less than 1 mm, they are
-    laid without the correction as well, which is kept if they lie better with it by twice the
-    standard error of the differences.
+    roughness. A step that makes it worse is taken back and shortened. Meshes are coarse. Then
+    disturbed rods that none of this has seen are laid on fine ones: what they show is what is
+    expected of the plan. Where the sample is better by less than 1 mm, they are laid without the
+    correction as well, which is kept if they lie better with it on average.
 
     Args:
         pattern: with the remainder that the trajectory lays.
@@ -175,17 +174,10 @@ def course(
         samples = 4 if spread.friction[1] > _WIDE * spread.friction[0] else 2
     corrections = Corrections(task.pattern, trajectory, lgb, hold)
     problem = _Problem(task, corrections, spread, samples)
-    rounds = (
-        (edged(COARSE, COARSE_EDGE * lgb), _COARSE_ITERATIONS),
-        (edged(FINE, FINE_EDGE * lgb), _FINE_ITERATIONS),
-    )
-    pace = {"speed": task.pace}
-    x, history = np.zeros(3 * corrections.count), []
-    for how, count in rounds:
-        best = yield from problem.at(how | pace, x)
-        history.append(float(best.errors.mean()))
-        best = yield from _descend(best, problem, how | pace, count - 1, history)
-        x, left = best.values, float(best.errors.mean())
+    how = {**edged(COARSE, COARSE_EDGE * lgb), "tolerance": _TOLERANCE, "speed": task.pace}
+    history: list[float] = []
+    best = yield from _descend(problem, how, np.zeros(3 * corrections.count), history)
+    x, left = best.values, float(best.errors.mean())
     corrected = corrections.apply(x)
     plain = history[0] - left > _PLAIN
     expected, kept = None, True
@@ -194,7 +186,7 @@ def course(
         expected, *others = yield from expecting(
             task.pattern, task.rod, candidates, spread, pace=task.pace
         )
-        kept = not others or is_better(expected, others[0])
+        kept = not others or is_better(expected, others[0], sure=0.0)
         if not kept:
             (expected,) = others
             corrected, x = corrections.apply(0.0 * x), 0.0 * x
@@ -285,11 +277,13 @@ def sample_of(
 
 
 def _descend(
-    best: _State, problem: _Problem, how: dict, count: int, history: list[float]
+    problem: _Problem, how: dict, values: np.ndarray, history: list[float]
 ) -> Course[_State]:
-    """The best of so many steps from there; `history` gets their mean errors."""
+    """The best of some steps from there; `history` gets the mean errors of all."""
+    best = yield from problem.at(how, values)
+    history.append(float(best.errors.mean()))
     radius = _STEP
-    for _ in range(count):
+    for _ in range(_STEPS):
         step = -np.linalg.solve(best.matrix, best.slope)
         length = float(np.abs(step).max())
         step *= min(1.0, radius / max(length, 1e-12))
