@@ -30,6 +30,7 @@ from wrod.commands.plan_steps import (
     save_plan,
     softened,
     solve_grasps_of,
+    within_speed,
 )
 from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
@@ -193,6 +194,9 @@ def command(
         return fitted, curve, trajectory
 
     size = (shaping.resize, shaping.hold)
+    if isinstance(how["pace"], tuple) and not request.no_robot:
+        first, _, start = planned(*size)
+        how["pace"] = within_speed(request, start, first.rod, how["pace"])
     fitted, curve, trajectory = planned(*size, friction, expects=grasps.expects)
     written = save_plan(out, curve, trajectory)
     joint_path, reason = None, None

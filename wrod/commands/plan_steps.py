@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -75,6 +76,20 @@ def softened(curve, rod, trajectory, start, how, friction, device):
     pace = trajectory.metadata["optimised"]["pace"]
     less.metadata["expected"] = expect(curve, rod, less, friction, pace=pace, device=device)
     return less
+
+
+def within_speed(request, start, rod, pace: tuple[float, float]) -> tuple[float, float]:
+    """Of a range of paces [m/s] those that the arm can keep all along the joint path of `start`."""
+    from wrod.errors import RobotError
+
+    low, high = sorted(pace)
+    # On a straight line a grip goes down as fast as forward.
+    asked = math.sqrt(2.0) * high
+    try:
+        path = request.solve(start, rod, grip_speed=asked, whole_job=False)
+    except RobotError:
+        return pace  # said when the corrected plan is followed
+    return low, max(low, high * min(path.metadata["grip_speed"] / asked, 1.0))
 
 
 def save_plan(out: Path, curve, trajectory) -> list[Path]:
