@@ -53,6 +53,8 @@ _STEPS = 2
 _TOLERANCE = 5e-3
 # Ranges of friction that call for more rods, by the largest over the least.
 _WIDE = 1.5
+# By which the sample has to lie better that nobody doubts it [m].
+_PLAIN = 1e-3
 # An iteration that leaves more than this part of the error is the last, and one that would by its
 # model, of squares, is not tried.
 _DONE = 0.95
@@ -99,8 +101,9 @@ def optimise(
     their squared errors, the worse ones weighing more, and what the corrections cost in size and
     roughness. A step that makes it worse is taken back and shortened. Meshes are coarse. Then
     disturbed rods that none of this has seen are laid on fine ones by each of the paths that were
-    tried, the first, uncorrected one included: that by which they lie best is taken, and what they
-    show is what is expected of the plan.
+    tried, the first, uncorrected one included, by which the sample does not lie worse than by the
+    best of them by 1 mm: that by which they lie best is taken, and what they show is what is
+    expected of the plan.
 
     Args:
         pattern: with the remainder that the trajectory lays.
@@ -177,13 +180,15 @@ def course(
     states, ahead = yield from _descend(problem, judge)
     tried = [_Tried(one.values, one.errors.mean(), (0, one.measure)) for one in states]
     if judge:
-        tried = yield from problem.judged([*(one.values for one in states), *ahead])
+        least = min(one.errors.mean() for one in states) + _PLAIN
+        near = [one.values for one in states if one.errors.mean() <= least]
+        tried = yield from problem.judged([*near, *ahead])
     best = min(tried, key=lambda one: one.order)
     corrected = corrections.apply(best.values)
     said = {
         "friction": list(spread.friction),
         "iterations": len(states) + judge,
-        "errors": [float(tried[0].error), float(best.error)],
+        "errors": [float(states[0].errors.mean()), float(best.error)],
         "kept": bool(best.values.any()),
         "pace": task.pace,
         "largest_correction": float(
