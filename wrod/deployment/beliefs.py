@@ -98,12 +98,17 @@ class Beliefs:
         weight = weight.ravel()
         information = (matrix.T * weight) @ matrix
         pull = (matrix.T * weight) @ residual.ravel()
+        step = self._renewed(information, pull)
+        self.mean = self.mean + step * min(1.0, _MOST_CHANGE / np.abs(step).max())
+        return float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
+
+    def _renewed(self, information: np.ndarray, pull: np.ndarray) -> np.ndarray:
+        """(5,) what a look adds to the beliefs, whose covariance becomes what it is then; whichever
+        is likelier, on a table as before or on another."""
         usual = self._told(information, pull, _DRIFT, 1.0 - _RARE)
         other = self._told(information, pull, _OTHER_TABLE, _RARE)
         _, self.covariance = max(usual, other, key=lambda told: told[0])
-        step = self.covariance @ pull
-        self.mean = self.mean + step * min(1.0, _MOST_CHANGE / np.abs(step).max())
-        return float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
+        return self.covariance @ pull
 
     def _told(
         self, information: np.ndarray, pull: np.ndarray, drift: np.ndarray, chance: float
