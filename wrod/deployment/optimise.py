@@ -101,9 +101,9 @@ def optimise(
     their squared errors, the worse ones weighing more, and what the corrections cost in size and
     roughness. A step that makes it worse is taken back and shortened. Meshes are coarse. Then
     disturbed rods that none of this has seen are laid on fine ones by each of the paths that were
-    tried, the first, uncorrected one included, by which the sample does not lie worse than by the
-    best of them by 1 mm: that by which they lie best is taken, and what they show is what is
-    expected of the plan.
+    tried, but for those by which the sample lies worse by more than 1 mm. That by which they lie
+    best is taken, but none rather than one that is not better than none by twice the standard error
+    of the differences; what they show is what is expected of the plan.
 
     Args:
         pattern: with the remainder that the trajectory lays.
@@ -183,7 +183,7 @@ def course(
         least = min(one.errors.mean() for one in states) + _PLAIN
         near = [one.values for one in states if one.errors.mean() <= least]
         tried = yield from problem.judged([*near, *ahead])
-    best = min(tried, key=lambda one: one.order)
+    best = _chosen(tried)
     corrected = corrections.apply(best.values)
     said = {
         "friction": list(spread.friction),
@@ -225,6 +225,15 @@ class _Tried:
     error: float
     order: tuple[int, float]
     expected: dict | None = None
+
+
+def _chosen(tried: list[_Tried]) -> _Tried:
+    """The best; none but what is clearly better than no correction where that might be the best."""
+    best, none = min(tried, key=lambda one: one.order), tried[0]
+    doubted = none.expected is not None and not none.values.any()
+    if doubted and not is_better(best.expected, none.expected):
+        return none
+    return best
 
 
 class _Problem:
