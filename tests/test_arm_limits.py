@@ -72,9 +72,12 @@ def test_a_range_of_paces_ends_where_the_arm_does():
                 raise RobotError("no joint path")
             return SimpleNamespace(metadata={"grip_speed": min(grip_speed, fastest)})
 
-        return SimpleNamespace(solve=solve)
+        return SimpleNamespace(solve=solve, no_robot=False)
 
-    said = [within_speed(arm(v), None, None, (0.02, 0.08)) for v in (1.0, 0.06, 0.001, None)]
-    np.testing.assert_allclose(
-        said, [(0.02, 0.08), (0.02, 0.06 / 2**0.5), (0.02, 0.02), (0.02, 0.08)]
-    )
+    def planned():
+        return SimpleNamespace(rod=None), None, None
+
+    said = [within_speed(arm(v), (0.02, 0.08), planned) for v in (1.0, 0.06, 0.001, None)]
+    fast = (0.02, 0.08)
+    np.testing.assert_allclose(said, [fast, (0.02, 0.06 / 2**0.5), (0.02, 0.02), fast])
+    assert within_speed(arm(0.001), 0.08, planned) == 0.08

@@ -194,12 +194,9 @@ def command(
         return fitted, curve, trajectory
 
     size = (shaping.resize, shaping.hold)
-    if isinstance(how["pace"], tuple) and not request.no_robot:
-        first, _, start = planned(*size)
-        how["pace"] = within_speed(request, start, first.rod, how["pace"])
+    how["pace"] = within_speed(request, how["pace"], lambda: planned(*size))
     fitted, curve, trajectory = planned(*size, friction, expects=grasps.expects)
-    written = save_plan(out, curve, trajectory)
-    joint_path, reason = None, None
+    written, joint_path, reason = save_plan(out, curve, trajectory), None, None
     if not request.no_robot:
 
         def softer(how):

@@ -78,15 +78,19 @@ def softened(curve, rod, trajectory, start, how, friction, device):
     return less
 
 
-def within_speed(request, start, rod, pace: tuple[float, float]) -> tuple[float, float]:
-    """Of a range of paces [m/s] those that the arm can keep all along the joint path of `start`."""
+def within_speed(request, pace, planned):
+    """Of a range of paces [m/s] those that the arm can keep all along the path of what `planned`
+    returns, a plan without correction; anything else as it is."""
     from wrod.errors import RobotError
 
+    if not isinstance(pace, tuple) or request.no_robot:
+        return pace
+    fitted, _, start = planned()
     low, high = sorted(pace)
     # On a straight line a grip goes down as fast as forward.
     asked = math.sqrt(2.0) * high
     try:
-        path = request.solve(start, rod, grip_speed=asked, whole_job=False)
+        path = request.solve(start, fitted.rod, grip_speed=asked, whole_job=False)
     except RobotError:
         return pace  # said when the corrected plan is followed
     return low, max(low, high * min(path.metadata["grip_speed"] / asked, 1.0))
