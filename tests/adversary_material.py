@@ -10,8 +10,10 @@ import socket
 from pathlib import Path
 
 import numpy as np
+from hostile import arrays_of, save_arrays
 
 import wrod
+from wrod.bench.robot import PATTERNS
 from wrod.commands import main
 
 SCENES = Path(wrod.__file__).resolve().parents[1] / "scenes"
@@ -31,8 +33,8 @@ VALID = {
     "markers": ["--out", "{out}"],
     "manifold": ["--length", "5", "--rays", "5", "--device", "cpu", "--out", "{out}"],
     "identify": ["{clamped.npz}", "--effect", "natural_curvature", "--out", "{out}"],
-    "laid": ["{line.npz}", "--pattern", "line", "--trajectory", "{plan.npz}", *ROD,
-             "--iterations", "1", "--out", "{out}.json"],
+    "laid": ["{line.npz}", "--pattern", "line", "--trajectory", "{plan.npz}", *ROD, "--noise",
+             "0.001", "--iterations", "1", "--out", "{out}.json"],
     "dataset": ["--size", "32", "--no-sensitivities", "--device", "cpu", "--out", "{out}"],
     "train": ["--dataset", "{dataset}", "--steps", "2", "--width", "8", "--batch", "8", "--test",
               "4", "--device", "cpu", "--out", "{out}"],
@@ -43,9 +45,9 @@ VALID = {
     "bench manifold": ["--count", "2", "--lengths", "2", "--device", "cpu"],
     "bench perception": ["--images", "{images}", "--repeats", "1"],
     "bench plan": ["--patterns", "{patterns}", "--device", "cpu"],
-    "bench robot": ["--method", "intuitive", "--patterns", "line", "--rods", "rope", "--out",
+    "bench robot": ["--method", "intuitive", "--patterns", "{seven}", "--rods", "rope", "--out",
                     "{out}"],
-    "bench table4": ["--patterns", "{patterns}", "--device", "cpu"],
+    "bench table4": ["--patterns", "{seven}", "--device", "cpu"],
     "bench table3": ["--trials", "1", "--rod", "green-vps", "--substrate", "steel", "--pattern",
                      "line", "--spacing", "0.05", "--step", "0.05", "--speed", "0.5", "--device",
                      "cpu", "--out", "{out}"],
@@ -60,7 +62,7 @@ VALID = {
     "bench cosserat": ["--experiment", "cantilever", "--solver", "wrod", "--elements", "8"],
     "bench identify": ["--sets", "{sets}", "--out", "{out}"],
     "bench cables": ["--data", "{cables}", "--folds", "2", "--out", "{out}"],
-    "bench loop": ["--effect", "stiffness", "--pattern", "line", "--trials", "1", "--grasps",
+    "bench loop": ["--effect", "stiffness", "--pattern", "line", "--trials", "8", "--grasps",
                    "100", "--controller", "numeric", "--out", "{out}"],
     "bench closures": ["--rods", "green-vps", "--names", "line", "--frictions", "0.6",
                        "--curvatures", "0", "--stretch-ratios", "2000", "--out", "{out}"],
@@ -69,7 +71,7 @@ VALID = {
     "bench feedback": ["--names", "line", "--effects", "none", "--ways", "blind", "--out", "{out}"],
     "bench applications": ["--case", "trefoil", "--trials", "1", "--device", "cpu", "--out",
                            "{out}"],
-    "bench photographs": ["--data", "{photographs}", "--quick", "--worlds", "1", "--out", "{out}"],
+    "bench photographs": ["--data", "{photographs}", "--quick", "--scenarios", "1", "--out", "{out}"],
     "bench hands": ["--data", "{hands}", "--quick", "--out", "{out}"],
 }  # fmt: skip
 NUMBERS = (
@@ -184,19 +186,50 @@ def material(folder: Path) -> dict[str, str]:
     picture = Image.new("RGB", (200, 150), "white")
     ImageDraw.Draw(picture).line([(30, 70), (170, 75)], fill="black", width=5)
     picture.save(at("line.png"))
-    for name, files in {
-        "patterns": ["points.csv"], "sets": ["clamped.npz"], "cables": ["motion.npz"],
-        "images": ["line.png"], "photographs": ["line.png", "points.csv"], "hands": ["motion.npz"],
-    }.items():  # fmt: skip
+    for name, file in {"patterns": "points.csv", "sets": "clamped.npz"}.items():
         at(name).mkdir(exist_ok=True)
-        for file in files:
-            shutil.copy(made[file], folder / name / file)
+        shutil.copy(made[file], folder / name / file)
+    _data(at)
+    at("seven").mkdir(exist_ok=True)
+    for name in PATTERNS:
+        curve = wrod.pattern(name)
+        points = curve.sample(np.linspace(0.0, curve.length, 200))[0]
+        np.savetxt(folder / "seven" / f"{name.replace('-', '')}.txt", points)
     at("dataset")
     main(
         ["dataset", "--size", "128", "--device", "cpu", "--json", "--out", made["dataset"]],
         standalone_mode=False,
     )
     return made
+
+
+def _data(at) -> None:
+    """Folders of data of the benchmarks, each with the least that they take."""
+    pictures, cables, photographs = at("images"), at("cables"), at("photographs")
+    swing = at("hands") / "swing"
+    for folder in (pictures / "set" / "gt", cables, photographs, swing):
+        folder.mkdir(parents=True, exist_ok=True)
+    from PIL import Image
+
+    with Image.open(at("line.png")) as picture:
+        picture.convert("L").point(lambda grey: 0 if grey > 128 else 1).save(
+            pictures / "set" / "gt" / "line.png"
+        )
+    with np.load(at("motion.npz")) as content:
+        moved = {name: content[name] for name in content.files}
+    moved["positions"] = np.concatenate([moved["positions"]] * 3)
+    moved["file_ids"] = np.array([str(k) for k in range(len(moved["positions"]))])
+    save_arrays(cables / "motion.npz", moved)
+    curve = np.column_stack([np.linspace(0, 0.3, 40), np.zeros(40)])
+    save_arrays(
+        photographs / "rope-line-int.npz",
+        {"centerline_filled": curve, "hidden": np.zeros(40), "sigma": np.full(40, 5e-4),
+         "pattern": curve, "size_factor": 1.0, "px_from_pattern": np.eye(2, 3), "pixels": curve},
+    )  # fmt: skip
+    shutil.copy(at("line.png"), photographs / "rope-line-int.png")
+    for load in ("unweighted", "weighted"):
+        for kind, arrays in (("static", "HeldCable"), ("swing", "HeldSwing")):
+            save_arrays(swing / f"black-short-{load}-{kind}.npz", arrays_of(arrays))
 
 
 def odd_places(folder: Path, suffix: str = "") -> dict[str, str]:

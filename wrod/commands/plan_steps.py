@@ -1,7 +1,5 @@
 """The steps of `wrod plan`, each of which leaves something behind: grasps, files, joint path."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -68,12 +66,12 @@ def softened(curve, rod, trajectory, start, how, friction, device):
 
     device = device or "auto"
     if not isinstance(how, float):
-        asked = {"limits": ArmLimits(how), "pace": trajectory.metadata["optimised"]["pace"]}
+        asked = {"limits": ArmLimits(how), "pace": trajectory.optimised["pace"]}
         best = optimise(curve, rod, start, friction, device=device, **asked)
-        best.metadata["optimised"]["within_limits"] = True
+        best.optimised["within_limits"] = True
         return best
     less = with_share(start, trajectory, how)
-    pace = trajectory.metadata["optimised"]["pace"]
+    pace = trajectory.optimised["pace"]
     less.metadata["expected"] = expect(curve, rod, less, friction, pace=pace, device=device)
     return less
 

@@ -6,8 +6,6 @@ measured. A cable of the same name from
 another maker may differ by a factor of two; measure your own (`wrod loop`, `wrod measure`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
