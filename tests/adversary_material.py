@@ -71,7 +71,8 @@ VALID = {
     "bench feedback": ["--names", "line", "--effects", "none", "--ways", "blind", "--out", "{out}"],
     "bench applications": ["--case", "trefoil", "--trials", "1", "--device", "cpu", "--out",
                            "{out}"],
-    "bench photographs": ["--data", "{photographs}", "--quick", "--scenarios", "1", "--out", "{out}"],
+    "bench photographs": ["--data", "{photographs}", "--quick", "--scenarios", "1",
+                          "--out", "{out}"],
     "bench hands": ["--data", "{hands}", "--quick", "--out", "{out}"],
 }  # fmt: skip
 NUMBERS = (
