@@ -151,7 +151,7 @@ def command(
     from tqdm import tqdm
 
     from wrod.errors import DataError
-    from wrod.files import write_atomically
+    from wrod.files import write_text
     from wrod.identification.motion.loading import is_motion, load_motion
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -201,7 +201,7 @@ def command(
     }
     text = json.dumps(content, indent=2, allow_nan=False)
     if out:
-        write_atomically(out / "cables.json", lambda file: file.write(text + "\n"))
+        write_text(out / "cables.json", text + "\n")
     if as_json:
         click.echo(text)
         return

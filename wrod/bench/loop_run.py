@@ -22,7 +22,7 @@ from wrod.bench.loop_trials import (
 )
 from wrod.bench.table3_paper import PATTERNS, read_pattern
 from wrod.deployment.simulate import simulate_deployments
-from wrod.files import write_atomically
+from wrod.files import write_text
 from wrod.machine import machine_line
 from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
@@ -117,7 +117,7 @@ def run(loop: Loop) -> dict[str, Any]:
     rows = _laid(loop, cases, curves)
     found = {effect: _found(case) for effect, case in cases.items()}
     text = markdown(rows, found, loop.head)
-    write_atomically(loop.out / "loop.md", lambda file: file.write(text))
+    write_text(loop.out / "loop.md", text)
     written += [
         write_csv(loop.out / "loop.csv", rows),
         loop.out / "loop.md",

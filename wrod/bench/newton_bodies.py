@@ -187,7 +187,7 @@ class Arm:
             self.state.clear_forces()
             self.cable.add_body_forces(self.state)
             self.arm.step(self.state, self._other, control, None, dt)
-            self.cable.step(self._other, self._other, None, None, dt)
+            self.cable.step(self.state, self._other, None, None, dt, moved=self._other)
             self.state, self._other = self._other, self.state
 
     def torques(self) -> np.ndarray:

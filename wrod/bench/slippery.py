@@ -251,7 +251,7 @@ def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
     """What is laid in a trial, and its row."""
     from wrod.bench.mujoco_chain import lay_in_mujoco, put_down_in_mujoco
     from wrod.bench.put_down import put_down
-    from wrod.deployment.feedback import World, following
+    from wrod.deployment.feedback import Plant, following
     from wrod.deployment.sight import Sight
     from wrod.deployment.simulate import Trial
     from wrod.deployment.together import Asked
@@ -283,10 +283,10 @@ def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
         else:
             how |= {"spacing": spacing}
             if method == "feedback":
-                world = World(material, Friction(mu), told)
+                plant = Plant(material, Friction(mu), told)
                 sight = Sight(seed=seed)
                 followed = yield from following(
-                    led, material, trajectory, mu, world, sight=sight, **how
+                    led, material, trajectory, mu, plant, sight=sight, **how
                 )
                 laid = followed.laid
             else:
