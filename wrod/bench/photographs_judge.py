@@ -24,9 +24,9 @@ FIRST = 0.22
 class Row:
     """One picture: mean distance [m] of the model with nothing fitted, raw and after one rigid
     motion; of what the other pictures predict; of the scenarios weighted by the rod's other
-    pictures with nothing held back; and of the best scenario of all. Parts: of the model with nothing
-    fitted, mean distance [m] in the first `FIRST`, the rest that lies and what hangs, and their
-    shares of the squares."""
+    pictures with nothing held back; and of the best scenario of all. Parts: of the model with
+    nothing fitted, mean distance [m] in the first `FIRST`, the rest that lies and what hangs, and
+    their shares of the squares."""
 
     rod: str
     pattern: str
