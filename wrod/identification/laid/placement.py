@@ -51,8 +51,8 @@ class Parts:
     the table, of the rest that lies there and of what hangs (nan where nothing is seen), and each
     part's share of all squares."""
 
-    mean: tuple[float, float, float]
-    share: tuple[float, float, float]
+    mean: tuple[float, ...]
+    share: tuple[float, ...]
 
 
 def parts_of(
