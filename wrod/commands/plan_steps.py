@@ -65,12 +65,12 @@ def softened(curve, rod, trajectory, start, how, friction, device):
 
     device = device or "auto"
     if not isinstance(how, float):
-        asked = {"limits": ArmLimits(how), "pace": trajectory.metadata["optimised"]["pace"]}
+        asked = {"limits": ArmLimits(how), "pace": trajectory.optimised["pace"]}
         best = optimise(curve, rod, start, friction, device=device, **asked)
-        best.metadata["optimised"]["within_limits"] = True
+        best.optimised["within_limits"] = True
         return best
     less = with_share(start, trajectory, how)
-    pace = trajectory.metadata["optimised"]["pace"]
+    pace = trajectory.optimised["pace"]
     less.metadata["expected"] = expect(curve, rod, less, friction, pace=pace, device=device)
     return less
 

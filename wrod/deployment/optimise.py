@@ -119,10 +119,10 @@ def optimise(
         device: "cpu", "cuda:0" or "auto".
 
     Returns:
-        The corrected trajectory. `metadata["optimised"]` holds the range of friction, the mean
+        The corrected trajectory. `optimised` holds the range of friction, the mean
         error of the sample at each iteration [m], whether the correction was "kept", the largest
         correction [m], the pace [m/s], and of each of the "paces" that were tried what was expected
-        [m]; `metadata["expected"]` is what `expect` says.
+        [m]; `expected` is what `expect` says.
 
     Raises:
         PatternError: friction is not usable, or the trajectory is too short to be laid.
@@ -140,11 +140,11 @@ def optimise(
 
 def _fastest(made: list[Trajectory]) -> Trajectory:
     """Of plans from slow to fast, the fastest that is not clearly worse than the best."""
-    said = [one.metadata["expected"] for one in made]
+    said = [one.expected for one in made]
     best = min(said, key=lambda one: float(np.mean(one["error_robot"])))
     chosen = [one for one, told in zip(made, said, strict=True) if not is_better(best, told)][-1]
-    tried = [[one.metadata["optimised"]["pace"], one.metadata["expected"]["mean"]] for one in made]
-    optimised = {**chosen.metadata["optimised"], "paces": tried}
+    tried = [[one.optimised["pace"], one.expected["mean"]] for one in made]
+    optimised = {**chosen.optimised, "paces": tried}
     return replace(chosen, metadata={**chosen.metadata, "optimised": optimised})
 
 

@@ -129,7 +129,7 @@ def remedies(
     arms whose last joint turns further come last. Heights of the table are tried `until` then [s of
     the monotonic clock]."""
     turned, room = turning(failed.task)
-    if turned > room and failed.task.trajectory.metadata.get("remainder_length", 0.0) > 0.0:
+    if turned > room and failed.task.trajectory.remainder_length > 0.0:
         yield {"remainder": False}
     yield from _others(failed, rod, pattern_length, candidates, until)
     if turned > room:
