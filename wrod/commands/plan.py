@@ -33,6 +33,7 @@ from wrod.commands.plan_steps import (
 )
 from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
+from wrod.commands.running import draw_beside
 from wrod.errors import PatternError
 
 _GRASPS = (
@@ -176,6 +177,7 @@ def command(
 
     how, chosen = grasps.read(), None if device == "auto" else device
     request = request.check()
+    draw_beside(not request.no_robot)
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = grasps.friction(as_json)
 
@@ -228,9 +230,13 @@ def command(
         click.echo(f"wrod: {reason}", err=True)
         click.get_current_context().exit(NO_JOINT_PATH)
     if request.view:
-        from wrod.scene.view import view as show
+        _view(out / "scene.usdc")
 
-        show(out / "scene.usdc")
+
+def _view(scene: Path) -> None:
+    from wrod.scene.view import view
+
+    view(scene)
 
 
 def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[Path]) -> dict:
