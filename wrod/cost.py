@@ -123,10 +123,12 @@ def identification(data) -> Cost:
     Raises:
         DataError: it holds none.
     """
-    from wrod.identification import is_motion, load_motion
+    from wrod.identification import is_motion, load_measurements, load_motion
 
-    count = load_motion(data).recording_count if is_motion(data) else 0
-    return Cost(RECORDING * count or IDENTIFIED_SET)
+    if is_motion(data):
+        return Cost(RECORDING * load_motion(data).recording_count)
+    load_measurements(data)
+    return Cost(IDENTIFIED_SET)
 
 
 def manifold(count: int, lengths: int, *, device: str) -> Cost:
