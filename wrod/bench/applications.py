@@ -28,6 +28,13 @@ CASES = ("S cable", "U cable", "trefoil", "reef")
 )
 @click.option("--batch", type=int, help="Trials simulated at once; default: 5, CUDA all.")
 @click.option(
+    "--method",
+    "asked",
+    multiple=True,
+    type=click.Choice(["INT", "OPT"]),
+    help="Only this method; default: both.",
+)
+@click.option(
     "--usd",
     type=click.Path(file_okay=False, path_type=Path),
     help="Write every trial run now as a scene with both arms into this folder.",
@@ -40,6 +47,7 @@ def command(
     trials: int,
     first: int,
     chosen: tuple[str, ...],
+    asked: tuple[str, ...],
     batch: int | None,
     usd: Path | None,
     device: str,
@@ -59,7 +67,7 @@ def command(
     """
     from wrod.bench.applications_cables import disturbances_text
     from wrod.bench.applications_report import markdown, table
-    from wrod.bench.applications_trials import METHODS
+    from wrod.bench.applications_trials import METHODS, SHORT
     from wrod.errors import RodError
     from wrod.files import schemas
     from wrod.files.ledger import Ledger
@@ -75,7 +83,8 @@ def command(
     out.mkdir(parents=True, exist_ok=True)
     kind = schemas.ApplicationsRow
     ledger = Ledger(out / "trials.jsonl", {}, ("case", "method", "trial"), "applications", kind)
-    keys = list(product(range(first, first + trials), cases, METHODS))
+    methods = [method for method in METHODS if not asked or SHORT[method] in asked]
+    keys = list(product(range(first, first + trials), cases, methods))
     done = ledger.done()
     pending = [key for key in keys if (key[1], key[2], key[0]) not in done]
     size = batch or (5 if device == "cpu" else max(trials, 1))
