@@ -9,6 +9,8 @@ from pathlib import Path
 
 import click
 
+from wrod.machine import usable_cores
+
 force_option = click.option(
     "--force", is_flag=True, help="Begin although it needs more than this machine has."
 )
@@ -110,7 +112,7 @@ def grasps(
         shard_size: grasps solved at once.
     """
     rate = GRASPS_PER_SECOND / (SENSITIVITIES_COST if sensitivities else 1.0)
-    rate *= _cores() if device == "cpu" else 600.0
+    rate *= usable_cores() if device == "cpu" else 600.0
     # Meshes of 128 edges, of which a dozen arrays of the degrees of freedom live at once.
     return Cost(count / ranks / rate, 50e3 * min(shard_size, count), float(row_bytes) * count)
 
@@ -121,16 +123,18 @@ def identification(data) -> Cost:
     Raises:
         DataError: it holds none.
     """
-    from wrod.identification import is_motion, load_motion
+    from wrod.identification import is_motion, load_measurements, load_motion
 
-    count = load_motion(data).recording_count if is_motion(data) else 0
-    return Cost(RECORDING * count or IDENTIFIED_SET)
+    if is_motion(data):
+        return Cost(RECORDING * load_motion(data).recording_count)
+    load_measurements(data)
+    return Cost(IDENTIFIED_SET)
 
 
 def manifold(count: int, lengths: int, *, device: str) -> Cost:
     """Of equilibria of held grips, and of the boundary for some suspended lengths."""
     seconds = EQUILIBRIUM * count + BOUNDARY * lengths
-    return Cost(seconds / (_cores() if device == "cpu" else 20.0), 10e3 * count)
+    return Cost(seconds / (usable_cores() if device == "cpu" else 20.0), 10e3 * count)
 
 
 def training(steps: int, batch: int, width: int, depth: int, rows: int, *, device: str) -> Cost:
@@ -148,17 +152,15 @@ def deployments(
     nodes, steps = length / spacing + 100.0, 1.5 * length / speed / step
     seconds = trials * nodes * steps * NODE_STEP
     memory = nodes * 4096.0 * trials
-    return Cost(seconds / _cores() if device == "cpu" else seconds / 600.0, memory, 1e5 * trials)
+    rate = usable_cores() if device == "cpu" else 600.0
+    return Cost(seconds / rate, memory, 1e5 * trials)
 
 
 def pictures(count: int, width: int, height: int, samples: int = 4) -> Cost:
     """Of drawing a stage."""
     rays = float(width) * height * samples
-    return Cost(count * (rays * DRAWN_RAY + 0.2) / _cores(), 60.0 * rays, 3.0 * count * rays / 4)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    seconds = count * (rays * DRAWN_RAY + 0.2) / usable_cores()
+    return Cost(seconds, 60.0 * rays, 3.0 * count * rays / 4)
 
 
 def _room(out: Path | None) -> float:
