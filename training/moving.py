@@ -24,6 +24,8 @@ from wrod.solvers.dynamics import Dynamics
 
 # Of `RodBatch.elastic_model`: what is scaled for stretching, bending and twisting.
 _STRETCHING, _BENDING, _TWISTING = 1, 2, 6
+# Of the steps: what is left unbalanced is missing from the gradients.
+_TOLERANCE = 1e-11
 
 
 class Scene(NamedTuple):
@@ -232,7 +234,6 @@ def move_differentiable(
     path: torch.Tensor | None = None,
     scheme: str = "bdf2",
     air_damping: float = 0.0,
-    tolerance: float = 1e-9,
 ) -> torch.Tensor:
     """Where the nodes of rods that touch nothing are after each of so many steps of `Dynamics`,
     with gradients by all tensors: one solution a step, however many they are.
@@ -248,7 +249,7 @@ def move_differentiable(
         held: nodes that are moved along `path`; they are not free in the batch.
         path: (rod, steps, held, 3) where they are at the end of each step.
         scheme: "bdf2" or "euler".
-        air_damping, tolerance: as of `Dynamics`.
+        air_damping: as of `Dynamics`.
 
     Returns:
         (rod, steps + 1, node, 3) positions, the first those at the beginning.
@@ -280,7 +281,7 @@ def move_differentiable(
     for tensor, shape in shapes:
         if tuple(tensor.shape) != shape or tensor.dtype != torch.float64:
             raise RodError(f"a tensor is {tuple(tensor.shape)}; give {shape} in float64")
-    options = dict(scheme=scheme, radius=radius, air_damping=air_damping, tolerance=tolerance,
+    options = dict(scheme=scheme, radius=radius, air_damping=air_damping, tolerance=_TOLERANCE,
                    refuses_saddles=False)  # fmt: skip
     scene = Scene(batch, columns, step, steps, options)
     return _Move.apply(position, velocity, stiffness, gravity, path.flatten(2), scene)

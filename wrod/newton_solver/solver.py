@@ -122,8 +122,8 @@ class SolverDER(RodBuilding, SolverBase):
                 for those added with `touches_rods=False`. All rods of a world then share their
                 steps. Defaults to None: they pass through each other.
             rod_stiffness: Normal and tangential stiffness of a place where rods touch [N/m].
-                Defaults to EA / (10 radius), with which a load of 0.1 % of EA presses them into
-                each other by 1 % of the radius. Tight knots want a hundred times that.
+                Defaults to EA / (5 radius), or 6000 times an edge's weight on Earth over the
+                radius if that is more. Tight knots want fifty times the first.
             bodies: Which of the bodies that hold rods this solver moves: "free", "none" or some of
                 the free ones.
 
