@@ -54,10 +54,8 @@ class _Move(torch.autograd.Function):
     def forward(ctx, position, velocity, stiffness, gravity, path, scene):
         batch = scene.batch
         now = [*batch.elastic_model, batch.gravity]
-        before, state = (
-            [wp.clone(a) for a in now],
-            RodState.zeros(batch.rod_count, batch.node_count, batch.device),
-        )
+        before = [wp.clone(a) for a in now]
+        state = RodState.zeros(batch.rod_count, batch.node_count, batch.device)
         state.assign(batch.state)
         try:
             return _forward(ctx, position, velocity, stiffness, gravity, path, scene)
@@ -111,10 +109,8 @@ def _forward(ctx, position, velocity, stiffness, gravity, path, scene: Scene) ->
         ctx.records.append((rates, matrix, forces, *_turns(places[-2], places[-1])))
     ctx.save_for_backward(stiffness, mass.clone(), air.clone())
     ctx.free = wp.to_torch(batch.free).clone() != 0
-    ctx.scene, ctx.weighing = (
-        scene,
-        wp.to_torch(batch.node_mass) * wp.to_torch(batch.load_factor)[:, None],
-    )
+    ctx.scene = scene
+    ctx.weighing = wp.to_torch(batch.node_mass) * wp.to_torch(batch.load_factor)[:, None]
     return torch.stack(places, dim=1)
 
 
