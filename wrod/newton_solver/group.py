@@ -151,7 +151,7 @@ class RodGroup:
                 _PAIR_STIFFNESS * self.batch.stretching_stiffness.numpy(),
                 _PAIR_WEIGHTS * _STANDARD_GRAVITY * edge,
             )
-            stiffness = np.where(passive, 0.0, force / radius).max(axis=1)
+            stiffness = (force / radius).max(axis=1)
         return RodContact(
             self.batch,
             radius,
