@@ -75,6 +75,13 @@ def test_whole_numbers_of_an_open_schema_are_bounded():
         decode_labels(text, schemas.TrajectoryMetadata, "a", "a plan")
 
 
+def test_an_entry_that_is_there_twice_is_refused():
+    refused(
+        json.dumps(SCENE).replace("{", '{"format": "wrod-fixtures-1",', 1), "format twice; keep"
+    )
+    refused(with_radius('0.01, "radius": 0.02'), "radius twice")
+
+
 def test_syntax_names_the_line():
     refused('{"format": "wrod-fixtures-1",\n "fixtures": [}', "line 2, column 15: is no JSON")
     refused("", "ends in the middle of its JSON")
@@ -108,7 +115,7 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path):
 def test_encodings(tmp_path, content, says):
     (tmp_path / "a.json").write_bytes(content)
     with pytest.raises(DataError, match=says):
-        read_json(tmp_path / "a.json", schemas.Camera, "a camera file")
+        read_json(tmp_path / "a.json", schemas.CameraIntrinsics, "a camera file")
 
 
 def test_a_file_beyond_the_limit_is_not_read(tmp_path):
@@ -116,7 +123,7 @@ def test_a_file_beyond_the_limit_is_not_read(tmp_path):
     with open(path, "wb") as file:
         file.truncate(10 * 2**30)  # a hole; nothing is written
     with pytest.raises(DataError, match="10240 MiB, and at most"):
-        read_json(path, schemas.Camera, "a camera file")
+        read_json(path, schemas.CameraIntrinsics, "a camera file")
     with pytest.raises(DataError, match="10240 MiB, and at most"):
         read_arrays(path)
 

@@ -21,7 +21,9 @@ from wrod.kernels.contact.rolling import held_turn
 from wrod.kernels.elastic.assembly import (
     add_block,
     add_column,
+    add_component,
     add_diagonal_block,
+    add_entry,
     add_row,
     add_vector,
 )
@@ -124,17 +126,17 @@ def edge_contact(
             c.force = law[0]
             c.slope = law[1]
             held = return_mapping(c.bristle, c.near.normal, model.stiffness[r, i], mu * c.force)
-            add_edge(gradient, hessian, r, i, c, held.pull, held.grip)
+            add_edge(gradient, hessian, r, i, c, held.pull, held.tangential)
             if model.rolling[r] > ZERO:
-                add_edge_spin(gradient, hessian, r, i, c, held.pull, held.grip)
+                add_edge_spin(gradient, hessian, r, i, c, held.pull, held.tangential)
             if model.roll_friction[r, k] >= ZERO:
                 a = 4 * i + 3
                 arm = wp.abs(model.radius[r, i])
                 turn = turned[r, k, i] + dof[r, a] - dof_before[r, a]
                 limit = model.roll_friction[r, k] * c.force * arm
                 roll = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
-                wp.atomic_add(gradient, r, a, roll[0])
-                wp.atomic_add(hessian, r, a, 0, roll[1])
+                add_component(gradient, r, a, roll[0])
+                add_entry(hessian, r, a, 0, roll[1])
 
 
 @wp.func
@@ -145,7 +147,7 @@ def add_edge(
     i: int,
     c: EdgeTouch,
     pull: wp.vec3d,
-    grip: wp.mat33d,
+    tangential: wp.mat33d,
 ):
     a = 4 * i
     n = c.near.normal
@@ -155,7 +157,7 @@ def add_edge(
     add_vector(gradient, r, a, head * total)
     add_vector(gradient, r, a + 4, tail * total)
     # D'' = J^T d'' J - v v^T / D_ss with J = ((1 - s) 1, s 1) and v = J^T d'' e + (-n, n).
-    block = grip + c.slope * wp.outer(n, n) - c.force * c.near.bend
+    block = tangential + c.slope * wp.outer(n, n) - c.force * c.near.bend
     bent = c.near.bend * c.edge
     v = head * bent - n
     w = tail * bent + n
@@ -175,13 +177,13 @@ def add_edge_spin(
     i: int,
     c: EdgeTouch,
     pull: wp.vec3d,
-    grip: wp.mat33d,
+    tangential: wp.mat33d,
 ):
     """The torque of friction on the edge's angle."""
     a = 4 * i
-    coupling = grip * c.spin
-    wp.atomic_add(gradient, r, a + 3, wp.dot(pull, c.spin))
-    wp.atomic_add(hessian, r, a + 3, 0, wp.dot(coupling, c.spin))
+    coupling = tangential * c.spin
+    add_component(gradient, r, a + 3, wp.dot(pull, c.spin))
+    add_entry(hessian, r, a + 3, 0, wp.dot(coupling, c.spin))
     add_row(hessian, r, a + 3, a, (ONE - c.near.s) * coupling)
     add_column(hessian, r, a + 4, a + 3, c.near.s * coupling)
 

@@ -17,6 +17,7 @@ from wrod.kernels.contact.segments import (
     piece_slopes,
     piece_weights,
 )
+from wrod.kernels.elastic.assembly import add_component, add_vector
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
@@ -76,7 +77,7 @@ class Pair:
     slope: wp.float64
     normal: wp.vec3d
     pull: wp.vec3d
-    grip: wp.mat33d
+    tangential: wp.mat33d
     bristle: wp.vec2d
     slid: wp.float64
 
@@ -203,7 +204,7 @@ def pair_contact(
         size = wp.length(stretch)
         mu = wp.where(sliding != 0, law.kinetic_friction, law.static_friction)
         limit = mu * rubbing.load[r, i, k] / law.stiffness
-        out.grip = law.stiffness * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
+        out.tangential = law.stiffness * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
         out.bristle = wp.vec2d(b1, b2)
         if size > limit or limit == ZERO:
             # Also without friction, where the bristle never holds.
@@ -217,7 +218,7 @@ def pair_contact(
                 # Newton would throw from side to side what slides to and fro from iteration to
                 # iteration: it gets the secant's stiffness along its way for a while.
                 rest = (ONE - rubbing.turned[r, i, k]) * law.stiffness
-                out.grip = shrink * (out.grip - rest * wp.outer(along, along))
+                out.tangential = shrink * (out.tangential - rest * wp.outer(along, along))
                 stretch = shrink * stretch
         out.pull = law.stiffness * stretch
     return out
@@ -252,12 +253,6 @@ def edge_motion(kind: int, e: wp.vec3d, s: wp.float64, arm: wp.float64, n: wp.ve
 
 
 @wp.func
-def add_force(gradient: wp.array2d(dtype=wp.float64), r: int, a: int, v: wp.vec3d):
-    for c in range(3):
-        wp.atomic_add(gradient, r, a + c, v[c])
-
-
-@wp.func
 def add_edge_force(
     gradient: wp.array2d(dtype=wp.float64),
     kind: int,
@@ -274,8 +269,8 @@ def add_edge_force(
     swing = wp.transpose(m.swing) * pull
     for k in range(piece_size(kind)):
         force = m.weight[k] * (push + pull) + m.slope[k] * swing + chord[k] * turn
-        add_force(gradient, r, 4 * (i + k), force)
+        add_vector(gradient, r, 4 * (i + k), force)
     spin = wp.dot(m.spin, pull)
-    wp.atomic_add(gradient, r, 4 * i + 3, (ONE - m.share) * spin)
+    add_component(gradient, r, 4 * i + 3, (ONE - m.share) * spin)
     if kind != EDGE:
-        wp.atomic_add(gradient, r, 4 * i + 7, m.share * spin)
+        add_component(gradient, r, 4 * i + 7, m.share * spin)

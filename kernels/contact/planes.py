@@ -14,7 +14,14 @@ kinetic one: within a step the law is fixed, and Newton converges.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_column, add_diagonal_block, add_row, add_vector
+from wrod.kernels.elastic.assembly import (
+    add_column,
+    add_component,
+    add_diagonal_block,
+    add_entry,
+    add_row,
+    add_vector,
+)
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
@@ -184,7 +191,7 @@ class Bristle:
     """What a bristle holds: its pull and its stiffness (a matrix), and by how much it slides."""
 
     pull: wp.vec3d
-    grip: wp.mat33d
+    tangential: wp.mat33d
     slides: wp.float64
 
 
@@ -202,7 +209,7 @@ def return_mapping(
         across = across - wp.outer(bristle, bristle) / (size * size)
         out.slides = size - limit / stiffness
     out.pull = k * bristle
-    out.grip = k * across
+    out.tangential = k * across
     return out
 
 
@@ -265,9 +272,9 @@ def contact(
             n = c.normal
             held = return_mapping(c.bristle, n, model.stiffness[r, i], mu * law[0])
             add_vector(gradient, r, 4 * i, held.pull - law[0] * n)
-            add_diagonal_block(hessian, r, 4 * i, held.grip + law[1] * wp.outer(n, n))
+            add_diagonal_block(hessian, r, 4 * i, held.tangential + law[1] * wp.outer(n, n))
             if model.rolling[r] > ZERO:
-                add_spin(gradient, hessian, r, i, c.spin, held.pull, held.grip)
+                add_spin(gradient, hessian, r, i, c.spin, held.pull, held.tangential)
 
 
 @wp.func
@@ -288,15 +295,15 @@ def add_spin(
     torque = share * wp.dot(pull, spin)
     stiffness = share * wp.dot(coupling, spin)
     if i > 0:
-        wp.atomic_add(gradient, r, a - 1, torque)
-        wp.atomic_add(hessian, r, a - 1, 0, stiffness)
+        add_component(gradient, r, a - 1, torque)
+        add_entry(hessian, r, a - 1, 0, stiffness)
         add_column(hessian, r, a, a - 1, coupling)
     if i < last:
-        wp.atomic_add(gradient, r, a + 3, torque)
-        wp.atomic_add(hessian, r, a + 3, 0, stiffness)
+        add_component(gradient, r, a + 3, torque)
+        add_entry(hessian, r, a + 3, 0, stiffness)
         add_row(hessian, r, a + 3, a, coupling)
     if i > 0 and i < last:
-        wp.atomic_add(hessian, r, a + 3, 4, stiffness)
+        add_entry(hessian, r, a + 3, 4, stiffness)
 
 
 @wp.kernel

@@ -137,9 +137,9 @@ def _write(out: Path, text: str, rows: list[dict]) -> list[Path]:
     """The report and its pictures."""
     from wrod.bench.applications_cables_picture import draw_cables
     from wrod.bench.applications_report import draw
-    from wrod.files import write_atomically
+    from wrod.files import write_text
 
-    write_atomically(out / "applications.md", lambda file: file.write(text))
+    write_text(out / "applications.md", text)
     cables = draw_cables(out / "cables.png", rows)
     written = [out / "applications.md", draw(out / "applications.png", rows)]
     return written if cables is None else [*written, cables]

@@ -10,6 +10,7 @@ import click
 
 from wrod import cost
 from wrod.bench import side_by_side
+from wrod.files import schemas
 from wrod.files.ledger import Ledger
 
 
@@ -48,6 +49,7 @@ def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -
             {
                 "accepted": r.accepted,
                 "removed": r.removed,
+                "reason": r.reason,
                 "test_mm": 1e3 * r.test,
                 "validation_mm": 1e3 * r.validation,
             }
@@ -150,7 +152,7 @@ def command(
     from tqdm import tqdm
 
     from wrod.errors import DataError
-    from wrod.files import write_atomically
+    from wrod.files import write_text
     from wrod.identification.motion.loading import is_motion, load_motion
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -171,7 +173,7 @@ def command(
     ledger = None
     if out:
         out.mkdir(parents=True, exist_ok=True)
-        ledger = Ledger(out / "folds.jsonl", settings, ("rod", "fold"), "cables")
+        ledger = Ledger(out / "folds.jsonl", settings, ("rod", "fold"), "cables", schemas.FoldRow)
     rows = list(ledger.rows) if ledger else []
     have = {(row["rod"], row["fold"]) for row in rows}
     # The rods in turn, so that a run which is stopped has some of each.
@@ -200,7 +202,7 @@ def command(
     }
     text = json.dumps(content, indent=2, allow_nan=False)
     if out:
-        write_atomically(out / "cables.json", lambda file: file.write(text + "\n"))
+        write_text(out / "cables.json", text + "\n")
     if as_json:
         click.echo(text)
         return

@@ -162,11 +162,11 @@ def _reported(out: Path, rows, head: str, lacking) -> tuple[list[str], list[Path
     """What the rows say, and the files written of them."""
     from wrod.bench.closures_picture import draw, draw_friction
     from wrod.bench.closures_report import cells, markdown, summary, write_csv
-    from wrod.files import write_atomically
+    from wrod.files import write_text
 
     table = cells(rows)
     words = [*summary(table), *lacking]
-    write_atomically(out / "closures.md", lambda file: file.write(markdown(table, head, words)))
+    write_text(out / "closures.md", markdown(table, head, words))
     return words, [
         write_csv(out / "closures.csv", table),
         out / "closures.md",

@@ -57,7 +57,7 @@ _FIRST_SEED = 9_000
     "with the truth known from the first look on.",
 )  # fmt: skip
 @click.option("--every", default=0.03, show_default=True, help="Way between two looks [m].")
-@click.option("--horizon", default=6.0, show_default=True,
+@click.option("--horizon", default=10.0, show_default=True,
               help="How far ahead the path is corrected after a look [L_gb].")  # fmt: skip
 @click.option("--undisturbed", is_flag=True, help="The effect alone, without shaking and the rest.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
@@ -80,6 +80,7 @@ def command(
     from wrod.bench import courses
     from wrod.bench.slippery import Shelf
     from wrod.errors import RodError
+    from wrod.files import schemas
     from wrod.files.ledger import Ledger
     from wrod.rods.batch import resolve_device
 
@@ -94,7 +95,8 @@ def command(
         shelf.course(*place)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
     patterns = "built-in" if shelf.patterns is None else shelf.patterns.name
-    ledger = Ledger(out / "feedback.jsonl", how | {"patterns": patterns}, KEYS, "feedback")
+    settings = how | {"patterns": patterns}
+    ledger = Ledger(out / "feedback.jsonl", settings, KEYS, "feedback", schemas.FeedbackRow)
     done = ledger.done()
     keys = [
         (*place, effect, way, seed)
@@ -165,7 +167,7 @@ def _half(middle: float):
 
 
 def _world(effect: str, led, material, friction: float, seed: int, undisturbed: bool):
-    from wrod.deployment.feedback import World
+    from wrod.deployment.feedback import Plant
     from wrod.deployment.setup import Disturbance
     from wrod.solvers.contact import Friction
 
@@ -181,7 +183,7 @@ def _world(effect: str, led, material, friction: float, seed: int, undisturbed: 
     if effect == "half":
         x = led.sample(np.linspace(0.0, led.length, 200))[0][:, 0]
         field = _half(0.5 * float(x.min() + x.max()))
-    return World(material, law, how, field)
+    return Plant(material, law, how, field)
 
 
 def _course(shelf, key: tuple, how: dict):
@@ -199,17 +201,17 @@ def _course(shelf, key: tuple, how: dict):
     rod_name, name, effect, way, seed = key
     led, material = shelf.course(rod_name, name)
     trajectory = shelf.plan(rod_name, name, how["friction"], "optimised")
-    world = _world(effect, led, material, how["friction"], seed, how["undisturbed"])
+    plant = _world(effect, led, material, how["friction"], seed, how["undisturbed"])
     looks: list = []
     if way == "blind":
         rest = Tail.none(trajectory)
-        trial = Trial(led, world.rod, trajectory, world.friction, world.disturbance, rest)
-        (laid,) = yield Asked([trial], None, {"friction_field": world.friction_field, **FINE})
+        trial = Trial(led, plant.rod, trajectory, plant.friction, plant.disturbance, rest)
+        (laid,) = yield Asked([trial], None, {"friction_field": plant.friction_field, **FINE})
     else:
         told = dict(WAYS[way])
         seeing = {k: told.pop(k) for k in ("hanging",) if k in told}
         followed = yield from following(
-            led, material, trajectory, how["friction"], world, every=how["every"],
+            led, material, trajectory, how["friction"], plant, every=how["every"],
             horizon=how["horizon"], sight=Sight(seed=seed, **seeing), **told, **FINE,
         )  # fmt: skip
         laid, looks = followed.laid, followed.looks

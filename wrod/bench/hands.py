@@ -42,7 +42,7 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     """
     from wrod.bench import hands_loops, hands_swings
     from wrod.errors import DataError
-    from wrod.files import write_atomically
+    from wrod.files import write_json
     from wrod.identification.held.measurements import load_held
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -73,9 +73,8 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     written += hands_swings.draw(data / "swing", out, statics, predictions["swings"])
     if not quick:
         written.append(out / "hands-prediction.json")
-        text = json.dumps(predictions, indent=1) + "\n"
-        write_atomically(written[-1], lambda file: file.write(text))
-    write_atomically(written[0], lambda file: file.write(json.dumps(figures, indent=2) + "\n"))
+        write_json(written[-1], predictions)
+    write_json(written[0], figures)
     if as_json:
         click.echo(json.dumps(figures, indent=2))
         return

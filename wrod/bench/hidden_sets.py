@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.bench import hidden_effects as hidden_in
-from wrod.bench.continuous_rod import World, labels, measured
+from wrod.bench.continuous_rod import Experiment, labels, measured
 from wrod.bench.hidden_effects import TRIALS, Hidden
 from wrod.bench.hidden_noise import with_noise
 from wrod.bench.hidden_strange import STRANGE
@@ -92,11 +92,11 @@ NEAR: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 
 def _combined(parts: list[Hidden]) -> Hidden:
     """Worlds that change different things, put together."""
-    base, changed, truth = World(), {}, {}
+    base, changed, truth = Experiment(), {}, {}
     for part in parts:
         truth |= part.truth
-        for field in fields(World):
-            value = getattr(part.world, field.name)
+        for field in fields(Experiment):
+            value = getattr(part.experiment, field.name)
             if not np.array_equal(value, getattr(base, field.name)):
                 assert field.name not in changed, f"two effects set {field.name}"
                 changed[field.name] = value
@@ -131,8 +131,8 @@ def hidden_set(name: str, seed: int, noise: str = "white") -> tuple[dict[str, np
         hidden, poses = cases()[name](rng, rod), _poses(rng, rod)
         own = int(rng.integers(2**31))
         if noise == "white":
-            return measured(poses, hidden.world, seed=own, noise=NOISE), hidden
-        data = measured(poses, hidden.world, seed=own, noise=0.0)
+            return measured(poses, hidden.experiment, seed=own, noise=NOISE), hidden
+        data = measured(poses, hidden.experiment, seed=own, noise=0.0)
         return with_noise(data, noise, own), hidden
 
     for _ in range(_REDRAWS):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wrod.bench.continuous_rod import World, constant
+from wrod.bench.continuous_rod import Experiment, constant
 from wrod.bench.hidden_effects import TRIALS, Hidden, _between, _direction
 
 
@@ -22,7 +22,7 @@ def warming(rng, rod):
         left = 1.0 - loss * (1.0 - np.exp(-trial / pace))
         return {"bending": constant(left, left), "twisting": left, "stretching": left}
 
-    return Hidden(World(each=each), {})
+    return Hidden(Experiment(each=each), {})
 
 
 def drying(rng, rod):
@@ -30,7 +30,10 @@ def drying(rng, rod):
     water, pace = _between(rng, 0.4, 0.7), _between(rng, 6.0, 12.0)
     line = rod.weight / rod.gravity
     return Hidden(
-        World(each=lambda trial, past: {"mass": constant(water * np.exp(-trial / pace) * line)}), {}
+        Experiment(
+            each=lambda trial, past: {"mass": constant(water * np.exp(-trial / pace) * line)}
+        ),
+        {},
     )
 
 
@@ -44,7 +47,7 @@ def creep(rng, rod):
         s, curvature = past
         return {"curvature": lambda at: kept * np.stack([np.interp(at, s, c) for c in curvature])}
 
-    return Hidden(World(each=each), {})
+    return Hidden(Experiment(each=each), {})
 
 
 def loose_clamp(rng, rod):
@@ -55,13 +58,13 @@ def loose_clamp(rng, rod):
         across = moment * [1.0, 1.0, 0.0]
         return play * across / np.linalg.norm(across)
 
-    return Hidden(World(clamp_give=give), {})
+    return Hidden(Experiment(clamp_give=give), {})
 
 
 def soft_grip(rng, rod):
     """The gripper's fingers are rubber: they turn as the rod's moment asks."""
     compliance = _between(rng, 0.012, 0.025) * rod.length / rod.bending_stiffness
-    return Hidden(World(grip_give=lambda moment: compliance * moment * [1.0, 1.0, 0.5]), {})
+    return Hidden(Experiment(grip_give=lambda moment: compliance * moment * [1.0, 1.0, 0.5]), {})
 
 
 def sliding_markers(rng, rod):
@@ -75,7 +78,7 @@ def sliding_markers(rng, rod):
         slid = step * np.arange(TRIALS)[:, None] * loose * (u < 1.0)
         return position + slid[:, :, None] * frame[..., 2]
 
-    return Hidden(World(see=see), {})
+    return Hidden(Experiment(see=see), {})
 
 
 def lens(rng, rod):
@@ -88,7 +91,7 @@ def lens(rng, rod):
         across = away - (away @ axis)[..., None] * axis
         return position + bend * (across**2).sum(axis=-1, keepdims=True) * across
 
-    return Hidden(World(see=see), {})
+    return Hidden(Experiment(see=see), {})
 
 
 def shelf(rng, rod):
@@ -101,7 +104,7 @@ def shelf(rng, rod):
         up[2] = stiff * 2e-3 * np.logaddexp(0.0, (height - q[2]) / 2e-3)
         return up
 
-    return Hidden(World(drag=force), {})
+    return Hidden(Experiment(drag=force), {})
 
 
 # For each kind: names that say what it is as far as they can, prints that are near the truth.

@@ -22,7 +22,7 @@ from wrod.bench.loop_trials import (
 )
 from wrod.bench.table3_paper import PATTERNS, read_pattern
 from wrod.deployment.simulate import simulate_deployments
-from wrod.files import write_atomically
+from wrod.files import write_text
 from wrod.machine import machine_line
 from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
@@ -55,6 +55,7 @@ class Loop:
     grasps: int
     steps: int | None
     friction: float
+    known_table: bool
     rolling: bool
     roll_text: str
     speed: float
@@ -82,7 +83,8 @@ class Loop:
             curves = curves if self.names else "a bend of the cable's own size"
         return (
             f"Simulated deployments of {what}, e_mean ± sigma [cm] (N = 50); friction "
-            f"{self.friction:g}{', rolling freely' if self.rolling else ''}, roll "
+            f"{self.friction:g}{', which new plans know' if self.known_table else ''}"
+            f"{', rolling freely' if self.rolling else ''}, roll "
             f"{self.roll_text}, contact speed {self.speed:g} m/s, step {self.step:g} s, edges "
             f"{self.spacing:g} m, {curves}."
         )
@@ -117,7 +119,7 @@ def run(loop: Loop) -> dict[str, Any]:
     rows = _laid(loop, cases, curves)
     found = {effect: _found(case) for effect, case in cases.items()}
     text = markdown(rows, found, loop.head)
-    write_atomically(loop.out / "loop.md", lambda file: file.write(text))
+    write_text(loop.out / "loop.md", text)
     written += [
         write_csv(loop.out / "loop.csv", rows),
         loop.out / "loop.md",
@@ -224,7 +226,7 @@ def _laid(loop: Loop, cases: dict[str, Case], curves: dict) -> list[dict]:
         hold = _HELD * max(rod.gravito_bending_length for rod in rods)
     with loop.timed("plans"):
         for name, curve in loop.along(curves.items(), "plans"):
-            jobs |= trials_along(name, curve, cases, loop.controllers, law, hold)
+            jobs |= trials_along(name, curve, cases, loop.controllers, law, hold, loop.known_table)
     with loop.timed("deployments"), loop.bar("laid") as bar:
         laid = simulate_deployments(
             list(jobs.values()), speed=loop.speed, step=loop.step, spacing=loop.spacing,

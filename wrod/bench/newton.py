@@ -93,7 +93,7 @@ def command(
     )  # fmt: skip
     problem = Cantilever(material, scale * length)
     duration = periods * problem.period
-    with_elastica = importlib.util.find_spec("elastica") is not None
+    with_elastica = all(map(importlib.util.find_spec, ("elastica", "numba")))
     if not with_elastica:
         click.echo("PyElastica is not installed; for its rows: pip install wrod[peers]", err=True)
 
@@ -115,10 +115,10 @@ def command(
     text = markdown(figures)
     click.echo(json.dumps(figures) if as_json else text)
     if out is not None:
-        from wrod.files import write_atomically
+        from wrod.files import write_text
 
         out.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / "newton.md", lambda file: file.write(text + "\n"))
+        write_text(out / "newton.md", text + "\n")
         for path in (out / "newton.md", draw(out / "newton.png", figures)):
             click.echo(f"wrote {path}", err=as_json)
 

@@ -162,7 +162,7 @@ def _table(
 def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str], list[Path]]:
     """What the rows say, and the files written of them."""
     from wrod.bench.table3_report import cells, draw, markdown, summary, write_csv
-    from wrod.files import write_atomically
+    from wrod.files import write_text
 
     table = cells(rows)
     head = (
@@ -172,7 +172,7 @@ def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str]
         f"{settings['closure']}, patterns {settings['patterns']}."
     )
     text = markdown(table, head)
-    write_atomically(out / "table3.md", lambda file: file.write(text))
+    write_text(out / "table3.md", text)
     return summary(table), [
         write_csv(out / "table3.csv", table),
         out / "table3.md",

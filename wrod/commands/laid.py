@@ -80,12 +80,14 @@ class _Fit:
 
     def save(self, found) -> list[str]:
         """Write the rod and the table that were asked for."""
-        from wrod.deployment.table import Table
+        from wrod.deployment.table import TableFriction
 
         written = [] if self.out is None else [str(found.rod.save(self.out))]
         if self.table is not None:
             error = found.estimates["log_friction"].stderr
-            written.append(str(Table(found.friction, error, found.correlation).save(self.table)))
+            written.append(
+                str(TableFriction(found.friction, error, found.correlation).save(self.table))
+            )
         return written
 
 

@@ -1,6 +1,8 @@
 """Writing files that are either whole or not there."""
 
 import contextlib
+import csv
+import json
 import os
 import stat
 import tempfile
@@ -44,6 +46,42 @@ def write_atomically(
         raise
     _FINISHED.append(path)
     return path
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> Path:
+    """A file of text, whole or not there; raises as `write_atomically`."""
+    return write_atomically(path, lambda file: file.write(text))
+
+
+def write_json(path: str | os.PathLike[str], content: Any, *, allow_nan: bool = True) -> Path:
+    """A file of JSON, as `write_text`."""
+    return write_text(path, json.dumps(content, indent=2, allow_nan=allow_nan) + "\n")
+
+
+def write_csv(
+    path: str | os.PathLike[str], head: Iterable, rows: Iterable[Iterable], comment: str = ""
+) -> Path:
+    """A file of comma-separated values, its head first but for a comment, as `write_text`."""
+
+    def write(file):
+        file.write(f"# {comment}\n" if comment else "")
+        csv.writer(file).writerows([head, *rows])
+
+    return write_atomically(path, write)
+
+
+def write_npz(path: str | os.PathLike[str], **arrays: Any) -> Path:
+    """A compressed file of NumPy's arrays, as `write_text`."""
+    from numpy import savez_compressed
+
+    return write_atomically(path, lambda file: savez_compressed(file, **arrays), "wb")
+
+
+def write_figure(path: str | os.PathLike[str], figure: Any, dpi: int, **more: Any) -> Path:
+    """A figure of matplotlib as PNG, as `write_text`; `more` are options of its `savefig`."""
+    return write_atomically(
+        path, lambda file: figure.savefig(file, format="png", dpi=dpi, **more), "wb"
+    )
 
 
 def refuse_no_file(path: str | os.PathLike[str]) -> None:

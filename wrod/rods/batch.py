@@ -117,6 +117,7 @@ class RodBatch(BatchArrays):
         self.free = wp.ones((rods, self.dof_count), dtype=wp.int32, device=self.device)
         self.every_rod = wp.ones(rods, dtype=wp.int32, device=self.device)
         self.state = RodState.zeros(rods, nodes, self.device)
+        self._nothing = wp.zeros(0, dtype=wp.float64, device=self.device)
         self.derivatives = Derivatives.zeros(rods, self.dof_count, self.device)
         self.cut_edges = ()
         self.set_configuration(position, director=director)
@@ -182,12 +183,11 @@ class RodBatch(BatchArrays):
 
     def transport_frames(self, source: RodState, target: RodState, active: wp.array) -> None:
         """Bring `target`'s frames to its own positions by time-parallel transport from `source`."""
-        wp.launch(
+        self.launch(
             transport_reference_frames,
-            dim=(self.rod_count, self.node_count - 1),
-            inputs=[active, target.dof, source.tangent, source.director],
-            outputs=[target.tangent, target.director],
-            device=self.device,
+            (self.rod_count, self.node_count - 1),
+            [active, target.dof, source.tangent, source.director],
+            [target.tangent, target.director],
         )
         self._launch_twist(source, target, active)
 
@@ -219,28 +219,25 @@ class RodBatch(BatchArrays):
         out: Derivatives | None = None,
         active: wp.array | None = None,
         model: list[wp.array] | None = None,
+        energy: bool = True,
     ) -> Derivatives:
         """Energy and gradient (`order` 1) and Hessian (`order` 2) of every active rod.
 
         The frames of `state` must belong to its positions; `model` stands in for `elastic_model`.
+        Without `energy` that is not computed: it stays what it was.
         """
         state = self.state if state is None else state
         out = self.derivatives if out is None else out
         active = self.every_rod if active is None else active
-        out.energy.zero_()
+        if energy:
+            out.energy.zero_()
         out.gradient.zero_()
         if order == 2:
             out.hessian.zero_()
-        results = [out.energy, out.gradient, out.hessian]
+        results = [out.energy if energy else self._nothing, out.gradient, out.hessian]
 
         def launch(kernel, count, inputs, outputs=results):
-            wp.launch(
-                kernel,
-                dim=(self.rod_count, count),
-                inputs=inputs,
-                outputs=outputs,
-                device=self.device,
-            )
+            self.launch(kernel, (self.rod_count, count), inputs, outputs)
 
         nodes = self.node_count
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
@@ -285,7 +282,7 @@ class RodBatch(BatchArrays):
         )
         return out
 
-    def walk(
+    def launch_lanes(
         self, kernel: wp.Kernel, inputs: list, outputs: Sequence = (), *, rods: int | None = None
     ) -> None:
         """Launch a kernel that walks along the rods, over (rod, lane); see `kernels.lanes`."""

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import SceneError
-from wrod.files import write_atomically
+from wrod.files import write_text
 from wrod.scene.page_parts import (
     ShownArm,
     add_holder,
@@ -116,11 +116,11 @@ def write_deployment_page(
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
-    return write_atomically(out, lambda file: file.write(page))
+    return write_text(out, page)
 
 
 def _expectation(trajectory) -> list[str]:
-    expected = trajectory.metadata["expected"]
+    expected = trajectory.expected
     low, high = expected["friction"][0], expected["friction"][-1]
     return [
         f"expected {100 * expected['mean']:.2f} cm off, friction {low:.2g} to {high:.2g}",

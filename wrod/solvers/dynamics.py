@@ -178,6 +178,8 @@ class Dynamics(NewtonSteps):
         self.rounding = wp.array(rounding, dtype=wp.vec2d, device=device)
         for one in self.contacts:
             one.time_step = self.span
+        if self.rod_contact is not None:
+            self.rod_contact.balance = (self.residual, self.step_tolerance)
         # Rounds since last asked; whether to take another, and whether any rod still runs.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)
@@ -342,7 +344,7 @@ class Dynamics(NewtonSteps):
     def _ask(self, most: int) -> None:
         """Find out on the device whether to take another round, `most` of them at a time."""
         outputs = [self._rounds, self._going]
-        self.batch.walk(pace.ask_on, [self.running, most], outputs, rods=1)
+        self.batch.launch_lanes(pace.ask_on, [self.running, most], outputs, rods=1)
 
     def _record(self, take_round: Callable[[], None]) -> wp.Graph:
         """What takes rounds until all rods are there, or for a while; asking a GPU from outside

@@ -55,6 +55,7 @@ class RodContact:
 
     Attributes:
         time_step: (rod,) duration of the present step; see `Contact`.
+        balance: (rod,) residual of the present iteration and the step's tolerance.
         force: (rod, node) contact force on each node at the end of the last step.
         slip: (rod, edge) distance that each edge has slid on others in all [length].
         penetration: (rod,) deepest penetration at the end of the last step [length].
@@ -153,6 +154,7 @@ class RodContact:
         self._share_friction(zeros(wp.vec2d, edges, partners), zeros(wp.float64, edges, partners))
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
+        self.balance = (floats(np.full(rods, np.inf)), floats(np.zeros(rods)))
         self.configuration: tuple[wp.array, ...] = ()
         self._check_start()
 
@@ -231,11 +233,12 @@ class RodContact:
         self.batch.launch(
             kernels.renew_loads,
             self.partner_count.shape,
-            [self.pieces, self.time_step, converged, self._renewals, dof, dof_before]
+            [self.pieces, self.time_step, converged, active, *self.balance]
+            + [self._renewals, dof, dof_before]
             + [self.partner_count, self.partner],
             [self.rubbing, self._renewed],
         )
-        self.batch.walk(
+        self.batch.launch_lanes(
             touching.refuse_large_steps,
             [
                 self.edge_radius,
@@ -267,21 +270,15 @@ class RodContact:
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
-        device = self.batch.device
-        wp.launch(
-            kernels.clear_forces,
-            dim=self.force.shape,
-            inputs=[accepted],
-            outputs=[self.force, self.penetration],
-            device=device,
+        self.batch.launch(
+            kernels.clear_forces, self.force.shape, [accepted], [self.force, self.penetration]
         )
-        wp.launch(
+        self.batch.launch(
             kernels.settle_friction,
-            dim=self.partner_count.shape,
-            inputs=[self.pieces, self.time_step, accepted, dof, dof_before]
+            self.partner_count.shape,
+            [self.pieces, self.time_step, accepted, dof, dof_before]
             + [self.partner_count, self.partner],
-            outputs=[self.rubbing, self.load, self.slip, self.force, self.penetration],
-            device=device,
+            [self.rubbing, self.load, self.slip, self.force, self.penetration],
         )
 
     def _check_start(self) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from wrod import __version__
+from wrod.files import schemas
 from wrod.files.ledger import Ledger
 from wrod.identification.motion.data import MotionMeasurements
 
@@ -34,7 +35,7 @@ class Remembered:
             hashed.update(np.ascontiguousarray(part).tobytes())
         settings = {"data": hashed.hexdigest(), "version": __version__}
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._ledger = Ledger(path, settings, ("step",), "identification-steps")
+        self._ledger = Ledger(path, settings, ("step",), "identification-steps", schemas.StepRow)
         self._known = {row["step"]: row["found"] for row in self._ledger.rows}
 
     def recall(self, key: list, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from wrod.rods.numbers import as_number
 
 
 @dataclass(frozen=True)
-class Otherwise:
+class RodTransformations:
     """What `wrod.RodModel` makes of itself."""
 
     length: Any
