@@ -256,10 +256,10 @@ def test_only_what_was_solved_is_said_to_help(capsys):
         if trajectory > 0.7:
             raise RobotError("no joint path")
 
-    def planned(resize, hold, tried=None):
-        if tried.resize < 0.65:
+    def planned(wanted, tried=False):
+        if wanted.resize < 0.65:
             raise PatternError("bends too much")
-        return SimpleNamespace(rod=None), None, tried.resize
+        return SimpleNamespace(rod=None), None, wanted.resize
 
     request = SimpleNamespace(robot="sawyer", solve=solve)
     tries = [Shaping(size, 0.01, 0.5, reverse=True) for size in (0.6, 0.8, 0.7)]
@@ -323,7 +323,8 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
         )
         task = SimpleNamespace(trajectory=trajectory, robot=load_robot(robot), clearance=0.005)
         failed = SimpleNamespace(task=task)
-        return list(remedy.remedies(failed, wrod.rod("green-vps"), 0.6, None))
+        curve = SimpleNamespace(length=0.6, remainder_length=led)
+        return list(remedy.remedies(failed, wrod.rod("green-vps"), curve, None))
 
     panda = tried("panda", 0.1)
     assert panda[0] == {"remainder": False}

@@ -14,6 +14,8 @@ from wrod.robot.solve import UnreachedError, attempt, turning
 from wrod.robot.tail import FINGERS
 
 _TURN_ROOM = 0.2  # [rad] that a last joint should have left
+# Sizes of a pattern, and rod left over at its end [L_gb].
+_SMALLER = ((0.85, 5.9), (0.8, 9.2), (0.93, 5.9))
 _STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
 
 
@@ -126,16 +128,21 @@ def draw_reach(path, failed: UnreachedError):
 
 
 def remedies(
-    failed: UnreachedError, rod, pattern_length: float, candidates, until: float = math.inf
+    failed: UnreachedError, rod, curve, candidates, until: float = math.inf
 ) -> Iterator[dict]:
-    """What to try, most likely first: {"resize" | "table_height" | "hold" | "remainder" | "robot":
-    value}. Where the pattern turns the hand further than its joint, less turning comes first and
-    arms whose last joint turns further come last. Heights of the table are tried `until` then [s of
-    the monotonic clock]."""
+    """What to try, most likely first: {"resize" | "hold" | "reverse" | "remainder" | "robot" |
+    "table_height": value, ...}. Where the pattern turns the hand further than its joint, less
+    turning comes first and arms whose last joint turns further come last. Heights of the table are
+    tried `until` then [s of the monotonic clock].
+
+    Args:
+        rod, curve: that were planned, the pattern with its lead-in.
+    """
     turned, room = turning(failed.task)
-    if turned > room and failed.task.trajectory.metadata.get("remainder_length", 0.0) > 0.0:
-        yield {"remainder": False}
-    yield from _others(failed, rod, pattern_length, candidates, until)
+    low = low_end(failed.task.trajectory, failed.task.clearance)
+    if turned > room:
+        yield from _turning_less(rod, curve, low is not None)
+    yield from _others(failed, rod, curve, candidates, until, low)
     if turned > room:
         for name in ROBOTS:
             last = load_robot(name)
@@ -143,10 +150,26 @@ def remedies(
                 yield {"robot": name}
 
 
+def _turning_less(rod, curve, low: bool) -> Iterator[dict]:
+    """Other ways along a pattern that turns the hand far: from its other end the turns are shared
+    out differently, and of a smaller one more rod is left, which keeps the hand off the table.
+    Where it is too `low` anyway the pattern is made smaller first.
+    """
+    led = {"remainder": False} if curve.remainder_length > 0.0 else {}
+    smaller: list[dict] = []
+    for size, left in _SMALLER:
+        held = {"resize": size, **led}
+        hold = round(size * curve.length + left * rod.gravito_bending_length, 3)
+        if hold < rod.length:
+            held["hold"] = hold
+        smaller += [{**held, "reverse": True}, held]
+    as_large = [led, {"reverse": True}] if led else [{"reverse": True}]
+    yield from smaller + as_large if low else as_large + smaller
+
+
 def _others(
-    failed: UnreachedError, rod, pattern_length: float, candidates, until: float
+    failed: UnreachedError, rod, curve, candidates, until: float, share: float | None
 ) -> Iterator[dict]:
-    share = low_end(failed.task.trajectory, failed.task.clearance)
     if share is not None:
         # Not as short as possible: the next millimetres are as low.
         least = float(np.floor(100 * share - 1.0) / 100)
@@ -154,9 +177,10 @@ def _others(
         yield {"resize": round(0.8 * least, 2)}
         yield {"resize": round(0.6 * least, 2)}
         return
-    needed = pattern_length + 1.5 * rod.gravito_bending_length
+    needed = curve.length + curve.remainder_length + 1.5 * rod.gravito_bending_length
     if needed < 0.9 * rod.length:
         yield {"hold": float(np.ceil(100 * needed) / 100)}
+    yield {"reverse": True}
     try:
         height = other_height(failed, candidates, until)
     except RobotError:
