@@ -35,7 +35,7 @@ def test_the_film_of_a_path_ends_with_the_rod_at_rest(letter, letter_path):
     shapes = whole_rod(letter)
     falls = falling(letter)
     held = shapes[-1]
-    simulated = falls(held, TIME)
+    simulated = falls(held, np.array([0.0, 0.3, 2.5]))
     assert np.abs(simulated[-1][:, 2]).max() < 2e-3
     played = film(letter_path, shapes, None, falls)
     assert len(played.shapes) == len(played.code)

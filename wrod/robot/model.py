@@ -212,7 +212,7 @@ def _with_gripper(
             f"{urdf.path}: {', '.join(moved)} beyond the flange {flange!r:.80} give way to wrod's "
             "gripper; name the grasp point with tip to keep them",
             WrodWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     root = copy.deepcopy(urdf.root)
     gone = beyond | set(gripper_model.LINKS)

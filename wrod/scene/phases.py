@@ -12,7 +12,8 @@ from wrod.scene.rod_shapes import whole_rod
 
 MOST = 120  # time codes before the first node, and after the last
 _FALL = 0.3  # [s] in which a rod that is let go comes to lie, where that is not simulated
-_SETTLED, _FALLEN = 0.6, 13  # [s] after which it is at rest; shapes until then
+# [s] after letting go at which its shapes are kept; it lies at the last.
+_FALLING = np.concatenate([np.linspace(0.0, 0.5, 11), np.linspace(0.7, 2.5, 10)])
 _FRICTION = 0.4  # of a table that the plan does not know
 _OPEN = 0.5  # share of the release after which the fingers are open
 _LIES = 1e-4  # [m] above the end of the laid part, what is lower lies
@@ -92,8 +93,7 @@ def falling(trajectory):
 
         found = None
         if trajectory.rod is not None:
-            settled = np.minimum(time, _SETTLED)
-            found = fall(trajectory.rod, shape, settled, friction)
+            found = fall(trajectory.rod, shape, np.minimum(time, _FALLING[-1]), friction)
         if found is None:
             found = np.stack([let_go(shape, at / _FALL) for at in time])
         return found
@@ -161,9 +161,8 @@ def with_release(joint_path, shapes: np.ndarray, time: np.ndarray, onward: Onwar
         times.append(rates)
     opened = opening(joint_path)
     if np.isfinite(opened):
-        since = np.linspace(0.0, _SETTLED, _FALLEN)
-        parts.append(falls(parts[-1][-1], since))
-        times.append(opened + since)
+        parts.append(falls(parts[-1][-1], _FALLING))
+        times.append(opened + _FALLING)
     return np.concatenate(parts), np.concatenate(times)
 
 
