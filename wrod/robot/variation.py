@@ -28,7 +28,7 @@ _ITERATIONS, _FARTHEST = 60, 0.25  # steps, and the most that a joint moves in o
 _LONGEST = 0.3  # [rad] of a joint between two samples; longer ones are singularities
 _HARDER, _HARDEST = 8.0, 6e4  # growth and bound of the limits' weight
 _SINGULAR = 2e4  # weight of singularities, between whose samples poses may be out of reach
-_KEPT = -0.03  # [rad] within the limits is enough
+_KEPT = -0.05  # [rad] within the limits is enough
 _STILL = 3e-3  # share of the cost that a step must save
 
 
