@@ -14,6 +14,7 @@ from wrod.robot.solve import UnreachedError, attempt, turning
 from wrod.robot.tail import FINGERS
 
 _TURN_ROOM = 0.2  # [rad] that a last joint should have left
+_FAR = 2.5  # [rad] beyond a last joint's turn, from where on a pattern as large is tried last
 # Sizes of a pattern, and rod left over at its end [L_gb].
 _SMALLER = ((0.85, 5.9), (0.8, 9.2), (0.93, 5.9))
 _STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
@@ -141,7 +142,7 @@ def remedies(
     turned, room = turning(failed.task)
     low = low_end(failed.task.trajectory, failed.task.clearance)
     if turned > room:
-        yield from _turning_less(rod, curve, low is not None)
+        yield from _turning_less(rod, curve, turned > room + _FAR)
     yield from _others(failed, rod, curve, candidates, until, low)
     if turned > room:
         for name in ROBOTS:
@@ -150,21 +151,23 @@ def remedies(
                 yield {"robot": name}
 
 
-def _turning_less(rod, curve, low: bool) -> Iterator[dict]:
-    """Other ways along a pattern that turns the hand far: from its other end the turns are shared
+def _turning_less(rod, curve, far: bool) -> Iterator[dict]:
+    """Other ways along a pattern that turns the hand much: from its other end the turns are shared
     out differently, and of a smaller one more rod is left, which keeps the hand off the table.
-    Where it is too `low` anyway the pattern is made smaller first.
+    Where it turns too `far` the pattern is made smaller first.
     """
     led = {"remainder": False} if curve.remainder_length > 0.0 else {}
-    smaller: list[dict] = []
+    smaller = []
     for size, left in _SMALLER:
         held = {"resize": size, **led}
         hold = round(size * curve.length + left * rod.gravito_bending_length, 3)
         if hold < rod.length:
             held["hold"] = hold
-        smaller += [{**held, "reverse": True}, held]
+        smaller.append(held)
+    back = [{**held, "reverse": True} for held in smaller]
+    ways = [*back[:2], *smaller[:2], *back[2:], *smaller[2:]]
     as_large = [led, {"reverse": True}] if led else [{"reverse": True}]
-    yield from smaller + as_large if low else as_large + smaller
+    yield from ways + as_large if far else as_large + ways
 
 
 def _others(
