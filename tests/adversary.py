@@ -4,10 +4,11 @@
 
 What is broken is drawn for an option of a command: its word (numbers that nobody means, names of
 what is no file, odd letters), how often and how it is given, where it writes, and the process
-around it (environment, streams, limits). A call has to end in success, or with exit code 2 and one
-sentence, in time and memory, and leave nothing half-written, nothing outside of its --out and no
-device or pipe replaced; one that still works after the limit was taken. The same seed draws the
-same calls.
+around it (environment, streams, limits); or it is of the kinds of adversary_kinds.py. A call has
+to end in success, or with exit code 2 and one sentence, in time and memory, and leave nothing
+half-written, nothing outside of its --out and no device or pipe replaced; one that still works
+after the limit was taken; one that is dressed otherwise only ends in the same bytes or is refused.
+The same seed draws the same calls.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ import random
 import shlex
 import shutil
 import signal
-import stat
 import sys
 import tempfile
 import time
@@ -28,6 +28,16 @@ from pathlib import Path
 
 import click
 import numpy as np
+from adversary_kinds import (
+    MORE,
+    SAME,
+    combined,
+    doubled,
+    dressed,
+    happening,
+    odd_name,
+    structured,
+)
 from adversary_material import (
     AROUND,
     AROUND_LIMITS,
@@ -38,14 +48,10 @@ from adversary_material import (
     material,
     odd_places,
 )
-from forked import End, forked
+from adversary_runs import digests, run, wrong
 
 from wrod.commands import COMMANDS, main
 from wrod.commands.bench import BENCHMARKS
-
-DEVICES = ("/dev/null", "/dev/zero", "/dev/full")
-# The most that a call may take before it has said something [s].
-LONGEST = 10.0
 
 
 def commands() -> dict[str, click.Command]:
@@ -71,6 +77,7 @@ class Campaign:
 
     def __init__(self, folder: Path, files: dict[str, str]):
         self.folder, self.files, self.commands = folder, files, commands()
+        self.plain: dict[tuple, dict | None] = {}  # digests of what plain calls leave
         self.slots = [
             (name, option)
             for name, command in self.commands.items()
@@ -80,6 +87,8 @@ class Campaign:
     def drawn(self, seed: int, number: int, only: str = "") -> tuple[str, list[str], dict | str]:
         """What is broken, the words of the call, and what is around it."""
         draw = random.Random(f"{seed} {number}")
+        if draw.random() < 0.5:
+            return self._of_kinds(draw, number, only)
         slots = [slot for slot in self.slots if slot[0].startswith(only)]
         # Every option in turn, so that none is left to luck.
         name, option = slots[number % len(slots)]
@@ -99,6 +108,38 @@ class Campaign:
         else:
             kind, words, around = self._option(draw, words, option)
         return f"{name} {kind}", [*name.split(), *words], around
+
+    def _of_kinds(self, draw, number, only):
+        names = [name for name in self.commands if name.startswith(only)]
+        name = names[number % len(names)]
+        words, command = list(draw.choice([VALID[name], *MORE.get(name, [])])), self.commands[name]
+        how = draw.choice(["combined", "combined", "doubled", "structured", "odd name", "dressed",
+                           "happening", "happening"])  # fmt: skip
+        given, around = (draw, words, self.files, self.folder), None
+        found = structured(*given) if how == "structured" else None
+        found = odd_name(*given) if how == "odd name" else found
+        if how == "doubled":
+            found = doubled(draw, words, command, self.files)
+        elif how == "happening":
+            kind, changed, around = happening(*given)
+            found = kind, changed
+        elif how == "dressed" and name in SAME:
+            found, around = dressed(*given), tuple(words)
+        if found is None:
+            how, found = "combined", combined(draw, words, command, self.files)
+        return f"{name} {how} {found[0]}", [*name.split(), *found[1]], around
+
+    def alike(self, words: list[str], plain: tuple, place: Path) -> str | None:
+        """What differs between what was left there and what the plain call leaves."""
+        left = digests(place)
+        if plain not in self.plain:
+            end, _ = run([*words[:1], *plain], None, place, self.files)
+            self.plain[plain] = digests(place) if end.code == 0 else None
+        expected = self.plain[plain]
+        if expected is None:
+            return None  # it has no plain end
+        differ = sorted(k for k in expected.keys() | left.keys() if expected.get(k) != left.get(k))
+        return f"another answer than {shlex.join(plain)[:200]}: {differ}" if differ else None
 
     def _around(self, draw, words):
         which = draw.choice(["environment", "streams", "limits"])
@@ -212,95 +253,6 @@ class Campaign:
         return draw.choice(list(odd_places(self.folder / "odd", suffix).items()))
 
 
-def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[End, list[str]]:
-    """How a call ends, and what it left beside its output."""
-    shutil.rmtree(place, ignore_errors=True)
-    (place / "here").mkdir(parents=True)
-    names = {f"{{{name}}}": path for name, path in files.items()}
-    out = place / "out"
-    words = [names.get(word, word.replace("{out}", str(out))) for word in words]
-    before = {path: _stamp(path) for path in files.values()}
-    if around is None and words[0] in ("train", "distil"):
-        around = {}  # torch's threads do not outlive a fork
-    if around is None:
-        end = forked(lambda: _call(words), place / "here")
-    else:
-        end = forked(lambda: _shell(words, around, place / "here"), place / "here", limited=False)
-    left = [str(path) for path in (place / "here").rglob("*")]
-    if end.code != 2 and not set(words) & {str(out), f"{out}.json", f"{out}.png"}:
-        left = []  # it was to write there
-    written = set(words[words.index("--out") + 1 :][:1]) if "--out" in words else set()
-    left += [
-        path for path, stamp in before.items()
-        if _stamp(path) != stamp and (end.code == 2 or path not in written)
-    ]  # fmt: skip
-    if end.code == 2 and "complete" not in end.said:
-        left += [str(path) for path in place.glob("out*") for path in [path, *path.rglob("*")]]
-    return end, left
-
-
-def _stamp(path: str) -> dict[str, int]:
-    """When the file, or each file of a folder, was written."""
-    place = Path(path)
-    files = place.rglob("*") if place.is_dir() else [place]
-    return {str(file): file.stat().st_mtime_ns for file in files if file.is_file()}
-
-
-def _call(words: list[str]) -> int:
-    sys.stdout, sys.stderr = (os.fdopen(os.dup(k), "w", errors="backslashreplace") for k in (1, 2))
-    signal.signal(signal.SIGXCPU, signal.SIG_DFL)
-    multiprocessing.current_process()._config["daemon"] = False  # calls may have processes
-    try:
-        main(words)
-    except SystemExit as reason:
-        return reason.code if isinstance(reason.code, int) else bool(reason.code)
-    finally:
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-    return 0
-
-
-def _shell(words: list[str], around, here: Path) -> int:
-    """The call as a process of its own with that around it."""
-    call = shlex.join([sys.executable, "-m", "wrod", *words])
-    changed = around if isinstance(around, dict) else {}
-    environment = {**os.environ, **changed}
-    environment = {name: value for name, value in environment.items() if value is not None}
-    before, after = "", ""
-    if isinstance(around, str):
-        before, after = ("", around) if around in AROUND_STREAMS else (around, "")
-        if before == "rmdir_cwd":
-            before = 'mkdir gone; cd gone; rmdir "$PWD"'
-    line = f"{before}\nset -o pipefail\n{call} {after}"
-    os.execve("/bin/bash", ["bash", "-c", line], environment)
-
-
-# Ends that the surroundings bring and no program can mend.
-_BY_FORCE = ("| head", "| true", "ulimit", ">&-", "/dev/full", "2>&1 | head")
-
-
-def wrong(end: End, left: list[str], around) -> str | None:
-    """What is wrong with the end of a call; None if nothing."""
-    if left:
-        return f"left {left[:4]}: exit {end.code}: {end.said[-200:]}"
-    devices = {path for path in DEVICES if not stat.S_ISCHR(os.stat(path).st_mode)}
-    if devices:
-        return f"replaced {devices}"
-    if end.code in (-signal.SIGXCPU, 128 + signal.SIGXCPU, -signal.SIGKILL):
-        return None  # it was taken, and works
-    if isinstance(around, str):  # there may be nobody to tell, and no room to tell it in
-        if "Traceback" in end.said:
-            return f"exit {end.code}: {end.said[-500:]}"
-        fine = end.code in (0, 1, 2, 3, 137, 141)
-        fine |= "ulimit -s" in around and end.code in (-signal.SIGSEGV, 139)
-        return None if fine else f"exit {end.code}: {end.said[-500:]}"
-    if end.code == 0:
-        return f"says {end.said[-300:]}" if "Traceback" in end.said else None
-    if end.code == 2 and end.seconds > LONGEST:
-        return f"refused after {end.seconds:.0f} s: {end.said[-300:]}"
-    return end.wrong()
-
-
 def preload() -> None:
     """What the commands import, once for all forked calls."""
     commands()
@@ -329,6 +281,8 @@ def work(task: tuple) -> list[tuple]:
         kind, words, around = campaign.drawn(seed, number, only)
         ended, left = run(words, around, folder / "run", files)
         said = wrong(ended, left, around)
+        if isinstance(around, tuple) and ended.code == 0 and not said:
+            said = campaign.alike(words, around, folder / "run")
         row = (number, kind, ended.code, round(ended.seconds, 1), said, ended.said[-160:])
         found.append(row)
         if said:
@@ -361,6 +315,10 @@ def cli(count, first, seed, workers, minutes, only, log) -> None:
     ends = Counter("wrong" if row[4] else names.get(row[2], f"exit {row[2]}") for row in rows)
     if log is not None:
         log.write_text("".join(f"{row!r}\n" for row in rows), encoding="utf-8", errors="replace")
+    for name in commands():
+        of = [row for row in rows if row[1].startswith(f"{name} ")]
+        taken, bad = sum(row[2] == 0 for row in of), sum(bool(row[4]) for row in of)
+        click.echo(f"{name:18} {len(of):5} calls, {taken:4} done, {bad:3} wrong")
     click.echo(f"{len(rows)} calls: " + ", ".join(f"{n} {k}" for k, n in sorted(ends.items())))
     sys.exit(bool(ends["wrong"]))
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import wrod
+from wrod.bench.robot import PATTERNS
 from wrod.commands import main
 
 SCENES = Path(wrod.__file__).resolve().parents[1] / "scenes"
@@ -31,8 +32,8 @@ VALID = {
     "markers": ["--out", "{out}"],
     "manifold": ["--length", "5", "--rays", "5", "--device", "cpu", "--out", "{out}"],
     "identify": ["{clamped.npz}", "--effect", "natural_curvature", "--out", "{out}"],
-    "laid": ["{line.npz}", "--pattern", "line", "--trajectory", "{plan.npz}", *ROD,
-             "--iterations", "1", "--out", "{out}.json"],
+    "laid": ["{line.npz}", "--pattern", "line", "--trajectory", "{plan.npz}", *ROD, "--noise",
+             "0.001", "--iterations", "1", "--out", "{out}.json"],
     "dataset": ["--size", "32", "--no-sensitivities", "--device", "cpu", "--out", "{out}"],
     "train": ["--dataset", "{dataset}", "--steps", "2", "--width", "8", "--batch", "8", "--test",
               "4", "--device", "cpu", "--out", "{out}"],
@@ -43,9 +44,9 @@ VALID = {
     "bench manifold": ["--count", "2", "--lengths", "2", "--device", "cpu"],
     "bench perception": ["--images", "{images}", "--repeats", "1"],
     "bench plan": ["--patterns", "{patterns}", "--device", "cpu"],
-    "bench robot": ["--method", "intuitive", "--patterns", "line", "--rods", "rope", "--out",
+    "bench robot": ["--method", "intuitive", "--patterns", "{seven}", "--rods", "rope", "--out",
                     "{out}"],
-    "bench table4": ["--patterns", "{patterns}", "--device", "cpu"],
+    "bench table4": ["--patterns", "{seven}", "--device", "cpu"],
     "bench table3": ["--trials", "1", "--rod", "green-vps", "--substrate", "steel", "--pattern",
                      "line", "--spacing", "0.05", "--step", "0.05", "--speed", "0.5", "--device",
                      "cpu", "--out", "{out}"],
@@ -60,7 +61,7 @@ VALID = {
     "bench cosserat": ["--experiment", "cantilever", "--solver", "wrod", "--elements", "8"],
     "bench identify": ["--sets", "{sets}", "--out", "{out}"],
     "bench cables": ["--data", "{cables}", "--folds", "2", "--out", "{out}"],
-    "bench loop": ["--effect", "stiffness", "--pattern", "line", "--trials", "1", "--grasps",
+    "bench loop": ["--effect", "stiffness", "--pattern", "line", "--trials", "8", "--grasps",
                    "100", "--controller", "numeric", "--out", "{out}"],
     "bench closures": ["--rods", "green-vps", "--names", "line", "--frictions", "0.6",
                        "--curvatures", "0", "--stretch-ratios", "2000", "--out", "{out}"],
@@ -191,6 +192,11 @@ def material(folder: Path) -> dict[str, str]:
         at(name).mkdir(exist_ok=True)
         for file in files:
             shutil.copy(made[file], folder / name / file)
+    at("seven").mkdir(exist_ok=True)
+    for name in PATTERNS:
+        curve = wrod.pattern(name)
+        points = curve.sample(np.linspace(0.0, curve.length, 200))[0]
+        np.savetxt(folder / "seven" / f"{name.replace('-', '')}.txt", points)
     at("dataset")
     main(
         ["dataset", "--size", "128", "--device", "cpu", "--json", "--out", made["dataset"]],

@@ -53,6 +53,8 @@ def same(folder: Path) -> dict[str, str]:
             content = path.read_bytes()
             if path.suffix == ".safetensors":
                 content = _tensors(path)
+            if path.suffix == ".csv":
+                content = _TIMES.sub("", content.decode()).encode()
             if path.suffix in (".json", ".jsonl", ".md"):
                 text = _TIMES.sub("", content.decode())
                 text = _without_seconds(text)

@@ -54,6 +54,13 @@ def test_marks(said, hidden, uncovered, mark):
     assert outcome(said, hidden, uncovered) == mark
 
 
+def test_what_has_no_plug_in_may_be_explained_by_its_like():
+    akin = ("clamp_rotation",)
+    assert outcome(entry("clamp_rotation"), set(), True, akin=akin) == "near"
+    assert outcome(entry("clamp_rotation", "density"), set(), True, akin=akin) == "wrong"
+    assert outcome(entry(verdict="adequate"), set(), True, akin=akin) == "wrong"
+
+
 def test_a_law_of_its_own_is_right_only_for_a_law_outside_the_list():
     said = entry("moment_law")
     assert outcome(said, {"softening"}, False) == "wrong"

@@ -4,8 +4,8 @@ import pytest
 from click.testing import CliRunner
 
 from wrod.bench import campaign
-from wrod.bench.ledger import Ledger
 from wrod.commands import main
+from wrod.files.ledger import Ledger
 
 KEYS = ("course", "trial")
 

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 import wrod
 from wrod.commands import main
 from wrod.deployment.expectation import COARSE
-from wrod.deployment.feedback import Sight, World, lay_with_feedback
+from wrod.deployment.feedback import Plant, Sight, lay_with_feedback
 from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
@@ -31,9 +31,9 @@ def bend():
 def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend):
     pattern, trajectory = bend
     off = Disturbance(offset=(0.0, 0.004))
-    world = World(ROD, Friction(0.6), off)
+    plant = Plant(ROD, Friction(0.6), off)
     followed = lay_with_feedback(
-        pattern, ROD, trajectory, 0.6, world, every=0.06, sight=Sight(noise=2e-4), **COARSE
+        pattern, ROD, trajectory, 0.6, plant, every=0.06, sight=Sight(noise=2e-4), **COARSE
     )
     (blind,) = lay([Trial(pattern, ROD, trajectory, Friction(0.6), off)], **COARSE)
     left, before = (
@@ -51,7 +51,7 @@ def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend):
 def test_looks_that_never_come_are_refused(bend):
     pattern, trajectory = bend
     with pytest.raises(RodError, match=r"every is 0\.0 m"):
-        lay_with_feedback(pattern, ROD, trajectory, 0.6, World(ROD, Friction(0.6)), every=0.0)
+        lay_with_feedback(pattern, ROD, trajectory, 0.6, Plant(ROD, Friction(0.6)), every=0.0)
 
 
 def test_an_unknown_effect_is_refused(tmp_path):

@@ -108,7 +108,7 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path):
 def test_encodings(tmp_path, content, says):
     (tmp_path / "a.json").write_bytes(content)
     with pytest.raises(DataError, match=says):
-        read_json(tmp_path / "a.json", schemas.Camera, "a camera file")
+        read_json(tmp_path / "a.json", schemas.CameraIntrinsics, "a camera file")
 
 
 def test_a_file_beyond_the_limit_is_not_read(tmp_path):
@@ -116,7 +116,7 @@ def test_a_file_beyond_the_limit_is_not_read(tmp_path):
     with open(path, "wb") as file:
         file.truncate(10 * 2**30)  # a hole; nothing is written
     with pytest.raises(DataError, match="10240 MiB, and at most"):
-        read_json(path, schemas.Camera, "a camera file")
+        read_json(path, schemas.CameraIntrinsics, "a camera file")
     with pytest.raises(DataError, match="10240 MiB, and at most"):
         read_arrays(path)
 

@@ -51,7 +51,7 @@ from wrod.identification.held.measurements import (
 from wrod.identification.laid.photographs import load_photograph
 from wrod.knots.plan import KnotPlan
 from wrod.perception.image import read_image
-from wrod.perception.metric import Camera, MarkerLayout
+from wrod.perception.metric import CameraIntrinsics, MarkerLayout
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.joint_path import JointPath
 from wrod.robot.urdf import read_urdf
@@ -60,7 +60,7 @@ FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 SECONDS, BYTES = 10, 2 * 2**30
 SCENES = Path(sawyer.__file__).parent
 # Of a test of many files, so that `make fuzz` ends [s].
-LONGEST = 60
+LONGEST = 30
 
 
 def tries(count):
@@ -149,7 +149,7 @@ JSON_FILES = {
         },
     ),
     "camera": (
-        Camera.load,
+        CameraIntrinsics.load,
         {"camera_matrix": [[900, 0, 320], [0, 900, 240], [0, 0, 1]], "distortion": [0.1] * 5},
     ),
 }  # fmt: skip

@@ -11,7 +11,7 @@ from test_deployment import QUICK, ROD, quarter_turn
 import wrod
 from wrod.commands import main
 from wrod.commands.plan_summary import read_friction
-from wrod.deployment.table import Table
+from wrod.deployment.table import TableFriction
 from wrod.errors import DataError
 from wrod.identification.laid.fit import fit_laid, with_parameters
 from wrod.identification.laid.measurements import load_laid
@@ -175,8 +175,8 @@ def test_friction_of_the_table_is_found(plan):
 
 
 def test_table_file(tmp_path):
-    table = Table(0.4, 0.1, -0.3)
-    assert Table.load(table.save(tmp_path / "table.json")) == table
+    table = TableFriction(0.4, 0.1, -0.3)
+    assert TableFriction.load(table.save(tmp_path / "table.json")) == table
     assert read_friction(str(tmp_path / "table.json")) == table.interval
     assert table.interval == pytest.approx((0.4 * np.exp(-0.1), 0.4 * np.exp(0.1)))
     for text, says in (
@@ -188,6 +188,6 @@ def test_table_file(tmp_path):
     ):
         (tmp_path / "bad.json").write_text(text)
         with pytest.raises(DataError, match=rf"bad\.json: .*{says}"):
-            Table.load(tmp_path / "bad.json")
+            TableFriction.load(tmp_path / "bad.json")
     with pytest.raises(DataError, match="missing"):
-        Table.load(tmp_path / "missing.json")
+        TableFriction.load(tmp_path / "missing.json")

@@ -5,12 +5,15 @@ import pytest
 from click.testing import CliRunner
 
 from wrod.bench.cables import command, lines, summary
+from wrod.errors import DataError
 from wrod.identification.effect import Effect, Model, Parameter, effects
+from wrod.identification.motion import selection
 from wrod.identification.motion import solver as motion_solver
 from wrod.identification.motion.fit import Linearised, MotionLaboratory
 from wrod.identification.motion.loading import motion_from_arrays
 from wrod.identification.motion.noise import noise_in_time
-from wrod.identification.motion.promises import losses_of
+from wrod.identification.motion.promises import losses_of, promises_of
+from wrod.identification.motion.remembered import Remembered
 from wrod.identification.motion.selection import select_motion, verdict_of
 from wrod.identification.motion.solver import MotionSolver
 from wrod.identification.motion.split import folds, split_evenly, with_test
@@ -197,6 +200,30 @@ def test_a_loss_is_that_of_the_other_parameters_fitted_anew():
     )
 
 
+def test_candidates_are_linearised_about_the_present_model():
+    """A softening that starts at once with a stiffening doubled the rod's stiffness for all."""
+
+    class Recorder:
+        misfit, calls = None, []
+
+        def linearise(self, windows, model, values):
+            self.calls.append((model, values))
+            n = len(values)
+            return Linearised(2.0, np.eye(n), np.arange(n) + 1.0, 0.0, 0, np.eye(n))
+
+    known = effects("motion")
+    left = [known[n] for n in ("natural_twist", "softening", "stiffening", "gravity_tilt")]
+    rod, base = Recorder(), Model((known["stiffness"],))
+    found = promises_of(rod, None, base, np.array([0.3]), left)
+    assert [values[0] for _, values in rod.calls] == [0.3] * 3
+    moved = [{e.name for e, v in zip(m.effects[1:], m.split(x)[1:], strict=True) if v.any()}
+             for m, x in rod.calls]  # fmt: skip
+    assert moved == [set(), {"softening"}, {"stiffening"}]
+    sizes = {effect.name: len(at.gradient) for _, effect, _, at in found}
+    assert sizes == {"natural_twist": 2, "softening": 3, "stiffening": 3, "gravity_tilt": 3}
+    assert found[0][1].name == "gravity_tilt"
+
+
 def _row(fold, base, after, rounds):
     return {
         "rod": "cable",
@@ -240,3 +267,38 @@ def test_too_many_folds_are_named(measured, tmp_path):
     )
     result = CliRunner().invoke(command, ["--data", str(tmp_path), "--folds", "4"])
     assert "4 recordings in 4 folds leave less than 4" in str(result.exception)
+
+
+def test_an_identification_that_was_stopped_goes_on(measured, tmp_path, monkeypatch):
+    steps, worked = tmp_path / "steps.jsonl", []
+    for size in ("_SHORT", "_MEDIUM", "_WHOLE"):
+        monkeypatch.setattr(selection, size, (None, 2))
+
+    def select(say=None, **kept):
+        return select_motion(MotionLaboratory(measured, subdivisions=1, **kept), [], progress=say)
+
+    def stop(text):
+        if text == "whole recordings":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        select(stop, remembered=Remembered(steps, measured))
+    with open(steps, "a") as file:
+        file.write('{"step": "half a li')
+    linearised = MotionLaboratory._linearised
+
+    def _linearised(self, windows, model, values):
+        worked.append(len(windows.recording))
+        return linearised(self, windows, model, values)
+
+    monkeypatch.setattr(MotionLaboratory, "_linearised", _linearised)
+    remembered = Remembered(steps, measured)
+    resumed, after = select(remembered=remembered), len(worked)
+    whole = select()
+    assert 0 < after < (len(worked) - after) / 2
+    assert np.array_equal(resumed.values, whole.values)
+    assert (resumed.before, resumed.after) == (whole.before, whole.after)
+    with pytest.raises(DataError, match="other settings"):
+        Remembered(steps, with_test(measured, np.array([0, 5])))
+    remembered.forget()
+    assert not steps.exists()

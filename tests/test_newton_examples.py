@@ -9,7 +9,7 @@ import pytest
 from newton.viewer import ViewerNull
 
 FOLDER = Path(__file__).parents[1] / "examples" / "newton"
-SLOW = ("cable_pile", "arm_carries_cable", "bundle_hysteresis", "plectoneme")
+SLOW = ("cable_pile", "arm_carries_cable", "gripper_picks_cable", "bundle_hysteresis", "plectoneme")
 NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "pictures")
 
 

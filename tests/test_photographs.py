@@ -1,4 +1,4 @@
-"""Photographs of laid rods: read, placed in the picture, and laid in worlds."""
+"""Photographs of laid rods: read, placed in the picture, and laid in scenarios."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import wrod
-from wrod.bench.photographs_worlds import believed_world, worlds_of
+from wrod.bench.photographs_scenarios import believed_scenario, scenarios_of
 from wrod.errors import DataError, RodError
-from wrod.identification.laid.camera import Camera, find_camera
+from wrod.identification.laid.camera import OverheadCamera, find_camera
 from wrod.identification.laid.choice import average, shrinkage, weigh
 from wrod.identification.laid.photographs import load_photograph, load_photographs
 from wrod.identification.laid.placement import raw, rigid, seen_from
-from wrod.identification.laid.world import LaidRod, World, lay, plan_without_lead_in
+from wrod.identification.laid.scenario import LaidRod, Scenario, lay, plan_without_lead_in
 
 MEASURED = Path(__file__).parents[2] / "shared" / "measured" / "laid"
 PX_PER_M = 700.0
@@ -108,8 +108,8 @@ def test_a_rod_hung_over_the_pattern_meanders_only_if_there_is_too_much_of_it():
     pattern = wrod.Pattern.from_expression("0*x", start=0.0, stop=0.42)
     rod = wrod.RodMaterial(1.6e-3, 0.018, 0.72)
     plan = plan_without_lead_in(pattern, rod, "intuitive")
-    worlds = [World(0.5, curvature=2.0, excess=excess) for excess in (-0.005, 0.02)]
-    little, much = lay(pattern, rod, plan, worlds, speed=0.03)
+    scenarios = [Scenario(0.5, curvature=2.0, excess=excess) for excess in (-0.005, 0.02)]
+    little, much = lay(pattern, rod, plan, scenarios, speed=0.03)
     assert little.reached and much.reached
 
     def swing(laid):
@@ -119,7 +119,7 @@ def test_a_rod_hung_over_the_pattern_meanders_only_if_there_is_too_much_of_it():
     assert swing(much) > 3.0 * swing(little)
     assert swing(much) > 4e-3
     with pytest.raises(DataError, match="in two calls"):
-        lay(pattern, rod, plan, [World(), World(held=True)])
+        lay(pattern, rod, plan, [Scenario(), Scenario(held=True)])
     with pytest.raises(RodError, match="hold is -1"):
         wrod.simulate_deployment(pattern, rod, plan, hold=-1.0)
 
@@ -133,14 +133,14 @@ def test_reads_all_photographs():
         assert off.mean < 0.03, one.name
 
 
-def test_worlds_are_weighed_by_the_pictures_they_are_near_to():
+def test_scenarios_are_weighed_by_the_pictures_they_are_near_to():
     near, far = 1e-3, 5e-3
-    # Two worlds, three pictures: the third alone speaks for the second world.
+    # Two scenarios, three pictures: the third alone speaks for the second scenario.
     weights = weigh(np.array([[near, near, far], [far, far, near]]))
     assert weights.sum() == pytest.approx(1.0)
     assert weights[0] / weights[1] == pytest.approx(np.exp((far - near) / 3e-3))
     assert weigh(np.array([[near, far], [far, near]])) == pytest.approx([0.5, 0.5])
-    # A world whose simulation diverged is worse than any that misses by 6 mm, but no more.
+    # A scenario whose simulation diverged is worse than any that misses by 6 mm, but no more.
     assert weigh(np.array([[6e-3], [np.inf]])) == pytest.approx([0.5, 0.5])
     with pytest.raises(DataError, match="two or more"):
         weigh(np.zeros((3, 0)))
@@ -157,11 +157,11 @@ def test_what_was_fitted_is_taken_as_far_as_unseen_pictures_gain():
     assert shrinkage(np.zeros((1, 3))) == 0
 
 
-def test_drawn_worlds_are_the_same_for_every_count():
-    assert len(worlds_of("rope")) == 11 and believed_world("rope") in worlds_of("rope")
-    some, more = worlds_of("rope", 8), worlds_of("rope", 16)
+def test_drawn_scenarios_are_the_same_for_every_count():
+    assert len(scenarios_of("rope")) == 11 and believed_scenario("rope") in scenarios_of("rope")
+    some, more = scenarios_of("rope", 8), scenarios_of("rope", 16)
     assert some.items() <= more.items() and len(more) == 27
-    drawn = [world for name, world in more.items() if name.startswith("drawn")]
+    drawn = [scenario for name, scenario in more.items() if name.startswith("drawn")]
     assert all(0.2 <= one.friction <= 0.7 and one.curvature <= 3.0 for one in drawn)
     assert sum(one.held for one in drawn) == 8
     assert all(one.excess == 0.0 for one in drawn if one.held)
@@ -169,7 +169,7 @@ def test_drawn_worlds_are_the_same_for_every_count():
 
 def test_the_camera_is_found_from_what_hangs(tmp_path):
     """Three rods that rise from the table each way, as a camera off the middle shows them."""
-    camera = Camera(0.06, -0.05, 0.7)
+    camera = OverheadCamera(0.06, -0.05, 0.7)
     s = np.linspace(0.0, 0.5, 60)
     photographs, rods = [], []
     for k, turn in enumerate((0.3, 2.2, 4.4)):
@@ -197,7 +197,7 @@ def test_the_camera_is_found_from_what_hangs(tmp_path):
     assert found.height == pytest.approx(0.7, rel=0.05)
     assert [found.right, found.up] == pytest.approx([0.06, -0.05], abs=5e-3)
     for photograph, rod in zip(photographs, rods, strict=True):
-        before = rigid(photograph, Camera().view(photograph, s, rod.nodes)).mean
+        before = rigid(photograph, OverheadCamera().view(photograph, s, rod.nodes)).mean
         after = rigid(photograph, found.view(photograph, s, rod.nodes)).mean
         assert after < 0.3e-3 and before > 3.0 * after
     flat = [LaidRod(s, one.nodes * [1.0, 1.0, 0.0], True) for one in rods]
@@ -207,7 +207,7 @@ def test_the_camera_is_found_from_what_hangs(tmp_path):
         find_camera(photographs, rods[:2])
 
 
-def test_worlds_are_averaged_at_equal_distance_from_the_grip():
+def test_scenarios_are_averaged_at_equal_distance_from_the_grip():
     s = np.linspace(0.0, 0.5, 26)
     straight = LaidRod(s, np.column_stack([s, 0.0 * s, 0.0 * s]), True)
     # The same place laid by a rod of 2 cm more, which begins 2 cm behind.
@@ -216,12 +216,12 @@ def test_worlds_are_averaged_at_equal_distance_from_the_grip():
         longer, np.column_stack([longer - 0.02, 0.01 + 0.0 * longer, 0.0 * longer]), True
     )
     lost = LaidRod(s, np.full((26, 3), 9.0), False)
-    worlds = [World(), World(excess=0.02), World()]
-    mean = average([straight, behind, lost], worlds, np.array([0.25, 0.25, 0.5]))
+    scenarios = [Scenario(), Scenario(excess=0.02), Scenario()]
+    mean = average([straight, behind, lost], scenarios, np.array([0.25, 0.25, 0.5]))
     assert mean.nodes[:, 0] == pytest.approx(mean.arc_length, abs=1e-12)
     assert mean.nodes[:, 1] == pytest.approx(np.full(len(mean.nodes), 0.005))
-    with pytest.raises(DataError, match="no world"):
-        average([lost], worlds[:1], np.ones(1))
+    with pytest.raises(DataError, match="no scenario"):
+        average([lost], scenarios[:1], np.ones(1))
 
 
 def test_mechanisms_of_waves_are_in_the_rod_both_ways_round():

@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from house import FOLDERS
 
 import wrod
 
@@ -47,6 +48,16 @@ def test_every_public_name_imports_from_the_wheel(unpacked):
     file, places = json.loads(run.stdout)
     assert Path(file).is_relative_to(unpacked)
     assert set(places) == set(wrod.__all__)
+
+
+def test_every_file_is_in_the_wheel(unpacked):
+    """A folder that pyproject.toml does not list is missed by no checkout, and by every user."""
+    for folder, package in FOLDERS.items():
+        there = unpacked / package.replace(".", "/")
+        for suffix in ("py", "safetensors", "json", "csv", "urdf"):
+            for file in (ROOT / folder).rglob(f"*.{suffix}"):
+                assert (there / file.relative_to(ROOT / folder)).exists(), file
+    assert (unpacked / "wrod_start.py").exists()
 
 
 def test_wheel_tells_editors_its_types(unpacked):

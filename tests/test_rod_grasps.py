@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wrod.errors import GraspError
+from wrod.errors import GraspError, WrodWarning
 from wrod.grasps.optimal import solve_grasps
 from wrod.grasps.rod_grasps import solve_rod_grasps
 from wrod.rods.catalogue import rod
@@ -158,7 +158,6 @@ def test_where_a_bent_rod_cannot_hang_a_straighter_one_does():
 
 def test_a_plan_says_which_grasps_are_of_a_straighter_rod():
     import wrod
-    from wrod.errors import WrodWarning
     from wrod.patterns.pattern import Pattern
     from wrod.patterns.shapes import straight, strokes
 
@@ -169,3 +168,28 @@ def test_a_plan_says_which_grasps_are_of_a_straighter_rod():
     assert 0.0 < path.metadata["natural_share"] < 1.0
     straighter = replace(model, natural_curvature=(Profile((0.0,)), Profile((0.0,))))
     assert "natural_share" not in wrod.plan(line, straighter, spacing=0.02).metadata
+
+
+def test_the_straight_rods_plan_is_taken_where_it_is_expected_to_lay_better(monkeypatch):
+    from wrod.deployment import rivals
+    from wrod.patterns.pattern import Pattern
+    from wrod.patterns.shapes import straight, strokes
+    from wrod.planning.plan import plan_grasps
+
+    model = bent_cable()
+    line = Pattern(*strokes(0.0, straight(0.4), []), name="line")
+    how = dict(closure=None, spacing=0.05, roll="plane", controller=None, device="cpu")
+    how["progress"] = None
+
+    def chosen(*errors):
+        monkeypatch.setattr(rivals, "expected_errors", lambda *a, **k: np.array(errors))
+        with pytest.warns(WrodWarning, match="of a rod with less natural curvature"):
+            return rivals.own_or_straight(line, model, "auto", 0.6, how)
+
+    own, other = chosen(0.01, 0.02), chosen(0.02, 0.01)
+    assert 0.0 < own.metadata["natural_share"] < 1.0 and other.metadata["natural_share"] == 0.0
+    assert "as if it were straight" in other.metadata["warnings"][-1]
+    assert other.metadata["rod"] == own.metadata["rod"] and other.roll == own.roll
+    straightened = replace(model, natural_curvature=(0.0, 0.0))
+    plain = plan_grasps(line, straightened, "auto", remainder=False, **how | {"roll": own.roll})
+    assert np.array_equal(other.position, plain.position)

@@ -17,7 +17,6 @@ from wrod.commands.running import (
     FAULT,
     INTERRUPTED,
     REFUSED,
-    TERMINATED,
     holding_output,
     interruptible,
 )
@@ -53,7 +52,8 @@ def ends(error, *words, write=None):
         (FileNotFoundError(errno.ENOENT, "No such file", "out/a"), "out/a: .*again", REFUSED),
         (ModuleNotFoundError("no", name="pxr"), r"pip install 'wrod\[scene\]'", REFUSED),
         (ModuleNotFoundError("no", name="torch.nn"), r"pip install 'wrod\[train\]'", REFUSED),
-        (KeyboardInterrupt(signal.SIGTERM), "wrod: terminated", TERMINATED),
+        (KeyboardInterrupt(signal.SIGTERM), "wrod: terminated", 143),
+        (KeyboardInterrupt(signal.SIGHUP), "wrod: its terminal was closed", 129),
         (ImportError("a.so: failed to map segment"), "too little memory", REFUSED),
         (UnicodeDecodeError("utf-8", b"a", 0, 1, "x"), "not UTF-8", REFUSED),
         (UserWarning("odd"), "odd .*PYTHONWARNINGS", REFUSED),
@@ -196,7 +196,7 @@ def test_a_folder_that_vanishes_is_said(tmp_path):
 
 
 def test_a_ledger_that_vanishes_is_written_anew(tmp_path):
-    from wrod.bench.ledger import Ledger
+    from wrod.files.ledger import Ledger
 
     path = tmp_path / "out" / "trials.jsonl"
     ledger = Ledger(path, {"step": 1}, ("trial",))

@@ -6,11 +6,11 @@ import pytest
 from click.testing import CliRunner
 
 from wrod.bench import table3_paper
-from wrod.bench.ledger import Ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
 from wrod.bench.table3_report import KEYS, cells, markdown, summary
 from wrod.commands import main
 from wrod.errors import DataError
+from wrod.files.ledger import Ledger
 
 
 def row(method="numeric", trial=0, error=0.1, diverged=False, **key):

@@ -20,7 +20,17 @@ from wrod.controller.controller import Controller
 from wrod.errors import DataError
 from wrod.grasps.optimal import solve_grasps
 
-SMALL = Recipe("small", "chain", 16, 2, "soap", 2e-2, 64, 64, 60, 0.2, 0.0, "squared")
+SMALL = Recipe(
+    "small",
+    "chain",
+    16,
+    batch=64,
+    largest_batch=64,
+    steps=60,
+    depth=2,
+    learning_rate=2e-2,
+    validation_share=0.2,
+)
 
 
 @pytest.fixture(autouse=True, scope="module")

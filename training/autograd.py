@@ -1,7 +1,5 @@
 """The rod solver and whole deployments as differentiable functions of torch tensors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

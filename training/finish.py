@@ -1,7 +1,5 @@
 """From a finished training to a controller that says where it comes from and how good it is."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import asdict, replace

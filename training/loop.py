@@ -1,8 +1,5 @@
 """The training loop: steps, watching, checkpoints that resume, new samples where it errs most."""
 
-from __future__ import annotations
-
-import csv
 import io
 import math
 import os
@@ -22,7 +19,7 @@ from wrod.training.score import figures
 
 from wrod.controller.controller import Controller
 from wrod.errors import DataError
-from wrod.files import checked_path, write_atomically
+from wrod.files import checked_path, write_atomically, write_csv
 from wrod.files.reading import shown
 
 CHECKPOINT = "checkpoint.pt"
@@ -356,10 +353,5 @@ class Training:
 
     def write_history(self, path: str | os.PathLike[str]) -> Path:
         """Write the validations as CSV."""
-
-        def write(file) -> None:
-            rows = csv.writer(file)
-            rows.writerow(["step", "seconds", "validation_mae", "learning_rate", "batch"])
-            rows.writerows(self.history)
-
-        return write_atomically(path, write)
+        head = ["step", "seconds", "validation_mae", "learning_rate", "batch"]
+        return write_csv(path, head, self.history)

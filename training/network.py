@@ -1,7 +1,5 @@
 """Networks to train: the formulas of `wrod.controller` with parameters that torch learns."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

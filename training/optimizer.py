@@ -4,8 +4,6 @@ Regression to many digits is ill-conditioned, and Adam stalls where its axes are
 curvature. For layers as small as ours the eigenbases cost little.
 """
 
-from __future__ import annotations
-
 import torch
 
 

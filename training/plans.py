@@ -1,9 +1,6 @@
 """Optimised plans at scale: random smooth patterns, the corrections of the grip's path that lay
 them on tables of all sorts, one small file a plan, split over ranks."""
 
-from __future__ import annotations
-
-import json
 import os
 import warnings
 from collections.abc import Callable
@@ -23,7 +20,7 @@ from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.spread import Spread
 from wrod.deployment.together import Course, follow
 from wrod.errors import DataError, WrodError, WrodWarning
-from wrod.files import read_fields, read_json, schemas, write_atomically
+from wrod.files import read_fields, read_json, schemas, write_json, write_npz, write_text
 from wrod.patterns.pattern import Pattern
 from wrod.planning.remainder import prepare
 from wrod.rods.device import resolve_device
@@ -262,10 +259,9 @@ def load(folder: str | os.PathLike[str]) -> list[Sample]:
 
 def _claim(folder: Path, seed: int) -> None:
     path = folder / "plans.json"
-    content = {"format": _FORMAT, "seed": seed}
     folder.mkdir(parents=True, exist_ok=True)
     if not path.exists():
-        write_atomically(path, lambda file: file.write(json.dumps(content)))
+        write_json(path, {"format": _FORMAT, "seed": seed})
     if read_json(path, schemas.Plans, "the label of optimised plans").seed != seed:
         raise DataError(f"{folder}: holds plans of another seed; choose another --out")
 
@@ -273,7 +269,7 @@ def _claim(folder: Path, seed: int) -> None:
 def _store(path: Path, one: Sample | None) -> None:
     """Write a plan, or an empty file where the pattern cannot be laid."""
     if one is None:
-        write_atomically(path, lambda file: file.write(b""), "wb")
+        write_text(path, "")
         return
     arrays = {name: getattr(one, name) for name in _ARRAYS}
     arrays |= {name: _packed(getattr(one, name)) for name in _BOWLS}
@@ -281,7 +277,7 @@ def _store(path: Path, one: Sample | None) -> None:
     figures = [
         one.length, one.stretch_ratio, one.friction, one.static, one.optimised,
     ]  # fmt: skip
-    write_atomically(path, lambda file: np.savez_compressed(file, **arrays, figures=figures), "wb")
+    write_npz(path, **arrays, figures=figures)
 
 
 def _packed(bowl: Bowl) -> np.ndarray:

@@ -1,7 +1,5 @@
 """How controllers are trained: the default recipe, and the paper's for comparison."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from wrod.errors import DataError
@@ -29,67 +27,32 @@ class Recipe:
     name: str
     architecture: str
     width: int
-    depth: int
-    optimizer: str
-    learning_rate: float
     batch: int
     largest_batch: int
     steps: int
-    validation_share: float
-    all_below: float
-    loss: str
+    depth: int = 3
+    optimizer: str = "soap"
+    learning_rate: float = 3e-3
+    validation_share: float = 0.1
+    all_below: float = 0.0
+    loss: str = "squared"
     sensitivity_weight: float = 0.0
 
 
 RECIPES = {
     recipe.name: recipe
     for recipe in (
-        Recipe(
-            name="default",
-            architecture="chain",
-            width=96,
-            depth=3,
-            optimizer="soap",
-            learning_rate=3e-3,
-            batch=1024,
-            largest_batch=1024,
-            steps=20_000,
-            validation_share=0.1,
-            all_below=0.0,
-            loss="squared",
-        ),
+        Recipe("default", "chain", 96, batch=1024, largest_batch=1024, steps=20_000),
         # One naturally curved rod: a map of two inputs, learnt from a few thousand grasps.
-        Recipe(
-            name="curved",
-            architecture="curved",
-            width=64,
-            depth=3,
-            optimizer="soap",
-            learning_rate=3e-3,
-            batch=512,
-            largest_batch=512,
-            steps=6000,
-            validation_share=0.1,
-            all_below=0.0,
-            loss="squared",
-        ),
+        Recipe("curved", "curved", 64, batch=512, largest_batch=512, steps=6000),
         # Sec. Training the Neural Controller.
         Recipe(
-            name="paper",
-            architecture="paper",
-            width=392,
-            depth=4,
-            optimizer="alternating",
-            learning_rate=1e-3,
-            batch=128,
-            largest_batch=2048,
-            steps=40_000,
-            validation_share=0.2,
-            all_below=0.003,
+            "paper", "paper", 392, batch=128, largest_batch=2048, steps=40_000, depth=4,
+            optimizer="alternating", learning_rate=1e-3, validation_share=0.2, all_below=0.003,
             loss="absolute",
         ),
     )
-}
+}  # fmt: skip
 
 
 def recipe(name: str) -> Recipe:

@@ -1,7 +1,5 @@
 """Scores of a controller against the numeric solver, on inputs that no training has seen."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 from wrod.training.sampling import RodInputs

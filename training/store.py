@@ -5,8 +5,6 @@ its bytes follow from the manifest and its number alone. Whoever solves a shard,
 writes the same file, so ranks need no word with each other.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -25,7 +23,7 @@ from wrod.files import (
     read_json,
     read_tensors,
     schemas,
-    write_atomically,
+    write_json,
     write_tensors,
 )
 
@@ -145,7 +143,7 @@ def create(folder: Path, manifest: Manifest) -> None:
                 )
             return
     content = {"format": FORMAT, **asdict(manifest)}
-    write_atomically(path, lambda file: file.write(json.dumps(content, indent=2) + "\n"))
+    write_json(path, content)
 
 
 def read_manifest(folder: Path) -> Manifest:

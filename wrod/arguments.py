@@ -1,7 +1,5 @@
 """Checks of the arguments of public functions: a wrong one is named, in a typed exception."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import inspect

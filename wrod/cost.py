@@ -1,7 +1,5 @@
 """What work will cost, said before it begins, and refused where the machine has not that much."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys
@@ -21,6 +19,13 @@ EQUILIBRIUM, BOUNDARY = 4e-3, 0.8
 IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
 # A plan that is corrected for its table, and a deployment that looks on and plans anew.
 CORRECTED_PLAN, LOOKING_ON = 15.0, 30.0
+# A recording of motion identified, a joint path with approach and retreat, a plan, a bend pulled,
+# an overhand knot that is tightened by a loop radius of one h.
+RECORDING, JOINT_PATH, PLAN, BEND, KNOT_STEP = 7.0, 12.0, 0.5, 90.0, 1.0
+# A row of `wrod bench newton` beside an edge in an iteration of Newton's cable; its scenes of
+# bodies, and of many worlds and of a pile, for each edge; what hangs in a hand, and what loops do.
+NEWTON_ROW, VBD_EDGE, NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 3.0, 4e-7, 40.0, 1e-3, 1e-3
+HAND, FOLD, LOOPS, EXPERIMENT = 20.0, 60.0, 60.0, 10.0
 # Multiplications and additions of a core with eight float64 lanes that training keeps busy.
 _OPERATIONS = 4e9
 # Longer than this is a mistake more often than a wish [s].
@@ -45,8 +50,9 @@ class Cost:
 
 
 def settle(
-    cost: Cost, what: str, out: Path | None, remedy: str, *, force: bool, quiet: bool = False
-) -> None:
+    cost: Cost, what: str, out: Path | None, remedy: str, *, force: bool | None = None,
+    quiet: bool = False,
+) -> None:  # fmt: skip
     """Say what the work costs, or refuse it.
 
     Args:
@@ -54,7 +60,7 @@ def settle(
         what: is done: "12 trials".
         out: where it writes.
         remedy: for the refusal: "ask for fewer trials".
-        force: begin in any case.
+        force: begin in any case; None where that cannot be asked for.
         quiet: say nothing.
 
     Raises:
@@ -74,7 +80,8 @@ def settle(
         lacks.append("that is more than a week")
     said = f"{what}: about {cost}"
     if lacks and not force:
-        raise DataError(f"{said}; {' and '.join(lacks)}; {remedy}, or give --force")
+        remedy += "" if force is None else ", or give --force"
+        raise DataError(f"{said}; {' and '.join(lacks)}; {remedy}")
     worth = (cost.seconds, cost.memory, cost.disk)
     if not quiet and any(a > b for a, b in zip(worth, _NOT_WORTH_SAYING, strict=True)):
         click.echo(f"wrod: {said} on this machine", err=True)
@@ -106,6 +113,18 @@ def grasps(
     rate *= _cores() if device == "cpu" else 600.0
     # Meshes of 128 edges, of which a dozen arrays of the degrees of freedom live at once.
     return Cost(count / ranks / rate, 50e3 * min(shard_size, count), float(row_bytes) * count)
+
+
+def identification(data) -> Cost:
+    """Of finding what a model misses in one file of measurements.
+
+    Raises:
+        DataError: it holds none.
+    """
+    from wrod.identification import is_motion, load_motion
+
+    count = load_motion(data).recording_count if is_motion(data) else 0
+    return Cost(RECORDING * count or IDENTIFIED_SET)
 
 
 def manifold(count: int, lengths: int, *, device: str) -> Cost:

@@ -1,7 +1,5 @@
 """The line that says on what machine and with which versions a number was read."""
 
-from __future__ import annotations
-
 import os
 import platform
 from importlib.metadata import PackageNotFoundError, version

@@ -125,7 +125,7 @@ class Example:
             self.state.clear_forces()
             self.cable.add_body_forces(self.state)
             self.arm.step(self.state, self.other, self.control, None, dt)
-            self.cable.step(self.other, self.other, None, None, dt)
+            self.cable.step(self.state, self.other, None, None, dt, moved=self.other)
             self.state, self.other = self.other, self.state
         if self.hanging is None and self.sim_time >= HANGING - 1e-9:
             self.hanging = self.shoulder_torques()

@@ -29,6 +29,11 @@ from wrod.kernels.elastic.frames import ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
 
+# Of an edge, as `SMOOTHING`, where distances are to be exact: this only breaks ties.
+SHARP = wp.constant(wp.float64(1.0e-9))
+# What begins deeper than this part of its radius is let out slowly.
+DEEP = wp.constant(wp.float64(0.5))
+
 
 @wp.struct
 class EdgeTouch:
@@ -66,7 +71,7 @@ def edge_touch(
     e = node(dof, r, i + 1) - q
     out.edge = e
     out.smoothing = SMOOTHING * m.rest_length[r, i]
-    if not within_reach(shape, q, e, radius):
+    if not within_reach(shape, q, e, wp.max(radius, ZERO)):
         return out
     near = closest_on_edge(shape, q, e, out.smoothing)
     out.near = near
@@ -119,12 +124,12 @@ def edge_contact(
             c.force = law[0]
             c.slope = law[1]
             held = return_mapping(c.bristle, c.near.normal, model.stiffness[r, i], mu * c.force)
-            add_edge(gradient, hessian, r, i, c, held.pull, held.grip)
+            add_edge(gradient, hessian, r, i, c, held.pull, held.tangential)
             if model.rolling[r] > ZERO:
-                add_edge_spin(gradient, hessian, r, i, c, held.pull, held.grip)
+                add_edge_spin(gradient, hessian, r, i, c, held.pull, held.tangential)
             if model.roll_friction[r, k] >= ZERO:
                 a = 4 * i + 3
-                arm = model.radius[r, i]
+                arm = wp.abs(model.radius[r, i])
                 turn = turned[r, k, i] + dof[r, a] - dof_before[r, a]
                 limit = model.roll_friction[r, k] * c.force * arm
                 roll = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
@@ -140,7 +145,7 @@ def add_edge(
     i: int,
     c: EdgeTouch,
     pull: wp.vec3d,
-    grip: wp.mat33d,
+    tangential: wp.mat33d,
 ):
     a = 4 * i
     n = c.near.normal
@@ -150,7 +155,7 @@ def add_edge(
     add_vector(gradient, r, a, head * total)
     add_vector(gradient, r, a + 4, tail * total)
     # D'' = J^T d'' J - v v^T / D_ss with J = ((1 - s) 1, s 1) and v = J^T d'' e + (-n, n).
-    block = grip + c.slope * wp.outer(n, n) - c.force * c.near.bend
+    block = tangential + c.slope * wp.outer(n, n) - c.force * c.near.bend
     bent = c.near.bend * c.edge
     v = head * bent - n
     w = tail * bent + n
@@ -170,11 +175,11 @@ def add_edge_spin(
     i: int,
     c: EdgeTouch,
     pull: wp.vec3d,
-    grip: wp.mat33d,
+    tangential: wp.mat33d,
 ):
     """The torque of friction on the edge's angle."""
     a = 4 * i
-    coupling = grip * c.spin
+    coupling = tangential * c.spin
     wp.atomic_add(gradient, r, a + 3, wp.dot(pull, c.spin))
     wp.atomic_add(hessian, r, a + 3, 0, wp.dot(coupling, c.spin))
     add_row(hessian, r, a + 3, a, (ONE - c.near.s) * coupling)
@@ -182,10 +187,57 @@ def add_edge_spin(
 
 
 @wp.kernel
+def hide(
+    # State in:
+    chosen: wp.array(dtype=wp.int32),
+    dof: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    model: Touchable,
+    hidden: wp.array2d(dtype=wp.float64),
+):
+    """Edges of the chosen rods that lie deep inside a shape begin as thin as they just touch it, of
+    a radius below 0 even: all at once, contact would throw them out."""
+    r, i = wp.tid()
+    radius = model.radius[r, i] + hidden[r, i]
+    if chosen[r] == 0 or radius == ZERO:
+        return
+    q = node(dof, r, i)
+    e = node(dof, r, i + 1) - q
+    deepest = wp.float64(0.0)
+    for k in range(model.shapes.shape[1]):
+        if within_reach(model.shapes[r, k], q, e, radius):
+            c = closest_on_edge(model.shapes[r, k], q, e, SHARP * wp.length(e))
+            deepest = wp.max(deepest, radius - c.distance)
+    hidden[r, i] = wp.where(deepest > DEEP * radius, deepest, ZERO)
+    model.radius[r, i] = radius - hidden[r, i]
+
+
+@wp.kernel
+def swell(
+    # Model:
+    speed: wp.array2d(dtype=wp.float64),
+    # State in:
+    step: wp.array(dtype=wp.float64),
+    accepted: wp.array(dtype=wp.int32),
+    # State in and out:
+    model: Touchable,
+    hidden: wp.array2d(dtype=wp.float64),
+):
+    """Let hidden radii grow."""
+    r, i = wp.tid()
+    if accepted[r] == 0 or hidden[r, i] == ZERO:
+        return
+    grown = wp.min(hidden[r, i], speed[r, i] * step[r])
+    hidden[r, i] = hidden[r, i] - grown
+    model.radius[r, i] = model.radius[r, i] + grown
+
+
+@wp.kernel
 def refuse_tunnelling(
     # Model:
     model: Touchable,
     # State in:
+    hidden: wp.array2d(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
     # State in and out:
@@ -194,7 +246,8 @@ def refuse_tunnelling(
     """Nothing tunnels: a step stands only if no centreline can have met a fixture on the way.
 
     An edge whose nodes move by m, from a distance D to a distance D', was nowhere nearer than
-    (D + D' - m) / 2. Fixtures that move themselves are left to who moves them.
+    (D + D' - m) / 2. One that began inside may come out, and sink deeper, but not pass to the other
+    side. Fixtures that move themselves are left to who moves them.
     """
     r, i = wp.tid()
     if converged[r] == 0 or model.radius[r, i] == ZERO:
@@ -204,16 +257,17 @@ def refuse_tunnelling(
     q_before = node(dof_before, r, i)
     p_before = node(dof_before, r, i + 1)
     way = wp.max(wp.length(q - q_before), wp.length(p - p_before))
-    c = SMOOTHING * model.rest_length[r, i]
+    c = SHARP * model.rest_length[r, i]
     for k in range(model.shapes.shape[1]):
         shape = model.shapes[r, k]
         if shape.moves == 0 and within_reach(shape, q_before, p_before - q_before, way):
             before = closest_on_edge(shape, q_before, p_before - q_before, c)
             after = closest_on_edge(shape, q, p - q, c)
-            # Smoothed distances are up to c / 8 too large.
-            met = before.distance + after.distance - wp.float64(0.25) * c <= way
-            # What began inside may come out.
-            if met and (before.distance > ZERO or after.distance < before.distance):
+            inside = before.distance <= ZERO or hidden[r, i] > ZERO
+            met = before.distance + after.distance <= way
+            if inside:
+                met = wp.dot(before.normal, after.normal) < ZERO
+            if met:
                 converged[r] = 0
 
 
@@ -235,7 +289,7 @@ def find_touching(
     q = node(dof, r, i)
     e = node(dof, r, i + 1) - q
     for k in range(model.shapes.shape[1]):
-        if within_reach(model.shapes[r, k], q, e, model.radius[r, i]):
+        if within_reach(model.shapes[r, k], q, e, wp.max(model.radius[r, i], ZERO)):
             near = closest_on_edge(model.shapes[r, k], q, e, SMOOTHING * model.rest_length[r, i])
             if near.distance < model.radius[r, i]:
                 moved = (ONE - near.s) * (q - node(dof_before, r, i))
@@ -297,7 +351,7 @@ def settle_edges(
                 wp.atomic_add(slip, r, i + 1, c.near.s * held.slides)
             b = held.pull / model.stiffness[r, i]
             if model.roll_friction[r, k] >= ZERO:
-                arm = model.radius[r, i]
+                arm = wp.abs(model.radius[r, i])
                 k_r = model.stiffness[r, i] * arm * arm
                 turn = turned[r, k, i] + dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
                 limit = model.roll_friction[r, k] * law[0] * arm
@@ -316,6 +370,7 @@ def measure_depth(
     # Model:
     model: Touchable,
     # State in:
+    hidden: wp.array2d(dtype=wp.float64),
     dof: wp.array2d(dtype=wp.float64),
     # State out:
     depth_out: wp.array(dtype=wp.float64),
@@ -327,7 +382,6 @@ def measure_depth(
     q = node(dof, r, i)
     e = node(dof, r, i + 1) - q
     for k in range(model.shapes.shape[1]):
-        if within_reach(model.shapes[r, k], q, e, model.radius[r, i]):
-            # The tiny term only breaks ties.
-            c = closest_on_edge(model.shapes[r, k], q, e, wp.float64(1.0e-9) * wp.length(e))
-            wp.atomic_max(depth_out, r, model.radius[r, i] - c.distance)
+        if within_reach(model.shapes[r, k], q, e, model.radius[r, i] + hidden[r, i]):
+            c = closest_on_edge(model.shapes[r, k], q, e, SHARP * wp.length(e))
+            wp.atomic_max(depth_out, r, model.radius[r, i] + hidden[r, i] - c.distance)

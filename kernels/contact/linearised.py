@@ -69,7 +69,7 @@ def linearise_contact(
             coupling = wp.outer(way, slope - mu * law[1] * n)
             by_coefficient = factor[0] * law[0] * way
             sliding_memory = mu * remembered * wp.outer(way, n)
-        friction = held.grip
+        friction = held.tangential
         push = held.pull - law[0] * n
         if model.roll_friction[r, 0] >= ZERO:
             arm = model.radius[r, i]

@@ -76,7 +76,7 @@ class Pair:
     slope: wp.float64
     normal: wp.vec3d
     pull: wp.vec3d
-    grip: wp.mat33d
+    tangential: wp.mat33d
     bristle: wp.vec2d
     slid: wp.float64
 
@@ -203,7 +203,7 @@ def pair_contact(
         size = wp.length(stretch)
         mu = wp.where(sliding != 0, law.kinetic_friction, law.static_friction)
         limit = mu * rubbing.load[r, i, k] / law.stiffness
-        out.grip = law.stiffness * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
+        out.tangential = law.stiffness * (wp.identity(3, dtype=wp.float64) - wp.outer(n, n))
         out.bristle = wp.vec2d(b1, b2)
         if size > limit or limit == ZERO:
             # Also without friction, where the bristle never holds.
@@ -217,7 +217,7 @@ def pair_contact(
                 # Newton would throw from side to side what slides to and fro from iteration to
                 # iteration: it gets the secant's stiffness along its way for a while.
                 rest = (ONE - rubbing.turned[r, i, k]) * law.stiffness
-                out.grip = shrink * (out.grip - rest * wp.outer(along, along))
+                out.tangential = shrink * (out.tangential - rest * wp.outer(along, along))
                 stretch = shrink * stretch
         out.pull = law.stiffness * stretch
     return out

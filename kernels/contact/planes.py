@@ -184,7 +184,7 @@ class Bristle:
     """What a bristle holds: its pull and its stiffness (a matrix), and by how much it slides."""
 
     pull: wp.vec3d
-    grip: wp.mat33d
+    tangential: wp.mat33d
     slides: wp.float64
 
 
@@ -202,7 +202,7 @@ def return_mapping(
         across = across - wp.outer(bristle, bristle) / (size * size)
         out.slides = size - limit / stiffness
     out.pull = k * bristle
-    out.grip = k * across
+    out.tangential = k * across
     return out
 
 
@@ -265,9 +265,9 @@ def contact(
             n = c.normal
             held = return_mapping(c.bristle, n, model.stiffness[r, i], mu * law[0])
             add_vector(gradient, r, 4 * i, held.pull - law[0] * n)
-            add_diagonal_block(hessian, r, 4 * i, held.grip + law[1] * wp.outer(n, n))
+            add_diagonal_block(hessian, r, 4 * i, held.tangential + law[1] * wp.outer(n, n))
             if model.rolling[r] > ZERO:
-                add_spin(gradient, hessian, r, i, c.spin, held.pull, held.grip)
+                add_spin(gradient, hessian, r, i, c.spin, held.pull, held.tangential)
 
 
 @wp.func

@@ -38,7 +38,7 @@ FOUR = wp.constant(wp.float64(4.0))
 
 
 @wp.struct
-class Law:
+class BendingResponse:
     """What a moment-curvature law says at an excess curvature: energy per length, the moments along
     the two principal directions, and their derivatives by the excess curvatures."""
 
@@ -73,7 +73,8 @@ class Bending:
 
 
 def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp.Function:
-    """Bending at a node by the linear law, or by a `law` (excess, stiffness, its numbers) -> `Law`.
+    """Bending at a node by the linear law, or by a `law`: (excess, stiffness, its numbers) to
+    `BendingResponse`.
 
     What only a law needs is left out of the linear one when it is built.
     """
@@ -270,7 +271,7 @@ def add_stencil(
 
 
 def make_elasticity(law: wp.Function | None = None) -> wp.Kernel:
-    """The kernel of the linear law, or that of a `law` (excess, stiffness, its numbers) -> `Law`.
+    """The kernel of the linear law, or that of a `law`; see `make_bending`.
 
     What only a law needs is left out of the linear kernel when it is built, which grasps notice.
     """

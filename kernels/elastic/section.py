@@ -9,7 +9,7 @@ gradient and Hessian; kernels/elastic/bend_twist.py is the shortest example.
 
 import warp as wp
 from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_hessian
-from wrod.kernels.elastic.bending import Law, add_stencil, make_bending
+from wrod.kernels.elastic.bending import BendingResponse, add_stencil, make_bending
 from wrod.kernels.elastic.curvature import component, excess_curvature, stencil, symmetric
 from wrod.kernels.elastic.frames import HALF, TWO, ZERO
 from wrod.kernels.elastic.twisting import twisting_moment
@@ -28,11 +28,11 @@ class Response:
 
 
 @wp.func
-def _as_it_is(excess: wp.vec2d, stiffness: wp.vec2d, law: Law) -> Law:
+def _as_it_is(excess: wp.vec2d, stiffness: wp.vec2d, law: BendingResponse) -> BendingResponse:
     return law
 
 
-_bending = make_bending(_as_it_is, Law)
+_bending = make_bending(_as_it_is, BendingResponse)
 
 
 def make_section_energy(response: wp.Function, numbers: type) -> wp.Kernel:
@@ -81,7 +81,7 @@ def make_section_energy(response: wp.Function, numbers: type) -> wp.Kernel:
             number[r, i],
         )
         tangent = here.tangent
-        law = Law()
+        law = BendingResponse()
         law.energy = here.energy
         law.moment = wp.vec2d(here.moment[0], here.moment[1])
         law.tangent = wp.mat22d(tangent[0, 0], tangent[0, 1], tangent[1, 0], tangent[1, 1])

@@ -8,7 +8,7 @@ is twisted does not soften.
 """
 
 import warp as wp
-from wrod.kernels.elastic.bending import Law, make_elasticity
+from wrod.kernels.elastic.bending import BendingResponse, make_elasticity
 from wrod.kernels.elastic.curvature import (
     add_component_rate,
     add_invariant_rate,
@@ -25,7 +25,7 @@ SMALL = wp.constant(wp.float64(1.0e-5))
 
 
 @wp.func
-def softening_law(excess: wp.vec2d, stiffness: wp.vec2d, softening: wp.vec2d) -> Law:
+def softening_law(excess: wp.vec2d, stiffness: wp.vec2d, softening: wp.vec2d) -> BendingResponse:
     mean = HALF * (stiffness[0] + stiffness[1])
     squares = stiffness[0] * excess[0] * excess[0] + stiffness[1] * excess[1] * excess[1]
     kept = softening[1]
@@ -37,7 +37,7 @@ def softening_law(excess: wp.vec2d, stiffness: wp.vec2d, softening: wp.vec2d) ->
         logarithm = wp.log(ONE + x) / x
     slope = -TWO * (ONE - kept) * softening[0] / (mean * (ONE + x) * (ONE + x))
     linear = wp.vec2d(stiffness[0] * excess[0], stiffness[1] * excess[1])
-    law = Law()
+    law = BendingResponse()
     law.energy = HALF * squares * (kept + (ONE - kept) * logarithm)
     law.moment = secant * linear
     law.tangent = secant * wp.diag(stiffness) + slope * wp.outer(linear, linear)

@@ -29,9 +29,9 @@ TILE_SIZE = wp.constant(TILE)
 def stiffness_root(c: Pair) -> wp.mat33d:
     """Root of normal and tangential stiffness, of which the latter is a multiple of a projector."""
     out = wp.sqrt(wp.max(c.slope, ZERO)) * wp.outer(c.normal, c.normal)
-    trace = wp.trace(c.grip)
+    trace = wp.trace(c.tangential)
     if trace > ZERO:
-        out = out + c.grip / wp.sqrt(wp.ddot(c.grip, c.grip) / trace)
+        out = out + c.tangential / wp.sqrt(wp.ddot(c.tangential, c.tangential) / trace)
     return out
 
 

@@ -160,7 +160,7 @@ def pair_block(
     curving = curving - wp.outer(a.first, inverse_ss * b.first + inverse_st * b.second)
     curving = curving - wp.outer(a.second, inverse_st * b.first + inverse_tt * b.second)
     out = (c.slope + force / d) * wp.outer(a.distance, b.distance) - (force / d) * curving
-    g = c.grip
+    g = c.tangential
     out = out + wp.outer(a.x, g[0, 0] * b.x + g[0, 1] * b.y + g[0, 2] * b.z)
     out = out + wp.outer(a.y, g[1, 0] * b.x + g[1, 1] * b.y + g[1, 2] * b.z)
     out = out + wp.outer(a.z, g[2, 0] * b.x + g[2, 1] * b.y + g[2, 2] * b.z)

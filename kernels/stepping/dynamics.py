@@ -84,6 +84,48 @@ def add_inertia(
     hessian[r, a, 0] = hessian[r, a, 0] + m * rate * (rate + air_damping[r])
 
 
+@wp.kernel
+def add_edge_inertia(
+    # Model:
+    edge_mass: wp.array2d(dtype=wp.float64),
+    # State in:
+    pace: Pace,
+    dof: wp.array2d(dtype=wp.float64),
+    dof_before: wp.array2d(dtype=wp.float64),
+    dof_older: wp.array2d(dtype=wp.float64),
+    velocity_before: wp.array2d(dtype=wp.float64),
+    velocity_older: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    gradient: wp.array2d(dtype=wp.float64),
+    hessian: wp.array3d(dtype=wp.float64),
+):
+    """Take back from lumped nodes what edges of uniform mass m have less: m / 6 against any
+    difference of their ends' accelerations. Launched over (rod, edge)."""
+    r, i = wp.tid()
+    if pace.active[r] == 0:
+        return
+    less = edge_mass[r, i] / wp.float64(6.0)
+    if less == ZERO:
+        return
+    dt = pace.span[r]
+    c = pace.coefficient[r]
+    matrix = less * (c[0] / dt) * (c[0] / dt)
+    for k in range(3):
+        a = 4 * i + k
+        b = a + 4
+        stretched = dof[r, b] - dof[r, a]
+        before = dof_before[r, b] - dof_before[r, a]
+        v = difference(c, dt, stretched, before, dof_older[r, b] - dof_older[r, a])
+        faster = velocity_before[r, b] - velocity_before[r, a]
+        older = velocity_older[r, b] - velocity_older[r, a]
+        force = less * difference(c, dt, v, faster, older)
+        wp.atomic_add(gradient, r, a, force)
+        wp.atomic_sub(gradient, r, b, force)
+        wp.atomic_sub(hessian, r, a, 0, matrix)
+        wp.atomic_sub(hessian, r, b, 0, matrix)
+        wp.atomic_add(hessian, r, b, 4, matrix)
+
+
 @wp.func
 def rate(
     coefficient: wp.vec3d, dt: wp.float64, now: wp.vec3d, before: wp.vec3d, older: wp.vec3d

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrod.bench.continuous_rod import World, hanging, measured
+from wrod.bench.continuous_rod import Experiment, hanging, measured
 from wrod.identification import Effect, Parameter, identify
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
@@ -18,8 +18,8 @@ def around(s, place, width):
     return np.exp(-0.5 * ((s - place) / width) ** 2) / (width * np.sqrt(2 * np.pi))
 
 
-def made(world, seed=0, **options):
-    return measurements_from_arrays(measured(hanging(ROD, seed=seed), world, **options))
+def made(experiment, seed=0, **options):
+    return measurements_from_arrays(measured(hanging(ROD, seed=seed), experiment, **options))
 
 
 class Thread(Effect):
@@ -42,14 +42,14 @@ class Thread(Effect):
 
 
 def test_base_model_agrees_with_the_continuum():
-    quiet = measured(hanging(ROD, trials=3), World(), noise=1e-12)
+    quiet = measured(hanging(ROD, trials=3), Experiment(), noise=1e-12)
     laboratory = Laboratory(measurements_from_arrays(quiet), edge_count=120)
     predicted = laboratory.predict(Model(), np.zeros(0))
     assert np.abs(predicted - quiet["centerline"]).max() < 1e-4
 
 
 def test_an_effect_of_our_own_invention_is_found():
-    pull = World(force=lambda s: np.array([[0.0], [0.02], [0.0]]) * around(s, 0.31, 0.004))
+    pull = Experiment(force=lambda s: np.array([[0.0], [0.02], [0.0]]) * around(s, 0.31, 0.004))
     report = identify(made(pull), candidates=[Thread(), "natural_curvature", "gravity_tilt"])
     assert report.verdict == "explained"
     assert [e.name for e in report.effects] == ["thread"]
@@ -61,7 +61,7 @@ def test_an_effect_of_our_own_invention_is_found():
 
 @pytest.mark.slow
 def test_a_rod_without_an_effect_is_adequate_against_every_candidate():
-    report = identify(made(World(), seed=1))
+    report = identify(made(Experiment(), seed=1))
     assert report.verdict == "adequate"
     assert report.effects == ()
 
@@ -69,11 +69,11 @@ def test_a_rod_without_an_effect_is_adequate_against_every_candidate():
 @pytest.mark.slow
 def test_a_pair_is_found_among_every_candidate():
     """One by one, other effects look better than either of the two."""
-    world = World(
+    experiment = Experiment(
         gravity_turn=np.radians(2.0) * np.array([0.3, -0.95, 0.0]),
         mass=lambda s: 0.0012 * around(s, 0.2, 0.004)[None],
     )
-    report = identify(made(world, seed=2))
+    report = identify(made(experiment, seed=2))
     assert report.verdict == "explained"
     found = {e.name: e.parameters for e in report.effects}
     assert set(found) == {"gravity_tilt", "point_mass"}
@@ -83,15 +83,17 @@ def test_a_pair_is_found_among_every_candidate():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "world",
+    "experiment",
     [
-        World(curvature=lambda s: np.array([[0.6], [0.4]]) * around(s, 0.22, 0.008)),
-        World(force=lambda s: np.array([[0.03], [0.04], [0.0]]) / (1 + np.exp((0.25 - s) / 0.01))),
-        World(grip_turn=np.outer(np.random.default_rng(3).normal(size=12), [0.0, 0.0, 0.7])),
+        Experiment(curvature=lambda s: np.array([[0.6], [0.4]]) * around(s, 0.22, 0.008)),
+        Experiment(
+            force=lambda s: np.array([[0.03], [0.04], [0.0]]) / (1 + np.exp((0.25 - s) / 0.01))
+        ),
+        Experiment(grip_turn=np.outer(np.random.default_rng(3).normal(size=12), [0.0, 0.0, 0.7])),
     ],
     ids=["kink", "draught on half the rod", "roll that sticks in the gripper"],
 )
-def test_what_no_effect_covers_is_not_called_explained(world):
-    report = identify(made(world, seed=3))
+def test_what_no_effect_covers_is_not_called_explained(experiment):
+    report = identify(made(experiment, seed=3))
     assert report.verdict in ("unexplained", "partly-explained")
     assert report.prints[0].evidence > 0.0

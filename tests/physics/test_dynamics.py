@@ -119,6 +119,34 @@ def test_midpoint_keeps_period_and_energy_of_a_swing():
     assert energy[-1] == pytest.approx(energy[0], rel=5e-6)  # 1e-6 a period
 
 
+@pytest.mark.parametrize(("inertia", "off"), [("lumped", 1.0 / 200), ("consistent", 0.0)])
+def test_swing_of_a_stiff_pendulum(inertia, off):
+    """Ten stiff edges that swing about one end as one bar do: I = m L^2 / 3, by 1 / (2 n^2) more if
+    its mass is lumped at nodes (half of that in the period)."""
+    batch = straight_rod(11, gravity=(0.0, 0.0, -9.81), stiffness=1e4)
+    batch.stretching_stiffness.fill_(1e6)
+    prescribe(batch, pinned_nodes=(0,))
+    dynamics = Dynamics(batch, scheme="midpoint", radius=0.01, inertia=inertia, tolerance=1e-10)
+    length = np.linalg.norm(batch.positions()[0, -1] - batch.positions()[0, 0])
+    arm = batch.positions()[0] - batch.positions()[0, 0]
+    dynamics.set_velocity(0.02 * np.cross([0.0, 1.0, 0.0], arm)[None])
+    mass = batch.node_mass.numpy().sum()
+    rest = dynamics.energy()[0] - 0.5 * mass * length**2 / 3 * 0.02**2 * (1 + off)
+    dynamics.velocity.zero_()
+    assert rest == pytest.approx(dynamics.energy()[0], rel=1e-12)
+    dynamics.set_velocity(0.02 * np.cross([0.0, 1.0, 0.0], arm)[None])
+    period = 2 * np.pi * np.sqrt(2 * length / (3 * 9.81) * (1 + off))
+    times = np.linspace(0.0, 1.2 * period, 601)[1:]
+    place = []
+    for time in times:
+        dynamics.advance(time, times[0])
+        place.append(batch.positions()[0, -1, 0])
+    place = np.array(place)
+    i = np.flatnonzero(place[:-1] * place[1:] < 0)
+    crossing = times[i] + times[0] * place[i] / (place[i] - place[i + 1])
+    assert crossing[1] == pytest.approx(period, rel=2e-4)
+
+
 @pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("bdf2", 2)])
 def test_order_in_the_time_step(scheme, order):
     tips = []

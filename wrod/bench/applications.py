@@ -1,7 +1,5 @@
 """`wrod bench applications`: cables laid between fixtures, and knots. Restartable."""
 
-from __future__ import annotations
-
 import json
 import time
 from itertools import product
@@ -62,9 +60,9 @@ def command(
     from wrod.bench.applications_cables import disturbances_text
     from wrod.bench.applications_report import markdown, table
     from wrod.bench.applications_trials import METHODS
-    from wrod.bench.ledger import Ledger
     from wrod.errors import RodError
     from wrod.files import schemas
+    from wrod.files.ledger import Ledger
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
@@ -139,9 +137,9 @@ def _write(out: Path, text: str, rows: list[dict]) -> list[Path]:
     """The report and its pictures."""
     from wrod.bench.applications_cables_picture import draw_cables
     from wrod.bench.applications_report import draw
-    from wrod.files import write_atomically
+    from wrod.files import write_text
 
-    write_atomically(out / "applications.md", lambda file: file.write(text))
+    write_text(out / "applications.md", text)
     cables = draw_cables(out / "cables.png", rows)
     written = [out / "applications.md", draw(out / "applications.png", rows)]
     return written if cables is None else [*written, cables]

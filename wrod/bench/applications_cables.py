@@ -1,7 +1,5 @@
 """What the cables of the applications meet: their scenes, the plan, and the disturbances."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,13 +1,11 @@
 """Pictures of cables: how they are laid from above, and how they come to a gate."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 
 from wrod.bench.applications_trials import METHODS, SHORT
-from wrod.files import write_atomically
+from wrod.files import write_figure
 
 _INK, _MUTED, _POST = "#22262b", "#59616b", "#c9ced6"
 _PATTERN, _COLORS = "#0b5fa5", {"intuitive": "#d0416b", "neural": "#2c8f4e"}
@@ -16,7 +14,6 @@ _PATTERN, _COLORS = "#0b5fa5", {"intuitive": "#d0416b", "neural": "#2c8f4e"}
 def draw_cables(path: Path, rows: list[dict]) -> Path | None:
     """Write a PNG: the first trial of INT and OPT over time, from above, and the ways of all trials
     to the first gate that INT misses, across it. None if there are no cables."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     rows = [row for row in rows if row.get("ways")]
@@ -24,7 +21,6 @@ def draw_cables(path: Path, rows: list[dict]) -> Path | None:
     if not cases:
         return None
     figure = Figure(figsize=(13.0, 4.4 * len(cases)), facecolor="white")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(len(cases), 3, squeeze=False)
     for line, case in zip(grid, cases, strict=True):
         mine = {
@@ -40,10 +36,7 @@ def draw_cables(path: Path, rows: list[dict]) -> Path | None:
         _across(line[2], case, mine, gate)
     figure.subplots_adjust(0.02, 0.07, 0.98, 0.92, 0.10, 0.22)
 
-    def write(file):
-        figure.savefig(file, format="png", dpi=100)
-
-    return write_atomically(path, write, "wb")
+    return write_figure(path, figure, 100)
 
 
 def _first_missed(rows: list[dict]) -> int:

@@ -1,7 +1,5 @@
 """The success table of the applications beside the paper's, and its picture."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from operator import itemgetter
 from pathlib import Path
@@ -9,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.bench.applications_trials import METHODS, SHORT, cable_scene, knot_plan
-from wrod.files import write_atomically
+from wrod.files import write_figure
 
 # Tong et al., the success table: successes of ten trials.
 PAPER = {
@@ -77,7 +75,6 @@ def markdown(cells: dict) -> str:
 
 def draw(path: Path, rows: list[dict]) -> Path:
     """Write a PNG: all cables, and knots of each method at several stages."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     cells = table(rows)
@@ -87,7 +84,6 @@ def draw(path: Path, rows: list[dict]) -> Path:
     height = int(bool(cables)) + len(knots)
     wide = 5 if knots else 4
     figure = Figure(figsize=(3.25 * wide, 3.5 * height), facecolor="white")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(height, wide, squeeze=False)
     figure.subplots_adjust(0.01, 0.01, 0.99, 1.0 - 0.16 / height, 0.04, 0.16)
     for axes in grid.flat:
@@ -98,10 +94,7 @@ def draw(path: Path, rows: list[dict]) -> Path:
     for row, case in enumerate(knots, start=int(bool(cables))):
         _knots(grid[row], case, rows, cells)
 
-    def write(file):
-        figure.savefig(file, format="png", dpi=100)
-
-    return write_atomically(path, write, "wb")
+    return write_figure(path, figure, 100)
 
 
 def _head(axes, title: str, note: str) -> None:

@@ -1,7 +1,5 @@
 """Trials of the applications: what is simulated, and what is kept of it."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

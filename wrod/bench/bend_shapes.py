@@ -4,8 +4,6 @@ Each rod comes from its own side, turns round in a loop, and goes back; flat, th
 times, and over and under decide what it is.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 

@@ -1,11 +1,11 @@
 """`wrod bench bends`: does a pull tell a reef knot from a granny, and what does friction do?"""
 
-from __future__ import annotations
-
 import json
 import time
 
 import click
+
+from wrod import cost
 
 
 @click.command(name="bends")
@@ -45,6 +45,7 @@ def command(
         raise RodError(f"load is {load:g} N; it must be positive")
     rows = []
     jobs = [(name, f) for name in names for f in (friction if name != "unknot" else friction[:1])]
+    cost.settle(cost.Cost(cost.BEND * len(jobs)), f"{len(jobs)} bends", None, "", quiet=as_json)
     for name, f in tqdm(jobs, leave=False, disable=as_json):
         clock = time.process_time()
         rows.append({**pull_bend(name, pair, f, load), "cpu_seconds": time.process_time() - clock})
@@ -135,14 +136,12 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
 def draw(path: str, rows: list[dict], radii: list[float]) -> None:
     """Write a PNG: every bend as laid, when the pull was reached, and at the end."""
     import numpy as np
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     from wrod.bench.applications_report import RODS, close_up, tightest, woven
-    from wrod.files import write_atomically
+    from wrod.files import write_figure
 
     figure = Figure(figsize=(11.0, 2.1 * len(rows)), facecolor="white")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), 3, squeeze=False)
     figure.subplots_adjust(0.01, 0.01, 0.99, 1.0 - 0.12 / len(rows), 0.04, 0.2)
     for row, line in zip(rows, grid, strict=True):
@@ -161,4 +160,4 @@ def draw(path: str, rows: list[dict], radii: list[float]) -> None:
                 "pulled": "held" if row["held"] else f"did not hold: {row['pulled']}",
             }
             axes.set_title(said[stage], fontsize=9, loc="left", color="#22262b")
-    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=80), "wb")
+    write_figure(path, figure, 80)

@@ -3,15 +3,14 @@
 Restartable: a fold that has ended is kept.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.bench import side_by_side
-from wrod.bench.ledger import Ledger
+from wrod.files.ledger import Ledger
 
 
 def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -> dict:
@@ -151,7 +150,7 @@ def command(
     from tqdm import tqdm
 
     from wrod.errors import DataError
-    from wrod.files import write_atomically
+    from wrod.files import write_text
     from wrod.identification.motion.loading import is_motion, load_motion
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -182,6 +181,8 @@ def command(
         for p in paths
         if (p.stem, k) not in have
     ]
+    seconds = sum(cost.identification(job[0]).seconds for job in jobs) / workers
+    cost.settle(cost.Cost(seconds), f"{len(jobs)} folds", out, "ask for fewer", quiet=as_json)
     ended = side_by_side.run(fold_row, jobs, workers)
     for _, row in tqdm(ended, total=len(jobs), disable=None, file=sys.stderr):
         rows.append(row)
@@ -199,7 +200,7 @@ def command(
     }
     text = json.dumps(content, indent=2, allow_nan=False)
     if out:
-        write_atomically(out / "cables.json", lambda file: file.write(text + "\n"))
+        write_text(out / "cables.json", text + "\n")
     if as_json:
         click.echo(text)
         return

@@ -1,7 +1,5 @@
 """Campaigns of simulated deployments: finished trials are kept, so that a stopped run goes on."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -12,7 +10,7 @@ import click
 import numpy as np
 
 from wrod import cost
-from wrod.bench.ledger import Ledger
+from wrod.files.ledger import Ledger
 
 # Points at which laid curves are kept.
 _CURVE_POINTS = 60

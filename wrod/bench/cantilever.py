@@ -4,8 +4,6 @@ At rest it is the heavy elastica (clamped level, bent by its weight, slightly st
 gravity it swings at a closed-form frequency.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from functools import cached_property

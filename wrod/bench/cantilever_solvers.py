@@ -5,8 +5,6 @@ middle, so the segment begins half its length before the origin. All three place
 error of second order.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.bench.cantilever import Cantilever, Start

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from wrod.bench import campaign
-from wrod.bench.ledger import Ledger
+from wrod.files.ledger import Ledger
 
 # Arcs, in L_gb: constant curvature, and easing in and out of it, without which no table would hold
 # their ends. They may lie on themselves, as rods do not touch each other.
@@ -162,11 +162,11 @@ def _reported(out: Path, rows, head: str, lacking) -> tuple[list[str], list[Path
     """What the rows say, and the files written of them."""
     from wrod.bench.closures_picture import draw, draw_friction
     from wrod.bench.closures_report import cells, markdown, summary, write_csv
-    from wrod.files import write_atomically
+    from wrod.files import write_text
 
     table = cells(rows)
     words = [*summary(table), *lacking]
-    write_atomically(out / "closures.md", lambda file: file.write(markdown(table, head, words)))
+    write_text(out / "closures.md", markdown(table, head, words))
     return words, [
         write_csv(out / "closures.csv", table),
         out / "closures.md",

@@ -1,13 +1,11 @@
 """Pictures of the comparison of closures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 
 from wrod.bench.closures_report import CLOSURES, LABELS, METHODS, PUT_DOWN, best, places
-from wrod.files import write_atomically
+from wrod.files import write_figure
 
 _INK, _MUTED = "#22262b", "#59616b"
 COLORS = {
@@ -21,7 +19,6 @@ COLORS = {
 
 def draw(path: Path, table: dict) -> Path:
     """Maps of the best closure over friction and curvature, and errors over friction."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -29,7 +26,6 @@ def draw(path: Path, table: dict) -> Path:
     arcs = [rod for rod in rods if any(k[0] == rod and k[1].startswith("arc ") for k in table)]
     drawn = [rod for rod in rods if rod not in arcs]
     figure = Figure(figsize=(13.0, 8.2), facecolor="white")
-    FigureCanvasAgg(figure)
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=[1.08, 1.0])[:, 0]
     if arcs:
         grid = above.subplots(1, len(arcs), squeeze=False)[0]
@@ -64,10 +60,7 @@ def draw(path: Path, table: dict) -> Path:
         loc="upper right", ncol=5, fontsize=9.5, frameon=False, bbox_to_anchor=(0.99, 0.992),
     )  # fmt: skip
 
-    def write(file):
-        figure.savefig(file, format="png", dpi=90)
-
-    return write_atomically(path, write, "wb")
+    return write_figure(path, figure, 90)
 
 
 def _draw_map(axes, table: dict, rod: str) -> None:
@@ -147,11 +140,9 @@ def _draw_line(axes, table: dict, rods: list[str]) -> None:
 
 def draw_friction(path: Path, table: dict) -> Path:
     """Errors over the friction that there is per friction that the plan asks for at the contact."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.5, 4.6), facecolor="white")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, sharey=True)
     figure.subplots_adjust(0.075, 0.13, 0.985, 0.78, 0.06)
     points = [
@@ -188,10 +179,7 @@ def draw_friction(path: Path, table: dict) -> Path:
         fontsize=9.5, color=_MUTED,
     )  # fmt: skip
 
-    def write(file):
-        figure.savefig(file, format="png", dpi=90)
-
-    return write_atomically(path, write, "wb")
+    return write_figure(path, figure, 90)
 
 
 def _dress(axes) -> None:

@@ -1,15 +1,12 @@
 """Results of the comparison of closures, told as CSV and Markdown."""
 
-from __future__ import annotations
-
-import csv
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from wrod.files import write_atomically
+from wrod import files
 
 KEYS = ("rod", "course", "friction", "method", "trial")
 CLOSURES = ("zero_tension", "min_force", "min_friction")
@@ -64,22 +61,15 @@ def cells(rows: list[dict]) -> dict[tuple[str, str, float, str], Cell]:
 
 
 def write_csv(path: Path, table: dict) -> Path:
-    def write(file):
-        writer = csv.writer(file)
-        writer.writerow(
-            ["rod", "course", "friction", "method", "e_mean [cm]", "sigma [cm]"]
-            + ["released e_mean [cm]", "released sigma [cm]"]
-            + [f"error of fifth {k} [cm]" for k in range(1, 6)]
-            + ["trials", "diverged", "contact friction"]
-        )
-        for key, cell in table.items():
-            values = (*cell.held, *cell.released, *cell.fifths)
-            asked = "" if cell.contact_friction is None else f"{cell.contact_friction:.4f}"
-            writer.writerow(
-                [*key, *(f"{x:.4f}" for x in values), cell.trials, cell.diverged, asked]
-            )
-
-    return write_atomically(path, write)
+    head = ["rod", "course", "friction", "method", "e_mean [cm]", "sigma [cm]"]
+    head += ["released e_mean [cm]", "released sigma [cm]"]
+    head += [*(f"error of fifth {k} [cm]" for k in range(1, 6)), "trials", "diverged"]
+    lines = []
+    for key, cell in table.items():
+        values = (*cell.held, *cell.released, *cell.fifths)
+        asked = "" if cell.contact_friction is None else f"{cell.contact_friction:.4f}"
+        lines.append([*key, *(f"{x:.4f}" for x in values), cell.trials, cell.diverged, asked])
+    return files.write_csv(path, [*head, "contact friction"], lines)
 
 
 def places(table: dict) -> list[tuple[str, str, float]]:

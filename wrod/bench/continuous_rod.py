@@ -10,10 +10,8 @@ orientation (unit quaternion), force n and moment m of the part beyond s on the 
 or what a section with a coupling of bending and twist has in its place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,10 +40,12 @@ def as_they_are(position: np.ndarray, frame: np.ndarray) -> np.ndarray:
 NO_MASS, NO_CURVATURE, NO_FORCE = constant(0.0), constant(0.0, 0.0), constant(0.0, 0.0, 0.0)
 ISOTROPIC = constant(1.0, 1.0)
 _SMALLEST_STEP = 0.02
+# Solutions after the whole effect is there, in which what gives comes to rest.
+_SETTLED = 6
 
 
 @dataclass
-class World:
+class Experiment:
     """What the laboratory really holds; the defaults are the base model.
 
     Profiles take arc lengths (K,) and give (..., K).
@@ -66,6 +66,10 @@ class World:
         law: e -> (M / B, its derivative) of the curvature e >= 0 beyond that at rest; None: linear.
         coupling: of bending about (m1, m2) with twist, over sqrt(B GJ); linear rods only.
         see: what the cameras make of (T, M, 3) markers and (T, M, 3, 3) frames.
+        clamp_give, grip_give: moment of the rod on what holds it, in the frame there (3,) [N m] ->
+            rotation vector by which that turns.
+        each: (trial, past) -> what is different in that trial, as fields of a experiment; past: arc
+            lengths (K,) and curvatures (2, K) of the trial before, None at first; linear rods only.
     """
 
     bending: Callable = ISOTROPIC
@@ -87,6 +91,9 @@ class World:
     law: Callable | None = None
     coupling: np.ndarray = field(default_factory=lambda: np.zeros(2))
     see: Callable = as_they_are
+    clamp_give: Callable | None = None
+    grip_give: Callable | None = None
+    each: Callable | None = None
 
 
 def tangent_turn(axis) -> np.ndarray:
@@ -100,7 +107,7 @@ def turn_axis(curvature) -> np.ndarray:
     return np.stack([-np.asarray(curvature[1]), curvature[0]])
 
 
-def world_of(rod: RodModel, base: RodMaterial) -> World:
+def world_of(rod: RodModel, base: RodMaterial) -> Experiment:
     """The laboratory in which a piece of `rod` is clamped, seen from the base model."""
     first, second = rod.bending_stiffness
     line_mass = base.weight / base.gravity
@@ -110,7 +117,7 @@ def world_of(rod: RodModel, base: RodMaterial) -> World:
         x = 1.0 + c * e * e
         return e * (r + (1.0 - r) / x), r + (1.0 - r) * (2.0 - x) / (x * x)
 
-    return World(
+    return Experiment(
         # What resists bending towards one direction is about the other.
         bending=lambda s: np.stack([second(s), first(s)]) / base.bending_stiffness,
         principal=rod.principal_angle,
@@ -170,16 +177,28 @@ def _coupled(moment, torque, bending, twisting, coupling) -> np.ndarray:
     return np.linalg.solve(section, np.concatenate([moment, torque[None]]).T[:, :, None])[:, :, 0].T
 
 
-def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6):
+def length_of(rod: RodMaterial, experiment: Experiment, share: float = 1.0) -> float:
+    """Free length between the clamps [m]."""
+    return rod.length + share * experiment.slip
+
+
+def _curvature_of(rod: RodMaterial, experiment: Experiment, found) -> np.ndarray:
+    """(2, K) curvatures of a linear, isotropic rod in its material frame [1/m]."""
+    local = np.einsum("ijk,ik->jk", frames_of(found.y[3:7]), found.y[10:13])[:2]
+    s = length_of(rod, experiment) * found.x
+    return local / (rod.bending_stiffness * experiment.bending(s)) + experiment.curvature(s)
+
+
+def _solve(rod, experiment: Experiment, share: float, a, ra, b, rb, guess, tolerance=1e-6):
     """One trial with a share of the effect; (s, y) of the guess on the unit interval."""
-    length = rod.length + share * world.slip
-    k_b, k_s = rod.bending_stiffness, rod.stretching_stiffness * world.stretching**share
-    k_t = rod.twisting_stiffness * world.twisting**share
+    length = length_of(rod, experiment, share)
+    k_b, k_s = rod.bending_stiffness, rod.stretching_stiffness * experiment.stretching**share
+    k_t = rod.twisting_stiffness * experiment.twisting**share
     line = rod.weight / rod.gravity
-    gravity = Rotation.from_rotvec(share * world.gravity_turn).apply([0, 0, -rod.gravity])
-    c, d = np.cos(world.principal), np.sin(world.principal)
+    gravity = Rotation.from_rotvec(share * experiment.gravity_turn).apply([0, 0, -rod.gravity])
+    c, d = np.cos(experiment.principal), np.sin(experiment.principal)
     principal = np.array([[c, d], [-d, c]])
-    coupling = principal @ world.coupling * share * np.sqrt(k_b * k_t)
+    coupling = principal @ experiment.coupling * share * np.sqrt(k_b * k_t)
 
     def rhs(u, y):
         s = length * u
@@ -187,21 +206,21 @@ def _solve(rod, world: World, share: float, a, ra, b, rb, guess, tolerance=1e-6)
         n, m = y[7:10], y[10:13]
         t = r[:, 2]
         local = np.einsum("ijk,ik->jk", r, m)
-        stiffness = k_b * (1 + share * (world.bending(s) - 1))
-        twisting = k_t * (1 + share * (world.twist_profile(s) - 1))
-        if world.coupling.any():
+        stiffness = k_b * (1 + share * (experiment.bending(s) - 1))
+        twisting = k_t * (1 + share * (experiment.twist_profile(s) - 1))
+        if experiment.coupling.any():
             strain = _coupled(principal @ local[:2], local[2], stiffness, twisting, coupling)
             bend, turn = principal.T @ strain[:2], strain[2]
         else:
-            bend = principal.T @ excess_of(principal @ local[:2], stiffness, world.law, share)
+            bend = principal.T @ excess_of(principal @ local[:2], stiffness, experiment.law, share)
             turn = local[2] / twisting
-        bend = bend + share * world.curvature(s)
-        turn = turn + share * world.twist
+        bend = bend + share * experiment.curvature(s)
+        turn = turn + share * experiment.twist
         k = np.einsum("ijk,jk->ik", r, np.concatenate([bend, turn[None]]))
         dq = (1 + (n * t).sum(axis=0) / k_s) * t
-        force = gravity[:, None] * (line + share * world.mass(s)) + share * world.force(s)
-        if world.drag is not None:
-            force = force + share * world.drag(y[:3], t, s)
+        force = gravity[:, None] * (line + share * experiment.mass(s)) + share * experiment.force(s)
+        if experiment.drag is not None:
+            force = force + share * experiment.drag(y[:3], t, s)
         zero = np.zeros_like(k[:1])
         spin = 0.5 * product(np.concatenate([zero, k]), y[3:7])
         # Keep the quaternion's length where it is.
@@ -263,7 +282,7 @@ def _guess_of(rod: RodMaterial, position, matrices, force):
 
 def measured(
     data: dict[str, Any],
-    world: World,
+    experiment: Experiment,
     *,
     seed: int = 0,
     noise: float = 5e-4,
@@ -273,7 +292,7 @@ def measured(
 
     Args:
         data: everything but what is measured, as `hanging` gives it.
-        world: what the rod is really like.
+        experiment: what the rod is really like.
         seed: of the noise; noise: standard deviation of a marker coordinate [m].
         steps: in which the effect grows from nothing, so that rods stay on their branch; halved
             where a rod does not follow.
@@ -292,28 +311,37 @@ def measured(
     positions, frames, forces, torques = [], [], [], []
     guesses = _first_guesses(m)
 
-    def held(end, i, share):
-        turn = np.broadcast_to(getattr(world, f"{end}_turn"), (trials, 3))[i]
+    def held(end, i, share, guess):
+        turn = np.broadcast_to(getattr(experiment, f"{end}_turn"), (trials, 3))[i]
         position, rotation = (getattr(m, f"{end}_{part}")[i] for part in ("position", "rotation"))
-        shift = rotation @ getattr(world, f"{end}_shift")
+        shift = rotation @ getattr(experiment, f"{end}_shift")
+        if give := getattr(experiment, f"{end}_give"):
+            moment = guess[1][10:13, 0] if end == "clamp" else -guess[1][10:13, -1]
+            turn = turn + give(rotation.T @ moment)
         return position + share * shift, rotation @ Rotation.from_rotvec(share * turn).as_matrix()
 
+    past = None
+    gives = experiment.clamp_give is not None or experiment.grip_give is not None
     for i in range(trials):
-        guess, share, step = guesses[i], 0.0, 1.0 / steps
-        while share < 1.0:
+        own = replace(experiment, **experiment.each(i, past)) if experiment.each else experiment
+        guess, share, step, settled = guesses[i], 0.0, 1.0 / steps, 0 if gives else _SETTLED
+        while share < 1.0 or settled < _SETTLED:
             ahead = share + step if share + step < 1.0 - 1e-9 else 1.0
-            (a, ra), (b, rb) = held("clamp", i, ahead), held("grip", i, ahead)
+            (a, ra), (b, rb) = held("clamp", i, ahead, guess), held("grip", i, ahead, guess)
             tolerance = 1e-6 if ahead == 1.0 else 1e-4
             try:
                 # On the way a rough solution keeps to the branch as well.
-                found = _solve(rod, world, ahead, a, ra, b, rb, guess, tolerance)
+                found = _solve(rod, own, ahead, a, ra, b, rb, guess, tolerance)
             except DataError:
                 step *= 0.5
                 if step < _SMALLEST_STEP:
                     raise
                 continue
+            settled += share == 1.0
             guess, share = (found.x, found.y), ahead
-        length = rod.length + world.slip
+        if experiment.each:
+            past = length_of(rod, own) * found.x, _curvature_of(rod, own, found)
+        length = length_of(rod, own)
         y = found.sol(np.minimum(m.arc_length / length, 1.0))
         # What has slipped into the gripper lies straight in it.
         inside = np.maximum(m.arc_length - length, 0.0)
@@ -322,7 +350,7 @@ def measured(
         forces.append(found.y[7:10, -1])
         torques.append(found.y[10:13, -1])
     rng = np.random.default_rng(seed)
-    position = world.see(np.array(positions), np.array(frames))
+    position = experiment.see(np.array(positions), np.array(frames))
     force, torque = np.array(forces), np.array(torques)
     return {
         **data,

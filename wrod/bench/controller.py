@@ -1,7 +1,5 @@
 """`wrod bench controller`: errors over the whole range, and time of a trajectory."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -9,6 +7,8 @@ import time
 from pathlib import Path
 
 import click
+
+from wrod import cost
 
 NODES = 200  # of the trajectory that is timed: the paper's rods at 4 mm
 _COLD = (
@@ -41,6 +41,15 @@ def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_js
     shipped = not controllers
     if shipped:
         controllers = {name: Controller.load(closure=closure) for closure, name in SHIPPED.items()}
+    closures = {controller.closure for controller in controllers.values()}
+    cost.settle(
+        cost.grasps(
+            len(closures) * count, 0, 4096, sensitivities=False,
+            device="cpu" if device == "cpu" else "cuda", ranks=1,
+        ),
+        f"{count} grasps of {len(closures)} closures", None, "ask for a smaller --count",
+        quiet=as_json,
+    )  # fmt: skip
     solved = {}
     rows = []
     for name, controller in controllers.items():
@@ -101,7 +110,7 @@ def _cold(arguments: list[str]) -> dict:
         return usage.ru_utime + usage.ru_stime
 
     clock, before = time.perf_counter(), processor()
-    subprocess.run([sys.executable, "-c", _COLD, *arguments], check=True)
+    subprocess.run([sys.executable, "-c", _COLD, *arguments], check=True, start_new_session=True)
     return {
         "cold_seconds": time.perf_counter() - clock,
         "cold_cpu_seconds": processor() - before,

@@ -1,7 +1,5 @@
 """`wrod bench cosserat`: other people's experiments on rods, beside other people's solvers."""
 
-from __future__ import annotations
-
 import json
 from importlib.util import find_spec
 from itertools import product
@@ -9,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.errors import DataError, RodError
 
 _METRICS = {
@@ -42,6 +41,8 @@ def command(chosen, solvers, elements, out, as_json) -> None:
 
     if find_spec("cosseratbench") is None:
         raise DataError("this bench needs cosseratbench; run pip install 'wrod[peers]'")
+    runs = len(chosen or _METRICS) * len(solvers or _SOLVERS) * len(elements or (None,))
+    cost.settle(cost.Cost(cost.EXPERIMENT * runs), f"{runs} runs", None, "", quiet=as_json)
     if not as_json:
         click.echo(machine_line())
         click.echo(f"{'experiment':12s} {'solver':11s} {'n':>4s} {'s':>8s}  outcome")

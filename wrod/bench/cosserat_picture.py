@@ -1,11 +1,9 @@
 """Errors against time of `wrod bench cosserat`, a panel for each experiment."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
-from wrod.files import write_atomically
+from wrod.files import write_figure
 
 _LOOKS = {
     "wrod": ("#d1495b", "o"), "pyelastica": ("#3a8f5c", "s"), "newton-vbd": ("#0b5fa5", "D"),
@@ -23,13 +21,11 @@ def draw(path: str | os.PathLike[str], rows: list[dict], metrics: dict, machine:
         metrics: (experiment: name of its error).
         machine: what they were measured on.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(row["experiment"] for row in rows))
     across = min(3, len(names))
     figure = Figure(figsize=(4.6 * across, 3.9 * -(-len(names) // across)), layout="constrained")
-    FigureCanvasAgg(figure)
     for k, name in enumerate(names):
         axes = figure.add_subplot(-(-len(names) // across), across, k + 1)
         absent = _panel(axes, [row for row in rows if row["experiment"] == name], metrics[name])
@@ -40,12 +36,7 @@ def draw(path: str | os.PathLike[str], rows: list[dict], metrics: dict, machine:
         axes.grid(True, which="major", color=_FAINT)
         axes.set_axisbelow(True)
     figure.suptitle(machine, fontsize=8, color=_MUTED)
-    path = Path(path)
-    write_atomically(
-        path, lambda file: figure.savefig(file, dpi=110, format="png", metadata={"Software": None}),
-        "wb",
-    )  # fmt: skip
-    return path
+    return write_figure(path, figure, 110, metadata={"Software": None})
 
 
 def _panel(axes, rows: list[dict], metric: str) -> list[str]:

@@ -1,7 +1,5 @@
 """wrod as a solver of `cosseratbench`, from public names only (entry point "wrod")."""
 
-from __future__ import annotations
-
 import numpy as np
 from cosseratbench import Capability, Trajectory
 from cosseratbench.scenario import Cylinder, End, EndCondition, Rod, Scenario
@@ -11,6 +9,8 @@ import wrod
 
 # Largest step [s]: of what moves, and of what comes to rest.
 _STEP, _QUIET_STEP = 2e-3, 5e-3
+# Largest unbalanced force over the weight, of the same; a swing of 2 cm is a fiftieth of it.
+_TOLERANCE, _QUIET_TOLERANCE = 1e-7, 1e-6
 # Of a shape, a fraction of the radius under the rod's weight.
 _SINKING = 1.0 / 200.0
 
@@ -44,6 +44,7 @@ class WrodSolver:
         return {
             "integrator": "bdf2 (implicit)" if scenario.quasi_static else "midpoint (implicit)",
             "time_step": interval / np.ceil(interval / (largest * self.time_step_scale)),
+            "tolerance": _QUIET_TOLERANCE if scenario.quasi_static else _TOLERANCE,
             "damping_rate": 2.0 * scenario.slowest_frequency() if scenario.quasi_static else 0.0,
         }
 
@@ -55,6 +56,8 @@ class WrodSolver:
         dynamics = wrod.Dynamics(
             batch,
             scheme=options["integrator"].split()[0],
+            inertia="consistent",
+            tolerance=options["tolerance"],
             radius=_radius(scenario, rods)[None, :-1],
             air_damping=options["damping_rate"],
             contact=_contacts(batch, scenario, rods),

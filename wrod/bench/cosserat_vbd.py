@@ -1,7 +1,5 @@
 """Newton's own cable as a solver of `cosseratbench`, for what hangs: no contact, no driven ends."""
 
-from __future__ import annotations
-
 from importlib.metadata import version
 
 import newton

@@ -1,7 +1,5 @@
 """Courses of deployments of a bench: side by side on a GPU, in processes on a CPU."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

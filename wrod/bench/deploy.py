@@ -1,11 +1,11 @@
 """`wrod bench deploy`: what one simulated deployment costs, and how it converges."""
 
-from __future__ import annotations
-
 import json
 import time
 
 import click
+
+from wrod import cost
 
 # What is halved in each study of convergence, and where it begins.
 STUDIES = {
@@ -48,6 +48,7 @@ def command(
 
     device = resolve_device(device)
     material, curve = rod(rod_name), pattern(name)
+    _settle(material.length, batch, levels, device, as_json)
     path = plan(curve, material, "numeric", device="cpu")
     curve = with_remainder_of(curve, path)
     rest = tail(curve, material, path)
@@ -98,6 +99,20 @@ def command(
     click.echo(figures["machine"])
     click.echo(f"{material.length} m of {rod_name} along {name}, friction {friction:g}, {device}")
     _say(rows)
+
+
+def _settle(length: float, batch: int, levels: int, device: str, quiet: bool) -> None:
+    """Say what the batch and the studies cost: each level's rods have edges or steps of half the
+    size, or half the speed."""
+    usual = {"spacing": 0.005, "step": 0.01, "speed": 0.02}
+    work = cost.deployments(1 + batch, length, device=device, **usual)
+    for first in STUDIES.values():
+        for level in range(levels):
+            how = usual | {what: value / 2**level for what, value in first.items()}
+            one = cost.deployments(1, length, device=device, **how)
+            work = cost.Cost(work.seconds + one.seconds, max(work.memory, one.memory))
+    what, remedy = f"a batch of {batch} and {levels} levels", "ask for fewer --levels"
+    cost.settle(work, what, None, remedy, quiet=quiet)
 
 
 def _say(rows: dict[str, list[dict]]) -> None:

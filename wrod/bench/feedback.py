@@ -1,7 +1,5 @@
 """`wrod bench feedback`: what looking at the laid rod saves where the rod is not as believed."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache
@@ -80,9 +78,9 @@ def command(
     more than 1.5 times the error of trials without it.
     """
     from wrod.bench import courses
-    from wrod.bench.ledger import Ledger
     from wrod.bench.slippery import Shelf
     from wrod.errors import RodError
+    from wrod.files.ledger import Ledger
     from wrod.rods.batch import resolve_device
 
     chosen, asked = effects.split(","), ways.split(",")
@@ -167,7 +165,7 @@ def _half(middle: float):
 
 
 def _world(effect: str, led, material, friction: float, seed: int, undisturbed: bool):
-    from wrod.deployment.feedback import World
+    from wrod.deployment.feedback import Plant
     from wrod.deployment.setup import Disturbance
     from wrod.solvers.contact import Friction
 
@@ -183,7 +181,7 @@ def _world(effect: str, led, material, friction: float, seed: int, undisturbed: 
     if effect == "half":
         x = led.sample(np.linspace(0.0, led.length, 200))[0][:, 0]
         field = _half(0.5 * float(x.min() + x.max()))
-    return World(material, law, how, field)
+    return Plant(material, law, how, field)
 
 
 def _course(shelf, key: tuple, how: dict):
@@ -201,17 +199,17 @@ def _course(shelf, key: tuple, how: dict):
     rod_name, name, effect, way, seed = key
     led, material = shelf.course(rod_name, name)
     trajectory = shelf.plan(rod_name, name, how["friction"], "optimised")
-    world = _world(effect, led, material, how["friction"], seed, how["undisturbed"])
+    plant = _world(effect, led, material, how["friction"], seed, how["undisturbed"])
     looks: list = []
     if way == "blind":
         rest = Tail.none(trajectory)
-        trial = Trial(led, world.rod, trajectory, world.friction, world.disturbance, rest)
-        (laid,) = yield Asked([trial], None, {"friction_field": world.friction_field, **FINE})
+        trial = Trial(led, plant.rod, trajectory, plant.friction, plant.disturbance, rest)
+        (laid,) = yield Asked([trial], None, {"friction_field": plant.friction_field, **FINE})
     else:
         told = dict(WAYS[way])
         seeing = {k: told.pop(k) for k in ("hanging",) if k in told}
         followed = yield from following(
-            led, material, trajectory, how["friction"], world, every=how["every"],
+            led, material, trajectory, how["friction"], plant, every=how["every"],
             horizon=how["horizon"], sight=Sight(seed=seed, **seeing), **told, **FINE,
         )  # fmt: skip
         laid, looks = followed.laid, followed.looks

@@ -1,7 +1,5 @@
 """`wrod bench grasp`: cold grasps per second over the whole range, and how cost grows."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

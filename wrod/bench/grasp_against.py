@@ -1,7 +1,5 @@
 """Grasps per second of another checkout beside this one's: both solve the same, turn by turn."""
 
-from __future__ import annotations
-
 import statistics
 import subprocess
 import sys
@@ -28,6 +26,7 @@ class _Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            start_new_session=True,
             cwd=inputs.parent,
         )
 
@@ -65,10 +64,12 @@ def compare(
     one comes to in `patience` seconds; where the first call takes longer, that one counts.
 
     Raises:
-        WrodError: a process ended early.
+        WrodError: the folder is no checkout, or a process ended early.
     """
     from wrod.grasps.inputs import whole_range
 
+    if not (other / "wrod" / "__init__.py").is_file():
+        raise WrodError(f"{other}: is no checkout of wrod, which has a folder wrod; give another")
     here = Path(__file__).resolve().parents[2]
     with tempfile.TemporaryDirectory() as folder:
         inputs = Path(folder) / "inputs.npz"

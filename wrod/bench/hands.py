@@ -1,7 +1,5 @@
 """`wrod bench hands`: real cables clamped in a robot's hand, explained and predicted."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +7,8 @@ from typing import Any
 
 import click
 import numpy as np
+
+from wrod import cost
 
 CABLES = ("black-short", "orange-long")
 LOADS = ("unweighted", "weighted")
@@ -42,7 +42,7 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     """
     from wrod.bench import hands_loops, hands_swings
     from wrod.errors import DataError
-    from wrod.files import write_atomically
+    from wrod.files import write_json
     from wrod.identification.held.measurements import load_held
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -50,6 +50,8 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     if folds < 2:
         raise DataError(f"folds is {folds}; give 2 or more")
     device = resolve_device(device)
+    seconds = cost.HAND if quick else 2 * cost.HAND + cost.FOLD * folds + cost.LOOPS
+    cost.settle(cost.Cost(seconds), "all fits", out, "ask for fewer --folds", quiet=as_json)
     out.mkdir(parents=True, exist_ok=True)
     figures: dict = {"machine": machine_line(device), "cables": {}}
     predictions, statics = {}, {}
@@ -71,9 +73,8 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     written += hands_swings.draw(data / "swing", out, statics, predictions["swings"])
     if not quick:
         written.append(out / "hands-prediction.json")
-        text = json.dumps(predictions, indent=1) + "\n"
-        write_atomically(written[-1], lambda file: file.write(text))
-    write_atomically(written[0], lambda file: file.write(json.dumps(figures, indent=2) + "\n"))
+        write_json(written[-1], predictions)
+    write_json(written[0], figures)
     if as_json:
         click.echo(json.dumps(figures, indent=2))
         return

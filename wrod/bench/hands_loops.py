@@ -1,7 +1,5 @@
 """Loops of thin cables for `wrod bench hands`: how they hang, are held by an arm, and buckle."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`wrod bench hands`: swings of the thick cables, by the model that explains how they hang."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,14 +5,12 @@ hidden, the noise. The layout is that of published sets: 24 trials (16 to fit on
 wrist sensor, clamp A always rolled the same way.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.bench.continuous_rod import World, constant, tangent_turn, turn_axis
+from wrod.bench.continuous_rod import Experiment, constant, tangent_turn, turn_axis
 
 TRIALS = 24
 _AIR_DRAG = 1.2 * 1.2  # rho_air C_d, as the plug-in takes it [kg/m^3]
@@ -25,12 +23,12 @@ class Hidden:
     """What is hidden in a set.
 
     Attributes:
-        world: the rod as it really is.
+        experiment: the rod as it really is.
         truth: for each effect's name the true values of what a report says of it, by key; keys
             that make a vector stand together.
     """
 
-    world: World
+    experiment: Experiment
     truth: dict[str, Truth]
 
 
@@ -57,13 +55,13 @@ def _vector(name: str, keys: tuple[str, ...], values) -> dict[str, Truth]:
 
 
 def none(rng, rod):
-    return Hidden(World(), {})
+    return Hidden(Experiment(), {})
 
 
 def natural_curvature(rng, rod):
     k = _in_plane(rng, 0.3, 0.55) / rod.gravito_bending_length
     truth = _vector("natural_curvature", ("curvature_1", "curvature_2"), tangent_turn(k))
-    return Hidden(World(curvature=constant(*k)), truth)
+    return Hidden(Experiment(curvature=constant(*k)), truth)
 
 
 def natural_helix(rng, rod):
@@ -80,13 +78,13 @@ def natural_helix(rng, rod):
             ("turn_rate",): (rate,),
         }
     }
-    return Hidden(World(curvature=turning), truth)
+    return Hidden(Experiment(curvature=turning), truth)
 
 
 def stiffness(rng, rod):
     ratio = float(np.exp(_between(rng, 0.25, 0.5, either_sign=True)))
-    world = World(bending=constant(ratio, ratio), twisting=ratio, stretching=ratio)
-    return Hidden(world, _vector("stiffness", ("stiffness_ratio",), [ratio]))
+    experiment = Experiment(bending=constant(ratio, ratio), twisting=ratio, stretching=ratio)
+    return Hidden(experiment, _vector("stiffness", ("stiffness_ratio",), [ratio]))
 
 
 def stiffness_gradient(rng, rod):
@@ -97,7 +95,7 @@ def stiffness_gradient(rng, rod):
         return np.stack([1.0 + ends[0] * (1.0 - u) + ends[1] * u] * 2)
 
     truth = _vector("stiffness_gradient", ("change_at_clamp", "change_at_grip"), ends)
-    return Hidden(World(bending=profile, twist_profile=lambda s: profile(s)[0]), truth)
+    return Hidden(Experiment(bending=profile, twist_profile=lambda s: profile(s)[0]), truth)
 
 
 def anisotropic_bending(rng, rod):
@@ -111,7 +109,7 @@ def anisotropic_bending(rng, rod):
             ("stiffer_direction",): (float(np.degrees(angle)) + 90.0,),
         }
     }
-    return Hidden(World(bending=constant(stiff, soft), principal=angle), truth)
+    return Hidden(Experiment(bending=constant(stiff, soft), principal=angle), truth)
 
 
 def softening(rng, rod):
@@ -123,7 +121,7 @@ def softening(rng, rod):
         return e * (kept + (1 - kept) / one), kept + (1 - kept) * (2 - one) / one**2
 
     truth = {"softening": {("critical_curvature",): (critical,), ("kept_stiffness",): (kept,)}}
-    return Hidden(World(law=law), truth)
+    return Hidden(Experiment(law=law), truth)
 
 
 def stiffening(rng, rod):
@@ -135,7 +133,7 @@ def stiffening(rng, rod):
         return e * (final + (1 - final) / one), final + (1 - final) * (2 - one) / one**2
 
     truth = {"stiffening": {("critical_curvature",): (critical,), ("final_stiffness",): (final,)}}
-    return Hidden(World(law=law), truth)
+    return Hidden(Experiment(law=law), truth)
 
 
 def softening_by_tanh(rng, rod):
@@ -147,7 +145,7 @@ def softening_by_tanh(rng, rod):
         th = np.tanh(e / critical)
         return kept * e + (1 - kept) * critical * th, kept + (1 - kept) * (1 - th * th)
 
-    return Hidden(World(law=law), {"softening": {}})
+    return Hidden(Experiment(law=law), {"softening": {}})
 
 
 def softening_by_yield(rng, rod):
@@ -163,14 +161,14 @@ def softening_by_yield(rng, rod):
         share = 1.0 / (1.0 + np.exp((critical - e) / width))
         return e - (1 - kept) * width * (beyond - at_rest), 1.0 - (1 - kept) * share
 
-    return Hidden(World(law=law), {"softening": {}})
+    return Hidden(Experiment(law=law), {"softening": {}})
 
 
 def point_mass(rng, rod):
     whole = rod.weight / rod.gravity * rod.length
     mass, place = _between(rng, 0.12, 0.24) * whole, _between(rng, 0.25, 0.75) * rod.length
-    world = World(mass=lambda s: mass * _bump(s, place, 0.002)[None])
-    return Hidden(world, {"point_mass": {("mass",): (mass,), ("arc_length",): (place,)}})
+    experiment = Experiment(mass=lambda s: mass * _bump(s, place, 0.002)[None])
+    return Hidden(experiment, {"point_mass": {("mass",): (mass,), ("arc_length",): (place,)}})
 
 
 def density_profile(rng, rod):
@@ -182,19 +180,19 @@ def density_profile(rng, rod):
         return (line * (ends[0] * (1.0 - u) + ends[1] * u))[None]
 
     truth = _vector("density_profile", ("change_at_clamp", "change_at_grip"), ends)
-    return Hidden(World(mass=extra), truth)
+    return Hidden(Experiment(mass=extra), truth)
 
 
 def density(rng, rod):
     ratio = float(np.exp(_between(rng, 0.2, 0.4, either_sign=True)))
     extra = constant((ratio - 1.0) * rod.weight / rod.gravity)
-    return Hidden(World(mass=extra), _vector("density", ("density_ratio",), [ratio]))
+    return Hidden(Experiment(mass=extra), _vector("density", ("density_ratio",), [ratio]))
 
 
 def gravity_tilt(rng, rod):
     turn = np.radians(_in_plane(rng, 2.0, 4.0))
     truth = _vector("gravity_tilt", ("tilt_x", "tilt_y"), turn)
-    return Hidden(World(gravity_turn=np.append(turn, 0.0)), truth)
+    return Hidden(Experiment(gravity_turn=np.append(turn, 0.0)), truth)
 
 
 def air_flow(rng, rod):
@@ -209,70 +207,72 @@ def air_flow(rng, rod):
     speed = float(np.sqrt(drag / (_AIR_DRAG * rod.radius)))
     truth = _vector("air_flow", ("drag_x", "drag_y", "drag_z"), drag * flow)
     truth["air_flow"][("speed",)] = (speed,)
-    return Hidden(World(drag=force), truth)
+    return Hidden(Experiment(drag=force), truth)
 
 
 def grip_slip(rng, rod):
     slip = _between(rng, 0.005, 0.009, either_sign=True)
-    return Hidden(World(slip=slip), _vector("grip_slip", ("slip",), [slip]))
+    return Hidden(Experiment(slip=slip), _vector("grip_slip", ("slip",), [slip]))
 
 
 def grip_rotation(rng, rod):
     turn = np.append(np.radians(_in_plane(rng, 5.0, 8.0)), np.radians(rng.uniform(-8.0, 8.0)))
     truth = _vector("grip_rotation", ("rotation_1", "rotation_2", "roll"), turn)
-    return Hidden(World(grip_turn=turn), truth)
+    return Hidden(Experiment(grip_turn=turn), truth)
 
 
 def clamp_rotation(rng, rod):
     turn = np.append(np.radians(_in_plane(rng, 5.0, 8.0)), np.radians(rng.uniform(-8.0, 8.0)))
     truth = _vector("clamp_rotation", ("rotation_1", "rotation_2", "roll"), turn)
-    return Hidden(World(clamp_turn=turn), truth)
+    return Hidden(Experiment(clamp_turn=turn), truth)
 
 
 def camera_scale(rng, rod):
     scale = _between(rng, 0.012, 0.025, either_sign=True)
     centre = rng.uniform(-0.3, 0.3, 3) + [0.4, 0.0, 0.4]
-    world = World(see=lambda position, frame: centre + (1.0 + scale) * (position - centre))
+    experiment = Experiment(
+        see=lambda position, frame: centre + (1.0 + scale) * (position - centre)
+    )
     truth = _vector("camera_scale", ("offset_x", "offset_y", "offset_z"), -scale * centre)
     truth["camera_scale"][("scale",)] = (scale,)
-    return Hidden(world, truth)
+    return Hidden(experiment, truth)
 
 
 def camera_offset(rng, rod):
     offset = _direction(rng) * _between(rng, 0.004, 0.008)
     truth = _vector("camera_offset", ("offset_x", "offset_y", "offset_z"), offset)
-    return Hidden(World(see=lambda position, frame: position + offset), truth)
+    return Hidden(Experiment(see=lambda position, frame: position + offset), truth)
 
 
 def camera_rotation(rng, rod):
     turn = _direction(rng) * np.radians(_between(rng, 0.8, 1.6))
     r, centre = Rotation.from_rotvec(turn).as_matrix(), rng.uniform(-0.1, 0.1, 3) + [0.4, 0.0, 0.4]
     truth = _vector("camera_rotation", ("rotation_x", "rotation_y", "rotation_z"), turn)
-    return Hidden(World(see=lambda x, frame: centre + (x - centre) @ r.T), truth)
+    return Hidden(Experiment(see=lambda x, frame: centre + (x - centre) @ r.T), truth)
 
 
 def marker_offset(rng, rod):
     offset = np.append(_in_plane(rng, 0.003, 0.005), rng.uniform(-0.001, 0.001))
     truth = _vector("marker_offset", ("offset_1", "offset_2", "offset_tangent"), offset)
-    return Hidden(World(see=lambda position, frame: position + frame @ offset), truth)
+    return Hidden(Experiment(see=lambda position, frame: position + frame @ offset), truth)
 
 
 def natural_twist(rng, rod):
     twist = _between(rng, 1.5, 3.5, either_sign=True)
-    return Hidden(World(twist=twist), _vector("natural_twist", ("twist",), [twist]))
+    return Hidden(Experiment(twist=twist), _vector("natural_twist", ("twist",), [twist]))
 
 
 def twist_stiffness(rng, rod):
     ratio = float(np.exp(_between(rng, 0.6, 1.0, either_sign=True)))
     truth = _vector("twist_stiffness", ("twist_stiffness_ratio",), [ratio])
-    return Hidden(World(twisting=ratio), truth)
+    return Hidden(Experiment(twisting=ratio), truth)
 
 
 def bend_twist(rng, rod):
     """Strands laid at an angle: the rod twists as it is bent."""
     ratio = _in_plane(rng, 0.3, 0.6)
     truth = _vector("bend_twist", ("coupling_1", "coupling_2"), ratio)
-    return Hidden(World(coupling=turn_axis(ratio)), truth)
+    return Hidden(Experiment(coupling=turn_axis(ratio)), truth)
 
 
 # ---- effects that have none: five that `identify` builds, two that nothing explains -------------
@@ -283,7 +283,7 @@ def kink(rng, rod):
     place, bend = _between(rng, 0.3, 0.7) * rod.length, _in_plane(rng, 0.5, 0.8)
     truth = _vector("local_bend", ("angle_1", "angle_2"), bend)
     truth["local_bend"][("arc_length",)] = (place,)
-    return Hidden(World(curvature=lambda s: bend[:, None] * _bump(s, place, 0.008)), truth)
+    return Hidden(Experiment(curvature=lambda s: bend[:, None] * _bump(s, place, 0.008)), truth)
 
 
 def half_draught(rng, rod):
@@ -292,12 +292,12 @@ def half_draught(rng, rod):
     force = np.append(_in_plane(rng, 0.2, 0.35), 0.0)[:, None] * rod.weight
     truth = _vector("local_load", ("force_x", "force_y", "force_z"), force[:, 0])
     truth["local_load"][("start",)] = (place,)
-    return Hidden(World(force=lambda s: force / (1.0 + np.exp((place - s) / 0.01))), truth)
+    return Hidden(Experiment(force=lambda s: force / (1.0 + np.exp((place - s) / 0.01))), truth)
 
 
 def sticking_roll(rng, rod):
     """The rod rolls in the gripper, another way in every trial."""
-    return Hidden(World(grip_turn=rng.normal(size=(TRIALS, 1)) * [0.0, 0.0, 0.7]), {})
+    return Hidden(Experiment(grip_turn=rng.normal(size=(TRIALS, 1)) * [0.0, 0.0, 0.7]), {})
 
 
 def soft_spot(rng, rod):
@@ -311,8 +311,8 @@ def soft_spot(rng, rod):
     softer = float(np.trapezoid(1.0 / factor(around) - 1.0, around))
     truth = _vector("stretch", ("extra_compliance",), [softer])
     truth["stretch"][("start", "stop")] = (place - 0.017, place + 0.017)
-    world = World(bending=lambda s: np.stack([factor(s)] * 2), twist_profile=factor)
-    return Hidden(world, truth)
+    experiment = Experiment(bending=lambda s: np.stack([factor(s)] * 2), twist_profile=factor)
+    return Hidden(experiment, truth)
 
 
 def sleeve(rng, rod):
@@ -331,12 +331,12 @@ def sleeve(rng, rod):
 
     truth = _vector("stretch", ("extra_mass",), [heavy * line * length])
     truth["stretch"][("start", "stop")] = (start, start + length)
-    world = World(
+    experiment = Experiment(
         bending=lambda s: np.stack([factor(s)] * 2),
         twist_profile=factor,
         mass=lambda s: heavy * line * window(s)[None],
     )
-    return Hidden(world, truth)
+    return Hidden(experiment, truth)
 
 
 def magnet(rng, rod):
@@ -348,13 +348,13 @@ def magnet(rng, rod):
         away = point[:, None] - q
         return strength * 0.15**2 * away / ((away**2).sum(axis=0) + 0.05**2) ** 1.5
 
-    return Hidden(World(drag=force), _vector("attraction", ("x", "y", "z"), point))
+    return Hidden(Experiment(drag=force), _vector("attraction", ("x", "y", "z"), point))
 
 
 def shaking_camera(rng, rod):
     """Cameras that someone knocks between trials."""
     offset = 0.004 * rng.normal(size=(TRIALS, 1, 3))
-    return Hidden(World(see=lambda position, frame: position + offset), {})
+    return Hidden(Experiment(see=lambda position, frame: position + offset), {})
 
 
 def _direction(rng) -> np.ndarray:

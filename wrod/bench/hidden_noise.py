@@ -3,8 +3,6 @@
 Every kind has the declared size; `pose` and `outliers` add what nobody declares.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sets of measurements with something hidden: the cases, their rods and poses."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
@@ -11,9 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.bench import hidden_effects as hidden_in
-from wrod.bench.continuous_rod import World, labels, measured
+from wrod.bench.continuous_rod import Experiment, labels, measured
 from wrod.bench.hidden_effects import TRIALS, Hidden
 from wrod.bench.hidden_noise import with_noise
+from wrod.bench.hidden_strange import STRANGE
 from wrod.errors import DataError
 from wrod.rods.material import RodMaterial
 
@@ -83,17 +82,21 @@ BUILT: dict[str, Callable] = {
 # Softenings by another law than the plug-in's.
 OTHER_LAWS = (hidden_in.softening_by_tanh.__name__, hidden_in.softening_by_yield.__name__)
 UNCOVERED: dict[str, Callable] = {
-    f.__name__: f for f in (hidden_in.sticking_roll, hidden_in.shaking_camera)
+    f.__name__: f for f in (hidden_in.sticking_roll, hidden_in.shaking_camera, *STRANGE)
+}
+# What says of them as much as can be said: effects, prints.
+NEAR: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    f.__name__: near for f, near in STRANGE.items()
 }
 
 
 def _combined(parts: list[Hidden]) -> Hidden:
     """Worlds that change different things, put together."""
-    base, changed, truth = World(), {}, {}
+    base, changed, truth = Experiment(), {}, {}
     for part in parts:
         truth |= part.truth
-        for field in fields(World):
-            value = getattr(part.world, field.name)
+        for field in fields(Experiment):
+            value = getattr(part.experiment, field.name)
             if not np.array_equal(value, getattr(base, field.name)):
                 assert field.name not in changed, f"two effects set {field.name}"
                 changed[field.name] = value
@@ -128,8 +131,8 @@ def hidden_set(name: str, seed: int, noise: str = "white") -> tuple[dict[str, np
         hidden, poses = cases()[name](rng, rod), _poses(rng, rod)
         own = int(rng.integers(2**31))
         if noise == "white":
-            return measured(poses, hidden.world, seed=own, noise=NOISE), hidden
-        data = measured(poses, hidden.world, seed=own, noise=0.0)
+            return measured(poses, hidden.experiment, seed=own, noise=NOISE), hidden
+        data = measured(poses, hidden.experiment, seed=own, noise=0.0)
         return with_noise(data, noise, own), hidden
 
     for _ in range(_REDRAWS):

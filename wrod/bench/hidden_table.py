@@ -1,7 +1,5 @@
 """The confusion table of `wrod bench identify --hidden`: what was hidden, what was found."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -11,6 +9,7 @@ from wrod.bench import side_by_side
 WITHIN = 0.05
 OUTCOMES = (
     "right",
+    "near",
     "confounded",
     "incomplete",
     "unexplained",
@@ -21,7 +20,7 @@ OUTCOMES = (
 
 def examine(case: str, seed: int, noise: str = "white", device: str = "cpu") -> dict:
     """Make one set, identify it, and compare what is said with what was hidden."""
-    from wrod.bench.hidden_sets import OTHER_LAWS, UNCOVERED, hidden_set
+    from wrod.bench.hidden_sets import NEAR, OTHER_LAWS, UNCOVERED, hidden_set
     from wrod.bench.identify_row import row
     from wrod.errors import DataError
     from wrod.identification.clamped.loading import measurements_from_arrays
@@ -40,6 +39,7 @@ def examine(case: str, seed: int, noise: str = "white", device: str = "cpu") -> 
     entry = row(measurements, device)
     found = {effect["name"]: effect["parameters"] for effect in entry["effects"]}
     worst, deviations = error_of(found, hidden.truth)
+    akin, prints = NEAR.get(case, ((), ()))
     return entry | {
         "seed": seed,
         "noise": noise,
@@ -48,17 +48,25 @@ def examine(case: str, seed: int, noise: str = "white", device: str = "cpu") -> 
             name: [[list(keys), list(values)] for keys, values in own.items()]
             for name, own in hidden.truth.items()
         },
-        "outcome": outcome(entry, set(hidden.truth), case in UNCOVERED, case in OTHER_LAWS),
+        "outcome": outcome(entry, set(hidden.truth), case in UNCOVERED, case in OTHER_LAWS, akin),
+        "print_near": entry["likeliest_print"] in prints if prints else None,
         "worst_error": worst,
         "worst_deviations": deviations,
     }
 
 
-def outcome(entry: dict, hidden: set[str], uncovered: bool, other_law: bool = False) -> str:
+def outcome(
+    entry: dict,
+    hidden: set[str],
+    uncovered: bool,
+    other_law: bool = False,
+    akin: Sequence[str] = (),
+) -> str:
     """One of `OUTCOMES`.
 
     right: exactly the hidden names; for what no plug-in covers, no verdict of `explained`; for a
         law of bending that is none of the known ones, a law of its own as well as the nearest.
+    near: what no plug-in covers is `explained` by effects that are `akin` to it.
     confounded: a name is wrong, but the report says that the data do not tell it from the true one.
     incomplete: only true names, not all. unexplained: no name, though there is one.
     wrong: a name that is not hidden. false alarm: a name for a rod without an effect.
@@ -67,7 +75,9 @@ def outcome(entry: dict, hidden: set[str], uncovered: bool, other_law: bool = Fa
     if other_law and "moment_law" in found:
         found = (found - {"moment_law"}) | hidden
     if uncovered:
-        return "wrong" if entry["verdict"] in ("explained", "adequate") else "right"
+        if entry["verdict"] not in ("explained", "adequate"):
+            return "right"
+        return "near" if found and found <= set(akin) else "wrong"
     if found == hidden:
         return "right" if entry["verdict"] in ("explained", "adequate") else "incomplete"
     if not hidden:
@@ -165,6 +175,9 @@ def summary(rows: Sequence[dict]) -> list[str]:
             part = [r["outcome"] for r in own if r["noise"] == noise]
             said = ", ".join(f"{o} {part.count(o)}" for o in OUTCOMES if o in part)
             text.append(f"{'':21}     {len(part):3} of them with {noise}: {said}")
+        told = [r["print_near"] for r in own if r.get("print_near") is not None]
+        if told:
+            text.append(f"{'':21}     likeliest print near the truth in {sum(told)} of {len(told)}")
         named = [r for r in own if r["outcome"] == "right" and r["worst_error"] is not None]
         if named:
             close = sum(r["worst_error"] <= WITHIN for r in named)

@@ -1,7 +1,5 @@
 """`wrod bench identify`: verdicts, parameters, errors and times on sets of measurements."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path
@@ -73,8 +71,8 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
     from wrod.bench.hidden_noise import NOISES
     from wrod.bench.hidden_sets import cases
     from wrod.bench.hidden_table import examine_all, lines, summary
-    from wrod.bench.ledger import Ledger
     from wrod.errors import DataError
+    from wrod.files.ledger import Ledger
     from wrod.machine import machine_line
 
     names = [n for n in cases() if not only or any(text in n for text in only)]

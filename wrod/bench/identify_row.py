@@ -1,7 +1,5 @@
 """One set of measurements identified, as a row of the tables of `wrod bench identify`."""
 
-from __future__ import annotations
-
 import time
 
 

@@ -1,11 +1,11 @@
 """`wrod bench knot-force`: the force to pull an overhand knot tight, against theory."""
 
-from __future__ import annotations
-
 import json
 import time
 
 import click
+
+from wrod import cost
 
 
 @click.command(name="knot-force")
@@ -37,6 +37,8 @@ def command(
             f"loop radii {loosest:g} to {tightest:g}: the loosest must be 20 h or more, for the "
             "knot's strands to start apart, and the tightest below it, 5 h or more"
         )
+    work = cost.Cost(cost.KNOT_STEP * len(friction) * (loosest - tightest))
+    cost.settle(work, f"{len(friction)} knots", None, "ask for a smaller --loosest", quiet=as_json)
     contact, energy = solve_braid()
     clock, cpu = time.perf_counter(), time.process_time()
     with tqdm(total=100, unit="%", leave=False) as bar:
@@ -110,16 +112,14 @@ def _say(row: dict, contact: float) -> None:
 def draw(path: str, friction: list[float], knots, contact: float, energy: float) -> None:
     """Write a PNG: tension over loop size with the law, and the knots without friction."""
     import numpy as np
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import ScalarFormatter
 
     from wrod.bench.overhand import knot_force
-    from wrod.files import write_atomically
+    from wrod.files import write_figure
 
     colors = ("#0b5fa5", "#3a8f5c", "#d9822b", "#d1495b", "#7a5195")
     figure = Figure(figsize=(11.5, 5.0), facecolor="white")
-    FigureCanvasAgg(figure)
     axes, shapes = figure.subplots(1, 2, width_ratios=(1, 1))
     slender = np.geomspace(knots.radius.min(), knots.radius[1:].max(), 100)
     for k, f in enumerate(friction):
@@ -167,4 +167,4 @@ def draw(path: str, friction: list[float], knots, contact: float, energy: float)
     shapes.set_aspect("equal")
     shapes.axis("off")
     figure.tight_layout()
-    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=90), "wb")
+    write_figure(path, figure, 90)

@@ -1,7 +1,5 @@
 """`wrod bench loop`: a rod with an unknown effect is measured, understood, and laid better."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Synthetic measurements of a clamped rod: what cameras and wrist would see of a true rod."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -73,6 +71,6 @@ def clamped_experiment(
         "noise_std": noise,
         **labels(replace(believed, length=free_length)),
     }
-    world = world_of(RodModel.of(rod), replace(believed, length=free_length))
-    seen = measured(data, world, seed=1_000_000 + seed, noise=noise)
+    experiment = world_of(RodModel.of(rod), replace(believed, length=free_length))
+    seen = measured(data, experiment, seed=1_000_000 + seed, noise=noise)
     return {**seen, **labels(replace(believed, length=free_length))}

@@ -1,13 +1,11 @@
 """What `wrod bench loop` found, as CSV, Markdown and a picture."""
 
-from __future__ import annotations
-
-import csv
 from pathlib import Path
 
 import numpy as np
 
-from wrod.files import write_atomically
+from wrod import files
+from wrod.files import write_figure
 
 TITLES = {
     "natural_curvature": "rod with natural curvature",
@@ -38,15 +36,11 @@ _NAMES = ("effect", "controller", "pattern", "plan", "method", "closure")
 
 def write_csv(path: Path, rows: list[dict]) -> Path:
     """One deployment a line."""
-
-    def write(file):
-        writer = csv.writer(file)
-        writer.writerow([*_NAMES, *_COLUMNS.values(), "diverged"])
-        for row in rows:
-            figures = [f"{row[name]:.4f}" for name in _COLUMNS]
-            writer.writerow([*(row[name] for name in _NAMES), *figures, int(row["diverged"])])
-
-    return write_atomically(path, write)
+    lines = [
+        [row[n] for n in _NAMES] + [f"{row[n]:.4f}" for n in _COLUMNS] + [int(row["diverged"])]
+        for row in rows
+    ]
+    return files.write_csv(path, [*_NAMES, *_COLUMNS.values(), "diverged"], lines)
 
 
 def markdown(rows: list[dict], found: dict, head: str) -> str:
@@ -136,6 +130,13 @@ def summary(rows: list[dict]) -> list[str]:
     ]
     if worse:
         lines.append(f"Worse than before: {'; '.join(worse)}.")
+    for row in rows:
+        if row["rivals"]:
+            said = ", ".join(f"{name} {error:.1f} cm" for name, error in row["rivals"].items())
+            lines.append(
+                f"{row['pattern']} ({_title(row['effect'])}, {row['controller']}): what the found "
+                f"rod was expected to be laid by, from which the new plan was chosen: {said}."
+            )
     lost = sum(row["diverged"] for row in rows)
     if lost:
         lines.append(f"{lost} of {len(rows)} deployments diverged.")
@@ -155,7 +156,6 @@ def mean_error(rows: list[dict], effect: str, controller: str, plan: str) -> flo
 def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
     """Curves laid by the last controller before and after, for every effect and pattern, and the
     errors of all controllers as bars."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     effects = [effect for effect in _values(rows, "effect") if effect != "none"]
@@ -165,7 +165,6 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
     top, columns = (0.62, 5) if count > 5 else (0.85, 3)
     size = max(2.0 * count, 7.5), 3.6 * len(effects) + top
     figure = Figure(figsize=size, facecolor="white")
-    FigureCanvasAgg(figure)
     height = figure.get_figheight()
     grid = figure.add_gridspec(
         2 * len(effects), count, height_ratios=[1.0, 0.75] * len(effects),
@@ -199,10 +198,7 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
         )  # fmt: skip
     _draw_legend(figure, shown, columns)
 
-    def write(file):
-        figure.savefig(file, format="png", dpi=90)
-
-    return write_atomically(path, write, "wb")
+    return write_figure(path, figure, 90)
 
 
 def _draw_bars(axes, cell: dict, effect: str, name: str, highest: float) -> None:

@@ -1,13 +1,12 @@
 """What `wrod bench loop` does, step by step: identify, train, plan, lay, report."""
 
-from __future__ import annotations
-
 import time
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from wrod import cost
 from wrod.bench.loop_report import draw, markdown, summary, write_csv
 from wrod.bench.loop_trials import (
     EFFECTS,
@@ -23,7 +22,7 @@ from wrod.bench.loop_trials import (
 )
 from wrod.bench.table3_paper import PATTERNS, read_pattern
 from wrod.deployment.simulate import simulate_deployments
-from wrod.files import write_atomically
+from wrod.files import write_text
 from wrod.machine import machine_line
 from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
@@ -33,8 +32,8 @@ from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
 
 _BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-# The free end is held for so much of a cable's L_gb; a green VPS rod's 5 cm are 1.6 of them.
-_HELD = 1.5
+# The free end of a cable is held for so much of its L_gb; a green VPS rod's 5 cm are 1.6 of them.
+_HELD, _VPS_HELD = 1.5, 0.05
 
 
 @dataclass
@@ -110,6 +109,7 @@ class Loop:
 def run(loop: Loop) -> dict[str, Any]:
     """All of it; plain figures, the laid curves in files only."""
     curves = {name: read_pattern(name, loop.patterns) for name in loop.names or PATTERNS}
+    _settle(loop, curves)
     cases, written = (_recorded if loop.recording else _hidden)(loop)
     if loop.recording and not loop.names:
         (case,) = cases.values()
@@ -117,7 +117,7 @@ def run(loop: Loop) -> dict[str, Any]:
     rows = _laid(loop, cases, curves)
     found = {effect: _found(case) for effect, case in cases.items()}
     text = markdown(rows, found, loop.head)
-    write_atomically(loop.out / "loop.md", lambda file: file.write(text))
+    write_text(loop.out / "loop.md", text)
     written += [
         write_csv(loop.out / "loop.csv", rows),
         loop.out / "loop.md",
@@ -132,6 +132,40 @@ def run(loop: Loop) -> dict[str, Any]:
         "rows": [{k: v for k, v in one.items() if k != "curve"} for one in rows],
         "written": [str(path) for path in written],
     }
+
+
+def _settle(loop: Loop, curves: dict) -> None:
+    """Say what identification, training and deployments cost, or refuse it."""
+    controllers, believed = len(loop.controllers), rod(loop.rod_name)
+    if loop.recording is not None:
+        known, cases, learning = cost.identification(loop.recording), 1, 0.0
+        count, length = 2 * max(len(loop.names), 1), 2.0
+    else:
+        cases = len(loop.effects or EFFECTS)
+        known = cost.Cost(cost.IDENTIFIED_SET * cases)
+        count, length = len(curves) * controllers * (1 + 2 * cases), believed.length
+        learning = _learning(loop) * cases if "network" in loop.controllers else 0.0
+    work = cost.deployments(
+        count, length, speed=loop.speed, step=loop.step, spacing=loop.spacing, device=loop.device
+    )
+    what = f"{cases} identified, {count} deployments"
+    remedy = "ask for fewer effects, patterns or --grasps, or a larger --spacing or --step"
+    work = replace(work, seconds=work.seconds + known.seconds + learning)
+    cost.settle(work, what, loop.out, remedy, quiet=loop.quiet)
+
+
+def _learning(loop: Loop) -> float:
+    """Seconds of a naturally curved rod's grasps and of a network that learns them."""
+    from wrod.training.recipes import recipe
+
+    how = recipe("curved")
+    training = cost.training(
+        loop.steps or how.steps, how.batch, how.width, how.depth, loop.grasps, device=loop.device
+    )
+    solving = cost.grasps(
+        loop.grasps, 0, loop.grasps, sensitivities=True, device=loop.device, ranks=1
+    )
+    return training.seconds + solving.seconds
 
 
 def _hidden(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
@@ -165,9 +199,10 @@ def _hidden(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
 
 def _recorded(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
     """The one case of a recorded cable: what was found in it is the best that is known of it."""
-    with loop.timed("identification"):
-        report = identified_cable(loop.recording, loop.candidates, loop.device)
     name = loop.recording.stem
+    steps = loop.out / name / "steps.jsonl"
+    with loop.timed("identification"):
+        report = identified_cable(loop.recording, loop.candidates, loop.device, steps)
     written, model = report.save(loop.out / name), report.model
     roll = read_roll(loop.roll_text, model)
     return {name: Case(model, report.base_rod, report, model, None, roll)}, written
@@ -183,17 +218,17 @@ def _trained(loop: Loop, model, folder: Path, roll):
 
 def _laid(loop: Loop, cases: dict[str, Case], curves: dict) -> list[dict]:
     """A row for each deployment."""
-    jobs, law = {}, Friction(loop.friction, rolling=loop.rolling)
+    jobs, law, hold = {}, Friction(loop.friction, rolling=loop.rolling), _VPS_HELD
+    if loop.recording:
+        rods = [rod for case in cases.values() for rod in (case.true, case.believed)]
+        hold = _HELD * max(rod.gravito_bending_length for rod in rods)
     with loop.timed("plans"):
         for name, curve in loop.along(curves.items(), "plans"):
-            jobs |= trials_along(name, curve, cases, loop.controllers, law)
-    more = {}
-    if loop.recording:
-        more["hold"] = _HELD * max(t.rod.gravito_bending_length for t in jobs.values())
+            jobs |= trials_along(name, curve, cases, loop.controllers, law, hold)
     with loop.timed("deployments"), loop.bar("laid") as bar:
         laid = simulate_deployments(
             list(jobs.values()), speed=loop.speed, step=loop.step, spacing=loop.spacing,
-            device=loop.device, **more,
+            device=loop.device, hold=hold,
             progress=lambda fraction: bar.update(min(100 * fraction, bar.total - bar.n)),
         )  # fmt: skip
     return [row(key, jobs[key], d) for key, d in zip(jobs, laid, strict=True)]

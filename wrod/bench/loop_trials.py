@@ -1,11 +1,11 @@
 """What `wrod bench loop` lays: every pattern with the old and the new model behind a controller."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from wrod.errors import DataError
 from wrod.rods.law import Softening
@@ -44,12 +44,14 @@ def identified(true, believed, trials, noise, seed, candidates, device):
     return identify(measurements, candidates=candidates or None, device=device)
 
 
-def identified_cable(recording: Path, candidates, device):
-    """Report of an identification of a cable from recordings of it in motion."""
+def identified_cable(recording: Path, candidates, device, steps: Path):
+    """Report of an identification of a cable from recordings of it in motion, which goes on from
+    the file of its `steps` where it was stopped."""
     from wrod.identification import identify
     from wrod.identification.motion.loading import load_motion
 
-    return identify(load_motion(recording), candidates=candidates or None, device=device)
+    asked: dict[str, Any] = dict(candidates=candidates or None, device=device, steps=steps)
+    return identify(load_motion(recording), **asked)
 
 
 def own_bend(cable: RodModel | RodMaterial):
@@ -98,13 +100,16 @@ def network_for(
 
 
 def trials_along(
-    name: str, curve, cases: dict[str, Case], controllers: tuple[str, ...], law
+    name: str, curve, cases: dict[str, Case], controllers: tuple[str, ...], law, hold: float
 ) -> dict:
     """Deployments along one pattern by (effect, controller, pattern, plan): old, new, and of a rod
     without any effect.
 
     Old and new plan hold the rod at the same roll, so that only the model behind the grasps
-    differs. `law` is the table's `Friction`. All cases believe in one rod.
+    differs. Where the rod that was found cannot hang in all of its grasps, both are laid with it in
+    simulation beforehand, rolled four ways; the new plan is the one that is expected to be best.
+    `law` is the table's `Friction`, `hold` the length of the free end that is held at first [m].
+    All cases believe in one rod.
     """
     from wrod.deployment.plan import plan
     from wrod.deployment.simulate import Trial, with_remainder_of
@@ -126,17 +131,36 @@ def trials_along(
         for effect, case in cases.items():
             new = trial(case.true, case.model, controller, case.network, case.roll)
             roll = new.trajectory.roll
-            jobs[effect, controller, name, "old"] = trial(
-                case.true, believed, controller, roll=roll
-            )
+            old = trial(case.true, believed, controller, roll=roll)
+            if new.trajectory.metadata.get("natural_share", 1.0) < 1.0:
+                rivals = {("own", 0): new, ("old", 0): old}
+                for turn in (90, 180, 270):
+                    held = roll + np.radians(turn)
+                    rivals["own", turn] = trial(case.true, case.model, controller, roll=held)
+                    rivals["old", turn] = trial(case.true, believed, controller, roll=held)
+                new = _expected_best(rivals, case.model, law, hold)
+            jobs[effect, controller, name, "old"] = old
             jobs[effect, controller, name, "new"] = new
     return jobs
 
 
+def _expected_best(rivals: dict, model, law, hold: float):
+    """The trial that is expected to lay the rod best; its metadata say what was expected [cm]."""
+    from wrod.deployment.rivals import expected_errors
+
+    pairs = [(one.pattern, one.trajectory) for one in rivals.values()]
+    errors = expected_errors(model, pairs, law.static, hold=hold)
+    best = list(rivals.values())[int(errors.argmin())]
+    said = {
+        f"{name} by {turn} degrees": 100.0 * float(error)
+        for (name, turn), error in zip(rivals, errors, strict=True)
+    }
+    path = best.trajectory
+    return replace(best, trajectory=replace(path, metadata={**path.metadata, "rivals": said}))
+
+
 def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
     """Figures [cm] of a deployment, and the laid curve at 60 points [m]."""
-    import numpy as np
-
     curve = trial.pattern
     s = np.linspace(0.0, curve.length, 60) + curve.remainder_length
     laid = [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
@@ -149,6 +173,7 @@ def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
         **{name: 100.0 * getattr(deployment, name) for name in names},
         "contact_friction": metadata["contact_friction"],
         "natural_share": metadata.get("natural_share", 1.0),
+        "rivals": metadata.get("rivals", {}),
         "slip": 100.0 * float(deployment.slip.max()),
         "diverged": deployment.diverged,
         "curve": np.round(np.column_stack(laid), 5).tolist(),

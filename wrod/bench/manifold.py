@@ -1,7 +1,5 @@
 """`wrod bench manifold`: held grips per second, the boundary for many lengths, stability's cost."""
 
-from __future__ import annotations
-
 import json
 import time
 from typing import Any

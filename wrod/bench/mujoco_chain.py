@@ -7,8 +7,6 @@ parameters were set by a cantilever, a folded rod and a slope (`tests/peers/test
 not by what it lays.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,12 +1,11 @@
 """`wrod bench newton`: `SolverDER` beside Newton's cable and PyElastica, on one problem."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.arguments import parse_list
 
 # Steps of the implicit solvers over the period.
@@ -81,15 +80,12 @@ def command(
 
     from wrod.bench.cantilever import Cantilever
     from wrod.bench.newton_report import draw, markdown
-    from wrod.errors import RodError
     from wrod.machine import machine_line
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
     from wrod.rods.material import RodMaterial
 
     device = resolve_device(device)
-    if not (scale > 0 and length > 0 and periods > 0):
-        raise RodError("scale, length and periods must be positive")
     small = rod(rod_name)
     material = RodMaterial(
         scale * small.radius, scale * small.gravito_bending_length, scale * small.length,
@@ -101,6 +97,7 @@ def command(
     if not with_elastica:
         click.echo("PyElastica is not installed; for its rows: pip install wrod[peers]", err=True)
 
+    _settle(edges, iterations, rods, periods, as_json)
     rows, speed = _compare(problem, edges, iterations, rods, duration, device, with_elastica)
     versions = f"newton {version('newton')}"
     if with_elastica:
@@ -118,12 +115,22 @@ def command(
     text = markdown(figures)
     click.echo(json.dumps(figures) if as_json else text)
     if out is not None:
-        from wrod.files import write_atomically
+        from wrod.files import write_text
 
         out.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / "newton.md", lambda file: file.write(text + "\n"))
+        write_text(out / "newton.md", text + "\n")
         for path in (out / "newton.md", draw(out / "newton.png", figures)):
             click.echo(f"wrote {path}", err=as_json)
+
+
+def _settle(edges: list, iterations: list, rods: int, periods: float, quiet: bool) -> None:
+    """Say what the table costs, most of it the steps of Newton's cable, or refuse it."""
+    swings, timed = periods + 2.6, min(periods, 0.4)
+    of_rods = edges[len(edges) // 2] * iterations[-1] * timed * (1 + rods)
+    passes = (sum(edges) * sum(iterations) * swings + of_rods) / _VBD_STEP
+    work = cost.Cost(cost.NEWTON_ROW * len(edges) * (2 + len(iterations)) + cost.VBD_EDGE * passes)
+    what = f"{len(edges)} meshes, {len(iterations)} numbers of iterations"
+    cost.settle(work, what, None, "ask for fewer, or fewer --rods or --periods", quiet=quiet)
 
 
 def _compare(problem, edges, iterations, rods: int, duration, device, with_elastica) -> tuple:
@@ -189,6 +196,7 @@ def _measure_bodies(as_json: bool) -> None:
     from wrod.bench.newton_bodies import measure
     from wrod.machine import machine_line
 
+    cost.settle(cost.Cost(cost.NEWTON_BODIES), "all scenes", None, "", quiet=as_json)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Newton corrects the inertia of small bodies
         if as_json:
@@ -209,6 +217,10 @@ def _measure_many(device: str, worlds: int, cables: int, edges: int) -> None:
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
+    work = cost.Cost(
+        cost.NEWTON_BODIES + edges * (cost.WORLD_EDGE * worlds + cost.PILE_EDGE * cables**2)
+    )
+    cost.settle(work, f"{worlds} worlds and a pile of {cables}", None, "ask for fewer of them")
     click.echo(json.dumps({"machine": machine_line(device)}))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Newton corrects the inertia of thin capsules

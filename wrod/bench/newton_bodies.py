@@ -1,7 +1,5 @@
 """Scenes of `wrod bench newton --bodies`: cables that pull bodies, in Newton."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Iterator
 
@@ -189,7 +187,7 @@ class Arm:
             self.state.clear_forces()
             self.cable.add_body_forces(self.state)
             self.arm.step(self.state, self._other, control, None, dt)
-            self.cable.step(self._other, self._other, None, None, dt)
+            self.cable.step(self.state, self._other, None, None, dt, moved=self._other)
             self.state, self._other = self._other, self.state
 
     def torques(self) -> np.ndarray:

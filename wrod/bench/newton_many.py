@@ -1,7 +1,5 @@
 """Scenes of `wrod bench newton --many`: many worlds, a graph of a step, piles."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from functools import cache

@@ -1,7 +1,5 @@
 """Piles of cables of `wrod bench newton`: wrod's and Newton's own, timed and looked into."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 

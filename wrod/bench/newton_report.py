@@ -1,11 +1,9 @@
 """The comparison of cantilevers, told as Markdown and as a picture."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
-from wrod.files import write_atomically
+from wrod.files import write_figure
 
 _INK, _MUTED, _FAINT = "#22262b", "#59616b", "#e6e9ee"
 _COLORS = {"SolverDER": "#d1495b", "newton SolverVBD": "#0b5fa5", "PyElastica": "#3a8f5c"}
@@ -55,12 +53,10 @@ def _percent(value: float | None, form: str) -> str:
 
 def draw(path: str | os.PathLike[str], figures: dict) -> Path:
     """Write a PNG: error against computing time, at rest and swinging, one line for each solver."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
     figure = Figure(figsize=(9.6, 4.3), dpi=130, facecolor="white")
-    FigureCanvasAgg(figure)
     panels = (
         ("rest", "error", "at rest: error of the tip [% of length]"),
         ("swing", "frequency", "swinging: error of the frequency [%]"),
@@ -109,7 +105,4 @@ def draw(path: str | os.PathLike[str], figures: dict) -> Path:
         handles=handles, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncol=3, fontsize=8,
         frameon=False, labelcolor=_MUTED,
     )  # fmt: skip
-    write_atomically(
-        path, lambda file: figure.savefig(file, format="png", metadata={"Software": None}), "wb"
-    )
-    return Path(path)
+    return write_figure(path, figure, 100, metadata={"Software": None})

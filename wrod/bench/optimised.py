@@ -1,7 +1,5 @@
 """`wrod bench optimised`: time of plans that know their table, and of deployments' derivatives."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path
@@ -9,6 +7,8 @@ from typing import Any
 
 import click
 import numpy as np
+
+from wrod import cost
 
 # Rods that are laid at once: one, and on a GPU as many as a learner might.
 _BATCHES = (1, 64)
@@ -46,6 +46,9 @@ def command(
     courses = {
         name: prepare(read_pattern(name, patterns), material, None) for name in names.split(",")
     }
+    work = cost.Cost(cost.CORRECTED_PLAN * (2 * len(courses) + together))
+    what = f"{2 * len(courses) + together} corrected plans"
+    cost.settle(work, what, None, "ask for fewer", quiet=as_json)
     say = (lambda text: None) if as_json else click.echo
     told: dict[str, Any] = {"machine": machine_line(device), "plans": [], "derivatives": []}
     say(told["machine"])

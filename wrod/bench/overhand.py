@@ -14,8 +14,6 @@ E B h^(1/2) R^(-3/2) adds the next order without friction, 3 E e^5 / (4 pi). `so
 and E.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

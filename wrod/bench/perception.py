@@ -1,13 +1,13 @@
 """`wrod bench perception`: accuracy and time of the centrelines of labelled photographs."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path
 from typing import Any
 
 import click
+
+from wrod import cost
 
 
 @click.command(name="perception")
@@ -42,6 +42,9 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
     if not sets:
         raise DataError(f"{images}: no SET/gt folder with labels; give --images FOLDER")
     cv2.setNumThreads(1)
+    runs = repeats * sum(len(list((folder / "gt").glob("*.png"))) for folder in sets)
+    work = cost.Cost(runs * cost.TRACED_PIXEL * 640 * 480)
+    cost.settle(work, f"{runs} runs", None, "ask for fewer --repeats", quiet=as_json)
     rows: list[dict[str, Any]] = []
     for folder in sets:
         counts = folder / "crossings.json"

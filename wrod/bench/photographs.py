@@ -1,7 +1,5 @@
 """`wrod bench photographs`: real rods laid by a robot, against simulated ones. Restartable."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -21,7 +19,9 @@ import click
 @click.option("--quick", is_flag=True, help="One rod, two patterns, no predictions.")
 @click.option("--spacing", default=0.01, show_default=True, help="Length of the edges [m].")
 @click.option("--step", default=0.025, show_default=True, help="Largest time step [s].")
-@click.option("--worlds", default=64, show_default=True, help="Drawn worlds a rod, beside 11.")
+@click.option(
+    "--scenarios", default=64, show_default=True, help="Drawn scenarios a rod, beside 11."
+)
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--threads", type=int, help="CPU threads; default: one per core.")
 @click.option("--workers", default=1, show_default=True, help="Processes side by side.")
@@ -32,18 +32,18 @@ def command(
     quick: bool,
     spacing: float,
     step: float,
-    worlds: int,
+    scenarios: int,
     device: str,
     threads: int | None,
     workers: int,
     as_json: bool,
 ) -> None:
-    """Find the world in which photographed rods were laid; predict what other grips would lay.
+    """Find the scenario in which photographed rods were laid; predict what other grips would lay.
 
-    Every rod is laid by the intuitive path in a set of worlds (friction, L_gb, natural curvature,
-    too much rod below the grip, the free end held or let go). A picture is predicted by the worlds
-    that pictures of other patterns choose, as far as such predictions gain, seen by the camera
-    that those pictures tell of, and judged after one rigid motion. With the worlds found, the
+    Every rod is laid by the intuitive path in a set of scenarios (friction, L_gb, natural
+    curvature, too much rod below the grip, the free end held or let go). A picture is predicted by
+    the scenarios that pictures of other patterns choose, as far as such predictions gain, seen by
+    the camera that those tell of, and judged after one rigid motion. With the scenarios found, the
     optimal path's deployment is predicted for every rod and pattern, and default plans made with
     what was found are laid there. Finished deployments are kept in OUT/laid.jsonl: a run that was
     stopped goes on from there.
@@ -52,13 +52,15 @@ def command(
     from wrod.bench.photographs_judge import judge
     from wrod.bench.photographs_report import left_out_table
     from wrod.errors import DataError
-    from wrod.files import write_atomically
+    from wrod.files import write_json
     from wrod.identification.laid.photographs import load_photographs
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
 
-    if worlds < 0 or workers < 1:
-        raise DataError(f"worlds is {worlds} and workers {workers}; give 0 or more, and 1 or more")
+    if scenarios < 0 or workers < 1:
+        raise DataError(
+            f"scenarios is {scenarios} and workers {workers}; give 0 or more, and 1 or more"
+        )
     photographs = load_photographs(data)
     if quick:
         first = photographs[0].rod
@@ -73,7 +75,7 @@ def command(
         quiet=as_json,
         workers=workers,
     )
-    verdicts = judge(photographs, laid, 0 if quick else worlds)
+    verdicts = judge(photographs, laid, 0 if quick else scenarios)
     figures: dict[str, Any] = {
         "machine": machine_line(device),
         "left_out": [row.as_dict() for verdict in verdicts for row in verdict.rows],
@@ -85,7 +87,7 @@ def command(
     }
     written = [] if quick else _add_predictions(figures, out, photographs, verdicts, laid, data)
     summary = out / "photographs.json"
-    write_atomically(summary, lambda file: file.write(json.dumps(figures, indent=2) + "\n"))
+    write_json(summary, figures)
     figures["written"] = [str(path) for path in (*written, summary, laid.path)]
     if as_json:
         click.echo(json.dumps(figures, indent=2))
@@ -104,15 +106,15 @@ def command(
 
 
 def _add_predictions(figures: dict, out: Path, photographs, verdicts, laid, data: Path) -> list:
-    """What the worlds that were found foretell, added to the figures; the files written."""
-    from wrod.bench.photographs_plans import plans_in_worlds_found
+    """What the scenarios that were found foretell, added to the figures; the files written."""
+    from wrod.bench.photographs_plans import plans_in_scenarios_found
     from wrod.bench.photographs_report import draw, draw_lines, write_predictions
     from wrod.bench.photographs_table3 import table3
     from wrod.bench.photographs_waves import waves
 
     figures["predictions"], files = write_predictions(out, photographs, verdicts, laid, data)
     figures["table3"] = table3(photographs, laid)
-    figures["plans"] = plans_in_worlds_found(photographs, verdicts, laid)
+    figures["plans"] = plans_in_scenarios_found(photographs, verdicts, laid)
     written = [*files, *draw(out, photographs, verdicts)]
     written += draw_lines(out, photographs, verdicts, laid)
     figures["waves"], files = waves(photographs, verdicts, laid, out)

@@ -1,22 +1,19 @@
 """Deployments of `wrod bench photographs`: each simulated once, kept in a file, over processes."""
 
-from __future__ import annotations
-
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
-from wrod.bench.ledger import Ledger
+from wrod.bench import side_by_side
+from wrod.files.ledger import Ledger
 from wrod.identification.laid.photographs import LaidPhotograph
-from wrod.identification.laid.world import LaidRod, World, lay, plan_without_lead_in
+from wrod.identification.laid.scenario import LaidRod, Scenario, lay, plan_without_lead_in
 from wrod.rods.catalogue import rod as preset
 
-KEYS = ("method", "rod", "pattern", "world")
+KEYS = ("method", "rod", "pattern", "scenario")
 _PLANS = {"int": "intuitive", "opt": "numeric"}
-# Worlds laid together by one process.
+# Scenarios laid together by one process.
 _TOGETHER = 16
 
 
@@ -31,30 +28,30 @@ class Deployments:
         self._quiet = quiet
 
     def of(
-        self, photograph: LaidPhotograph, method: str, worlds: dict[str, World]
+        self, photograph: LaidPhotograph, method: str, scenarios: dict[str, Scenario]
     ) -> dict[str, LaidRod]:
-        """{world's name: LaidRod} along a photograph's pattern."""
-        self.prepare([(photograph, method, worlds)])
+        """{scenario's name: LaidRod} along a photograph's pattern."""
+        self.prepare([(photograph, method, scenarios)])
         head = (method, photograph.rod, photograph.pattern_name)
         return {
-            row["world"]: LaidRod(
+            row["scenario"]: LaidRod(
                 np.array(row["arc_length"]), np.array(row["nodes"]), row["reached"]
             )
-            for row in self._ledger.of([(*head, name) for name in worlds])
+            for row in self._ledger.of([(*head, name) for name in scenarios])
         }
 
-    def prepare(self, wanted: list[tuple[LaidPhotograph, str, dict[str, World]]]) -> None:
-        """Lay what is not in the file yet of (photograph, method, worlds), over the processes;
-        worlds that begin alike are laid together."""
+    def prepare(self, wanted: list[tuple[LaidPhotograph, str, dict[str, Scenario]]]) -> None:
+        """Lay what is not in the file yet of (photograph, method, scenarios), over the processes;
+        scenarios that begin alike are laid together."""
         done = self._ledger.done()
         jobs = []
-        for photograph, method, worlds in wanted:
+        for photograph, method, scenarios in wanted:
             head = (method, photograph.rod, photograph.pattern_name)
             for held in (True, False):
                 batch = [
-                    (name, world)
-                    for name, world in worlds.items()
-                    if world.held is held and (*head, name) not in done
+                    (name, scenario)
+                    for name, scenario in scenarios.items()
+                    if scenario.held is held and (*head, name) not in done
                 ]
                 jobs += [
                     (photograph, method, dict(batch[k : k + _TOGETHER]), self._options)
@@ -65,58 +62,54 @@ class Deployments:
         from tqdm import tqdm
 
         from wrod import cost
-        from wrod.identification.laid.world import SPEED
+        from wrod.identification.laid.scenario import SPEED
         from wrod.rods.catalogue import rod
 
-        count = sum(len(worlds) for _, _, worlds, _ in jobs)
+        count = sum(len(scenarios) for _, _, scenarios, _ in jobs)
         work = cost.deployments(
             count, max(rod(photograph.rod).length for photograph, *_ in jobs), speed=SPEED,
             step=self._options["step"], spacing=self._options["spacing"], device=self.device,
         )  # fmt: skip
-        # At most a thousand worlds a picture, a few dozen at once: never more than a machine has.
+        # At most a thousand scenarios a picture, a few dozen at once: no more than a machine has.
         cost.settle(
             cost.Cost(work.seconds), f"{count} deployments", None, "", force=True,
             quiet=self._quiet,
         )  # fmt: skip
 
         with tqdm(total=len(jobs), leave=False, desc="deployments", disable=self._quiet) as bar:
-            if self.workers == 1:
-                for job in jobs:
-                    self._ledger.add(_lay(*job))
-                    bar.update()
-                return
-            with ProcessPoolExecutor(
-                min(self.workers, len(jobs)), mp_context=get_context("spawn")
-            ) as pool:
-                for one in as_completed([pool.submit(_lay, *job) for job in jobs]):
-                    self._ledger.add(one.result())
-                    bar.update()
+            for _, rows in side_by_side.run(_lay, jobs, self.workers):
+                self._ledger.add(rows)
+                bar.update()
 
     def map(self, function, jobs: list[tuple]) -> list:
         """`function(*job)` of every job in order, over the processes."""
-        if self.workers == 1 or len(jobs) < 2:
-            return [function(*job) for job in jobs]
-        with ProcessPoolExecutor(
-            min(self.workers, len(jobs)), mp_context=get_context("spawn")
-        ) as pool:
-            return list(pool.map(function, *zip(*jobs, strict=True)))
+        asked = [(function, number, job) for number, job in enumerate(jobs)]
+        workers = 1 if len(jobs) < 2 else self.workers
+        found = dict(result for _, result in side_by_side.run(_numbered, asked, workers))
+        return [found[number] for number in range(len(jobs))]
 
 
-def _lay(photograph: LaidPhotograph, method: str, worlds: dict[str, World], options) -> list[dict]:
+def _numbered(function, number: int, job: tuple) -> tuple:
+    return number, function(*job)
+
+
+def _lay(
+    photograph: LaidPhotograph, method: str, scenarios: dict[str, Scenario], options
+) -> list[dict]:
     """Rows of the file."""
     believed = preset(photograph.rod)
     plan = plan_without_lead_in(photograph.pattern, believed, _PLANS[method])
-    laid = lay(photograph.pattern, believed, plan, list(worlds.values()), **options)
+    laid = lay(photograph.pattern, believed, plan, list(scenarios.values()), **options)
     return [
         {
             "method": method,
             "rod": photograph.rod,
             "pattern": photograph.pattern_name,
-            "world": name,
-            "parameters": asdict(world),
+            "scenario": name,
+            "parameters": asdict(scenario),
             "arc_length": np.round(one.arc_length, 7).tolist(),
             "nodes": np.round(one.nodes, 7).tolist(),
             "reached": bool(one.reached),
         }
-        for (name, world), one in zip(worlds.items(), laid, strict=True)
+        for (name, scenario), one in zip(scenarios.items(), laid, strict=True)
     ]

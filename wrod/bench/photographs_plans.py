@@ -1,40 +1,38 @@
-"""Default plans made with what photographs told of rod and table, laid in the worlds found."""
-
-from __future__ import annotations
+"""Default plans made with what photographs told of rod and table, laid in the scenarios found."""
 
 import warnings
 
 import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments
-from wrod.bench.photographs_judge import Verdict, world_found
+from wrod.bench.photographs_judge import Verdict, scenario_found
 from wrod.deployment.plan import plan
 from wrod.deployment.simulate import simulate_deployment
 from wrod.errors import WrodError
 from wrod.identification.laid.photographs import LaidPhotograph
-from wrod.identification.laid.world import World
+from wrod.identification.laid.scenario import Scenario
 from wrod.rods.catalogue import rod as preset
 
 _PLANS = ("rod believed", "rod found", "rod and table found")
 
 
-def plans_in_worlds_found(
+def plans_in_scenarios_found(
     photographs: list[LaidPhotograph], verdicts: list[Verdict], laid: Deployments
 ) -> dict:
     """e_mean [cm] of `wrod.plan` with the rod believed, the rod found, and the table found as
-    well, each laid in the mean world that a rod's photographs found, the grip still holding.
+    well, each laid in the mean scenario that a rod's photographs found, the grip still holding.
 
     Returns:
-        "worlds" and "rows", and "text" to print.
+        "scenarios" and "rows", and "text" to print.
     """
-    worlds = {verdict.rod: world_found(verdict) for verdict in verdicts}
-    jobs = [(p, worlds[p.rod]) for p in photographs]
+    scenarios = {verdict.rod: scenario_found(verdict) for verdict in verdicts}
+    jobs = [(p, scenarios[p.rod]) for p in photographs]
     rows = [
         {"rod": p.rod, "pattern": p.pattern_name, **found}
         for (p, _), found in zip(jobs, laid.map(_lay, jobs), strict=True)
     ]
     text = [
-        "Plans laid in the mean world found (e_mean [cm], the grip still holding)",
+        "Plans laid in the mean scenario found (e_mean [cm], the grip still holding)",
         "",
         "| rod | pattern | " + " | ".join(f"plan: {name}" for name in _PLANS) + " |",
         "| --- | --- |" + " --- |" * len(_PLANS),
@@ -42,15 +40,16 @@ def plans_in_worlds_found(
     for row in rows:
         said = ["-" if row[n] is None else f"{row[n]:.2f}" for n in _PLANS]
         text.append(f"| {row['rod']} | {row['pattern']} | " + " | ".join(said) + " |")
-    for rod, world in worlds.items():
+    for rod, scenario in scenarios.items():
         mean = [_mean(row[n] for row in rows if row["rod"] == rod) for n in _PLANS]
         text.append(
-            f"| {rod} | mean (friction {world.friction:.2f}, L_gb x {world.lgb_ratio:.3f}, "
-            f"natural curvature {world.curvature:.2f} /m at {np.degrees(world.roll):+.0f} deg) | "
+            f"| {rod} | mean (friction {scenario.friction:.2f}, L_gb x {scenario.lgb_ratio:.3f}, "
+            f"natural curvature {scenario.curvature:.2f} /m at "
+            f"{np.degrees(scenario.roll):+.0f} deg) | "
             + " | ".join(f"{value:.2f}" for value in mean) + " |"
         )  # fmt: skip
     return {
-        "worlds": {rod: world.as_dict() for rod, world in worlds.items()},
+        "scenarios": {rod: scenario.as_dict() for rod, scenario in scenarios.items()},
         "rows": rows,
         "text": "\n".join(text) + "\n",
     }
@@ -61,22 +60,22 @@ def _mean(values) -> float:
     return float(np.mean(known)) if known else float("nan")
 
 
-def _lay(photograph: LaidPhotograph, world: World) -> dict[str, float | None]:
+def _lay(photograph: LaidPhotograph, scenario: Scenario) -> dict[str, float | None]:
     """{plan: e_mean [cm]}; None where there is no plan or the simulation diverged."""
     believed = preset(photograph.rod)
-    true = world.rod(believed)
+    true = scenario.rod(believed)
     out: dict[str, float | None] = {}
     for name, rod, friction in (
         (_PLANS[0], believed, None),
         (_PLANS[1], true, None),
-        (_PLANS[2], true, world.friction),
+        (_PLANS[2], true, scenario.friction),
     ):
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 # The rod is held as it was in the photographs: its own side to the left.
                 path = plan(photograph.pattern, rod, roll=0.0, friction=friction)
-                one = simulate_deployment(photograph.pattern, true, path, world.friction)
+                one = simulate_deployment(photograph.pattern, true, path, scenario.friction)
             out[name] = None if one.diverged else 100.0 * one.error_mean
         except WrodError:
             out[name] = None

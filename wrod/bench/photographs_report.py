@@ -1,19 +1,15 @@
 """What `wrod bench photographs` prints and writes: table, predictions, a picture per rod."""
 
-from __future__ import annotations
-
-import json
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments
-from wrod.bench.photographs_judge import Verdict, worlds_for_optimal
-from wrod.bench.photographs_worlds import worlds_of
+from wrod.bench.photographs_judge import Verdict, scenarios_for_optimal
+from wrod.bench.photographs_scenarios import scenarios_of
 from wrod.deployment.result import deployment_error
-from wrod.files import read_fields, write_atomically
-from wrod.identification.laid.camera import Camera
+from wrod.files import read_fields, write_figure, write_json, write_npz
+from wrod.identification.laid.camera import OverheadCamera
 from wrod.identification.laid.photographs import LaidPhotograph, load_photograph
 from wrod.identification.laid.placement import raw, rigid
 
@@ -28,7 +24,7 @@ def left_out_table(verdicts: list[Verdict]) -> str:
         "Mean distance of the points seen from the predicted rod [mm]: raw, after a rigid motion",
         "",
         "| rod | pattern | nothing fitted | left out by pattern (share of the fit) | "
-        "the fit in full | best world |",
+        "the fit in full | best scenario |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     rows = [row for verdict in verdicts for row in verdict.rows]
@@ -36,7 +32,7 @@ def left_out_table(verdicts: list[Verdict]) -> str:
         lines.append(
             f"| {r.rod} | {r.pattern} | {1e3 * r.believed_raw:.1f}, {1e3 * r.believed:.1f} | "
             f"{1e3 * r.left_out_raw:.1f}, {1e3 * r.left_out:.1f} ({r.share:g}) | "
-            f"{1e3 * r.averaged:.1f} | {1e3 * r.best:.1f} ({r.best_world}) |"
+            f"{1e3 * r.averaged:.1f} | {1e3 * r.best:.1f} ({r.best_scenario}) |"
         )
 
     def within(name):
@@ -60,7 +56,7 @@ def left_out_table(verdicts: list[Verdict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _said(camera: Camera) -> str:
+def _said(camera: OverheadCamera) -> str:
     return f"{camera.right:+.3f}, {camera.up:+.3f} m off the middle, {camera.height:.2f} m high"
 
 
@@ -74,20 +70,21 @@ def write_predictions(
     """Predict the optimal path's deployments: `prediction.json` and one NPZ per rod and pattern.
 
     Arrays: `centerline` (n, 2) [m on the table], `centerline_file` [m of the pattern's file],
-    `arc_length` (n,) [m], `sigma` (n,) spread across worlds and what the intuitive pictures leave
-    unexplained [m], `as_seen` (m, 2) the same with the hanging part as the camera shows it [m].
+    `arc_length` (n,) [m], `sigma` (n,) spread across scenarios and what the intuitive pictures
+    leave unexplained [m], `as_seen` (m, 2) the same with the hanging part as the camera shows it
+    [m].
     """
     found, files = {}, []
     for verdict in verdicts:
         left = float(np.median([row.left_out for row in verdict.rows]))
         # The model with nothing fitted comes first.
-        worlds = worlds_for_optimal(verdict)
-        weights = np.append(1.0 - verdict.share, np.full(len(worlds) - 1, verdict.share))
-        weights[1:] /= len(worlds) - 1
+        scenarios = scenarios_for_optimal(verdict)
+        weights = np.append(1.0 - verdict.share, np.full(len(scenarios) - 1, verdict.share))
+        weights[1:] /= len(scenarios) - 1
         own = [p for p in photographs if p.rod == verdict.rod]
-        laid.prepare([(p, "opt", worlds) for p in own])
+        laid.prepare([(p, "opt", scenarios) for p in own])
         for photograph in own:
-            rods = list(laid.of(photograph, "opt", worlds).values())
+            rods = list(laid.of(photograph, "opt", scenarios).values())
             good = np.array([one.reached for one in rods])
             if not good.any():
                 continue
@@ -99,29 +96,24 @@ def write_predictions(
             name = f"{photograph.rod}-{photograph.pattern_name}-opt"
             path = out / f"{name}.npz"
             arrays["sigma"] = np.hypot(arrays["sigma"], left)
-
-            def write(file, arrays=arrays):
-                np.savez_compressed(file, **arrays)
-
-            files.append(write_atomically(path, write, "wb"))
+            files.append(write_npz(path, **arrays))
             found[name] = figures | {
-                "worlds": list(worlds), "weights": weights.tolist(),
+                "scenarios": list(scenarios), "weights": weights.tolist(),
                 "expected_distance_mm": 1e3 * left,
             }  # fmt: skip
     found = {"cases": found, "practice": _practice(out, data)}
     path = out / "prediction.json"
-    text = json.dumps(found, indent=2) + "\n"
-    return found, [*files, write_atomically(path, lambda file: file.write(text))]
+    return found, [*files, write_json(path, found)]
 
 
-def _prediction(photograph, rods, share, camera: Camera):
-    """Arrays and figures of one case; worlds are averaged at equal arc length."""
+def _prediction(photograph, rods, share, camera: OverheadCamera):
+    """Arrays and figures of one case; scenarios are averaged at equal arc length."""
     length = min(one.arc_length[-1] for one in rods)
     s = np.linspace(0.0, length, _POINTS)
     lines = np.stack([[np.interp(s, one.arc_length, c) for c in one.nodes.T] for one in rods])
     mean = np.einsum("w,wcn->nc", share, lines)
     off = lines[:, :2].transpose(0, 2, 1) - mean[:, :2]
-    # All worlds that the pictures allow, however little they move the mean.
+    # All scenarios that the pictures allow, however little they move the mean.
     spread = np.sqrt(0.5 * (off**2).sum(axis=2).mean(axis=0))
     errors = [deployment_error(photograph.pattern, one.arc_length, one.nodes) for one in rods]
     on_pattern = photograph.pattern.sample(np.linspace(0.0, photograph.pattern.length, 50))[0]
@@ -165,15 +157,13 @@ def _practice(out: Path, data: Path) -> str:
 def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) -> list[Path]:
     """A picture per rod: above the photographs and what the other pictures predict of them, below
     the predicted optimal deployments."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     written = []
     for verdict in verdicts:
         own = [p for p in photographs if p.rod == verdict.rod]
-        figure, axes = plt.subplots(2, len(own), figsize=(3.2 * len(own), 7.0), squeeze=False)
+        figure = Figure(figsize=(3.2 * len(own), 7.0))
+        axes = figure.subplots(2, len(own), squeeze=False)
         for (above, below), p, one, camera in zip(
             axes.T, own, verdict.predicted, verdict.cameras, strict=True
         ):
@@ -201,8 +191,7 @@ def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) 
         )
         figure.tight_layout()
         path = out / f"{verdict.rod}.png"
-        write_atomically(path, partial(figure.savefig, dpi=110), "wb")
-        plt.close(figure)
+        write_figure(path, figure, 110)
         written.append(path)
     return written
 
@@ -210,26 +199,24 @@ def draw(out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict]) 
 def draw_lines(
     out: Path, photographs: list[LaidPhotograph], verdicts: list[Verdict], laid: Deployments
 ) -> list[Path]:
-    """The straight lines, stretched across: seen, and in worlds where the rod was hung over the
+    """The straight lines, stretched across: seen, and in scenarios where the rod was hung over the
     line with little and with more excess."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     lines = [p for p in photographs if p.pattern_name == "line"]
     if not lines:
         return []
     camera = verdicts[0].camera
     shown = ("held, friction 0.4", "hung, less excess", "hung", "hung, more excess")
-    figure, axes = plt.subplots(len(lines), 1, figsize=(8.0, 2.2 * len(lines)), squeeze=False)
+    figure = Figure(figsize=(8.0, 2.2 * len(lines)))
+    axes = figure.subplots(len(lines), 1, squeeze=False)
     for axis, p in zip(axes[:, 0], lines, strict=True):
-        worlds = worlds_of(p.rod)
-        rods = laid.of(p, "int", {name: worlds[name] for name in shown})
+        scenarios = scenarios_of(p.rod)
+        rods = laid.of(p, "int", {name: scenarios[name] for name in shown})
         for name, shade in zip(shown, ("0.7", "tab:cyan", "tab:blue", "tab:purple"), strict=True):
             curve = camera.view(p, rods[name].arc_length, rods[name].nodes)
             place = rigid(p, curve)
-            label = f"{name} ({1e3 * worlds[name].excess:g} mm): {1e3 * place.mean:.1f} mm"
+            label = f"{name} ({1e3 * scenarios[name].excess:g} mm): {1e3 * place.mean:.1f} mm"
             axis.plot(-place.curve[:, 1], 1e3 * place.curve[:, 0], color=shade, lw=1.2, label=label)
         axis.plot(-p.points[:, 1], 1e3 * p.points[:, 0], ".", color="tab:red", ms=2)
         low, high = -p.points[:, 1].max() - 0.03, -p.points[:, 1].min() + 0.03
@@ -243,6 +230,5 @@ def draw_lines(
     axes[-1, 0].set_xlabel("along the line [m]", fontsize=8)
     figure.tight_layout()
     path = out / "lines.png"
-    write_atomically(path, lambda file: figure.savefig(file, dpi=110), "wb")
-    plt.close(figure)
+    write_figure(path, figure, 110)
     return [path]

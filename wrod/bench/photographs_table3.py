@@ -1,18 +1,16 @@
-"""Table 3 with the friction of every surface found from its intuitive column."""
-
-from __future__ import annotations
+"""Table 3 with the friction of every substrate found from its intuitive column."""
 
 import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments
-from wrod.bench.photographs_worlds import HELD_FRICTIONS, straight_held
+from wrod.bench.photographs_scenarios import HELD_FRICTIONS, straight_held
 from wrod.bench.table3_paper import PATTERNS, RODS, SUBSTRATES, measured
 from wrod.deployment.result import deployment_error
 from wrod.identification.laid.photographs import LaidPhotograph
 
 
 def table3(photographs: list[LaidPhotograph], laid: Deployments) -> dict:
-    """Friction per rod and surface from INT's e_mean, and OPT's e_mean that it predicts.
+    """Friction per rod and substrate from INT's e_mean, and OPT's e_mean that it predicts.
 
     Laid are the patterns at the size of the photographs, the first 5 cm held, by straight rods at
     the frictions of `HELD_FRICTIONS`; between these e_mean is interpolated in log friction. The
@@ -26,23 +24,23 @@ def table3(photographs: list[LaidPhotograph], laid: Deployments) -> dict:
         for method in ("int", "opt")
     }
     rows, text = [], [
-        "Table 3: friction of every surface from the intuitive column, and what of the optimal "
+        "Table 3: friction of every substrate from the intuitive column, and what of the optimal "
         "column it predicts (e_mean [cm], means over seven patterns)",
         "",
-        "| rod | surface | friction found | INT paper, simulated | OPT paper, predicted | "
+        "| rod | substrate | friction found | INT paper, simulated | OPT paper, predicted | "
         "INT log error (rms) | OPT log error (rms) |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]  # fmt: skip
     grid = np.geomspace(HELD_FRICTIONS[0], HELD_FRICTIONS[-1], 25)
     for rod in (r for r in RODS if any(p.rod == r for p in photographs)):
-        for surface in SUBSTRATES:
+        for substrate in SUBSTRATES:
             names = [n for n in PATTERNS if (rod, n.replace("-", ""), "int") in errors]
-            if (rod, surface) == ("rope", "steel"):
+            if (rod, substrate) == ("rope", "steel"):
                 # Its line and U columns are identical, INT and OPT: one of them was mistyped.
                 names = [n for n in names if n not in ("line", "letter-U")]
             both = {}
             for method, key in (("int", "intuitive"), ("opt", "numeric")):
-                seen = np.array([paper[rod, surface, n, key][0] for n in names])
+                seen = np.array([paper[rod, substrate, n, key][0] for n in names])
                 laws = [errors[rod, n.replace("-", ""), method] for n in names]
                 known = np.log(HELD_FRICTIONS)
                 said = np.array([np.interp(np.log(grid), known, law) for law in laws])
@@ -52,7 +50,7 @@ def table3(photographs: list[LaidPhotograph], laid: Deployments) -> dict:
             seen, said = both["int"]
             off = np.log(said[heard] / seen[heard, None])
             k = int(np.argmin((off**2).mean(axis=0)))
-            row = {"rod": rod, "surface": surface, "friction": float(grid[k])}
+            row = {"rod": rod, "substrate": substrate, "friction": float(grid[k])}
             row["at_bound"] = k in (0, len(grid) - 1)
             for method, (seen, said) in both.items():
                 row[f"{method}_paper_cm"] = float(seen.mean())
@@ -63,8 +61,9 @@ def table3(photographs: list[LaidPhotograph], laid: Deployments) -> dict:
             rows.append(row)
             bound = " (bound)" if row["at_bound"] else ""
             text.append(
-                f"| {rod} | {surface} | {row['friction']:.2f}{bound} | {row['int_paper_cm']:.2f}, "
-                f"{row['int_cm']:.2f} | {row['opt_paper_cm']:.2f}, {row['opt_cm']:.2f} | "
+                f"| {rod} | {substrate} | {row['friction']:.2f}{bound} | "
+                f"{row['int_paper_cm']:.2f}, {row['int_cm']:.2f} | "
+                f"{row['opt_paper_cm']:.2f}, {row['opt_cm']:.2f} | "
                 f"{row['int_log_rms']:.2f} | {row['opt_log_rms']:.2f} |"
             )
     text.append(

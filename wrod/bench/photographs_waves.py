@@ -1,7 +1,5 @@
 """What makes straight lines of INT wave: mechanisms one by one, for `wrod bench photographs`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,11 +9,11 @@ import numpy as np
 from wrod.bench.photographs_deployments import Deployments
 from wrod.bench.photographs_judge import Verdict
 from wrod.deployment.simulate import Trial, simulate_deployments
-from wrod.files import write_atomically
-from wrod.identification.laid.camera import Camera
+from wrod.files import write_figure
+from wrod.identification.laid.camera import OverheadCamera
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.placement import Alignment, rigid
-from wrod.identification.laid.world import HELD, LaidRod, World, plan_without_lead_in
+from wrod.identification.laid.scenario import HELD, LaidRod, Scenario, plan_without_lead_in
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.catalogue import rod as preset
@@ -44,7 +42,7 @@ class Mechanism:
 
     Attributes:
         cause: that the table is ordered by; sense: which way round.
-        world: rod and table but for what follows.
+        scenario: rod and table but for what follows.
         kinetic: sliding over static friction [-]; rolling: whether the rod may roll.
         helix: turns per metre of the natural curvature about the rod.
         wave: amplitude of a natural curvature in the plane that alternates, `_WAVE` long [1/m].
@@ -55,7 +53,7 @@ class Mechanism:
 
     cause: str
     sense: str
-    world: World
+    scenario: Scenario
     kinetic: float = 1.0
     rolling: bool = False
     helix: float = 0.0
@@ -65,7 +63,7 @@ class Mechanism:
     shake: float = 0.0
 
     def rod(self, name: str) -> RodModel:
-        rod = RodModel.of(self.world.rod(preset(name)))
+        rod = RodModel.of(self.scenario.rod(preset(name)))
         if self.helix or self.twist:
             rod = replace(rod, natural_twist=Profile((2.0 * np.pi * self.helix + self.twist,)))
         if self.wave:
@@ -95,7 +93,7 @@ _OF_ROD: dict[str, tuple[tuple[float, ...], float, float]] = {
 def mechanisms(rod: str = RODS[0]) -> list[Mechanism]:
     """All that were looked at, each as many ways round as there are."""
     excesses, thin, bend = _OF_ROD[rod]
-    straight = World(0.4, radius_ratio=thin)
+    straight = Scenario(0.4, radius_ratio=thin)
     held = replace(straight, held=True)
     found = [Mechanism("straight, its start held", "", held)]
     for sense, roll in (("left", 0.0), ("right", np.pi)):
@@ -118,8 +116,8 @@ def mechanisms(rod: str = RODS[0]) -> list[Mechanism]:
         ]  # fmt: skip
     for k in range(_ROLLS):
         roll = 2.0 * np.pi * k / _ROLLS
-        for start, world in (("held", held), ("hung", replace(straight, excess=excesses[0]))):
-            bent = replace(world, curvature=bend, roll=roll)
+        for start, scenario in (("held", held), ("hung", replace(straight, excess=excesses[0]))):
+            bent = replace(scenario, curvature=bend, roll=roll)
             found += [
                 Mechanism(f"bent by {bend:g} /m, {start}", _rolled(k), bent),
                 *(
@@ -151,7 +149,7 @@ def waves(
     return found, files
 
 
-def _waves_of(rod: str, own: dict[str, LaidPhotograph], camera: Camera, laid, out: Path):
+def _waves_of(rod: str, own: dict[str, LaidPhotograph], camera: OverheadCamera, laid, out: Path):
     every = mechanisms(rod)
     jobs = [(own[name], group, laid.device) for name in PATTERNS for group in _laid_together(every)]
     placed = {
@@ -203,7 +201,7 @@ def _laid_together(every: list[Mechanism]) -> list[list[Mechanism]]:
     """Groups that begin alike, at one speed, and roll or do not."""
     groups: dict[tuple, list[Mechanism]] = {}
     for one in every:
-        groups.setdefault((one.world.held, one.speed, one.rolling), []).append(one)
+        groups.setdefault((one.scenario.held, one.speed, one.rolling), []).append(one)
     return [g[k : k + _TOGETHER] for g in groups.values() for k in range(0, len(g), _TOGETHER)]
 
 
@@ -211,14 +209,14 @@ def _lay(photograph: LaidPhotograph, group: list[Mechanism], device: str) -> lis
     trials = []
     for one in group:
         path = one.path(photograph, preset(photograph.rod))
-        mu = one.world.friction
+        mu = one.scenario.friction
         law = Friction(mu, one.kinetic * mu, rolling=one.rolling)
         rod = one.rod(photograph.rod)
         trials.append(Trial(photograph.pattern, rod, path, law, tail=Tail.none(path)))
     fast = group[0].speed > 0.05
     laid = simulate_deployments(
         trials,
-        hold=HELD if group[0].world.held else 0.0,
+        hold=HELD if group[0].scenario.held else 0.0,
         spacing=_SPACING,
         step=_FAST_STEP if fast else _STEP,
         speed=group[0].speed,
@@ -230,7 +228,7 @@ def _lay(photograph: LaidPhotograph, group: list[Mechanism], device: str) -> lis
     return [LaidRod(one.arc_length, one.centerline, not one.diverged) for one in laid]
 
 
-def _placed(photograph: LaidPhotograph, rod: LaidRod, camera: Camera) -> Alignment | None:
+def _placed(photograph: LaidPhotograph, rod: LaidRod, camera: OverheadCamera) -> Alignment | None:
     if not rod.reached:
         return None
     return rigid(photograph, camera.view(photograph, rod.arc_length, rod.nodes))
@@ -251,13 +249,11 @@ def _height(curve: np.ndarray) -> float:
 
 
 def _draw(photograph: LaidPhotograph, lines: dict[str, Alignment | None], path: Path) -> Path:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
 
     rows = -(-len(lines) // 3)
-    figure, axes = plt.subplots(rows, 3, figsize=(11.0, 1.9 * rows), sharex=True, sharey=True)
+    figure = Figure(figsize=(11.0, 1.9 * rows))
+    axes = figure.subplots(rows, 3, sharex=True, sharey=True)
     seen = photograph.points
     for axis, (cause, placed) in zip(axes.flat, lines.items(), strict=False):
         axis.plot(-seen[:, 1], 1e3 * seen[:, 0], ".", color="tab:red", ms=1.5)
@@ -274,6 +270,5 @@ def _draw(photograph: LaidPhotograph, lines: dict[str, Alignment | None], path: 
     figure.supxlabel("along the line [m]", fontsize=8)
     figure.supylabel("across [mm]", fontsize=8)
     figure.tight_layout()
-    write_atomically(path, lambda file: figure.savefig(file, dpi=110), "wb")
-    plt.close(figure)
+    write_figure(path, figure, 110)
     return path

@@ -1,13 +1,13 @@
 """`wrod bench plan`: time of plans, pattern by pattern and rod by rod."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path
 from typing import Any
 
 import click
+
+from wrod import cost
 
 
 @click.command(name="plan")
@@ -35,6 +35,8 @@ def command(patterns: Path | None, method: str, device: str, as_json: bool) -> N
             raise PatternError(f"{patterns}: holds no pattern files (*.txt, *.csv)")
         curves = [wrod.Pattern.load(file) for file in files]
     rods = wrod.rod_names()[:3]
+    count = len(rods) * len(curves)
+    cost.settle(cost.Cost(cost.PLAN * count), f"{count} plans", None, "", quiet=as_json)
     wrod.plan(curves[0], wrod.rod(rods[0]), method, device=device, spacing=0.1)  # compile
     rows: list[dict[str, Any]] = []
     for name in rods:

@@ -3,8 +3,6 @@
 The rod is cut where the pattern ends, put down without any motion, and left to itself.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 # Seconds that the rods are left to themselves.

@@ -1,7 +1,5 @@
 """`wrod bench robot`: joint paths for the seven patterns and rods 1 to 3, of one arm or of all."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path
@@ -9,13 +7,19 @@ from typing import Any
 
 import click
 
+from wrod import cost
+
 PATTERNS = ("line", "circle", "sine", "letter-U", "letter-C", "letter-L", "letter-A")
 RODS = ("pink-vps", "green-vps", "rope")
 
 
 @click.command(name="robot")
 @click.option("--method", default="numeric", show_default=True, help="Planner of the trajectories.")
-@click.option("--patterns", help="Folder of points files to use for the built-in patterns.")
+@click.option(
+    "--patterns",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder of points files to use for the built-in patterns.",
+)
 @click.option(
     "--robots", default="sawyer", show_default=True, help="Arms, separated by commas, or all."
 )
@@ -29,7 +33,7 @@ RODS = ("pink-vps", "green-vps", "rope")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
     method: str,
-    patterns: str | None,
+    patterns: Path | None,
     robots: str,
     rods: str,
     out: Path | None,
@@ -43,8 +47,8 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.bench.ledger import Ledger
     from wrod.errors import RobotError
+    from wrod.files.ledger import Ledger
     from wrod.robot.model import ROBOTS
     from wrod.rods.catalogue import rod_names
 
@@ -55,20 +59,26 @@ def command(
     unknown = [name for name in rods.split(",") if name not in rod_names()]
     if unknown:
         raise RobotError(f"unknown rod {unknown[0]!r}; known rods: {', '.join(rod_names())}")
-    folder = None if patterns is None else Path(patterns)
     cases = [(name, p, r) for name in names for r in rods.split(",") for p in PATTERNS]
     ledger = None
     if out is not None:
-        settings = {"method": method, "patterns": patterns, "finer": finer}
+        settings = {
+            "method": method,
+            "patterns": None if patterns is None else str(patterns),
+            "finer": finer,
+        }
         ledger = Ledger(out / "arms.jsonl", settings, ("robot", "pattern", "rod"), "arms")
     done = {
         (r["robot"], r["pattern"], r["rod"]): r for r in ([] if ledger is None else ledger.rows)
     }
+    left = sum(case not in done for case in cases)
+    work = cost.Cost(cost.JOINT_PATH * left)
+    cost.settle(work, f"{left} joint paths", out, "", quiet=as_json)
     rows = []
     for name, pattern, rod in tqdm(cases, leave=False, disable=as_json or None):
         row = done.get((name, pattern, rod))
         if row is None:
-            row = run_case(pattern, rod, method, folder, finer, robot=name, scene=out is not None)
+            row = run_case(pattern, rod, method, patterns, finer, robot=name, scene=out is not None)
             if ledger is not None:
                 ledger.add([row])
         rows.append(row)

@@ -1,7 +1,5 @@
 """`wrod bench rounds`: what a round of time steps costs on a GPU, kernel by kernel."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections import Counter

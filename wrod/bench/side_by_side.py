@@ -1,12 +1,17 @@
 """Jobs of a bench in processes side by side."""
 
-from __future__ import annotations
-
+import contextlib
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from typing import Any
+
+from wrod.errors import DataError
 
 
 def run(
@@ -17,7 +22,11 @@ def run(
     Args:
         function: of a module, so that other processes can import it.
         jobs: its arguments.
-        workers: processes; with 1 everything runs in this one.
+        workers: processes; with 1 everything runs in this one. They end with this process, and
+            with the caller's loop, however it ends.
+
+    Raises:
+        DataError: a worker was killed.
     """
     if workers == 1:
         for job in jobs:
@@ -26,9 +35,45 @@ def run(
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     # A fresh interpreter for each worker: Warp's threads do not survive a fork.
+    context = get_context("spawn")
+    watched, kept = context.Pipe(duplex=False)
     with ProcessPoolExecutor(
-        min(workers, max(len(jobs), 1)), mp_context=get_context("spawn")
+        min(workers, max(len(jobs), 1)), mp_context=context, initializer=_watch, initargs=(watched,)
     ) as pool:
-        futures = {pool.submit(function, *job): job for job in jobs}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
+        try:
+            with _unheard():
+                futures: dict[Future, tuple] = {pool.submit(function, *job): job for job in jobs}
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BrokenProcessPool:
+            kept.close()
+            raise DataError(
+                "a worker was ended from outside, as a machine without memory does; give fewer "
+                "--workers"
+            ) from None
+        except BaseException:
+            kept.close()  # and with it the workers, whatever they are at
+            raise
+    kept.close()
+
+
+def _watch(pipe: Connection) -> None:
+    """End this process when the other end of the pipe is closed, as the death of its owner does."""
+
+    def wait() -> None:
+        with contextlib.suppress(EOFError, OSError):
+            pipe.recv_bytes()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@contextlib.contextmanager
+def _unheard() -> Iterator[None]:
+    """Begin processes that do not hear interruptions, which the terminal sends to all: theirs are
+    this one's to tell. One that strikes meanwhile is heard after."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

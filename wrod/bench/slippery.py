@@ -13,9 +13,9 @@ import numpy as np
 
 from wrod import cost
 from wrod.bench import campaign, courses
-from wrod.bench.ledger import Ledger
 from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_csv
 from wrod.errors import RodError
+from wrod.files.ledger import Ledger
 
 ENGINES = ("wrod", "mujoco")
 # A rod that is put down exactly, and one that lies exactly where a robot that stands elsewhere, and
@@ -251,7 +251,7 @@ def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
     """What is laid in a trial, and its row."""
     from wrod.bench.mujoco_chain import lay_in_mujoco, put_down_in_mujoco
     from wrod.bench.put_down import put_down
-    from wrod.deployment.feedback import World, following
+    from wrod.deployment.feedback import Plant, following
     from wrod.deployment.sight import Sight
     from wrod.deployment.simulate import Trial
     from wrod.deployment.together import Asked
@@ -283,10 +283,10 @@ def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
         else:
             how |= {"spacing": spacing}
             if method == "feedback":
-                world = World(material, Friction(mu), told)
+                plant = Plant(material, Friction(mu), told)
                 sight = Sight(seed=seed)
                 followed = yield from following(
-                    led, material, trajectory, mu, world, sight=sight, **how
+                    led, material, trajectory, mu, plant, sight=sight, **how
                 )
                 laid = followed.laid
             else:

@@ -1,12 +1,11 @@
 """What `wrod bench slippery` tells of its trials."""
 
-from __future__ import annotations
-
-import csv
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+
+from wrod import files
 
 KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
 # From the pattern, and from where the robot, misplaced, has it.
@@ -72,16 +71,9 @@ def told(table: list[dict], groups: list[dict]) -> list[str]:
 
 def write_csv(path: Path, rows: list[dict]) -> Path:
     """One trial a line."""
-    from wrod.files import write_atomically
-
     names = [*KEYS, *_ERRORS, "error_std", "diverged"]
-
-    def write(file):
-        writer = csv.writer(file)
-        writer.writerow([f"{n} [cm]" if n.startswith("error") else n for n in names])
-        writer.writerows([[row[n] for n in names] for row in rows])
-
-    return write_atomically(path, write)
+    head = [f"{n} [cm]" if n.startswith("error") else n for n in names]
+    return files.write_csv(path, head, [[row[n] for n in names] for row in rows])
 
 
 def draw(path: Path, rows: list[dict], course: Callable, methods: tuple[str, ...]) -> Path:
@@ -90,15 +82,13 @@ def draw(path: Path, rows: list[dict], course: Callable, methods: tuple[str, ...
     Args:
         course: gives pattern and rod by their names.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from wrod.files import write_atomically
+    from wrod.files import write_figure
 
     places = list(dict.fromkeys((r["rod"], r["pattern"]) for r in rows))
     mus = sorted({r["friction"] for r in rows})
     figure = Figure(figsize=(3.6 * len(mus), 3.4 * len(places) + 0.5), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(len(places), len(mus), squeeze=False)
     lines = {}
     for i, place in enumerate(places):
@@ -126,4 +116,4 @@ def draw(path: Path, rows: list[dict], course: Callable, methods: tuple[str, ...
         ncols=min(6, 2 * len(mus)),
         fontsize=8,
     )
-    return write_atomically(path, lambda file: figure.savefig(file, dpi=130, format="png"), "wb")
+    return write_figure(path, figure, 130)

@@ -1,7 +1,5 @@
 """`wrod bench table3`: the paper's accuracy table, laid in simulation. Restartable."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, fields
 from itertools import product
@@ -10,8 +8,8 @@ from pathlib import Path
 import click
 
 from wrod.bench import campaign, courses
-from wrod.bench.ledger import Ledger
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES
+from wrod.files.ledger import Ledger
 
 
 def _only(what: str, parameter: str, names: tuple[str, ...]):
@@ -164,7 +162,7 @@ def _table(
 def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str], list[Path]]:
     """What the rows say, and the files written of them."""
     from wrod.bench.table3_report import cells, draw, markdown, summary, write_csv
-    from wrod.files import write_atomically
+    from wrod.files import write_text
 
     table = cells(rows)
     head = (
@@ -174,7 +172,7 @@ def _reported(out: Path, rows, curves, trials: int, settings) -> tuple[list[str]
         f"{settings['closure']}, patterns {settings['patterns']}."
     )
     text = markdown(table, head)
-    write_atomically(out / "table3.md", lambda file: file.write(text))
+    write_text(out / "table3.md", text)
     return summary(table), [
         write_csv(out / "table3.csv", table),
         out / "table3.md",

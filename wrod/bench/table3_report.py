@@ -1,16 +1,14 @@
 """Results of the campaign, told as CSV, Markdown and a picture."""
 
-from __future__ import annotations
-
-import csv
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from wrod import files
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
-from wrod.files import write_atomically
+from wrod.files import write_figure
 
 SHORT = {"intuitive": "INT", "numeric": "OPT"}
 KEYS = ("rod", "substrate", "pattern", "method", "trial")
@@ -47,25 +45,18 @@ def cells(rows: list[dict]) -> dict[tuple[str, str, str, str], Cell]:
 
 
 def write_csv(path: Path, table: dict) -> Path:
-    paper = measured()
-
-    def write(file):
-        writer = csv.writer(file)
-        writer.writerow(
-            ["rod", "substrate", "friction", "method", "pattern", "e_mean [cm]", "sigma [cm]"]
-            + ["released e_mean [cm]", "released sigma [cm]", "paper e_mean [cm]"]
-            + ["paper sigma [cm]", "trials", "diverged"]
+    paper, lines = measured(), []
+    for rod, substrate, name, method in sorted(table, key=_order):
+        cell = table[rod, substrate, name, method]
+        lines.append(
+            [rod, substrate, friction(rod, substrate), SHORT[method], name]
+            + [f"{x:.4f}" for x in (*cell.held, *cell.released)]
+            + [f"{x:.2f}" for x in paper[rod, substrate, name, method]]
+            + [cell.trials, cell.diverged]
         )
-        for rod, substrate, name, method in sorted(table, key=_order):
-            cell = table[rod, substrate, name, method]
-            writer.writerow(
-                [rod, substrate, friction(rod, substrate), SHORT[method], name]
-                + [f"{x:.4f}" for x in (*cell.held, *cell.released)]
-                + [f"{x:.2f}" for x in paper[rod, substrate, name, method]]
-                + [cell.trials, cell.diverged]
-            )
-
-    return write_atomically(path, write)
+    head = ["rod", "substrate", "friction", "method", "pattern", "e_mean [cm]", "sigma [cm]"]
+    head += ["released e_mean [cm]", "released sigma [cm]", "paper e_mean [cm]"]
+    return files.write_csv(path, [*head, "paper sigma [cm]", "trials", "diverged"], lines)
 
 
 def _order(key) -> tuple[int, ...]:
@@ -136,13 +127,11 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
         rows: of the ledger.
         patterns: name -> pattern; those that lack leave their panels empty.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
     colors = {"intuitive": "#c2533c", "numeric": "#2f8f5b"}
     figure = Figure(figsize=(14.0, 6.6), facecolor="white")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(len(RODS), len(PATTERNS))
     for i, rod in enumerate(RODS):
         for j, name in enumerate(PATTERNS):
@@ -177,7 +166,4 @@ def draw(path: Path, rows: list[dict], patterns: dict) -> Path:
         fontsize=14, weight="bold", color="#22262b",
     )  # fmt: skip
 
-    def write(file):
-        figure.savefig(file, format="png", dpi=90)
-
-    return write_atomically(path, write, "wb")
+    return write_figure(path, figure, 90)

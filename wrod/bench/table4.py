@@ -1,7 +1,5 @@
 """`wrod bench table4`: the paper's Table 4, times and errors of the controller, measured here."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

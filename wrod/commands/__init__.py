@@ -1,7 +1,5 @@
 """Command line: one file per command, loaded only when it is called."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import sys
@@ -15,6 +13,7 @@ from wrod.commands.running import (
     INTERRUPTED,
     REFUSED,
     cut,
+    equipped,
     holding_output,
     interruptible,
     open_streams,
@@ -60,7 +59,8 @@ class LazyGroup(click.Group):
         if name not in self.loaded:
             module = importlib.import_module(f"{self.package}.{name.replace('-', '_')}")
             path = name if self.package == "wrod.commands" else f"bench {name}"
-            self.loaded[name] = holding_output(bounded(module.command, path))
+            command = equipped(bounded(module.command, path), path)
+            self.loaded[name] = holding_output(command)
         return self.loaded[name]
 
     def invoke(self, ctx: click.Context):

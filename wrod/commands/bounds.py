@@ -4,8 +4,6 @@ Options are declared where their commands are; here they get their limits, so th
 no rod, table or machine has is refused with its option's name before anything is done.
 """
 
-from __future__ import annotations
-
 import math
 import os
 
@@ -92,7 +90,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "bench newton --periods": (1e-2, 1e3),
     "bench identify --hidden": _SEED,
     "bench cables --folds": (2, 1_000),
-    "bench photographs --worlds": (0, 1024),
+    "bench photographs --scenarios": (0, 1024),
     "bench hands --folds": (2, 100),
     "bench loop --curvature": (-200.0, 200.0),
     "bench loop --lgb-error": (-0.9, 10.0),
@@ -115,11 +113,14 @@ class Real(click.FloatRange):
 
 
 class Place(click.Path):
-    """A path that says something: an empty one would be the current folder."""
+    """A path that says something: an empty one would be the current folder. Where a folder is
+    asked for, a device or pipe is none."""
 
     def convert(self, value, param, ctx):
         if not os.fspath(value):
             self.fail("is empty; give a path.", param, ctx)
+        if not self.file_okay and os.path.exists(value) and not os.path.isdir(value):
+            self.fail(f"{os.fspath(value)!r} is no folder.", param, ctx)
         return super().convert(value, param, ctx)
 
 

@@ -1,7 +1,5 @@
 """`wrod dataset`: optimal grasps over the whole range, in shards."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

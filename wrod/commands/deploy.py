@@ -1,7 +1,5 @@
 """`wrod deploy PATTERN`: lay the rod in simulation and measure how well it lies."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

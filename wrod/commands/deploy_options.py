@@ -1,7 +1,5 @@
 """What `wrod deploy` lays, and how: its options and what they say."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

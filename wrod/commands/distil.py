@@ -1,7 +1,5 @@
 """`wrod distil`: from optimised plans of random patterns to a network that corrects plans."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,9 +1,8 @@
 """`wrod identify DATA.npz`: what a rod's model misses, and a better model."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -36,7 +35,9 @@ def command(
     """Find what the base model of the rod in DATA lacks, and prove it on data not fitted.
 
     DATA is an .npz file of a rod held between two clamps (see `wrod.load_measurements`), or of
-    recordings of a rod that two grips move (see `wrod.identification.load_motion`).
+    recordings of a rod that two grips move (see `wrod.identification.load_motion`). Of these what
+    has been computed is kept in OUT/steps.jsonl meanwhile: a run that was stopped goes on from
+    there.
     """
     from wrod.errors import DataError
 
@@ -47,8 +48,11 @@ def command(
         return
     if data is None:
         raise DataError("no measurements given; name an .npz file, or --template to write one")
-    from wrod.identification import identify
+    from wrod.identification import identify, is_motion
 
+    kept = {"steps": out / "steps.jsonl"} if is_motion(data) else {}
+    work = cost.identification(data)
+    cost.settle(work, f"{data.name} identified", out, "give less data", quiet=as_json)
     bar_format = "{desc}: {elapsed}"
     with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:
 
@@ -56,7 +60,8 @@ def command(
             bar.set_description(text)
             bar.update()
 
-        report = identify(data, test=test, candidates=names or None, device=device, progress=say)
+        asked: dict[str, Any] = dict(test=test, candidates=names or None, device=device)
+        report = identify(data, progress=say, **asked, **kept)
     written = report.save(out)
     if as_json:
         content = report.to_dict() | {"written": [str(p) for p in written]}

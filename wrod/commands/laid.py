@@ -1,13 +1,12 @@
 """`wrod laid RODS... --pattern P`: what rods on the table say of the model that laid them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.commands.options import (
     DEVICE,
     ROD,
@@ -57,6 +56,14 @@ class _Fit:
         if self.iterations == 0 and self.out is not None:
             raise DataError("--out is for the fitted rod, and --iterations 0 fits none; drop one")
 
+    def settle(self, rod, quiet: bool) -> None:
+        """Say what the deployments cost that are simulated: one, and four for each step."""
+        work = cost.deployments(
+            1 + 4 * self.iterations, rod.length, speed=0.02, step=0.01, spacing=0.005
+        )
+        what = f"{1 + 4 * self.iterations} deployments"
+        cost.settle(work, what, self.out, "ask for fewer --iterations", quiet=quiet)
+
     def run(self, laid, rod, path, device: str, quiet: bool):
         """The `LaidFit`."""
         from tqdm import tqdm
@@ -73,12 +80,14 @@ class _Fit:
 
     def save(self, found) -> list[str]:
         """Write the rod and the table that were asked for."""
-        from wrod.deployment.table import Table
+        from wrod.deployment.table import TableFriction
 
         written = [] if self.out is None else [str(found.rod.save(self.out))]
         if self.table is not None:
             error = found.estimates["log_friction"].stderr
-            written.append(str(Table(found.friction, error, found.correlation).save(self.table)))
+            written.append(
+                str(TableFriction(found.friction, error, found.correlation).save(self.table))
+            )
         return written
 
 
@@ -120,6 +129,8 @@ def command(
 
     fit.check()
     path = Trajectory.load(trajectory)
+    if fit.iterations > 0:
+        fit.settle(rod_options.read(), as_json)
     curve = with_remainder_of(reading.read(pattern), path)
     laid = load_laid(list(rods), curve, units=reading.units, noise=noise)
     along, left = 1e3 * laid.residual().mean(axis=0).T

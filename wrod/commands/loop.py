@@ -1,7 +1,5 @@
 """`wrod loop`: the material of a rod from the height of its loop."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

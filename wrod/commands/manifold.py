@@ -1,11 +1,11 @@
 """`wrod manifold`: the admissible grips of a straight pattern, their optima and stability."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import click
+
+from wrod import cost
 
 
 @click.command(name="manifold", short_help="Map the grips that lay a straight pattern.")
@@ -48,6 +48,9 @@ def command(
         raise GraspError(f"--rays is {rays}; use at least 5")
     if not 0.0 < nudge < length:
         raise GraspError(f"--nudge is {nudge:g}; give an offset between 0 and --length")
+    work = cost.manifold(2 * rays**2, rays, device=device)
+    what = f"a map of {rays} rays"
+    cost.settle(work, what, out, "give fewer --rays", quiet=as_json)
     with tqdm(total=4, leave=False, disable=as_json, bar_format="{desc}: {n}/{total} {bar}") as bar:
 
         def progress(stage: str) -> None:

@@ -1,7 +1,5 @@
 """`wrod markers`: the sheet of markers to print, which gives photographs their scale."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`wrod measure`: a rod's stiffness from an overhanging end, or from how it hangs as a loop."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -4,8 +4,6 @@
 `gathered("rod", RodOptions, ROD)` one that hands their values on as one `RodOptions`.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

@@ -1,13 +1,12 @@
 """`wrod plan PATTERN`: the trajectory of the grip as files and as a picture."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
 
+from wrod import cost
 from wrod.commands.options import (
     DEVICE,
     DRAWING,
@@ -120,6 +119,18 @@ class _GraspRequest:
             else read_range(self.pace, "pace", "0.04 or 0.02:0.08"),
         }
 
+    def friction(self, quiet: bool):
+        """Of the table, if one is known, and say how long it takes to correct the plan for it: of
+        a range of paces three are tried."""
+        if self.friction_text is None:
+            return None
+        friction = read_friction(self.friction_text)
+        if self.method != "distilled":
+            plans = 3 if ":" in (self.pace or "") else 1
+            work = cost.Cost(cost.CORRECTED_PLAN * plans)
+            cost.settle(work, "the plan, corrected for its table", None, "", quiet=quiet)
+        return friction
+
     def compile_ahead(self, device: str | None) -> None:
         """Begin to compile what the rod solver needs, while the rest is read and planned."""
         from wrod.grasps.levels import compile_grasps_ahead
@@ -165,7 +176,7 @@ def command(
     how, chosen = grasps.read(), None if device == "auto" else device
     request = request.check()
     rod, drawn = rod_options.read(), reading.read(pattern)
-    friction = None if grasps.friction_text is None else read_friction(grasps.friction_text)
+    friction = grasps.friction(as_json)
 
     def planned(wanted: Shaping, friction=None, led=None, expects=False, tried=False):
         """Pattern, rod and trajectory of a shaping; `led` is the remainder where it is not as asked

@@ -1,7 +1,5 @@
 """What `wrod plan` does to a pattern before it is planned: resize, round, hold."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import click

@@ -1,7 +1,5 @@
 """The steps of `wrod plan`, each of which leaves something behind: grasps, files, joint path."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

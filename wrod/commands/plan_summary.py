@@ -1,7 +1,5 @@
 """What `wrod plan` tells a reader about a plan."""
 
-from __future__ import annotations
-
 from math import degrees, pi
 
 
@@ -125,10 +123,10 @@ def read_friction(text: str) -> float | tuple[float, float]:
         DataError: the file is no table's.
     """
     from wrod.deployment.spread import Spread
-    from wrod.deployment.table import Table
+    from wrod.deployment.table import TableFriction
 
     if text.lower().endswith(".json"):
-        return Table.load(text).interval
+        return TableFriction.load(text).interval
     friction = read_range(text, "friction", "0.3 or 0.2:0.6")
     Spread.of(friction)  # refused before anything is planned
     return friction

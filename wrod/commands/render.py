@@ -1,7 +1,5 @@
 """`wrod render SCENE`: pictures of a scene through its cameras, or a page for the browser."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

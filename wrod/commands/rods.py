@@ -1,7 +1,5 @@
 """`wrod rods`: the catalogue of rods, cables and ropes, with sources and spread."""
 
-from __future__ import annotations
-
 import json
 
 import click

@@ -1,7 +1,5 @@
 """What every command has around it: one sentence for what goes wrong, and a lock on its output."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import functools
@@ -9,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -16,18 +15,25 @@ import click
 from wrod.errors import DataError, WrodError, blamed_variables
 
 # Exit codes: of input that cannot be used, of interruptions, and of a fault of ours.
-REFUSED, INTERRUPTED, TERMINATED, FAULT = 2, 130, 143, 70
+REFUSED, INTERRUPTED, FAULT = 2, 130, 70
+# Signals that ask a command to end: how that is told, and the exit code.
+_ENDINGS = {
+    signal.SIGINT: ("interrupted", INTERRUPTED),
+    signal.SIGTERM: ("terminated", 143),
+    signal.SIGHUP: ("its terminal was closed", 129),
+}
 _MOST_SAID = 2000  # letters
 # How Python and Warp say that a limit of the process was met.
 _LIMITED = ("can't start new thread", "Failed to load the shared library", "failed to map segment")
 # The signals that asked the running command to end.
 _STRUCK: list[int] = []
+# Options that name what is written.
+_WRITTEN = ("out", "table", "usd")
 # Set it to see where a fault of ours is.
 TRACEBACK = "WROD_TRACEBACK"
 # Modules that a base install lacks, and the extra that brings each.
 _EXTRAS = {
     "torch": "train",
-    "pyarrow": "train",
     "pytorch_kinematics": "robot",
     "ruckig": "robot",
     "trimesh": "robot",
@@ -37,8 +43,29 @@ _EXTRAS = {
     "cv2": "perception",
     "PIL": "perception",
     "skimage": "perception",
+    "networkx": "perception",
+    "ezdxf": "drawings",
+    "svgelements": "drawings",
+    "mcap": "mcap",
+    "gymnasium": "gym",
+    "coal": "meshes",
+    "xacro": "meshes",
+    "mujoco": "peers",
+    "cosseratbench": "peers",
     "elastica": "peers",
     "numba": "peers",
+}
+# Of those, what a command cannot do without: it says so before it works.
+_NEEDS = {
+    "scan": ("cv2", "skimage"),
+    "markers": ("cv2",),
+    "train": ("torch",),
+    "distil": ("torch",),
+    "render": ("newton", "pxr", "PIL"),
+    "bench robot": ("pytorch_kinematics", "torch", "ruckig", "trimesh"),
+    "bench perception": ("cv2", "skimage"),
+    "bench newton": ("newton",),
+    "bench cosserat": ("cosseratbench",),
 }
 
 
@@ -47,15 +74,11 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
     if isinstance(error, WrodError):
         return str(error), REFUSED
     if isinstance(error, KeyboardInterrupt):
-        word = "terminated" if signal.SIGTERM in error.args else "interrupted"
-        code = TERMINATED if signal.SIGTERM in error.args else INTERRUPTED
+        word, code = _ENDINGS.get(error.args[0] if error.args else None, _ENDINGS[signal.SIGINT])
         return f"{word}; what was finished is kept, and the same command goes on", code
     if isinstance(error, ModuleNotFoundError):
         module = (error.name or "").partition(".")[0]
-        extra = _EXTRAS.get(module)
-        if extra is not None:
-            return f"this needs {module}; install it with: pip install 'wrod[{extra}]'", REFUSED
-        return None
+        return (_missing(module), REFUSED) if module in _EXTRAS else None
     if isinstance(error, MemoryError) or ("allocat" in str(error) and "bytes" in str(error)):
         return "out of memory; ask for less at once (fewer trials, a smaller batch)", REFUSED
     if isinstance(error, (RuntimeError, ImportError)) and any(
@@ -75,6 +98,32 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return f"{error} (a warning, which PYTHONWARNINGS makes an error)", REFUSED
     blamed = blamed_variables(error)
     return None if blamed is None else (blamed, REFUSED)
+
+
+def _missing(module: str) -> str:
+    return f"this needs {module}; install it with: pip install 'wrod[{_EXTRAS[module]}]'"
+
+
+def equipped(command: click.Command, path: str) -> click.Command:
+    """The command, which refuses before it works where a package is missing.
+
+    Args:
+        path: its name with its group's, such as "bench robot".
+    """
+    run: Callable | None = command.callback
+    needed = _NEEDS.get(path, ())
+    if run is None or not needed:
+        return command
+
+    @functools.wraps(run)
+    def guarded(*args, **kwargs):
+        for module in needed:
+            if find_spec(module) is None:
+                raise DataError(_missing(module))
+        return run(*args, **kwargs)
+
+    command.callback = guarded
+    return command
 
 
 def open_streams() -> None:
@@ -106,11 +155,11 @@ def interruptible() -> Iterator[None]:
     Python drops a KeyboardInterrupt that strikes in a callback or a finaliser ("Exception
     ignored", with a traceback), and the command would go on. It is raised again every half second
     until the command has ended, and what is dropped is not told. Outside the main thread, or
-    without timers, interruptions stay as they are. SIGTERM interrupts as SIGINT does, so that no
-    temporary file stays.
+    without timers, interruptions stay as they are. SIGTERM and SIGHUP interrupt as SIGINT does, so
+    that no temporary file stays.
     """
     _STRUCK.clear()
-    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    usual = dict.fromkeys(_ENDINGS, signal.SIG_DFL) | {signal.SIGINT: signal.default_int_handler}
     heard = [number for number, one in usual.items() if signal.getsignal(number) is one]
     if not heard or not hasattr(signal, "setitimer"):
         yield
@@ -174,7 +223,8 @@ def stop(ctx: click.Context, error: BaseException) -> None:
     if whole:
         more = f" and {len(whole) - 3} more" if len(whole) > 3 else ""
         text += f" (complete: {', '.join(whole[-3:])}{more}; the rest was not written)"
-    click.echo(f"wrod: {text}", err=True)
+    with contextlib.suppress(OSError):  # a terminal that was closed
+        click.echo(f"wrod: {text}", err=True)
     ctx.exit(code)
 
 
@@ -202,6 +252,26 @@ def _is_file(out: Path, kind: click.ParamType) -> bool:
     return getattr(kind, "file_okay", True) and (out.is_file() or bool(out.suffix))
 
 
+def _read_files(command: click.Command, given: dict) -> list[str]:
+    """The files among a command's arguments that it does not write."""
+    context = click.get_current_context(silent=True)
+    values = given if context is None else context.params
+    found = []
+    for option in command.params:
+        value = values.get(option.name)
+        for one in value if isinstance(value, tuple) else (value,):
+            if option.name not in _WRITTEN and isinstance(one, (str, Path)) and os.path.isfile(one):
+                found.append(os.fspath(one))
+    return found
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove a folder and those in it that hold no file."""
+    for place, _, _ in os.walk(folder, topdown=False):
+        with contextlib.suppress(OSError):  # it holds something
+            os.rmdir(place)
+
+
 def holding_output(command: click.Command) -> click.Command:
     """The command, which now holds its --out against other processes while it runs."""
     run: Callable | None = command.callback
@@ -212,8 +282,9 @@ def holding_output(command: click.Command) -> click.Command:
     @functools.wraps(run)
     def guarded(*args, **kwargs):
         from wrod.files.locking import locked
-        from wrod.files.writing import refuse_no_file
+        from wrod.files.writing import protect, refuse_no_file
 
+        protect(_read_files(command, kwargs))
         out = kwargs.get("out")
         if out is None:
             return run(*args, **kwargs)
@@ -227,8 +298,8 @@ def holding_output(command: click.Command) -> click.Command:
             with locked(out, os.environ.get("RANK", "")):
                 return run(*args, **kwargs)
         except BaseException:
-            if not existing and Path(out).is_dir() and not any(Path(out).iterdir()):
-                Path(out).rmdir()  # nothing was finished: leave nothing
+            if not existing:
+                _remove_empty(Path(out))  # nothing was finished: leave nothing
             raise
 
     command.callback = guarded

@@ -1,7 +1,5 @@
 """`wrod scan IMAGE...`: ordered centrelines of the rods or strokes in pictures."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,13 +46,13 @@ class _Reading:
         Raises:
             PerceptionError: an option, or a file that it names, cannot be understood.
         """
-        from wrod.perception.metric import Camera, MarkerLayout
+        from wrod.perception.metric import CameraIntrinsics, MarkerLayout
 
         return {
             "markers": None if self.markers is None else MarkerLayout.load(self.markers),
             "sheet": None if self.sheet is None else parse_numbers(self.sheet, 2, "--sheet", "x"),
             "scale": self.scale,
-            "camera": None if self.camera is None else Camera.load(self.camera),
+            "camera": None if self.camera is None else CameraIntrinsics.load(self.camera),
             "mask": self.mask,
             "kind": self.kind,
             "color": None if self.color is None else parse_numbers(self.color, 3, "--color"),

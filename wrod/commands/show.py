@@ -1,7 +1,5 @@
 """`wrod show PATTERN`: the pattern as it is read, before anything is planned."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -86,13 +84,11 @@ def command(
 
 
 def _draw(out: Path, curve, position, figures: dict) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from wrod.files import write_atomically
+    from wrod.files import write_figure
 
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     if curve.points is not None:
         axes.plot(curve.points[:, 0], curve.points[:, 1], "o-", color="0.7", ms=2, lw=0.8,
@@ -104,4 +100,4 @@ def _draw(out: Path, curve, position, figures: dict) -> None:
     axes.set_ylabel("y [m]")
     axes.set_title(f"{curve.name}: {figures['length']:.3f} m", fontsize=10)
     axes.legend(fontsize=8)
-    write_atomically(out, lambda file: figure.savefig(file, dpi=110), "wb")
+    write_figure(out, figure, 110)

@@ -1,7 +1,5 @@
 """`wrod train`: a controller from a dataset, or from nothing with --generate."""
 
-from __future__ import annotations
-
 import json
 import sys
 from contextlib import contextmanager
@@ -186,12 +184,11 @@ def _train(training, out: Path, resumed: bool, minutes: float | None, quiet: boo
 
 
 def _write(controller, training, summary: dict, out: Path) -> list[Path]:
-    from wrod.files import write_atomically
+    from wrod.files import write_json
 
-    text = json.dumps(summary, indent=2) + "\n"
     return [
         controller.save(out / "controller.safetensors"),
-        write_atomically(out / "controller.json", lambda file: file.write(text)),
+        write_json(out / "controller.json", summary),
         training.write_history(out / "history.csv"),
     ]
 

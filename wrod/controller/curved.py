@@ -7,8 +7,6 @@ as it winds: position and rotation are a slow part and two more, by the cosine a
 twist. The chain of `wrod.controller.model` carries the forces up. Everything is dimensionless.
 """
 
-from __future__ import annotations
-
 import math
 
 from wrod.controller.model import end_of_chain, layers, rotation_vector

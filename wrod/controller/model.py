@@ -7,8 +7,6 @@ outputs see kappa squared only and odd ones carry a factor kappa, so right turns
 exactly. The rotation is a normalised quaternion, so it is one. Everything is dimensionless.
 """
 
-from __future__ import annotations
-
 import math
 
 WEIGHT = 0.5

@@ -1,7 +1,5 @@
 """From trials of deployments to batches of rods, tables and steps."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.deployment.fixtures import Fixtures

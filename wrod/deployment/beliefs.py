@@ -1,7 +1,5 @@
 """What is believed of a rod and its table while it is laid, and how looks change it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.deployment.expectation import COARSE

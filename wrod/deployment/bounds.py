@@ -1,7 +1,5 @@
 """What of a deployment is refused before anything is laid."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.errors import RodError

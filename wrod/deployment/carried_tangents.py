@@ -1,7 +1,5 @@
 """Derivatives that are carried along with the steps of a deployment."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 
@@ -98,7 +96,7 @@ class Tangents:
         rods, dofs = batch.rod_count, batch.dof_count
 
         def launch(kernel, dim, inputs, outputs):
-            wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device)
+            batch.launch(kernel, dim, inputs, outputs)
 
         about_contact = [self.friction, self.coupling, self.by_coefficient, self.push]
         memory = [self.memory, self.sliding_memory, self.roll]
@@ -123,7 +121,7 @@ class Tangents:
             [accepted, batch.free, out.hessian, self.coupling],
             [self.factor],
         )
-        batch.walk(banded_lu.factorise, [accepted], [self.factor])
+        batch.launch_lanes(banded_lu.factorise, [accepted], [self.factor])
         tangents = [self.now, self.older, self.velocity, self.velocity_older]
         launch(
             kernels.load_tangents,

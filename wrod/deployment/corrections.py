@@ -1,7 +1,5 @@
 """Smooth corrections of a grip's path."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

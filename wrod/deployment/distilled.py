@@ -1,7 +1,5 @@
 """Plans that know the table at once: a network corrects them as optimisation would."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -6,8 +6,6 @@ itself, so `plan="auto"` makes the optimal grasps the baseline (OPT) and `plan="
 straight above the contact (INT).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

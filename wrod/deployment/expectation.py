@@ -1,7 +1,5 @@
 """What a trajectory is to be expected to do on a table."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -7,8 +7,6 @@ left is corrected for the rod that is believed in now. Where that says that what
 gone wrong, and that it can be laid better, the grip goes back, lifts it, and lays it anew.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -46,7 +44,7 @@ _GAIN, _MOST_TIMES = 5e-5, 8
 
 
 @dataclass(frozen=True)
-class World:
+class Plant:
     """What is really laid, on what.
 
     Attributes:
@@ -99,7 +97,7 @@ def lay_with_feedback(
     rod: RodMaterial,
     trajectory: Trajectory,
     friction: float,
-    world: World,
+    plant: Plant,
     *,
     every: float = 0.03,
     sight: Sight | None = None,
@@ -120,7 +118,7 @@ def lay_with_feedback(
         rod: that is believed in.
         trajectory: planned for it.
         friction: that is believed in.
-        world: what is really there; only its rod is looked at.
+        plant: what is really there; only its rod is looked at.
         every: length that the grip goes between two looks [m].
         sight: how the camera sees; default: `Sight()`.
         known: believe the truth from the first look on: what is left then is the share of control,
@@ -129,13 +127,13 @@ def lay_with_feedback(
         horizon: how far beyond the contact the path is corrected after a look [L_gb].
         hold: length of the free end that is held at first [m].
         device: "cpu", "cuda:0" or "auto".
-        options: of `wrod.deployment.tangents.lay`, for the world.
+        options: of `wrod.deployment.tangents.lay`, for the plant.
 
     Raises:
         RodError: `every` is not positive.
     """
     course = following(
-        pattern, rod, trajectory, friction, world, every=every, sight=sight, known=known,
+        pattern, rod, trajectory, friction, plant, every=every, sight=sight, known=known,
         again=again, horizon=horizon, hold=hold, **options,
     )  # fmt: skip
     return follow([course], hold=hold, device=device)[0]
@@ -146,7 +144,7 @@ def following(
     rod: RodMaterial,
     trajectory: Trajectory,
     friction: float,
-    world: World,
+    plant: Plant,
     *,
     every: float = 0.03,
     sight: Sight | None = None,
@@ -165,10 +163,10 @@ def following(
     way = Way(trajectory)
 
     def really(path: Trajectory, **more) -> Course[Laid]:
-        how = world.disturbance
+        how = plant.disturbance
         how = replace(how, offset=tuple(np.asarray(how.offset) + beliefs.placed))
-        trial = Trial(pattern, world.rod, path, world.friction, how, Tail.none(path))
-        given = {"friction_field": world.friction_field, **options, **more}
+        trial = Trial(pattern, plant.rod, path, plant.friction, how, Tail.none(path))
+        given = {"friction_field": plant.friction_field, **options, **more}
         (laid,) = yield Asked([trial], None, given)
         return laid
 
@@ -181,7 +179,7 @@ def following(
         seen = Seen.of((yield from really(path, **held)), at, sight, rng)
         misfit = yield from beliefs.update(at, path, seen, **held)
         if known:
-            beliefs.know(world.friction.static, world.disturbance, world.friction_field)
+            beliefs.know(plant.friction.static, plant.disturbance, plant.friction_field)
         if gone == first:
             beliefs.placed -= beliefs.offset
         times = sum(look.back is not None for look in looks)

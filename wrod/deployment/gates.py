@@ -5,8 +5,6 @@ still off to the outside of the bend, and comes in sideways as the contact draws
 says from where; `design_gates` sets posts that are out of its way.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.deployment.fixtures import Fixture, Fixtures

@@ -1,7 +1,5 @@
 """The grip's motion in time: from a trajectory over the laid length to poses over seconds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Pictures of simulated deployments: where the rod was to lie and where it lies."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -9,7 +7,7 @@ import numpy as np
 
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.result import Deployment, errors_along
-from wrod.files import write_atomically
+from wrod.files import write_figure
 from wrod.patterns.pattern import Pattern
 from wrod.solvers.contact import Cylinder
 
@@ -33,11 +31,9 @@ def draw_deployments(
         title: the first line.
         fixtures: what stands on the table, or None.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 5.4), facecolor="white")
-    FigureCanvasAgg(figure)
     above = figure.add_axes((0.07, 0.11, 0.52, 0.72))
     errors = figure.add_axes((0.67, 0.11, 0.30, 0.72))
     if fixtures is not None:
@@ -60,10 +56,7 @@ def draw_deployments(
     figure.text(0.03, 0.895, _subtitle(deployments), fontsize=9.5, color=_MUTED)
     _legend(figure)
 
-    def write(file):
-        figure.savefig(file, format="png", dpi=110)
-
-    return write_atomically(path, write, "wb")
+    return write_figure(path, figure, 110)
 
 
 def draw_above(axes, pattern: Pattern, deployments: list[Deployment], lw: float = 1.5) -> None:

@@ -104,7 +104,7 @@ def plan(
         "distilled", or "optimised" and "expected" (`wrod.deployment.optimise`); with `expect`,
         "expected" (`wrod.deployment.expectation.expect`). "natural_share" is
         the smallest share of its natural curvature that a grasp was made with, where a rod that
-        varies along itself has none of its own (`wrod.grasps.relaxed`).
+        varies along itself has none of its own (`wrod.grasps.relaxed`; 0: `own_or_straight`).
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,
@@ -148,8 +148,10 @@ def _for_a_table(
 ) -> Trajectory:
     """The plan that `how` asks for, corrected for a table of such a friction, and what is expected
     of it where that is asked for."""
+    from wrod.deployment.rivals import own_or_straight
+
     if friction is None:
-        trajectory = plan_grasps(led, rod, method, remainder=False, **how)
+        trajectory = own_or_straight(led, rod, method, None, how)
     else:
         trajectory = _corrected(led, rod, method, friction, pace, how)
     if expect and "expected" not in trajectory.metadata:
@@ -163,11 +165,12 @@ def _for_a_table(
 def _corrected(led: Pattern, rod, method: str, friction, pace, how: dict[str, Any]) -> Trajectory:
     """The plan that `how` asks for, corrected for a table of such a friction."""
     from wrod.deployment.optimise import optimise
+    from wrod.deployment.rivals import own_or_straight
     from wrod.deployment.spread import Spread
 
     spread = Spread.of(friction)
     base = "auto" if method == DISTILLED else method
-    start = plan_grasps(led, rod, base, remainder=False, **how)
+    start = own_or_straight(led, rod, base, spread.friction, how)
     if method == DISTILLED:
         from wrod.deployment.distilled import distilled
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.files import read_fields, write_atomically
+from wrod.files import read_fields, write_npz
 from wrod.patterns.pattern import Pattern
 
 # Points of the accuracy metric (Eq. metric, N = 50).
@@ -63,11 +63,8 @@ class Deployment:
         """Write everything as an NPZ file (the suffix of `path` is replaced)."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         present = {name: value for name, value in values.items() if value is not None}
-
-        def write(file):
-            np.savez_compressed(file, format=_FORMAT, units="SI: m, N, s", **present)
-
-        return write_atomically(Path(path).with_suffix(".npz"), write, "wb")
+        path = Path(path).with_suffix(".npz")
+        return write_npz(path, format=_FORMAT, units="SI: m, N, s", **present)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Deployment:

@@ -1,7 +1,5 @@
 """Deployments in simulation: a grip lays a rod along a pattern on a table with friction."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError
-from wrod.files import read_json, schemas, write_atomically
+from wrod.files import read_json, schemas, write_json
 
 _FORMAT = "wrod-table-1"
 
 
 @dataclass(frozen=True)
-class Table:
+class TableFriction:
     """What is known of a table.
 
     Attributes:
@@ -47,14 +46,14 @@ class Table:
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the table as JSON."""
         content = {"format": _FORMAT, **asdict(self)}
-        return write_atomically(path, lambda file: file.write(json.dumps(content, indent=2) + "\n"))
+        return write_json(path, content)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Table:
+    def load(cls, path: str | os.PathLike[str]) -> TableFriction:
         """Read what `save` or `wrod laid --table` wrote.
 
         Raises:
             DataError: the file is missing, not a table, or holds unusable values.
         """
-        found = read_json(path, schemas.Table, "a table that `wrod laid --table` wrote")
+        found = read_json(path, schemas.TableFriction, "a table that `wrod laid --table` wrote")
         return cls(found.friction, found.log_error, found.correlation)

@@ -5,8 +5,6 @@ result. A GPU takes as long for hundreds of rods as for one, so that courses of 
 step there; a CPU takes one course after the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """One deployment to simulate."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from wrod.deployment.fixtures import Fixtures

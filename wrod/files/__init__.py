@@ -13,7 +13,14 @@ from wrod.files.reading import (
     read_json,
     read_text,
 )
-from wrod.files.writing import write_atomically
+from wrod.files.writing import (
+    write_atomically,
+    write_csv,
+    write_figure,
+    write_json,
+    write_npz,
+    write_text,
+)
 
 __all__ = [
     "check_arrays",
@@ -27,5 +34,10 @@ __all__ = [
     "read_tensors",
     "read_text",
     "write_atomically",
+    "write_csv",
+    "write_figure",
+    "write_json",
+    "write_npz",
     "write_tensors",
+    "write_text",
 ]

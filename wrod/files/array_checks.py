@@ -1,7 +1,5 @@
 """Reading files of arrays against their tables: one reader, one sentence for what is wrong."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from typing import Any

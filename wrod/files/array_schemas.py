@@ -4,8 +4,6 @@ printed and against which `wrod.files.read_fields` checks.
 Letters in a shape are lengths; the same letter is the same length within a file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

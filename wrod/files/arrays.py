@@ -4,8 +4,6 @@ Headers are read first: what would run code, is larger than the limit when unpac
 another kind than numbers and text is refused before anything is unpacked.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """`python -m wrod.files.document`: docs/formats.md, from the schemas themselves."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import sys
@@ -28,8 +26,8 @@ order, and finite but where NaN stands for what is not known. Points of a patter
 links, 50 000 elements and 16 MiB. Pipes, devices and folders are no files.
 """
 _ROOTS = (
-    schemas.RodFile, schemas.RodModelFile, schemas.Fixtures, schemas.Table, schemas.Obstacle,
-    schemas.MarkerLayout, schemas.Camera, schemas.KnotPlan,
+    schemas.RodFile, schemas.RodModelFile, schemas.Fixtures, schemas.TableFriction,
+    schemas.Obstacle, schemas.MarkerLayout, schemas.CameraIntrinsics, schemas.KnotPlan,
     schemas.Manifest, schemas.Shard, schemas.Controller, schemas.Corrector, schemas.Plans,
     schemas.TrajectoryMetadata,
     schemas.Table3Row, schemas.ApplicationsRow, schemas.HiddenRow,

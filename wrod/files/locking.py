@@ -1,7 +1,5 @@
 """One process at a time on one output."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

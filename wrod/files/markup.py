@@ -1,7 +1,5 @@
 """XML that users hand over: bounded in size, depth and count, without entities that grow."""
 
-from __future__ import annotations
-
 import os
 from xml.etree import ElementTree
 from xml.parsers import expat

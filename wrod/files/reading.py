@@ -4,8 +4,6 @@ A refusal is one sentence that names the file, the line or entry, and what to do
 before memory or time are spent: on what is no regular file, by the size, by the nesting.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import stat

@@ -90,7 +90,7 @@ Pixels = Annotated[float, Meta(ge=-1e6, le=1e6, description="[px]")]
 Coefficient = Annotated[float, Meta(ge=-1e3, le=1e3)]
 
 
-class Camera(_Open, frozen=True):
+class CameraIntrinsics(_Open, frozen=True):
     """A camera's matrix [px] and OpenCV's distortion coefficients (`--camera`)."""
 
     camera_matrix: tuple[
@@ -304,7 +304,7 @@ class RodModelFile(_File, frozen=True):
     found: dict[str, Any] = field(default_factory=dict)
 
 
-class Table(_File, frozen=True):
+class TableFriction(_File, frozen=True):
     """What laid rods told of a table (`wrod laid --table`, `--friction`)."""
 
     format: Literal["wrod-table-1"]

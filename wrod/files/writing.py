@@ -1,13 +1,13 @@
 """Writing files that are either whole or not there."""
 
-from __future__ import annotations
-
 import contextlib
+import csv
+import json
 import os
 import stat
 import tempfile
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,8 @@ from wrod.errors import DataError
 
 # The last of what was written whole, for the message of a command that ends early.
 _FINISHED: deque[Path] = deque(maxlen=1000)
+# What the running command reads, which it may not replace.
+_READ: set[str] = set()
 
 
 def write_atomically(
@@ -26,7 +28,7 @@ def write_atomically(
     What a link points to is written, the link stays.
 
     Raises:
-        DataError: a folder, device, pipe or socket stands there.
+        DataError: a folder, device, pipe or socket stands there, or a file that the command reads.
         OSError: it cannot be written.
     """
     path = Path(os.path.realpath(path))
@@ -46,8 +48,47 @@ def write_atomically(
     return path
 
 
+def write_text(path: str | os.PathLike[str], text: str) -> Path:
+    """A file of text, whole or not there; raises as `write_atomically`."""
+    return write_atomically(path, lambda file: file.write(text))
+
+
+def write_json(path: str | os.PathLike[str], content: Any, *, allow_nan: bool = True) -> Path:
+    """A file of JSON, as `write_text`."""
+    return write_text(path, json.dumps(content, indent=2, allow_nan=allow_nan) + "\n")
+
+
+def write_csv(
+    path: str | os.PathLike[str], head: Iterable, rows: Iterable[Iterable], comment: str = ""
+) -> Path:
+    """A file of comma-separated values, its head first but for a comment, as `write_text`."""
+
+    def write(file):
+        file.write(f"# {comment}\n" if comment else "")
+        csv.writer(file).writerows([head, *rows])
+
+    return write_atomically(path, write)
+
+
+def write_npz(path: str | os.PathLike[str], **arrays: Any) -> Path:
+    """A compressed file of NumPy's arrays, as `write_text`."""
+    from numpy import savez_compressed
+
+    return write_atomically(path, lambda file: savez_compressed(file, **arrays), "wb")
+
+
+def write_figure(path: str | os.PathLike[str], figure: Any, dpi: int, **more: Any) -> Path:
+    """A figure of matplotlib as PNG, as `write_text`; `more` are options of its `savefig`."""
+    return write_atomically(
+        path, lambda file: figure.savefig(file, format="png", dpi=dpi, **more), "wb"
+    )
+
+
 def refuse_no_file(path: str | os.PathLike[str]) -> None:
-    """Raise a DataError if what stands there is no regular file, which a move would replace."""
+    """Raise a DataError if what stands there is no regular file, which a move would replace, or one
+    that the command reads."""
+    if os.path.realpath(path) in _READ:
+        raise DataError(f"{path}: is read by this command, and would be replaced; choose another")
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
@@ -63,5 +104,11 @@ def finished() -> list[Path]:
 
 
 def begin() -> None:
-    """Forget what `finished` knows: a new command begins."""
+    """Forget what `finished` and `protect` know: a new command begins."""
     _FINISHED.clear()
+    _READ.clear()
+
+
+def protect(paths: Iterable[str]) -> None:
+    """Let nothing that the command writes replace these files, which it reads."""
+    _READ.update(os.path.realpath(path) for path in paths)

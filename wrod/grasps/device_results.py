@@ -1,7 +1,5 @@
 """Where the results of grasps go on a device."""
 
-from __future__ import annotations
-
 import warp as wp
 
 from wrod.grasps.results import SENSITIVITIES

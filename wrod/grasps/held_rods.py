@@ -1,7 +1,5 @@
 """Rods clamped along the table at the contact and held at the grip. Dimensionless."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 

@@ -1,7 +1,5 @@
 """Meshes of the suspended rod. Dimensionless."""
 
-from __future__ import annotations
-
 import numpy as np
 
 WEIGHT = 0.5  # per length in k_b / L_gb^2 per L_gb, by the definition of L_gb

@@ -5,8 +5,6 @@ second rod is nudged with it and falls to a minimum of its energy after every st
 does. Where the two part, the rod has snapped. Dimensionless.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

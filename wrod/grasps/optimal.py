@@ -4,8 +4,6 @@ Everything here is dimensionless: lengths in L_gb, forces in k_b / L_gb^2, weigh
 the contact frame has x along the pattern, z up, and a positive curvature turns left, towards +y.
 """
 
-from __future__ import annotations
-
 import os
 import queue
 from collections.abc import Callable

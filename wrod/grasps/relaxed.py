@@ -6,8 +6,6 @@ that can hang there has a share of its natural curvature only; its grasp takes t
 place, and says so.
 """
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Any
 

@@ -4,8 +4,6 @@ Where a rod is not the same everywhere, its grasp depends on which part of it ha
 length of the contact, not on the suspended length alone.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

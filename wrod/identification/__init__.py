@@ -1,7 +1,5 @@
 """What measurements of a rod say that its model misses."""
 
-from __future__ import annotations
-
 from wrod.identification.clamped.loading import load_measurements
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.report import IdentificationReport, identify_clamped

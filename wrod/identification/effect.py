@@ -62,6 +62,8 @@ class Effect:
         title: a phrase for people.
         reference: where the model comes from.
         parameters: the unknowns.
+        adds: field of the set-up that they are added to; scales: fields that grow by the
+            exponential of the only one.
         stage: effects are applied in this order; those that change the free length come first.
         follows_shape: whether its load depends on the rod's shape (`ClampedSetup.wind`).
         kinds: the measurements that it is tried on: "clamped" (`ClampedSetup`), "motion"
@@ -72,6 +74,8 @@ class Effect:
     title: str
     reference: str
     parameters: tuple[Parameter, ...]
+    adds: str = ""
+    scales: tuple[str, ...] = ()
     stage: int = 1
     follows_shape: bool = False
     kinds: tuple[str, ...] = ("clamped",)
@@ -82,6 +86,11 @@ class Effect:
 
     def apply(self, setup: Any, values: np.ndarray) -> None:
         """Change the model in place, a `ClampedSetup` or, of kind "motion", a `MotionSetup`."""
+        if self.adds:
+            added = values[0] if len(values) == 1 else np.asarray(values)
+            setattr(setup, self.adds, getattr(setup, self.adds) + added)
+        for name in self.scales:
+            setattr(setup, name, getattr(setup, name) * np.exp(values[0]))
 
     def measure(
         self, position: np.ndarray, frame: np.ndarray, values: np.ndarray, setup: ClampedSetup
@@ -92,8 +101,13 @@ class Effect:
     def describe(
         self, values: np.ndarray, covariance: np.ndarray, measurements: ClampedMeasurements
     ) -> dict[str, Estimate]:
-        """The quantities to report, by default the parameters themselves."""
+        """The quantities to report, by default the parameters themselves; of what `scales`, the
+        factor."""
         errors = np.sqrt(np.diag(covariance))
+        if self.scales:
+            factor = float(np.exp(values[0]))
+            key = self.parameters[0].key.removeprefix("log_")
+            return {key: Estimate(factor, factor * float(errors[0]), "")}
         return {
             p.key: Estimate(float(v), float(e), p.unit)
             for p, v, e in zip(self.parameters, values, errors, strict=True)

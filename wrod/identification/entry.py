@@ -1,7 +1,5 @@
 """`wrod.identify`: one question for rods between clamps, in motion and laid on a table."""
 
-from __future__ import annotations
-
 import os
 from typing import Any, overload
 

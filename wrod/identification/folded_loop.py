@@ -4,8 +4,6 @@ The rod lies flat, lifts off, turns over by 180 degrees, comes down and lies fla
 in the flat parts. Lengths are in L_gb, forces in k_b / L_gb^2.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import brentq, root
 

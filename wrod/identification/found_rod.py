@@ -5,8 +5,6 @@ and so in the rod. Effects that leave the rod as it is (cameras, clamps, grips, 
 a draught) belong to the set-up of the measurement and are set aside, by name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from wrod.identification.effect import Model
-from wrod.rods.law import Law, Linear, Softening
+from wrod.rods.law import BendingLaw, Linear, Softening
 from wrod.rods.model import RodModel
 from wrod.rods.model_file import save_model
 from wrod.rods.profile import Profile
@@ -112,12 +110,12 @@ def rod_of(setup, arc_length: np.ndarray, *, like: RodModel, line_mass: float = 
     )
 
 
-def _law(softening: np.ndarray) -> Law:
+def _law(softening: np.ndarray) -> BendingLaw:
     c, r = softening.mean(axis=0)
     return Softening(float(c**-0.5), float(r)) if c > 0.0 else Linear()
 
 
-def _nearest_softening(c: np.ndarray, p: np.ndarray) -> tuple[float, Law]:
+def _nearest_softening(c: np.ndarray, p: np.ndarray) -> tuple[float, BendingLaw]:
     """(factor of the stiffness, softening) whose moments are nearest to those of a law of (J,)
     terms, up to the largest curvature of its terms: what a rod's description can carry of it."""
     top = c.min() ** -0.5

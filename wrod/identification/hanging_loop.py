@@ -4,8 +4,6 @@ The rod hangs in a plane between two hands, clamps or nails, seen from the side.
 not asked: ends and tangents there are fitted with the stiffness.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

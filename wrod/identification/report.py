@@ -1,8 +1,5 @@
 """What the reports of all identifications share."""
 
-from __future__ import annotations
-
-import json
 import os
 import warnings
 from collections.abc import Callable
@@ -11,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wrod.errors import WrodWarning
-from wrod.files import write_atomically
+from wrod.files import write_json
 from wrod.identification.effect import Estimate
 from wrod.identification.found_rod import FoundRod
 from wrod.rods.material import RodMaterial
@@ -100,9 +97,8 @@ class Report:
     def written(self, out: str | os.PathLike[str], page: Callable[[Path, Any], Path]) -> list[Path]:
         """Write report.json, report.html by `page`, and model.json into a folder."""
         out = Path(out)
-        content = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
         return [
-            write_atomically(out / "report.json", lambda file: file.write(content)),
+            write_json(out / "report.json", self.to_dict(), allow_nan=False),
             page(out / "report.html", self),
             self.found.save(out / "model.json"),
         ]

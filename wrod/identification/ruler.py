@@ -4,8 +4,6 @@ The rod is clamped level at a table's edge, and a length of it hangs over. (The 
 `wrod.identification.folded_loop`, the photograph of a hanging loop `hanging_loop`.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the pictures of identification's reports have in common."""
 
-from __future__ import annotations
-
 import io
 
 INK, FAINT, MUTED = "#22262b", "#c9ced6", "#59616b"
@@ -12,12 +10,9 @@ SERIES = ("#0b5fa5", "#d9822b", "#3a8f5c")
 def new_figure(width: float, height: float):
     """A figure of that size [inch], to be written by `as_png`."""
     # Figure objects of their own: pyplot would keep state and choose a display.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=(width, height), facecolor="white", layout="constrained")
 
 
 def as_png(figure) -> bytes:

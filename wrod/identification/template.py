@@ -1,7 +1,5 @@
 """Example files of measurements: what `wrod identify` reads, filled in for a simulated cable."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wrod.errors import DataError
-from wrod.files import write_atomically
+from wrod.files import write_npz
 from wrod.rods.batch import RodBatch
 from wrod.rods.material import RodMaterial
 from wrod.solvers.dynamics import Dynamics
@@ -39,7 +37,7 @@ def write_template(kind: str, path: str | os.PathLike[str]) -> Path:
     if kind not in KINDS:
         raise DataError(f"no template {kind!r}; there are {', '.join(KINDS)}")
     data = clamped_example() if kind == "clamped" else motion_example()
-    return write_atomically(path, lambda file: np.savez_compressed(file, **data), "wb")
+    return write_npz(path, **data)
 
 
 def clamped_example(seed: int = 0) -> dict[str, Any]:

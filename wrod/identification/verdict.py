@@ -5,8 +5,6 @@ Every kind of data ends in the same four words: *adequate* (the base model's err
 *unexplained*. What counts as noise and as enough differs with what the data are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 # Two estimates with a correlation beyond this cannot be told apart, whatever the data.

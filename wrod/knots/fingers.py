@@ -1,7 +1,5 @@
 """What the two fingers of a gripper hold of a rod that they close on."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # Least force of a Robotiq 2F-85 (20 to 235 N, its manual): soft rods are not gripped harder [N].

@@ -1,7 +1,5 @@
 """Ways of hands from place to place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Laying the rods of a knot, one after the other."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

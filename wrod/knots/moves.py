@@ -1,7 +1,5 @@
 """Pick-and-place moves of a knot."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ glued one after the other to a growing tangle (Bar-Natan 2007), so that the cost
 of the diagram, not two to the power of its crossings.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 # For each curve, the (crossing, over) pairs that it meets, in its own order.

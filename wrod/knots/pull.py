@@ -1,7 +1,5 @@
 """Pulling a knot with both hands: does it tighten, and does it hold?"""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ lies. They are exact: integers throughout. The Jones polynomial names the knot, 
 polynomial confuses the two hands of a trefoil, and a reef knot with a granny.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from itertools import pairwise

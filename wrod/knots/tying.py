@@ -5,8 +5,6 @@ What is grasped is where the plan says, whether the rod lies there or not: there
 carries it over the others, and puts it down. At last both hands pull.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from wrod import arguments

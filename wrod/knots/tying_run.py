@@ -1,7 +1,5 @@
 """The state of tying that laying, moves and pulling share, and what watches it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A table with rods on it, and hands that grasp, carry and release them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """How rods come into a Newton builder."""
 
-from __future__ import annotations
-
 import newton
 import numpy as np
 

@@ -1,7 +1,5 @@
 """What a rod is in a Newton model: its custom attributes, and how one is added to a builder."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import newton

@@ -9,8 +9,6 @@ or `widths` on the curve. Of wrod's own, on the curve: `wrod:airDamping` [1/s],
 world).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import newton

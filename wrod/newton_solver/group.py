@@ -1,7 +1,5 @@
 """Rows of rods alike: a batch, its dynamics, and the way to a Newton state and back."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 from newton import Model, State

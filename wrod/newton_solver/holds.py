@@ -1,7 +1,5 @@
 """What holds a model's rods, in the frames of the bodies that do."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import newton

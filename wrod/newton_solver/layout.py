@@ -1,7 +1,5 @@
 """Rods of a Newton model as rows of a batch."""
 
-from __future__ import annotations
-
 import numpy as np
 from newton import Model
 

@@ -1,7 +1,5 @@
 """Free bodies of a Newton model that SolverDER moves, together with the rods that they hold."""
 
-from __future__ import annotations
-
 import numpy as np
 from newton import Model
 

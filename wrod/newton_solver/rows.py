@@ -1,7 +1,5 @@
 """Which rods of a Newton model are solved together: those that a free body or contact may join."""
 
-from __future__ import annotations
-
 import numpy as np
 from newton import Model
 

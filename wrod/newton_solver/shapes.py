@@ -1,7 +1,5 @@
 """The shapes of a Newton model that rods touch, as `wrod.solvers.solids` knows them."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

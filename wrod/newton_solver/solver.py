@@ -1,8 +1,7 @@
 """`SolverDER`: discrete elastic rods as a solver of Newton."""
 
-from __future__ import annotations
-
 import warnings
+import weakref
 from collections.abc import Sequence
 
 import numpy as np
@@ -51,10 +50,10 @@ class SolverDER(RodBuilding, SolverBase):
     - Bodies of articulations, and what `bodies` leaves out, are moved by another solver before:
       call `add_body_forces(state)` on the state that it steps from.
 
-    The pose that `state_in.body_q` gives a body that others move is the one that it has at the end
-    of the step. A state that is not the one this solver wrote last is taken up as it is (the rod
-    then starts anew from it, with one step of first order), so states may be changed, copied and
-    set back at will.
+    The pose that `state_in` (or the state `moved`) gives a body that others move is the one that it
+    has at the end of the step. A state that is not the one this solver wrote last is taken up as it
+    is (the rod then starts anew from it, with one step of first order), so states may be changed,
+    copied and set back at will.
 
     Example
     -------
@@ -156,6 +155,7 @@ class SolverDER(RodBuilding, SolverBase):
             wp.zeros(model.body_count, dtype=wp.vec3d, device=model.device) for _ in range(2)
         )
         self._loads_taken, self._steps = False, 0
+        self._last_out: weakref.ref | None = None
         self._build()
 
     def _choose_bodies(self, chosen) -> np.ndarray:
@@ -195,6 +195,9 @@ class SolverDER(RodBuilding, SolverBase):
         moved = model.body_flags.numpy()[held] & int(newton.BodyFlags.DYNAMIC) != 0
         massive = model.body_mass.numpy()[held] > 0
         self._others = [b for b, m in zip(held, moved & massive, strict=True) if m]
+        flags, mass = model.body_flags.numpy(), model.body_mass.numpy()
+        dynamic = (flags & int(newton.BodyFlags.DYNAMIC) != 0) & (mass > 0)
+        self._is_shared = bool((dynamic & ~self._own).any())
 
     @property
     def diverged(self) -> np.ndarray:
@@ -214,16 +217,20 @@ class SolverDER(RodBuilding, SolverBase):
         dt: float,
         *,
         observables: SolverBase.Observables | None = None,
+        moved: newton.State | None = None,
     ) -> None:
         """Move the rods on by `dt`.
 
         Args:
-            state_in: The input state; bodies where they are at the end of the step.
+            state_in: The input state: rods, and the bodies that this solver moves, as they are.
             state_out: The output state; may be the input state.
             control: Not used.
             contacts: Not used: rods find their own contacts.
             dt: The time step [s].
             observables: None, or a container without requests.
+            moved: The state into which another solver has put the bodies that it moves, where they
+                are at the end of the step; may be the output state. Defaults to `state_in`. Other
+                solvers do not carry rods over into the states that they write.
 
         Raises:
             RodError: dt is not positive, or a state was made from another model.
@@ -231,23 +238,25 @@ class SolverDER(RodBuilding, SolverBase):
         self.validate_observables(observables, contacts)
         if not (np.isfinite(dt) and dt > 0):
             raise RodError(f"dt is {dt!r}; give a positive finite number of seconds")
+        moved = state_in if moved is None else moved
         for state in (state_in, state_out):
             nodes = getattr(getattr(state, "der", None), "node_q", None)
             if nodes is None or nodes.shape != self.model.der.node_q.shape:
                 raise RodError("the state does not hold this model's rods; call model.state()")
-        if state_out is not state_in:
+        if state_out is not moved:
             for name in _PASSED_ON:
-                source = getattr(state_in, name, None)
+                source = getattr(moved, name, None)
                 if source is not None and len(source):
                     wp.copy(getattr(state_out, name), source)
         parts = 1 if self.max_step is None else int(np.ceil(dt / self.max_step * (1 - 1e-9)))
         before, after = self._poses
-        wp.copy(after, state_in.body_q)
+        wp.copy(after, moved.body_q)
         device = self.model.device
         if device.is_cuda and not device.is_capturing:
             self._listen()  # What earlier steps have told by now.
         for group in self._groups:
             group.step(state_in, dt, dt / parts)
+        self._note_old_rods(state_in, state_out)
         wp.copy(before, after)
         self._force.zero_()
         self._torque.zero_()
@@ -264,6 +273,22 @@ class SolverDER(RodBuilding, SolverBase):
                 "them; call add_body_forces(state) on the state that it steps from",
                 WrodWarning,
                 stacklevel=2,
+            )
+
+    def _note_old_rods(self, state_in: newton.State, state_out: newton.State) -> None:
+        """Speak of a loop that, after another solver's step, goes on from rods of long ago."""
+        last = self._last_out() if self._last_out is not None else None
+        self._last_out = weakref.ref(state_out)
+        early = self._steps < _PATIENCE and not self.model.device.is_capturing
+        if not early or not self._is_shared or last is None or last is state_in:
+            return
+        if any(group.changed.numpy().any() for group in self._groups):
+            warnings.warn(
+                "the rods of state_in are not those of the last step, which went into another "
+                "state; other solvers do not carry rods over. Where one has written bodies into "
+                "`other`, call step(state, other, control, contacts, dt, moved=other)",
+                WrodWarning,
+                stacklevel=3,
             )
 
     def penetration(self) -> np.ndarray:

@@ -1,7 +1,5 @@
 """Corners among the points of a pattern: smooth runs between them, joined by tight turns."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Planar curves given by the heading of their tangent along their arc length."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

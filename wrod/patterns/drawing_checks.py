@@ -1,7 +1,5 @@
 """What a drawing must hold before its libraries read it: they have no bounds of their own."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections import deque

@@ -1,7 +1,5 @@
 """Vector drawings as points: SVG (svgelements) and DXF (ezdxf), one stroke of one or of several."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

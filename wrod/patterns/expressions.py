@@ -1,7 +1,5 @@
 """Analytic expressions in one variable, evaluated without running what they say as code."""
 
-from __future__ import annotations
-
 import ast
 import operator
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Reading and checking the points of a pattern; every refusal names the file, line and value."""
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Built-in patterns by name."""
 
-from __future__ import annotations
-
 from wrod import arguments
 from wrod.errors import PatternError
 from wrod.patterns.pattern import Pattern

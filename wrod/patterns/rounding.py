@@ -1,7 +1,5 @@
 """Corners rounded to what a rod can lie in: the nearest curve whose curvature stays in bounds."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ A turn eases its curvature in and out with the quintic smoothstep, so curvature 
 derivatives are continuous: the friction that a pattern asks for stays finite everywhere.
 """
 
-from __future__ import annotations
-
 from math import pi, radians
 
 import numpy as np

@@ -7,8 +7,6 @@ the second, whose natural end condition forces the curvature to zero at both end
 and the friction bound needs the fourth derivative of position itself to be smooth.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import linalg
 from scipy.interpolate import BSpline, PPoly, make_interp_spline

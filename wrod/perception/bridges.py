@@ -5,8 +5,6 @@ al. 2023), jointly for all ports of a junction, with strand ends that hide under
 with stretches that two strands share.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

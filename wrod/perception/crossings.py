@@ -1,7 +1,5 @@
 """Where centrelines cross, and which strand lies on top."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,14 +1,12 @@
 """Scans as files for other programs."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wrod.files import write_atomically
+from wrod.files import write_npz
 from wrod.perception.crossings import Crossing
 from wrod.perception.scan import Scan, oriented
 
@@ -59,7 +57,7 @@ def write_scan(
             data["paths_m"] = _ragged(result.metric_lines())
         else:
             data["path_m"] = oriented(result, start)
-    return write_atomically(path, lambda file: np.savez_compressed(file, **data), "wb")
+    return write_npz(path, **data)
 
 
 def _ragged(arrays: list[np.ndarray]) -> np.ndarray:

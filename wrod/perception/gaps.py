@@ -1,7 +1,5 @@
 """Gaps where a pen left the paper: ends of strokes that go on in each other are joined."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

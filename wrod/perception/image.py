@@ -1,7 +1,5 @@
 """Pictures as arrays: reading, and checking what callers hand over."""
 
-from __future__ import annotations
-
 import os
 import warnings
 

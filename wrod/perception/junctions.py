@@ -4,8 +4,6 @@ Junctions are merged along stretches that two strands share, each is paired for 
 energy, and where energies are close the mask is the witness.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.perception.bridges import HIDDEN_END, best_pairing, bridge, ranked_pairings

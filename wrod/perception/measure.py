@@ -1,7 +1,5 @@
 """How far a deployed rod lies from its pattern (Eq. metric)."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,13 +34,11 @@ class Measurement:
 
     def draw(self, path: str | os.PathLike[str]) -> Path:
         """Write a PNG: pattern, rod and their distances from above, and along the rod."""
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
-        from wrod.files import write_atomically
+        from wrod.files import write_figure
 
         figure = Figure(figsize=(11, 5), facecolor="white", layout="constrained")
-        FigureCanvasAgg(figure)
         above, along = figure.subplots(1, 2, width_ratios=(1.5, 1))
         above.plot(*(100 * self.prescribed.T), color="#0b5fa5", lw=2, label="pattern")
         above.plot(*(100 * self.deployed.T), color="#d9822b", lw=2, label="deployed")
@@ -62,7 +58,7 @@ class Measurement:
         for axes in (above, along):
             axes.grid(color="#e5e8ec", lw=0.6)
             axes.spines[["top", "right"]].set_visible(False)
-        return write_atomically(path, lambda f: figure.savefig(f, format="png", dpi=110), "wb")
+        return write_figure(path, figure, 110)
 
 
 def compare(deployed: np.ndarray, pattern, points: int = 50) -> Measurement:

@@ -16,7 +16,7 @@ MARKER_MISFIT = 0.02  # largest rms of the marker corners to their layout, in ma
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraIntrinsics:
     """Intrinsics of a camera.
 
     Attributes:
@@ -28,9 +28,9 @@ class Camera:
     distortion: np.ndarray
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Camera:
+    def load(cls, path: str | os.PathLike[str]) -> CameraIntrinsics:
         """Read {"camera_matrix": 3 x 3, "distortion": [k1, k2, p1, p2, ...]} from a JSON file."""
-        found = read_json(path, schemas.Camera, "a camera file", error=PerceptionError)
+        found = read_json(path, schemas.CameraIntrinsics, "a camera file", error=PerceptionError)
         matrix = np.array(found.camera_matrix)
         focal = np.diag(matrix)[:2]
         off = [matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1.0]
@@ -66,7 +66,7 @@ class Plane:
     """
 
     homography: np.ndarray
-    camera: Camera | None = None
+    camera: CameraIntrinsics | None = None
 
     def to_metres(self, points: np.ndarray) -> np.ndarray:
         """(n, 2) pixels -> (n, 2) positions on the table [m]."""
@@ -81,7 +81,7 @@ class Plane:
 
     @classmethod
     def from_markers(
-        cls, image: np.ndarray, layout: MarkerLayout, camera: Camera | None = None
+        cls, image: np.ndarray, layout: MarkerLayout, camera: CameraIntrinsics | None = None
     ) -> Plane:
         """From the ArUco markers (DICT_4X4_50, ids 0 to 3) in a picture.
 
@@ -108,7 +108,7 @@ class Plane:
 
     @classmethod
     def from_sheet(
-        cls, image: np.ndarray, size: tuple[float, float], camera: Camera | None = None
+        cls, image: np.ndarray, size: tuple[float, float], camera: CameraIntrinsics | None = None
     ) -> Plane:
         """From the four corners of a bright sheet (width, height) [m] on a darker table.
 
@@ -127,7 +127,7 @@ class Plane:
 
     @classmethod
     def from_scale(
-        cls, metres_per_pixel: float, height: int, camera: Camera | None = None
+        cls, metres_per_pixel: float, height: int, camera: CameraIntrinsics | None = None
     ) -> Plane:
         """A camera that looks straight down: origin at the picture's lower left pixel, y up.
 

@@ -4,8 +4,6 @@ Where strands cross, touch or overlap, their skeleton is not theirs: it runs bet
 there are set aside; what remains are clean arms that end in ports around a junction.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import lru_cache
 

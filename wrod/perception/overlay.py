@@ -1,7 +1,5 @@
 """Pictures of what was found in pictures."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Sub-pixel centrelines: edges measured across the strand, smoothed with least bending energy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 SMOOTHING = 6.0  # wavelength that the smoothing halves, in strand radii: no rod bends that often

@@ -1,7 +1,5 @@
 """From a picture to a metric pattern."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from dataclasses import dataclass, field, replace
@@ -13,7 +11,7 @@ from wrod import arguments
 from wrod.errors import PerceptionError, WrodWarning
 from wrod.perception.gaps import join_gaps
 from wrod.perception.image import as_image, is_mask, read_image
-from wrod.perception.metric import Camera, MarkerLayout, Plane
+from wrod.perception.metric import CameraIntrinsics, MarkerLayout, Plane
 from wrod.perception.refine import arc_length, resample
 from wrod.perception.segment import segment
 from wrod.perception.trace import Centerline, trace_mask
@@ -83,7 +81,9 @@ _CHECKED_AS_SCAN = arguments.checked(
     sheet=arguments.optional(arguments.array((2,))),
     scale=arguments.optional(arguments.number(1e-9, 10.0)),
     camera=arguments.optional(
-        arguments.either(arguments.path, arguments.like("a Camera", "matrix", "distortion"))
+        arguments.either(
+            arguments.path, arguments.like("a CameraIntrinsics", "matrix", "distortion")
+        )
     ),
     mask=arguments.either(arguments.flag, arguments.picture),
     kind=arguments.text,
@@ -98,7 +98,7 @@ def read_scan(
     markers: str | os.PathLike[str] | MarkerLayout | None = None,
     sheet: tuple[float, float] | None = None,
     scale: float | None = None,
-    camera: str | os.PathLike[str] | Camera | None = None,
+    camera: str | os.PathLike[str] | CameraIntrinsics | None = None,
     mask: bool | np.ndarray = False,
     kind: str = "auto",
     color: tuple[int, int, int] | None = None,
@@ -109,8 +109,8 @@ def read_scan(
     if sum(way is not None for way in (markers, sheet, scale)) > 1:
         raise PerceptionError("markers, sheet and scale were given; the scale comes from one only")
     try:
-        if camera is not None and not isinstance(camera, Camera):
-            camera = Camera.load(camera)
+        if camera is not None and not isinstance(camera, CameraIntrinsics):
+            camera = CameraIntrinsics.load(camera)
         plane, region = _plane(picture, markers, sheet, scale, camera)
         if region is not None and not region.any():
             raise PerceptionError("the sheet lies outside the picture; is it the right layout?")
@@ -135,7 +135,7 @@ def scan(
     markers: str | os.PathLike[str] | MarkerLayout | None = None,
     sheet: tuple[float, float] | None = None,
     scale: float | None = None,
-    camera: str | os.PathLike[str] | Camera | None = None,
+    camera: str | os.PathLike[str] | CameraIntrinsics | None = None,
     mask: bool | np.ndarray = False,
     kind: str = "auto",
     color: tuple[int, int, int] | None = None,

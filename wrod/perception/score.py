@@ -1,7 +1,5 @@
 """Scores of centrelines against labelled pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.perception import refine

@@ -1,7 +1,5 @@
 """Segmentation: what of a picture is rod or ink, pixel by pixel."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.errors import PerceptionError

@@ -1,8 +1,5 @@
 """The sheet of markers that gives a photograph its scale, and the layout to read it by."""
 
-from __future__ import annotations
-
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import PerceptionError
-from wrod.files import write_atomically
+from wrod.files import write_atomically, write_figure, write_json
 
 # Width and height [m], lying on their long side.
 PAPERS = {"a4": (0.297, 0.210), "a3": (0.420, 0.297), "letter": (0.2794, 0.2159)}
@@ -96,26 +93,21 @@ class MarkerSheet:
         """Write markers.pdf (true size), markers.png (300 dots per inch) and layout.json."""
         folder = Path(folder)
         figure = self._drawn()
-        text = json.dumps(self.layout(), indent=1) + "\n"
         return [
             write_atomically(
                 folder / "markers.pdf", lambda f: figure.savefig(f, format="pdf"), "wb"
             ),
-            write_atomically(
-                folder / "markers.png", lambda f: figure.savefig(f, format="png", dpi=300), "wb"
-            ),
-            write_atomically(folder / "layout.json", lambda f: f.write(text)),
+            write_figure(folder / "markers.png", figure, 300),
+            write_json(folder / "layout.json", self.layout()),
         ]
 
     def _drawn(self):
         import cv2
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
         from matplotlib.patches import Rectangle
 
         width, height = self.size
         figure = Figure(figsize=(width / _INCH, height / _INCH), facecolor="white")
-        FigureCanvasAgg(figure)
         axes = figure.add_axes((0, 0, 1, 1))
         axes.set(xlim=(0, width), ylim=(0, height))
         axes.set_axis_off()

@@ -1,7 +1,5 @@
 """Skeleton of a mask as a pixel graph: chains of pixels between junctions and free ends."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

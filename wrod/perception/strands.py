@@ -1,7 +1,5 @@
 """From paired ports to ordered strands: walk, bridge gaps, find the true ends."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

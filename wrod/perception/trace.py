@@ -1,7 +1,5 @@
 """Ordered, sub-pixel centrelines of every rod or stroke in a picture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

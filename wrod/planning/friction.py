@@ -1,7 +1,5 @@
 """The friction that a laid pattern needs to stay where it is (paper, Eq. bendingFriction)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

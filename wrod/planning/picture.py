@@ -1,13 +1,11 @@
 """Pictures of plans: pattern, grip path, grip frames and a few rod shapes."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
 import numpy as np
 
-from wrod.files import write_atomically
+from wrod.files import write_figure
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 
@@ -32,13 +30,11 @@ def draw_plan(
         shapes: (m, nodes, 3) rod centrelines to draw [m]; by default a few of the trajectory's.
     """
     # Figure objects of their own: pyplot would keep state and choose a display.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     if shapes is None and trajectory.shape is not None:
         shapes = trajectory.shape[_spread(len(trajectory), _SHAPES)]
     figure = Figure(figsize=(12.8, 7.2), facecolor="white")
-    FigureCanvasAgg(figure)
     view = figure.add_axes((0.0, 0.03, 0.53, 0.87), projection="3d", proj_type="ortho")
     above = figure.add_axes((0.57, 0.47, 0.41, 0.38))
     bends = figure.add_axes((0.57, 0.255, 0.41, 0.125))
@@ -50,10 +46,7 @@ def draw_plan(
     figure.text(0.03, 0.913, _subtitle(trajectory), fontsize=9.5, color="#59616b")
     _legend(figure, shapes is not None, trajectory)
 
-    def write(file):
-        figure.savefig(file, format="png", dpi=110)
-
-    return write_atomically(path, write, "wb")
+    return write_figure(path, figure, 110)
 
 
 def _title(pattern: Pattern, trajectory: Trajectory) -> str:

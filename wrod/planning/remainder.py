@@ -1,7 +1,5 @@
 """What is laid before a pattern, so that its beginning stays where it is put."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.errors import PatternError

@@ -1,7 +1,5 @@
 """What is wrong with the grasps of a plan: errors, and warnings."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How a rod is rolled about its tangent where it is gripped."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.errors import GraspError, RodError

@@ -1,7 +1,5 @@
 """Shapes of the suspended rod along a trajectory."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import replace

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 from dataclasses import dataclass, field
@@ -11,13 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import DataError, RodError
-from wrod.files import decode_labels, read_fields, schemas, write_atomically
+from wrod.files import decode_labels, read_fields, schemas, write_csv, write_npz
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 from wrod.rods.model_file import rod_of_json
 
 _FORMAT = "wrod-trajectory-1"
-_OPTIONAL = ("shape", "twist")
+_ARRAYS = (
+    "arc_length", "contact", "position", "rotation", "force", "roll", "shape", "twist"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -82,35 +83,17 @@ class Trajectory:
             ]
         )
 
-        def write_csv(file):
-            file.write(f"# {_FORMAT} {json.dumps(self.metadata, sort_keys=True)}\n")
-            writer = csv.writer(file)
-            writer.writerow(columns)
-            writer.writerows([[f"{value:.12g}" for value in row] for row in rows])
-
-        def write_npz(file):
-            np.savez_compressed(
-                file,
-                format=_FORMAT,
-                arc_length=self.arc_length,
-                contact=self.contact,
-                position=self.position,
-                rotation=self.rotation,
-                force=self.force,
-                units="SI: m, N",
-                roll=self.roll,
-                metadata=json.dumps(self.metadata, sort_keys=True),
-                **{
-                    name: getattr(self, name)
-                    for name in _OPTIONAL
-                    if getattr(self, name) is not None
-                },
-            )
-
+        metadata = json.dumps(self.metadata, sort_keys=True)
+        values = {name: getattr(self, name) for name in _ARRAYS}
+        present = {name: value for name, value in values.items() if value is not None}
+        said = [[f"{value:.12g}" for value in row] for row in rows]
         return [
-            write_atomically(path.with_suffix(".csv"), write_csv),
-            write_atomically(path.with_suffix(".npz"), write_npz, "wb"),
-        ]
+            write_csv(path.with_suffix(".csv"), columns, said, f"{_FORMAT} {metadata}"),
+            write_npz(
+                path.with_suffix(".npz"), format=_FORMAT, units="SI: m, N", metadata=metadata,
+                **present,
+            ),
+        ]  # fmt: skip
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:

@@ -1,7 +1,5 @@
 """One arm at its place, and what it may not touch."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.robot.collision import CollisionModel, between

@@ -1,7 +1,5 @@
 """The timeline of two arms: runs of work as filmed, and between them ways that keep clear."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.errors import RobotError

@@ -1,7 +1,5 @@
 """One attempt at a joint path: branches at given places, ranked, improved, checked."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass, replace

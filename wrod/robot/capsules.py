@@ -1,7 +1,5 @@
 """Capsules around a link's shapes: one for a primitive, a few for a mesh."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -4,8 +4,6 @@ which has bounds in time and memory, and whose expressions reach no attribute th
 `python -m wrod.robot.expansion FILE` is that process.
 """
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys
@@ -38,7 +36,10 @@ def expanded(path: Path) -> bytes:
     remedy = "write the URDF where its packages are installed, with `xacro FILE > arm.urdf`"
     call = [sys.executable, "-m", "wrod.robot.expansion", str(path.resolve())]
     try:
-        done = subprocess.run(call, capture_output=True, timeout=_WALL, stdin=subprocess.DEVNULL)
+        done = subprocess.run(
+            call, capture_output=True, timeout=_WALL, stdin=subprocess.DEVNULL,
+            start_new_session=True,
+        )  # fmt: skip
     except subprocess.TimeoutExpired:
         raise RobotError(f"{path}: xacro does not end within {_WALL:.0f} s; {remedy}") from None
     if done.returncode < 0:

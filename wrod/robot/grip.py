@@ -8,8 +8,6 @@ at `angle` to the fingers: at 0 it leaves the gripper along the fingers, at pi/2
 not feel which of its sides is held, but a roll that varied would twist it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

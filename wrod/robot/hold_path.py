@@ -1,7 +1,5 @@
 """How an arm follows a hand over a hold, alone or beside another arm."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product

@@ -7,8 +7,6 @@ moves back along its fingers and returns. What the hand does not hold is kept cl
 links, the table, the obstacles, the stand, and the rod as it hangs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import islice, product
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 from dataclasses import dataclass, field
@@ -10,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.files import decode_labels, read_fields, write_atomically
+from wrod.files import decode_labels, read_fields, write_csv, write_npz
 from wrod.robot.grip import Grip
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
 
 _FORMAT = "wrod-joint-path-1"
+_ARRAYS = ("time", "positions", "velocities", "arc_length", "node_time", "node_positions")
 
 
 @dataclass(frozen=True)
@@ -75,36 +75,23 @@ class JointPath:
 
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write `path` as CSV (fixed rate) and NPZ (also the nodes). Returns both paths."""
-        path = Path(path)
-
-        def write_csv(file):
-            file.write(f"# {_FORMAT} {json.dumps(self.metadata, sort_keys=True)}\n")
-            writer = csv.writer(file)
-            writer.writerow(["time [s]", *(f"{name} [rad]" for name in self.names)])
-            rows = np.column_stack([self.time, self.positions])
-            writer.writerows([[f"{value:.9g}" for value in row] for row in rows])
-
-        def write_npz(file):
-            place = self.placement
-            np.savez_compressed(
-                file,
+        path, place = Path(path), self.placement
+        metadata = json.dumps(self.metadata, sort_keys=True)
+        head = ["time [s]", *(f"{name} [rad]" for name in self.names)]
+        rows = np.column_stack([self.time, self.positions])
+        said = [[f"{value:.9g}" for value in row] for row in rows]
+        return [
+            write_csv(path.with_suffix(".csv"), head, said, f"{_FORMAT} {metadata}"),
+            write_npz(
+                path.with_suffix(".npz"),
                 format=_FORMAT,
                 names=np.array(self.names),
-                time=self.time,
-                positions=self.positions,
-                velocities=self.velocities,
-                arc_length=self.arc_length,
-                node_time=self.node_time,
-                node_positions=self.node_positions,
+                **{name: getattr(self, name) for name in _ARRAYS},
                 placement=np.array([place.x, place.y, place.z, place.yaw]),
                 grip=np.array([self.grip.angle, self.grip.roll]),
                 units="SI: s, rad, m",
-                metadata=json.dumps(self.metadata, sort_keys=True),
-            )
-
-        return [
-            write_atomically(path.with_suffix(".csv"), write_csv),
-            write_atomically(path.with_suffix(".npz"), write_npz, "wb"),
+                metadata=metadata,
+            ),
         ]
 
     @classmethod

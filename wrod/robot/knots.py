@@ -1,7 +1,5 @@
 """The joint spline of a path: knots as close together as its accuracy asks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

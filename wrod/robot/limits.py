@@ -1,7 +1,5 @@
 """What displacements of a grip ask of its arm, beside a joint path that is known."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.robot.joint_path import JointPath

@@ -1,7 +1,5 @@
 """Triangle meshes of a user's robot, in every format that trimesh reads, as vertices and faces."""
 
-from __future__ import annotations
-
 import logging
 import re
 from functools import lru_cache

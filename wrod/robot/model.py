@@ -1,7 +1,5 @@
 """The robot: an arm from a URDF with a gripper, its limits and frames (pytorch-kinematics)."""
 
-from __future__ import annotations
-
 import copy
 import os
 import warnings

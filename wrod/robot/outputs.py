@@ -1,7 +1,5 @@
 """Joint paths in the formats that robots' own software reads."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

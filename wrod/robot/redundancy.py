@@ -6,8 +6,6 @@ on the smoothness, gradient of the rest (autograd through pytorch-kinematics), a
 a Newton projection back onto the grip poses.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

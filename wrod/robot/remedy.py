@@ -1,7 +1,5 @@
 """What would help where no joint path was found: computed, and tried before it is said."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -81,10 +79,9 @@ def other_height(
 
 def draw_reach(path, failed: UnreachedError):
     """Picture of where the pattern lay in the nearest attempt, and where else it was tried."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from wrod.files import write_atomically
+    from wrod.files import write_figure
     from wrod.robot.placement import contact_in_base, reach
 
     task, best = failed.task, failed.best
@@ -94,7 +91,6 @@ def draw_reach(path, failed: UnreachedError):
     missed = np.interp(task.path.travel, task.travel, best.branch.miss)
     shoulder, far = reach(task.robot)
     figure = Figure(figsize=(11.0, 5.2), layout="constrained")
-    FigureCanvasAgg(figure)
     angle = np.linspace(0.0, 2 * np.pi, 200)
     for k, (a, b, label) in enumerate(((0, 1, "from above"), (0, 2, "from the side"))):
         axes = figure.add_subplot(1, 2, k + 1)
@@ -125,7 +121,7 @@ def draw_reach(path, failed: UnreachedError):
         "places tried",
         fontsize=9,
     )
-    return write_atomically(path, lambda file: figure.savefig(file, dpi=110), "wb")
+    return write_figure(path, figure, 110)
 
 
 def remedies(

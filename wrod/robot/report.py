@@ -1,7 +1,5 @@
 """What a joint path keeps and where it fails, node by node."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Branches of the inverse kinematics: many starts, followed along the whole path at once."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From grip poses to a joint path: search, improve, check, time."""
 
-from __future__ import annotations
-
 import math
 import os
 import time as clock

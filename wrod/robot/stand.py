@@ -3,8 +3,6 @@
 The clip opens to the side away from its post, as a fork does.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.planning.trajectory import Trajectory

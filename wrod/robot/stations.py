@@ -1,7 +1,5 @@
 """Where two arms stand so that each reaches everything that its hand does."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The arm's way along the tail: what hangs from the hand at the pattern's end, laid down."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

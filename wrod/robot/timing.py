@@ -1,7 +1,5 @@
 """When the arm is where: a slow, jerk-limited run along a joint path (Ruckig)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

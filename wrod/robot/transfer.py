@@ -1,7 +1,5 @@
 """Ways of an arm whose hand is empty: up from the table, through the air, down to the next rod."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

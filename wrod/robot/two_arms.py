@@ -1,7 +1,5 @@
 """Two arms that do what two hands did in a film, clear of each other and of the table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 

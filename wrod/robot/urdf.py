@@ -1,7 +1,5 @@
 """Reading a URDF: its links and shapes, and one clear sentence for what is missing from it."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

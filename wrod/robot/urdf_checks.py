@@ -1,7 +1,5 @@
 """What a URDF must hold before a robot is built from it: a tree, and numbers in bounds."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from pathlib import Path

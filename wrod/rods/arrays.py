@@ -1,7 +1,5 @@
 """The arrays of a batch of rods, and how they are set."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -182,12 +182,11 @@ class RodBatch(BatchArrays):
 
     def transport_frames(self, source: RodState, target: RodState, active: wp.array) -> None:
         """Bring `target`'s frames to its own positions by time-parallel transport from `source`."""
-        wp.launch(
+        self.launch(
             transport_reference_frames,
-            dim=(self.rod_count, self.node_count - 1),
-            inputs=[active, target.dof, source.tangent, source.director],
-            outputs=[target.tangent, target.director],
-            device=self.device,
+            (self.rod_count, self.node_count - 1),
+            [active, target.dof, source.tangent, source.director],
+            [target.tangent, target.director],
         )
         self._launch_twist(source, target, active)
 
@@ -234,13 +233,7 @@ class RodBatch(BatchArrays):
         results = [out.energy, out.gradient, out.hessian]
 
         def launch(kernel, count, inputs, outputs=results):
-            wp.launch(
-                kernel,
-                dim=(self.rod_count, count),
-                inputs=inputs,
-                outputs=outputs,
-                device=self.device,
-            )
+            self.launch(kernel, (self.rod_count, count), inputs, outputs)
 
         nodes = self.node_count
         # The linear law has a kernel of its own: the general one costs grasps half as much again.
@@ -285,7 +278,7 @@ class RodBatch(BatchArrays):
         )
         return out
 
-    def walk(
+    def launch_lanes(
         self, kernel: wp.Kernel, inputs: list, outputs: Sequence = (), *, rods: int | None = None
     ) -> None:
         """Launch a kernel that walks along the rods, over (rod, lane); see `kernels.lanes`."""

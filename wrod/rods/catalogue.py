@@ -7,8 +7,6 @@ tubing: the notes say so). A cable of the same name from another maker may diffe
 two; measure your own (`wrod loop`, `wrod measure`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,9 +1,8 @@
 """Where rods are computed."""
 
-from __future__ import annotations
-
 import warp as wp
 
+import wrod.kernels  # noqa: F401  # starts Warp without its banner, which would be in --json
 from wrod.errors import RodError
 
 

@@ -7,8 +7,6 @@ has the clamp's direction: at the clamp's node only the cell's half on the rod b
 that stiffnesses count more and what is there at rest less, by the share of the cell that is free.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -21,9 +21,9 @@ class _Law:
     remembers: ClassVar[bool] = False
 
     @property
-    def at_rest(self) -> Law | None:
+    def at_rest(self) -> BendingLaw | None:
         """The law of a rod that has had its time, or None where that depends on the way there."""
-        return cast("Law", self) if not self.remembers else None
+        return cast("BendingLaw", self) if not self.remembers else None
 
     @property
     def softening(self) -> tuple[float, float]:
@@ -35,9 +35,9 @@ class _Law:
         """(law, share, scale [1/m], time [s]) that `RodBatch` takes."""
         return _ELASTIC, 0.0, 0.0, 1.0
 
-    def scaled(self, length_unit: float, time_unit: float) -> Law:
+    def scaled(self, length_unit: float, time_unit: float) -> BendingLaw:
         """The law with lengths [m] and times [s] in other units."""
-        return cast("Law", self)
+        return cast("BendingLaw", self)
 
     def _check(self, wanted: str, good: bool) -> None:
         if not good:
@@ -83,8 +83,35 @@ class Softening(_Law):
         return replace(self, critical_curvature=self.critical_curvature * length_unit)
 
 
+class _Slipping(_Law):
+    """A law with a curvature from which on it gives way, and a share of the stiffness that is left,
+    which its fields are."""
+
+    remembers: ClassVar[bool] = True
+    number: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        curvature, kept = map(_number, self._values)
+        wanted = "the first must be positive [1/m], the second from 0 to 1"
+        self._check(wanted, curvature > 0.0 and 0.0 <= kept <= 1.0)
+
+    @property
+    def _values(self) -> tuple[float, float]:
+        first, second = (getattr(self, f.name) for f in fields(self))
+        return first, second
+
+    @property
+    def inelastic(self) -> tuple[int, float, float, float]:
+        curvature, kept = self._values
+        return self.number, 1.0 - kept, curvature, 1.0
+
+    def scaled(self, length_unit: float, time_unit: float) -> BendingLaw:
+        longer = {fields(self)[0].name: self._values[0] * length_unit}
+        return cast("BendingLaw", replace(self, **longer))
+
+
 @dataclass(frozen=True)
-class Plastic(_Law):
+class Plastic(_Slipping):
     """A wire that stays bent: linear kinematic hardening beyond a yield curvature.
 
     Bent from its natural shape, M = B e up to e = k_y and B k_y + r B (e - k_y) from there on;
@@ -100,21 +127,9 @@ class Plastic(_Law):
     """
 
     name: ClassVar[str] = "plastic"
-    remembers: ClassVar[bool] = True
+    number: ClassVar[int] = _PLASTIC
     yield_curvature: float
     hardening: float
-
-    def __post_init__(self) -> None:
-        curvature, kept = _number(self.yield_curvature), _number(self.hardening)
-        wanted = "the first must be positive [1/m], the second from 0 to 1"
-        self._check(wanted, curvature > 0.0 and 0.0 <= kept <= 1.0)
-
-    @property
-    def inelastic(self) -> tuple[int, float, float, float]:
-        return _PLASTIC, 1.0 - self.hardening, self.yield_curvature, 1.0
-
-    def scaled(self, length_unit: float, time_unit: float) -> Plastic:
-        return replace(self, yield_curvature=self.yield_curvature * length_unit)
 
 
 @dataclass(frozen=True)
@@ -155,7 +170,7 @@ class StandardLinearSolid(_Law):
 
 
 @dataclass(frozen=True)
-class Dahl(_Law):
+class Dahl(_Slipping):
     """A cable whose strands rub: M = B (r e + (1 - r) z), dz = de - (z / k_s) |de| (Dahl 1968).
 
     Its loop in a cycle does not depend on the rate. After a turn it is as stiff as 1 + (1 - r)
@@ -170,33 +185,21 @@ class Dahl(_Law):
     """
 
     name: ClassVar[str] = "dahl"
-    remembers: ClassVar[bool] = True
+    number: ClassVar[int] = _DAHL
     slip_curvature: float
     kept_stiffness: float
 
-    def __post_init__(self) -> None:
-        curvature, kept = _number(self.slip_curvature), _number(self.kept_stiffness)
-        wanted = "the first must be positive [1/m], the second from 0 to 1"
-        self._check(wanted, curvature > 0.0 and 0.0 <= kept <= 1.0)
 
-    @property
-    def inelastic(self) -> tuple[int, float, float, float]:
-        return _DAHL, 1.0 - self.kept_stiffness, self.slip_curvature, 1.0
-
-    def scaled(self, length_unit: float, time_unit: float) -> Dahl:
-        return replace(self, slip_curvature=self.slip_curvature * length_unit)
-
-
-Law = Linear | Softening | Plastic | StandardLinearSolid | Dahl
+BendingLaw = Linear | Softening | Plastic | StandardLinearSolid | Dahl
 LAWS = {law.name: law for law in (Linear, Softening, Plastic, StandardLinearSolid, Dahl)}
 
 
-def law_as_json(law: Law) -> dict:
+def law_as_json(law: BendingLaw) -> dict:
     """What `law_of` reads."""
     return {"name": law.name, **asdict(law)}
 
 
-def law_of(content) -> Law:
+def law_of(content) -> BendingLaw:
     """The law that a file describes.
 
     Raises:

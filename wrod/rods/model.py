@@ -11,10 +11,10 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import RodError, WrodWarning
-from wrod.rods.law import LAWS, Law, Linear
+from wrod.rods.law import LAWS, BendingLaw, Linear
 from wrod.rods.numbers import as_number, as_pair, as_profile
-from wrod.rods.otherwise import Otherwise
 from wrod.rods.profile import Profile
+from wrod.rods.transformations import RodTransformations
 
 if TYPE_CHECKING:
     import os
@@ -32,7 +32,7 @@ _ROUND = 1e-9
 
 
 @dataclass(frozen=True)
-class RodModel(Otherwise):
+class RodModel(RodTransformations):
     """An elastic rod whose properties may differ along it and across its section.
 
     Arc length s runs from the end that is laid first. The material frame is (m_1, m_2, t), t = m_1
@@ -74,7 +74,7 @@ class RodModel(Otherwise):
     natural_curvature: tuple[Profile, Profile] = (_NONE, _NONE)
     natural_twist: Profile = _NONE
     point_masses: tuple[tuple[float, float], ...] = ()
-    law: Law = _LINEAR
+    law: BendingLaw = _LINEAR
     internal_damping: float = 0.0
     air_damping: float = 0.0
     quadratic_drag: float = 0.0
@@ -94,7 +94,7 @@ class RodModel(Otherwise):
             natural_curvature: tuple[AnyProfile, AnyProfile] = (_NONE, _NONE),
             natural_twist: AnyProfile = _NONE,
             point_masses: Sequence[tuple[float, float]] = (),
-            law: Law = _LINEAR,
+            law: BendingLaw = _LINEAR,
             internal_damping: float = 0.0,
             air_damping: float = 0.0,
             quadratic_drag: float = 0.0,

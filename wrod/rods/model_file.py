@@ -1,7 +1,5 @@
 """Rods as JSON: `RodModel` (`model.json`), `RodMaterial`, and what earlier versions wrote."""
 
-from __future__ import annotations
-
 import json
 import os
 import warnings
@@ -12,7 +10,7 @@ from typing import Any
 import msgspec
 
 from wrod.errors import RodError, WrodWarning
-from wrod.files import decode_labels, read_json, schemas, write_atomically
+from wrod.files import decode_labels, read_json, schemas, write_json
 from wrod.files.reading import entry_message
 from wrod.rods.law import law_as_json, law_of
 from wrod.rods.material import RodMaterial
@@ -221,5 +219,4 @@ def _read(path) -> dict:
 
 
 def _write(path, content: dict) -> Path:
-    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-    return write_atomically(path, lambda file: file.write(text))
+    return write_json(path, content, allow_nan=False)

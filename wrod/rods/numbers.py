@@ -1,7 +1,5 @@
 """Numbers and profiles of a rod, checked."""
 
-from __future__ import annotations
-
 import math
 import sys
 

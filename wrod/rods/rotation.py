@@ -1,7 +1,5 @@
 """Rotation vectors, and how they change with an angular velocity (SciPy does the rotations)."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """Several rods in one row of a batch, where they can touch each other."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

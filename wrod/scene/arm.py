@@ -1,7 +1,5 @@
 """The arm on the stage: one Xform per link, nested as its joints are, with its visual shapes."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rods that are not there yet: they wait beside the patterns, and are brought to the hand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 _BRINGING = 3.0  # [s]

@@ -1,7 +1,5 @@
 """Where rods are knotted."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

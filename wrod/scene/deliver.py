@@ -1,7 +1,5 @@
 """What `wrod plan` adds to a trajectory: joint path, scene and picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path

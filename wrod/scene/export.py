@@ -1,7 +1,5 @@
 """`export_usd`: deployments as one self-contained USD stage."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

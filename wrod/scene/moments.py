@@ -1,7 +1,5 @@
 """The telling moments of a scene as one picture."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A USD stage as a Newton model that is only looked at: every gprim a shape, curves as capsules."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from typing import Any

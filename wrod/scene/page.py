@@ -5,8 +5,6 @@ slider and pause below. The rod is a tube of its true radius, and a line of a fe
 wherever that would be thinner.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os
@@ -16,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.errors import SceneError
-from wrod.files import write_atomically
+from wrod.files import write_text
 from wrod.scene.page_parts import (
     ShownArm,
     add_holder,
@@ -118,7 +116,7 @@ def write_deployment_page(
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
-    return write_atomically(out, lambda file: file.write(page))
+    return write_text(out, page)
 
 
 def _expectation(trajectory) -> list[str]:

@@ -1,7 +1,5 @@
 """What moves on a page: the arm, the rod as a tube of its true radius, and the stand."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """The whole job over time codes: what comes before and after the nodes of a trajectory."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

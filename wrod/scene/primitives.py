@@ -1,7 +1,5 @@
 """Shapes, curves, poses and materials on a USD stage."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """Headless pictures of a stage through its own cameras (Newton's ray tracer, CPU or GPU)."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

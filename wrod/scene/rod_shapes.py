@@ -1,7 +1,5 @@
 """Centreline of the whole rod at every node of a trajectory: laid part and suspended part."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 

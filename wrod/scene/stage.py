@@ -1,7 +1,5 @@
 """A stage in metres, Z up, with time codes; its lights and cameras."""
 
-from __future__ import annotations
-
 import numpy as np
 
 FRAMES_PER_SECOND = 24.0

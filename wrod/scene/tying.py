@@ -1,7 +1,5 @@
 """A rod laid between fixtures, or a tied knot, with both arms, as a USD stage."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from dataclasses import dataclass

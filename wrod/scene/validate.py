@@ -1,7 +1,5 @@
 """OpenUSD's own checks of a stage."""
 
-from __future__ import annotations
-
 import os
 
 from wrod.errors import SceneError

@@ -1,8 +1,6 @@
 """A deployment in the browser: a live viewer on this machine, or one self-contained page (Newton
 on Viser)."""
 
-from __future__ import annotations
-
 import os
 import time as clock
 from collections.abc import Callable
@@ -10,7 +8,7 @@ from math import radians
 from pathlib import Path
 
 from wrod.errors import SceneError
-from wrod.files import write_atomically
+from wrod.files import write_text
 from wrod.scene.stage import FRAMES_PER_SECOND
 
 _ADDRESS, _PORT = "127.0.0.1", 8080  # this machine only
@@ -81,7 +79,7 @@ def write_page(
         page = recording.as_html()
     finally:
         viewer.close()
-    return write_atomically(out, lambda file: file.write(page))
+    return write_text(out, page)
 
 
 def view(path: str | os.PathLike[str], port: int = _PORT) -> None:

@@ -1,7 +1,5 @@
 """What surrounds the arm: floor, table, the prescribed pattern, the rod, the grip's path."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

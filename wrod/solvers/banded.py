@@ -1,7 +1,5 @@
 """Systems of equations with the banded Hessians of a batch of rods."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -111,12 +109,11 @@ class BorderedSystem(BandedSystem):
     ) -> None:
         """Fill the first (default: all) right-hand sides: `gradient` (rod, dof), then the columns
         of `hessian` (rod, dof, 11) that belong to the border."""
-        wp.launch(
+        self.batch.launch(
             border.load_border,
-            dim=(self.x.shape[0], columns or self.x.shape[1], self.x.shape[2]),
-            inputs=[self.border, active, gradient, hessian],
-            outputs=[self.x],
-            device=self.batch.device,
+            (self.x.shape[0], columns or self.x.shape[1], self.x.shape[2]),
+            [self.border, active, gradient, hessian],
+            [self.x],
         )
 
     def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:

@@ -1,7 +1,5 @@
 """Rigid bodies that hold rods and move with them, in one implicit step."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 

@@ -3,8 +3,6 @@
 Modules that are not listed are compiled when they are launched first, one after the other.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from importlib import import_module
 

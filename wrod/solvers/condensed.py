@@ -1,7 +1,5 @@
 """Linear systems of rows of many rods that touch, for a whole GPU."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 

@@ -1,7 +1,5 @@
 """Shapes that rods touch: the table and fixtures on it, with Coulomb friction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -76,7 +74,8 @@ class Contact:
 
     A rod's nodes touch planes, its edges solids, wherever between their nodes these stand
     (`wrod.kernels.contact.edges`). A step of `Dynamics` in which a centreline could have
-    met a fixture on the way is refused and halved, so that nothing tunnels however thin it is.
+    met a fixture on the way is refused and halved, so that nothing tunnels however thin it is. What
+    begins inside a solid by more than half a radius is let out slowly.
 
     Args:
         batch: the rods.
@@ -161,6 +160,8 @@ class Contact:
         self._turned = wp.zeros(per_shape, dtype=wp.float64, device=device)
         self.slip = wp.zeros((rods, nodes), dtype=wp.float64, device=device)
         self.force = wp.zeros((rods, nodes), dtype=wp.vec3d, device=device)
+        if self._has_fixtures:
+            self._edges.restart(batch.every_rod, batch.state.dof)
 
     def _check(self) -> None:
         """Kinds of the arguments; their sizes where they are used."""
@@ -321,6 +322,8 @@ class Contact:
             self.batch.launch(kernels.forget_friction, bristle.shape, [chosen], [bristle, sliding])
         for turned in (self._turned, self._edges.turned):
             self.batch.launch(rolls.forget_roll, turned.shape, [chosen], [turned])
+        if self._has_fixtures:
+            self._edges.restart(chosen, self.batch.state.dof)
 
     def refuse(
         self, converged: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array

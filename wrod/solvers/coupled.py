@@ -1,7 +1,5 @@
 """Linear systems of rods whose contacts couple nodes far apart along them."""
 
-from __future__ import annotations
-
 import warp as wp
 
 from wrod.kernels.contact import touching
@@ -38,7 +36,7 @@ class PairedSystem(BandedSystem):
     def _collect(self, active: wp.array) -> None:
         """List the pairs that touch."""
         contact = self.contact
-        self.batch.walk(
+        self.batch.launch_lanes(
             touching.collect,
             [active, contact.partner_count, contact.partner, contact.depth],
             [self.pair_count, self.touching, contact.overflow]
@@ -74,7 +72,7 @@ class PairedSystem(BandedSystem):
     def shorten(self, active: wp.array) -> None:
         """Shorten the first solution to what contacts allow in one iteration."""
         contact = self.contact
-        self.batch.walk(
+        self.batch.launch_lanes(
             touching.limit_motion,
             [contact.reach, contact.overflow, active],
             [self.x, contact.sticking, self.shortened],

@@ -1,7 +1,5 @@
 """Motion of batches of rods: implicit time steps, each rod at its own pace."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,7 +15,7 @@ from wrod.solvers.bodies import Bodies
 from wrod.solvers.condensed import paired_system
 from wrod.solvers.contact import Contact
 from wrod.solvers.inelastic import InternalVariables
-from wrod.solvers.inertia import lumped_masses, rounding_of, usual_force
+from wrod.solvers.inertia import edge_masses, lumped_masses, rounding_of, usual_force
 from wrod.solvers.newton_steps import Follower, NewtonSteps
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.steps import SCHEMES, Motion
@@ -67,6 +65,8 @@ class Dynamics(NewtonSteps):
         air_damping: (rod,) drag per mass and velocity [1/time].
         drag: (rod, node, 2) drag of each node per velocity, and per velocity squared, on top of it;
             default: none.
+        inertia: "lumped" at the nodes, or "consistent": of mass that is spread along the edges,
+            with which a swinging cable's period is off by a tenth as much.
         internal_damping: Kelvin-Voigt time of the material [time], which does not oppose rigid
             motion: (rod,), or for every strain as in `wrod.solvers.viscosity.Viscosity`.
         contact: what the rods touch, one or several, or None; at most one `RodContact`.
@@ -84,7 +84,7 @@ class Dynamics(NewtonSteps):
             other thread may launch anything meanwhile: it would be recorded too.
 
     Raises:
-        RodError: unknown scheme, a node without mass, or two `RodContact`.
+        RodError: unknown scheme or inertia, a node without mass, or two `RodContact`.
     """
 
     @arguments.checked(
@@ -94,6 +94,7 @@ class Dynamics(NewtonSteps):
         radius=arguments.numbers_of_any_shape,
         air_damping=arguments.array((), (None,)),
         drag=arguments.optional(arguments.numbers_of_any_shape),
+        inertia=arguments.text,
         internal_damping=arguments.numbers_of_any_shape,
         contact=arguments.optional(
             arguments.either(_IS_CONTACT, arguments.several(_IS_CONTACT, 0))
@@ -115,6 +116,7 @@ class Dynamics(NewtonSteps):
         radius: np.ndarray | float,
         air_damping: np.ndarray | float = 0.0,
         drag: np.ndarray | None = None,
+        inertia: str = "lumped",
         internal_damping: np.ndarray | float = 0.0,
         contact: Contact | RodContact | Sequence[Contact | RodContact] | None = None,
         motion: Motion | None = None,
@@ -128,6 +130,10 @@ class Dynamics(NewtonSteps):
     ):
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
+        if inertia not in ("lumped", "consistent"):
+            raise RodError(f"inertia is {inertia!r}; use lumped or consistent")
+        if follower is not None and inertia != "lumped":
+            raise RodError("what follows steps knows lumped inertia only")
         super().__init__(batch)
         self._scheme, self.max_iterations = SCHEMES.index(scheme), max_iterations
         self.tolerance, self.refuses_saddles = tolerance, int(refuses_saddles)
@@ -152,6 +158,9 @@ class Dynamics(NewtonSteps):
             return wp.array(np.ascontiguousarray(value), dtype=wp.float64, device=device)
 
         self.mass = wp.array(lumped_masses(batch, radius), dtype=wp.float64, device=device)
+        self.edge_mass = None
+        if inertia == "consistent":
+            self.edge_mass = wp.array(edge_masses(batch), dtype=wp.float64, device=device)
         self.air_damping = floats(air_damping, "air_damping")
         self.drag = None
         if drag is not None:
@@ -179,6 +188,9 @@ class Dynamics(NewtonSteps):
     def energy(self) -> np.ndarray:
         """(rod,) kinetic plus potential energy, without that of contacts."""
         kinetic = 0.5 * np.sum(self.mass.numpy() * self.velocity.numpy() ** 2, axis=1)
+        if self.edge_mass is not None:
+            stretching = np.diff(self.velocities(), axis=1) ** 2
+            kinetic -= np.einsum("re,rek->r", self.edge_mass.numpy() / 12.0, stretching)
         return kinetic + self.batch.evaluate(order=1).energy.numpy()
 
     def forget_recording(self) -> None:
@@ -330,7 +342,7 @@ class Dynamics(NewtonSteps):
     def _ask(self, most: int) -> None:
         """Find out on the device whether to take another round, `most` of them at a time."""
         outputs = [self._rounds, self._going]
-        self.batch.walk(pace.ask_on, [self.running, most], outputs, rods=1)
+        self.batch.launch_lanes(pace.ask_on, [self.running, most], outputs, rods=1)
 
     def _record(self, take_round: Callable[[], None]) -> wp.Graph:
         """What takes rounds until all rods are there, or for a while; asking a GPU from outside

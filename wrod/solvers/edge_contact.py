@@ -1,13 +1,13 @@
 """The part of `Contact` that deals with solids: contact of edges."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 
 from wrod.kernels.contact import edges as kernels
 from wrod.kernels.contact.planes import Touchable
 from wrod.rods.batch import RodBatch
+
+_EMERGING = 0.1
 
 
 class EdgeContact:
@@ -45,6 +45,11 @@ class EdgeContact:
         model.radius, model.skin = floats(radius), floats(skin * radius)
         model.stiffness = floats(stiffness)
         model.relaxation = floats(damping[:, None] * np.sqrt(mass / stiffness))
+        # What is hidden comes out at a tenth of the speed at which contact stops within a radius.
+        self._speed = floats(
+            _EMERGING * radius * np.sqrt(stiffness / np.maximum(mass, 1e-12 * mass.max()))
+        )
+        self._hidden = wp.zeros(radius.shape, dtype=wp.float64, device=device)
         table = model.shapes.shape
         shape = (batch.rod_count, table[1], edges)
         self.bristle = wp.zeros(shape, dtype=wp.vec3d, device=device)
@@ -64,7 +69,12 @@ class EdgeContact:
         self._launch(kernels.edge_contact, inputs, [out.gradient, out.hessian])
 
     def refuse(self, converged: wp.array, dof: wp.array, dof_before: wp.array) -> None:
-        self._launch(kernels.refuse_tunnelling, [self._model, dof, dof_before], [converged])
+        inputs = [self._model, self._hidden, dof, dof_before]
+        self._launch(kernels.refuse_tunnelling, inputs, [converged])
+
+    def restart(self, chosen: wp.array, dof: wp.array) -> None:
+        """Hide what lies deep inside shapes; it comes out as the chosen rods move on."""
+        self._launch(kernels.hide, [chosen, dof], [self._model, self._hidden])
 
     def find_touching(self, chosen, dof, dof_before, touching: wp.array) -> None:
         inputs = [self._model, chosen, dof, dof_before]
@@ -76,9 +86,10 @@ class EdgeContact:
         self.batch.launch(kernels.clear_pushes, self.push.shape, [accepted], pushes)
         outputs = [self.bristle, self.sliding, self.turned, slip, force, *pushes]
         self._launch(kernels.settle_edges, inputs, outputs)
+        self._launch(kernels.swell, [self._speed, step, accepted], [self._model, self._hidden])
 
     def penetration(self, dof: wp.array) -> np.ndarray:
         """(rod,) deepest penetration into any fixture [length]."""
         depth = wp.zeros(self.batch.rod_count, dtype=wp.float64, device=self.batch.device)
-        self._launch(kernels.measure_depth, [self._model, dof], [depth])
+        self._launch(kernels.measure_depth, [self._model, self._hidden, dof], [depth])
         return depth.numpy().copy()

@@ -1,7 +1,5 @@
 """Internal variables of a batch in time steps: see `wrod.kernels.elastic.inelastic`."""
 
-from __future__ import annotations
-
 import warp as wp
 
 from wrod.kernels.elastic import inelastic as kernels

@@ -1,7 +1,5 @@
 """Lumped masses of a batch, and what residuals of its steps are measured against."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod import arguments
@@ -27,6 +25,18 @@ def lumped_masses(batch: RodBatch, radius) -> np.ndarray:
     out[:, :, :3] = mass[:, :, None]
     out[:, :-1, 3] = 0.5 * radius**2 * _line_density(batch, mass, rest) * rest
     return np.ascontiguousarray(out.reshape(batch.rod_count, -1)[:, :-1])
+
+
+def edge_masses(batch: RodBatch) -> np.ndarray:
+    """(rod, edge) mass that is spread along each edge: the smaller line density of its two nodes,
+    so that a weight on a node stays one; none of cut edges and of what goes on in a clamp."""
+    mass, rest = batch.node_mass.numpy(), batch.rest_length.numpy()
+    real = (mass[:, 1:] > 0) & (mass[:, :-1] > 0)
+    real[:, list(batch.cut_edges)] = False
+    length = np.where(real, rest, 0.0)
+    around = 0.5 * (np.pad(length, ((0, 0), (1, 0))) + np.pad(length, ((0, 0), (0, 1))))
+    density = np.divide(mass, around, out=np.zeros_like(mass), where=around > 0)
+    return np.minimum(density[:, 1:], density[:, :-1]) * length
 
 
 def _line_density(batch: RodBatch, mass: np.ndarray, rest: np.ndarray) -> np.ndarray:

@@ -41,6 +41,7 @@ class NewtonSteps(Steps):
     viscosity: Viscosity
     internal: InternalVariables
     mass: wp.array
+    edge_mass: wp.array | None
     air_damping: wp.array
     drag: wp.array | None
     rounding: wp.array
@@ -118,6 +119,14 @@ class NewtonSteps(Steps):
             ],
             [out.gradient, out.hessian],
         )
+        if self.edge_mass is not None:
+            batch.launch(
+                kernels.add_edge_inertia,
+                self.edge_mass.shape,
+                [self.edge_mass, self.pace, dof, start.dof, self.dof_older]
+                + [self.velocity, self.velocity_older],
+                [out.gradient, out.hessian],
+            )
         if self.drag is not None:
             batch.launch(
                 kernels.add_drag,
@@ -127,7 +136,7 @@ class NewtonSteps(Steps):
             )
         for contact in self.contacts:
             contact.add(self.active, dof, start.dof)
-        batch.walk(
+        batch.launch_lanes(
             newton.measure_residual,
             [
                 batch.free,
@@ -174,7 +183,7 @@ class NewtonSteps(Steps):
         if bodies is not None:
             bodies.solve(self)
         self.system.shorten(self.active)
-        batch.walk(
+        batch.launch_lanes(
             kernels.take_newton_step,
             [wp.float64(_STEP_LIMIT), self.active, self.system.x],
             [batch.state.dof, self.taken],

@@ -1,7 +1,5 @@
 """Edges of a batch that are carried along a timetable."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Newton's collision pipeline is not used: it works in float32 on rigid shapes, an
 carry neither exact Hessians nor the history of friction that an implicit step of a rod needs.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 
@@ -233,7 +231,7 @@ class RodContact:
             + [self.partner_count, self.partner],
             [self.rubbing, self._renewed],
         )
-        self.batch.walk(
+        self.batch.launch_lanes(
             touching.refuse_large_steps,
             [
                 self.edge_radius,
@@ -265,21 +263,15 @@ class RodContact:
 
     def settle(self, accepted: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Carry the friction of accepted steps over to the next."""
-        device = self.batch.device
-        wp.launch(
-            kernels.clear_forces,
-            dim=self.force.shape,
-            inputs=[accepted],
-            outputs=[self.force, self.penetration],
-            device=device,
+        self.batch.launch(
+            kernels.clear_forces, self.force.shape, [accepted], [self.force, self.penetration]
         )
-        wp.launch(
+        self.batch.launch(
             kernels.settle_friction,
-            dim=self.partner_count.shape,
-            inputs=[self.pieces, self.time_step, accepted, dof, dof_before]
+            self.partner_count.shape,
+            [self.pieces, self.time_step, accepted, dof, dof_before]
             + [self.partner_count, self.partner],
-            outputs=[self.rubbing, self.load, self.slip, self.force, self.penetration],
-            device=device,
+            [self.rubbing, self.load, self.slip, self.force, self.penetration],
         )
 
     def _check_start(self) -> None:

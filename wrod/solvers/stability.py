@@ -6,8 +6,6 @@ smallest lambda of H v = lambda M v, M the rest length that each node stands for
 length of the softest sideways motion, which does not depend on the mesh.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -177,12 +175,11 @@ def _shift_below(system, hessian, mass, unit, unstable) -> np.ndarray:
     shifted = wp.clone(hessian)
     for _ in range(_SHIFTS):
         active = wp.array(pending.astype(np.int32), dtype=wp.int32, device=device)
-        wp.launch(
+        batch.launch(
             shift_by_mass,
-            dim=(batch.rod_count, batch.dof_count),
-            inputs=[active, hessian, mass, wp.array(shift, dtype=wp.float64, device=device)],
-            outputs=[shifted],
-            device=device,
+            (batch.rod_count, batch.dof_count),
+            [active, hessian, mass, wp.array(shift, dtype=wp.float64, device=device)],
+            [shifted],
         )
         system.factorise(shifted, active)
         pending &= system.negative_pivots.numpy() > 0

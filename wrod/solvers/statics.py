@@ -1,7 +1,5 @@
 """Equilibria of batches of rods: damped Newton on the elastic and gravitational energy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -199,7 +197,7 @@ class EquilibriumSolver:
             batch.evaluate(order=2, active=self.active)
             # The factorisation comes first: at equilibrium its pivots tell the stability.
             system.factorise(out.hessian, self.active)
-            batch.walk(
+            batch.launch_lanes(
                 newton.measure_residual,
                 [
                     batch.free,
@@ -238,9 +236,9 @@ class EquilibriumSolver:
             system.factorise(hessian, retry)
 
     def _step(self, search: bool) -> None:
-        batch, device, rods = self.batch, self.batch.device, self.batch.rod_count
+        batch, rods = self.batch, self.batch.rod_count
         out, system, trial = batch.derivatives, self.system, self.trial
-        batch.walk(
+        batch.launch_lanes(
             newton.start_line_search,
             [
                 wp.float64(_STEP_LIMIT),
@@ -253,19 +251,18 @@ class EquilibriumSolver:
             [self.slope, self.fraction, self.searching],
         )
         while True:
-            wp.launch(
+            batch.launch(
                 newton.take_trial_step,
-                dim=(rods, batch.dof_count),
-                inputs=[self.searching, batch.state.dof, system.x, self.fraction],
-                outputs=[trial.dof],
-                device=device,
+                (rods, batch.dof_count),
+                [self.searching, batch.state.dof, system.x, self.fraction],
+                [trial.dof],
             )
             batch.transport_frames(batch.state, trial, self.searching)
             batch.evaluate(order=1, state=trial, out=self.trial_derivatives, active=self.searching)
-            wp.launch(
+            batch.launch(
                 newton.judge_trial_step,
-                dim=rods,
-                inputs=[
+                rods,
+                [
                     int(search),
                     wp.float64(_SMALLEST_FRACTION),
                     self.force_scale,
@@ -278,17 +275,15 @@ class EquilibriumSolver:
                     self.searching,
                     system.shift,
                 ],
-                device=device,
             )
             if not self.searching.numpy().any():
                 break
         # A rod that found no descent has a fraction of zero and takes its own state back.
-        wp.launch(
+        batch.launch(
             newton.take_trial_step,
-            dim=(rods, batch.dof_count),
-            inputs=[self.active, batch.state.dof, system.x, self.fraction],
-            outputs=[trial.dof],
-            device=device,
+            (rods, batch.dof_count),
+            [self.active, batch.state.dof, system.x, self.fraction],
+            [trial.dof],
         )
         batch.transport_frames(batch.state, trial, self.active)
         self._copy(self.active, trial, batch.state)

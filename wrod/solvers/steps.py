@@ -1,7 +1,5 @@
 """What a batch of rods carries from time step to time step."""
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Internal damping of a batch in time steps: see `wrod.kernels.stepping.viscosity`."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 

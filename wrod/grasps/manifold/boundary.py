@@ -1,7 +1,5 @@
 """The boundary of the manifold of grasps (paper, Alg. bisection). Dimensionless."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ a grip position determines a discrete set of equilibria. What is returned is the
 which continues from the optimal grasp. Dimensionless: lengths in L_gb, forces in k_b/L_gb^2.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """The manifold of grasps of a straight pattern: forces, stability, optima. Dimensionless."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from wrod.errors import GraspError
-from wrod.files import write_atomically
+from wrod.files import write_npz
 from wrod.grasps.inputs import CLOSURES, check_inputs
 from wrod.grasps.manifold.boundary import Boundary, boundary
 from wrod.grasps.manifold.grips import EDGE_COUNT, grasp_shapes
@@ -130,4 +128,4 @@ def save_map(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
     for number, patch in enumerate(manifold.patches):
         for name in ("position", "force", "eigenvalue", "snaps", "deflection", "shape"):
             arrays[f"patch_{number}_{name}"] = getattr(patch, name)
-    return write_atomically(path, lambda file: np.savez_compressed(file, **arrays), "wb")
+    return write_npz(path, **arrays)

@@ -1,7 +1,5 @@
 """The optimal grasps of a straight pattern, and whether they are stable. Dimensionless."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,13 +1,11 @@
 """Pictures of the manifold of grasps: its forces, its sideways softness, and its optima nudged."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
 import numpy as np
 
-from wrod.files import write_atomically
+from wrod.files import write_figure
 from wrod.grasps.manifold.map import ForceMap
 
 _INK, _MUTED, _FAINT, _TABLE = "#22262b", "#59616b", "#e6e9ee", "#c9ced6"
@@ -231,13 +229,11 @@ def _dress(axes) -> None:
 
 def _figure(size):
     # Figure objects of their own: pyplot would keep state and choose a display.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, facecolor="white")
-    FigureCanvasAgg(figure)
     return figure
 
 
 def _save(figure, path) -> Path:
-    return write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=110), "wb")
+    return write_figure(path, figure, 110)

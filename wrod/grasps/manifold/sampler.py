@@ -1,7 +1,5 @@
 """Leads rods over the manifold of grasps and reads them out as grids. Dimensionless."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

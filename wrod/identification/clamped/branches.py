@@ -6,8 +6,6 @@ from more shapes: the measured one, and, where it stands on a saddle, what it fa
 side. Stable ones come before unstable ones; among those the nearest to the markers is the rod's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

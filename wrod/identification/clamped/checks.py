@@ -1,7 +1,5 @@
 """Can these numbers be a rod between two clamps? What cannot be right is named in one sentence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

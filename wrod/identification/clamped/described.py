@@ -4,8 +4,6 @@ None of them is a candidate of its own accord: each is built where the non-param
 `wrod.identification.clamped.profiles` say that something is there, and fits start from that place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

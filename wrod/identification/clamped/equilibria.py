@@ -3,8 +3,6 @@
 The batch holds candidate x trial rods, laid out by `wrod.identification.clamped.layout`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

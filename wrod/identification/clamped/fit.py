@@ -1,7 +1,5 @@
 """Fits of many models at once: Levenberg-Marquardt with exact derivatives through the solver."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -137,7 +137,8 @@ class Laboratory:
         while done < 1.0 and len(values):
             before = solver.saved()
             setup = model.setup(base, model.grown(values, min(done + step, 1.0)))
-            if solver.solve([setup]).all():
+            # A shorter step is cheaper than the patience of a walk, which is left for the last.
+            if solver.solve([setup], walk=step <= _SMALLEST_STEP).all():
                 done, step = done + step, 2.0 * step
             elif step > _SMALLEST_STEP:
                 solver.restore(before)

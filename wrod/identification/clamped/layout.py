@@ -5,8 +5,6 @@ of the Voronoi length bends and twists, so stiffnesses count twice and natural c
 (second order in the edge length).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

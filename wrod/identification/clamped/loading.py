@@ -1,7 +1,5 @@
 """Measurements of rods held between two clamps, checked on the way in."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A law of bending of unknown form, for rods that soften or stiffen in a way of their own."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,12 +1,10 @@
 """The report as one self-contained page."""
 
-from __future__ import annotations
-
 import base64
 import html
 from pathlib import Path
 
-from wrod.files import write_atomically
+from wrod.files import write_text
 
 _COLORS = {
     "adequate": "#3a8f5c",
@@ -32,7 +30,7 @@ p.note{color:#59616b;font-size:.9rem;margin:.2rem 0 .6rem}
 def write_page(path: Path, report) -> Path:
     """Write an `IdentificationReport` as HTML with its pictures inside."""
     content = _page(report)
-    return write_atomically(path, lambda file: file.write(content))
+    return write_text(path, content)
 
 
 def _page(report) -> str:

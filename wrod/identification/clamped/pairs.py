@@ -5,8 +5,6 @@ others. Every effect is linearised once, at each of its starts; all pairs are th
 squares problems, and the likeliest ones deserve a fit.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

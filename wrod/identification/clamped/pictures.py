@@ -1,7 +1,5 @@
 """Pictures of an identification, as PNG bytes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.identification.style import (

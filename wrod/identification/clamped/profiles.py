@@ -7,8 +7,6 @@ of its numbers count as the data ask for. A profile is simplified to a described
 (`described`) where that has the better information criterion, and stays a profile where it has not.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

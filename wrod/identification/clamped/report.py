@@ -1,7 +1,5 @@
 """`identify`: from measurements to a verdict, a better model and a report."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -158,7 +156,7 @@ def identify_clamped(
     return IdentificationReport(
         measurements=m,
         verdict=selection.verdict,
-        reason=selection.reason,
+        reason=_reason(selection, prints),
         before=laboratory.rms(before, m.test),
         after=laboratory.rms(after, m.test),
         noise_floor=m.noise_floor,
@@ -174,6 +172,13 @@ def identify_clamped(
         outliers=laboratory.outliers,
         branches=tuple(laboratory.branches),
     )
+
+
+def _reason(selection: Selection, prints: Sequence[Print]) -> str:
+    """The evidence, and where something is left, whether it came or went meanwhile."""
+    changes = prints[0].changes
+    named = selection.verdict in ("explained", "adequate")
+    return selection.reason if named or not changes else f"{selection.reason}; {changes}"
 
 
 def _found_rod(m: ClampedMeasurements, laboratory: Laboratory, fit: Fit) -> FoundRod:

@@ -15,8 +15,6 @@ from what the chosen model leaves; where it is another one, everything is weighe
 anew.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,7 +102,7 @@ def _opening(laboratory: Laboratory, pool: list[Effect], progress) -> _Opening:
         near = _reaches_noise(laboratory, singles[0])
     if near:
         return _Opening(singles, [], True)
-    pairs = best_of_each(pairs_beside(laboratory, singles[0], pool, progress))
+    pairs = best_of_each(pairs_beside(laboratory, singles[0], pool, progress, joined=True))
     return _Opening(singles, pairs, bool(pairs) and _reaches_noise(laboratory, pairs[0]))
 
 

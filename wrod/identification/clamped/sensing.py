@@ -1,7 +1,5 @@
 """What markers and the wrist sensor see of a batch of clamped rods."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ At equilibrium the gradient of the energy vanishes, so a change of the model mov
 -H^-1 (rate of the gradient), H the Hessian that Newton's iteration already has.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -107,16 +105,15 @@ class Sensitivity:
     def _times_hessian(self, vectors: np.ndarray) -> np.ndarray:
         batch = self.batch
         product = wp.zeros(vectors.shape, dtype=wp.float64, device=self.device)
-        wp.launch(
+        batch.launch(
             banded.multiply,
-            dim=vectors.shape,
-            inputs=[
+            vectors.shape,
+            [
                 batch.every_rod,
                 batch.derivatives.hessian,
                 wp.array(vectors, dtype=wp.float64, device=self.device),
             ],
-            outputs=[product],
-            device=self.device,
+            [product],
         )
         return product.numpy()
 
@@ -130,18 +127,17 @@ class Sensitivity:
             rate[name] = wp.array(np.ascontiguousarray(value), dtype=array.dtype, device=device)
         out = wp.zeros_like(batch.derivatives.gradient)
         rods, nodes, state = batch.rod_count, batch.node_count, batch.state
-        wp.launch(
+        batch.launch(
             stretching_rate,
-            dim=(rods, nodes - 1),
-            inputs=[
+            (rods, nodes - 1),
+            [
                 batch.rest_length,
                 batch.stretching_stiffness,
                 rate["rest_length"],
                 rate["stretching_stiffness"],
                 state.dof,
             ],
-            outputs=[out],
-            device=device,
+            [out],
         )
         names = ("rest_length", "bending_stiffness", "natural_curvature", "softening")
         bends = [([getattr(batch, n) for n in names], [rate[n] for n in names])]
@@ -154,22 +150,20 @@ class Sensitivity:
                 )
             )
         for model, rates in bends:
-            wp.launch(
+            batch.launch(
                 softened_bending_rate,
-                dim=(rods, nodes - 2),
-                inputs=[*model, *rates, state.dof, state.director],
-                outputs=[out],
-                device=device,
+                (rods, nodes - 2),
+                [*model, *rates, state.dof, state.director],
+                [out],
             )
         names = ("rest_length", "twisting_stiffness", "natural_twist")
-        wp.launch(
+        batch.launch(
             twisting_rate,
-            dim=(rods, nodes - 2),
-            inputs=[getattr(batch, n) for n in names]
+            (rods, nodes - 2),
+            [getattr(batch, n) for n in names]
             + [rate[n] for n in names]
             + [state.dof, state.reference_twist],
-            outputs=[out],
-            device=device,
+            [out],
         )
         self._add_coupling_rate(np.imag(coupling_of(setups)) / COMPLEX_STEP, rate, out)
         no_load = wp.zeros_like(batch.point_load)
@@ -178,12 +172,11 @@ class Sensitivity:
             (rate["node_mass"], batch.gravity),
             (batch.node_mass, rate["gravity"]),
         ):
-            wp.launch(
+            batch.launch(
                 dead_loads,
-                dim=(rods, nodes),
-                inputs=[mass, gravity, no_load, batch.load_factor, batch.every_rod, state.dof],
-                outputs=[no_energy, out],
-                device=device,
+                (rods, nodes),
+                [mass, gravity, no_load, batch.load_factor, batch.every_rod, state.dof],
+                [no_energy, out],
             )
         rate = out.numpy().copy()
         force = np.imag(dead_force(setups)) / COMPLEX_STEP
@@ -205,13 +198,12 @@ class Sensitivity:
             arrays = [moved.get(n, a) for n, a in model.items()]
             part = wp.zeros_like(out)
             state = batch.state
-            wp.launch(
+            batch.launch(
                 bend_twist_energy,
-                dim=(batch.rod_count, batch.node_count - 2),
-                inputs=[*arrays, number, batch.every_rod]
+                (batch.rod_count, batch.node_count - 2),
+                [*arrays, number, batch.every_rod]
                 + [state.dof, state.director, state.reference_twist, 1],
-                outputs=[wp.zeros_like(batch.derivatives.energy), part, batch.derivatives.hessian],
-                device=device,
+                [wp.zeros_like(batch.derivatives.energy), part, batch.derivatives.hessian],
             )
             out.assign(out.numpy() + factor * part.numpy())
 

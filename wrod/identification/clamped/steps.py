@@ -1,7 +1,5 @@
 """The moves of a selection: beside a model, in pairs, by exchange, pruned; trials held out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -67,18 +65,26 @@ def _narrow(candidates: Sequence[Effect]) -> list[Effect]:
     return [e for e in candidates if len(e.parameters) <= WIDE]
 
 
-def pairs_beside(laboratory, current: Fit, candidates, progress) -> list[Fit]:
-    """Pairs that are likely by superposition: the best single effect may stand for two others."""
+def pairs_beside(laboratory, current: Fit, candidates, progress, *, joined=False) -> list[Fit]:
+    """Pairs that are likely by superposition: the best single effect may stand for two others.
+
+    Args:
+        joined: also those of which it is one, from where it is fitted: from the base model's shapes
+            a rod that moves far may come to another equilibrium.
+    """
     if current.chi_squared - current.residual_count < FLUCTUATION * np.sqrt(
         2.0 * current.residual_count
     ):
         return []
+    first, own = current.model.names[0], []
     chosen = likely_pairs(laboratory, _narrow(candidates), _PAIRS)
-    chosen = [
-        (model, start) for model, start in chosen if current.model.names[0] not in model.names
-    ]
+    if joined:
+        partners = {e.name: e for model, _ in chosen if first in model.names for e in model.effects}
+        own = extensions(laboratory, current, list(partners.values()), progress)
+    chosen = [(model, start) for model, start in chosen if first not in model.names]
     models, starts = [model for model, _ in chosen], [start for _, start in chosen]
-    return _fit(laboratory, models, starts, None, progress, rival=current.chi_squared)
+    rival = min([current.chi_squared, *(f.chi_squared for f in own)])
+    return own + _fit(laboratory, models, starts, None, progress, rival=rival)
 
 
 def exchanged(laboratory, best: Fit, candidates, progress) -> tuple[Fit, list[Fit]]:

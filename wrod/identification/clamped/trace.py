@@ -6,8 +6,6 @@ shapes. Its Gaussian prior is smooth and of the size that makes the data likelie
 Bayes), so that noise leaves no print. Prints are ranked by the logarithm of the evidence.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +14,8 @@ from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.effect import Effect, Model, Parameter, effects
 
 KNOTS = 7
+# A print changes over the trials where first and last differ by so much of it, so many errors.
+_CHANGE, _SURE = 0.3, 4.0
 _AMPLITUDES = np.logspace(-4, 3, 43)
 
 
@@ -32,6 +32,8 @@ class Print:
         arc_length: (K,) places of the profile [m]; None for numbers at an end.
         components: names of the columns of `value`.
         value, stderr: (K, components) or (components,).
+        drift: size of the print in the first trial and in the last, in the order in which they were
+            taken (1 in their mean), and the standard error of the difference.
     """
 
     name: str
@@ -44,6 +46,18 @@ class Print:
     components: tuple[str, ...]
     value: np.ndarray
     stderr: np.ndarray
+    drift: tuple[float, float, float] = (1.0, 1.0, 0.0)
+
+    @property
+    def changes(self) -> str:
+        """A phrase for people where the print is another one at the end than it was at first."""
+        first, last, error = self.drift
+        if abs(last - first) <= max(_CHANGE, _SURE * error):
+            return ""
+        return (
+            f"{self.title} goes from {first:.2f} to {last:.2f} ± {error:.2f} of its mean in the "
+            "order of the trials: something changes while it is measured"
+        )
 
     def to_dict(self) -> dict:
         """As `report.json` has it."""
@@ -58,6 +72,9 @@ class Print:
             "arc_length": None if self.arc_length is None else self.arc_length.tolist(),
             "value": self.value.tolist(),
             "stderr": self.stderr.tolist(),
+            "first_trial": self.drift[0],
+            "last_trial": self.drift[1],
+            "stderr_of_change": self.drift[2],
         }
 
 
@@ -127,17 +144,34 @@ def trace(laboratory: Laboratory) -> list[Print]:
         profile = isinstance(model.effects[0], Profile)
         prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
         evidence, _, share, value, stderr = infer(jacobian, residual, prior)
+        drift = _drift(trials, jacobian @ value, residual)
         value, stderr = value * scale, stderr * scale
         arc_length = None
         if profile:
             arc_length = np.linspace(0.0, m.material.length, KNOTS)
             value, stderr = (a.reshape(KNOTS, -1) for a in (value, stderr))
-        prints.append(
-            Print(
-                name, title, unit, points_to, evidence, share, arc_length, components, value, stderr
-            )
-        )
+        said = (name, title, unit, points_to, evidence, share, arc_length, components)
+        prints.append(Print(*said, value, stderr, drift))
     return sorted(prints, key=lambda p: -p.evidence)
+
+
+def _drift(trials, predicted, residual) -> tuple[float, float, float]:
+    """Sizes that the first and the last trial ask for, and the standard error of the difference: a
+    straight line over the trials' numbers, its error from their scatter about it."""
+    predicted, residual = (v.reshape(len(trials), -1) for v in (predicted, residual))
+    weight = (predicted**2).sum(axis=1)
+    if len(trials) < 4 or not (weight > 0.0).all():
+        return 1.0, 1.0, 0.0
+    size = (predicted * residual).sum(axis=1) / weight
+    place = np.linspace(-0.5, 0.5, int(np.ptp(trials)) + 1)[trials - trials.min()]
+    middle = weight @ place / weight.sum()
+    spread = weight @ (place - middle) ** 2
+    slope = weight @ ((place - middle) * size) / spread
+    mean = weight @ size / weight.sum()
+    left = size - mean - slope * (place - middle)
+    scatter = max(float(weight @ left**2) / (len(trials) - 2), 1.0)
+    first, last = (mean + slope * (end - middle) for end in (-0.5, 0.5))
+    return float(first), float(last), float(np.sqrt(scatter / spread))
 
 
 def _plans(frames: np.ndarray, weight: float) -> list[tuple]:

@@ -1,7 +1,5 @@
 """The verdict on a chosen model of a clamped rod, and what these data cannot tell apart."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, field, fields
 

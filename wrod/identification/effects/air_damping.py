@@ -8,7 +8,5 @@ class AirDamping(Effect):
     title = "drag in proportion to the velocity"
     reference = "f = -c rho A v per length, c the drag per mass"
     kinds = ("motion",)
+    adds = "linear_drag"
     parameters = (Parameter("drag_per_mass", "1/s", 3.0, lower=0.0),)
-
-    def apply(self, setup, values):
-        setup.linear_drag = setup.linear_drag + values[0]

@@ -17,11 +17,7 @@ class AirFlow(Effect):
     )
     follows_shape = True
     # The drag on a rod straight across the flow: the load is nearly linear in it.
-    parameters = (
-        Parameter("drag_x", "N/m", 0.05),
-        Parameter("drag_y", "N/m", 0.05),
-        Parameter("drag_z", "N/m", 0.05),
-    )
+    parameters = tuple(Parameter(f"drag_{axis}", "N/m", 0.05) for axis in "xyz")
 
     def starts(self, measurements):
         rod = measurements.material

@@ -9,11 +9,7 @@ class CameraOffset(Effect):
     name = "camera_offset"
     title = "camera frame displaced against the robot frame"
     reference = "x -> x + offset"
-    parameters = (
-        Parameter("offset_x", "m", 0.02),
-        Parameter("offset_y", "m", 0.02),
-        Parameter("offset_z", "m", 0.02),
-    )
+    parameters = tuple(Parameter(f"offset_{axis}", "m", 0.02) for axis in "xyz")
 
     def measure(self, position, frame, values, setup):
         return position + np.asarray(values)

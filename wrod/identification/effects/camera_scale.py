@@ -11,9 +11,7 @@ class CameraScale(Effect):
     reference = "x -> (1 + scale) x + offset; the point that stays is -offset / scale"
     parameters = (
         Parameter("scale", "", 0.1),
-        Parameter("offset_x", "m", 0.05),
-        Parameter("offset_y", "m", 0.05),
-        Parameter("offset_z", "m", 0.05),
+        *(Parameter(f"offset_{axis}", "m", 0.05) for axis in "xyz"),
     )
 
     def measure(self, position, frame, values, setup):

@@ -7,10 +7,7 @@ class DensityProfile(Effect):
     name = "density_profile"
     title = "weight per length that changes linearly along the rod"
     reference = "linear line mass, given by its relative change at both ends"
-    parameters = (
-        Parameter("change_at_clamp", "", 0.7),
-        Parameter("change_at_grip", "", 0.7),
-    )
+    parameters = (Parameter("change_at_clamp", "", 0.7), Parameter("change_at_grip", "", 0.7))
 
     def apply(self, setup, values):
         fraction = setup.fraction

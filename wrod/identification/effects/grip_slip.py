@@ -8,7 +8,5 @@ class GripSlip(Effect):
     title = "free length changed at the gripper"
     reference = "free length L + slip, markers counted from clamp A"
     parameters = (Parameter("slip", "m", 0.03),)
+    adds = "length"
     stage = 0
-
-    def apply(self, setup, values):
-        setup.length = setup.length + values[0]

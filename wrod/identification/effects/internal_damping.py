@@ -11,7 +11,5 @@ class InternalDamping(Effect):
         "Threads, Sec. 4"
     )
     kinds = ("motion",)
+    adds = "viscous_time"
     parameters = (Parameter("viscous_time", "s", 0.1, lower=0.0),)
-
-    def apply(self, setup, values):
-        setup.viscous_time = setup.viscous_time + values[0]

@@ -1,7 +1,5 @@
 """A rod that is bent at rest, as one off a spool."""
 
-import numpy as np
-
 from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
 
 
@@ -10,13 +8,8 @@ class NaturalCurvature(Effect):
     title = "uniform natural curvature in the material frame"
     reference = "dt/ds = curvature_1 m1 + curvature_2 m2 at rest, t the tangent"
     kinds = ("clamped", "motion")
-    parameters = (
-        Parameter("curvature_1", "1/m", 20.0),
-        Parameter("curvature_2", "1/m", 20.0),
-    )
-
-    def apply(self, setup, values):
-        setup.natural_curvature = setup.natural_curvature + np.asarray(values)
+    adds = "natural_curvature"
+    parameters = (Parameter("curvature_1", "1/m", 20.0), Parameter("curvature_2", "1/m", 20.0))
 
     def describe(self, values, covariance, measurements):
         size, angle = magnitude_and_angle(*values, covariance)

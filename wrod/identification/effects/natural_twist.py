@@ -8,7 +8,5 @@ class NaturalTwist(Effect):
     title = "uniform twist at rest (also: one end mounted with a roll)"
     reference = "Bergou et al. 2010, Discrete Viscous Threads, Sec. 3"
     kinds = ("clamped", "motion")
+    adds = "natural_twist"
     parameters = (Parameter("twist", "rad/m", 5.0),)
-
-    def apply(self, setup, values):
-        setup.natural_twist = setup.natural_twist + values[0]

@@ -10,7 +10,5 @@ class QuadraticDrag(Effect):
         "f = -d rho A |v| v per length; d = rho_air C_d radius / (rho A) for a round section"
     )
     kinds = ("motion",)
+    adds = "quadratic_drag"
     parameters = (Parameter("drag_per_mass", "1/m", 1.0, lower=0.0),)
-
-    def apply(self, setup, values):
-        setup.quadratic_drag = setup.quadratic_drag + values[0]

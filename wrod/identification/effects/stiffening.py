@@ -1,30 +1,15 @@
 """A rod whose moment runs ahead of its curvature, as a chain of beads does that begin to touch."""
 
-import numpy as np
+from wrod.identification.effect import Parameter
+from wrod.identification.effects.softening import Softening
 
-from wrod.identification.effect import Effect, Estimate, Parameter
 
-
-class Stiffening(Effect):
+class Stiffening(Softening):
     name = "stiffening"
     title = "bending stiffness that grows with curvature, from B to r B"
     reference = "M = B k (r + (1 - r) / (1 + (k / k_c)^2)) with r > 1: softening's law, backwards"
-    kinds = ("clamped", "motion")
     parameters = (
         Parameter("log_critical_curvature", "", 3.0, lower=-5.0, upper=10.0, anywhere=True),
         Parameter("gained_stiffness", "", 1.0, lower=0.0, upper=9.0),
     )
-
-    def starts(self, measurements):
-        return [np.array([np.log(k), gained]) for k in (3.0, 30.0) for gained in (0.1, 1.0)]
-
-    def apply(self, setup, values):
-        setup.softening = setup.softening + np.array([np.exp(-2.0 * values[0]), 1.0 + values[1]])
-
-    def describe(self, values, covariance, measurements):
-        errors = np.sqrt(np.diag(covariance))
-        critical = float(np.exp(values[0]))
-        return {
-            "critical_curvature": Estimate(critical, float(critical * errors[0]), "1/m"),
-            "final_stiffness": Estimate(1.0 + float(values[1]), float(errors[1]), ""),
-        }
+    sign, first, left = 1.0, (0.1, 1.0), "final_stiffness"

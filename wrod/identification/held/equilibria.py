@@ -1,7 +1,5 @@
 """Equilibria of cables clamped in a hand, in its plane."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

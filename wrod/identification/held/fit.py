@@ -5,8 +5,6 @@ turn to either side: the sheath's friction keeps part of the last bend. A turn b
 leaves the natural curvature `lag` lower than the mean of both, a negative one as much higher.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

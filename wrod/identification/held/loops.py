@@ -4,8 +4,6 @@ The cable leaves the right exit level towards +x, hangs down and comes back to t
 towards +x. One exit may be turned about the cable: the loop then leaves its plane.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ SI units. Where a cable is held by one end, coordinates are the hand's: the cabl
 along (0, -1), and gravity is g (sin Gamma, -cos Gamma) at the hand's angle Gamma.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

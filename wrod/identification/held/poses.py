@@ -1,7 +1,5 @@
 """Cables between a fixed end and a robot's gripper, moved and twisted from straight."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

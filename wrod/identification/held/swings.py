@@ -6,8 +6,6 @@ cable's last handling left. As in the task, the first two frames are given: shap
 halfway between them start the motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 from wrod.errors import DataError
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.placement import rigid, seen_from
-from wrod.identification.laid.world import LaidRod
+from wrod.identification.laid.scenario import LaidRod
 
 # Points that are nearest to a place so high above the table tell of the camera [m].
 _HANGING = 4e-3
@@ -33,7 +33,7 @@ _ROUNDS, _STILL = 8, 0.02
 
 
 @dataclass(frozen=True)
-class Camera:
+class OverheadCamera:
     """A camera that looks straight down on a table.
 
     Attributes:
@@ -58,8 +58,10 @@ class Camera:
 
 
 def find_camera(
-    photographs: Sequence[LaidPhotograph], rods: Sequence[LaidRod], start: Camera | None = None
-) -> Camera:
+    photographs: Sequence[LaidPhotograph],
+    rods: Sequence[LaidRod],
+    start: OverheadCamera | None = None,
+) -> OverheadCamera:
     """The camera that brings predicted rods nearest to what is seen hanging.
 
     Every picture is first placed by one rigid motion, then the sum over pictures of the mean
@@ -74,7 +76,7 @@ def find_camera(
     """
     if len(photographs) != len(rods):
         raise DataError(f"{len(photographs)} photographs and {len(rods)} rods; give one rod each")
-    camera = start or Camera(height=1.0)
+    camera = start or OverheadCamera(height=1.0)
     for _ in range(_ROUNDS):
         tails = [
             tail
@@ -85,7 +87,9 @@ def find_camera(
             raise DataError("nothing hangs in any photograph, so nothing tells of the camera")
 
         def cost(x, tails=tails):
-            far = sum(t.weight * t.miss(Camera(x[0], x[1], float(np.exp(x[2])))) for t in tails)
+            far = sum(
+                t.weight * t.miss(OverheadCamera(x[0], x[1], float(np.exp(x[2])))) for t in tails
+            )
             off = x / [_PLACE, _PLACE, _LOG_HEIGHT] - [0.0, 0.0, np.log(_HEIGHT) / _LOG_HEIGHT]
             return far + _WORTH * float(off @ off)
 
@@ -98,17 +102,17 @@ def find_camera(
                      "initial_simplex": _simplex(camera)},
         ).x  # fmt: skip
         moved = (found - _vector(camera)) / [_PLACE, _PLACE, _LOG_HEIGHT]
-        camera = Camera(float(found[0]), float(found[1]), float(np.exp(found[2])))
+        camera = OverheadCamera(float(found[0]), float(found[1]), float(np.exp(found[2])))
         if np.abs(moved).max() < _STILL:
             break
     return camera
 
 
-def _vector(camera: Camera) -> np.ndarray:
+def _vector(camera: OverheadCamera) -> np.ndarray:
     return np.array([camera.right, camera.up, np.log(camera.height)])
 
 
-def _simplex(camera: Camera) -> np.ndarray:
+def _simplex(camera: OverheadCamera) -> np.ndarray:
     first = _vector(camera)
     return np.vstack([first, first + np.diag([0.08, 0.08, -0.3])])
 
@@ -125,7 +129,7 @@ class _Tail:
     shift: np.ndarray
 
     @classmethod
-    def of(cls, photograph: LaidPhotograph, rod: LaidRod, camera: Camera) -> _Tail | None:
+    def of(cls, photograph: LaidPhotograph, rod: LaidRod, camera: OverheadCamera) -> _Tail | None:
         placed = rigid(photograph, camera.view(photograph, rod.arc_length, rod.nodes))
         count = int(np.ptp(rod.arc_length) / 1e-3) + 2
         s = np.linspace(rod.arc_length[0], rod.arc_length[-1], count)
@@ -149,12 +153,12 @@ class _Tail:
     def weight(self) -> float:
         return min(len(self.points) / _FULL, 1.0)
 
-    def miss(self, camera: Camera) -> float:
+    def miss(self, camera: OverheadCamera) -> float:
         """Mean distance of the points from the rod as the camera shows it [m], each cut."""
         near = cdist(self.points, self._shown(camera)).min(axis=1)
         return float(np.minimum(near, _CAP).mean())
 
-    def _shown(self, camera: Camera) -> np.ndarray:
+    def _shown(self, camera: OverheadCamera) -> np.ndarray:
         below = self.middle + np.array([camera.right, camera.up])
         high = np.minimum(np.maximum(self.nodes[:, 2], 0.0), 0.7 * camera.height)
         ratio = 1.0 / (1.0 - high / camera.height) if np.isfinite(camera.height) else 1.0 + 0 * high

@@ -6,8 +6,6 @@ little off; the residual is explained by these prints, the weighted least square
 Newton step, as often as asked. Friction keeps what it is given unless it is asked for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ laid rod misses is told at the points of the accuracy metric (Eq. metric), acros
 pattern.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ strands hide it; nothing is known along it. The pattern overlaid on it may be sm
 laid: all lengths here are those on the table.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ What hangs from the grip is nearer to the camera than the table, and a camera sh
 the point that it looks down on: by H / (H - z), H the camera's and z the rod's height.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

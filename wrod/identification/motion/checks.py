@@ -1,7 +1,5 @@
 """Whether the markers of recordings can be those of one rod between two grips, in metres."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which effects of a model of motion the recordings cannot tell apart."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.identification.effect import Effect, Model
@@ -16,16 +14,40 @@ def start_of(effect: Effect) -> np.ndarray:
     return np.zeros(len(effect.parameters))
 
 
+def linearised_beside(rod, windows, model: Model, values: np.ndarray, left: list[Effect]):
+    """The problem linearised by a model's parameters, and by those and each other effect's.
+
+    Effects that start from nothing leave the model where it is, and share a run. One that starts
+    from something moves it, so it has its own: two laws of bending that start at once are neither.
+
+    Args:
+        left: effects that are not in the model.
+
+    Returns:
+        `Linearised` of the model, and one for each effect of `left`.
+    """
+    starts = [start_of(e) for e in left]
+    still = [k for k, start in enumerate(starts) if not start.any()]
+    own = np.arange(len(values))
+    together = Model((*model.effects, *(left[k] for k in still)))
+    shared = rod.linearise(windows, together, np.concatenate([values, *(starts[k] for k in still)]))
+    parts, first = {}, len(values)
+    for k in still:
+        parts[k] = shared.part(np.r_[own, np.arange(first, first + len(starts[k]))])
+        first += len(starts[k])
+    for k in range(len(left)):
+        if k not in parts:
+            moved = np.concatenate([values, starts[k]])
+            parts[k] = rod.linearise(windows, model.extended(left[k]), moved)
+    return shared.part(own), [parts[k] for k in range(len(left))]
+
+
 def correlations_of(rod, windows, model, values, left) -> tuple[tuple[str, ...], np.ndarray]:
     """Names and (E, E) largest canonical correlations between effects' parameters."""
-    everything = Model((*model.effects, *left))
-    at = rod.linearise(windows, everything, np.concatenate([values, *(start_of(e) for e in left)]))
-    names = everything.names
-    parts = np.split(
-        np.arange(len(at.gradient)), np.cumsum([len(e.parameters) for e in everything.effects])
-    )[:-1]
+    now, beside = linearised_beside(rod, windows, model, values, left)
     chosen = len(model.effects)
-    own = np.concatenate(parts[:chosen])
+    names = (*model.names, *(e.name for e in left))
+    parts = model.split(np.arange(len(values)))
     out = np.eye(len(names))
 
     def between(covariance, a, b):
@@ -36,12 +58,11 @@ def correlations_of(rod, windows, model, values, left) -> tuple[tuple[str, ...],
 
     for j in range(len(names)):
         # An effect that was left out joins the chosen ones alone.
-        index = own if j < chosen else np.concatenate([own, parts[j]])
-        place = {int(p): k for k, p in enumerate(index)}
-        covariance = np.linalg.inv(at.hessian[np.ix_(index, index)])
+        at = now if j < chosen else beside[j - chosen]
+        last = parts[j] if j < chosen else np.arange(len(values), len(at.gradient))
+        covariance = np.linalg.inv(at.hessian)
         for i in range(min(j, chosen)):
-            a, b = ([place[int(p)] for p in parts[k]] for k in (i, j))
-            out[i, j] = out[j, i] = between(covariance, a, b)
+            out[i, j] = out[j, i] = between(covariance, parts[i], last)
     return names, out
 
 

@@ -1,7 +1,5 @@
 """Curves through the markers of a rod, and their lengths."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # Pieces between two markers of a curve whose length is wanted.

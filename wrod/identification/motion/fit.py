@@ -12,6 +12,7 @@ import numpy as np
 
 from wrod.identification.effect import Model
 from wrod.identification.motion.data import MotionMeasurements
+from wrod.identification.motion.remembered import Remembered
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.solver import MotionSolver
 from wrod.identification.motion.tangents import COMPLEX_STEP
@@ -74,6 +75,7 @@ class MotionLaboratory:
         subdivisions: edges between neighbouring free markers.
         substeps: time steps a frame.
         device: Warp device.
+        remembered: where linearised problems are kept, and looked for first.
     """
 
     def __init__(
@@ -84,8 +86,10 @@ class MotionLaboratory:
         substeps: int = 1,
         device: str = "cpu",
         free_roll: bool = False,
+        remembered: Remembered | None = None,
     ):
         self.measurements, self.subdivisions = measurements, subdivisions
+        self.remembered = remembered
         self.base = MotionSetup.base(
             measurements.edge_length(subdivisions), subdivisions, measurements.gravity
         )
@@ -182,6 +186,26 @@ class MotionLaboratory:
 
     def linearise(self, windows: Windows, model: Model, values: np.ndarray) -> Linearised:
         """The misfit and its derivatives."""
+        return Linearised(**self._recalled("linearised", self._linearised, windows, model, values))
+
+    def cost(self, windows: Windows, model: Model, values: np.ndarray) -> float:
+        """The misfit alone."""
+        return self._recalled("cost", self._cost, windows, model, values)["cost"]
+
+    def _recalled(self, what: str, work, windows: Windows, model: Model, values: np.ndarray):
+        """What `work` finds, or has found before this identification was stopped, by name."""
+        if self.remembered is None:
+            return work(windows, model, values)
+        key = [what, self.substeps, self.subdivisions, self.free_roll, self.misfit]
+        key += [model.names, np.asarray(values).tolist(), windows.markers.shape]
+        key += [windows.recording.tolist(), windows.start.tolist()]
+        found = self.remembered.recall(
+            key, lambda: {**work(windows, model, values), "misfit": self.misfit}
+        )
+        self.misfit = found.pop("misfit")
+        return found
+
+    def _linearised(self, windows: Windows, model: Model, values: np.ndarray) -> dict:
         setup = model.setup(self.base, values)
         x, rate, failed = self.run(windows, setup, self.rates(model, values))
         seen, difference, root, cost, prior = self._misfit(windows, model, values, x)
@@ -197,19 +221,18 @@ class MotionLaboratory:
         shares = shares - shares.mean(axis=0)
         flat = np.moveaxis(j / np.sqrt(root)[:, :, None], 2, -1).reshape(-1, len(values))
         hessian = 3 * flat.T @ flat / (count * _ROBUST)
-        return Linearised(
-            cost,
-            hessian + np.diag(prior),
-            gradient + prior * values,
-            float(np.abs(difference).mean()),
-            int(failed.sum()),
-            shares.T @ shares * len(shares) / max(len(shares) - 1, 1),
-        )
+        return {
+            "cost": cost,
+            "hessian": hessian + np.diag(prior),
+            "gradient": gradient + prior * values,
+            "error": float(np.abs(difference).mean()),
+            "failed": int(failed.sum()),
+            "scatter": shares.T @ shares * len(shares) / max(len(shares) - 1, 1),
+        }
 
-    def cost(self, windows: Windows, model: Model, values: np.ndarray) -> float:
-        """The misfit alone."""
+    def _cost(self, windows: Windows, model: Model, values: np.ndarray) -> dict:
         x, _, _ = self.run(windows, model.setup(self.base, values))
-        return self._misfit(windows, model, values, x)[3]
+        return {"cost": self._misfit(windows, model, values, x)[3]}
 
     def _misfit(self, windows, model, values, x):
         """Frames that count, their differences, robust weights, cost and the prior's curvature."""

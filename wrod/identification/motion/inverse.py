@@ -10,8 +10,6 @@ The lengths between markers are not known nearly as well as a rod resists stretc
 of every span is left free: what is looked at are the combinations of reactions that do not feel it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -117,14 +115,13 @@ class InverseMotion:
             device=b.device,
         )
         # The kernel's strain rate is a difference of strains over a step: here it is given.
-        wp.launch(
+        b.launch(
             motion_tangents.elastic_tangents,
             (b.rod_count, b.node_count - 1, 1),
-            inputs=[*model, *moved, b.every_rod, coefficients, unit]
+            [*model, *moved, b.every_rod, coefficients, unit]
             + [s.dof, s.director, s.reference_twist, strain_rate, strain_rate]
             + [strains, strains, count],
-            outputs=[out],
-            device=b.device,
+            [out],
         )
         out = out.numpy().reshape(b.rod_count, count, b.dof_count)
         explained = np.einsum("sqd,spd->sqp", self.left, out)
@@ -328,13 +325,12 @@ class _Condensation:
         rate[:, i] = -np.linalg.solve(hessian[:, i][:, :, i], push[..., None])[..., 0]
         out = wp.zeros((b.rod_count, 1, b.node_count), dtype=wp.vec3d, device=b.device)
         s = b.state
-        wp.launch(
+        b.launch(
             motion_tangents.measure_strain_tangents,
             (b.rod_count, b.node_count - 2, 1),
-            inputs=[b.every_rod, s.dof, s.director]
+            [b.every_rod, s.dof, s.director]
             + [wp.array(rate[:, None], dtype=wp.float64, device=b.device), 1],
-            outputs=[out],
-            device=b.device,
+            [out],
         )
         return out.reshape((b.rod_count, b.node_count))
 

@@ -1,7 +1,5 @@
 """Recordings of held rods in motion read from files, checked on the way in."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -5,8 +5,6 @@ markers on one rigid body. What that distance varies by is noise: a white part, 
 from frame to frame (AR(1), as cameras leave whose errors change with the place).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whether recordings move at the pace that their rod's own weight sets."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.stats import t as student_t
 

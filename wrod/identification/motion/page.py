@@ -1,18 +1,16 @@
 """The report on a motion as one self-contained page."""
 
-from __future__ import annotations
-
 import html
 from pathlib import Path
 
-from wrod.files import write_atomically
+from wrod.files import write_text
 from wrod.identification.clamped.page import effects_table, numbers_of, page
 
 
 def write_motion_page(path: Path, report) -> Path:
     """Write a `MotionReport` as HTML with its pictures inside."""
     content = _page(report)
-    return write_atomically(path, lambda file: file.write(content))
+    return write_text(path, content)
 
 
 def _page(report) -> str:

@@ -1,7 +1,5 @@
 """Pictures of a motion's identification, as PNG bytes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.identification.motion.fit import errors_of

@@ -1,11 +1,9 @@
 """What effects promise to take away, and what a model would lose without one, if it were linear."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.identification.effect import Model
-from wrod.identification.motion.confounding import start_of
+from wrod.identification.motion.confounding import linearised_beside, start_of
 
 
 def losses_of(rod, windows, model: Model, values: np.ndarray) -> dict[str, float]:
@@ -20,22 +18,18 @@ def losses_of(rod, windows, model: Model, values: np.ndarray) -> dict[str, float
 
 
 def promises_of(rod, windows, model, values, left):
-    """[(promise, effect, start values, indices)] of every candidate, best first, and the problem
-    linearised by the parameters of all, of which the indices are those of the extended model."""
-    start = [start_of(e) for e in left]
-    everything = Model((*model.effects, *left))
+    """[(promise, effect, start values, problem)] of every candidate, best first: what it takes away
+    in the problem linearised by the model's parameters and its own, where it starts."""
     rod.misfit = None
-    at = rod.linearise(windows, everything, np.concatenate([values, *start]))
 
-    def gain(index):
-        h = at.hessian[np.ix_(index, index)] * (1.0 + 1e-6 * np.eye(len(index)))
-        return 0.5 * at.gradient[index] @ np.linalg.solve(h, at.gradient[index])
+    def gain(at):
+        h = at.hessian * (1.0 + 1e-6 * np.eye(len(at.gradient)))
+        return 0.5 * at.gradient @ np.linalg.solve(h, at.gradient)
 
-    own = np.arange(len(values))
-    known, first, out = gain(own), len(values), []
-    for effect, zero in zip(left, start, strict=True):
-        index = np.r_[own, np.arange(first, first + len(zero))]
-        first += len(zero)
-        promise = (gain(index) - known) / at.cost
-        out.append((float(promise), effect, zero, index))
-    return sorted(out, key=lambda o: -o[0]), at
+    now, parts = linearised_beside(rod, windows, model, values, left)
+    known = now.cost - gain(now)
+    out = [
+        (float((known - (at.cost - gain(at))) / now.cost), effect, start_of(effect), at)
+        for effect, at in zip(left, parts, strict=True)
+    ]
+    return sorted(out, key=lambda o: -o[0])

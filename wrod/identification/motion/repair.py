@@ -1,7 +1,5 @@
 """What recordings of motion lost, found and put right: exchanged markers and lost frames."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 

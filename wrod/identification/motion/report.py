@@ -1,7 +1,5 @@
 """`identify_motion`: from recordings of a rod in motion to a verdict, a model and a report."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -24,6 +22,7 @@ from wrod.identification.motion.data import MotionMeasurements
 from wrod.identification.motion.fit import MotionLaboratory
 from wrod.identification.motion.loading import load_motion
 from wrod.identification.motion.pace import check_pace
+from wrod.identification.motion.remembered import Remembered
 from wrod.identification.motion.residual import Residual, residual_of
 from wrod.identification.motion.selection import (
     BASE,
@@ -176,7 +175,9 @@ class MotionReport(Report):
 
 
 @checked_as_identification(arguments.like("recordings", "positions"))
-@arguments.checked(DataError, subdivisions=arguments.whole(1, 64))
+@arguments.checked(
+    DataError, subdivisions=arguments.whole(1, 64), steps=arguments.optional(arguments.path)
+)
 def identify_motion(
     measurements: MotionMeasurements | str | os.PathLike[str],
     *,
@@ -184,6 +185,7 @@ def identify_motion(
     candidates: Sequence[Effect | str] | None = None,
     subdivisions: int = 2,
     device: str | None = "cpu",
+    steps: str | os.PathLike[str] | None = None,
     progress=None,
 ) -> MotionReport:
     """Find what a straight, uniform rod lacks to move as recorded, and prove it.
@@ -195,10 +197,12 @@ def identify_motion(
         candidates: effects, or names of effects; default: every one that motion may show.
         subdivisions: edges of the rod between neighbouring free markers.
         device: "cpu", "cuda:0", "auto".
+        steps: file that remembers what has been computed while the work goes on: where it was
+            stopped, it goes on from there.
         progress: called with (text,) as the work goes on.
 
     Raises:
-        DataError: the data cannot be right, or an effect is unknown.
+        DataError: the data cannot be right, an effect is unknown, or `steps` is of other data.
     """
     m = measurements if isinstance(measurements, MotionMeasurements) else load_motion(measurements)
     if test is not None:
@@ -209,7 +213,10 @@ def identify_motion(
         chosen = [c if isinstance(c, Effect) else _known(c, known) for c in candidates]
     device = resolve_device(device)
     check_pace(m, device=device)
-    laboratory = MotionLaboratory(m, subdivisions=subdivisions, device=device)
+    remembered = None if steps is None else Remembered(Path(steps), m)
+    laboratory = MotionLaboratory(
+        m, subdivisions=subdivisions, device=device, remembered=remembered
+    )
     selection = select_motion(laboratory, chosen, progress=progress)
     if progress:
         progress("force print")
@@ -218,7 +225,10 @@ def identify_motion(
     evidence = trace_motion(
         m, base, selection.base_values, looked_at, int(m.validation[0]), device=laboratory.device
     )
-    return _report(laboratory, selection, evidence)
+    report = _report(laboratory, selection, evidence)
+    if remembered is not None:
+        remembered.forget()
+    return report
 
 
 def _known(name: str, known: dict[str, Effect]) -> Effect:

@@ -1,7 +1,5 @@
 """What the base model leaves, seen in the laboratory and in the rod's own frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

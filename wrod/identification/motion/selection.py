@@ -2,7 +2,7 @@
 
 The base model is a straight, uniform rod with drag in air and inside. In each round the candidates
 are ranked by the misfit that they promise to take away in the problem linearised around the present
-model, all in one run. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them
+model. The `TRIED` most promising take one Newton step in it; the `KEPT_ON` of them
 with the least error on whole validation recordings are fitted. The best joins if it lowers that
 error by `LEAST_GAIN` or more against the present model fitted for as many steps more, both as
 predicted and with what the mesh and the time step leave added to the predictions: an effect that
@@ -12,8 +12,6 @@ effect without which the refitted model's validation error rises by less than `L
 out again; only those are tried that the linearised problem hardly needs. What is left is fitted to
 whole recordings, those of the validation included.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
@@ -215,11 +213,11 @@ class _Selection:
 
     def _round(self, now: _Fitted) -> tuple[_Fitted, bool]:
         """The model with one effect more, if one is worth it, and whether one was."""
-        ranked, at = promises_of(self.rod, self.medium, now.model, now.values, self.left)
+        ranked = promises_of(self.rod, self.medium, now.model, now.values, self.left)
         tried, stepped = {}, {}
-        for _, effect, start, index in ranked[:TRIED]:
+        for _, effect, start, at in ranked[:TRIED]:
             model = now.model.extended(effect)
-            values = self.rod.step(self.medium, model, np.r_[now.values, start], at.part(index))
+            values = self.rod.step(self.medium, model, np.r_[now.values, start], at)
             stepped[effect.name] = self._validated(model, values)
         for name in sorted(stepped, key=lambda n: stepped[n].validation)[:KEPT_ON]:
             fitted = self._fit(stepped[name].model, stepped[name].values, steps=3)

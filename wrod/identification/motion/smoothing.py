@@ -1,7 +1,5 @@
 """Recorded paths between markers, smoothed in time so that they have accelerations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

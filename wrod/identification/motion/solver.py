@@ -162,14 +162,13 @@ class MotionRun:
     def prescribe(self, running, time, step, start: RodState) -> None:
         """Put the held edges where their grips are."""
         batch = self.batch
-        wp.launch(
+        self.batch.launch(
             kernels.hold_ends,
-            dim=(batch.rod_count, 2),
-            inputs=[self.held, self.grip_tangent, self.grip_director, batch.free]
+            (batch.rod_count, 2),
+            [self.held, self.grip_tangent, self.grip_director, batch.free]
             + [self.substeps, self.step_rate, running, time, step]
             + [start.tangent, start.director],
-            outputs=[batch.state.dof],
-            device=self.device,
+            [batch.state.dof],
         )
 
     def begin(self) -> None:
@@ -215,12 +214,11 @@ class MotionRun:
 
     def _record(self, frame: int) -> None:
         batch, state = self.batch, self.batch.state
-        wp.launch(
+        self.batch.launch(
             kernels.observe,
-            dim=(batch.rod_count, self.place.shape[0]),
-            inputs=[self.place, self.offset, state.dof, state.director, frame],
-            outputs=[self.seen],
-            device=self.device,
+            (batch.rod_count, self.place.shape[0]),
+            [self.place, self.offset, state.dof, state.director, frame],
+            [self.seen],
         )
         if self.tangents:
             self.tangents.observe(self.place, self.offset, frame)
@@ -251,12 +249,8 @@ class MotionRun:
         batch, s = self.batch, self.batch.state
         shape = (batch.rod_count, batch.node_count)
         out = wp.zeros(shape, dtype=wp.vec4d, device=self.device)
-        wp.launch(
-            measure_strains,
-            dim=shape,
-            inputs=[batch.every_rod, s.dof, s.director, s.reference_twist],
-            outputs=[out],
-            device=self.device,
+        self.batch.launch(
+            measure_strains, shape, [batch.every_rod, s.dof, s.director, s.reference_twist], [out]
         )
         return out
 

@@ -1,7 +1,5 @@
 """Which recordings are fitted, which choose the effects, and which are only scored on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 All functions are analytic, so that complex setups carry a parameter's derivative through.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.identification.motion.curves import through_markers

@@ -5,8 +5,6 @@ things are made of them: the missing force, a field along the rod in every frame
 (`motion_prints`), ways for it to come about that stay the same for all time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Pictures of what the residual of a motion looks like as mechanics, as PNG bytes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from wrod.identification.motion.trace import MotionTrace

@@ -1,7 +1,5 @@
 """The file of a campaign: one finished trial a line, so that a stopped run goes on."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The same rod otherwise: bent, stiffened, cut, turned round, in other directors or units."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -12,7 +10,7 @@ from wrod.rods.numbers import as_number
 
 
 @dataclass(frozen=True)
-class Otherwise:
+class RodTransformations:
     """What `wrod.RodModel` makes of itself."""
 
     length: Any

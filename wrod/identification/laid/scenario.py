@@ -1,12 +1,10 @@
-"""Worlds in which a photographed rod may have been laid, and where the rod comes to lie there.
+"""Scenarios in which a photographed rod may have been laid, and where the rod comes to lie there.
 
-A world says what the plan does not know: the table's friction, the rod's true L_gb and natural
+A scenario says what the plan does not know: the table's friction, the rod's true L_gb and natural
 curvature, how it is rolled in the grip, and how much more of it hangs below the grip than the plan
 believes. The rod hangs from the grip with its free end on the pattern's first point, as a robot
 begins that goes straight above the contact; or its first centimetres are held along the pattern.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -31,7 +29,7 @@ _RESTING = 0.45
 
 
 @dataclass(frozen=True)
-class World:
+class Scenario:
     """What a plan does not know of a table and a rod.
 
     Attributes:
@@ -55,7 +53,7 @@ class World:
     held: bool = False
 
     def rod(self, believed: RodMaterial) -> RodMaterial:
-        """The rod as it is in this world."""
+        """The rod as it is in this scenario."""
         return replace(
             believed,
             gravito_bending_length=believed.gravito_bending_length * self.lgb_ratio,
@@ -94,7 +92,7 @@ def lay(
     pattern: Pattern,
     believed: RodMaterial,
     trajectory: Trajectory,
-    worlds: Sequence[World],
+    scenarios: Sequence[Scenario],
     *,
     spacing: float = 0.01,
     step: float = 0.025,
@@ -103,29 +101,29 @@ def lay(
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> list[LaidRod]:
-    """Lay one rod along one pattern in many worlds at once, up to where the pattern ends.
+    """Lay one rod along one pattern in many scenarios at once, up to where the pattern ends.
 
     Args:
         pattern, believed, trajectory: what was planned.
-        worlds: what is true.
+        scenarios: what is true.
         spacing, step, speed, device, threads, progress: as `wrod.simulate_deployments` takes them.
 
     Raises:
-        DataError: worlds are mixed in how the free end begins.
+        DataError: scenarios are mixed in how the free end begins.
     """
-    if len({world.held for world in worlds}) > 1:
-        raise DataError("worlds differ in whether the free end is held; lay them in two calls")
-    if not worlds:
+    if len({scenario.held for scenario in scenarios}) > 1:
+        raise DataError("scenarios differ in whether the free end is held; lay them in two calls")
+    if not scenarios:
         return []
     # Nothing is laid after the pattern: what the photographs show was laid before.
     end = Tail.none(trajectory)
     trials = [
-        Trial(pattern, world.rod(believed), trajectory, Friction(world.friction), tail=end)
-        for world in worlds
+        Trial(pattern, scenario.rod(believed), trajectory, Friction(scenario.friction), tail=end)
+        for scenario in scenarios
     ]
     laid = simulate_deployments(
         trials,
-        hold=HELD if worlds[0].held else 0.0,
+        hold=HELD if scenarios[0].held else 0.0,
         spacing=spacing,
         step=step,
         speed=speed,

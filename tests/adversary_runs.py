@@ -1,0 +1,138 @@
+"""One call of the campaign (tests/adversary.py): how it is run, and what about its end is wrong."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shlex
+import shutil
+import signal
+import stat
+import sys
+from pathlib import Path
+
+from adversary_kinds import ALLOWED
+from adversary_material import AROUND_STREAMS
+from forked import End, forked
+from killing import same
+
+from wrod.commands import main
+
+DEVICES = ("/dev/null", "/dev/zero", "/dev/full")
+# The most that a call may take before it has said something [s].
+LONGEST = 10.0
+
+
+def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[End, list[str]]:
+    """How a call ends, and what it left beside its output."""
+    shutil.rmtree(place, ignore_errors=True)
+    (place / "here").mkdir(parents=True)
+    names = {f"{{{name}}}": path for name, path in files.items()}
+    out = place / "out"
+    words = [names.get(word, word.replace("{out}", str(out))) for word in words]
+    before = {path: _stamp(path) for path in files.values()}
+    if isinstance(around, tuple):
+        around = None
+    if around is None and words[0] in ("train", "distil"):
+        around = {}  # torch's threads do not outlive a fork
+    if around is None:
+        end = forked(lambda: _call(words), place / "here")
+    else:
+        end = forked(lambda: _shell(words, around, out), place / "here", limited=False)
+    left = [str(path) for path in (place / "here").rglob("*")]
+    if end.code != 2 and not set(words) & {str(out), f"{out}.json", f"{out}.png"}:
+        left = []  # it was to write there
+    written = set(words[words.index("--out") + 1 :][:1]) if "--out" in words else set()
+    left += [
+        path for path, stamp in before.items()
+        if _stamp(path) != stamp and (end.code == 2 or path not in written)
+    ]  # fmt: skip
+    if end.code == 2 and "complete" not in end.said:
+        left += [str(path) for path in place.glob("out*") for path in [path, *path.rglob("*")]]
+    return end, left
+
+
+def digests(place: Path) -> dict[str, str]:
+    """Of all that a call left at its output, but for pages and what holds how long it took."""
+    times = (".html", "joint_path.npz", "scene.usdc")
+    return {k: v for k, v in same(place).items() if k[:3] == "out" and not k.endswith(times)}
+
+
+def _stamp(path: str) -> dict[str, int]:
+    """When the file, or each file of a folder, was written."""
+    place = Path(path)
+    files = place.rglob("*") if place.is_dir() else [place]
+    return {str(file): file.stat().st_mtime_ns for file in files if file.is_file()}
+
+
+def _call(words: list[str]) -> int:
+    sys.stdout, sys.stderr = (os.fdopen(os.dup(k), "w", errors="backslashreplace") for k in (1, 2))
+    signal.signal(signal.SIGXCPU, signal.SIG_DFL)
+    multiprocessing.current_process()._config["daemon"] = False  # calls may have processes
+    try:
+        main(words)
+    except SystemExit as reason:
+        return reason.code if isinstance(reason.code, int) else bool(reason.code)
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+    return 0
+
+
+def _shell(words: list[str], around, out: Path) -> int:
+    """The call as a process of its own with that around it."""
+    call = shlex.join([sys.executable, "-P", "-m", "wrod", *words])
+    changed = around if isinstance(around, dict) else {}
+    environment = {**os.environ, **changed, "OUT": str(out)}
+    environment = {name: value for name, value in environment.items() if value is not None}
+    before, after = "", ""
+    if isinstance(around, str):
+        before, after = ("", around) if around in AROUND_STREAMS else (around, "")
+        if before == "rmdir_cwd":
+            before = 'mkdir gone; cd gone; rmdir "$PWD"'
+    line = f"{before}\nset -o pipefail\n{call} {after}"
+    if before.startswith("# "):
+        there = shlex.join([sys.executable, "-P", "-m", "wrod"])
+        there += " " + shlex.join(words).replace(str(out), f"{out}.disk/out")
+        line = before.replace("CALL_THERE", there).replace("CALL", call)
+    os.execve("/bin/bash", ["bash", "-c", line], environment)
+
+
+# Ends that the surroundings bring and no program can mend.
+_BY_FORCE = ("| head", "| true", "ulimit", ">&-", "/dev/full", "2>&1 | head")
+
+
+def wrong(end: End, left: list[str], around) -> str | None:
+    """What is wrong with the end of a call; None if nothing."""
+    if left:
+        return f"left {left[:4]}: exit {end.code}: {end.said[-200:]}"
+    devices = {path for path in DEVICES if not stat.S_ISCHR(os.stat(path).st_mode)}
+    if devices:
+        return f"replaced {devices}"
+    if end.code in (-signal.SIGXCPU, 128 + signal.SIGXCPU, -signal.SIGKILL):
+        return None  # it was taken, and works
+    if isinstance(around, str) and around.startswith("# "):
+        return _wrong_around(end, around)
+    if isinstance(around, str):  # there may be nobody to tell, and no room to tell it in
+        if "Traceback" in end.said:
+            return f"exit {end.code}: {end.said[-500:]}"
+        fine = end.code in (0, 1, 2, 3, 137, 141)
+        fine |= "ulimit -s" in around and end.code in (-signal.SIGSEGV, 139)
+        return None if fine else f"exit {end.code}: {end.said[-500:]}"
+    if end.code == 0:
+        return f"says {end.said[-300:]}" if "Traceback" in end.said else None
+    if end.code == 2 and end.seconds > LONGEST:
+        return f"refused after {end.seconds:.0f} s: {end.said[-300:]}"
+    return end.wrong()
+
+
+def _wrong_around(end: End, around: str) -> str | None:
+    """The same of calls around which something happened; their script tells their exit codes."""
+    kind, told = around.partition("\n")[0][2:], end.said.rpartition("EXIT ")
+    if "Fatal Python error: init_import_site" in end.said:
+        return None  # it struck while Python itself began
+    codes = {int(code) for code in told[2].split() if code.isdecimal()}
+    fine = {0, 2, 3, 137, 152, ALLOWED.get(kind, 0)}  # 137, 152: its processor's time was up
+    if "Traceback" in end.said or "HALF" in end.said or not codes <= fine:
+        return f"{kind}: {sorted(codes)}: {end.said[-700:]}"
+    return None

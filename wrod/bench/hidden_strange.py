@@ -1,0 +1,120 @@
+"""Clamped rods in which something is wrong that no effect of `identify` describes.
+
+Nothing here has a plug-in, nor a form that is built from a print. What may be said of such a set is
+that it is not explained, or an effect at the right place of the right kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from wrod.bench.continuous_rod import Experiment, constant
+from wrod.bench.hidden_effects import TRIALS, Hidden, _between, _direction
+
+
+def warming(rng, rod):
+    """The rod softens while it is measured, in every way alike, from trial to trial."""
+    loss, pace = _between(rng, 0.3, 0.5), _between(rng, 6.0, 12.0)
+
+    def each(trial, past):
+        left = 1.0 - loss * (1.0 - np.exp(-trial / pace))
+        return {"bending": constant(left, left), "twisting": left, "stretching": left}
+
+    return Hidden(Experiment(each=each), {})
+
+
+def drying(rng, rod):
+    """A wet rope: its weight falls from trial to trial."""
+    water, pace = _between(rng, 0.4, 0.7), _between(rng, 6.0, 12.0)
+    line = rod.weight / rod.gravity
+    return Hidden(
+        Experiment(
+            each=lambda trial, past: {"mass": constant(water * np.exp(-trial / pace) * line)}
+        ),
+        {},
+    )
+
+
+def creep(rng, rod):
+    """The rod keeps a share of the curvature that the trial before gave it."""
+    kept = _between(rng, 0.12, 0.2)
+
+    def each(trial, past):
+        if past is None:
+            return {}
+        s, curvature = past
+        return {"curvature": lambda at: kept * np.stack([np.interp(at, s, c) for c in curvature])}
+
+    return Hidden(Experiment(each=each), {})
+
+
+def loose_clamp(rng, rod):
+    """Clamp A has play: the rod lies against it on the side that it is bent to."""
+    play = np.radians(_between(rng, 2.5, 4.5))
+
+    def give(moment):
+        across = moment * [1.0, 1.0, 0.0]
+        return play * across / np.linalg.norm(across)
+
+    return Hidden(Experiment(clamp_give=give), {})
+
+
+def soft_grip(rng, rod):
+    """The gripper's fingers are rubber: they turn as the rod's moment asks."""
+    compliance = _between(rng, 0.012, 0.025) * rod.length / rod.bending_stiffness
+    return Hidden(Experiment(grip_give=lambda moment: compliance * moment * [1.0, 1.0, 0.5]), {})
+
+
+def sliding_markers(rng, rod):
+    """Markers on half of the rod slide along it, further in each trial."""
+    step = _between(rng, 4e-4, 7e-4, either_sign=True)
+    place = _between(rng, 0.35, 0.65)
+
+    def see(position, frame):
+        u = np.linspace(0.0, 1.0, position.shape[1])
+        loose = 1.0 / (1.0 + np.exp((place - u) / 0.02))
+        slid = step * np.arange(TRIALS)[:, None] * loose * (u < 1.0)
+        return position + slid[:, :, None] * frame[..., 2]
+
+    return Hidden(Experiment(see=see), {})
+
+
+def lens(rng, rod):
+    """One camera's lens bends what is far from its axis."""
+    bend = _between(rng, 0.15, 0.3, either_sign=True)
+    axis, centre = _direction(rng), np.array([0.4, 0.0, 0.4]) + rng.uniform(-0.1, 0.1, 3)
+
+    def see(position, frame):
+        away = position - centre
+        across = away - (away @ axis)[..., None] * axis
+        return position + bend * (across**2).sum(axis=-1, keepdims=True) * across
+
+    return Hidden(Experiment(see=see), {})
+
+
+def shelf(rng, rod):
+    """Something soft below: it pushes up where the rod hangs lower, in some trials only."""
+    height = 0.43 - _between(rng, 0.3, 0.42) * rod.length
+    stiff = _between(rng, 25.0, 50.0) * rod.weight  # [N/m] per metre of depth
+
+    def force(q, t, s):
+        up = np.zeros_like(q)
+        up[2] = stiff * 2e-3 * np.logaddexp(0.0, (height - q[2]) / 2e-3)
+        return up
+
+    return Hidden(Experiment(drag=force), {})
+
+
+# For each kind: names that say what it is as far as they can, prints that are near the truth.
+STRANGE: dict[Callable, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    warming: (("stiffness",), ("moment_with_curvature",)),
+    drying: (("density",), ("force_in_laboratory",)),
+    creep: ((), ("moment_in_material",)),
+    loose_clamp: (("clamp_rotation",), ("clamp_end",)),
+    soft_grip: (("grip_rotation",), ("grip_end",)),
+    sliding_markers: (("marker_offset",), ("markers",)),
+    lens: (("camera_scale",), ("camera",)),
+    shelf: (("local_load",), ("force_in_laboratory", "force_in_material")),
+}

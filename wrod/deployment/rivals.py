@@ -1,0 +1,81 @@
+"""Which of several plans a rod is expected to lie best by.
+
+A rod that is bent at rest by more than it can hang with (`wrod.grasps.relaxed`) is held as a rod
+closer to straight; whether that lays it better than the straight rod's grasps depends on where it
+springs once it lies. That is for the simulation to say, before a plan is chosen.
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from wrod.deployment.expectation import TOLERANCE, UNMEASURED, expecting
+from wrod.deployment.together import follow
+from wrod.errors import WrodWarning
+from wrod.patterns.pattern import Pattern
+from wrod.planning.plan import plan_grasps
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
+from wrod.rods.model_file import rod_as_json
+from wrod.rods.profile import Profile
+
+# Disturbed rods that every rival lays.
+_TRIALS = 4
+
+
+def expected_errors(
+    rod: RodModel | RodMaterial,
+    rivals: Sequence[tuple[Pattern, Trajectory]],
+    friction: float | tuple[float, float] | None,
+    *,
+    hold: float = 0.05,
+    device: str | None = "cpu",
+) -> np.ndarray:
+    """(plan,) mean distance from the pattern [m] to be expected of plans, each with the pattern and
+    remainder that it is of: the same four disturbed rods on coarse meshes, on a table of such a
+    friction or, where it is None, of 0.2 to 0.6; infinite where one diverged."""
+    courses = [
+        expecting(pattern, rod, [path], UNMEASURED if friction is None else friction, _TRIALS,
+                  coarse=True)
+        for pattern, path in rivals
+    ]  # fmt: skip
+    said = follow(courses, hold=hold, tolerance=TOLERANCE, device=device or "auto")
+    return np.array([np.inf if one["diverged"] else one["mean"] for (one,) in said])
+
+
+def own_or_straight(
+    pattern: Pattern, rod: RodModel | RodMaterial, method: str, friction, how: dict[str, Any]
+) -> Trajectory:
+    """The plan of the rod or, where it cannot hang in all of its grasps and that of the same rod
+    straightened is expected to lay it better, the latter, which says so.
+
+    Args:
+        pattern: with its remainder.
+        friction: of the table; None: unknown.
+        how: further arguments of `plan_grasps`.
+    """
+    own = plan_grasps(pattern, rod, method, remainder=False, **how)
+    if own.metadata.get("natural_share", 1.0) == 1.0:
+        return own
+    straightened = replace(RodModel.of(rod), natural_curvature=(Profile((0.0,)), Profile((0.0,))))
+    rival = plan_grasps(pattern, straightened, method, remainder=False, **how | {"roll": own.roll})
+    errors = expected_errors(
+        rod, [(pattern, own), (pattern, rival)], friction, device=how["device"]
+    )
+    if errors[0] <= errors[1]:
+        return own
+    said = (
+        f"the grasps of the rod as if it were straight are taken, which are expected to lay it "
+        f"{100 * errors[1]:.1f} cm off, its own {100 * errors[0]:.1f} cm"
+    )
+    warnings.warn(said, WrodWarning, stacklevel=4)
+    return replace(
+        rival,
+        metadata=rival.metadata
+        | {"rod": rod_as_json(rod), "natural_share": 0.0}
+        | {"warnings": [*own.metadata["warnings"], f"WrodWarning: {said}"]},
+    )
