@@ -20,6 +20,7 @@ LIMIT_ROOM = 0.35  # [rad] joints are pushed to stay this far inside their limit
 GAP_ROOM = 0.035  # [m] links are pushed to stay this far apart
 # Nearer than this a path is refused or nearly so: far dearer than what is only uncomfortable.
 _LEAST_LIMIT_ROOM, _LEAST_GAP = 0.06, 0.012  # [rad], [m]
+_GAP_WEIGHT = 40.0  # of such gaps [1/m^2], beside limits [1/rad^2]
 MANIPULABILITY_ROOM = 0.04  # below this a pose counts as close to a singularity
 
 
@@ -93,8 +94,8 @@ class PathCost:
     Args:
         robot, model: the arm.
         count: K.
-        limit_weight: of what is nearer to a limit than `_LEAST_LIMIT_ROOM`, and of steps beyond
-            `longest`.
+        limit_weight: of what is nearer to a limit than `_LEAST_LIMIT_ROOM`, of gaps below
+            `_LEAST_GAP`, and of steps beyond `longest`.
         longest: step of a joint between two samples [rad] that costs no more than its square.
         singular_weight: of singularities.
     """
@@ -135,7 +136,8 @@ class PathCost:
             distances = gaps(self.model, variable, around)
             for gap in distances.values():
                 cost = cost + 2000.0 * (GAP_ROOM - gap).clamp_min(0).square().sum()
-                cost = cost + 4e4 * (_LEAST_GAP - gap).clamp_min(0).square().sum()
+                near = (_LEAST_GAP - gap).clamp_min(0).square().sum()
+                cost = cost + _GAP_WEIGHT * self.limit_weight * near
             measure = manipulability(self.robot.chain.jacobian_tensor(variable))
             singular = (MANIPULABILITY_ROOM - measure).clamp_min(0).square().sum()
             cost = cost + self.singular_weight * singular
