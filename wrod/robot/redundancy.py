@@ -20,7 +20,6 @@ LIMIT_ROOM = 0.35  # [rad] joints are pushed to stay this far inside their limit
 GAP_ROOM = 0.035  # [m] links are pushed to stay this far apart
 # Nearer than this a path is refused or nearly so: far dearer than what is only uncomfortable.
 _LEAST_LIMIT_ROOM, _LEAST_GAP = 0.06, 0.012  # [rad], [m]
-_GAP_WEIGHT = 40.0  # of such gaps [1/m^2], beside limits [1/rad^2]
 MANIPULABILITY_ROOM = 0.04  # below this a pose counts as close to a singularity
 
 
@@ -94,10 +93,10 @@ class PathCost:
     Args:
         robot, model: the arm.
         count: K.
-        limit_weight: of what is nearer to a limit than `_LEAST_LIMIT_ROOM`, of gaps below
-            `_LEAST_GAP`, and of steps beyond `longest`.
+        limit_weight: of what is nearer to a limit than `least_room`, and of steps beyond `longest`.
         longest: step of a joint between two samples [rad] that costs no more than its square.
         singular_weight: of singularities.
+        least_room: [rad].
     """
 
     def __init__(
@@ -108,12 +107,13 @@ class PathCost:
         limit_weight: float = 1000.0,
         longest: float = np.inf,
         singular_weight: float = 200.0,
+        least_room: float = _LEAST_LIMIT_ROOM,
     ):
         import torch
 
         self.robot, self.model = robot, model
         self.limit_weight, self.longest = limit_weight, longest
-        self.singular_weight = singular_weight
+        self.singular_weight, self.least_room = singular_weight, least_room
         joints = len(robot.lower)
         differences = sparse.diags([-1.0, 1.0], [0, 1], shape=(count - 1, count))
         self.differences = sparse.kron(differences, sparse.eye(joints)).tocsc()
@@ -128,7 +128,7 @@ class PathCost:
         with torch.set_grad_enabled(gradient):
             room = torch.minimum(variable - self._lower, self._upper - variable)
             cost = 20.0 * (LIMIT_ROOM - room).clamp_min(0).square().sum()
-            near = (_LEAST_LIMIT_ROOM - room).clamp_min(0).square().sum()
+            near = (self.least_room - room).clamp_min(0).square().sum()
             if np.isfinite(self.longest):
                 steps = (variable[1:] - variable[:-1]).abs() - self.longest
                 near = near + steps.clamp_min(0).square().sum()
@@ -136,8 +136,7 @@ class PathCost:
             distances = gaps(self.model, variable, around)
             for gap in distances.values():
                 cost = cost + 2000.0 * (GAP_ROOM - gap).clamp_min(0).square().sum()
-                near = (_LEAST_GAP - gap).clamp_min(0).square().sum()
-                cost = cost + _GAP_WEIGHT * self.limit_weight * near
+                cost = cost + 4e4 * (_LEAST_GAP - gap).clamp_min(0).square().sum()
             measure = manipulability(self.robot.chain.jacobian_tensor(variable))
             singular = (MANIPULABILITY_ROOM - measure).clamp_min(0).square().sum()
             cost = cost + self.singular_weight * singular
@@ -157,7 +156,7 @@ class PathCost:
     def curvature(self, q: np.ndarray) -> sparse.csc_matrix:
         """Second derivatives (K n, K n) of steps and limits; obstacles are left out."""
         room = np.minimum(q - self.robot.lower, self.robot.upper - q).reshape(-1)
-        stiff = 40.0 * (room < LIMIT_ROOM) + 2.0 * self.limit_weight * (room < _LEAST_LIMIT_ROOM)
+        stiff = 40.0 * (room < LIMIT_ROOM) + 2.0 * self.limit_weight * (room < self.least_room)
         long = 2.0 * self.limit_weight * (np.abs(self.differences @ q.reshape(-1)) > self.longest)
         steps = self.differences.T @ sparse.diags(long) @ self.differences
         return (self.smooth + sparse.diags(stiff) + steps).tocsc()

@@ -28,7 +28,7 @@ _ITERATIONS, _FARTHEST = 60, 0.25  # steps, and the most that a joint moves in o
 _LONGEST = 0.3  # [rad] of a joint between two samples; longer ones are singularities
 _HARDER, _HARDEST = 8.0, 5e5  # growth and bound of the limits' weight
 _SINGULAR = 2e4  # weight of singularities, between whose samples poses may be out of reach
-_KEPT = -0.05  # [rad] within the limits is enough
+_ROOM, _KEPT = 0.1, -0.07  # [rad] room that limits are to have, and that is enough
 _STILL = 3e-3  # share of the cost that a step must save
 
 
@@ -70,7 +70,9 @@ def vary(task: Task, branch: Branch, fixed: bool) -> Branch:
     q, error = refine(robot, branch.positions, targets)
     if np.abs(error).max() > 1e-3:
         return branch
-    cost = PathCost(robot, task.model, len(q), longest=_LONGEST, singular_weight=_SINGULAR)
+    cost = PathCost(
+        robot, task.model, len(q), longest=_LONGEST, singular_weight=_SINGULAR, least_room=_ROOM
+    )
     damping, value = 1.0, cost.total(q, around)
     for _ in range(_ITERATIONS):
         with torch.no_grad():
