@@ -28,7 +28,7 @@ _ITERATIONS, _FARTHEST = 60, 0.25  # steps, and the most that a joint moves in o
 _LONGEST = 0.3  # [rad] of a joint between two samples; longer ones are singularities
 _HARDER, _HARDEST = 8.0, 5e5  # growth and bound of the limits' weight
 _SINGULAR = 2e4  # weight of singularities, between whose samples poses may be out of reach
-_ROOM, _KEPT = 0.1, -0.07  # [rad] room that limits are to have, and that is enough
+_ROOM, _KEPT = 0.065, -0.05  # [rad] room that limits are to have, and that is enough
 _STILL = 3e-3  # share of the cost that a step must save
 
 
