@@ -332,3 +332,8 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
     assert "gen3" in others and "panda" not in others and "iiwa" not in others
     assert {"remainder": False} not in tried("panda", 0.0)
     assert not any("robot" in change for change in tried("gen3", 0.1))
+    # Much too far: smaller from its other end first, then an arm that can.
+    angle *= 1.6
+    ring[:, 0], ring[:, 1] = 0.1 * np.cos(angle), 0.1 * np.sin(angle)
+    far = tried("panda", 0.1)
+    assert far[0]["reverse"] and far[0]["resize"] < 1.0 and far[2] == {"robot": "ur5e"}

@@ -220,7 +220,7 @@ def _absolute(change: dict, shaping) -> dict:
 
 def _said(change: dict) -> str:
     parts = {
-        "robot": "the last joint of {} turns far enough, and",
+        "robot": "with {}, whose last joint turns far enough",
         "reverse": "laid from its other end",
         "resize": "drawn {:g} times as large",
         "hold": "held {:g} m from its free end",

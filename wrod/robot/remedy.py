@@ -137,41 +137,60 @@ def remedies(
     """
     turned, room = turning(failed.task)
     low = low_end(failed.task.trajectory, failed.task.clearance)
-    if turned > room:
-        yield from _turning_less(rod, curve, turned > room + _FAR)
+    arms = list(_other_arms(turned, low)) if turned > room else []
+    if turned > room + _FAR:
+        ways = [*_turning_less(rod, curve), *_as_large(curve)]
+        yield from [*ways[:2], *arms[:1], *ways[2:]]
+    elif turned > room:
+        yield from _as_large(curve)
+        yield from _turning_less(rod, curve)
     yield from _others(failed, rod, curve, candidates, until, low)
-    if turned > room:
-        for name in ROBOTS:
-            last = load_robot(name)
-            if last.upper[-1] - last.lower[-1] > turned + _TURN_ROOM:
-                yield {"robot": name}
+    yield from arms
 
 
-def _turning_less(rod, curve, far: bool) -> Iterator[dict]:
+def _other_arms(turned: float, low: float | None) -> Iterator[dict]:
+    """Arms whose last joint turns that far [rad]; with less of a pattern whose end is too `low`."""
+    smaller = {} if low is None else {"resize": _least(low)}
+    for name in ROBOTS:
+        last = load_robot(name)
+        if last.upper[-1] - last.lower[-1] > turned + _TURN_ROOM:
+            yield {"robot": name, **smaller}
+
+
+def _least(share: float) -> float:
+    """Not as little smaller as possible: the next millimetres are as low."""
+    return float(np.floor(100 * share - 1.0) / 100)
+
+
+def _led(curve) -> dict:
+    return {"remainder": False} if curve.remainder_length > 0.0 else {}
+
+
+def _as_large(curve) -> Iterator[dict]:
+    if led := _led(curve):
+        yield led
+    yield {"reverse": True}
+
+
+def _turning_less(rod, curve) -> Iterator[dict]:
     """Other ways along a pattern that turns the hand much: from its other end the turns are shared
-    out differently, and of a smaller one more rod is left, which keeps the hand off the table.
-    Where it turns too `far` the pattern is made smaller first.
-    """
-    led = {"remainder": False} if curve.remainder_length > 0.0 else {}
+    out differently, and of a smaller one more rod is left, which keeps the hand off the table."""
     smaller = []
     for size, left in _SMALLER:
-        held = {"resize": size, **led}
+        held = {"resize": size, **_led(curve)}
         hold = round(size * curve.length + left * rod.gravito_bending_length, 3)
         if hold < rod.length:
             held["hold"] = hold
         smaller.append(held)
     back = [{**held, "reverse": True} for held in smaller]
-    ways = [*back[:2], *smaller[:2], *back[2:], *smaller[2:]]
-    as_large = [led, {"reverse": True}] if led else [{"reverse": True}]
-    yield from ways + as_large if far else as_large + ways
+    yield from [*back[:2], *smaller[:2], *back[2:], *smaller[2:]]
 
 
 def _others(
     failed: UnreachedError, rod, curve, candidates, until: float, share: float | None
 ) -> Iterator[dict]:
     if share is not None:
-        # Not as short as possible: the next millimetres are as low.
-        least = float(np.floor(100 * share - 1.0) / 100)
+        least = _least(share)
         yield {"resize": least}
         yield {"resize": round(0.8 * least, 2)}
         yield {"resize": round(0.6 * least, 2)}
