@@ -48,6 +48,7 @@ def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -
             {
                 "accepted": r.accepted,
                 "removed": r.removed,
+                "reason": r.reason,
                 "test_mm": 1e3 * r.test,
                 "validation_mm": 1e3 * r.validation,
             }

@@ -93,7 +93,7 @@ def _measure_cantilever(
     )  # fmt: skip
     problem = Cantilever(material, scale * length)
     duration = periods * problem.period
-    with_elastica = importlib.util.find_spec("elastica") is not None
+    with_elastica = all(map(importlib.util.find_spec, ("elastica", "numba")))
     if not with_elastica:
         click.echo("PyElastica is not installed; for its rows: pip install wrod[peers]", err=True)
 

@@ -53,6 +53,7 @@ class RodContact:
 
     Attributes:
         time_step: (rod,) duration of the present step; see `Contact`.
+        balance: (rod,) residual of the present iteration and the step's tolerance.
         force: (rod, node) contact force on each node at the end of the last step.
         slip: (rod, edge) distance that each edge has slid on others in all [length].
         penetration: (rod,) deepest penetration at the end of the last step [length].
@@ -149,6 +150,7 @@ class RodContact:
         self._share_friction(zeros(wp.vec2d, edges, partners), zeros(wp.float64, edges, partners))
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
+        self.balance = (floats(np.full(rods, np.inf)), floats(np.zeros(rods)))
         self.configuration: tuple[wp.array, ...] = ()
         self._check_start()
 
@@ -227,7 +229,8 @@ class RodContact:
         self.batch.launch(
             kernels.renew_loads,
             self.partner_count.shape,
-            [self.pieces, self.time_step, converged, self._renewals, dof, dof_before]
+            [self.pieces, self.time_step, converged, active, *self.balance]
+            + [self._renewals, dof, dof_before]
             + [self.partner_count, self.partner],
             [self.rubbing, self._renewed],
         )
