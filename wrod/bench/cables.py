@@ -10,6 +10,7 @@ import click
 
 from wrod import cost
 from wrod.bench import side_by_side
+from wrod.files import schemas
 from wrod.files.ledger import Ledger
 
 
@@ -172,7 +173,7 @@ def command(
     ledger = None
     if out:
         out.mkdir(parents=True, exist_ok=True)
-        ledger = Ledger(out / "folds.jsonl", settings, ("rod", "fold"), "cables")
+        ledger = Ledger(out / "folds.jsonl", settings, ("rod", "fold"), "cables", schemas.FoldRow)
     rows = list(ledger.rows) if ledger else []
     have = {(row["rod"], row["fold"]) for row in rows}
     # The rods in turn, so that a run which is stopped has some of each.

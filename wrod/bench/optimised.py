@@ -91,7 +91,7 @@ def _planned(led, material, friction: float, device: str) -> dict:
     return {
         "seconds": time.perf_counter() - clock,
         "cpu_seconds": time.process_time() - spent,
-        "deployments": said["iterations"] + 1,
+        "deployments": said["iterations"],
         "errors": said["errors"],
         "kept": said["kept"],
         "expected": expected["mean"],

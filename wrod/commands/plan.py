@@ -29,6 +29,7 @@ from wrod.commands.plan_steps import (
     save_plan,
     softened,
     solve_grasps_of,
+    within_speed,
 )
 from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
@@ -206,9 +207,9 @@ def command(
         return fitted, curve, trajectory
 
     size = (shaping.resize, shaping.hold)
+    how["pace"] = within_speed(request, how["pace"], lambda: planned(*size))
     fitted, curve, trajectory = planned(*size, friction, expects=grasps.expects)
-    written = save_plan(out, curve, trajectory)
-    joint_path, reason = None, None
+    written, joint_path, reason = save_plan(out, curve, trajectory), None, None
     if not request.no_robot:
 
         def softer(how):

@@ -31,6 +31,8 @@ _ROOTS = (
     schemas.Manifest, schemas.Shard, schemas.Controller, schemas.Corrector, schemas.Plans,
     schemas.TrajectoryMetadata,
     schemas.Table3Row, schemas.ApplicationsRow, schemas.HiddenRow,
+    schemas.SlipperyRow, schemas.FeedbackRow, schemas.FoldRow, schemas.LaidRow, schemas.ArmsRow,
+    schemas.ArmsRefused, schemas.StepRow,
 )  # fmt: skip
 
 

@@ -160,6 +160,32 @@ def effects(kind: str = "clamped") -> dict[str, Effect]:
     return found
 
 
+def as_asked(kind: str, of: type, load: Callable, measurements, test, candidates):
+    """The measurements that an identification is asked about, scored on those of `test`, and its
+    candidates (default: all of the kind).
+
+    Args:
+        kind: of the measurements, for `effects`; of: their class; load: reads a file of them.
+
+    Raises:
+        DataError: a file cannot be right, or there is no effect of that name.
+    """
+
+    def read(source):
+        return source if isinstance(source, of) else load(source)
+
+    m = read(measurements)
+    if test is not None:
+        m = m.scored_on(read(test))
+    known = effects(kind)
+    chosen = list(known.values() if candidates is None else candidates)
+    unknown = [c for c in chosen if not isinstance(c, Effect) and c not in known]
+    if unknown:
+        names = ", ".join(known)
+        raise DataError(f"unknown effect {unknown[0]!r} for {kind} data; known effects: {names}")
+    return m, [c if isinstance(c, Effect) else known[c] for c in chosen]
+
+
 @dataclass(frozen=True)
 class Model:
     """The base model with effects on top."""

@@ -15,7 +15,7 @@ from wrod.kernels.linear.banded_ends import ENDS
 _WIDE = 256  # Warp's own
 # Modules of `wrod.kernels`, by the size of the blocks in which they are launched.
 _STEPS = {
-    WARP: ("stepping.dynamics", "stepping.newton_iteration", "linear.banded_lanes"),
+    WARP: ("stepping.pace", "stepping.newton_iteration", "linear.banded_lanes"),
     ENDS: ("linear.banded_ends",),
     _WIDE: (
         "elastic.bending",
@@ -23,6 +23,7 @@ _STEPS = {
         "elastic.loads",
         "stepping.continuation",
         "contact.planes",
+        "stepping.dynamics",
     ),
 }
 _LAYING = {_WIDE: ("stepping.grip",)}

@@ -183,7 +183,7 @@ class NewtonSteps(Steps):
             bodies.solve(self)
         self.system.shorten(self.active)
         batch.launch_lanes(
-            kernels.take_newton_step,
+            newton.take_newton_step,
             [wp.float64(_STEP_LIMIT), self.active, self.system.x],
             [batch.state.dof, self.taken],
         )
