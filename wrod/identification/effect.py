@@ -98,6 +98,12 @@ class Effect:
         """What the cameras report of (T, M, 3) markers, whose material frames are `frame`."""
         return position
 
+    def doubt(
+        self, values: np.ndarray, covariance: np.ndarray, measurements: ClampedMeasurements
+    ) -> str:
+        """What else the effect may stand for at these values, a phrase; empty where nothing."""
+        return ""
+
     def describe(
         self, values: np.ndarray, covariance: np.ndarray, measurements: ClampedMeasurements
     ) -> dict[str, Estimate]:
