@@ -87,7 +87,7 @@ class Campaign:
     def drawn(self, seed: int, number: int, only: str = "") -> tuple[str, list[str], dict | str]:
         """What is broken, the words of the call, and what is around it."""
         draw = random.Random(f"{seed} {number}")
-        if draw.random() < 0.5:
+        if draw.random() < 0.2:
             return self._of_kinds(draw, number, only)
         slots = [slot for slot in self.slots if slot[0].startswith(only)]
         # Every option in turn, so that none is left to luck.
@@ -244,7 +244,7 @@ class Campaign:
 
     def _path(self, draw, suffix: str):
         """What is read: a valid file of another kind, a place that is no file, an odd name."""
-        if draw.random() < 0.35:
+        if draw.random() < 0.2:
             kind = draw.choice(list(self.files))
             return f"the {kind}", self.files[kind]
         if draw.random() < 0.2:

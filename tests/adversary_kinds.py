@@ -308,7 +308,7 @@ def happening(draw, words, files, folder) -> tuple[str, list[str], str]:
         path = made / Path(files[read.strip("{}")]).name
         words = [str(path) if word == read else word for word in words]
         text = text.replace("READ", str(path))
-    text = text.replace("SECONDS", f"{draw.choice([0.5, 1.0, 1.5, 2.0, 3.0, 5.0]):g}")
+    text = text.replace("SECONDS", f"{draw.choice([0.5, 1.0, 1.5, 2.0, 3.0]):g}")
     text = text.replace("SIZE", draw.choice(["4k", "8k", "32k", "128k", "512k"]))
     text = text.replace("INODES", draw.choice(["2", "3", "4", "100", "100"]))
     return kind, words, f"# {kind}\n{text.replace('UNABLE', UNABLE)}"

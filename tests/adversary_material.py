@@ -10,6 +10,7 @@ import socket
 from pathlib import Path
 
 import numpy as np
+from hostile import arrays_of, save_arrays
 
 import wrod
 from wrod.bench.robot import PATTERNS
@@ -70,7 +71,8 @@ VALID = {
     "bench feedback": ["--names", "line", "--effects", "none", "--ways", "blind", "--out", "{out}"],
     "bench applications": ["--case", "trefoil", "--trials", "1", "--device", "cpu", "--out",
                            "{out}"],
-    "bench photographs": ["--data", "{photographs}", "--quick", "--worlds", "1", "--out", "{out}"],
+    "bench photographs": ["--data", "{photographs}", "--quick", "--scenarios", "1",
+                          "--out", "{out}"],
     "bench hands": ["--data", "{hands}", "--quick", "--out", "{out}"],
 }  # fmt: skip
 NUMBERS = (
@@ -185,13 +187,10 @@ def material(folder: Path) -> dict[str, str]:
     picture = Image.new("RGB", (200, 150), "white")
     ImageDraw.Draw(picture).line([(30, 70), (170, 75)], fill="black", width=5)
     picture.save(at("line.png"))
-    for name, files in {
-        "patterns": ["points.csv"], "sets": ["clamped.npz"], "cables": ["motion.npz"],
-        "images": ["line.png"], "photographs": ["line.png", "points.csv"], "hands": ["motion.npz"],
-    }.items():  # fmt: skip
+    for name, file in {"patterns": "points.csv", "sets": "clamped.npz"}.items():
         at(name).mkdir(exist_ok=True)
-        for file in files:
-            shutil.copy(made[file], folder / name / file)
+        shutil.copy(made[file], folder / name / file)
+    _data(at)
     at("seven").mkdir(exist_ok=True)
     for name in PATTERNS:
         curve = wrod.pattern(name)
@@ -203,6 +202,35 @@ def material(folder: Path) -> dict[str, str]:
         standalone_mode=False,
     )
     return made
+
+
+def _data(at) -> None:
+    """Folders of data of the benchmarks, each with the least that they take."""
+    pictures, cables, photographs = at("images"), at("cables"), at("photographs")
+    swing = at("hands") / "swing"
+    for folder in (pictures / "set" / "gt", cables, photographs, swing):
+        folder.mkdir(parents=True, exist_ok=True)
+    from PIL import Image
+
+    with Image.open(at("line.png")) as picture:
+        picture.convert("L").point(lambda grey: 0 if grey > 128 else 1).save(
+            pictures / "set" / "gt" / "line.png"
+        )
+    with np.load(at("motion.npz")) as content:
+        moved = {name: content[name] for name in content.files}
+    moved["positions"] = np.concatenate([moved["positions"]] * 3)
+    moved["file_ids"] = np.array([str(k) for k in range(len(moved["positions"]))])
+    save_arrays(cables / "motion.npz", moved)
+    curve = np.column_stack([np.linspace(0, 0.3, 40), np.zeros(40)])
+    save_arrays(
+        photographs / "rope-line-int.npz",
+        {"centerline_filled": curve, "hidden": np.zeros(40), "sigma": np.full(40, 5e-4),
+         "pattern": curve, "size_factor": 1.0, "px_from_pattern": np.eye(2, 3), "pixels": curve},
+    )  # fmt: skip
+    shutil.copy(at("line.png"), photographs / "rope-line-int.png")
+    for load in ("unweighted", "weighted"):
+        for kind, arrays in (("static", "HeldCable"), ("swing", "HeldSwing")):
+            save_arrays(swing / f"black-short-{load}-{kind}.npz", arrays_of(arrays))
 
 
 def odd_places(folder: Path, suffix: str = "") -> dict[str, str]:

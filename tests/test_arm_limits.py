@@ -5,6 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from wrod.commands.plan_steps import within_speed
+from wrod.errors import RobotError
 from wrod.robot.kinematics import grasp_poses, refine
 from wrod.robot.limits import ArmLimits
 from wrod.robot.model import load_robot
@@ -61,3 +63,21 @@ def test_speeds_count_and_derivatives_are_limits_of_differences(path):
     ends = [limits.excess(at + sign * 1e-6 * way)[0] for sign in (1.0, -1.0)]
     along = np.einsum("mtd,td->m", rates, way)
     np.testing.assert_allclose((ends[0] - ends[1]) / 2e-6, along, atol=1e-7)
+
+
+def test_a_range_of_paces_ends_where_the_arm_does():
+    def arm(fastest):
+        def solve(_, __, *, grip_speed, whole_job):
+            if fastest is None:
+                raise RobotError("no joint path")
+            return SimpleNamespace(metadata={"grip_speed": min(grip_speed, fastest)})
+
+        return SimpleNamespace(solve=solve, no_robot=False)
+
+    def planned():
+        return SimpleNamespace(rod=None), None, None
+
+    said = [within_speed(arm(v), (0.02, 0.08), planned) for v in (1.0, 0.06, 0.001, None)]
+    fast = (0.02, 0.08)
+    np.testing.assert_allclose(said, [fast, (0.02, 0.06 / 2**0.5), (0.02, 0.02), fast])
+    assert within_speed(arm(0.001), 0.08, planned) == 0.08

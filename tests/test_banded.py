@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from wrod.kernels.linear import banded, banded_lanes
+from wrod.kernels.linear import banded, banded_ends, banded_lanes
 
 from wrod.rods.state import full_hessian
 
@@ -121,3 +121,55 @@ def test_a_pivot_that_cancels_keeps_a_size(kernels, device):
     factor, negative, x = run(kernels, device, *case)
     assert 0 < factor[0, 35, 0] < 1e-12 and negative[0] == 0
     assert np.isfinite(factor).all() and np.isfinite(x).all()
+
+
+def from_ends(device, hessian, free, shift, active, right):
+    """(negative pivots, solutions) for the first right-hand sides by `banded_ends`."""
+    rods, n = free.shape
+    block = 1 if device == "cpu" else banded_ends.ENDS
+
+    def array(value, dtype):
+        return wp.array(np.ascontiguousarray(value), dtype=dtype, device=device)
+
+    negative = wp.full(rods, -1, dtype=wp.int32, device=device)
+    x = wp.full((rods, 2, n), 7.0, dtype=wp.float64, device=device)
+    scratch = wp.zeros((rods, n, 11), dtype=wp.float64, device=device)
+    inputs = [array(active, wp.int32), array(free, wp.int32), array(hessian, wp.float64)]
+    inputs += [array(right[:, 0], wp.float64), array(shift, wp.float64)]
+    wp.launch(
+        banded_ends.solve,
+        dim=(rods, 1, block),
+        inputs=[wp.array([wp.vec2i(0, n)], dtype=wp.vec2i, device=device), *inputs],
+        outputs=[scratch, x, negative],
+        device=device,
+        block_dim=block,
+    )
+    return negative.numpy().copy(), x.numpy().copy()
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=needs_gpu)])
+def test_eliminating_from_both_ends_finds_what_a_thread_finds(device):
+    for n in (3, 10, 11, 21, 30, 31, 32, 41, 42, 43, 52, 53, 75, 76, 106, 107, 179, 703):
+        case = problem(n, seed=2)
+        case[0][:, :, 0] *= 3.0  # still indefinite, but no pivot is small by chance
+        _, negative, x = run(banded, "cpu", *case)
+        ends_negative, ends_x = from_ends(device, *case)
+        assert (negative == ends_negative).all(), n
+        active = np.flatnonzero(case[3])
+        error = np.abs(x[active, 0] - ends_x[active, 0]).max()
+        assert error < 1e-9 * np.abs(x[active, 0]).max(), n
+        assert (ends_x[-1] == 7.0).all() and (ends_x[:, 1] == 7.0).all()
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=needs_gpu)])
+@pytest.mark.parametrize("at", [3, 35, 36])
+def test_pivots_that_cancel_keep_a_size_from_both_ends(device, at):
+    n = 40
+    hessian = np.zeros((1, n, 11))
+    hessian[:, :, 0] = 1.0
+    hessian[:, at, 1] = 1.0
+    right = np.ones((1, 1, n))
+    right[:, :, at - 1 : at + 1] = 0.0
+    case = hessian, np.ones((1, n), bool), np.zeros(1), np.ones(1, bool), right
+    negative, x = from_ends(device, *case)
+    assert negative[0] == 0 and np.allclose(x[0, 0], right[0, 0])

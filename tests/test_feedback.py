@@ -6,6 +6,7 @@ from click.testing import CliRunner
 
 import wrod
 from wrod.commands import main
+from wrod.deployment.beliefs import Beliefs
 from wrod.deployment.expectation import COARSE
 from wrod.deployment.feedback import Plant, Sight, lay_with_feedback
 from wrod.deployment.result import errors_along
@@ -46,6 +47,20 @@ def test_a_robot_beside_its_place_is_seen_and_made_up_for(bend):
     assert followed.looks[0].offset == pytest.approx((0.0, 0.004), abs=1e-3)
     assert followed.looks[-1].offset == pytest.approx((0.0, 0.004), abs=1e-3)
     assert left.mean() < 0.3 * before.mean() and left[:10].mean() < 0.3 * before[:10].mean()
+
+
+def test_a_table_is_another_where_that_is_likelier(bend):
+    """Noise moves what is believed of friction by half of what it says; a change by all of it."""
+    information = np.diag([100.0, 1.0, 1.0, 1.0, 1.0])
+    gained = {}
+    for said in (0.1, -0.1, 1.4, -1.4):
+        beliefs = Beliefs(bend[0], ROD, 0.4, 0.05)
+        beliefs.covariance = 1e-3 * np.eye(5)
+        step = beliefs._renewed(information, information @ (said * np.eye(5)[0]))
+        assert not step[1:].any() and beliefs.covariance[0, 0] < 0.011
+        gained[said] = step[0] / said
+    assert gained[0.1] == gained[-0.1] == pytest.approx(0.52, abs=0.01)
+    assert gained[1.4] == gained[-1.4] == pytest.approx(0.99, abs=0.01)
 
 
 def test_looks_that_never_come_are_refused(bend):

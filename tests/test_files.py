@@ -75,6 +75,13 @@ def test_whole_numbers_of_an_open_schema_are_bounded():
         decode_labels(text, schemas.TrajectoryMetadata, "a", "a plan")
 
 
+def test_an_entry_that_is_there_twice_is_refused():
+    refused(
+        json.dumps(SCENE).replace("{", '{"format": "wrod-fixtures-1",', 1), "format twice; keep"
+    )
+    refused(with_radius('0.01, "radius": 0.02'), "radius twice")
+
+
 def test_syntax_names_the_line():
     refused('{"format": "wrod-fixtures-1",\n "fixtures": [}', "line 2, column 15: is no JSON")
     refused("", "ends in the middle of its JSON")

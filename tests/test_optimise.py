@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 import wrod
 from wrod.commands import main
+from wrod.deployment import together
 from wrod.deployment.corrections import Corrections, pace_of
 from wrod.deployment.expectation import expect, is_better, robot_error
 from wrod.deployment.optimise import Task, _fastest, course, optimise
@@ -120,6 +121,29 @@ def test_courses_that_are_laid_together_lie_as_they_do_alone(bend):
         np.testing.assert_allclose(laid.tangent, alone.tangent, atol=1e-9)
 
 
+def test_courses_out_of_step_wait_for_each_other(bend, monkeypatch):
+    """One that lays a rod more than the others does not make them be laid apart ever after."""
+    pattern, trajectory = bend
+    trial, sizes = Trial(pattern, ROD, trajectory, Friction(0.4)), []
+
+    def laid(trials, *_, **__):
+        sizes.append(len(trials))
+        nothing = np.zeros((2, 3))
+        return [Laid(np.arange(2.0), nothing, nothing[None], np.zeros(2), False, 1)] * len(trials)
+
+    monkeypatch.setattr(together, "lay", laid)
+    kinds = [{"speed": v} for v in (0.02, 0.04)]
+
+    def course(extra):
+        for how in [kinds[0]] * extra + kinds * 3:
+            yield Asked([trial], None, {"spacing": 0.01, **how})
+        return extra
+
+    monkeypatch.setattr(together, "resolve_device", lambda device: device)
+    assert together.follow([course(k) for k in (0, 0, 1)], device="cuda:0") == [0, 0, 1]
+    assert sizes.count(3) == 5 and sum(sizes) == 19
+
+
 def test_a_sample_covers_what_is_declared():
     spread = Spread.of((0.2, 0.6))
     _, laws, disturbances = zip(*spread.sample(4, ROD), strict=True)
@@ -172,7 +196,7 @@ def test_no_step_is_made_by_derivatives_that_ran_away(bend):
             place = np.pad(pattern.sample(s)[0][:, :2] + 0.002, ((0, 0), (0, 1)))
             rates = np.full((len(asked.directions[0]), 60, 3), 1e200)
             asked = run.send([Laid(s, place, rates, np.zeros(60), False, 1)])
-    assert count == 2  # on a coarse mesh and on a fine one
+    assert count == 1
     np.testing.assert_array_equal(ended.value.value.position, trajectory.position)
 
 

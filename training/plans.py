@@ -154,7 +154,7 @@ def solve(index: int, seed: int) -> Course[Sample | None]:
     around = static = yield from _bowl(task, corrections, np.zeros_like(values))
     if moved.any():
         around = yield from _bowl(task, corrections, values)
-    errors = best.metadata["optimised"]["errors"]
+    errors = best.optimised["errors"]
     return Sample(
         start.arc_length / lgb,
         led.sample(start.pattern_arc_length)[2] * lgb,

@@ -2,6 +2,9 @@
 
 import sys
 
+# What tells commands that this process is theirs alone.
+OWN_PROCESS = "own process"
+
 
 def main() -> None:
     """Load the command line and run it."""
@@ -10,7 +13,7 @@ def main() -> None:
 
         from wrod.commands import main as run
 
-        run()
+        run(obj=OWN_PROCESS)
     except KeyboardInterrupt:
         print("wrod: interrupted", file=sys.stderr)
         sys.exit(130)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import click
 
+from wrod.machine import usable_cores
+
 force_option = click.option(
     "--force", is_flag=True, help="Begin although it needs more than this machine has."
 )
@@ -21,11 +23,11 @@ IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
 CORRECTED_PLAN, LOOKING_ON = 15.0, 30.0
 # A recording of motion identified, a joint path with approach and retreat, a plan, a bend pulled,
 # an overhand knot that is tightened by a loop radius of one h.
-RECORDING, JOINT_PATH, PLAN, BEND, KNOT_STEP = 7.0, 12.0, 0.5, 90.0, 1.0
+RECORDING, JOINT_PATH, PLAN, BEND, KNOT_STEP = 7.0, 12.0, 0.5, 90.0, 0.6
 # A row of `wrod bench newton` beside an edge in an iteration of Newton's cable; its scenes of
 # bodies, and of many worlds and of a pile, for each edge; what hangs in a hand, and what loops do.
-NEWTON_ROW, VBD_EDGE, NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 3.0, 4e-7, 40.0, 1e-3, 1e-3
-HAND, FOLD, LOOPS, EXPERIMENT = 20.0, 60.0, 60.0, 10.0
+NEWTON_ROW, VBD_EDGE, NEWTON_BODIES, WORLD_EDGE, PILE_EDGE = 5.0, 8e-7, 40.0, 1e-3, 1e-3
+HAND, FOLD, LOOPS, EXPERIMENT = 28.0, 60.0, 60.0, 10.0
 # Multiplications and additions of a core with eight float64 lanes that training keeps busy.
 _OPERATIONS = 4e9
 # Longer than this is a mistake more often than a wish [s].
@@ -110,7 +112,7 @@ def grasps(
         shard_size: grasps solved at once.
     """
     rate = GRASPS_PER_SECOND / (SENSITIVITIES_COST if sensitivities else 1.0)
-    rate *= _cores() if device == "cpu" else 600.0
+    rate *= usable_cores() if device == "cpu" else 600.0
     # Meshes of 128 edges, of which a dozen arrays of the degrees of freedom live at once.
     return Cost(count / ranks / rate, 50e3 * min(shard_size, count), float(row_bytes) * count)
 
@@ -121,16 +123,18 @@ def identification(data) -> Cost:
     Raises:
         DataError: it holds none.
     """
-    from wrod.identification import is_motion, load_motion
+    from wrod.identification import is_motion, load_measurements, load_motion
 
-    count = load_motion(data).recording_count if is_motion(data) else 0
-    return Cost(RECORDING * count or IDENTIFIED_SET)
+    if is_motion(data):
+        return Cost(RECORDING * load_motion(data).recording_count)
+    load_measurements(data)
+    return Cost(IDENTIFIED_SET)
 
 
 def manifold(count: int, lengths: int, *, device: str) -> Cost:
     """Of equilibria of held grips, and of the boundary for some suspended lengths."""
     seconds = EQUILIBRIUM * count + BOUNDARY * lengths
-    return Cost(seconds / (_cores() if device == "cpu" else 20.0), 10e3 * count)
+    return Cost(seconds / (usable_cores() if device == "cpu" else 20.0), 10e3 * count)
 
 
 def training(steps: int, batch: int, width: int, depth: int, rows: int, *, device: str) -> Cost:
@@ -148,17 +152,15 @@ def deployments(
     nodes, steps = length / spacing + 100.0, 1.5 * length / speed / step
     seconds = trials * nodes * steps * NODE_STEP
     memory = nodes * 4096.0 * trials
-    return Cost(seconds / _cores() if device == "cpu" else seconds / 600.0, memory, 1e5 * trials)
+    rate = usable_cores() if device == "cpu" else 600.0
+    return Cost(seconds / rate, memory, 1e5 * trials)
 
 
 def pictures(count: int, width: int, height: int, samples: int = 4) -> Cost:
     """Of drawing a stage."""
     rays = float(width) * height * samples
-    return Cost(count * (rays * DRAWN_RAY + 0.2) / _cores(), 60.0 * rays, 3.0 * count * rays / 4)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    seconds = count * (rays * DRAWN_RAY + 0.2) / usable_cores()
+    return Cost(seconds, 60.0 * rays, 3.0 * count * rays / 4)
 
 
 def _room(out: Path | None) -> float:

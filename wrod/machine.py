@@ -32,6 +32,11 @@ def machine_line(device: str = "cpu") -> str:
     return "; ".join(parts)
 
 
+def usable_cores() -> int:
+    """Cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def available_memory() -> float:
     """Bytes that this process may still take; infinite where the system does not say."""
     free = float("inf")

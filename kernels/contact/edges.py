@@ -21,7 +21,9 @@ from wrod.kernels.contact.rolling import held_turn
 from wrod.kernels.elastic.assembly import (
     add_block,
     add_column,
+    add_component,
     add_diagonal_block,
+    add_entry,
     add_row,
     add_vector,
 )
@@ -133,8 +135,8 @@ def edge_contact(
                 turn = turned[r, k, i] + dof[r, a] - dof_before[r, a]
                 limit = model.roll_friction[r, k] * c.force * arm
                 roll = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
-                wp.atomic_add(gradient, r, a, roll[0])
-                wp.atomic_add(hessian, r, a, 0, roll[1])
+                add_component(gradient, r, a, roll[0])
+                add_entry(hessian, r, a, 0, roll[1])
 
 
 @wp.func
@@ -180,8 +182,8 @@ def add_edge_spin(
     """The torque of friction on the edge's angle."""
     a = 4 * i
     coupling = tangential * c.spin
-    wp.atomic_add(gradient, r, a + 3, wp.dot(pull, c.spin))
-    wp.atomic_add(hessian, r, a + 3, 0, wp.dot(coupling, c.spin))
+    add_component(gradient, r, a + 3, wp.dot(pull, c.spin))
+    add_entry(hessian, r, a + 3, 0, wp.dot(coupling, c.spin))
     add_row(hessian, r, a + 3, a, (ONE - c.near.s) * coupling)
     add_column(hessian, r, a + 4, a + 3, c.near.s * coupling)
 

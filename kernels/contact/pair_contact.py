@@ -17,6 +17,7 @@ from wrod.kernels.contact.segments import (
     piece_slopes,
     piece_weights,
 )
+from wrod.kernels.elastic.assembly import add_component, add_vector
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
@@ -252,12 +253,6 @@ def edge_motion(kind: int, e: wp.vec3d, s: wp.float64, arm: wp.float64, n: wp.ve
 
 
 @wp.func
-def add_force(gradient: wp.array2d(dtype=wp.float64), r: int, a: int, v: wp.vec3d):
-    for c in range(3):
-        wp.atomic_add(gradient, r, a + c, v[c])
-
-
-@wp.func
 def add_edge_force(
     gradient: wp.array2d(dtype=wp.float64),
     kind: int,
@@ -274,8 +269,8 @@ def add_edge_force(
     swing = wp.transpose(m.swing) * pull
     for k in range(piece_size(kind)):
         force = m.weight[k] * (push + pull) + m.slope[k] * swing + chord[k] * turn
-        add_force(gradient, r, 4 * (i + k), force)
+        add_vector(gradient, r, 4 * (i + k), force)
     spin = wp.dot(m.spin, pull)
-    wp.atomic_add(gradient, r, 4 * i + 3, (ONE - m.share) * spin)
+    add_component(gradient, r, 4 * i + 3, (ONE - m.share) * spin)
     if kind != EDGE:
-        wp.atomic_add(gradient, r, 4 * i + 7, m.share * spin)
+        add_component(gradient, r, 4 * i + 7, m.share * spin)

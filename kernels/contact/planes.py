@@ -14,7 +14,14 @@ kinetic one: within a step the law is fixed, and Newton converges.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_column, add_diagonal_block, add_row, add_vector
+from wrod.kernels.elastic.assembly import (
+    add_column,
+    add_component,
+    add_diagonal_block,
+    add_entry,
+    add_row,
+    add_vector,
+)
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
@@ -248,11 +255,8 @@ def contact(
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
 ):
-    """Subtract contact forces from the residual and add their stiffness to the matrix.
-
-    The dependence of a sliding node's friction on its normal force is left out of the matrix,
-    which would not be symmetric with it; the forces are exact.
-    """
+    """Subtract contact forces from the residual and add their stiffness to the matrix, but for how
+    a sliding node's friction depends on its normal force, which would not be symmetric."""
     r, i = wp.tid()
     if active[r] == 0:
         return
@@ -288,15 +292,15 @@ def add_spin(
     torque = share * wp.dot(pull, spin)
     stiffness = share * wp.dot(coupling, spin)
     if i > 0:
-        wp.atomic_add(gradient, r, a - 1, torque)
-        wp.atomic_add(hessian, r, a - 1, 0, stiffness)
+        add_component(gradient, r, a - 1, torque)
+        add_entry(hessian, r, a - 1, 0, stiffness)
         add_column(hessian, r, a, a - 1, coupling)
     if i < last:
-        wp.atomic_add(gradient, r, a + 3, torque)
-        wp.atomic_add(hessian, r, a + 3, 0, stiffness)
+        add_component(gradient, r, a + 3, torque)
+        add_entry(hessian, r, a + 3, 0, stiffness)
         add_row(hessian, r, a + 3, a, coupling)
     if i > 0 and i < last:
-        wp.atomic_add(hessian, r, a + 3, 4, stiffness)
+        add_entry(hessian, r, a + 3, 4, stiffness)
 
 
 @wp.kernel

@@ -38,6 +38,9 @@ FADING = wp.constant(wp.float64(0.5))
 # A load is out of date when it differs by more than this part; how often a step takes them anew.
 STALE = wp.constant(wp.float64(0.05))
 MOST_RENEWALS = wp.constant(2)
+# Residual over the tolerance from which on loads are taken anew: they are a hundred times nearer to
+# those of the end than what made them stale, and to come nearer under the old ones is in vain.
+NEARLY = wp.constant(wp.float64(100.0))
 
 
 @wp.kernel
@@ -143,6 +146,9 @@ def renew_loads(
     # State in:
     step: wp.array(dtype=wp.float64),
     converged: wp.array(dtype=wp.int32),
+    active: wp.array(dtype=wp.int32),
+    residual: wp.array(dtype=wp.float64),
+    tolerance: wp.array(dtype=wp.float64),
     renewals: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
@@ -153,11 +159,15 @@ def renew_loads(
     # State out:
     renewed_out: wp.array(dtype=wp.int32),
 ):
-    """Where a rod is in balance, take the loads anew that bound what slides and are out of date.
-    A pair that meets in this step rubs from the next one on."""
+    """Where a rod is in balance or nearly so, take the loads anew that bound what slides and are
+    out of date. A pair that meets in this step rubs from the next one on."""
     r, i = wp.tid()
-    if converged[r] == 0 or renewals[r] >= MOST_RENEWALS:
+    if renewals[r] >= MOST_RENEWALS:
         return
+    if converged[r] == 0:
+        nearly = active[r] != 0 and residual[r] <= NEARLY * tolerance[r]
+        if not nearly or rubbing.sticking[r] != 0:
+            return
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
         old = rubbing.load[r, i, k]

@@ -10,6 +10,7 @@ along a shape, is held by the friction of its nodes.
 
 import warp as wp
 from wrod.kernels.contact.planes import Touchable, mean_angle, present_force, touch
+from wrod.kernels.elastic.assembly import add_component, add_entry
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 
 wp.set_module_options({"enable_backward": False})
@@ -72,10 +73,10 @@ def hold_roll(
             for side in range(2):
                 a = 4 * i - 1 + 4 * side
                 if a > 0 and i + side <= last:
-                    wp.atomic_add(gradient, r, a, share * held[0])
-                    wp.atomic_add(hessian, r, a, 0, share * share * held[1])
+                    add_component(gradient, r, a, share * held[0])
+                    add_entry(hessian, r, a, 0, share * share * held[1])
             if inner:
-                wp.atomic_add(hessian, r, 4 * i + 3, 4, share * share * held[1])
+                add_entry(hessian, r, 4 * i + 3, 4, share * share * held[1])
 
 
 @wp.kernel

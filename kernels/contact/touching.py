@@ -126,6 +126,9 @@ def refuse_large_steps(
     were apart cannot have crossed."""
     r, lane = wp.tid()
     if converged[r] == 0:
+        if lane == 0 and renewed[r] != 0:
+            renewed[r] = 0
+            renewals[r] = renewals[r] + 1
         return
     bad = int(0)
     for i in range(lane, partner_count.shape[1] + 1, wp.block_dim()):

@@ -17,7 +17,13 @@ as much as computing.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_angle_hessian, add_edge_gradient, add_edge_hessian
+from wrod.kernels.elastic.assembly import (
+    add_angle_hessian,
+    add_component,
+    add_edge_gradient,
+    add_edge_hessian,
+    add_number,
+)
 from wrod.kernels.elastic.curvature import (
     Component,
     Stencil,
@@ -93,6 +99,8 @@ def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp
         whose mean the invariant K has. Second derivatives if `order` is 2."""
         cosine = wp.dot(s.t, s.u)
         chi = ONE + cosine
+        per_chi = ONE / chi
+        per_rest = ONE / rest
         grad_chi_e = perpendicular(s.u, s.t)
         grad_chi_f = perpendicular(s.t, s.u)
         eye = wp.identity(3, dtype=wp.float64)
@@ -119,7 +127,7 @@ def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp
             first = Component()
 
         average = HALF * (invariant[0] + invariant[1])
-        mean = average / rest
+        mean = average * per_rest
         for k in range(2):
             stiffness = principal[k]
             isotropic = stiffness == average and natural[k] == ZERO
@@ -127,14 +135,14 @@ def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp
                 isotropic = False
             if not isotropic:  # all is in the invariant
                 c = component(s, k)
-                excess = c.kappa / rest - natural[k]
+                excess = c.kappa * per_rest - natural[k]
                 moment = stiffness * excess
                 work = HALF * moment * excess * rest
                 if wp.static(law is not None):
                     stiffness = here.tangent[k, k]
                     moment = here.moment[k]
                     work = ZERO
-                b = stiffness / rest - mean
+                b = stiffness * per_rest - mean
                 moment = moment - mean * c.kappa
                 energy += work - HALF * mean * c.kappa * c.kappa
                 g_e += moment * c.e
@@ -143,16 +151,16 @@ def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp
                 g_tf += moment * c.tf
 
                 if order == 2:
-                    m = moment / chi
+                    m = moment * per_chi
                     e_u = wp.dot(c.m_e, s.u)
                     f_t = wp.dot(c.m_f, s.t)
                     h = (f_t + c.kappa * cosine) * eye - HALF * symmetric(c.m_e, s.u)
-                    h = (project(h, s.t, s.t) - symmetric(c.e, grad_chi_e)) / chi
+                    h = per_chi * (project(h, s.t, s.t) - symmetric(c.e, grad_chi_e))
                     # The unit tangent's own second derivative by the edge vector.
                     h = h - symmetric(c.e, s.t)
                     ee += b * wp.outer(c.e, c.e) + moment * h
                     h = (c.kappa * cosine - e_u) * eye + HALF * symmetric(c.m_f, s.t)
-                    h = (project(h, s.u, s.u) - symmetric(c.f, grad_chi_f)) / chi
+                    h = per_chi * (project(h, s.u, s.u) - symmetric(c.f, grad_chi_f))
                     h = h - symmetric(c.f, s.u)
                     ff += b * wp.outer(c.f, c.f) + moment * h
                     h = wp.outer(s.u, c.m_f) - wp.outer(c.m_e, s.t) - c.kappa * eye
@@ -173,7 +181,7 @@ def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp
                             first = c
                         else:
                             # A law of both curvatures couples them.
-                            b = here.tangent[0, 1] / rest
+                            b = here.tangent[0, 1] * per_rest
                             ee += b * symmetric(first.e, c.e)
                             ef += b * (wp.outer(first.e, c.f) + wp.outer(c.e, first.f))
                             ff += b * symmetric(first.f, c.f)
@@ -186,12 +194,12 @@ def make_bending(law: wp.Function | None = None, numbers: type = wp.vec2d) -> wp
                             tf_tf += TWO * b * first.tf * c.tf
 
         # The invariant: K = 8 / chi - 4.
-        energy += mean * (FOUR / chi - TWO)
-        slope = -FOUR * mean / (chi * chi)
+        energy += mean * (FOUR * per_chi - TWO)
+        slope = -FOUR * mean * per_chi * per_chi
         g_e += slope * grad_chi_e
         g_f += slope * grad_chi_f
         if order == 2:
-            b = -TWO * slope / chi
+            b = -TWO * slope * per_chi
             ee += b * wp.outer(grad_chi_e, grad_chi_e) - slope * (
                 symmetric(grad_chi_e, s.t) + cosine * (eye - wp.outer(s.t, s.t))
             )
@@ -243,12 +251,13 @@ def add_stencil(
     """Add bending and twisting at node i to the rod's energy and its derivatives."""
     inv_e = ONE / s.length_e
     inv_f = ONE / s.length_f
-    wp.atomic_add(energy_out, r, bend.energy + energy + twist.energy)
+    if energy_out.shape[0] > 0:
+        add_number(energy_out, r, bend.energy + energy + twist.energy)
     g_e = inv_e * bend.g_e + twist.moment * twist.e + e
     g_f = inv_f * bend.g_f + twist.moment * twist.f + f
     add_edge_gradient(gradient_out, r, i, g_e, g_f)
-    wp.atomic_add(gradient_out, r, 4 * i - 1, bend.g_te - twist.moment)
-    wp.atomic_add(gradient_out, r, 4 * i + 3, bend.g_tf + twist.moment)
+    add_component(gradient_out, r, 4 * i - 1, bend.g_te - twist.moment)
+    add_component(gradient_out, r, 4 * i + 3, bend.g_tf + twist.moment)
     if order == 2:
         b = twist.stiffness
         twist_ee, twist_ef, twist_ff = twisting_hessian(s, twist)

@@ -10,7 +10,7 @@ angle.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_edge_gradient
+from wrod.kernels.elastic.assembly import add_component, add_edge_gradient
 from wrod.kernels.elastic.frames import ONE, edge, rotate
 
 wp.set_module_options({"enable_backward": False})
@@ -39,8 +39,8 @@ def stencil(
     f = edge(dof, r, i)
     s.length_e = wp.length(e)
     s.length_f = wp.length(f)
-    s.t = e / s.length_e
-    s.u = f / s.length_f
+    s.t = (ONE / s.length_e) * e
+    s.u = (ONE / s.length_f) * f
     s.m1e = rotate(director[r, i - 1], s.t, dof[r, 4 * i - 1])
     s.m2e = wp.cross(s.t, s.m1e)
     s.m1f = rotate(director[r, i], s.u, dof[r, 4 * i + 3])
@@ -96,12 +96,14 @@ def component(s: Stencil, k: int) -> Component:
         c.dm_e = -s.m1e
         c.dm_f = -s.m1f
     cosine = wp.dot(s.t, s.u)
-    chi = ONE + cosine
-    c.kappa = (wp.dot(c.m_e, s.u) - wp.dot(c.m_f, s.t)) / chi
-    c.e = (-cosine * c.m_e - perpendicular(c.m_f, s.t) - c.kappa * perpendicular(s.u, s.t)) / chi
-    c.f = (perpendicular(c.m_e, s.u) + cosine * c.m_f - c.kappa * perpendicular(s.t, s.u)) / chi
-    c.te = wp.dot(c.dm_e, s.u) / chi
-    c.tf = -wp.dot(c.dm_f, s.t) / chi
+    per_chi = ONE / (ONE + cosine)
+    c.kappa = per_chi * (wp.dot(c.m_e, s.u) - wp.dot(c.m_f, s.t))
+    e = -cosine * c.m_e - perpendicular(c.m_f, s.t) - c.kappa * perpendicular(s.u, s.t)
+    f = perpendicular(c.m_e, s.u) + cosine * c.m_f - c.kappa * perpendicular(s.t, s.u)
+    c.e = per_chi * e
+    c.f = per_chi * f
+    c.te = per_chi * wp.dot(c.dm_e, s.u)
+    c.tf = -per_chi * wp.dot(c.dm_f, s.t)
     return c
 
 
@@ -126,8 +128,8 @@ def add_component_rate(
 ):
     """Add what a rate of the moment of one component contributes to that of the gradient."""
     add_edge_gradient(gradient_rate, r, i, (rate / s.length_e) * c.e, (rate / s.length_f) * c.f)
-    wp.atomic_add(gradient_rate, r, 4 * i - 1, rate * c.te)
-    wp.atomic_add(gradient_rate, r, 4 * i + 3, rate * c.tf)
+    add_component(gradient_rate, r, 4 * i - 1, rate * c.te)
+    add_component(gradient_rate, r, 4 * i + 3, rate * c.tf)
 
 
 @wp.func
@@ -151,5 +153,5 @@ def add_invariant_rate(
     beyond the components of the curvature."""
     e, f, te, tf = invariant_gradient(s, component(s, 0), component(s, 1))
     add_edge_gradient(gradient_rate, r, i, (rate / s.length_e) * e, (rate / s.length_f) * f)
-    wp.atomic_add(gradient_rate, r, 4 * i - 1, rate * te)
-    wp.atomic_add(gradient_rate, r, 4 * i + 3, rate * tf)
+    add_component(gradient_rate, r, 4 * i - 1, rate * te)
+    add_component(gradient_rate, r, 4 * i + 3, rate * tf)

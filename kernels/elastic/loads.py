@@ -4,7 +4,7 @@ The load factor a, 1 by default, is what a load continuation ramps.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_vector
+from wrod.kernels.elastic.assembly import add_number, add_vector
 from wrod.kernels.elastic.frames import node
 
 wp.set_module_options({"enable_backward": False})
@@ -29,5 +29,6 @@ def dead_loads(
     if active[r] == 0:
         return
     load = load_factor[r] * (node_mass[r, i] * gravity[r] + point_load[r, i])
-    wp.atomic_add(energy_out, r, -wp.dot(load, node(dof_in, r, i)))
+    if energy_out.shape[0] > 0:
+        add_number(energy_out, r, -wp.dot(load, node(dof_in, r, i)))
     add_vector(gradient_out, r, 4 * i, -load)

@@ -1,7 +1,7 @@
 """Stretching: E = 1/2 k_s (|e|/l - 1)^2 l for each edge of rest length l (Eq. stretching)."""
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_block, add_diagonal_block, add_vector
+from wrod.kernels.elastic.assembly import add_block, add_diagonal_block, add_number, add_vector
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO, edge
 
 wp.set_module_options({"enable_backward": False})
@@ -53,7 +53,8 @@ def add_stretching(
     length = wp.length(e)
     s = stretching(stretching_stiffness[r, i], rest_length[r, i], length, e / length)
     a = 4 * i
-    wp.atomic_add(energy, r, s.energy)
+    if energy.shape[0] > 0:
+        add_number(energy, r, s.energy)
     add_vector(gradient, r, a, -s.gradient)
     add_vector(gradient, r, a + 4, s.gradient)
     if order == 2:

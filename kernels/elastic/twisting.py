@@ -6,7 +6,7 @@ parallel-transported in time from the state at which they are evaluated.
 """
 
 import warp as wp
-from wrod.kernels.elastic.assembly import add_edge_gradient
+from wrod.kernels.elastic.assembly import add_component, add_edge_gradient
 from wrod.kernels.elastic.curvature import Stencil
 from wrod.kernels.elastic.frames import HALF, ONE, edge
 
@@ -50,21 +50,21 @@ def twisting_moment(
 ) -> Twisting:
     """What has this energy, moment, and derivative of the moment by the twist across the node."""
     # Half the curvature binormal.
-    turn = wp.cross(s.t, s.u) / (ONE + wp.dot(s.t, s.u))
+    turn = (ONE / (ONE + wp.dot(s.t, s.u))) * wp.cross(s.t, s.u)
     out = Twisting()
     out.energy = energy
     out.moment = moment
     out.stiffness = stiffness
-    out.e = turn / s.length_e
-    out.f = turn / s.length_f
+    out.e = (ONE / s.length_e) * turn
+    out.f = (ONE / s.length_f) * turn
     return out
 
 
 @wp.func
 def twisting_hessian(s: Stencil, twist: Twisting):
     """(ee, ef, ff): second derivatives by the edges."""
-    chi = ONE + wp.dot(s.t, s.u)
-    mean = (s.t + s.u) / chi
+    per_chi = ONE / (ONE + wp.dot(s.t, s.u))
+    mean = per_chi * (s.t + s.u)
     b = twist.stiffness
     half = HALF * twist.moment
     pe = s.t + mean
@@ -76,7 +76,7 @@ def twisting_hessian(s: Stencil, twist: Twisting):
         wp.outer(twist.f, pf) + wp.outer(pf, twist.f)
     )
     ef = b * wp.outer(twist.e, twist.f) + (twist.moment / s.length_f) * (
-        wp.skew(s.t) / (chi * s.length_e) - wp.outer(twist.e, mean)
+        (per_chi / s.length_e) * wp.skew(s.t) - wp.outer(twist.e, mean)
     )
     return ee, ef, ff
 
@@ -111,5 +111,5 @@ def twisting_rate(
     rate += twisting_stiffness[r, i] * excess_rate
     binormal = (rate / (ONE + wp.dot(t, u))) * wp.cross(t, u)
     add_edge_gradient(gradient_rate_out, r, i, binormal / wp.length(e), binormal / wp.length(f))
-    wp.atomic_add(gradient_rate_out, r, 4 * i - 1, -rate)
-    wp.atomic_add(gradient_rate_out, r, 4 * i + 3, rate)
+    add_component(gradient_rate_out, r, 4 * i - 1, -rate)
+    add_component(gradient_rate_out, r, 4 * i + 3, rate)

@@ -17,7 +17,6 @@ nodes by the square of radius over length.
 import warp as wp
 from wrod.kernels.elastic.assembly import add_diagonal_block, add_vector
 from wrod.kernels.elastic.frames import TWO, ZERO, node
-from wrod.kernels.stepping.newton_iteration import largest_safe_fraction_of_lanes
 from wrod.kernels.stepping.pace import Pace
 
 wp.set_module_options({"enable_backward": False})
@@ -170,32 +169,6 @@ def add_drag(
     v = rate(c, pace.span[r], node(dof, r, i), node(before, r, i), node(older, r, i))
     add_vector(gradient, r, 4 * i, drag_force(v, d[0], d[1]))
     add_diagonal_block(hessian, r, 4 * i, (c[0] / pace.span[r]) * drag_matrix(v, d[0], d[1]))
-
-
-@wp.kernel
-def take_newton_step(
-    # Model:
-    limit: wp.float64,
-    # State in:
-    active: wp.array(dtype=wp.int32),
-    solution: wp.array3d(dtype=wp.float64),
-    # State in and out:
-    dof: wp.array2d(dtype=wp.float64),
-    # State out:
-    taken_out: wp.array(dtype=wp.float64),
-):
-    """Subtract the solution, or as much of it as leaves every edge recognisable.
-
-    Launched over (rod, lane).
-    """
-    r, lane = wp.tid()
-    if active[r] == 0:
-        return
-    fraction = largest_safe_fraction_of_lanes(dof, solution, r, limit, lane)
-    if lane == 0:
-        taken_out[r] = fraction
-    for a in range(lane, dof.shape[1], wp.block_dim()):
-        dof[r, a] = dof[r, a] - fraction * solution[r, 0, a]
 
 
 @wp.kernel

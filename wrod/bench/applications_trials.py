@@ -121,7 +121,7 @@ def cable_rows(case, method, trials, jobs, deployments, seconds) -> list[dict]:
                 "error": [100 * d.error_mean],
                 "cpu_seconds": seconds,
                 "steps": d.steps,
-                "closure": job.trajectory.metadata.get("closure"),
+                "closure": job.trajectory.closure,
                 "speed": d.released_speed,
                 "penetration": d.penetration / material.radius,
                 "disturbance": asdict(job.disturbance),

@@ -6,8 +6,8 @@ import numpy as np
 
 from wrod.bench.closures_report import CLOSURES, LABELS, METHODS, PUT_DOWN, best, places
 from wrod.files import write_figure
+from wrod.files.pictures import GRID, INK, MUTED
 
-_INK, _MUTED = "#22262b", "#59616b"
 COLORS = {
     "intuitive": "#c2533c",
     "zero_tension": "#2f8f5b",
@@ -44,13 +44,13 @@ def draw(path: Path, table: dict) -> Path:
             _draw_line(grid[-1], table, drawn)
     figure.text(
         0.02, 0.963, "Which closure lays the rod most accurately?",
-        fontsize=15, weight="bold", color=_INK,
+        fontsize=15, weight="bold", color=INK,
     )  # fmt: skip
     figure.text(
         0.02, 0.934,
         "Above: arcs of constant curvature; the best closure, its error [cm] and, below, that of "
         "zero tension. Grey: all within 0.02 cm. Below: the drawn patterns.",
-        fontsize=9.5, color=_MUTED,
+        fontsize=9.5, color=MUTED,
     )  # fmt: skip
     figure.legend(
         handles=[
@@ -80,14 +80,14 @@ def _draw_map(axes, table: dict, rod: str) -> None:
         axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1.0, 1.0, color=color, alpha=0.75, lw=0))
         axes.text(
             x, y, f"{errors[name]:.2f}\n{errors['zero_tension']:.2f}",
-            ha="center", va="center", fontsize=7.5, color=_INK, linespacing=1.15,
+            ha="center", va="center", fontsize=7.5, color=INK, linespacing=1.15,
         )  # fmt: skip
     axes.set_xticks(range(len(kappas)), [f"{k:g}" for k in kappas])
     axes.set_yticks(range(len(frictions)), [f"{m:g}" for m in frictions])
     axes.set_xlim(-0.5, len(kappas) - 0.5)
     axes.set_ylim(-0.5, len(frictions) - 0.5)
     axes.set_xlabel("curvature [1/L_gb]", fontsize=9)
-    axes.set_title(rod, fontsize=10.5, color=_INK)
+    axes.set_title(rod, fontsize=10.5, color=INK)
     _dress(axes)
 
 
@@ -114,8 +114,8 @@ def _draw_errors(axes, table: dict, rod: str) -> None:
     axes.set_yscale("log")
     axes.set_ylim(bottom=5e-3)
     axes.set_xlabel("friction coefficient", fontsize=9)
-    axes.set_title(rod, fontsize=10.5, color=_INK)
-    axes.grid(color="#e6e9ee", lw=0.7)
+    axes.set_title(rod, fontsize=10.5, color=INK)
+    axes.grid(color=GRID, lw=0.7)
     _dress(axes)
 
 
@@ -127,13 +127,13 @@ def _draw_line(axes, table: dict, rods: list[str]) -> None:
             x = range(len(keys))
             axes.plot(x, [table[k].error for k in keys], color=COLORS[method], lw=1.6, ls=style)
             axes.set_xticks(x, [f"{k[2]:g}" for k in keys])
-        axes.plot([], [], color=_MUTED, lw=1.4, ls=style, label=rod)
+        axes.plot([], [], color=MUTED, lw=1.4, ls=style, label=rod)
     axes.set_yscale("log")
     axes.set_ylim(bottom=1e-3)
     axes.set_xlabel("friction coefficient", fontsize=9)
     axes.set_ylabel("e_mean [cm]", fontsize=9)
-    axes.set_title("the straight line", fontsize=10.5, color=_INK)
-    axes.grid(color="#e6e9ee", lw=0.7)
+    axes.set_title("the straight line", fontsize=10.5, color=INK)
+    axes.grid(color=GRID, lw=0.7)
     axes.legend(fontsize=8, frameon=False)
     _dress(axes)
 
@@ -156,7 +156,7 @@ def draw_friction(path: Path, table: dict) -> Path:
         style = {"s": 13, "color": COLORS[name], "alpha": 0.75, "lw": 0, "label": LABELS[name]}
         left.scatter([key[2] for key, _ in mine], error, **style)
         right.scatter([key[2] / cell.contact_friction for key, cell in mine], error, **style)
-    right.axvline(1.0, color=_MUTED, lw=0.8, ls=(0, (4, 3)))
+    right.axvline(1.0, color=MUTED, lw=0.8, ls=(0, (4, 3)))
     left.set_ylabel("e_mean [cm]", fontsize=9)
     left.set_xlabel("friction coefficient", fontsize=9)
     right.set_xlabel("friction coefficient over what the plan asks for at the contact", fontsize=9)
@@ -165,24 +165,24 @@ def draw_friction(path: Path, table: dict) -> Path:
     for axes in (left, right):
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.grid(color="#e6e9ee", lw=0.7)
+        axes.grid(color=GRID, lw=0.7)
         _dress(axes)
     right.legend(fontsize=8.5, frameon=False)
     figure.text(
         0.02, 0.93, "What decides is the friction asked for where the rod touches down",
-        fontsize=14, weight="bold", color=_INK,
+        fontsize=14, weight="bold", color=INK,
     )  # fmt: skip
     figure.text(
         0.02, 0.875,
         "Every drawn pattern, rod and closure. Asked for: the largest ratio of tangential to "
         "normal force of its grasps.",
-        fontsize=9.5, color=_MUTED,
+        fontsize=9.5, color=MUTED,
     )  # fmt: skip
 
     return write_figure(path, figure, 90)
 
 
 def _dress(axes) -> None:
-    axes.tick_params(labelsize=8, colors=_MUTED, length=0)
+    axes.tick_params(labelsize=8, colors=MUTED, length=0)
     for spine in axes.spines.values():
         spine.set_visible(False)

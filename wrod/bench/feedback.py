@@ -57,7 +57,7 @@ _FIRST_SEED = 9_000
     "with the truth known from the first look on.",
 )  # fmt: skip
 @click.option("--every", default=0.03, show_default=True, help="Way between two looks [m].")
-@click.option("--horizon", default=6.0, show_default=True,
+@click.option("--horizon", default=10.0, show_default=True,
               help="How far ahead the path is corrected after a look [L_gb].")  # fmt: skip
 @click.option("--undisturbed", is_flag=True, help="The effect alone, without shaking and the rest.")
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
@@ -80,6 +80,7 @@ def command(
     from wrod.bench import courses
     from wrod.bench.slippery import Shelf
     from wrod.errors import RodError
+    from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
     from wrod.rods.batch import resolve_device
 
@@ -94,7 +95,8 @@ def command(
         shelf.course(*place)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
     patterns = "built-in" if shelf.patterns is None else shelf.patterns.name
-    ledger = Ledger(out / "feedback.jsonl", how | {"patterns": patterns}, KEYS, "feedback")
+    settings = how | {"patterns": patterns}
+    ledger = Ledger(out / "feedback.jsonl", settings, KEYS, "feedback", row_schemas.FeedbackRow)
     done = ledger.done()
     keys = [
         (*place, effect, way, seed)

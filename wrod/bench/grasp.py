@@ -32,6 +32,13 @@ from wrod import cost
     show_default=True,
     help="--against: take fewer calls of what needs longer than this for five [s].",
 )
+@click.option(
+    "--closure",
+    "closures",
+    multiple=True,
+    type=click.Choice(["zero_tension", "min_force", "min_friction"]),
+    help="--against: this closure; may be given several times. Default: all.",
+)
 @cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
 def command(
@@ -41,6 +48,7 @@ def command(
     against: Path | None,
     counts: str,
     patience: float,
+    closures: tuple[str, ...],
     as_json: bool,
     force: bool,
 ) -> None:
@@ -54,7 +62,7 @@ def command(
 
     device = resolve_device(device)
     if against is not None:
-        _compare(against, counts, device, patience, as_json)
+        _compare(against, counts, closures or tuple(CLOSURES), device, patience, as_json)
         return
 
     on_gpu = device != "cpu"
@@ -123,9 +131,15 @@ def _say(figures: dict, threads: int) -> None:
         )
 
 
-def _compare(other: Path, counts: str, device: str, patience: float, as_json: bool) -> None:
+def _compare(
+    other: Path,
+    counts: str,
+    closures: tuple[str, ...],
+    device: str,
+    patience: float,
+    as_json: bool,
+) -> None:
     from wrod.bench.grasp_against import compare, head, line
-    from wrod.grasps.inputs import CLOSURES
     from wrod.machine import machine_line
 
     try:
@@ -134,7 +148,7 @@ def _compare(other: Path, counts: str, device: str, patience: float, as_json: bo
         numbers = []
     if not numbers or min(numbers) < 1:
         raise click.BadParameter(f"{counts!r} is no list of counts; give e.g. 4096,65536")
-    measured = compare(other, numbers, tuple(CLOSURES), device, patience)
+    measured = compare(other, numbers, closures, device, patience)
     if as_json:
         click.echo(json.dumps({"machine": machine_line(device), "rows": list(measured)}))
         return

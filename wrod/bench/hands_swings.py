@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from wrod.files import write_atomically
+from wrod.files.pictures import AFTER, FAINT, INK, MEASURED, as_png, dress, new_figure
 from wrod.identification.held.fit import HeldFit
 from wrod.identification.held.measurements import HeldSwing, load_swing
 from wrod.identification.held.swings import SwingFit, SwingModel, fit_swings, predict_swings
-from wrod.identification.style import AFTER, FAINT, INK, MEASURED, as_png, dress, new_figure
 
 LOADS = ("unweighted", "weighted")
 _STAGES = ((), ("damping",), ("damping", "bend"), ("damping", "friction"))

@@ -46,6 +46,11 @@ from wrod.bench.loop_trials import CONTROLLERS, EFFECTS
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Of its training; default: the recipe's.")
 @click.option("--friction", default=1.0, show_default=True, help="Friction coefficient.")
+@click.option(
+    "--known-table",
+    is_flag=True,
+    help="Correct new plans for that friction, as `wrod plan --friction` does (a minute or two).",
+)
 @click.option("--rolling", is_flag=True, help="Let the laid rod roll freely.")
 @click.option(
     "--roll",

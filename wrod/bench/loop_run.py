@@ -55,6 +55,7 @@ class Loop:
     grasps: int
     steps: int | None
     friction: float
+    known_table: bool
     rolling: bool
     roll_text: str
     speed: float
@@ -82,7 +83,8 @@ class Loop:
             curves = curves if self.names else "a bend of the cable's own size"
         return (
             f"Simulated deployments of {what}, e_mean ± sigma [cm] (N = 50); friction "
-            f"{self.friction:g}{', rolling freely' if self.rolling else ''}, roll "
+            f"{self.friction:g}{', which new plans know' if self.known_table else ''}"
+            f"{', rolling freely' if self.rolling else ''}, roll "
             f"{self.roll_text}, contact speed {self.speed:g} m/s, step {self.step:g} s, edges "
             f"{self.spacing:g} m, {curves}."
         )
@@ -224,7 +226,7 @@ def _laid(loop: Loop, cases: dict[str, Case], curves: dict) -> list[dict]:
         hold = _HELD * max(rod.gravito_bending_length for rod in rods)
     with loop.timed("plans"):
         for name, curve in loop.along(curves.items(), "plans"):
-            jobs |= trials_along(name, curve, cases, loop.controllers, law, hold)
+            jobs |= trials_along(name, curve, cases, loop.controllers, law, hold, loop.known_table)
     with loop.timed("deployments"), loop.bar("laid") as bar:
         laid = simulate_deployments(
             list(jobs.values()), speed=loop.speed, step=loop.step, spacing=loop.spacing,

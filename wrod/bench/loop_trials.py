@@ -100,7 +100,13 @@ def network_for(
 
 
 def trials_along(
-    name: str, curve, cases: dict[str, Case], controllers: tuple[str, ...], law, hold: float
+    name: str,
+    curve,
+    cases: dict[str, Case],
+    controllers: tuple[str, ...],
+    law,
+    hold: float,
+    known: bool,
 ) -> dict:
     """Deployments along one pattern by (effect, controller, pattern, plan): old, new, and of a rod
     without any effect.
@@ -109,8 +115,9 @@ def trials_along(
     differs. Where the rod that was found cannot hang in all of its grasps, both are laid with it in
     simulation beforehand, rolled four ways; the new plan is the one that is expected to be best.
     `law` is the table's `Friction`, `hold` the length of the free end that is held at first [m].
-    All cases believe in one rod.
+    Where that friction is `known`, new plans are corrected for it. All cases believe in one rod.
     """
+    from wrod.deployment.optimise import optimise
     from wrod.deployment.plan import plan
     from wrod.deployment.simulate import Trial, with_remainder_of
     from wrod.planning.tail import tail
@@ -132,13 +139,16 @@ def trials_along(
             new = trial(case.true, case.model, controller, case.network, case.roll)
             roll = new.trajectory.roll
             old = trial(case.true, believed, controller, roll=roll)
-            if new.trajectory.metadata.get("natural_share", 1.0) < 1.0:
+            if new.trajectory.natural_share < 1.0:
                 rivals = {("own", 0): new, ("old", 0): old}
                 for turn in (90, 180, 270):
                     held = roll + np.radians(turn)
                     rivals["own", turn] = trial(case.true, case.model, controller, roll=held)
                     rivals["old", turn] = trial(case.true, believed, controller, roll=held)
                 new = _expected_best(rivals, case.model, law, hold)
+            if known:
+                path = optimise(new.pattern, case.model, new.trajectory, law.static, hold=hold)
+                new = replace(new, trajectory=path, tail=tail(new.pattern, case.model, path))
             jobs[effect, controller, name, "old"] = old
             jobs[effect, controller, name, "new"] = new
     return jobs
@@ -172,7 +182,7 @@ def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
         "closure": metadata["closure"],
         **{name: 100.0 * getattr(deployment, name) for name in names},
         "contact_friction": metadata["contact_friction"],
-        "natural_share": metadata.get("natural_share", 1.0),
+        "natural_share": trial.trajectory.natural_share,
         "rivals": metadata.get("rivals", {}),
         "slip": 100.0 * float(deployment.slip.max()),
         "diverged": deployment.diverged,

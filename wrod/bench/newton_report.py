@@ -4,8 +4,8 @@ import os
 from pathlib import Path
 
 from wrod.files import write_figure
+from wrod.files.pictures import INK, MUTED, dress
 
-_INK, _MUTED, _FAINT = "#22262b", "#59616b", "#e6e9ee"
 _COLORS = {"SolverDER": "#d1495b", "newton SolverVBD": "#0b5fa5", "PyElastica": "#3a8f5c"}
 _MARKERS = ("s", "D", "^", "v", "P", "X")
 
@@ -84,25 +84,20 @@ def draw(path: str | os.PathLike[str], figures: dict) -> Path:
             for x, y, row in zip(cost, error, rows, strict=True):
                 axes.annotate(
                     str(row["edges"]), (x, y), (5, 4), textcoords="offset points",
-                    fontsize=7, color=_MUTED,
+                    fontsize=7, color=MUTED,
                 )  # fmt: skip
             if j == 0:
                 handles.append(line)
-        axes.set_title(title, loc="left", fontsize=9.5, color=_MUTED)
-        axes.set_xlabel("computing time per simulated second [s]", fontsize=8.5, color=_INK)
+        axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
+        axes.set_xlabel("computing time per simulated second [s]", fontsize=8.5, color=INK)
         axes.xaxis.set_minor_formatter(NullFormatter())
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.grid(color=_FAINT, lw=0.6)
-        axes.set_axisbelow(True)
-        axes.tick_params(labelsize=8, colors=_MUTED, which="both", length=0)
-        for side, spine in axes.spines.items():
-            spine.set_visible(side in ("left", "bottom"))
-            spine.set_color(_FAINT)
-    figure.text(0.065, 0.955, "A heavy cantilever against the continuum", fontsize=11.5, color=_INK)
-    figure.text(0.935, 0.957, "numbers at the marks: edges", fontsize=8, color=_MUTED, ha="right")
+        dress(axes)
+    figure.text(0.065, 0.955, "A heavy cantilever against the continuum", fontsize=11.5, color=INK)
+    figure.text(0.935, 0.957, "numbers at the marks: edges", fontsize=8, color=MUTED, ha="right")
     figure.legend(
         handles=handles, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncol=3, fontsize=8,
-        frameon=False, labelcolor=_MUTED,
+        frameon=False, labelcolor=MUTED,
     )  # fmt: skip
     return write_figure(path, figure, 100, metadata={"Software": None})

@@ -87,11 +87,11 @@ def _planned(led, material, friction: float, device: str) -> dict:
 
     clock, spent = time.perf_counter(), time.process_time()
     made = plan(led, material, remainder=False, friction=friction, device=device)
-    said, expected = made.metadata["optimised"], made.metadata["expected"]
+    said, expected = made.optimised, made.expected
     return {
         "seconds": time.perf_counter() - clock,
         "cpu_seconds": time.process_time() - spent,
-        "deployments": said["iterations"] + 1,
+        "deployments": said["iterations"],
         "errors": said["errors"],
         "kept": said["kept"],
         "expected": expected["mean"],

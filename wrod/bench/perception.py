@@ -54,6 +54,8 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
             labels, unit="picture", leave=False, desc=folder.name, disable=as_json or None
         ):
             label = read_image(file)
+            if label.ndim != 2:
+                raise DataError(f"{file}: is a picture in colour; a label has a grey for each rod")
             photo = label > 0
             if source == "photo":
                 photo = read_image(folder / "images" / f"{file.stem}.jpg")

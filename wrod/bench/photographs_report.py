@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.bench.photographs_deployments import Deployments
-from wrod.bench.photographs_judge import Verdict, scenarios_for_optimal
+from wrod.bench.photographs_judge import FIRST, Row, Verdict, scenarios_for_optimal
 from wrod.bench.photographs_scenarios import scenarios_of
 from wrod.deployment.result import deployment_error
 from wrod.files import read_fields, write_figure, write_json, write_npz
@@ -47,6 +47,7 @@ def left_out_table(verdicts: list[Verdict]) -> str:
         f"{1e3 * np.median([r.left_out for r in rows]):.1f} and "
         f"{1e3 * np.median([r.best for r in rows]):.1f} mm; the pictures' own uncertainty "
         f"{1e3 * np.median([r.uncertainty for r in rows]):.1f} mm",
+        _where(rows),
         f"camera: {_said(verdicts[0].camera)}; without the pattern: "
         + "; ".join(
             f"{row.pattern} {_said(camera)}"
@@ -54,6 +55,18 @@ def left_out_table(verdicts: list[Verdict]) -> str:
         ),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _where(rows: list[Row]) -> str:
+    """Where the model with nothing fitted misses."""
+    mean, share = (np.array([getattr(r.parts, name) for r in rows]) for name in ("mean", "share"))
+    names = f"the first {1e2 * FIRST:g} cm", "the rest that lies", "what hangs"
+    said = [
+        f"{name} {1e3 * np.nanmedian(own):.1f} mm, {100 * np.median(part):.0f} % of the squares, "
+        f"within {1e3 * TARGET:g} mm in {(own <= TARGET).sum()} of {np.isfinite(own).sum()}"
+        for name, own, part in zip(names, mean.T, share.T, strict=True)
+    ]
+    return "where nothing fitted misses, medians: " + "; ".join(said)
 
 
 def _said(camera: OverheadCamera) -> str:

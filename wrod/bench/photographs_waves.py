@@ -263,8 +263,9 @@ def _draw(photograph: LaidPhotograph, lines: dict[str, Alignment | None], path: 
         axis.tick_params(labelsize=7)
     low, high = -seen[:, 1].max() - 0.03, -seen[:, 1].min() + 0.03
     reach = max(20.0, 1e3 * 2.5 * np.abs(seen[:, 0] - seen[:, 0].mean()).max())
-    for axis in axes.flat[len(lines) :]:
-        axis.set_axis_off()
+    for empty, above in zip(axes.flat[len(lines) :], axes.flat[len(lines) - 3 :], strict=False):
+        empty.set_axis_off()
+        above.tick_params(labelbottom=True)
     axes.flat[0].set_xlim(low, high)
     axes.flat[0].set_ylim(1e3 * seen[:, 0].mean() - reach, 1e3 * seen[:, 0].mean() + reach)
     figure.supxlabel("along the line [m]", fontsize=8)

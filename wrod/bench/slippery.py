@@ -15,6 +15,7 @@ from wrod import cost
 from wrod.bench import campaign, courses
 from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_csv
 from wrod.errors import RodError
+from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 
 ENGINES = ("wrod", "mujoco")
@@ -110,7 +111,7 @@ def command(
     for rod_name, name in product(rods.split(","), names.split(",")):
         shelf.course(rod_name, name)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery")
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery", row_schemas.SlipperyRow)
     cells = list(product(rods.split(","), names.split(","), mus, chosen, played))
     keys = [
         (*cell, trial)
@@ -225,14 +226,13 @@ class Shelf:
         if path.exists():
             return Trajectory.load(path)
         led, material = self.course(rod_name, name)
+        # One after the other: a CPU is faster than a GPU.
         ways: dict[str, dict[str, Any]] = {
             "intuitive": {"method": "intuitive"},
             "distilled": {"method": "distilled", "friction": friction},
         }
         how = ways.get(method, {"method": "numeric", "closure": method})
-        made = plan(
-            led, material, spacing=_PLAN_SPACING, remainder=False, device=self.device, **how
-        )
+        made = plan(led, material, spacing=_PLAN_SPACING, remainder=False, device="cpu", **how)
         made.save(path)
         return made
 
@@ -243,7 +243,7 @@ def _planning(shelf: Shelf, rod_name: str, name: str, friction: float, _method: 
     from wrod.deployment.plan import plan
 
     led, material = shelf.course(rod_name, name)
-    start = plan(led, material, spacing=_PLAN_SPACING, remainder=False, device=shelf.device)
+    start = plan(led, material, spacing=_PLAN_SPACING, remainder=False, device="cpu")
     return (yield from course(Task(led, material, start, friction)))
 
 
@@ -268,7 +268,7 @@ def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
     elif method == PUT_DOWN:
         nodes = int((led.length + led.remainder_length) / spacing) + 2
         job = (led, material, Friction(mu))
-        (end,) = put_down([job], node_count=nodes, step=0.02, device=shelf.device)
+        (end,) = put_down([job], node_count=nodes, step=0.02, device="cpu")
         s, place, diverged, steps = end
     elif method == MISPLACED:
         s = np.linspace(-led.remainder_length, led.length, 400)

@@ -38,6 +38,7 @@ COMMANDS = (
     "train",
     "distil",
     "render",
+    "compile",
     "bench",
 )
 

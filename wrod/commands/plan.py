@@ -29,9 +29,11 @@ from wrod.commands.plan_steps import (
     save_plan,
     softened,
     solve_grasps_of,
+    within_speed,
 )
 from wrod.commands.plan_summary import read_friction, read_range, summary
 from wrod.commands.robot_options import ROBOT, RobotRequest
+from wrod.commands.running import draw_beside
 from wrod.errors import PatternError
 
 _GRASPS = (
@@ -175,6 +177,7 @@ def command(
 
     how, chosen = grasps.read(), None if device == "auto" else device
     request = request.check()
+    draw_beside(not request.no_robot)
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = grasps.friction(as_json)
 
@@ -201,16 +204,16 @@ def command(
         )  # fmt: skip
         return fitted, curve, trajectory
 
+    how["pace"] = within_speed(request, how["pace"], lambda: planned(shaping))
     fitted, curve, trajectory = planned(shaping, friction, expects=grasps.expects)
-    written = save_plan(out, curve, trajectory)
-    joint_path, reason = None, None
+    written, joint_path, reason = save_plan(out, curve, trajectory), None, None
     if not request.no_robot:
 
         def softer(how):
             start = planned(shaping)[2]
             return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
 
-        corrected = trajectory.metadata.get("optimised", {}).get("kept", False)
+        corrected = (trajectory.optimised or {}).get("kept", False)
         joint_path, reason, more, followed = arm_steps(
             request, out, trajectory, curve, fitted.rod, as_json, planned, shaping,
             softer if corrected else None,
@@ -224,9 +227,13 @@ def command(
         click.echo(f"wrod: {reason}", err=True)
         click.get_current_context().exit(NO_JOINT_PATH)
     if request.view:
-        from wrod.scene.view import view as show
+        _view(out / "scene.usdc")
 
-        show(out / "scene.usdc")
+
+def _view(scene: Path) -> None:
+    from wrod.scene.view import view
+
+    view(scene)
 
 
 def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[Path]) -> dict:

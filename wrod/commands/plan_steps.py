@@ -1,5 +1,6 @@
 """The steps of `wrod plan`, each of which leaves something behind: grasps, files, joint path."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -65,14 +66,32 @@ def softened(curve, rod, trajectory, start, how, friction, device):
 
     device = device or "auto"
     if not isinstance(how, float):
-        asked = {"limits": ArmLimits(how), "pace": trajectory.metadata["optimised"]["pace"]}
+        asked = {"limits": ArmLimits(how), "pace": trajectory.optimised["pace"]}
         best = optimise(curve, rod, start, friction, device=device, **asked)
-        best.metadata["optimised"]["within_limits"] = True
+        best.optimised["within_limits"] = True
         return best
     less = with_share(start, trajectory, how)
-    pace = trajectory.metadata["optimised"]["pace"]
+    pace = trajectory.optimised["pace"]
     less.metadata["expected"] = expect(curve, rod, less, friction, pace=pace, device=device)
     return less
+
+
+def within_speed(request, pace, planned):
+    """Of a range of paces [m/s] those that the arm can keep all along the path of what `planned`
+    returns, a plan without correction; anything else as it is."""
+    from wrod.errors import RobotError
+
+    if not isinstance(pace, tuple) or request.no_robot:
+        return pace
+    fitted, _, start = planned()
+    low, high = sorted(pace)
+    # On a straight line a grip goes down as fast as forward.
+    asked = math.sqrt(2.0) * high
+    try:
+        path = request.solve(start, fitted.rod, grip_speed=asked, whole_job=False)
+    except RobotError:
+        return pace  # said when the corrected plan is followed
+    return low, max(low, high * min(path.metadata["grip_speed"] / asked, 1.0))
 
 
 def save_plan(out: Path, curve, trajectory) -> list[Path]:

@@ -304,3 +304,13 @@ def holding_output(command: click.Command) -> click.Command:
 
     command.callback = guarded
     return command
+
+
+def draw_beside(draws: bool) -> None:
+    """Until the running command ends, have a process that draws its scene (`wrod.scene.beside`) if
+    it `draws` one, unless others share this process: for them Newton is loaded once."""
+    context = click.get_current_context()
+    if draws and context.find_root().obj is not None:
+        from wrod.scene.beside import painting
+
+        context.with_resource(painting())

@@ -17,8 +17,10 @@ from wrod.solvers.contact import Friction, FrictionField
 # Standard deviations of what may be wrong and nobody declared: of the logarithms of friction and
 # stiffness [-], natural curvature [1/m], and the robot's place [m].
 _DOUBT = np.array([0.5, 0.5, 3.0, 2e-3, 2e-3])
-# How much less sure these are at every look, and the largest change of a belief, in these.
-_DRIFT = np.array([0.4, 0.05, 0.05, 0.1, 0.1])
+# How much less sure these are at every look, in these, usually; and where a table is another from
+# here on, which is rare. The largest change of a belief, in these.
+_DRIFT = np.array([0.1, 0.05, 0.05, 0.1, 0.1])
+_OTHER_TABLE, _RARE = np.array([1.0, 0.05, 0.05, 0.1, 0.1]), 0.05
 _MOST_CHANGE = 1.5
 # What a point differs by though the beliefs are right: mesh, shaking, whatever else [m]; and how
 # far behind the contact a look tells of beliefs [m]: what lies there has told of them before.
@@ -92,12 +94,29 @@ class Beliefs:
         weight = 1.0 / (seen.deviation**2 + model[:, None] ** 2)
         weight[seen.arc_length < s - _MEMORY] = 0.0
         weight = weight.ravel()
-        # What was believed before is a little less sure by now: tables differ from place to place.
-        before = np.linalg.inv(self.covariance + np.diag(_DRIFT**2))
-        self.covariance = np.linalg.inv((matrix.T * weight) @ matrix + before)
-        step = self.covariance @ ((matrix.T * weight) @ residual.ravel())
+        information = (matrix.T * weight) @ matrix
+        pull = (matrix.T * weight) @ residual.ravel()
+        step = self._renewed(information, pull)
         self.mean = self.mean + step * min(1.0, _MOST_CHANGE / np.abs(step).max())
         return float(np.sqrt(np.mean(residual[: seen.laid, :2] ** 2)))
+
+    def _renewed(self, information: np.ndarray, pull: np.ndarray) -> np.ndarray:
+        """(5,) what a look adds to the beliefs, whose covariance becomes what it is then; whichever
+        is likelier, on a table as before or on another."""
+        usual = self._told(information, pull, _DRIFT, 1.0 - _RARE)
+        other = self._told(information, pull, _OTHER_TABLE, _RARE)
+        _, self.covariance = max(usual, other, key=lambda told: told[0])
+        return self.covariance @ pull
+
+    def _told(
+        self, information: np.ndarray, pull: np.ndarray, drift: np.ndarray, chance: float
+    ) -> tuple[float, np.ndarray]:
+        """Logarithm of how likely it is to see what is seen after such a drift, and the covariance
+        (5, 5) of the beliefs then."""
+        before = np.linalg.inv(self.covariance + np.diag(drift**2))
+        after = np.linalg.inv(information + before)
+        volumes = np.linalg.slogdet(before)[1] + np.linalg.slogdet(after)[1]
+        return np.log(chance) + 0.5 * (volumes + pull @ after @ pull), after
 
 
 def beside(laid: Laid, s: float, seen: Seen) -> np.ndarray:

@@ -30,7 +30,7 @@ class Corrections:
     ):
         s = trajectory.arc_length
         last = min(last, float(s[-1]))
-        on = (s if laid is None else laid) - float(trajectory.metadata.get("remainder_length", 0.0))
+        on = (s if laid is None else laid) - trajectory.remainder_length
         on = np.clip(on, -pattern.remainder_length, pattern.length)
         tangent = pattern.sample(on)[1]
         up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
@@ -82,7 +82,7 @@ def moved(trajectory: Trajectory, displacement: np.ndarray) -> Trajectory:
 def pace_of(trajectory: Trajectory) -> float | None:
     """Pace of the contact that a plan was corrected for [m/s]; None: it was not, or its file holds
     none that could be."""
-    said = trajectory.metadata.get("optimised")
+    said = trajectory.optimised
     pace = said.get("pace") if isinstance(said, dict) else None
     usable = isinstance(pace, int | float) and _SLOWEST <= pace <= _FASTEST
     return float(pace) if usable else None
@@ -91,6 +91,6 @@ def pace_of(trajectory: Trajectory) -> float | None:
 def with_share(start: Trajectory, corrected: Trajectory, share: float) -> Trajectory:
     """The trajectory that `corrected` began as, with that share of its corrections."""
     out = moved(start, share * (corrected.position - start.position))
-    said = dict(corrected.metadata["optimised"])
+    said = dict(corrected.optimised)
     said |= {"share": share, "largest_correction": share * said["largest_correction"]}
     return replace(out, metadata={**corrected.metadata, "optimised": said})

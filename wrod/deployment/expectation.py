@@ -1,5 +1,8 @@
 """What a trajectory is to be expected to do on a table."""
 
+from __future__ import annotations
+
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -96,22 +99,77 @@ def expecting(
     coarse: bool = False,
 ) -> Course[list[dict]]:
     """`expect` of several trajectories of a pattern, with the same disturbed rods for all."""
-    spread = Spread.of(friction)
-    mus, rods = np.linspace(*spread.friction, trials), spread.unseen(trials, rod)
-    disturbances = [Disturbance.random(_FIRST_SEED + k) for k in range(trials)]
-    rests = [Tail.none(trajectory) for trajectory in trajectories]
-    jobs = [
-        Trial(pattern, held, trajectory, Friction(mu), one, rest)
-        for trajectory, rest in zip(trajectories, rests, strict=True)
-        for held, mu, one in zip(rods, mus.tolist(), disturbances, strict=True)
-    ]
+    unseen = Unseen.of(pattern, rod, friction, trials)
     mesh, edge = (COARSE, COARSE_EDGE) if coarse else (FINE, FINE_EDGE)
     how = edged(mesh, edge * rod.gravito_bending_length) | {"speed": pace}
-    laid = yield Asked(jobs, None, how)
-    return [
-        _expectation(pattern, laid[first : first + trials], disturbances, mus)
-        for first in range(0, len(laid), trials)
-    ]
+    laid = yield Asked([one for t in trajectories for one in unseen.laid_by(t)], None, how)
+    return [unseen.told(laid[first : first + trials]) for first in range(0, len(laid), trials)]
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Disturbed rods by which plans of a pattern are judged, which no correction was made for."""
+
+    pattern: Pattern
+    rods: list[RodModel | RodMaterial]
+    frictions: np.ndarray
+    disturbances: list[Disturbance]
+
+    @classmethod
+    def of(
+        cls,
+        pattern: Pattern,
+        rod: RodModel | RodMaterial,
+        friction: float | tuple[float, float] | Spread,
+        count: int = _UNSEEN,
+    ) -> Unseen:
+        """So many, on tables from the least friction to the largest."""
+        spread = Spread.of(friction)
+        disturbances = [Disturbance.random(_FIRST_SEED + k) for k in range(count)]
+        mus = np.linspace(*spread.friction, count)
+        return cls(pattern, spread.unseen(count, rod), mus, disturbances)
+
+    def laid_by(self, trajectory: Trajectory) -> list[Trial]:
+        """The rods, to be laid by a trajectory."""
+        rest, mus = Tail.none(trajectory), self.frictions.tolist()
+        return [
+            Trial(self.pattern, held, trajectory, Friction(mu), one, rest)
+            for held, mu, one in zip(self.rods, mus, self.disturbances, strict=True)
+        ]
+
+    def told(self, laid: list[Laid]) -> dict:
+        """What `expect` says of a trajectory by which they lie like this."""
+        pattern, mus = self.pattern, self.frictions
+        error = np.array([np.hypot(*misplacement(pattern, one)[0].reshape(2, -1)) for one in laid])
+        own = [
+            robot_error(pattern, one.arc_length, one.centerline, disturbance)
+            for one, disturbance in zip(laid, self.disturbances, strict=True)
+        ]
+        s = np.linspace(0.0, pattern.length, METRIC_POINTS)
+        slid = np.array(
+            [np.interp(s + pattern.remainder_length, x.arc_length, x.slip) for x in laid]
+        )
+        bad = np.flatnonzero((error > _OFF).any(axis=1))
+        good = int(bad[-1]) + 1 if len(bad) else 0
+        off = []
+        for start, stop in _stretches(s, np.any(error > _OFF, axis=0)):
+            inside = (s >= start) & (s <= stop)
+            bad = (error[:, inside] > _OFF).any(axis=1)
+            last = int(np.flatnonzero(bad)[-1])
+            off.append([start, stop, float(mus[last + 1]) if last + 1 < len(mus) else None])
+        means = error.mean(axis=1)
+        return {
+            "friction": mus.tolist(),
+            "error_mean": means.tolist(),
+            "error_robot": own,
+            "mean": float(means.mean()),
+            "deviation": float(means.std()),
+            "slides": _stretches(s, np.mean(slid > _SLID, axis=0) >= 0.5),
+            "off": off,
+            "holds_from": float(mus[good]) if good < len(mus) else None,
+            "error_along": error.mean(axis=0).tolist(),
+            "diverged": int(sum(one.diverged for one in laid)),
+        }
 
 
 def is_better(after: dict, before: dict) -> bool:
@@ -120,39 +178,6 @@ def is_better(after: dict, before: dict) -> bool:
     saved = np.array(before["error_robot"]) - np.array(after["error_robot"])
     doubt = saved.std(ddof=1) / np.sqrt(len(saved)) if len(saved) > 1 else 0.0
     return bool(after["diverged"] <= before["diverged"] and saved.mean() > _SURE * doubt)
-
-
-def _expectation(
-    pattern: Pattern, laid: list[Laid], disturbances: list[Disturbance], mus: np.ndarray
-) -> dict:
-    error = np.array([np.hypot(*misplacement(pattern, one)[0].reshape(2, -1)) for one in laid])
-    own = [
-        robot_error(pattern, one.arc_length, one.centerline, disturbance)
-        for one, disturbance in zip(laid, disturbances, strict=True)
-    ]
-    s = np.linspace(0.0, pattern.length, METRIC_POINTS)
-    slid = np.array([np.interp(s + pattern.remainder_length, x.arc_length, x.slip) for x in laid])
-    bad = np.flatnonzero((error > _OFF).any(axis=1))
-    good = int(bad[-1]) + 1 if len(bad) else 0
-    off = []
-    for start, stop in _stretches(s, np.any(error > _OFF, axis=0)):
-        inside = (s >= start) & (s <= stop)
-        bad = (error[:, inside] > _OFF).any(axis=1)
-        last = int(np.flatnonzero(bad)[-1])
-        off.append([start, stop, float(mus[last + 1]) if last + 1 < len(mus) else None])
-    means = error.mean(axis=1)
-    return {
-        "friction": mus.tolist(),
-        "error_mean": means.tolist(),
-        "error_robot": own,
-        "mean": float(means.mean()),
-        "deviation": float(means.std()),
-        "slides": _stretches(s, np.mean(slid > _SLID, axis=0) >= 0.5),
-        "off": off,
-        "holds_from": float(mus[good]) if good < len(mus) else None,
-        "error_along": error.mean(axis=0).tolist(),
-        "diverged": int(sum(one.diverged for one in laid)),
-    }
 
 
 def robot_error(

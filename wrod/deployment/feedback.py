@@ -33,7 +33,7 @@ _LEAST_POSES = 3
 # and the largest change of a correction in an iteration [L_gb].
 _SIZE, _ROUGHNESS, _STEP = 2e-4, 2e-4, 0.35
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
-HORIZON = 6.0
+HORIZON = 10.0
 # Of a spline that begins at the contact, so many first coefficients are its value and slope there.
 _FIXED = 2
 # What lies is laid anew where it errs by more than this on average over so much rod before the

@@ -22,8 +22,8 @@ from wrod.deployment.expectation import (
     FINE,
     FINE_EDGE,
     TOLERANCE,
+    Unseen,
     edged,
-    expecting,
     is_better,
     misplacement,
 )
@@ -47,11 +47,13 @@ _LIMIT = 1e2
 # Largest change of a correction in one iteration [L_gb], what is left of it after a change for the
 # worse, and where that ends.
 _STEP, _SHORTER, _SHORTEST = 0.35, 0.4, 0.01
-# Times that the sample is laid at most, on coarse meshes and then on fine ones.
-_COARSE_ITERATIONS, _FINE_ITERATIONS = 3, 3
+# Steps at most; further ones, on fine meshes too, save nothing that unseen rods feel.
+_STEPS = 2
+# Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
+_TOLERANCE = 5e-3
 # Ranges of friction that call for more rods, by the largest over the least.
 _WIDE = 1.5
-# A saving of the sample [m] that nobody doubts.
+# By which the sample has to lie better that nobody doubts it [m].
 _PLAIN = 1e-3
 # An iteration that leaves more than this part of the error is the last, and one that would by its
 # model, of squares, is not tried.
@@ -97,11 +99,11 @@ def optimise(
     Rods that cover the spread of friction, L_gb and natural curvature are laid together with their
     derivatives by smooth displacements of the grip; a Gauss-Newton step, limited in size, reduces
     their squared errors, the worse ones weighing more, and what the corrections cost in size and
-    roughness. A step that makes it worse is taken back and shortened. First they are laid on coarse
-    meshes, then on fine ones. Then disturbed rods that none of this has seen are laid: what they
-    show is what is expected of the plan. Where the sample is better by less than 1 mm, they are
-    laid without the correction as well, which is kept if they lie better with it by twice the
-    standard error of the differences.
+    roughness. A step that makes it worse is taken back and shortened. Meshes are coarse. Then
+    disturbed rods that none of this has seen are laid on fine ones by each of the paths that were
+    tried, but for those by which the sample lies worse by more than 1 mm. That by which they lie
+    best is taken, but none rather than one that is not better than none by twice the standard error
+    of the differences; what they show is what is expected of the plan.
 
     Args:
         pattern: with the remainder that the trajectory lays.
@@ -115,14 +117,14 @@ def optimise(
         samples: rods that are laid at a time; None: two, or four for a range that is wide.
         hold: length of the free end that is held at first [m].
         judge: whether to lay the unseen rods, without which nothing is expected of the plan and
-            every correction is kept.
+            the sample decides.
         device: "cpu", "cuda:0" or "auto".
 
     Returns:
-        The corrected trajectory. `metadata["optimised"]` holds the range of friction, the mean
-        error of the sample at each iteration [m], whether the correction was "kept", the largest
+        The corrected trajectory. `optimised` holds the range of friction, the mean error of the
+        sample before and after [m], whether a correction was "kept", the largest
         correction [m], the pace [m/s], and of each of the "paces" that were tried what was expected
-        [m]; `metadata["expected"]` is what `expect` says.
+        [m]; `expected` is what `expect` says.
 
     Raises:
         PatternError: friction is not usable, or the trajectory is too short to be laid.
@@ -140,11 +142,11 @@ def optimise(
 
 def _fastest(made: list[Trajectory]) -> Trajectory:
     """Of plans from slow to fast, the fastest that is not clearly worse than the best."""
-    said = [one.metadata["expected"] for one in made]
+    said = [one.expected for one in made]
     best = min(said, key=lambda one: float(np.mean(one["error_robot"])))
     chosen = [one for one, told in zip(made, said, strict=True) if not is_better(best, told)][-1]
-    tried = [[one.metadata["optimised"]["pace"], one.metadata["expected"]["mean"]] for one in made]
-    optimised = {**chosen.metadata["optimised"], "paces": tried}
+    tried = [[one.optimised["pace"], one.expected["mean"]] for one in made]
+    optimised = {**chosen.optimised, "paces": tried}
     return replace(chosen, metadata={**chosen.metadata, "optimised": optimised})
 
 
@@ -175,38 +177,25 @@ def course(
         samples = 4 if spread.friction[1] > _WIDE * spread.friction[0] else 2
     corrections = Corrections(task.pattern, trajectory, lgb, hold)
     problem = _Problem(task, corrections, spread, samples)
-    rounds = (
-        (edged(COARSE, COARSE_EDGE * lgb), _COARSE_ITERATIONS),
-        (edged(FINE, FINE_EDGE * lgb), _FINE_ITERATIONS),
-    )
-    pace = {"speed": task.pace}
-    x, history = np.zeros(3 * corrections.count), []
-    for how, count in rounds:
-        best = yield from problem.at(how | pace, x)
-        history.append(float(best.errors.mean()))
-        best = yield from _descend(best, problem, how | pace, count - 1, history)
-        x, left = best.values, float(best.errors.mean())
-    corrected = corrections.apply(x)
-    plain = history[0] - left > _PLAIN
-    expected, kept = None, True
+    states, ahead = yield from _descend(problem, judge)
+    tried = [_Tried(one.values, one.errors.mean(), (0, one.measure)) for one in states]
     if judge:
-        candidates = [corrected] if plain else [corrected, trajectory]
-        expected, *others = yield from expecting(
-            task.pattern, task.rod, candidates, spread, pace=task.pace
-        )
-        kept = not others or is_better(expected, others[0])
-        if not kept:
-            (expected,) = others
-            corrected, x = corrections.apply(0.0 * x), 0.0 * x
+        least = min(one.errors.mean() for one in states) + _PLAIN
+        near = [one.values for one in states if one.errors.mean() <= least]
+        tried = yield from problem.judged([*near, *ahead])
+    best = _chosen(tried)
+    corrected = corrections.apply(best.values)
     said = {
         "friction": list(spread.friction),
-        "iterations": len(history),
-        "errors": history,
-        "kept": kept,
+        "iterations": len(states) + judge,
+        "errors": [float(states[0].errors.mean()), float(best.error)],
+        "kept": bool(best.values.any()),
         "pace": task.pace,
-        "largest_correction": float(lgb * np.abs(corrections.basis @ x.reshape(-1, 3)).max()),
+        "largest_correction": float(
+            lgb * np.abs(corrections.basis @ best.values.reshape(-1, 3)).max()
+        ),
     }
-    metadata = {**corrected.metadata, "optimised": said, "expected": expected}
+    metadata = {**corrected.metadata, "optimised": said, "expected": best.expected}
     return replace(corrected, metadata=metadata)
 
 
@@ -227,6 +216,26 @@ class _State:
         return float(-(self.slope + 0.5 * self.matrix @ step) @ step / max(self.value, 1e-300))
 
 
+@dataclass(frozen=True)
+class _Tried:
+    """Corrections `values`, the mean error of the sample that is laid by them [m], what they are
+    ordered by, least first, and what is expected of them."""
+
+    values: np.ndarray
+    error: float
+    order: tuple[int, float]
+    expected: dict | None = None
+
+
+def _chosen(tried: list[_Tried]) -> _Tried:
+    """The best; none but what is clearly better than no correction where that might be the best."""
+    best, none = min(tried, key=lambda one: one.order), tried[0]
+    doubted = none.expected is not None and not none.values.any()
+    if doubted and not is_better(best.expected, none.expected):
+        return none
+    return best
+
+
 class _Problem:
     """The squared errors of a sample of rods, and what corrections cost, near some corrections."""
 
@@ -235,9 +244,12 @@ class _Problem:
         self.spread, self.samples = spread, samples
         self.cost = corrections.cost(_SIZE, _ROUGHNESS)
 
-    def at(self, how: dict, values: np.ndarray) -> Course[_State]:
+    def at(self, values: np.ndarray) -> Course[_State]:
+        """What corrections come to on coarse meshes."""
         task, corrections = self.task, self.corrections
-        laid = yield sample_of(task, corrections, self.spread, values, self.samples, how)
+        asked = self._sample(values)
+        more = {"tolerance": _TOLERANCE, "speed": task.pace}
+        laid = yield replace(asked, how={**asked.how, **more})
         parts = [misplacement(task.pattern, one) for one in laid]
         errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
         errors[[one.diverged for one in laid]] = np.inf
@@ -263,6 +275,30 @@ class _Problem:
             measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
         return _State(values, errors, measure, value, matrix, slope)
 
+    def judged(self, points: list[np.ndarray]) -> Course[list[_Tried]]:
+        """What unseen rods say of corrections, and what the sample does on fine meshes; all are
+        laid together, which costs a GPU no more than one of them."""
+        task, corrections = self.task, self.corrections
+        unseen = Unseen.of(task.pattern, task.rod, self.spread)
+        each = [self._sample(x).trials + unseen.laid_by(corrections.apply(x)) for x in points]
+        how = edged(FINE, FINE_EDGE * corrections.lgb) | {"speed": task.pace}
+        laid = yield Asked([trial for one in each for trial in one], None, how)
+        out = []
+        for x in points:
+            own, rest = laid[: self.samples], laid[self.samples : len(each[0])]
+            laid = laid[len(each[0]) :]
+            errors = [np.hypot(*misplacement(task.pattern, o)[0].reshape(2, -1)) for o in own]
+            told = unseen.told(rest)
+            measure = float(np.mean(told["error_robot"]))
+            if task.limits is not None:
+                excess, _ = task.limits.excess(corrections.displacement(x))
+                measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
+            out.append(_Tried(x, float(np.mean(errors)), (told["diverged"], measure), told))
+        return out
+
+    def _sample(self, values: np.ndarray) -> Asked:
+        return sample_of(self.task, self.corrections, self.spread, values, self.samples)
+
 
 def sample_of(
     task: Task,
@@ -284,19 +320,21 @@ def sample_of(
     return Asked(trials, [Directions.of_path(corrections.columns())] * samples, how)
 
 
-def _descend(
-    best: _State, problem: _Problem, how: dict, count: int, history: list[float]
-) -> Course[_State]:
-    """The best of so many steps from there; `history` gets their mean errors."""
-    radius = _STEP
-    for _ in range(count):
+def _descend(problem: _Problem, ahead: bool) -> Course[tuple[list[_State], list[np.ndarray]]]:
+    """Corrections from none on, each better than the last or tried in vain; with `ahead` the last
+    of them is not laid but comes beside the others."""
+    best = yield from problem.at(np.zeros(3 * problem.corrections.count))
+    states, radius = [best], _STEP
+    for k in range(_STEPS):
         step = -np.linalg.solve(best.matrix, best.slope)
         length = float(np.abs(step).max())
         step *= min(1.0, radius / max(length, 1e-12))
         if best.saved(step) < 1.0 - _DONE**2:
             break
-        tried = yield from problem.at(how, best.values + step)
-        history.append(float(tried.errors.mean()))
+        if ahead and k == _STEPS - 1:
+            return states, [best.values + step]
+        tried = yield from problem.at(best.values + step)
+        states.append(tried)
         if tried.measure < best.measure:
             enough = tried.measure > _DONE * best.measure
             best = tried
@@ -306,4 +344,4 @@ def _descend(
             radius = _SHORTER * min(radius, length)
             if not radius > _SHORTEST:
                 break
-    return best
+    return states, []

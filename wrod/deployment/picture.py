@@ -8,10 +8,10 @@ import numpy as np
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.result import Deployment, errors_along
 from wrod.files import write_figure
+from wrod.files.pictures import FAINT, INK, MUTED, dress
 from wrod.patterns.pattern import Pattern
 from wrod.solvers.contact import Cylinder
 
-_INK, _MUTED, _FAINT, _GRID = "#22262b", "#59616b", "#c9ced6", "#e6e9ee"
 PATTERN_COLOR, HELD_COLOR, RELEASED_COLOR = "#0b5fa5", "#d9822b", "#8a5a9e"
 
 
@@ -52,8 +52,8 @@ def draw_deployments(
     errors.set_ylabel("error [cm]", fontsize=8.5)
     for axes in (above, errors):
         dress(axes)
-    figure.text(0.03, 0.94, title, fontsize=13, color=_INK, weight="bold")
-    figure.text(0.03, 0.895, _subtitle(deployments), fontsize=9.5, color=_MUTED)
+    figure.text(0.03, 0.94, title, fontsize=13, color=INK, weight="bold")
+    figure.text(0.03, 0.895, _subtitle(deployments), fontsize=9.5, color=MUTED)
     _legend(figure)
 
     return write_figure(path, figure, 110)
@@ -77,7 +77,7 @@ def draw_fixtures(axes, fixtures: Fixtures) -> None:
 
     for item in fixtures.items:
         x, y = item.shape.center[:2]
-        style = dict(facecolor=_FAINT, edgecolor=_MUTED, lw=0.8)
+        style = dict(facecolor=FAINT, edgecolor=MUTED, lw=0.8)
         if isinstance(item.shape, Cylinder):
             axes.add_patch(Circle((x, y), item.shape.radius, **style))
             continue
@@ -85,15 +85,6 @@ def draw_fixtures(axes, fixtures: Fixtures) -> None:
         turn = np.degrees(item.yaw)
         box = Rectangle((x - a, y - b), 2 * a, 2 * b, angle=turn, rotation_point="center", **style)
         axes.add_patch(box)
-
-
-def dress(axes) -> None:
-    axes.grid(color=_GRID, lw=0.6)
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=8, colors=_MUTED, length=0)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(_FAINT)
 
 
 def _subtitle(deployments: list[Deployment]) -> str:
@@ -119,5 +110,5 @@ def _legend(figure) -> None:
     ]
     figure.legend(
         handles=entries, loc="upper right", bbox_to_anchor=(0.985, 0.975), ncol=3,
-        fontsize=8.5, frameon=False, labelcolor=_MUTED,
+        fontsize=8.5, frameon=False, labelcolor=MUTED,
     )  # fmt: skip

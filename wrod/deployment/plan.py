@@ -93,7 +93,7 @@ def plan(
         pace: at which the contact is to move on that table [m/s], 0.04 unless told; of a range the
             fastest that does no harm.
         expect: also lay the finished plan in simulation, on tables of `friction` or, where it is
-            not said, of 0.2 to 0.6 (seconds), for metadata["expected"].
+            not said, of 0.2 to 0.6 (seconds), for its `expected`.
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
         progress: called with the nodes done since the last call and the number of all nodes.
 

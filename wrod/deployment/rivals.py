@@ -59,7 +59,7 @@ def own_or_straight(
         how: further arguments of `plan_grasps`.
     """
     own = plan_grasps(pattern, rod, method, remainder=False, **how)
-    if own.metadata.get("natural_share", 1.0) == 1.0:
+    if own.natural_share == 1.0:
         return own
     straightened = replace(RodModel.of(rod), natural_curvature=(Profile((0.0,)), Profile((0.0,))))
     rival = plan_grasps(pattern, straightened, method, remainder=False, **how | {"roll": own.roll})

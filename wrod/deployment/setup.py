@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -174,8 +175,8 @@ def prepare_deployment(
     side = np.cross([0.0, 0.0, 1.0], tangent)
     frame = np.column_stack([tangent, side, [0.0, 0.0, 1.0]])
     suspended = (rod.length - start) / lgb
-    grasp = solve_grasps([suspended], [curvature * lgb], [rod.stretch_ratio], device="cpu")
-    shape = contact + lgb * grasp.shape[0] @ frame.T
+    hangs = _hanging(float(suspended), float(curvature * lgb), float(rod.stretch_ratio))
+    shape = contact + lgb * hangs @ frame.T
     s = np.concatenate([[0.0], np.cumsum(rest_lengths(np.array([suspended]), len(shape) - 1)[0])])
     position = np.empty((len(arc_length), 3))
     on_table = arc_length <= start * (1.0 + 1e-9)
@@ -206,6 +207,12 @@ def prepare_deployment(
         end_time,
         covered,
     )
+
+
+@lru_cache(maxsize=1024)
+def _hanging(suspended: float, curvature: float, stretch_ratio: float) -> np.ndarray:
+    """(node, 3) of the optimal grasp, dimensionless; a plan is laid again and again."""
+    return solve_grasps([suspended], [curvature], [stretch_ratio], device="cpu").shape[0]
 
 
 def disturb(setup: Setup, disturbance: Disturbance) -> Setup:

@@ -155,7 +155,7 @@ def simulate_deployments(
         friction_field: how the table's friction varies over x and y; default: it does not.
         progress: called with the fraction done since the last call, of all trials.
     """
-    release = hold if release is None else float(release)
+    hold, release = float(hold), float(hold if release is None else release)
     check_pace(speed, spacing, hold, release)
     if not trials:
         return []
@@ -210,7 +210,7 @@ def nodes_needed(trials: list[Trial], spacing: float) -> int:
 
 def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
     """The pattern with the remainder that the trajectory lays before it."""
-    length = float(trajectory.metadata.get("remainder_length", 0.0))
+    length = trajectory.remainder_length
     if length > 0.0 and pattern.remainder_length == 0.0:
         return pattern.with_remainder(length)
     return pattern

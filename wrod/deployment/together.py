@@ -52,29 +52,33 @@ def follow(
         courses: what to follow.
         device: "cpu", "cuda:0" or "auto".
         progress: called with the number of courses that have ended since the last call.
-        options: of `wrod.deployment.tangents.lay`, the same for all.
+        options: of `wrod.deployment.tangents.lay`, for all that do not ask for another.
     """
     device = resolve_device(device)
     results: dict[int, T] = {}
     size = 1 if device == "cpu" else max(len(courses), 1)
     for first in range(0, len(courses), size):
         answers: dict[int, Any] = dict.fromkeys(range(first, min(first + size, len(courses))))
-        while answers:
-            asked: dict[int, Asked] = {}
+        asked: dict[int, Asked] = {}
+        while answers or asked:
+            before = len(asked) + len(answers)
             for k, answer in answers.items():
                 try:
                     asked[k] = courses[k].send(answer)
                 except StopIteration as end:
                     results[k] = end.value
-            if progress is not None and len(asked) < len(answers):
-                progress(len(answers) - len(asked))
-            answers = _laid(asked, {"device": device, **options})
+            if progress is not None and len(asked) < before:
+                progress(before - len(asked))
+            # Those that are few wait until others ask for the like.
+            groups = sorted(_groups(asked), key=len)
+            chosen = {k: asked.pop(k) for k in groups[-1]} if groups else {}
+            answers = _laid(chosen, {"device": device, **options})
     return [results[k] for k in range(len(courses))]
 
 
-def _laid(asked: dict[int, Asked], options: dict[str, Any]) -> dict[int, list[Laid]]:
-    """What lies of what each course asked for: one batch for all that agree on how, and on whether
-    they want derivatives, but for the length of their edges and the time of their release."""
+def _groups(asked: dict[int, Asked]) -> list[list[int]]:
+    """Courses that can be laid in one batch: those that agree on how, and on whether they want
+    derivatives, but for the length of their edges and the time of their release."""
     groups: dict[tuple, list[int]] = {}
     for k, one in asked.items():
         # A field of friction is that very one.
@@ -83,8 +87,13 @@ def _laid(asked: dict[int, Asked], options: dict[str, Any]) -> dict[int, list[La
         names = sorted(how.keys() - _OWN)
         key = (one.directions is None, *((name, how[name]) for name in names))
         groups.setdefault(key, []).append(k)
+    return list(groups.values())
+
+
+def _laid(asked: dict[int, Asked], options: dict[str, Any]) -> dict[int, list[Laid]]:
+    """What lies of what each course asked for: one batch for all that can be."""
     answers: dict[int, list[Laid]] = {}
-    for members in groups.values():
+    for members in _groups(asked):
         ones = [asked[k] for k in members]
         how = {name: v for name, v in ones[0].how.items() if name not in _OWN}
         trials = [trial for one in ones for trial in one.trials]
@@ -95,7 +104,8 @@ def _laid(asked: dict[int, Asked], options: dict[str, Any]) -> dict[int, list[La
             directions = [_padded(d, most) for d in every]
         nodes = max(nodes_needed(one.trials, one.how.get("spacing", _SPACING)) for one in ones)
         released = [one.how.get("release") for one in ones for _ in one.trials]
-        laid = lay(trials, directions, node_count=nodes, release=released, **how, **options)
+        given = {**options, **how}
+        laid = lay(trials, directions, node_count=nodes, release=released, **given)
         for k, one in zip(members, ones, strict=True):
             answers[k], laid = laid[: len(one.trials)], laid[len(one.trials) :]
             if one.directions is not None:

@@ -4,6 +4,7 @@ A refusal is one sentence that names the file, the line or entry, and what to do
 before memory or time are spent: on what is no regular file, by the size, by the nesting.
 """
 
+import json
 import os
 import re
 import stat
@@ -159,7 +160,21 @@ def decode_json(
     except (msgspec.DecodeError, UnicodeDecodeError) as reason:
         raise error(f"{where}{_syntax(str(reason), content)}; give {what} in JSON") from None
     _refuse_large(value, where, what, error)
+    _refuse_twice(content, where, error)
     return value
+
+
+def _refuse_twice(content: bytes, where: str, error: type[WrodError]) -> None:
+    """Raise where an object has an entry twice: which one was meant, nobody knows."""
+
+    def entries(pairs: list[tuple[str, Any]]) -> None:
+        names = set()
+        for name, _ in pairs:
+            if name in names:
+                raise error(f"{where}: has the entry {shown(name)} twice; keep one of them")
+            names.add(name)
+
+    json.loads(content, object_pairs_hook=entries, parse_int=len, parse_float=len, strict=False)
 
 
 def decode_labels(

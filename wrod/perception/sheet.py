@@ -95,7 +95,10 @@ class MarkerSheet:
         figure = self._drawn()
         return [
             write_atomically(
-                folder / "markers.pdf", lambda f: figure.savefig(f, format="pdf"), "wb"
+                # Without the time, so that the same sheet is the same file.
+                folder / "markers.pdf",
+                lambda f: figure.savefig(f, format="pdf", metadata={"CreationDate": None}),
+                "wb",
             ),
             write_figure(folder / "markers.png", figure, 300),
             write_json(folder / "layout.json", self.layout()),

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from wrod.files import write_figure
+from wrod.files.pictures import FAINT, INK, MUTED, dress
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 
-_INK, _FAINT, _PATTERN, _REMAINDER, _ROD = "#22262b", "#c9ced6", "#0b5fa5", "#7fb0d8", "#d9822b"
+_PATTERN, _REMAINDER, _ROD = "#0b5fa5", "#7fb0d8", "#d9822b"
 _AXES = ("#d1495b", "#3a8f5c", "#3066be")
 _PATH_COLORS = "viridis"
 _FRAMES, _SHAPES = 10, 6
@@ -42,8 +43,8 @@ def draw_plan(
     _draw_view(view, trajectory, shapes)
     _draw_above(above, trajectory, shapes)
     _draw_profiles(bends, heights, pattern, trajectory)
-    figure.text(0.03, 0.945, _title(pattern, trajectory), fontsize=14, color=_INK, weight="bold")
-    figure.text(0.03, 0.913, _subtitle(trajectory), fontsize=9.5, color="#59616b")
+    figure.text(0.03, 0.945, _title(pattern, trajectory), fontsize=14, color=INK, weight="bold")
+    figure.text(0.03, 0.913, _subtitle(trajectory), fontsize=9.5, color=MUTED)
     _legend(figure, shapes is not None, trajectory)
 
     return write_figure(path, figure, 110)
@@ -62,7 +63,7 @@ def _subtitle(trajectory: Trajectory) -> str:
             f"gravito-bending length {rod['gravito_bending_length'] * 100:.2f} cm"
         )
     parts.append(f"{len(trajectory)} contact nodes")
-    if trajectory.metadata.get("closure"):
+    if trajectory.closure:
         parts.append(f"closure {trajectory.metadata['closure'].replace('_', ' ')}")
     return "   ·   ".join(parts)
 
@@ -136,8 +137,8 @@ def _dress_view(axes, extent: np.ndarray) -> None:
         axis.set_major_locator(MultipleLocator(step))
         axis.set_pane_color((0.965, 0.97, 0.978, 1.0))
         axis._axinfo["grid"].update(color="#dde1e7", linewidth=0.6)
-        axis.label.set_color("#59616b")
-        axis.set_tick_params(labelsize=7.5, colors="#59616b", pad=0)
+        axis.label.set_color(MUTED)
+        axis.set_tick_params(labelsize=7.5, colors=MUTED, pad=0)
         axis.set_label_text(f"{label} [m]", fontsize=9)
 
 
@@ -158,23 +159,23 @@ def _draw_above(axes, trajectory: Trajectory, shapes: np.ndarray | None) -> None
     axes.plot(start[0], start[1], "o", ms=6, mfc="white", mec=_PATTERN, mew=1.6, zorder=5)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
-    axes.set_title("from above", loc="left", pad=4, fontsize=9.5, color="#59616b")
+    axes.set_title("from above", loc="left", pad=4, fontsize=9.5, color=MUTED)
     axes.set_xlabel("x [m]", fontsize=8.5)
     axes.set_ylabel("y [m]", fontsize=8.5)
-    _dress(axes)
+    dress(axes)
 
 
 def _draw_profiles(bends, heights, pattern: Pattern, trajectory: Trajectory) -> None:
-    remainder = float(trajectory.metadata.get("remainder_length", 0.0))
+    remainder = trajectory.remainder_length
     s = trajectory.arc_length
     curvature = _curvature(pattern, trajectory)
-    bends.axhline(0.0, color=_FAINT, lw=0.8)
+    bends.axhline(0.0, color=FAINT, lw=0.8)
     bends.plot(s, curvature, color=_PATTERN, lw=1.6)
     bends.set_ylabel("curvature [1/m]", fontsize=8.5)
     span = max(float(np.max(np.abs(curvature))), 1.0)
     low, high = min(float(curvature.min()), 0.0), max(float(curvature.max()), 0.0)
     bends.set_ylim(low - 0.12 * span, high + 0.12 * span)
-    heights.plot(s, trajectory.position[:, 2] - trajectory.contact[:, 2], color=_INK, lw=1.6)
+    heights.plot(s, trajectory.position[:, 2] - trajectory.contact[:, 2], color=INK, lw=1.6)
     heights.set_ylabel("grip height [m]", fontsize=8.5)
     heights.set_ylim(bottom=0.0)
     heights.set_xlabel("laid length [m]", fontsize=8.5)
@@ -182,7 +183,7 @@ def _draw_profiles(bends, heights, pattern: Pattern, trajectory: Trajectory) -> 
         if remainder:
             axes.axvspan(0.0, remainder, color=_REMAINDER, alpha=0.22, lw=0)
         axes.set_xlim(0.0, s[-1])
-        _dress(axes)
+        dress(axes)
     bends.tick_params(labelbottom=False)
 
 
@@ -194,21 +195,12 @@ def _curvature(pattern: Pattern, trajectory: Trajectory) -> np.ndarray:
     return pattern.sample(s)[2]
 
 
-def _dress(axes) -> None:
-    axes.grid(color="#e6e9ee", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=8, colors="#59616b", length=0)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(_FAINT)
-
-
 def _legend(figure, has_shapes: bool, trajectory: Trajectory) -> None:
     from matplotlib import colormaps
     from matplotlib.lines import Line2D
 
     entries = [Line2D([], [], color=_PATTERN, lw=3, label="pattern")]
-    if trajectory.metadata.get("remainder_length"):
+    if trajectory.remainder_length:
         entries.append(Line2D([], [], color=_REMAINDER, lw=3, label="remainder"))
     entries.append(Line2D([], [], color=colormaps[_PATH_COLORS](0.45), lw=2.2, label="grip path"))
     if has_shapes:
@@ -221,5 +213,5 @@ def _legend(figure, has_shapes: bool, trajectory: Trajectory) -> None:
     ]
     figure.legend(
         handles=entries, loc="upper right", bbox_to_anchor=(0.985, 0.975), ncol=4,
-        fontsize=8.5, frameon=False, handlelength=1.3, columnspacing=1.6, labelcolor="#59616b",
+        fontsize=8.5, frameon=False, handlelength=1.3, columnspacing=1.6, labelcolor=MUTED,
     )  # fmt: skip

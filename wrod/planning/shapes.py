@@ -41,7 +41,7 @@ def with_shapes(
         WrodWarning: the solver gives no shapes, or has its grips elsewhere; the trajectory comes
             back without.
     """
-    closure, rod = trajectory.metadata.get("closure"), trajectory.rod
+    closure, rod = trajectory.closure, trajectory.rod
     corrected = {"optimised", "distilled"} & set(trajectory.metadata)
     if trajectory.shape is not None or closure is None or rod is None or corrected:
         return trajectory

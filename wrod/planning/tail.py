@@ -83,7 +83,7 @@ def tail(
             rod.length - start - s,
             curvature,
             roll=trajectory.roll,
-            closure=trajectory.metadata.get("closure") or "zero_tension",
+            closure=trajectory.closure or "zero_tension",
             device="cpu",
             eigenvalues=False,
         )

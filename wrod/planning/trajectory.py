@@ -62,9 +62,34 @@ class Trajectory:
         return rod_of_json(content) if isinstance(content, dict) else None
 
     @property
+    def remainder_length(self) -> float:
+        """Length that is laid before the pattern [m]."""
+        return float(self.metadata.get("remainder_length", 0.0))
+
+    @property
+    def closure(self) -> str | None:
+        """What the grasps' one freedom was used for; None for a path without grasps."""
+        return self.metadata.get("closure")
+
+    @property
+    def natural_share(self) -> float:
+        """Least share of its natural curvature that the rod had in a grasp; see `wrod.plan`."""
+        return self.metadata.get("natural_share", 1.0)
+
+    @property
+    def optimised(self) -> dict | None:
+        """How the path was corrected for a table (`wrod.deployment.optimise`), if it was."""
+        return self.metadata.get("optimised")
+
+    @property
+    def expected(self) -> dict | None:
+        """What it is to be expected to do on a table (`wrod.deployment.expect`), if known."""
+        return self.metadata.get("expected")
+
+    @property
     def pattern_arc_length(self) -> np.ndarray:
         """(T,) the pattern's own arc length at the contact [m]; negative on the remainder."""
-        return self.arc_length - float(self.metadata.get("remainder_length", 0.0))
+        return self.arc_length - self.remainder_length
 
     def save(self, path: str | os.PathLike[str]) -> list[Path]:
         """Write `path` as CSV and NPZ (the suffix of `path` is replaced). Returns both paths."""

@@ -93,10 +93,10 @@ class PathCost:
     Args:
         robot, model: the arm.
         count: K.
-        limit_weight: of what is nearer to a limit than `least_room`, and of steps beyond `longest`.
+        limit_weight: of what is nearer to a limit than `_LEAST_LIMIT_ROOM`, and of steps beyond
+            `longest`.
         longest: step of a joint between two samples [rad] that costs no more than its square.
         singular_weight: of singularities.
-        least_room: [rad].
     """
 
     def __init__(
@@ -107,13 +107,12 @@ class PathCost:
         limit_weight: float = 1000.0,
         longest: float = np.inf,
         singular_weight: float = 200.0,
-        least_room: float = _LEAST_LIMIT_ROOM,
     ):
         import torch
 
         self.robot, self.model = robot, model
         self.limit_weight, self.longest = limit_weight, longest
-        self.singular_weight, self.least_room = singular_weight, least_room
+        self.singular_weight = singular_weight
         joints = len(robot.lower)
         differences = sparse.diags([-1.0, 1.0], [0, 1], shape=(count - 1, count))
         self.differences = sparse.kron(differences, sparse.eye(joints)).tocsc()
@@ -128,7 +127,7 @@ class PathCost:
         with torch.set_grad_enabled(gradient):
             room = torch.minimum(variable - self._lower, self._upper - variable)
             cost = 20.0 * (LIMIT_ROOM - room).clamp_min(0).square().sum()
-            near = (self.least_room - room).clamp_min(0).square().sum()
+            near = (_LEAST_LIMIT_ROOM - room).clamp_min(0).square().sum()
             if np.isfinite(self.longest):
                 steps = (variable[1:] - variable[:-1]).abs() - self.longest
                 near = near + steps.clamp_min(0).square().sum()
@@ -156,7 +155,7 @@ class PathCost:
     def curvature(self, q: np.ndarray) -> sparse.csc_matrix:
         """Second derivatives (K n, K n) of steps and limits; obstacles are left out."""
         room = np.minimum(q - self.robot.lower, self.robot.upper - q).reshape(-1)
-        stiff = 40.0 * (room < LIMIT_ROOM) + 2.0 * self.limit_weight * (room < self.least_room)
+        stiff = 40.0 * (room < LIMIT_ROOM) + 2.0 * self.limit_weight * (room < _LEAST_LIMIT_ROOM)
         long = 2.0 * self.limit_weight * (np.abs(self.differences @ q.reshape(-1)) > self.longest)
         steps = self.differences.T @ sparse.diags(long) @ self.differences
         return (self.smooth + sparse.diags(stiff) + steps).tocsc()

@@ -26,9 +26,9 @@ _UNITS = np.array([0.1, 0.1, 0.3, 0.3, 0.2, 0.1])
 _DIFFERENCE = 1e-4  # of a unit, for derivatives
 _ITERATIONS, _FARTHEST = 60, 0.25  # steps, and the most that a joint moves in one [rad]
 _LONGEST = 0.3  # [rad] of a joint between two samples; longer ones are singularities
-_HARDER, _HARDEST = 8.0, 5e5  # growth and bound of the limits' weight
+_HARDER, _HARDEST = 8.0, 6e4  # growth and bound of the limits' weight
 _SINGULAR = 2e4  # weight of singularities, between whose samples poses may be out of reach
-_ROOM, _KEPT = 0.065, -0.05  # [rad] room that limits are to have, and that is enough
+_KEPT = -0.03  # [rad] within the limits is enough
 _STILL = 3e-3  # share of the cost that a step must save
 
 
@@ -70,9 +70,7 @@ def vary(task: Task, branch: Branch, fixed: bool) -> Branch:
     q, error = refine(robot, branch.positions, targets)
     if np.abs(error).max() > 1e-3:
         return branch
-    cost = PathCost(
-        robot, task.model, len(q), longest=_LONGEST, singular_weight=_SINGULAR, least_room=_ROOM
-    )
+    cost = PathCost(robot, task.model, len(q), longest=_LONGEST, singular_weight=_SINGULAR)
     damping, value = 1.0, cost.total(q, around)
     for _ in range(_ITERATIONS):
         with torch.no_grad():

@@ -117,6 +117,7 @@ class RodBatch(BatchArrays):
         self.free = wp.ones((rods, self.dof_count), dtype=wp.int32, device=self.device)
         self.every_rod = wp.ones(rods, dtype=wp.int32, device=self.device)
         self.state = RodState.zeros(rods, nodes, self.device)
+        self._nothing = wp.zeros(0, dtype=wp.float64, device=self.device)
         self.derivatives = Derivatives.zeros(rods, self.dof_count, self.device)
         self.cut_edges = ()
         self.set_configuration(position, director=director)
@@ -218,19 +219,22 @@ class RodBatch(BatchArrays):
         out: Derivatives | None = None,
         active: wp.array | None = None,
         model: list[wp.array] | None = None,
+        energy: bool = True,
     ) -> Derivatives:
         """Energy and gradient (`order` 1) and Hessian (`order` 2) of every active rod.
 
         The frames of `state` must belong to its positions; `model` stands in for `elastic_model`.
+        Without `energy` that is not computed: it stays what it was.
         """
         state = self.state if state is None else state
         out = self.derivatives if out is None else out
         active = self.every_rod if active is None else active
-        out.energy.zero_()
+        if energy:
+            out.energy.zero_()
         out.gradient.zero_()
         if order == 2:
             out.hessian.zero_()
-        results = [out.energy, out.gradient, out.hessian]
+        results = [out.energy if energy else self._nothing, out.gradient, out.hessian]
 
         def launch(kernel, count, inputs, outputs=results):
             self.launch(kernel, (self.rod_count, count), inputs, outputs)

@@ -4,14 +4,11 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
-
-from wrod.errors import SceneError
+from wrod.files import write_atomically
 from wrod.robot.joint_path import JointPath
+from wrod.scene.beside import painter
 from wrod.scene.export import export_usd
-from wrod.scene.render import Renderer, save_png, time_codes
-
-PICTURE_SIZE = (720, 540)  # of each of the four
+from wrod.scene.render import four_moments, save_png
 
 
 def deliver(
@@ -41,6 +38,9 @@ def deliver(
         out / "scene.usdc", trajectory=trajectory, joint_path=joint_path, pattern=pattern, rod=rod
     )
     written.append(scene)
+    beside = painter()
+    if beside is not None:
+        beside.begin(scene)
     if find_spec("viser") is not None:
         from wrod.scene.page import write_deployment_page
 
@@ -51,20 +51,19 @@ def deliver(
         )
     if find_spec("newton") is not None:
         progress("picture")
-        written.append(draw_scene(scene, out / "scene.png"))
+        drawn = None if beside is None else beside.finish()
+        path = out / "scene.png"
+        if drawn is None:
+            written.append(draw_scene(scene, path))
+        else:
+            written.append(write_atomically(path, lambda file: file.write(drawn), "wb"))
     return written
 
 
 def draw_scene(scene: Path, path: Path) -> Path:
-    """Write four moments of a scene, seen in perspective, as one PNG.
+    """Write `four_moments` of a scene as a PNG.
 
     Raises:
         SceneError: see `wrod.scene.render.Renderer`.
     """
-    renderer = Renderer(scene, "perspective", PICTURE_SIZE)
-    codes = time_codes(renderer.scene.start, renderer.scene.end, 4)
-    if len(codes) < 4:
-        raise SceneError(f"{scene}: has too few time codes for four pictures")
-    first, second, third, fourth = (renderer.frame(float(code)) for code in codes)
-    rows = [np.hstack([first, second]), np.hstack([third, fourth])]
-    return save_png(path, np.vstack(rows))
+    return save_png(path, four_moments(scene))

@@ -120,7 +120,7 @@ def write_deployment_page(
 
 
 def _expectation(trajectory) -> list[str]:
-    expected = trajectory.metadata["expected"]
+    expected = trajectory.expected
     low, high = expected["friction"][0], expected["friction"][-1]
     return [
         f"expected {100 * expected['mean']:.2f} cm off, friction {low:.2g} to {high:.2g}",

@@ -45,7 +45,7 @@ def _colours(errors: np.ndarray | None, node: float, count: int) -> np.ndarray:
 def expected_errors(trajectory, pattern, shapes: np.ndarray) -> np.ndarray | None:
     """(T, M) how far off the points of shapes (T, M, 3) that lie are expected to lie [m]; None of a
     plan that nobody laid in simulation."""
-    expected = trajectory.metadata.get("expected")
+    expected = trajectory.expected
     if expected is None or not hasattr(pattern, "sample"):
         return None
     steps = np.linalg.norm(np.diff(shapes, axis=1), axis=2)

@@ -12,6 +12,7 @@ from wrod.files import write_atomically
 _SKY, _GROUND = (0.50, 0.51, 0.55), (0.20, 0.19, 0.18)
 _SUN = (-0.35, 0.40, -0.85)
 _BACKGROUND = (226, 230, 236)
+_MOMENT = (720, 540)  # of each of the four of a scene
 
 
 class Renderer:
@@ -137,8 +138,28 @@ def render(
     return written
 
 
+def four_moments(scene: Path) -> np.ndarray:
+    """(height, width, 3) four moments of a scene, seen in perspective, uint8 RGB.
+
+    Raises:
+        SceneError: see `wrod.scene.render.Renderer`.
+    """
+    renderer = Renderer(scene, "perspective", _MOMENT)
+    codes = time_codes(renderer.scene.start, renderer.scene.end, 4)
+    if len(codes) < 4:
+        raise SceneError(f"{scene}: has too few time codes for four pictures")
+    first, second, third, fourth = (renderer.frame(float(code)) for code in codes)
+    rows = [np.hstack([first, second]), np.hstack([third, fourth])]
+    return np.vstack(rows)
+
+
 def save_png(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
     """Write a (height, width, 3) uint8 picture."""
+    return write_atomically(path, lambda file: write_png(file, picture), "wb")
+
+
+def write_png(file, picture: np.ndarray) -> None:
+    """The same into an open binary file."""
     from matplotlib import image
 
-    return write_atomically(path, lambda file: image.imsave(file, picture, format="png"), "wb")
+    image.imsave(file, picture, format="png")

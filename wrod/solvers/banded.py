@@ -7,14 +7,15 @@ import warp as wp
 
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.lanes import WARP, lanes
-from wrod.kernels.linear import banded, banded_lanes, border
+from wrod.kernels.linear import banded, banded_ends, banded_lanes, border
 from wrod.rods.batch import RodBatch
 
 
 class BandedSystem:
     """Factorisation of the free block of a batch's Hessian, and solutions with it.
 
-    A CPU takes the rows one by one; a GPU gives each rod a warp, also of those that share a row.
+    A CPU takes the rows one by one; a GPU gives each rod a warp, also of those that share a row, or
+    two for one right-hand side (`eliminate`).
 
     Args:
         batch: the rods.
@@ -45,8 +46,30 @@ class BandedSystem:
     def shorten(self, active: wp.array) -> None:
         """Shorten the first solution to what a Newton iteration may take of it: all."""
 
-    def factorise(self, hessian: wp.array, active: wp.array) -> None:
-        """Factorise the free blocks of `hessian` (rod, dof, 11), which is contiguous."""
+    def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
+        """Factorise `hessian` and solve for `gradient` (rod, dof), into the first column of `x`.
+
+        On a GPU nothing else can be solved after that."""
+        if not self._on_gpu:
+            self._factorise_and_solve(gradient, hessian, active)
+            return
+        self._clear_pivots(active)
+        wp.launch(
+            banded_ends.solve,
+            dim=(self.batch.rod_count, len(self.segment), banded_ends.ENDS),
+            inputs=[self.segment, active, self.batch.free, hessian, gradient, self.shift],
+            outputs=[self.factor, self.x, self.negative_pivots],
+            device=self.batch.device,
+            block_dim=banded_ends.ENDS,
+        )
+
+    def _factorise_and_solve(self, gradient, hessian, active) -> None:
+        self.factorise(hessian, active)
+        wp.copy(self.x[:, 0], gradient)
+        self.solve(active, columns=1)
+
+    def _clear_pivots(self, active: wp.array) -> None:
+        """Segments of a row add theirs up on a GPU."""
         if self._on_gpu and len(self.segment) > 1:
             wp.launch(
                 banded_lanes.clear_pivots,
@@ -56,6 +79,10 @@ class BandedSystem:
                 device=self.batch.device,
                 block_dim=WARP,
             )
+
+    def factorise(self, hessian: wp.array, active: wp.array) -> None:
+        """Factorise the free blocks of `hessian` (rod, dof, 11), which is contiguous."""
+        self._clear_pivots(active)
         self._launch(
             (banded.factorise, banded_lanes.factorise),
             (self.batch.rod_count,),

@@ -10,17 +10,20 @@ import warp as wp
 
 from wrod.kernels.compiling import compile_together
 from wrod.kernels.lanes import TEAM, WARP
+from wrod.kernels.linear.banded_ends import ENDS
 
 _WIDE = 256  # Warp's own
 # Modules of `wrod.kernels`, by the size of the blocks in which they are launched.
 _STEPS = {
-    WARP: ("stepping.dynamics", "stepping.newton_iteration", "linear.banded_lanes"),
+    WARP: ("stepping.pace", "stepping.newton_iteration", "linear.banded_lanes"),
+    ENDS: ("linear.banded_ends",),
     _WIDE: (
         "elastic.bending",
         "elastic.frames",
         "elastic.loads",
         "stepping.continuation",
         "contact.planes",
+        "stepping.dynamics",
     ),
 }
 _LAYING = {_WIDE: ("stepping.grip",)}

@@ -365,6 +365,8 @@ class Contact:
 
     def penetration(self) -> np.ndarray:
         """(rod,) how deep each rod is in any box or cylinder now [length]."""
+        if not self._has_fixtures:
+            return np.zeros(self.batch.rod_count)
         return self._edges.penetration(self.batch.state.dof)
 
 

@@ -8,8 +8,9 @@ from wrod.kernels.linear import coupling, skyline, skyline_lanes, skyline_order
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.rod_contact import RodContact
 
-# Up to this many nodes a rod's factor may fill; beyond, rows of so many blocks on average.
-_DENSE_NODES, _BLOCKS_PER_ROW = 200, 100
+# Up to this many nodes a rod's factor may fill; beyond, rows of so many blocks on average. A GPU
+# solves heaps otherwise (`wrod.solvers.condensed`).
+_DENSE_NODES, _BLOCKS_PER_ROW, _BLOCKS_ON_CPU = 200, 100, 400
 
 
 class PairedSystem(BandedSystem):
@@ -32,6 +33,9 @@ class PairedSystem(BandedSystem):
             wp.zeros(rods, dtype=wp.int32, device=device) for _ in range(4)
         )
         self.touching = wp.zeros((rods, pairs), dtype=wp.vec3i, device=device)
+
+    def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
+        self._factorise_and_solve(gradient, hessian, active)
 
     def _collect(self, active: wp.array) -> None:
         """List the pairs that touch."""
@@ -94,7 +98,8 @@ class CoupledSystem(PairedSystem):
         if nodes <= _DENSE_NODES:
             self._capacity = nodes * (nodes + 1) // 2
         else:
-            self._capacity = nodes * _BLOCKS_PER_ROW
+            blocks = _BLOCKS_ON_CPU if lanes(device) == 1 else _BLOCKS_PER_ROW
+            self._capacity = min(nodes * blocks, nodes * (nodes + 1) // 2)
         self._distance, self._tally, self._rank, self._order, self._first, self._last, self._row = (
             wp.zeros((rods, nodes), dtype=wp.int32, device=device) for _ in range(7)
         )
@@ -113,11 +118,24 @@ class CoupledSystem(PairedSystem):
                 for width in (skyline_lanes.STRIDE, skyline_lanes.STRIDE, 4, 4)
             )
 
+    def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
+        if not self._on_gpu:
+            self._factorise_and_solve(gradient, hessian, active)
+            return
+        self._collect(active)
+        wp.copy(self.x[:, 0], gradient)
+        BandedSystem.eliminate(self, gradient, hessian, self.banded)
+        self._factorise_coupled(hessian)
+        self._solve_coupled(1)
+
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
-        batch, contact = self.batch, self.contact
-        overflow = contact.overflow
         self._collect(active)
         super().factorise(hessian, self.banded)
+        self._factorise_coupled(hessian)
+
+    def _factorise_coupled(self, hessian: wp.array) -> None:
+        batch, contact = self.batch, self.contact
+        overflow = contact.overflow
         self._together(
             skyline_order.renumber,
             [
@@ -159,6 +177,9 @@ class CoupledSystem(PairedSystem):
     def solve(self, active: wp.array, columns: int | None = None) -> None:
         """Overwrite the first (default: all) right-hand sides in `x` with their solutions."""
         super().solve(self.banded, columns)
+        self._solve_coupled(columns or self.x.shape[1])
+
+    def _solve_coupled(self, columns: int) -> None:
         batch, contact = self.batch, self.contact
         chosen = [self.coupled, contact.overflow, batch.free, self._order]
         on_cpu = lanes(batch.device) == 1
@@ -167,5 +188,5 @@ class CoupledSystem(PairedSystem):
         else:
             inputs = [*chosen, self._first, self._last, self._row, self._lines, self._y]
         kernel = skyline.solve if on_cpu else skyline_lanes.solve
-        for j in range(columns or self.x.shape[1]):
+        for j in range(columns):
             self._together(kernel, inputs, [self.x[:, j : j + 1]])

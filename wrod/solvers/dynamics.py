@@ -178,6 +178,8 @@ class Dynamics(NewtonSteps):
         self.rounding = wp.array(rounding, dtype=wp.vec2d, device=device)
         for one in self.contacts:
             one.time_step = self.span
+        if self.rod_contact is not None:
+            self.rod_contact.balance = (self.residual, self.step_tolerance)
         # Rounds since last asked; whether to take another, and whether any rod still runs.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)

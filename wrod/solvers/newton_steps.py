@@ -104,7 +104,7 @@ class NewtonSteps(Steps):
         batch, start, out = self.batch, self.start, self.batch.derivatives
         dof = batch.state.dof
         batch.transport_frames(start, batch.state, self.active)
-        batch.evaluate(order=2, active=self.active, model=self.viscosity.model)
+        batch.evaluate(order=2, active=self.active, model=self.viscosity.model, energy=False)
         self._per_dof(
             kernels.add_inertia,
             [
@@ -174,17 +174,16 @@ class NewtonSteps(Steps):
     def _correct(self) -> None:
         """The step of a Newton iteration."""
         batch, out, bodies = self.batch, self.batch.derivatives, self.bodies
-        self.system.factorise(out.hessian, self.active)
         if bodies is None:
-            wp.copy(self.system.x, out.gradient.reshape(self.system.x.shape))
+            self.system.eliminate(out.gradient, out.hessian, self.active)
         else:
+            self.system.factorise(out.hessian, self.active)
             bodies.load(self)
-        self.system.solve(self.active)
-        if bodies is not None:
+            self.system.solve(self.active)
             bodies.solve(self)
         self.system.shorten(self.active)
         batch.launch_lanes(
-            kernels.take_newton_step,
+            newton.take_newton_step,
             [wp.float64(_STEP_LIMIT), self.active, self.system.x],
             [batch.state.dof, self.taken],
         )

@@ -46,6 +46,8 @@ class RodContact:
         stiffness: (rod,) normal and tangential stiffness of a pair [force/length]; default:
             10 EA / radius.
         restitution: (rod,) speed after an impact over that before; see `Contact`.
+        skin: part of the radius over which the normal force rises quadratically. Newton halves the
+            depth of what is pressed in that at best, so that loads should reach beyond it.
         partners: most edges that one edge can be near to and that come after it.
         passive: (rod, node - 1) edges that touch nothing; default: none.
         smooth: without corners along the rods, for rods that cross. Rods that wind around each
@@ -53,6 +55,7 @@ class RodContact:
 
     Attributes:
         time_step: (rod,) duration of the present step; see `Contact`.
+        balance: (rod,) residual of the present iteration and the step's tolerance.
         force: (rod, node) contact force on each node at the end of the last step.
         slip: (rod, edge) distance that each edge has slid on others in all [length].
         penetration: (rod,) deepest penetration at the end of the last step [length].
@@ -69,6 +72,7 @@ class RodContact:
         friction=arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION)),
         stiffness=arguments.optional(arguments.array((), (None,))),
         restitution=arguments.array((), (None,)),
+        skin=arguments.number(1e-6, 1.0),
         partners=arguments.whole(1, 4096),
         passive=arguments.optional(arguments.truths),
         smooth=arguments.flag,
@@ -81,6 +85,7 @@ class RodContact:
         *,
         stiffness: np.ndarray | float | None = None,
         restitution: np.ndarray | float = 0.0,
+        skin: float = _SKIN,
         partners: int = 32,
         passive: np.ndarray | None = None,
         smooth: bool = False,
@@ -115,7 +120,7 @@ class RodContact:
         damping = contact_damping(restitution)
         # Two edges that meet move as one of half their mass.
         mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
-        law = _laws(friction, stiffness, damping * np.sqrt(mass / stiffness), _SKIN * mean_radius)
+        law = _laws(friction, stiffness, damping * np.sqrt(mass / stiffness), skin * mean_radius)
         self.pieces = pieces = pair_contact.Pieces()
         pieces.law = wp.array(law, dtype=pair_contact.PairLaw, device=device)
         pieces.rest_length = batch.rest_length
@@ -149,6 +154,7 @@ class RodContact:
         self._share_friction(zeros(wp.vec2d, edges, partners), zeros(wp.float64, edges, partners))
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
+        self.balance = (floats(np.full(rods, np.inf)), floats(np.zeros(rods)))
         self.configuration: tuple[wp.array, ...] = ()
         self._check_start()
 
@@ -227,7 +233,8 @@ class RodContact:
         self.batch.launch(
             kernels.renew_loads,
             self.partner_count.shape,
-            [self.pieces, self.time_step, converged, self._renewals, dof, dof_before]
+            [self.pieces, self.time_step, converged, active, *self.balance]
+            + [self._renewals, dof, dof_before]
             + [self.partner_count, self.partner],
             [self.rubbing, self._renewed],
         )

@@ -114,9 +114,7 @@ class Steps:
 
     def _per_dof(self, kernel, inputs, outputs=()) -> None:
         batch = self.batch
-        dim = (batch.rod_count, batch.dof_count)
-        # In blocks as those of `_per_rod`, so that their module is compiled for one size only.
-        wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=batch.device, block_dim=WARP)
+        batch.launch(kernel, (batch.rod_count, batch.dof_count), inputs, outputs)
 
     def _copy(self, chosen: wp.array, source: RodState, target: RodState) -> None:
         batch = self.batch

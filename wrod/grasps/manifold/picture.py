@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from wrod.files import write_figure
+from wrod.files.pictures import FAINT, INK, MUTED, dress
 from wrod.grasps.manifold.map import ForceMap
 
-_INK, _MUTED, _FAINT, _TABLE = "#22262b", "#59616b", "#e6e9ee", "#c9ced6"
 # Optima in order of their force; a third would be rare.
 _OPTIMA = ("#d1495b", "#0b5fa5", "#3a8f5c", "#8a5fb0")
 _SOFT = "#e2711d"
@@ -59,7 +59,7 @@ def draw_map(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
         _dress(axes)
         reach = 1.08 * manifold.suspended_length
         axes.set(xlim=(-reach, reach), ylim=(-0.05 * reach, 1.05 * reach), aspect="equal")
-        axes.set_title(label, loc="left", fontsize=10, color=_MUTED, pad=6)
+        axes.set_title(label, loc="left", fontsize=10, color=MUTED, pad=6)
         bar = figure.colorbar(
             mesh,
             cax=figure.add_axes((left + 0.04, 0.075, 0.365, 0.022)),
@@ -72,9 +72,9 @@ def draw_map(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
         shown = ticks[(ticks >= norm.vmin) & (ticks <= norm.vmax)]
         bar.set_ticks(shown, labels=[f"{t:g}" for t in shown], minor=False)
         bar.ax.minorticks_off()
-        bar.ax.tick_params(labelsize=8, colors=_MUTED, length=0)
+        bar.ax.tick_params(labelsize=8, colors=MUTED, length=0)
         bar.outline.set_visible(False)
-    figure.text(0.03, 0.93, _title(manifold), fontsize=13, color=_INK, weight="bold")
+    figure.text(0.03, 0.93, _title(manifold), fontsize=13, color=INK, weight="bold")
     _name_optima(figure, manifold)
     return _save(figure, path)
 
@@ -98,9 +98,9 @@ def draw_nudges(path: str | os.PathLike[str], manifold: ForceMap) -> Path:
         )  # fmt: skip
         figure.text(
             left, 0.78, f"softest motion λ = {optimum.eigenvalue:+.3f} k_b / L_gb⁴",
-            fontsize=9, color=_MUTED,
+            fontsize=9, color=MUTED,
         )  # fmt: skip
-    figure.text(0.03, 0.93, _title(manifold), fontsize=13, color=_INK, weight="bold")
+    figure.text(0.03, 0.93, _title(manifold), fontsize=13, color=INK, weight="bold")
     return _save(figure, path)
 
 
@@ -109,15 +109,15 @@ def _draw_forces(axes, manifold: ForceMap, j: int) -> None:
     force = np.abs(nudges.force[j, :, 1])
     top = max(float(force.max()), 1e-3)
     axes.plot(nudges.offset, force, color=_OPTIMA[j % len(_OPTIMA)], lw=1.8)
-    axes.set_xlabel("sideways nudge Δy [L_gb]", fontsize=9, color=_MUTED)
-    axes.set_ylabel("|F_y| at the contact [k_b / L_gb²]", fontsize=9, color=_MUTED)
+    axes.set_xlabel("sideways nudge Δy [L_gb]", fontsize=9, color=MUTED)
+    axes.set_ylabel("|F_y| at the contact [k_b / L_gb²]", fontsize=9, color=MUTED)
     axes.set_ylim(0.0, 1.2 * top)
     axes.set_xlim(-0.02 * nudges.offset[-1], nudges.offset[-1])
     if np.isfinite(snaps_at):
         axes.annotate(
             f"snaps at Δy ≤ {snaps_at:.3g}", (snaps_at, 0.5 * top),
             xytext=(snaps_at + 0.12 * nudges.offset[-1], 0.5 * top), va="center",
-            arrowprops={"arrowstyle": "->", "color": _INK, "lw": 0.9}, fontsize=9, color=_INK,
+            arrowprops={"arrowstyle": "->", "color": INK, "lw": 0.9}, fontsize=9, color=INK,
         )  # fmt: skip
     _dress(axes)
 
@@ -131,7 +131,7 @@ def _title(manifold: ForceMap) -> str:
 
 def _draw_outline(axes, manifold: ForceMap) -> None:
     """The table, where motions turn soft, and the edge of the manifold."""
-    axes.axhline(0.0, color=_TABLE, lw=3.0, zorder=0)
+    axes.axhline(0.0, color=FAINT, lw=3.0, zorder=0)
     for number, patch in enumerate(manifold.patches):
         x, z = patch.position[..., 0], patch.position[..., 1]
         if (patch.eigenvalue < 0.0).any() and (patch.eigenvalue > 0.0).any():
@@ -144,11 +144,11 @@ def _draw_outline(axes, manifold: ForceMap) -> None:
             low = np.insert(low, fold + 1, np.nan, axis=0)
         other = patch.position[:, 0] if number == 0 else patch.position[0]
         for edge in (low, other):
-            axes.plot(edge[:, 0], edge[:, 1], color=_INK, lw=0.8)
+            axes.plot(edge[:, 0], edge[:, 1], color=INK, lw=0.8)
     values = np.concatenate([patch.eigenvalue.ravel() for patch in manifold.patches])
     if (values < 0.0).any():
         axes.plot([], [], color=_SOFT, lw=1.4, ls="--", label="stability changes")
-        axes.legend(loc="upper left", fontsize=8.5, frameon=False, labelcolor=_MUTED)
+        axes.legend(loc="upper left", fontsize=8.5, frameon=False, labelcolor=MUTED)
 
 
 def _draw_optima(axes, manifold: ForceMap) -> None:
@@ -163,7 +163,7 @@ def _draw_optima(axes, manifold: ForceMap) -> None:
             str(j + 1), (x, z), xytext=(9, -11), textcoords="offset points", fontsize=10,
             color=color, weight="bold", zorder=7,
         )  # fmt: skip
-    axes.plot(0.0, 0.0, "o", ms=5, mfc="white", mec=_INK, mew=1.2, zorder=6)
+    axes.plot(0.0, 0.0, "o", ms=5, mfc="white", mec=INK, mew=1.2, zorder=6)
 
 
 def _name_optima(figure, manifold: ForceMap) -> None:
@@ -195,7 +195,7 @@ def _draw_shapes(figure, box, manifold: ForceMap, j: int) -> None:
         shapes.append(shape[: above[0] if above.size else None])
     for k, shape in zip(chosen, shapes, strict=True):
         share = nudges.offset[k] / nudges.offset[-1]
-        color = _INK if k == 0 else colormaps["plasma"](0.85 * share)
+        color = INK if k == 0 else colormaps["plasma"](0.85 * share)
         axes.plot(*shape.T, color=color, lw=1.8, label=f"Δy = {nudges.offset[k]:.2g}")
     points = np.concatenate(shapes)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -209,22 +209,17 @@ def _draw_shapes(figure, box, manifold: ForceMap, j: int) -> None:
         axis.set_major_locator(MaxNLocator(3))
         axis.set_pane_color((0.965, 0.97, 0.978, 1.0))
         axis._axinfo["grid"].update(color="#dde1e7", linewidth=0.6)
-        axis.set_tick_params(labelsize=7.5, colors=_MUTED, pad=0)
+        axis.set_tick_params(labelsize=7.5, colors=MUTED, pad=0)
         axis.set_label_text(f"{label} [L_gb]", fontsize=8.5)
-        axis.label.set_color(_MUTED)
-    axes.legend(loc="upper left", fontsize=8, frameon=False, labelcolor=_MUTED, handlelength=1.2)
+        axis.label.set_color(MUTED)
+    axes.legend(loc="upper left", fontsize=8, frameon=False, labelcolor=MUTED, handlelength=1.2)
 
 
 def _dress(axes) -> None:
     if axes.get_xlabel() == "":
-        axes.set_xlabel("x [L_gb]", fontsize=9, color=_MUTED)
-        axes.set_ylabel("z [L_gb]", fontsize=9, color=_MUTED)
-    axes.grid(color=_FAINT, lw=0.6)
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=8, colors=_MUTED, length=0)
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in ("left", "bottom"))
-        spine.set_color(_TABLE)
+        axes.set_xlabel("x [L_gb]", fontsize=9, color=MUTED)
+        axes.set_ylabel("z [L_gb]", fontsize=9, color=MUTED)
+    dress(axes)
 
 
 def _figure(size):

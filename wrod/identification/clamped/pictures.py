@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wrod.identification.style import (
+from wrod.files.pictures import (
     AFTER,
     BEFORE,
     FAINT,
@@ -10,8 +10,10 @@ from wrod.identification.style import (
     MEASURED,
     MUTED,
     SERIES,
+    add_scale,
     as_png,
     dress,
+    dress_map,
     new_figure,
 )
 
@@ -59,20 +61,14 @@ def residuals(report) -> bytes:
     for k, (values, title) in enumerate(zip(maps, ("before", "after"), strict=True)):
         axes = figure.add_subplot(1, 2, k + 1)
         image = axes.imshow(values, aspect="auto", cmap="viridis", vmin=0.0, vmax=top)
-        axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
         axes.set_xlabel("marker", fontsize=8.5)
         axes.set_ylabel("trial (test trials marked)" if k == 0 else "", fontsize=8.5)
         axes.plot(np.full(len(m.test), -1.0), m.test, ">", ms=4, color=AFTER, clip_on=False)
         axes.set_xlim(-0.5, values.shape[1] - 0.5)
-        axes.tick_params(labelsize=8, colors=MUTED, length=0)
+        dress_map(axes, title)
         # The marks of test trials stand between the map and the numbers.
         axes.tick_params(axis="y", pad=14)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
-    bar = figure.colorbar(image, ax=figure.axes, pad=0.01)
-    bar.set_label("distance [mm]", fontsize=8.5)
-    bar.ax.tick_params(labelsize=8, colors=MUTED)
-    bar.outline.set_visible(False)
+    add_scale(figure, image, figure.axes, "distance [mm]")
     return as_png(figure)
 
 

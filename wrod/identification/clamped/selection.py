@@ -174,12 +174,13 @@ def _search(laboratory: Laboratory, candidates, progress, opening: _Opening | No
     held_out = held_out_error(laboratory, empty)
     base_held_out = held_out
     while len(current.model.effects) < MOST_EFFECTS:
+        ready = opening.pairs if opening and len(current.model.effects) == 1 else []
         if opening and not current.model.effects:
             fits = opening.singles
         else:
-            fits = extensions(laboratory, current, candidates, progress)
+            mark = min((f.chi_squared for f in ready), default=np.inf)
+            fits = extensions(laboratory, current, candidates, progress, rival=mark)
         if len(current.model.effects) == 1:
-            ready = opening.pairs if opening else []
             fits += ready or pairs_beside(laboratory, current, candidates, progress)
         if not fits:
             break

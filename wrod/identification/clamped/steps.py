@@ -44,8 +44,14 @@ def best_of_each(fits: list[Fit]) -> list[Fit]:
     return sorted(best.values(), key=lambda f: f.bic)
 
 
-def extensions(laboratory, current: Fit, candidates, progress) -> list[Fit]:
-    """Every candidate added to the current model that may pay for its parameters, best first."""
+def extensions(
+    laboratory, current: Fit, candidates, progress, *, rival: float = np.inf
+) -> list[Fit]:
+    """Every candidate added to the current model that may pay for its parameters, best first.
+
+    Args:
+        rival: chi squared of another model that is already there.
+    """
     models, starts = [], []
     # No fit leaves much less than noise does.
     above = current.chi_squared - current.residual_count + 3.0 * np.sqrt(2 * current.residual_count)
@@ -56,7 +62,7 @@ def extensions(laboratory, current: Fit, candidates, progress) -> list[Fit]:
             for start in _starts(laboratory, effect):
                 models.append(current.model.extended(effect))
                 starts.append(np.concatenate([current.values, start]))
-    return best_of_each(_fit(laboratory, models, starts, current, progress))
+    return best_of_each(_fit(laboratory, models, starts, current, progress, rival=rival))
 
 
 def _narrow(candidates: Sequence[Effect]) -> list[Effect]:

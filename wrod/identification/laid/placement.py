@@ -15,6 +15,8 @@ from wrod.identification.laid.photographs import LaidPhotograph
 
 # A predicted curve is compared at points this far apart [m].
 _SPACING = 5e-4
+# What is above the table by more than this hangs [m].
+_LYING = 4e-3
 # Points nearer to the camera than this share of its height are not shown.
 _NEAREST = 0.7
 _ROUNDS = 12
@@ -43,6 +45,41 @@ class Alignment:
         return float(self.distance.mean())
 
 
+@dataclass(frozen=True)
+class Parts:
+    """Where a prediction misses: mean distance [m] of the points seen of a rod's first stretch on
+    the table, of the rest that lies there and of what hangs (nan where nothing is seen), and each
+    part's share of all squares."""
+
+    mean: tuple[float, ...]
+    share: tuple[float, ...]
+
+
+def parts_of(
+    photograph: LaidPhotograph,
+    placed: Alignment,
+    arc_length: np.ndarray,
+    nodes: np.ndarray,
+    first: float,
+) -> Parts:
+    """The parts of a rod (node,), (node, 3) that was seen and placed, `first` long the first."""
+    near = cKDTree(placed.curve).query(photograph.points)[1]
+    s = _fine(arc_length)[near]
+    hangs = np.interp(s, arc_length, nodes[:, 2]) > _LYING
+    begins = (s - arc_length[0] < first) & ~hangs
+    masks = begins, ~begins & ~hangs, hangs
+    square = placed.distance**2
+    return Parts(
+        tuple(float(placed.distance[k].mean()) if k.any() else float("nan") for k in masks),
+        tuple(float(square[k].sum() / square.sum()) for k in masks),
+    )
+
+
+def _fine(arc_length: np.ndarray) -> np.ndarray:
+    """Arc lengths at which a predicted curve is shown [m]."""
+    return np.linspace(arc_length[0], arc_length[-1], int(np.ptp(arc_length) / _SPACING) + 2)
+
+
 def seen_from(
     arc_length: np.ndarray, nodes: np.ndarray, middle: np.ndarray, height: float = np.inf
 ) -> np.ndarray:
@@ -54,8 +91,7 @@ def seen_from(
         middle: (2,) below the camera [m].
         height: of the camera [m]; infinite: no perspective.
     """
-    fine = np.linspace(arc_length[0], arc_length[-1], int(np.ptp(arc_length) / _SPACING) + 2)
-    place = CubicSpline(arc_length, nodes)(fine)
+    place = CubicSpline(arc_length, nodes)(_fine(arc_length))
     if not np.isfinite(height):
         return place[:, :2]
     above = np.maximum(place[:, 2], 0.0)

@@ -2,18 +2,20 @@
 
 import numpy as np
 
-from wrod.identification.motion.fit import errors_of
-from wrod.identification.style import (
+from wrod.files.pictures import (
     AFTER,
     BEFORE,
     INK,
     MEASURED,
     MUTED,
     SERIES,
+    add_scale,
     as_png,
     dress,
+    dress_map,
     new_figure,
 )
+from wrod.identification.motion.fit import errors_of
 
 # What an effect's error on the recordings that choose it is called in a report.
 _VALIDATION = "validation_mm_with_this_effect"
@@ -95,17 +97,11 @@ def residual(report) -> bytes:
             1e3 * value[free], aspect="auto", origin="lower", cmap="viridis", vmin=0.0, vmax=top,
             extent=(0.0, seconds, 1.5, markers - 2.5),
         )  # fmt: skip
-        axes[k].set_title(title, loc="left", fontsize=9.5, color=MUTED)
         axes[k].set_xlabel("time [s]", fontsize=8.5)
         axes[k].set_ylabel("free marker" if k == 0 else "", fontsize=8.5)
         axes[k].yaxis.get_major_locator().set_params(integer=True)
-        axes[k].tick_params(labelsize=8, colors=MUTED, length=0)
-        for spine in axes[k].spines.values():
-            spine.set_visible(False)
-    bar = figure.colorbar(shown, ax=axes[:2], pad=0.01)
-    bar.set_label("mean |difference| [mm]", fontsize=8.5)
-    bar.ax.tick_params(labelsize=8, colors=MUTED)
-    bar.outline.set_visible(False)
+        dress_map(axes[k], title)
+    add_scale(figure, shown, axes[:2], "mean |difference| [mm]")
     parts = (
         ("fixed in the laboratory", r.laboratory, ("x", "y", "z")),
         ("fixed to the rod", r.local, ("tangent", "inside of bend", "across")),

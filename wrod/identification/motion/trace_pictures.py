@@ -2,8 +2,19 @@
 
 import numpy as np
 
+from wrod.files.pictures import (
+    AFTER,
+    FAINT,
+    INK,
+    MUTED,
+    SERIES,
+    add_scale,
+    as_png,
+    dress,
+    dress_map,
+    new_figure,
+)
 from wrod.identification.motion.trace import MotionTrace
-from wrod.identification.style import AFTER, FAINT, INK, MUTED, SERIES, as_png, dress, new_figure
 
 
 def missing_force(trace: MotionTrace, rate: float, name: str) -> bytes:
@@ -24,16 +35,10 @@ def missing_force(trace: MotionTrace, rate: float, name: str) -> bytes:
         shown = panel.pcolormesh(
             time, edges, values.T, cmap="RdBu_r", vmin=-limit, vmax=limit, rasterized=True
         )
-        panel.set_title(title, loc="left", fontsize=9.5, color=MUTED)
         panel.set_xlabel("time [s]", fontsize=8.5)
-        panel.tick_params(labelsize=8, colors=MUTED, length=0)
-        for spine in panel.spines.values():
-            spine.set_visible(False)
+        dress_map(panel, title)
     axes[0].set_ylabel(f"recording {name}\narc length [m]", fontsize=8.5)
-    bar = top.colorbar(shown, ax=axes, pad=0.01)
-    bar.set_label("missing force / weight", fontsize=8.5)
-    bar.ax.tick_params(labelsize=8, colors=MUTED)
-    bar.outline.set_visible(False)
+    add_scale(top, shown, axes, "missing force / weight")
     axes = bottom.subplots(1, 2, sharey=True)
     frames = (("laboratory", ("x", "y", "z")), ("material", ("m1", "m2", "tangent")))
     for panel, (frame, labels) in zip(axes, frames, strict=True):

@@ -1,0 +1,62 @@
+"""Kernels compiled ahead, and a scene drawn by a process of its own."""
+
+import sys
+
+import pytest
+
+from wrod.commands import compile as ahead
+from wrod.scene import beside
+
+DRAWS = "import sys; scene = sys.stdin.read(); sys.stdout.write('\x89PNG ' + scene)"
+FAILS = "import sys; sys.stdin.read(); sys.exit(1)"
+
+
+@pytest.fixture
+def painted(monkeypatch, tmp_path):
+    """What a process that runs this code makes of a scene, and whether it has ended after that."""
+
+    def paint(code):
+        encoding = "import sys; sys.stdout.reconfigure(encoding='latin-1'); "
+        monkeypatch.setattr(beside, "_RUN", [sys.executable, "-c", encoding + code])
+        painter = beside.Painter()
+        painter.begin(tmp_path / "scene.usdc")
+        picture = painter.finish()
+        painter.end()
+        return picture, painter._process.returncode
+
+    return paint
+
+
+def test_a_picture_comes_out_of_the_process(painted, tmp_path):
+    picture, code = painted(DRAWS)
+    assert picture == b"\x89PNG " + str(tmp_path / "scene.usdc").encode() and code == 0
+
+
+@pytest.mark.parametrize("code", [FAILS, "import os; os._exit(3)", "print('no picture')"])
+def test_a_process_that_draws_nothing_says_so(painted, code):
+    assert painted(code)[0] is None
+
+
+def test_the_process_ends_with_what_needed_it(monkeypatch):
+    waits = [sys.executable, "-c", "import sys; sys.stdin.read(); import time; time.sleep(60)"]
+    monkeypatch.setattr(beside, "_RUN", waits)
+    monkeypatch.setattr(beside, "usable_cores", lambda: 2)
+    monkeypatch.setattr(beside, "find_spec", lambda name: name)
+    monkeypatch.delitem(sys.modules, "newton", raising=False)
+    with beside.painting():
+        process = beside.painter()._process
+        assert process.poll() is None
+    assert process.returncode is not None and beside.painter() is None
+    monkeypatch.setattr(beside, "usable_cores", lambda: 1)
+    with beside.painting():
+        assert beside.painter() is None
+
+
+def test_modules_that_a_cpu_needs_are_compiled():
+    names = ahead._modules()
+    assert {"wrod.kernels.elastic.bending", "wrod.kernels.contact.planes"} <= set(names)
+    assert not any(name.endswith(("_lanes", "_ends")) for name in names)
+
+
+def test_what_cannot_be_compiled_is_said():
+    assert "nowhere" in ahead._run(["cpu", "wrod.kernels.nowhere"])
