@@ -80,7 +80,7 @@ def command(
     from wrod.bench import courses
     from wrod.bench.slippery import Shelf
     from wrod.errors import RodError
-    from wrod.files import schemas
+    from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
     from wrod.rods.batch import resolve_device
 
@@ -96,7 +96,7 @@ def command(
     out.mkdir(parents=True, exist_ok=True)
     patterns = "built-in" if shelf.patterns is None else shelf.patterns.name
     settings = how | {"patterns": patterns}
-    ledger = Ledger(out / "feedback.jsonl", settings, KEYS, "feedback", schemas.FeedbackRow)
+    ledger = Ledger(out / "feedback.jsonl", settings, KEYS, "feedback", row_schemas.FeedbackRow)
     done = ledger.done()
     keys = [
         (*place, effect, way, seed)

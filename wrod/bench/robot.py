@@ -86,9 +86,9 @@ def command(
 
 
 def _fields(row: dict) -> type:
-    from wrod.files import schemas
+    from wrod.files import row_schemas
 
-    return schemas.ArmsRefused if "error" in row else schemas.ArmsRow
+    return row_schemas.ArmsRefused if "error" in row else row_schemas.ArmsRow
 
 
 def _say(rows: list[dict], finer: bool, as_json: bool) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from wrod import __version__
 from wrod.errors import DataError
-from wrod.files import schemas
+from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.identification.motion.data import MotionMeasurements
 
@@ -43,7 +43,9 @@ class Remembered:
                 raise PermissionError(f"{path.parent} is not to be written to")
         except OSError as reason:
             raise DataError(f"{path}: cannot be kept ({reason}); choose another place") from None
-        self._ledger = Ledger(path, settings, ("step",), "identification-steps", schemas.StepRow)
+        self._ledger = Ledger(
+            path, settings, ("step",), "identification-steps", row_schemas.StepRow
+        )
         self._known = {row["step"]: row["found"] for row in self._ledger.rows}
 
     def recall(self, key: list, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
