@@ -39,11 +39,5 @@ def compile_together(device: str, launches: Iterable[tuple[wp.Kernel | ModuleTyp
         compiled.result()
 
 
-def forget_ahead() -> None:
-    """Compile nothing more that was not waited for: an end of the process would wait for it."""
-    if _compilers.cache_info().currsize:
-        _compilers().shutdown(wait=False, cancel_futures=True)
-
-
 def _module(what: wp.Kernel | ModuleType) -> wp.Module:
     return wp.get_module(what.__name__) if isinstance(what, ModuleType) else what.module

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 # import the other where they are called.
 ONE_CONCEPT = ["wrod.rods.material", "wrod.rods.model", "wrod.rods.model_file"]
 # Public signatures, whose keywords are their users', and two of benches.
-WIDE = 9
+WIDE = 8
 
 
 @pytest.fixture(scope="module")

@@ -126,7 +126,8 @@ def recorded():
 
 def test_tangents_are_the_derivatives_of_the_motion(recorded):
     laboratory = MotionLaboratory(motion_from_arrays(recorded))
-    model = Model(tuple(effects("motion").values()))
+    # A rod has one law of bending: softening's, of which stiffening is the other sign.
+    model = Model(tuple(e for e in effects("motion").values() if e.name != "stiffening"))
     rng = np.random.default_rng(1)
     values = np.array([0.1 * min(p.scale, 1.0) * rng.uniform(0.5, 1.0) for p in model.parameters])
     windows = laboratory.windows([0, 1], [5], frames=12)

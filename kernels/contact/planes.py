@@ -255,11 +255,8 @@ def contact(
     gradient: wp.array2d(dtype=wp.float64),
     hessian: wp.array3d(dtype=wp.float64),
 ):
-    """Subtract contact forces from the residual and add their stiffness to the matrix.
-
-    The dependence of a sliding node's friction on its normal force is left out of the matrix,
-    which would not be symmetric with it; the forces are exact.
-    """
+    """Subtract contact forces from the residual and add their stiffness to the matrix, but for how
+    a sliding node's friction depends on its normal force, which would not be symmetric."""
     r, i = wp.tid()
     if active[r] == 0:
         return

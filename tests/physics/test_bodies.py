@@ -25,6 +25,7 @@ SolverDER = wrod.SolverDER
 def test_momentum_of_a_cable_with_a_body_that_falls(scheme):
     """P(t) = P(0) + M g t, for a body as heavy as the cable, held beside its centre of mass."""
     assert momentum(scheme) < 1e-9
+    assert momentum(scheme, inertia="consistent") < 1e-9
 
 
 @pytest.mark.parametrize("end", ["pinned", "clamped"])

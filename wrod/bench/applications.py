@@ -69,7 +69,7 @@ def command(
     from wrod.bench.applications_report import markdown, table
     from wrod.bench.applications_trials import METHODS, SHORT
     from wrod.errors import RodError
-    from wrod.files import schemas
+    from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -81,7 +81,7 @@ def command(
     device = resolve_device(device)
     cases = chosen or CASES
     out.mkdir(parents=True, exist_ok=True)
-    kind = schemas.ApplicationsRow
+    kind = row_schemas.ApplicationsRow
     ledger = Ledger(out / "trials.jsonl", {}, ("case", "method", "trial"), "applications", kind)
     methods = [method for method in METHODS if not asked or SHORT[method] in asked]
     keys = list(product(range(first, first + trials), cases, methods))

@@ -11,6 +11,7 @@ import click
 from wrod import cost
 from wrod.bench import side_by_side
 from wrod.files.ledger import Ledger
+from wrod.files.row_schemas import FoldRow
 
 
 def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -> dict:
@@ -172,7 +173,7 @@ def command(
     ledger = None
     if out:
         out.mkdir(parents=True, exist_ok=True)
-        ledger = Ledger(out / "folds.jsonl", settings, ("rod", "fold"), "cables")
+        ledger = Ledger(out / "folds.jsonl", settings, ("rod", "fold"), "cables", FoldRow)
     rows = list(ledger.rows) if ledger else []
     have = {(row["rod"], row["fold"]) for row in rows}
     # The rods in turn, so that a run which is stopped has some of each.

@@ -70,7 +70,7 @@ def _compared(
     """What the command tells, and what the trials cost."""
     from wrod.bench.closures_report import KEYS, METHODS, PUT_DOWN
     from wrod.errors import RodError
-    from wrod.files import schemas
+    from wrod.files import row_schemas
     from wrod.rods.device import resolve_device
 
     if trials < 1:
@@ -83,7 +83,7 @@ def _compared(
     }  # fmt: skip
     settings = how | {"nodes": nodes, "patterns": "built-in" if patterns is None else patterns.name}
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", schemas.CampaignRow)
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "closures", row_schemas.CampaignRow)
     wanted = len(curves) * len(frictions) * (trials * len(METHODS) + 1)
     campaign.settle(
         max(wanted - len(ledger.done()), 0), max(curve.rod.length for curve in curves), out,

@@ -80,6 +80,7 @@ def command(
     from wrod.bench import courses
     from wrod.bench.slippery import Shelf
     from wrod.errors import RodError
+    from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
     from wrod.rods.batch import resolve_device
 
@@ -94,7 +95,8 @@ def command(
         shelf.course(*place)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
     patterns = "built-in" if shelf.patterns is None else shelf.patterns.name
-    ledger = Ledger(out / "feedback.jsonl", how | {"patterns": patterns}, KEYS, "feedback")
+    settings = how | {"patterns": patterns}
+    ledger = Ledger(out / "feedback.jsonl", settings, KEYS, "feedback", row_schemas.FeedbackRow)
     done = ledger.done()
     keys = [
         (*place, effect, way, seed)

@@ -86,10 +86,10 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
     keep, have = rows.append, {}
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        from wrod.files import schemas
+        from wrod.files import row_schemas
 
         keys = ("set", "seed", "noise")
-        ledger = Ledger(out / "rows.jsonl", {}, keys, "identification", schemas.HiddenRow)
+        ledger = Ledger(out / "rows.jsonl", {}, keys, "identification", row_schemas.HiddenRow)
         have = {ledger.key(r): r for r in ledger.rows}
 
         def keep(row):

@@ -37,10 +37,15 @@ _NAMES = ("effect", "controller", "pattern", "plan", "method", "closure")
 def write_csv(path: Path, rows: list[dict]) -> Path:
     """One deployment a line."""
     lines = [
-        [row[n] for n in _NAMES] + [f"{row[n]:.4f}" for n in _COLUMNS] + [int(row["diverged"])]
+        [row[n] for n in _NAMES] + [_figure(row[n]) for n in _COLUMNS] + [int(row["diverged"])]
         for row in rows
     ]
     return files.write_csv(path, [*_NAMES, *_COLUMNS.values(), "diverged"], lines)
+
+
+def _figure(value: float | None) -> str:
+    """A path that was corrected for a table no longer says which friction it asks for."""
+    return "" if value is None else f"{value:.4f}"
 
 
 def markdown(rows: list[dict], found: dict, head: str) -> str:
@@ -122,7 +127,8 @@ def summary(rows: list[dict]) -> list[str]:
     cell = _cells(rows)
     worse = [
         f"{row['pattern']} ({_title(row['effect'])}, {row['controller']}: {before:.3f} to "
-        f"{row['error_mean']:.3f} cm; the new plan asks for friction {row['contact_friction']:.2f})"
+        f"{row['error_mean']:.3f} cm; the new plan asks for friction "
+        f"{_figure(row['contact_friction']) or 'that is not known'})"
         for (effect, controller, name, plan), row in cell.items()
         if plan == "new"
         and row["error_mean"]

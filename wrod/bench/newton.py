@@ -43,22 +43,7 @@ def _numbers(context, parameter, value: str) -> list[int]:
 @click.option("--cables", default=40, show_default=True, help="Cables of the pile of --many.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for table and picture.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(
-    rod_name: str,
-    length: float,
-    scale: float,
-    edges: list[int],
-    iterations: list[int],
-    rods: int,
-    periods: float,
-    device: str,
-    bodies: bool,
-    many: bool,
-    worlds: int,
-    cables: int,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+def command(bodies: bool, many: bool, worlds: int, cables: int, as_json: bool, **given) -> None:
     """Compare a heavy cantilever at rest and swinging with the continuum, and time it.
 
     SolverDER, Newton's cable (SolverVBD) and, where it is installed, PyElastica, in one run.
@@ -73,8 +58,23 @@ def command(
         _measure_bodies(as_json)
         return
     if many:
-        _measure_many(device, worlds, cables, edges[-1])
+        _measure_many(given["device"], worlds, cables, given["edges"][-1])
         return
+    _measure_cantilever(as_json=as_json, **given)
+
+
+def _measure_cantilever(
+    rod_name: str,
+    length: float,
+    scale: float,
+    edges: list[int],
+    iterations: list[int],
+    rods: int,
+    periods: float,
+    device: str,
+    out: Path | None,
+    as_json: bool,
+) -> None:
     import importlib.util
     from importlib.metadata import version
 

@@ -56,7 +56,9 @@ def period_of(samples, dt: float) -> float:
     return 2.0 * np.diff(crossings).mean() * dt if len(crossings) > 1 else float("nan")
 
 
-def momentum(scheme: str = "bdf2", steps: int = 60, dt: float = 0.004) -> float:
+def momentum(
+    scheme: str = "bdf2", steps: int = 60, dt: float = 0.004, inertia: str = "lumped"
+) -> float:
     """Error of the momentum of a falling cable with a body as heavy as itself, over what it is."""
     model, body = hung(
         RUBBER, 0.002, (2e-7, 3e-7, 4e-7), way=(1.0, 0.0, 0.0), centre=(0.01, 0.003, 0.002)
@@ -66,7 +68,9 @@ def momentum(scheme: str = "bdf2", steps: int = 60, dt: float = 0.004) -> float:
     velocity = np.zeros((_EDGES + 1, 3))
     velocity[8:18, 1] = 1.0
     state.der.node_qd.assign(velocity)
-    solver, state = simulate(model, steps, dt, state, scheme=scheme, tolerance=1e-9)
+    solver, state = simulate(
+        model, steps, dt, state, scheme=scheme, inertia=inertia, tolerance=1e-9
+    )
     last = node_mass @ state.der.node_qd.numpy()
     last += mass * solver._groups[0].bodies.velocity.numpy()[0, 0]
     fall = steps * dt * np.array(model.gravity.numpy()[0], dtype=float)

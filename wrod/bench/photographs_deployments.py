@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.bench import side_by_side
+from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.identification.laid.photographs import LaidPhotograph
 from wrod.identification.laid.scenario import LaidRod, Scenario, lay, plan_without_lead_in
@@ -22,7 +23,7 @@ class Deployments:
 
     def __init__(self, path: Path, settings: dict, *, device, threads, quiet, workers=1):
         self.path, self.workers, self.device = path, workers, device
-        self._ledger = Ledger(path, settings, KEYS, "photographs")
+        self._ledger = Ledger(path, settings, KEYS, "photographs", row_schemas.LaidRow)
         self._options = {k: settings[k] for k in ("spacing", "step")}
         self._options |= {"device": device, "threads": threads if workers == 1 else 1}
         self._quiet = quiet

@@ -67,7 +67,7 @@ def command(
             "patterns": None if patterns is None else str(patterns),
             "finer": finer,
         }
-        ledger = Ledger(out / "arms.jsonl", settings, ("robot", "pattern", "rod"), "arms")
+        ledger = Ledger(out / "arms.jsonl", settings, ("robot", "pattern", "rod"), "arms", _fields)
     done = {
         (r["robot"], r["pattern"], r["rod"]): r for r in ([] if ledger is None else ledger.rows)
     }
@@ -83,6 +83,12 @@ def command(
                 ledger.add([row])
         rows.append(row)
     _say(rows, finer, as_json)
+
+
+def _fields(row: dict) -> type:
+    from wrod.files import row_schemas
+
+    return row_schemas.ArmsRefused if "error" in row else row_schemas.ArmsRow
 
 
 def _say(rows: list[dict], finer: bool, as_json: bool) -> None:

@@ -15,6 +15,7 @@ from wrod import cost
 from wrod.bench import campaign, courses
 from wrod.bench.slippery_report import KEYS, draw, means, summary, told, write_csv
 from wrod.errors import RodError
+from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 
 ENGINES = ("wrod", "mujoco")
@@ -110,7 +111,7 @@ def command(
     for rod_name, name in product(rods.split(","), names.split(",")):
         shelf.course(rod_name, name)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery")
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "slippery", row_schemas.SlipperyRow)
     cells = list(product(rods.split(","), names.split(","), mus, chosen, played))
     keys = [
         (*cell, trial)

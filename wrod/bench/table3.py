@@ -106,7 +106,7 @@ def _table(
     step and spacing."""
     from wrod.bench.table3_report import KEYS
     from wrod.deployment.simulate import nodes_needed, simulate_deployments
-    from wrod.files import schemas
+    from wrod.files import row_schemas
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
     from wrod.solvers.compiling import compile_steps
@@ -115,7 +115,7 @@ def _table(
     device, settings = resolve_device(device), asked.settings(how)
     rods, substrates, curves = asked.cells()
     out.mkdir(parents=True, exist_ok=True)
-    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", schemas.Table3Row)
+    ledger = Ledger(out / "trials.jsonl", settings, KEYS, "table3", row_schemas.Table3Row)
     # One trial of every cell before the second of any, so that a stopped run covers the table.
     keys = [
         (material, substrate, name, method, trial)

@@ -155,7 +155,7 @@ def simulate_deployments(
         friction_field: how the table's friction varies over x and y; default: it does not.
         progress: called with the fraction done since the last call, of all trials.
     """
-    release = hold if release is None else float(release)
+    hold, release = float(hold), float(hold if release is None else release)
     check_pace(speed, spacing, hold, release)
     if not trials:
         return []

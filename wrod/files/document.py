@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from wrod.files import schemas
+from wrod.files import row_schemas, schemas
 from wrod.files.array_schemas import ARRAYS, ArrayFile
 
 HEAD = """# Files that wrod reads
@@ -30,7 +30,9 @@ _ROOTS = (
     schemas.Obstacle, schemas.MarkerLayout, schemas.CameraIntrinsics, schemas.KnotPlan,
     schemas.Manifest, schemas.Shard, schemas.Controller, schemas.Corrector, schemas.Plans,
     schemas.TrajectoryMetadata,
-    schemas.Table3Row, schemas.ApplicationsRow, schemas.HiddenRow,
+    row_schemas.Table3Row, row_schemas.ApplicationsRow, row_schemas.HiddenRow,
+    row_schemas.SlipperyRow, row_schemas.FeedbackRow, row_schemas.FoldRow, row_schemas.LaidRow,
+    row_schemas.ArmsRow, row_schemas.ArmsRefused, row_schemas.StepRow,
 )  # fmt: skip
 
 

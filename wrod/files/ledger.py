@@ -1,7 +1,7 @@
 """The file of a campaign: one finished trial a line, so that a stopped run goes on."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -21,7 +21,7 @@ class Ledger:
         path: the file.
         settings: what all trials have in common; a file that was begun with others is refused.
         keys: the fields of a row that tell which trial it is.
-        fields: schema of a row, of `wrod.files.schemas`.
+        fields: schema of a row, of `wrod.files.schemas`, or what tells it of a row.
         title: what the campaign's files are called.
 
     Raises:
@@ -34,7 +34,7 @@ class Ledger:
         settings: dict,
         keys: Sequence[str],
         title: str = "campaign",
-        fields: type | None = None,
+        fields: type | Callable[[dict], type] | None = None,
     ):
         self.path, self.keys, self.rows = path, tuple(keys), []
         head = {"format": f"wrod-{title}-1", **settings}
@@ -54,7 +54,7 @@ class Ledger:
             row, where = _line(line, f"{path}, line {number}", remedy), f"{path}, line {number}"
             if fields is not None:
                 try:
-                    msgspec.convert(row, fields)
+                    msgspec.convert(row, fields if isinstance(fields, type) else fields(row))
                 except msgspec.ValidationError as reason:
                     raise DataError(f"{where}: {entry_message(str(reason))}; {remedy}") from None
             for key in self.keys:

@@ -98,6 +98,12 @@ class Effect:
         """What the cameras report of (T, M, 3) markers, whose material frames are `frame`."""
         return position
 
+    def doubt(
+        self, values: np.ndarray, covariance: np.ndarray, measurements: ClampedMeasurements
+    ) -> str:
+        """What else the effect may stand for at these values, a phrase; empty where nothing."""
+        return ""
+
     def describe(
         self, values: np.ndarray, covariance: np.ndarray, measurements: ClampedMeasurements
     ) -> dict[str, Estimate]:
@@ -152,6 +158,32 @@ def effects(kind: str = "clamped") -> dict[str, Effect]:
             if is_effect and value is not Effect and kind in value.kinds:
                 found[value.name] = value()
     return found
+
+
+def as_asked(kind: str, of: type, load: Callable, measurements, test, candidates):
+    """The measurements that an identification is asked about, scored on those of `test`, and its
+    candidates (default: all of the kind).
+
+    Args:
+        kind: of the measurements, for `effects`; of: their class; load: reads a file of them.
+
+    Raises:
+        DataError: a file cannot be right, or there is no effect of that name.
+    """
+
+    def read(source):
+        return source if isinstance(source, of) else load(source)
+
+    m = read(measurements)
+    if test is not None:
+        m = m.scored_on(read(test))
+    known = effects(kind)
+    chosen = list(known.values() if candidates is None else candidates)
+    unknown = [c for c in chosen if not isinstance(c, Effect) and c not in known]
+    if unknown:
+        names = ", ".join(known)
+        raise DataError(f"unknown effect {unknown[0]!r} for {kind} data; known effects: {names}")
+    return m, [c if isinstance(c, Effect) else known[c] for c in chosen]
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,8 @@ def identify(
         measurements: of a rod between two clamps or in motion, or a file of either, which is
             recognised by its fields; or rods that lie on a table.
         options: of `identify_clamped` and `identify_motion`: `test`, `candidates`, `device`,
-            `progress`; for laid rods those of `fit_laid`, of which `rod` and `trajectory` must be
-            given.
+            `progress`, and `steps` of the latter; for laid rods those of `fit_laid`, of which `rod`
+            and `trajectory` must be given.
 
     Raises:
         DataError: the data cannot be right, or an option is missing.

@@ -15,6 +15,10 @@ from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
 
+# Rods against each other: at least this stiff, in EA / radius, or by so many times an edge's weight
+# over the radius, for what falls on soft ones; and in what part of the radius the force rises. As
+# stiff and as gently as tight knots want it, a pile needs nearly twice as many iterations.
+_PAIR_STIFFNESS, _PAIR_WEIGHTS, _PAIR_SKIN = 0.2, 6000.0, 1e-3
 # Under its own weight a rod on a shape sinks in by this fraction of its radius.
 _SINKING = 1.0 / 600.0
 _STANDARD_GRAVITY = 9.81
@@ -32,6 +36,7 @@ class RodGroup:
         own: (body,) whether a body moves with the rods that it holds.
         contact_stiffness: normal and tangential stiffness per length of rod [N/m^2], or None.
         rod_friction: friction coefficient of rods with themselves and each other, or None.
+        rod_stiffness: of a pair of edges [N/m], or None.
         options: of `Dynamics`.
     """
 
@@ -45,6 +50,7 @@ class RodGroup:
         own: np.ndarray,
         contact_stiffness: float | None,
         rod_friction: float | None,
+        rod_stiffness: float | None,
         options: dict,
     ):
         self.model, self.rows, self.shapes = model, rows, shapes
@@ -60,7 +66,7 @@ class RodGroup:
         self.hold = wp.array(records, dtype=carrying.Hold, device=device)
         self.bodies = None if owned is None else Bodies(self.batch, owned, records)
         self.contact = self._make_contact(contact_stiffness) if len(shapes.rows) else None
-        self.rod_contact = self._make_rod_contact(rod_friction, records)
+        self.rod_contact = self._make_rod_contact(rod_friction, rod_stiffness, records)
         contacts = [c for c in (self.contact, self.rod_contact) if c is not None]
         self.dynamics = Dynamics(
             self.batch,
@@ -131,13 +137,29 @@ class RodGroup:
             passive=layout.ghost,
         )
 
-    def _make_rod_contact(self, friction: float | None, holds: np.ndarray) -> RodContact | None:
+    def _make_rod_contact(
+        self, friction: float | None, stiffness: float | None, holds: np.ndarray
+    ) -> RodContact | None:
         touches = self._edge_values("touches_rods") != 0
         if friction is None or not touches.any():
             return None
         radius = self._edge_values("radius")
         passive = ~touches | self.layout.near_clamps(holds, radius)
-        return RodContact(self.batch, radius, Friction(friction), passive=passive)
+        if stiffness is None:
+            edge = self.batch.rest_length.numpy() * self.layout.line_density()[:, :-1]
+            force = np.maximum(
+                _PAIR_STIFFNESS * self.batch.stretching_stiffness.numpy(),
+                _PAIR_WEIGHTS * _STANDARD_GRAVITY * edge,
+            )
+            stiffness = (force / radius).max(axis=1)
+        return RodContact(
+            self.batch,
+            radius,
+            Friction(friction),
+            stiffness=stiffness,
+            skin=_PAIR_SKIN,
+            passive=passive,
+        )
 
     def refresh_gravity(self) -> None:
         self.batch.gravity.assign(self._gravity())

@@ -80,12 +80,14 @@ class SolverDER(RodBuilding, SolverBase):
         RodError,
         model=arguments.like("a newton.Model", "body_q", "device"),
         scheme=arguments.text,
+        inertia=arguments.text,
         max_step=arguments.optional(arguments.number()),
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(1, 10_000),
         contact_stiffness=arguments.optional(arguments.number()),
         self_contact=arguments.optional(arguments.number(0.0, 1e3)),
         rod_contact=arguments.optional(arguments.number(0.0, 1e3)),
+        rod_stiffness=arguments.optional(arguments.number()),
         bodies=arguments.either(arguments.text, arguments.indices),
     )
     def __init__(
@@ -93,12 +95,14 @@ class SolverDER(RodBuilding, SolverBase):
         model: newton.Model,
         *,
         scheme: str = "bdf2",
+        inertia: str = "lumped",
         max_step: float | None = None,
         tolerance: float = 1e-6,
         max_iterations: int = 25,
         contact_stiffness: float | None = None,
         self_contact: float | None = None,
         rod_contact: float | None = None,
+        rod_stiffness: float | None = None,
         bodies: str | Sequence[int] = "free",
     ):
         """
@@ -107,18 +111,20 @@ class SolverDER(RodBuilding, SolverBase):
             scheme: "bdf2" (second order, hardly dissipates), "midpoint" (a quarter of its error,
                 loses nothing; "bdf2" where anything is touched) or "euler" (first order,
                 dissipates).
+            inertia: "lumped" or "consistent"; see `Dynamics`.
             max_step: Longest time step of a rod [s]; a longer `dt` is divided. Defaults to `dt`.
             tolerance: Largest unbalanced force of a step over the rod's weight, or over
                 k_b / L^2 if that is larger.
             max_iterations: Of Newton's method; a step that needs more is halved.
-            contact_stiffness: Normal and tangential stiffness of contacts per length of rod
-                [N/m^2]. Defaults to what lets a rod sink in by 1/600 of its radius under its own
-                weight on Earth.
-            self_contact: Friction coefficient of a rod that touches itself. Defaults to None: it
-                passes through itself, which costs less.
+            contact_stiffness: Normal and tangential stiffness of shapes per length of rod [N/m^2].
+                Defaults to 600 times its weight per length on Earth over its radius.
+            self_contact: Friction coefficient of a rod that touches itself; None: passes through.
             rod_contact: Friction coefficient of rods that touch each other, and themselves, but
                 for those added with `touches_rods=False`. All rods of a world then share their
                 steps. Defaults to None: they pass through each other.
+            rod_stiffness: Normal and tangential stiffness of a place where rods touch [N/m].
+                Defaults to EA / (5 radius), or 6000 times an edge's weight on Earth over the
+                radius if more. Tight knots want fifty times the first.
             bodies: Which of the bodies that hold rods this solver moves: "free", "none" or some of
                 the free ones.
 
@@ -130,20 +136,26 @@ class SolverDER(RodBuilding, SolverBase):
         if model.requires_grad:
             raise RodError(
                 "SolverDER gives no gradients to a wp.Tape; finalize the model with "
-                "requires_grad=False, and see wrod's tangents of deployments for derivatives"
+                "requires_grad=False, and see wrod.training.moving.move_differentiable"
             )
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
-        for name, value in (("max_step", max_step), ("contact_stiffness", contact_stiffness)):
+        given = (max_step, contact_stiffness, rod_stiffness)
+        for name, value in zip(
+            ("max_step", "contact_stiffness", "rod_stiffness"), given, strict=True
+        ):
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise RodError(f"{name} is {value!r}; give a positive finite number")
         if rod_contact is not None and self_contact is not None:
             raise RodError("give rod_contact or self_contact: the first one covers the second")
         self.max_step = max_step
         self.rod_count = len(der.rod_node_count)
-        self._options = dict(scheme=scheme, tolerance=tolerance, max_iterations=max_iterations)
+        self._options = dict(
+            scheme=scheme, inertia=inertia, tolerance=tolerance, max_iterations=max_iterations
+        )
         self._contact_stiffness = contact_stiffness
         self._rod_friction = self_contact if rod_contact is None else rod_contact
+        self._rod_stiffness = rod_stiffness
         self._rods_meet = rod_contact is not None
         self._bodies = bodies
         self._holds = Holds(model)
@@ -187,6 +199,7 @@ class SolverDER(RodBuilding, SolverBase):
                 self._own,
                 self._contact_stiffness,
                 self._rod_friction,
+                self._rod_stiffness,
                 self._options,
             )
             for rows in find_rows(model, self._holds, self._own, self._rods_meet)

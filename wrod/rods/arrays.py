@@ -115,7 +115,7 @@ class BatchArrays:
     def _inelastic(self, number) -> wp.array | None:
         """The rods' laws that remember, and what they remember; None where there are none."""
         number = np.atleast_1d(arguments.floats(number, "RodBatch: inelastic", RodError))
-        if not number[..., 0].any():
+        if number.size and not number[..., 0].any():
             return None
         shape = (self.rod_count, self.node_count)
         number = self._array("inelastic", number, (*shape, 4), wp.vec4d)

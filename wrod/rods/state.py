@@ -67,10 +67,10 @@ def node_positions(dof: np.ndarray) -> np.ndarray:
 
 
 def full_hessian(band: np.ndarray) -> np.ndarray:
-    """Dense symmetric (dof, dof) matrix out of one rod's lower band (dof, 11)."""
-    n = band.shape[0]
-    dense = np.zeros((n, n))
-    for k in range(min(band.shape[1], n)):
+    """Dense symmetric (..., dof, dof) matrices out of lower bands (..., dof, 11)."""
+    n = band.shape[-2]
+    dense = np.zeros((*band.shape[:-1], n))
+    for k in range(min(band.shape[-1], n)):
         rows = np.arange(k, n)
-        dense[rows, rows - k] = dense[rows - k, rows] = band[k:, k]
+        dense[..., rows, rows - k] = dense[..., rows - k, rows] = band[..., k:, k]
     return dense

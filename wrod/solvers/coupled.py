@@ -8,8 +8,9 @@ from wrod.kernels.linear import coupling, skyline, skyline_lanes, skyline_order
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.rod_contact import RodContact
 
-# Up to this many nodes a rod's factor may fill; beyond, rows of so many blocks on average.
-_DENSE_NODES, _BLOCKS_PER_ROW = 200, 100
+# Up to this many nodes a rod's factor may fill; beyond, rows of so many blocks on average. A GPU
+# solves heaps otherwise (`wrod.solvers.condensed`).
+_DENSE_NODES, _BLOCKS_PER_ROW, _BLOCKS_ON_CPU = 200, 100, 400
 
 
 class PairedSystem(BandedSystem):
@@ -97,7 +98,8 @@ class CoupledSystem(PairedSystem):
         if nodes <= _DENSE_NODES:
             self._capacity = nodes * (nodes + 1) // 2
         else:
-            self._capacity = nodes * _BLOCKS_PER_ROW
+            blocks = _BLOCKS_ON_CPU if lanes(device) == 1 else _BLOCKS_PER_ROW
+            self._capacity = min(nodes * blocks, nodes * (nodes + 1) // 2)
         self._distance, self._tally, self._rank, self._order, self._first, self._last, self._row = (
             wp.zeros((rods, nodes), dtype=wp.int32, device=device) for _ in range(7)
         )

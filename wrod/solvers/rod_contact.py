@@ -46,6 +46,8 @@ class RodContact:
         stiffness: (rod,) normal and tangential stiffness of a pair [force/length]; default:
             10 EA / radius.
         restitution: (rod,) speed after an impact over that before; see `Contact`.
+        skin: part of the radius over which the normal force rises quadratically. Newton halves the
+            depth of what is pressed in that at best, so that loads should reach beyond it.
         partners: most edges that one edge can be near to and that come after it.
         passive: (rod, node - 1) edges that touch nothing; default: none.
         smooth: without corners along the rods, for rods that cross. Rods that wind around each
@@ -70,6 +72,7 @@ class RodContact:
         friction=arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION)),
         stiffness=arguments.optional(arguments.array((), (None,))),
         restitution=arguments.array((), (None,)),
+        skin=arguments.number(1e-6, 1.0),
         partners=arguments.whole(1, 4096),
         passive=arguments.optional(arguments.truths),
         smooth=arguments.flag,
@@ -82,6 +85,7 @@ class RodContact:
         *,
         stiffness: np.ndarray | float | None = None,
         restitution: np.ndarray | float = 0.0,
+        skin: float = _SKIN,
         partners: int = 32,
         passive: np.ndarray | None = None,
         smooth: bool = False,
@@ -116,7 +120,7 @@ class RodContact:
         damping = contact_damping(restitution)
         # Two edges that meet move as one of half their mass.
         mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
-        law = _laws(friction, stiffness, damping * np.sqrt(mass / stiffness), _SKIN * mean_radius)
+        law = _laws(friction, stiffness, damping * np.sqrt(mass / stiffness), skin * mean_radius)
         self.pieces = pieces = pair_contact.Pieces()
         pieces.law = wp.array(law, dtype=pair_contact.PairLaw, device=device)
         pieces.rest_length = batch.rest_length

@@ -93,6 +93,15 @@ class Stretch(Described):
         setup.stretching = setup.stretching * 0.5 * (factor[1:] + factor[:-1])
         setup.line_mass = setup.line_mass * (1.0 + values[1] * window)
 
+    def doubt(self, values, covariance, measurements):
+        own, length = self.describe(values, covariance, measurements), measurements.material.length
+        first, last = own["start"], own["stop"]
+        if last.value > length - max(2.0 * last.stderr, _EDGE):
+            return "the stretch reaches the gripper, which may give way itself"
+        if first.value < max(2.0 * first.stderr, _EDGE):
+            return "the stretch reaches clamp A, which may give way itself"
+        return ""
+
     def describe(self, values, covariance, measurements):
         rod = measurements.material
         error = np.sqrt(np.diag(covariance))

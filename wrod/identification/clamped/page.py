@@ -2,6 +2,7 @@
 
 import base64
 import html
+from collections.abc import Iterable
 from pathlib import Path
 
 from wrod.files import write_text
@@ -126,13 +127,16 @@ def effects_table(found: list[tuple[str, dict, float | None]], confounded) -> st
 
 
 def _steps(report) -> str:
-    rows = "".join(
-        f"<tr><td>{' + '.join(r.current) or 'base model'}</td>"
-        f"<td>{' + '.join(r.accepted) if r.accepted else 'stop'}</td>"
-        f"<td>{html.escape(r.reason)}</td></tr>"
+    rows = [
+        (" + ".join(r.current) or "base model", " + ".join(r.accepted or ["stop"]), r.reason)
         for r in report.selection.rounds
-    )
-    return (
-        "<h2>How it was chosen</h2><table><tr><th>model</th><th>next</th><th>because</th></tr>"
-        f"{rows}</table>"
-    )
+    ]
+    return steps_table(("model", "next", "because"), rows)
+
+
+def steps_table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """How a model was chosen, a row a round."""
+    lines = [f"<tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>"]
+    for row in rows:
+        lines.append(f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>")
+    return f"<h2>How it was chosen</h2><table>{''.join(lines)}</table>"

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from wrod import arguments
-from wrod.errors import DataError
 from wrod.identification.clamped.branches import Branch
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
@@ -22,8 +21,8 @@ from wrod.identification.clamped.verdict import Selection
 from wrod.identification.effect import (
     Effect,
     Model,
+    as_asked,
     checked_as_identification,
-    effects,
 )
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.report import FoundEffect, Report, millimetres
@@ -136,13 +135,8 @@ def identify_clamped(
         DataError: the data cannot be right, or an effect is unknown.
     """
     say = progress or (lambda text: None)
-    m = measurements
-    if not isinstance(m, ClampedMeasurements):
-        m = load_measurements(m)
-    if test is not None:
-        other = test if isinstance(test, ClampedMeasurements) else load_measurements(test)
-        m = m.scored_on(other)
-    chosen = [_effect(c) for c in (effects().values() if candidates is None else candidates)]
+    asked = measurements, test, candidates
+    m, chosen = as_asked("clamped", ClampedMeasurements, load_measurements, *asked)
     say("base model")
     laboratory = Laboratory(m, device=resolve_device(device))
     say("force print")
@@ -191,14 +185,6 @@ def _found_rod(m: ClampedMeasurements, laboratory: Laboratory, fit: Fit) -> Foun
         return rod_of(setup, setup.arc_length, like=like)
 
     return found_rod(base, fit.model, fit.values, read)
-
-
-def _effect(candidate: Effect | str) -> Effect:
-    if isinstance(candidate, Effect):
-        return candidate
-    if candidate not in effects():
-        raise DataError(f"unknown effect {candidate!r}; known effects: {', '.join(effects())}")
-    return effects()[candidate]
 
 
 def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[FoundEffect, ...]:

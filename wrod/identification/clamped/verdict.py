@@ -112,6 +112,8 @@ def judge(
             f"no effect, nor any few together, takes {100 * CLAMPED.takes:.0f} % of the excess "
             f"error; {before / floor:.2f} times the noise floor stays"
         )
+    if verdict == "explained" and (doubt := _doubt(fit, m)):
+        verdict, reason = "partly-explained", f"{reason}, but {doubt}"
     if verdict != "explained" and laboratory.noise.described():
         reason += f"; the noise is not what was declared: {laboratory.noise.described()}"
     named = fit if verdict in ("explained", "partly-explained") else empty
@@ -130,6 +132,16 @@ def judge(
     if named.model.effects:
         selection.confounded = _confounded(laboratory, fit, rounds)
     return selection
+
+
+def _doubt(fit: Fit, measurements) -> str:
+    """What else the effects of a model may stand for."""
+    own = fit.model.split(np.arange(len(fit.values)))
+    said = [
+        effect.doubt(fit.values[k], fit.covariance[np.ix_(k, k)], measurements)
+        for effect, k in zip(fit.model.effects, own, strict=True)
+    ]
+    return "; ".join(text for text in said if text)
 
 
 def at_noise_of(laboratory: Laboratory) -> float:

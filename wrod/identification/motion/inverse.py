@@ -24,6 +24,7 @@ from wrod.identification.motion.tangents import COMPLEX_STEP, kind_of, node_colu
 from wrod.identification.motion.windows import Windows
 from wrod.kernels.stepping import motion_tangents
 from wrod.rods.batch import RodBatch
+from wrod.rods.state import full_hessian
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 # Rounds in which the tensions and the shapes between markers settle, and what is expected of the
@@ -252,7 +253,7 @@ class _Condensation:
         found = EquilibriumSolver(self.batch).solve(tolerance=_TOLERANCE)
         out = self.batch.evaluate(order=2)
         gradient = out.gradient.numpy()
-        hessian = _dense(out.hessian.numpy())
+        hessian = full_hessian(out.hessian.numpy())
         i, f = self.inner, self.free
         carried = np.linalg.solve(hessian[:, i][:, :, i], hessian[:, i][:, :, f])
         self.see = np.zeros((len(gradient), len(f), hessian.shape[1]))
@@ -316,7 +317,7 @@ class _Condensation:
     def _strain_rate(self) -> wp.array:
         """(S, n) rates of the strains: markers by their velocities, what is between follows."""
         b = self.batch
-        hessian = _dense(b.derivatives.hessian.numpy())
+        hessian = full_hessian(b.derivatives.hessian.numpy())
         rate = np.zeros((b.rod_count, b.dof_count))
         rate[:, node_columns(b.node_count)] = self.path.velocity.reshape(b.rod_count, -1)
         i = self.inner
@@ -333,17 +334,6 @@ class _Condensation:
             [out],
         )
         return out.reshape((b.rod_count, b.node_count))
-
-
-def _dense(band: np.ndarray) -> np.ndarray:
-    """(S, D, D) symmetric matrices out of (S, D, k) lower bands."""
-    rods, size, width = band.shape
-    out = np.zeros((rods, size, size))
-    for k in range(width):
-        row = np.arange(k, size)
-        out[:, row, row - k] = band[:, row, k]
-        out[:, row - k, row] = band[:, row, k]
-    return out
 
 
 def _node_frames(m1: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -1,10 +1,9 @@
 """The report on a motion as one self-contained page."""
 
-import html
 from pathlib import Path
 
 from wrod.files import write_text
-from wrod.identification.clamped.page import effects_table, numbers_of, page
+from wrod.identification.clamped.page import effects_table, numbers_of, page, steps_table
 
 
 def write_motion_page(path: Path, report) -> Path:
@@ -73,12 +72,8 @@ def _steps(report) -> str:
             if c.validation == c.validation
         )
         left = f"without {r.removed}" if r.removed else "stop"
-        rows.append(
-            f"<tr><td>{html.escape(r.current[-1])}</td><td>{r.accepted or left}</td>"
-            f"<td>{html.escape(tried)}</td><td>{html.escape(r.reason)}</td></tr>"
-        )
-    head = "<tr><th>after</th><th>next</th><th>fitted, validation error</th><th>because</th></tr>"
-    return f"<h2>How it was chosen</h2><table>{head}{''.join(rows)}</table>"
+        rows.append((r.current[-1], r.accepted or left, tried, r.reason))
+    return steps_table(("after", "next", "fitted, validation error", "because"), rows)
 
 
 def _evidence(report) -> list[tuple[str, str, bytes]]:

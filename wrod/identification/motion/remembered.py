@@ -6,6 +6,7 @@ before alone, so one that begins anew finds its way through those that are remem
 
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from wrod import __version__
+from wrod.errors import DataError
+from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.identification.motion.data import MotionMeasurements
 
@@ -25,7 +28,8 @@ class Remembered:
         measurements: of all that is in it.
 
     Raises:
-        DataError: the file was begun with other measurements, or by another version of wrod.
+        DataError: the file was begun with other measurements, or by another version of wrod, or
+            cannot be written.
     """
 
     def __init__(self, path: Path, measurements: MotionMeasurements):
@@ -33,8 +37,15 @@ class Remembered:
         for part in (m.positions, m.gap, m.fit, m.validation, m.test, m.rate, m.gravity):
             hashed.update(np.ascontiguousarray(part).tobytes())
         settings = {"data": hashed.hexdigest(), "version": __version__}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._ledger = Ledger(path, settings, ("step",), "identification-steps")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if not os.access(path.parent, os.W_OK):
+                raise PermissionError(f"{path.parent} is not to be written to")
+        except OSError as reason:
+            raise DataError(f"{path}: cannot be kept ({reason}); choose another place") from None
+        self._ledger = Ledger(
+            path, settings, ("step",), "identification-steps", row_schemas.StepRow
+        )
         self._known = {row["step"]: row["found"] for row in self._ledger.rows}
 
     def recall(self, key: list, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:

@@ -14,8 +14,8 @@ from wrod.identification.effect import (
     Effect,
     Estimate,
     Model,
+    as_asked,
     checked_as_identification,
-    effects,
 )
 from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.motion.data import MotionMeasurements
@@ -204,13 +204,8 @@ def identify_motion(
     Raises:
         DataError: the data cannot be right, an effect is unknown, or `steps` is of other data.
     """
-    m = measurements if isinstance(measurements, MotionMeasurements) else load_motion(measurements)
-    if test is not None:
-        m = m.scored_on(test if isinstance(test, MotionMeasurements) else load_motion(test))
-    known = effects("motion")
-    chosen = list(known.values())
-    if candidates is not None:
-        chosen = [c if isinstance(c, Effect) else _known(c, known) for c in candidates]
+    asked = measurements, test, candidates
+    m, chosen = as_asked("motion", MotionMeasurements, load_motion, *asked)
     device = resolve_device(device)
     check_pace(m, device=device)
     remembered = None if steps is None else Remembered(Path(steps), m)
@@ -229,12 +224,6 @@ def identify_motion(
     if remembered is not None:
         remembered.forget()
     return report
-
-
-def _known(name: str, known: dict[str, Effect]) -> Effect:
-    if name not in known:
-        raise DataError(f"no effect {name!r} for motion; there are {', '.join(known)}")
-    return known[name]
 
 
 def _report(
