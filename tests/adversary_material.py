@@ -29,6 +29,7 @@ VALID = {
     "measure": ["--overhang", "0.07", "--fall", "0.03", "--radius", "0.0016", "--length", "0.8",
                 "--out", "{out}.json"],
     "rods": [],
+    "compile": ["--device", "cpu", "--jobs", "1"],
     "scan": ["{line.png}", "--scale", "0.0005", "--out", "{out}"],
     "markers": ["--out", "{out}"],
     "manifold": ["--length", "5", "--rays", "5", "--device", "cpu", "--out", "{out}"],

@@ -12,7 +12,7 @@ from wrod.rods.catalogue import catalogue
 
 def test_entries_say_where_they_come_from_and_keep_what_was_measured():
     entries = catalogue()
-    assert len({entry.name for entry in entries}) == len(entries) == 12
+    assert len({entry.name for entry in entries}) == len(entries) == 20
     assert all(entry.source and entry.note and entry.what for entry in entries)
     held = wrod.rod("power-cable-15mm")
     assert held.bending_stiffness == pytest.approx(0.059)
@@ -23,6 +23,9 @@ def test_entries_say_where_they_come_from_and_keep_what_was_measured():
     )
     wire = wrod.rod("guidewire-amplatz")
     assert wire.bending_stiffness == pytest.approx(60.3e9 * np.pi * (0.035 * 0.0254) ** 4 / 64)
+    tube = wrod.rod("silicone-tube-3mm")  # 1/8 in around 1/16 in: a sixteenth of I is bore
+    assert tube.bending_stiffness == pytest.approx(3.05e6 * np.pi * 3.175e-3**4 / 64 * 15 / 16)
+    assert tube.weight == pytest.approx(9.81 * 1150 * np.pi * 3.175e-3**2 / 4 * 3 / 4)
     # The command and the library know the same names.
     assert wrod.rod_names() == [entry.name for entry in entries]
     assert RodOptions("thin-cable-red", None, None, None).read() == wrod.rod("thin-cable-red")

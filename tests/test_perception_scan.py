@@ -17,7 +17,7 @@ from wrod.perception import refine
 from wrod.perception.camera import TopCamera, centerline_from_usd
 from wrod.perception.image import read_image
 from wrod.perception.measure import compare
-from wrod.perception.metric import Camera, MarkerLayout, Plane
+from wrod.perception.metric import CameraIntrinsics, MarkerLayout, Plane
 from wrod.perception.scan import oriented, read_scan
 
 WIDTH, HEIGHT = 0.297, 0.21
@@ -150,7 +150,7 @@ def test_camera_homography_inverts_its_projection(camera):
 def test_distorted_picture_needs_its_camera(camera, layout, tmp_path):
     lens = {"camera_matrix": camera.matrix.tolist(), "distortion": [-0.25, 0.08, 0, 0, 0]}
     (tmp_path / "camera.json").write_text(json.dumps(lens))
-    loaded = Camera.load(tmp_path / "camera.json")
+    loaded = CameraIntrinsics.load(tmp_path / "camera.json")
     width, height = camera.size
     grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2)
     straight = loaded.undistort(grid).astype(np.float32).reshape(height, width, 2)

@@ -256,10 +256,10 @@ def test_only_what_was_solved_is_said_to_help(capsys):
         if trajectory > 0.7:
             raise RobotError("no joint path")
 
-    def planned(resize, hold, tried=None):
-        if tried.resize < 0.65:
+    def planned(wanted, tried=False):
+        if wanted.resize < 0.65:
             raise PatternError("bends too much")
-        return SimpleNamespace(rod=None), None, tried.resize
+        return SimpleNamespace(rod=None), None, wanted.resize
 
     request = SimpleNamespace(robot="sawyer", solve=solve)
     tries = [Shaping(size, 0.01, 0.5, reverse=True) for size in (0.6, 0.8, 0.7)]
@@ -323,7 +323,8 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
         )
         task = SimpleNamespace(trajectory=trajectory, robot=load_robot(robot), clearance=0.005)
         failed = SimpleNamespace(task=task)
-        return list(remedy.remedies(failed, wrod.rod("green-vps"), 0.6, None))
+        curve = SimpleNamespace(length=0.6, remainder_length=led)
+        return list(remedy.remedies(failed, wrod.rod("green-vps"), curve, None))
 
     panda = tried("panda", 0.1)
     assert panda[0] == {"remainder": False}
@@ -331,3 +332,8 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
     assert "gen3" in others and "panda" not in others and "iiwa" not in others
     assert {"remainder": False} not in tried("panda", 0.0)
     assert not any("robot" in change for change in tried("gen3", 0.1))
+    # Much too far: smaller from its other end first, then an arm that can.
+    angle *= 1.6
+    ring[:, 0], ring[:, 1] = 0.1 * np.cos(angle), 0.1 * np.sin(angle)
+    far = tried("panda", 0.1)
+    assert far[0]["reverse"] and far[0]["resize"] < 1.0 and far[2] == {"robot": "ur5e"}

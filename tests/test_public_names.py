@@ -69,3 +69,9 @@ def test_names_are_listed():
     assert {"RodModel", "Dynamics", "plan", "identify"} <= set(dir(wrod))
     with pytest.raises(AttributeError):
         wrod.no_such_name  # noqa: B018
+
+
+def test_rooms_are_reached_through_the_package():
+    assert wrod.__getattr__("identification").load_motion is wrod.load_motion
+    with pytest.raises(AttributeError):
+        wrod.__getattr__("nosuch")

@@ -67,7 +67,9 @@ def test_every_end_is_one_sentence(error, says, code, tmp_path):
     assert found == code and re.search(says, said) and len(said.splitlines()) == 1
 
 
-@pytest.mark.parametrize("name", ["TQDM_MININTERVAL", "NUMPY_MADVISE_HUGEPAGE"])
+@pytest.mark.parametrize(
+    "name", ["TQDM_MININTERVAL", "NUMPY_MADVISE_HUGEPAGE", "OPENCV_IO_MAX_IMAGE_PIXELS"]
+)
 def test_variables_that_a_library_cannot_read_are_named(name, tmp_path):
     words = ["plan", "line", "--rod", "rope", "--method", "intuitive", "--no-robot", "--spacing"]
     call = [sys.executable, "-m", "wrod", *words, "0.05", "--out", str(tmp_path / "out")]

@@ -15,6 +15,7 @@ OUTCOMES = (
     "unexplained",
     "wrong",
     "false alarm",
+    "refused",
 )
 
 
@@ -25,18 +26,14 @@ def examine(case: str, seed: int, noise: str = "white", device: str = "cpu") -> 
     from wrod.errors import DataError
     from wrod.identification.clamped.loading import measurements_from_arrays
 
+    key, so_far = {"set": case, "seed": seed, "noise": noise}, "not made"
     try:
         data, hidden = hidden_set(case, seed, noise)
         measurements = measurements_from_arrays(data, name=case)
+        so_far = "refused"
+        entry = row(measurements, device)
     except DataError as error:
-        return {
-            "set": case,
-            "seed": seed,
-            "noise": noise,
-            "outcome": "not made",
-            "reason": str(error),
-        }
-    entry = row(measurements, device)
+        return key | {"outcome": so_far, "reason": str(error)}
     found = {effect["name"]: effect["parameters"] for effect in entry["effects"]}
     worst, deviations = error_of(found, hidden.truth)
     akin, prints = NEAR.get(case, ((), ()))
@@ -127,8 +124,9 @@ def lines(rows: Sequence[dict]) -> list[str]:
         f"{'/floor':>7} {'error':>7} {'/sigma':>7} {'cpu s':>6}  found"
     ]
     for r in rows:
-        if r["outcome"] == "not made":
-            text.append(f"{r['set']:38} {r['seed']:>4} {r['noise']:14}  not made     {r['reason']}")
+        if r["outcome"] in ("not made", "refused"):
+            said = f"{r['outcome']:12} {r['reason']}"
+            text.append(f"{r['set']:38} {r['seed']:>4} {r['noise']:14}  {said}")
             continue
         error = "" if r["worst_error"] is None else f"{100 * r['worst_error']:.1f} %"
         sigma = "" if r["worst_error"] is None else f"{r['worst_deviations']:.1f}"

@@ -24,9 +24,7 @@ def put_down(
         For each rod its nodes' arc length (node,) and position (node, 3) [m], whether it diverged,
         and its time steps.
     """
-    from wrod.rods.batch import RodBatch
-    from wrod.solvers.contact import Contact
-    from wrod.solvers.dynamics import Dynamics
+    from wrod.deployment.left_alone import left_alone
 
     patterns, rods, friction = zip(*courses, strict=True)
     lengths = np.array([p.length + p.remainder_length for p in patterns])
@@ -37,25 +35,8 @@ def put_down(
         place[:, 2] = rod.radius
         places.append(place)
         directors.append(np.cross([0.0, 0.0, 1.0], tangent[0]))
-    weight = np.array([rod.weight for rod in rods])
-
-    def per_rod(name):
-        return np.array([[getattr(rod, name)] for rod in rods])
-
-    batch = RodBatch.of(
-        rods, arc_length, np.stack(places), director=np.stack(directors), device=device
-    )
-    radius = per_rod("radius")[:, 0]
-    # As in a deployment: the table gives way by a small part of the radius.
-    contact = Contact(batch, radius, 600.0 * weight / radius, list(friction))
-    dynamics = Dynamics(
-        batch,
-        scheme="euler",
-        radius=radius,
-        air_damping=1.0,
-        contact=contact,
-        force_scale=weight * per_rod("gravito_bending_length")[:, 0],
-        tolerance=1e-5,
+    batch, dynamics = left_alone(
+        rods, arc_length, np.stack(places), np.stack(directors), list(friction), device
     )
     end = dynamics.advance(_REST, step)
     return list(

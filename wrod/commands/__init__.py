@@ -17,6 +17,7 @@ from wrod.commands.running import (
     holding_output,
     interruptible,
     open_streams,
+    refuse_variables,
     stop,
 )
 from wrod.errors import WrodWarning
@@ -68,6 +69,7 @@ class LazyGroup(click.Group):
         try:
             # The outermost group alone: a benchmark runs within it.
             with interruptible() if ctx.parent is None else contextlib.nullcontext():
+                refuse_variables()
                 return super().invoke(ctx)
         except click.UsageError as error:
             path = ctx.command_path if error.ctx is None else error.ctx.command_path

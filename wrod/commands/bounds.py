@@ -37,6 +37,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "--workers": (1, 1024),
     "--threads": (0, 1024),
     "--count": (1, 1_000_000),
+    "compile --jobs": (1, 1024),
     "markers --side": (1e-3, 10.0),
     "markers --margin": (1e-4, 10.0),
     "bench cosserat --elements": (4, 2000),

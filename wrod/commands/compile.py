@@ -9,6 +9,7 @@ import time
 
 import click
 
+from wrod import cost
 from wrod.commands.options import DEVICE, options
 from wrod.machine import usable_cores
 
@@ -40,12 +41,14 @@ def command(device: str, jobs: int | None, as_json: bool) -> None:
     device = resolve_device(device)
     clock = time.perf_counter()
     jobs = jobs or usable_cores()
+    work = cost.Cost(cost.KERNELS / jobs)
+    cost.settle(work, "all kernels, where none is there yet", None, "", quiet=as_json)
     names = _modules() if device == "cpu" else []
-    work = [["--picture"], *([device, *names[k::jobs]] for k in range(jobs if names else 1))]
+    parts = [["--picture"], *([device, *names[k::jobs]] for k in range(jobs if names else 1))]
     with ThreadPoolExecutor(jobs) as pool:
-        done = pool.map(_run, work)
+        done = pool.map(_run, parts)
         quiet = as_json or None
-        failed = [one for one in tqdm(done, total=len(work), desc="kernels", disable=quiet) if one]
+        failed = [one for one in tqdm(done, total=len(parts), desc="kernels", disable=quiet) if one]
     seconds = time.perf_counter() - clock
     if as_json:
         figures = {"seconds": seconds, "failed": failed, "machine": machine_line(device)}

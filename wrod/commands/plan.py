@@ -181,15 +181,13 @@ def command(
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = grasps.friction(as_json)
 
-    def planned(
-        resize: float | None, hold: float | None, friction=None, tried=None, led=None, expects=False
-    ):
-        """Pattern, rod and trajectory at a size and a hold, or shaped as is `tried`; `led` is the
-        remainder where it is not as asked for."""
-        fitted = fit(drawn, rod, tried or replace(shaping, resize=resize, hold=hold))
+    def planned(wanted: Shaping, friction=None, led=None, expects=False, tried=False):
+        """Pattern, rod and trajectory of a shaping; `led` is the remainder where it is not as asked
+        for. One that is only `tried` has none by default."""
+        fitted = fit(drawn, rod, wanted)
         try:
-            remainder = grasps.remainder if led is None else led
-            curve = prepare(fitted.pattern, fitted.rod, False if tried else remainder)
+            remainder = led if led is not None else False if tried else grasps.remainder
+            curve = prepare(fitted.pattern, fitted.rod, remainder)
         except PatternError as error:
             remedy = too_long(fitted.pattern, fitted.rod, arm=not request.no_robot)
             if remedy and request.remedy and not (tried or request.no_robot):
@@ -200,25 +198,24 @@ def command(
         grasps.compile_ahead(chosen)
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         trajectory = solve_grasps_of(
-            curve, fitted.rod, as_json or bool(tried), roll=read_roll(grasps.roll_text, fitted.rod),
+            curve, fitted.rod, as_json or tried, roll=read_roll(grasps.roll_text, fitted.rod),
             device=chosen, friction=friction, expects=expects,
             **{**how, "remainder": False},
         )  # fmt: skip
         return fitted, curve, trajectory
 
-    size = (shaping.resize, shaping.hold)
-    how["pace"] = within_speed(request, how["pace"], lambda: planned(*size))
-    fitted, curve, trajectory = planned(*size, friction, expects=grasps.expects)
+    how["pace"] = within_speed(request, how["pace"], lambda: planned(shaping))
+    fitted, curve, trajectory = planned(shaping, friction, expects=grasps.expects)
     written, joint_path, reason = save_plan(out, curve, trajectory), None, None
     if not request.no_robot:
 
         def softer(how):
-            start = planned(*size)[2]
+            start = planned(shaping)[2]
             return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
 
         corrected = (trajectory.optimised or {}).get("kept", False)
         joint_path, reason, more, followed = arm_steps(
-            request, out, trajectory, curve, fitted.rod, as_json, planned, size,
+            request, out, trajectory, curve, fitted.rod, as_json, planned, shaping,
             softer if corrected else None,
         )  # fmt: skip
         if followed is not trajectory:

@@ -110,11 +110,13 @@ def save_plan(out: Path, curve, trajectory) -> list[Path]:
         raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
 
 
-def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, size, softer=None):
+def arm_steps(
+    request, out: Path, trajectory, curve, rod, quiet: bool, planned, shaping, softer=None
+):
     """Joint path and scene, or the reason why there is none, with what would help.
 
     Args:
-        planned: (resize, hold) -> what the plan would be with them; `size` is what they are now.
+        planned: a `Shaping` -> what the plan would be with it; `shaping` is what it is now.
         softer: what asks less of the arm than all corrections for a table, see `softened`; None:
             there are none. Where the arm cannot follow them they are made anew within what it can
             do, and if it cannot follow these either it follows as many as it can.
@@ -141,7 +143,7 @@ def arm_steps(request, out: Path, trajectory, curve, rod, quiet: bool, planned, 
         except UnreachedError as error:
             step("remedy")
             picture = draw_reach(out / "reach.png", error)
-            said = _remedy(request, error, rod, curve, planned, size) if request.remedy else None
+            said = _remedy(request, error, rod, curve, planned, shaping) if request.remedy else None
             reason = str(error).rsplit(";", 1)[0] + f"; {said}" if said else str(error)
             return None, reason, [picture], trajectory
         except RobotError as error:
@@ -178,8 +180,8 @@ def _followed(request, trajectory, rod, softer):
         return path, start
 
 
-def _remedy(request, failed, rod, curve, planned, size) -> str | None:
-    """An option with which the joint path was found, or None."""
+def _remedy(request, failed, rod, curve, planned, shaping) -> str | None:
+    """Options with which the joint path was found, or None."""
     import time
     import warnings
 
@@ -187,53 +189,63 @@ def _remedy(request, failed, rod, curve, planned, size) -> str | None:
     from wrod.robot.placement import candidates
     from wrod.robot.remedy import remedies
 
-    resize, hold = size
     until = time.monotonic() + _REMEDY
 
     def places(heights):
         return candidates(failed.task.trajectory, failed.task.robot, heights=heights)
 
-    length = curve.length + curve.remainder_length
-    for change in remedies(failed, rod, length, places, until):
-        if time.monotonic() > until:
+    other_arm = {request.flange, request.tip, request.gripper_length} == {None}
+    for change in remedies(failed, rod, curve, places, until):
+        left = until - time.monotonic()
+        if left < 0.0:
             return (
                 f"nothing that helps was found in {_REMEDY / 60:.0f} minutes; use a smaller "
                 "pattern, or another arm"
             )
-        (name, value), *_ = change.items()
+        if "table_height" in change:
+            # Found by solving for it; a placement that was given must be given up.
+            lift = 100 * (change["table_height"] - failed.best.branch.placement.z)
+            way = "higher" if lift > 0 else "lower"
+            command = again(**change, placement="auto")
+            return f"with the table {abs(lift):.0f} cm {way} it is found: {command}"
+        if "robot" in change and not other_arm:
+            continue  # they are of the arm that was asked for
+        change = _absolute(change, shaping)
+        shape = {name: change[name] for name in ("resize", "hold", "reverse") if name in change}
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                if name == "table_height":
-                    # Found by solving for it; a placement that was given must be given up.
-                    lift = 100 * (value - failed.best.branch.placement.z)
-                    way = "higher" if lift > 0 else "lower"
-                    command = again(table_height=value, placement="auto")
-                    return f"with the table {abs(lift):.0f} cm {way} it is found: {command}"
-                wanted = request
-                if name == "resize":
-                    value = round(value * (resize or 1.0), 3)
-                    fitted, _, trajectory = planned(value, hold)
-                elif name == "hold":
-                    fitted, _, trajectory = planned(resize, value)
-                else:
-                    led = False if name == "remainder" else None
-                    fitted, _, trajectory = planned(resize, hold, led=led)
-                if name == "robot":
-                    if {request.flange, request.tip, request.gripper_length} != {None}:
-                        continue  # they are of the arm that was asked for
-                    wanted = replace(request, robot=value)
-                wanted.solve(trajectory, fitted.rod)
+                fitted, _, trajectory = planned(
+                    replace(shaping, **shape), led=change.get("remainder")
+                )
+                wanted = replace(request, robot=change.get("robot", request.robot))
+                # As long as one try may last it is sought by the command that is printed.
+                wanted.solve(trajectory, fitted.rod, time_limit=min(_TRY, left))
         except WrodError:
             continue
-        if name == "remainder":
-            return f"without a lead-in, which turns the hand, it is found: {again(remainder=False)}"
-        if name == "robot":
-            return f"the last joint of {value} turns far enough: {again(robot=value)}"
-        if name == "hold":
-            return f"held {value:g} m from its free end it is found: {again(hold=value)}"
-        return f"drawn {value:g} times as large it is found: {again(resize=value)}"
+        return f"{_said(change)} it is found: {again(**change)}"
     return None
+
+
+def _absolute(change: dict, shaping) -> dict:
+    """A change of what is asked for now as options: sizes multiply, ends are swapped."""
+    change = dict(change)
+    if "resize" in change:
+        change["resize"] = round(change["resize"] * (shaping.resize or 1.0), 3)
+    if "reverse" in change:
+        change["reverse"] = not shaping.reverse
+    return change
+
+
+def _said(change: dict) -> str:
+    parts = {
+        "robot": "with {}, whose last joint turns far enough",
+        "reverse": "laid from its other end",
+        "resize": "drawn {:g} times as large",
+        "hold": "held {:g} m from its free end",
+        "remainder": "without a lead-in, which turns the hand,",
+    }
+    return ", ".join(parts[name].format(change[name]) for name in parts if name in change)
 
 
 def again(**changes) -> str:
@@ -260,8 +272,9 @@ def again(**changes) -> str:
     return shlex.join([*words[:2], *given, *words[2:]])
 
 
-# [s] of looking for what would help an arm, and for a size that it can lay.
-_REMEDY, _SEARCH = 180.0, 600.0
+# [s] of looking for what would help an arm, in all and by one change, and for a size that it can
+# lay.
+_REMEDY, _TRY, _SEARCH = 180.0, 60.0, 600.0
 
 
 def fitting(request, tries, planned, reason) -> str:
@@ -292,7 +305,7 @@ def fitting(request, tries, planned, reason) -> str:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                fitted, _, trajectory = planned(None, None, tried=shaping)
+                fitted, _, trajectory = planned(shaping, tried=True)
                 request.solve(trajectory, fitted.rod)
         except WrodError:
             continue

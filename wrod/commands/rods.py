@@ -29,12 +29,12 @@ def command(as_json: bool) -> None:
         click.echo(json.dumps(rows, indent=2))
         return
     click.echo(
-        f"{'name':21s} {'L_gb cm':>8s} {'EI N m^2':>9s} {'spread':>6s} {'radius mm':>9s}  what"
+        f"{'name':25s} {'L_gb cm':>8s} {'EI N m^2':>9s} {'spread':>6s} {'radius mm':>9s}  what"
     )
     for entry in entries:
         spread = "-" if entry.spread is None else f"{100 * entry.spread:.0f} %"
         click.echo(
-            f"{entry.name:21s} {100 * entry.rod.gravito_bending_length:8.2f} "
+            f"{entry.name:25s} {100 * entry.rod.gravito_bending_length:8.2f} "
             f"{entry.rod.bending_stiffness:9.2g} {spread:>6s} {1e3 * entry.rod.radius:9.1f}  "
             f"{entry.what}; {entry.note}"
         )

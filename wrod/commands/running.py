@@ -4,6 +4,7 @@ import contextlib
 import errno
 import functools
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -124,6 +125,17 @@ def equipped(command: click.Command, path: str) -> click.Command:
 
     command.callback = guarded
     return command
+
+
+def refuse_variables() -> None:
+    """Refuse what a library reads of the environment and would end the process for.
+
+    Raises:
+        DataError: names the variable.
+    """
+    for name in (f"OPENCV_IO_MAX_IMAGE_{what}" for what in ("PIXELS", "WIDTH", "HEIGHT")):
+        if not re.fullmatch("[0-9]{1,18}([KM][Bb]|[km]b)?", os.environ.get(name, "1")):
+            raise DataError(f"{name}={os.environ[name]!r:.80} is no number of OpenCV's; unset it")
 
 
 def open_streams() -> None:

@@ -55,10 +55,15 @@ class Scan:
     def single(self) -> Centerline:
         """The one centreline; raises if there are several."""
         if len(self.lines) != 1:
-            lengths = ", ".join(f"{line.length:.0f}" for line in self.lines[:4])
+            seen = ", ".join(
+                "{:.0f} px from ({:.0f}, {:.0f}) to ({:.0f}, {:.0f})".format(
+                    line.length, *line.points[0], *line.points[-1]
+                )
+                for line in self.lines[:4]
+            )
             raise PerceptionError(
-                f"{self.name}: the picture holds {len(self.lines)} curves ({lengths} px long) "
-                "where one is wanted; cover or erase the others"
+                f"{self.name}: the picture holds {len(self.lines)} curves ({seen}) where one is "
+                "wanted; cover or erase the others (`wrod scan --several` draws what it sees)"
             )
         return self.lines[0]
 

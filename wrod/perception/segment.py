@@ -68,7 +68,11 @@ def segment_rods(
     level, _ = cv2.threshold(inside, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     strands = inside[inside > level]
     if len(strands) == 0 or np.median(strands) < LEAST_CONTRAST:
-        raise PerceptionError("the picture is blank: no rod stands out of its background")
+        raise PerceptionError(
+            "the picture is blank: no rod stands out of its background; "
+            + _seen(image, region, float(np.median(strands)) if len(strands) else 0.0)
+            + ", looked at as rods on a table; of kind ink they are strokes on paper"
+        )
     # A rod is darker at its sides: its edge lies below half of its middle's brightness.
     return _cut(difference, min(level, 0.4 * float(np.median(strands))), region)
 
@@ -98,8 +102,24 @@ def segment_ink(
     strokes, noise = inside[inside > level], inside[inside <= level]
     ink = float(np.median(strokes)) if len(strokes) else 0.0
     if ink < max(LEAST_CONTRAST, 4.0 * float(noise.std())):
-        raise PerceptionError("the picture is blank: no stroke stands out of the paper")
+        raise PerceptionError(
+            "the picture is blank: no stroke stands out of the paper; "
+            + _seen(image, region, ink, 4.0 * float(noise.std()))
+            + ", looked at as strokes on paper; of kind rod they are rods on a table"
+        )
     return _cut(darkness, max(0.5 * ink, LEAST_CONTRAST / 2), region)
+
+
+def _seen(image: np.ndarray, region: np.ndarray | None, stands_out: float, noise=0.0) -> str:
+    """What there is in a picture that holds nothing."""
+    height, width = image.shape[:2]
+    inside = image if region is None else image[region > 0]
+    where = "it" if region is None else f"the {np.mean(region > 0):.0%} of it between the markers"
+    return (
+        f"of {width} x {height} px, {where} has a middle grey of {np.median(inside):.0f}, and what "
+        f"differs most does so by {stands_out:.0f} of 255 where {max(LEAST_CONTRAST, noise):.0f} "
+        "are needed"
+    )
 
 
 def _cut(

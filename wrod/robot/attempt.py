@@ -1,6 +1,7 @@
 """One attempt at a joint path: branches at given places, ranked, improved, checked."""
 
 import math
+import time
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,6 +23,7 @@ _OVER_TABLE = 0.03  # [m] above the table, from where on the rod keeps clear of 
 _HANGING, _HELD = 25, 0.06  # points of the hanging rod; [m] of it that are in the gripper's reach
 _RANKED = 24  # different branches whose obstacles are looked at
 _TRIED = 4  # branches that are improved and compared
+_HOPELESS = 0.7  # [rad] beyond a limit, from where on the elbow's freedom is not tried
 _ROUNDS, _AROUND = 4, 24  # of the search near a branch, and choices in each
 # Reach of that search at first: place [m], yaw, roll, grip angle [rad], table height [m].
 _NEAR = np.array([0.08, 0.08, 0.5, 0.5, 0.3, 0.06])
@@ -43,6 +45,7 @@ class Task:
         limit_margin, clearance, rod_radius: see `solve_joint_path`.
         obstacles: capsules in the base frame at one pose ((C, 3), (C, 3), (C,)) or None [m].
         free_height: whether the table's height may be changed.
+        until: when to stop looking [s of the monotonic clock].
     """
 
     robot: Robot
@@ -54,11 +57,15 @@ class Task:
     rod_radius: float
     obstacles: tuple | None = None
     free_height: bool = False
+    until: float = math.inf
 
     def __post_init__(self):
         self._hanging = hanging_rod(self.trajectory)
         count = max(24, math.ceil(self.path.travel[-1] / _COARSE))
         self.travel = np.linspace(0.0, self.path.travel[-1], count)
+
+    def is_over(self) -> bool:
+        return time.monotonic() > self.until
 
     def targets(self, placement: Placement, grip: Grip, travel: np.ndarray) -> np.ndarray:
         return grasp_targets(self.path.poses(travel), grip, placement.base_from_world)
@@ -91,6 +98,8 @@ class Task:
         """The best path over the first few branches, feasible or not."""
         best = None
         for branch in branches[:count]:
+            if best is not None and branch.excess.max() > _HOPELESS:
+                continue
             solution = self.finish(branch)
             key = (solution.report.shortfall, -solution.report.quality)
             if best is None or key < (best.report.shortfall, -best.report.quality):
@@ -152,14 +161,14 @@ class Task:
             hanging = points @ pose[:3, :3].T + pose[:3, 3]
         return Surroundings(placement.z, contact, laid, self.rod_radius, other, "obstacle", hanging)
 
-    def finish(self, branch: Branch) -> Solution:
-        """Improve a branch, fill it in between the samples, and check it."""
+    def finish(self, branch: Branch, improved: bool = False) -> Solution:
+        """Improve a branch, unless it is, fill it in between the samples, and check it."""
 
         def targets(at):
             return self.targets(branch.placement, branch.grip, at)
 
         coarse = branch.positions
-        if branch.miss.max() < 0.01:
+        if branch.miss.max() < 0.01 and not improved:
             around = self.surroundings(branch.placement, self.travel)
             coarse = improve(self.robot, self.model, coarse, targets(self.travel), around)
         spline, knots = joint_spline(

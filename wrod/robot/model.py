@@ -12,7 +12,7 @@ import numpy as np
 
 from wrod.errors import RobotError, WrodWarning
 from wrod.robot.urdf import LinkShape, UrdfFile, read_urdf
-from wrod.robot.urdf_checks import check_reach
+from wrod.robot.urdf_checks import chain_limits, check_reach
 from wrod.scenes import gripper as gripper_model
 from wrod.scenes import sawyer
 from wrod.scenes.arms import TABLES, arm_urdf
@@ -157,6 +157,14 @@ def describe_robot(
         )
     else:
         urdf = read_urdf(name)
+    described = _described(urdf, flange, tip, gripper_length)
+    chain_limits(urdf.path, described[0].joints, GRASP_LINK)
+    return described
+
+
+def _described(
+    urdf: UrdfFile, flange: str | None, tip: str | None, gripper_length: float | None
+) -> tuple[UrdfFile, float]:
     if tip is None:
         return _with_gripper(urdf, flange, gripper_length)
     if flange is not None or gripper_length is not None:
@@ -202,7 +210,7 @@ def _with_gripper(
             f"{urdf.path}: {', '.join(moved)} beyond the flange {flange!r:.80} give way to wrod's "
             "gripper; name the grasp point with tip to keep them",
             WrodWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     root = copy.deepcopy(urdf.root)
     gone = beyond | set(gripper_model.LINKS)
@@ -244,30 +252,7 @@ def _build(urdf: UrdfFile, gripper_length: float, acceleration: float, jerk: flo
     except Exception as error:
         raise RobotError(f"{urdf.path}: not a usable URDF ({error})") from error
     tree, chain = tree.to(dtype=torch.float64), chain.to(dtype=torch.float64)
-    names = tuple(chain.get_joint_parameter_names())
-    if len(names) < 6:
-        raise RobotError(
-            f"{urdf.path}: {len(names)} joints move the grasp; a grip pose in space needs six"
-        )
-    limits, velocity = [], []
-    elements = {joint.get("name"): joint for joint in urdf.joints}
-    for name in names:
-        joint = elements[name]
-        if joint.get("type") == "prismatic":
-            raise RobotError(
-                f"{urdf.path}: joint {name!r:.80} slides; paths are planned for joints that turn"
-            )
-        limit = joint.find("limit")
-        if joint.get("type") == "continuous":
-            limits.append((-np.inf, np.inf))
-        elif limit is None or limit.get("lower") is None or limit.get("upper") is None:
-            raise RobotError(f"{urdf.path}: joint {name!r:.80} has no position limits")
-        else:
-            limits.append((float(limit.get("lower")), float(limit.get("upper"))))
-        if limit is None or not float(limit.get("velocity", 0)) > 0:
-            raise RobotError(f"{urdf.path}: joint {name!r:.80} has no velocity limit")
-        velocity.append(float(limit.get("velocity")))
-    lower, upper = np.array(limits).T
+    names, lower, upper, velocity = chain_limits(urdf.path, urdf.joints, GRASP_LINK)
     check_reach(urdf.path, chain, lower, upper)
     count = len(names)
     return Robot(
@@ -278,7 +263,7 @@ def _build(urdf: UrdfFile, gripper_length: float, acceleration: float, jerk: flo
         joint_names=names,
         lower=lower,
         upper=upper,
-        velocity=np.array(velocity),
+        velocity=velocity,
         acceleration=np.full(count, float(acceleration)),
         jerk=np.full(count, float(jerk)),
         chain=chain,

@@ -87,6 +87,80 @@ def gaps(model: CollisionModel, positions, around: Surroundings) -> dict:
     return found
 
 
+class PathCost:
+    """What a joint path (K, n) costs: long steps, and nearness to limits, obstacles, singularities.
+
+    Args:
+        robot, model: the arm.
+        count: K.
+        limit_weight: of what is nearer to a limit than `_LEAST_LIMIT_ROOM`, and of steps beyond
+            `longest`.
+        longest: step of a joint between two samples [rad] that costs no more than its square.
+        singular_weight: of singularities.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        model: CollisionModel,
+        count: int,
+        limit_weight: float = 1000.0,
+        longest: float = np.inf,
+        singular_weight: float = 200.0,
+    ):
+        import torch
+
+        self.robot, self.model = robot, model
+        self.limit_weight, self.longest = limit_weight, longest
+        self.singular_weight = singular_weight
+        joints = len(robot.lower)
+        differences = sparse.diags([-1.0, 1.0], [0, 1], shape=(count - 1, count))
+        self.differences = sparse.kron(differences, sparse.eye(joints)).tocsc()
+        self.smooth = (self.differences.T @ self.differences * (count / 4.0)).tocsc()
+        self._lower, self._upper = torch.from_numpy(robot.lower), torch.from_numpy(robot.upper)
+
+    def penalty(self, q: np.ndarray, around: Surroundings, gradient: bool = False):
+        """All but the steps' squares, and its gradient (K, n) where that is asked for."""
+        import torch
+
+        variable = torch.from_numpy(q).requires_grad_(gradient)
+        with torch.set_grad_enabled(gradient):
+            room = torch.minimum(variable - self._lower, self._upper - variable)
+            cost = 20.0 * (LIMIT_ROOM - room).clamp_min(0).square().sum()
+            near = (_LEAST_LIMIT_ROOM - room).clamp_min(0).square().sum()
+            if np.isfinite(self.longest):
+                steps = (variable[1:] - variable[:-1]).abs() - self.longest
+                near = near + steps.clamp_min(0).square().sum()
+            cost = cost + self.limit_weight * near
+            distances = gaps(self.model, variable, around)
+            for gap in distances.values():
+                cost = cost + 2000.0 * (GAP_ROOM - gap).clamp_min(0).square().sum()
+                cost = cost + 4e4 * (_LEAST_GAP - gap).clamp_min(0).square().sum()
+            measure = manipulability(self.robot.chain.jacobian_tensor(variable))
+            singular = (MANIPULABILITY_ROOM - measure).clamp_min(0).square().sum()
+            cost = cost + self.singular_weight * singular
+        if gradient:
+            cost.backward()
+            return float(cost.detach()), variable.grad.numpy()
+        return float(cost), None
+
+    def total(self, q: np.ndarray, around: Surroundings) -> float:
+        flat = q.reshape(-1)
+        return 0.5 * float(flat @ (self.smooth @ flat)) + self.penalty(q, around)[0]
+
+    def gradient(self, q: np.ndarray, around: Surroundings) -> np.ndarray:
+        """(K n,) of `total`."""
+        return self.smooth @ q.reshape(-1) + self.penalty(q, around, True)[1].reshape(-1)
+
+    def curvature(self, q: np.ndarray) -> sparse.csc_matrix:
+        """Second derivatives (K n, K n) of steps and limits; obstacles are left out."""
+        room = np.minimum(q - self.robot.lower, self.robot.upper - q).reshape(-1)
+        stiff = 40.0 * (room < LIMIT_ROOM) + 2.0 * self.limit_weight * (room < _LEAST_LIMIT_ROOM)
+        long = 2.0 * self.limit_weight * (np.abs(self.differences @ q.reshape(-1)) > self.longest)
+        steps = self.differences.T @ sparse.diags(long) @ self.differences
+        return (self.smooth + sparse.diags(stiff) + steps).tocsc()
+
+
 def improve(
     robot: Robot,
     model: CollisionModel,
@@ -109,39 +183,14 @@ def improve(
     q, _ = refine(robot, positions, targets)
     if joints == 6:
         return q
-    steps = sparse.diags([-1.0, 1.0], [0, 1], shape=(count - 1, count))
-    smooth = sparse.kron(steps.T @ steps, sparse.eye(joints)).tocsc() * count / 4.0
-    lower, upper = torch.from_numpy(robot.lower), torch.from_numpy(robot.upper)
-
-    def penalty(q: np.ndarray, gradient: bool):
-        variable = torch.from_numpy(q).requires_grad_(gradient)
-        with torch.set_grad_enabled(gradient):
-            room = torch.minimum(variable - lower, upper - variable)
-            cost = 20.0 * (LIMIT_ROOM - room).clamp_min(0).square().sum()
-            cost = cost + 1000.0 * (_LEAST_LIMIT_ROOM - room).clamp_min(0).square().sum()
-            distances = gaps(model, variable, around)
-            for gap in distances.values():
-                cost = cost + 2000.0 * (GAP_ROOM - gap).clamp_min(0).square().sum()
-                cost = cost + 4e4 * (_LEAST_GAP - gap).clamp_min(0).square().sum()
-            measure = manipulability(robot.chain.jacobian_tensor(variable))
-            cost = cost + 200.0 * (MANIPULABILITY_ROOM - measure).clamp_min(0).square().sum()
-        if gradient:
-            cost.backward()
-            return float(cost.detach()), variable.grad.numpy()
-        return float(cost), None
-
-    def total(q: np.ndarray) -> float:
-        flat = q.reshape(-1)
-        return 0.5 * float(flat @ (smooth @ flat)) + penalty(q, False)[0]
-
-    damping, value = 1.0, total(q)
+    cost = PathCost(robot, model, count)
+    damping, value = 1.0, cost.total(q, around)
     for _ in range(iterations):
         with torch.no_grad():
             basis = null_basis(robot.chain.jacobian_tensor(torch.from_numpy(q))).numpy()
         free = sparse.block_diag(list(basis), format="csc")
-        gradient = smooth @ q.reshape(-1) + penalty(q, True)[1].reshape(-1)
-        reduced = free.T @ gradient
-        hessian = (free.T @ smooth @ free).tocsc()
+        reduced = free.T @ cost.gradient(q, around)
+        hessian = (free.T @ cost.smooth @ free).tocsc()
         gained = False
         for _ in range(6):
             lifted = hessian + damping * sparse.eye(hessian.shape[0], format="csc")
@@ -149,7 +198,7 @@ def improve(
             move *= 0.25 / max(0.25, np.abs(move).max())
             trial, error = refine(robot, q + move, targets, iterations=4)
             if np.abs(error).max() < 1e-6:
-                candidate = total(trial)
+                candidate = cost.total(trial, around)
                 if candidate < value:
                     gained = True
                     break

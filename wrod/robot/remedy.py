@@ -12,6 +12,9 @@ from wrod.robot.solve import UnreachedError, attempt, turning
 from wrod.robot.tail import FINGERS
 
 _TURN_ROOM = 0.2  # [rad] that a last joint should have left
+_FAR = 2.5  # [rad] beyond a last joint's turn, from where on a pattern as large is tried last
+# Sizes of a pattern, and rod left over at its end [L_gb].
+_SMALLER = ((0.85, 5.9), (0.8, 9.2), (0.93, 5.9))
 _STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
 
 
@@ -122,37 +125,80 @@ def draw_reach(path, failed: UnreachedError):
 
 
 def remedies(
-    failed: UnreachedError, rod, pattern_length: float, candidates, until: float = math.inf
+    failed: UnreachedError, rod, curve, candidates, until: float = math.inf
 ) -> Iterator[dict]:
-    """What to try, most likely first: {"resize" | "table_height" | "hold" | "remainder" | "robot":
-    value}. Where the pattern turns the hand further than its joint, less turning comes first and
-    arms whose last joint turns further come last. Heights of the table are tried `until` then [s of
-    the monotonic clock]."""
+    """What to try, most likely first: {"resize" | "hold" | "reverse" | "remainder" | "robot" |
+    "table_height": value, ...}. Where the pattern turns the hand further than its joint, less
+    turning comes first and arms whose last joint turns further come last. Heights of the table are
+    tried `until` then [s of the monotonic clock].
+
+    Args:
+        rod, curve: that were planned, the pattern with its lead-in.
+    """
     turned, room = turning(failed.task)
-    if turned > room and failed.task.trajectory.remainder_length > 0.0:
-        yield {"remainder": False}
-    yield from _others(failed, rod, pattern_length, candidates, until)
-    if turned > room:
-        for name in ROBOTS:
-            last = load_robot(name)
-            if last.upper[-1] - last.lower[-1] > turned + _TURN_ROOM:
-                yield {"robot": name}
+    low = low_end(failed.task.trajectory, failed.task.clearance)
+    arms = list(_other_arms(turned, low)) if turned > room else []
+    if turned > room + _FAR:
+        ways = [*_turning_less(rod, curve), *_as_large(curve)]
+        yield from [*ways[:2], *arms[:1], *ways[2:]]
+    elif turned > room:
+        yield from _as_large(curve)
+        yield from _turning_less(rod, curve)
+    yield from _others(failed, rod, curve, candidates, until, low)
+    yield from arms
+
+
+def _other_arms(turned: float, low: float | None) -> Iterator[dict]:
+    """Arms whose last joint turns that far [rad]; with less of a pattern whose end is too `low`."""
+    smaller = {} if low is None else {"resize": _least(low)}
+    for name in ROBOTS:
+        last = load_robot(name)
+        if last.upper[-1] - last.lower[-1] > turned + _TURN_ROOM:
+            yield {"robot": name, **smaller}
+
+
+def _least(share: float) -> float:
+    """Not as little smaller as possible: the next millimetres are as low."""
+    return float(np.floor(100 * share - 1.0) / 100)
+
+
+def _led(curve) -> dict:
+    return {"remainder": False} if curve.remainder_length > 0.0 else {}
+
+
+def _as_large(curve) -> Iterator[dict]:
+    if led := _led(curve):
+        yield led
+    yield {"reverse": True}
+
+
+def _turning_less(rod, curve) -> Iterator[dict]:
+    """Other ways along a pattern that turns the hand much: from its other end the turns are shared
+    out differently, and of a smaller one more rod is left, which keeps the hand off the table."""
+    smaller = []
+    for size, left in _SMALLER:
+        held = {"resize": size, **_led(curve)}
+        hold = round(size * curve.length + left * rod.gravito_bending_length, 3)
+        if hold < rod.length:
+            held["hold"] = hold
+        smaller.append(held)
+    back = [{**held, "reverse": True} for held in smaller]
+    yield from [*back[:2], *smaller[:2], *back[2:], *smaller[2:]]
 
 
 def _others(
-    failed: UnreachedError, rod, pattern_length: float, candidates, until: float
+    failed: UnreachedError, rod, curve, candidates, until: float, share: float | None
 ) -> Iterator[dict]:
-    share = low_end(failed.task.trajectory, failed.task.clearance)
     if share is not None:
-        # Not as short as possible: the next millimetres are as low.
-        least = float(np.floor(100 * share - 1.0) / 100)
+        least = _least(share)
         yield {"resize": least}
         yield {"resize": round(0.8 * least, 2)}
         yield {"resize": round(0.6 * least, 2)}
         return
-    needed = pattern_length + 1.5 * rod.gravito_bending_length
+    needed = curve.length + curve.remainder_length + 1.5 * rod.gravito_bending_length
     if needed < 0.9 * rod.length:
         yield {"hold": float(np.ceil(100 * needed) / 100)}
+    yield {"reverse": True}
     try:
         height = other_height(failed, candidates, until)
     except RobotError:

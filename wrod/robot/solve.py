@@ -4,6 +4,7 @@ import math
 import os
 import time as clock
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,9 @@ from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import one_torch_thread
 from wrod.robot.model import Robot, load_robot
 from wrod.robot.placement import Placement, candidates
+from wrod.robot.search import Branch
 from wrod.robot.timing import schedule
+from wrod.robot.variation import vary
 
 GRIP_ANGLES = tuple(math.radians(angle) for angle in (0, 30, 60, 90))
 
@@ -39,6 +42,7 @@ class UnreachedError(RobotError):
 _MANY, _PLACES = 400, 24  # places that are looked at for the rod's sake, and for the arm's
 _LOST = 0.3  # [m] miss of the nearest branch from which on other grip angles are not tried
 _REFINED = 4  # branches that are varied where none was good enough as it was
+_FOLLOWED, _VARIED = 0.05, 6  # [m] miss up to which branches are varied by derivatives; so many
 _DEEPER, _ROUNDS = 5, 8  # further searches near the best of them, and their rounds
 
 
@@ -61,6 +65,7 @@ _DEEPER, _ROUNDS = 5, 8  # further searches near the best of them, and their rou
     clearance=arguments.number(0.0, 1.0),
     rod_radius=arguments.number(1e-6, 1.0),
     whole_job=arguments.flag,
+    time_limit=arguments.optional(arguments.number(0.0)),
 )
 def solve_joint_path(
     trajectory: Trajectory,
@@ -79,6 +84,7 @@ def solve_joint_path(
     clearance: float = 0.005,
     rod_radius: float = 0.004,
     whole_job: bool = False,
+    time_limit: float | None = None,
 ) -> JointPath:
     """Joint path of an arm that moves the grip along a trajectory.
 
@@ -106,6 +112,7 @@ def solve_joint_path(
         whole_job: begin and end in a neutral pose, with approach, grasp, release and retreat around
             the laying (see `JointPath.phases`); where there is no way, a warning says why and the
             path begins and ends at the rod.
+        time_limit: [s] after which the search ends with the nearest that was found.
 
     Raises:
         RobotError: the robot cannot be loaded, or no joint path was found: the sentence names the
@@ -130,6 +137,7 @@ def solve_joint_path(
             float(rod_radius),
             None if obstacles is None else obstacles.capsules(),
             fixed is None and table_height is None,
+            math.inf if time_limit is None else clock.monotonic() + time_limit,
         )
         best = _solved(task, _places(task, fixed, table_height), angles, fixed)
         path = _timed(arm, task.path, best, grip_speed, rate, clock.perf_counter() - started)
@@ -180,32 +188,43 @@ def _with_job(path: JointPath, task: Task) -> JointPath:
 
 
 def attempt(task: Task, places: list[Placement], angles, fixed: bool) -> Solution:
-    """The first grip angle with a feasible path; else the best found near the best branches."""
-    best, promising = None, []
+    """The first grip angle with a feasible path; else the best found near the best branches, as far
+    as the task's time goes."""
+    best: Solution | None = None
+    promising: list[Branch] = []
     seeds = 12 if len(places) > 1 else 40
     for angle in angles:
         branches = task.branches(places, angle, seeds)
-        found = task.best(branches)
-        if best is None or found.report.shortfall < best.report.shortfall:
-            best = found
+        best = _better(best, task.best(branches))
         if best.report.problem is None:
             return best
         promising += branches[:_REFINED]
         if min(branch.miss.max() for branch in branches) > _LOST:
             return best  # no turn of the gripper makes up for that
-    for branch in sorted(promising, key=task.cost)[:_REFINED]:
-        found = task.finish(task.nearby(branch, fixed))
-        if found.report.shortfall < best.report.shortfall:
-            best = found
-        if best.report.problem is None:
+    for branch, improved in _others(task, sorted(promising, key=task.cost), fixed):
+        best = _better(best, task.finish(branch, improved))
+        if best.report.problem is None or task.is_over():
             return best
     for seed in range(_DEEPER):
-        found = task.finish(task.nearby(best.branch, fixed, seed, _ROUNDS))
-        if found.report.shortfall < best.report.shortfall:
-            best = found
-        if best.report.problem is None:
+        best = _better(best, task.finish(task.nearby(best.branch, fixed, seed, _ROUNDS)))
+        if best.report.problem is None or task.is_over():
             break
     return best
+
+
+def _better(best: Solution | None, found: Solution) -> Solution:
+    return found if best is None or found.report.shortfall < best.report.shortfall else best
+
+
+def _others(task: Task, promising: list[Branch], fixed: bool) -> Iterator[tuple[Branch, bool]]:
+    """Branches near the promising ones: by chance, then by derivatives, which improve them."""
+    near = []
+    for branch in promising[:_REFINED]:
+        near.append(task.nearby(branch, fixed))
+        yield near[-1], False
+    followed = [branch for branch in near + promising if branch.miss.max() < _FOLLOWED]
+    for branch in sorted(followed, key=task.cost)[:_VARIED]:
+        yield vary(task, branch, fixed), True
 
 
 def _failure(best: Solution, fixed: Placement | None, task: Task) -> str:

@@ -187,3 +187,42 @@ def check_reach(path: Path, chain, lower: np.ndarray, upper: np.ndarray) -> None
             f"{path}: its {len(lower)} joints move the grasp in {freedoms} directions only; a grip "
             "pose in space needs six"
         )
+
+
+def chain_limits(path, joints, tip: str) -> tuple:
+    """Names of the joints that move a link, from the base on, their limits lower and upper (n,)
+    [rad], and velocities (n,) [rad/s].
+
+    Raises:
+        RobotError: they are fewer than six, one slides, or has no limits.
+    """
+    above = {joint.find("child").get("link"): joint for joint in joints}
+    chain, link = [], tip
+    while link in above:
+        joint = above[link]
+        link = joint.find("parent").get("link")
+        if joint.get("type") != "fixed":
+            chain.insert(0, joint)
+    if len(chain) < 6:
+        raise RobotError(
+            f"{path}: {len(chain)} joints move the grasp; a grip pose in space needs six"
+        )
+    limits, velocity = [], []
+    for joint in chain:
+        name = joint.get("name")
+        if joint.get("type") == "prismatic":
+            raise RobotError(
+                f"{path}: joint {name!r:.80} slides; paths are planned for joints that turn"
+            )
+        limit = joint.find("limit")
+        if joint.get("type") == "continuous":
+            limits.append((-np.inf, np.inf))
+        elif limit is None or limit.get("lower") is None or limit.get("upper") is None:
+            raise RobotError(f"{path}: joint {name!r:.80} has no position limits")
+        else:
+            limits.append((float(limit.get("lower")), float(limit.get("upper"))))
+        if limit is None or not float(limit.get("velocity", 0)) > 0:
+            raise RobotError(f"{path}: joint {name!r:.80} has no velocity limit")
+        velocity.append(float(limit.get("velocity")))
+    lower, upper = np.array(limits).T
+    return tuple(joint.get("name") for joint in chain), lower, upper, np.array(velocity)

@@ -15,7 +15,7 @@ from wrod.errors import SceneError
 from wrod.files import write_atomically
 from wrod.robot.grip import Grip, GripPath
 from wrod.scene.arm import add_arm, add_visuals
-from wrod.scene.phases import covered, film, rods_of
+from wrod.scene.phases import covered, falling, film, rods_of
 from wrod.scene.primitives import Materials, set_pose
 from wrod.scene.rod_shapes import POINTS
 from wrod.scene.stage import add_cameras, add_lights, new_stage
@@ -70,7 +70,7 @@ def export_usd(
     A joint path of the whole job goes on around them: codes below 0 are approach and grasp, the
     rod hanging from the stand that holds it until the hand does; codes beyond the last node the
     laying of the tail, release and retreat. What is still suspended then, with the tail laid a few
-    centimetres, is drawn as fallen straight ahead, which nothing has simulated.
+    centimetres, falls onto the table as a simulation has it.
 
     Under /World/Deployment_000: `robot` (its links as nested Xforms) or, without a joint path, the
     `gripper` alone; `table`, `pattern`, `rod`, `grip_path`; the plan's figures as custom data and
@@ -196,7 +196,7 @@ def _complete(item: SimpleNamespace, number: int) -> SimpleNamespace:
         raise SceneError(f"{where}shapes are {shape}; give ({count}, points, 3), one rod per node")
     if not np.isfinite(item.shapes).all():
         raise SceneError(f"{where}shapes hold numbers that are not finite")
-    item.film = film(joint_path, item.shapes, onward)
+    item.film = film(joint_path, item.shapes, onward, falling(trajectory))
     item.points = _pattern_points(item.pattern, trajectory)
     item.radius = _DEFAULT_RADIUS if item.rod is None else float(item.rod.radius)
     placement = None if joint_path is None else joint_path.placement

@@ -24,7 +24,7 @@ from wrod.scene.page_parts import (
     move_rod,
     pose_of,
 )
-from wrod.scene.phases import covered, rods_of, with_release
+from wrod.scene.phases import covered, falling, rods_of, with_release
 from wrod.scene.workplace import TABLE_THICKNESS, table_under
 
 _FRAMES = 400  # at most: a page of a few MB whatever the path's duration
@@ -77,7 +77,7 @@ def write_deployment_page(
         time = laid / 0.02 if joint_path is None else joint_path.node_time
     at_nodes = len(time) == len(trajectory)
     if joint_path is not None and at_nodes and errors is None:
-        shapes, time = with_release(joint_path, shapes, time, onward)
+        shapes, time = with_release(joint_path, shapes, time, onward, falling(trajectory))
     if errors is None and (errors := expected_errors(trajectory, pattern, shapes)) is not None:
         captions = [*(captions or []), *_expectation(trajectory)]
     duration = float(time[-1]) if joint_path is None else float(joint_path.time[-1])

@@ -9,7 +9,10 @@ from wrod.planning.tail import with_tail
 from wrod.scene.rod_shapes import whole_rod
 
 MOST = 120  # time codes before the first node, and after the last
-_FALL = 0.3  # [s] in which a rod that is let go comes to lie
+_FALL = 0.3  # [s] in which a rod that is let go comes to lie, where that is not simulated
+# [s] after letting go at which its shapes are kept; it lies at the last.
+_FALLING = np.concatenate([np.linspace(0.0, 0.5, 11), np.linspace(0.7, 2.5, 10)])
+_FRICTION = 0.4  # of a table that the plan does not know
 _OPEN = 0.5  # share of the release after which the fingers are open
 _LIES = 1e-4  # [m] above the end of the laid part, what is lower lies
 
@@ -76,12 +79,31 @@ def covered(trajectory, joint_path, onward: Onward | None) -> np.ndarray:
     return np.concatenate([trajectory.contact, onward.contact[reached]])
 
 
-def film(joint_path, shapes: np.ndarray, onward: Onward | None = None) -> Film:
+def falling(trajectory):
+    """How the rod of a trajectory falls when it is let go: (M, 3) as it is held [m], times (K,)
+    since then [s] -> (K, M, 3). It is simulated, on the table that the plan was laid on; drawn
+    straight ahead where the trajectory does not say its rod, or the simulation does not end."""
+    expected = trajectory.metadata.get("expected") or {}
+    friction = float(np.mean(expected.get("friction", _FRICTION)))
+
+    def falls(shape: np.ndarray, time: np.ndarray) -> np.ndarray:
+        from wrod.deployment.left_alone import fall
+
+        found = None
+        if trajectory.rod is not None:
+            found = fall(trajectory.rod, shape, np.minimum(time, _FALLING[-1]), friction)
+        if found is None:
+            found = np.stack([let_go(shape, at / _FALL) for at in time])
+        return found
+
+    return falls
+
+
+def film(joint_path, shapes: np.ndarray, onward: Onward | None, falls) -> Film:
     """What a joint path and a rod at the nodes (T, M, 3) [m], and beyond them, show.
 
     The rod hangs as the first node has it until it is grasped. What is suspended when the fingers
-    open falls straight ahead onto the table: drawn so, not simulated; with the tail laid, that is
-    what the fingers held.
+    open, with the tail laid what they held, `falls` onto the table.
     """
     count = len(shapes)
     nodes = np.arange(count)
@@ -110,8 +132,9 @@ def film(joint_path, shapes: np.ndarray, onward: Onward | None = None) -> Film:
         for k in np.flatnonzero(time > at[-1]):
             shown[k] = onward.at(laid[k])
         last = onward.at(joint_path.arc_length[-1])
-    for k in np.flatnonzero(time > opened):
-        shown[k] = let_go(last, (time[k] - opened) / _FALL)
+    let = time > opened
+    if let.any():
+        shown[let] = falls(last, time[let] - opened)
     phase = [joint_path.phase_at(t) for t in time]
     return Film(code.astype(float), time, phase, node, positions, shown)
 
@@ -124,9 +147,9 @@ def opening(joint_path) -> float:
     return float("inf")
 
 
-def with_release(joint_path, shapes: np.ndarray, time: np.ndarray, onward: Onward | None = None):
+def with_release(joint_path, shapes: np.ndarray, time: np.ndarray, onward: Onward | None, falls):
     """Shapes (T + n, M, 3) [m] and their times [s] with those of the tail that is laid and of the
-    rod that is let go."""
+    rod that is let go and `falls`."""
     parts, times = [shapes], [time]
     if onward is not None:
         (phase,) = [phase for phase in joint_path.phases if phase["name"] == "tail"]
@@ -136,9 +159,8 @@ def with_release(joint_path, shapes: np.ndarray, time: np.ndarray, onward: Onwar
         times.append(rates)
     opened = opening(joint_path)
     if np.isfinite(opened):
-        shares = np.linspace(0.0, 1.0, 8)
-        parts.append(np.stack([let_go(parts[-1][-1], share) for share in shares]))
-        times.append(opened + _FALL * shares)
+        parts.append(falls(parts[-1][-1], _FALLING))
+        times.append(opened + _FALLING)
     return np.concatenate(parts), np.concatenate(times)
 
 

@@ -133,22 +133,27 @@ class Laboratory:
         self, solver: ClampedSolver, base: ClampedSetup, model: Model, values
     ) -> ClampedSetup:
         """Lead the rods from the base model to another, in steps that keep them on their branch."""
-        setup, done, step = base, 0.0, 0.5
-        while done < 1.0 and len(values):
-            before = solver.saved()
-            setup = model.setup(base, model.grown(values, min(done + step, 1.0)))
-            # A shorter step is cheaper than the patience of a walk, which is left for the last.
-            if solver.solve([setup], walk=step <= _SMALLEST_STEP).all():
-                done, step = done + step, 2.0 * step
-            elif step > _SMALLEST_STEP:
-                solver.restore(before)
-                step *= 0.5
+        first = solver.saved()
+        # Shorter steps are cheaper than the patience of walks, which may still get past a fold.
+        for walk in (False, True):
+            setup, done, step = base, 0.0, 0.5
+            while done < 1.0 and len(values):
+                before = solver.saved()
+                setup = model.setup(base, model.grown(values, min(done + step, 1.0)))
+                if solver.solve([setup], walk=walk).all():
+                    done, step = done + step, 2.0 * step
+                elif step > _SMALLEST_STEP:
+                    solver.restore(before)
+                    step *= 0.5
+                else:
+                    break
             else:
-                raise DataError(
-                    f"{self.measurements.name}: no equilibrium with {', '.join(model.names)} at "
-                    "the values asked for"
-                )
-        return setup
+                return setup
+            solver.restore(first)
+        raise DataError(
+            f"{self.measurements.name}: no equilibrium with {', '.join(model.names)} at the values "
+            "asked for"
+        )
 
     def observe(
         self,

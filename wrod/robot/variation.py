@@ -1,0 +1,124 @@
+"""A joint path varied together with where the pattern lies and how the rod is held.
+
+`redundancy.improve` spends the freedom that a grip pose leaves the arm. Here the poses move too:
+place, table height, yaw, roll and grip angle are six more unknowns, whose columns are how the
+joints follow them. Gauss-Newton over all of it; the weight of the joints' limits grows until they
+are kept.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from wrod.robot.attempt import Task
+from wrod.robot.grip import Grip
+from wrod.robot.kinematics import null_basis, refine
+from wrod.robot.redundancy import PathCost
+from wrod.robot.search import Branch
+
+# A unit of each unknown: x, y [m], yaw, roll, grip angle [rad], table height [m].
+_UNITS = np.array([0.1, 0.1, 0.3, 0.3, 0.2, 0.1])
+_DIFFERENCE = 1e-4  # of a unit, for derivatives
+_ITERATIONS, _FARTHEST = 60, 0.25  # steps, and the most that a joint moves in one [rad]
+_LONGEST = 0.3  # [rad] of a joint between two samples; longer ones are singularities
+_HARDER, _HARDEST = 8.0, 6e4  # growth and bound of the limits' weight
+_SINGULAR = 2e4  # weight of singularities, between whose samples poses may be out of reach
+_KEPT = -0.03  # [rad] within the limits is enough
+_STILL = 3e-3  # share of the cost that a step must save
+
+
+class _Freedom:
+    """Placement and grip about those of a branch, by unknowns in `_UNITS`."""
+
+    def __init__(self, task: Task, branch: Branch, fixed: bool):
+        self.task, self.branch = task, branch
+        free = [not fixed] * 3 + [True, True, task.free_height and not fixed]
+        self.which = np.flatnonzero(free)
+
+    def at(self, unknowns: np.ndarray):
+        moved = np.zeros(6)
+        moved[self.which] = unknowns * _UNITS[self.which]
+        x, y, yaw, roll, angle, z = moved
+        place, grip = self.branch.placement, self.branch.grip
+        tilt = float(np.clip(grip.angle + angle, 0.0, math.pi / 2))
+        placed = replace(place, x=place.x + x, y=place.y + y, z=place.z + z, yaw=place.yaw + yaw)
+        return placed, Grip(tilt, grip.roll + roll)
+
+    def scene(self, unknowns: np.ndarray):
+        """Grasp poses (K, 4, 4) in the base frame, and what is around."""
+        place, grip = self.at(unknowns)
+        task = self.task
+        return task.targets(place, grip, task.travel), task.surroundings(place, task.travel)
+
+
+def vary(task: Task, branch: Branch, fixed: bool) -> Branch:
+    """A branch near one that keeps the joints' limits better, and its miss 0 where it is followed.
+
+    Args:
+        fixed: the place must stay.
+    """
+    import torch
+
+    robot, freedom = task.robot, _Freedom(task, branch, fixed)
+    unknowns = np.zeros(len(freedom.which))
+    targets, around = freedom.scene(unknowns)
+    q, error = refine(robot, branch.positions, targets)
+    if np.abs(error).max() > 1e-3:
+        return branch
+    cost = PathCost(robot, task.model, len(q), longest=_LONGEST, singular_weight=_SINGULAR)
+    damping, value = 1.0, cost.total(q, around)
+    for _ in range(_ITERATIONS):
+        with torch.no_grad():
+            basis = null_basis(robot.chain.jacobian_tensor(torch.from_numpy(q))).numpy()
+        gradient = cost.gradient(q, around)
+        follow, slope = _columns(cost, freedom, q, unknowns, around, gradient)
+        elbow = sparse.csc_matrix((q.size, 0))
+        if basis.shape[2]:
+            elbow = sparse.block_diag(list(basis), format="csc")
+        free = sparse.hstack([elbow, sparse.csc_matrix(follow)]).tocsc()
+        reduced = np.concatenate([elbow.T @ gradient, slope])
+        hessian = (free.T @ cost.curvature(q) @ free).tocsc()
+        saved = 0.0
+        for _ in range(8):
+            lifted = hessian + damping * sparse.eye(hessian.shape[0], format="csc")
+            step = -splu(lifted.tocsc()).solve(reduced)
+            move = (free @ step).reshape(q.shape)
+            share = _FARTHEST / max(_FARTHEST, np.abs(move).max())
+            other = unknowns + share * step[elbow.shape[1] :]
+            targets, near = freedom.scene(other)
+            trial, error = refine(robot, q + share * move, targets, iterations=5)
+            if np.abs(error).max() < 1e-6 and (candidate := cost.total(trial, near)) < value:
+                saved = value - candidate
+                q, unknowns, around, value = trial, other, near, candidate
+                damping = max(damping / 4.0, 1e-3)
+                break
+            damping *= 4.0
+        if saved < _STILL * value:
+            excess = float(np.maximum(q - robot.upper, robot.lower - q).max())
+            if excess < _KEPT or cost.limit_weight >= _HARDEST:
+                break
+            cost.limit_weight *= _HARDER
+            value, damping = cost.total(q, around), min(damping, 1.0)
+    place, grip = freedom.at(unknowns)
+    excess = np.maximum(q - robot.upper, robot.lower - q).max(-1)
+    return Branch(place, grip, q, np.zeros(len(q)), excess)
+
+
+def _columns(cost: PathCost, freedom: _Freedom, q, unknowns, around, gradient):
+    """How the joints follow each unknown (K n, m), and how the cost does (m,): what stands around
+    moves as well."""
+    columns, slope = [], []
+    here = cost.penalty(q, around)[0]
+    for k in range(len(unknowns)):
+        shifted = unknowns + _DIFFERENCE * np.eye(len(unknowns))[k]
+        targets, near = freedom.scene(shifted)
+        moved, _ = refine(cost.robot, q, targets, iterations=2)
+        columns.append((moved - q).reshape(-1) / _DIFFERENCE)
+        direct = (cost.penalty(q, near)[0] - here) / _DIFFERENCE
+        slope.append(float(gradient @ columns[-1]) + direct)
+    return np.array(columns).T, np.array(slope)
