@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from wrod.kernels.linear import banded, banded_ends, banded_lanes
+from wrod.kernels.linear import banded, banded_ends, banded_lanes, two_warps
 
 from wrod.rods.state import full_hessian
 
@@ -126,7 +126,7 @@ def test_a_pivot_that_cancels_keeps_a_size(kernels, device):
 def from_ends(device, hessian, free, shift, active, right):
     """(negative pivots, solutions) for the first right-hand sides by `banded_ends`."""
     rods, n = free.shape
-    block = 1 if device == "cpu" else banded_ends.ENDS
+    block = 1 if device == "cpu" else two_warps.ENDS
 
     def array(value, dtype):
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=device)

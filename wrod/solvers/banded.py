@@ -7,7 +7,7 @@ import warp as wp
 
 from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
 from wrod.kernels.lanes import WARP, lanes
-from wrod.kernels.linear import banded, banded_ends, banded_lanes, border
+from wrod.kernels.linear import banded, banded_ends, banded_lanes, border, two_warps
 from wrod.rods.batch import RodBatch
 
 
@@ -56,11 +56,11 @@ class BandedSystem:
         self._clear_pivots(active)
         wp.launch(
             banded_ends.solve,
-            dim=(self.batch.rod_count, len(self.segment), banded_ends.ENDS),
+            dim=(self.batch.rod_count, len(self.segment), two_warps.ENDS),
             inputs=[self.segment, active, self.batch.free, hessian, gradient, self.shift],
             outputs=[self.factor, self.x, self.negative_pivots],
             device=self.batch.device,
-            block_dim=banded_ends.ENDS,
+            block_dim=two_warps.ENDS,
         )
 
     def _factorise_and_solve(self, gradient, hessian, active) -> None:

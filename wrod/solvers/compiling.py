@@ -10,7 +10,7 @@ import warp as wp
 
 from wrod.kernels.compiling import compile_together
 from wrod.kernels.lanes import TEAM, WARP
-from wrod.kernels.linear.banded_ends import ENDS
+from wrod.kernels.linear.two_warps import ENDS
 
 _WIDE = 256  # Warp's own
 # Modules of `wrod.kernels`, by the size of the blocks in which they are launched.
