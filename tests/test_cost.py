@@ -50,7 +50,7 @@ def test_what_the_machine_has_not_needs_force(one, says, capsys, tmp_path, monke
     ],
 )
 def test_commands_refuse_weeks_before_they_work(words, tmp_path, monkeypatch):
-    monkeypatch.setattr(cost, "_cores", lambda: 2)  # many would end it within a week
+    monkeypatch.setattr(cost, "usable_cores", lambda: 2)  # many would end it within a week
     out = tmp_path / "out"
     result = CliRunner().invoke(main, [*words.split(), "--out", str(out)])
     assert result.exit_code == 2 and "about" in result.output, result.output
