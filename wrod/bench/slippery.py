@@ -130,7 +130,7 @@ def command(
     )  # fmt: skip
     shelf.stock([(*key[:3], _CORRECTED[key[3]]) for _, key, *_ in jobs if key[3] in _CORRECTED],
                 workers)  # fmt: skip
-    with tqdm(total=len(keys), initial=len(done), unit="trial", disable=as_json) as bar:
+    with tqdm(total=len(keys), initial=len(keys) - len(jobs), unit="trial", disable=as_json) as bar:
 
         def note(_, row: dict) -> None:
             ledger.add([row])
