@@ -58,6 +58,14 @@ def test_commands_refuse_weeks_before_they_work(words, tmp_path, monkeypatch):
     assert not list(out.rglob("*.safetensors")) and not list(out.rglob("*.npz"))
 
 
+@pytest.mark.parametrize("bench", ["loop", "slippery"])
+def test_steps_that_miss_what_happens_are_refused_before_the_work(bench, tmp_path):
+    out = tmp_path / "out"
+    result = CliRunner().invoke(main, ["bench", bench, "--speed", "7", "--out", str(out)])
+    assert result.exit_code == 2 and "too far for what happens" in result.output, result.output
+    assert not list(out.rglob("*.*"))
+
+
 def test_costs_grow_with_the_work():
     few = cost.deployments(1, 0.8, speed=0.02, step=0.01, spacing=0.005)
     many = cost.deployments(10, 0.8, speed=0.02, step=0.01, spacing=0.005)

@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from wrod import cost
+from wrod.deployment.bounds import refuse_long_moves
 from wrod.files.ledger import Ledger
 
 # Points at which laid curves are kept.
@@ -169,6 +170,7 @@ def settle(
         device, batch: as for `run`.
         how: they are laid: speed, step, spacing.
     """
+    refuse_long_moves(how["speed"], how["step"])
     at_once = min(_at_once(trials, batch, device), trials)
     work = cost.deployments(trials, length, device=device, **how)
     cost.settle(

@@ -21,6 +21,7 @@ from wrod.bench.loop_trials import (
     with_length,
 )
 from wrod.bench.table3_paper import PATTERNS, read_pattern
+from wrod.deployment.bounds import refuse_long_moves
 from wrod.deployment.simulate import simulate_deployments
 from wrod.files import write_text
 from wrod.machine import machine_line
@@ -138,6 +139,7 @@ def run(loop: Loop) -> dict[str, Any]:
 
 def _settle(loop: Loop, curves: dict) -> None:
     """Say what identification, training and deployments cost, or refuse it."""
+    refuse_long_moves(loop.speed, loop.step)
     controllers, believed = len(loop.controllers), rod(loop.rod_name)
     if loop.recording is not None:
         known, cases, learning = cost.identification(loop.recording), 1, 0.0

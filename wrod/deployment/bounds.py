@@ -25,11 +25,7 @@ def refuse_endless(trials, speed, spacing, step, frame_interval) -> None:
     """Refuse what no machine ends, or this one has no memory for, or steps and edges that miss
     what happens, before anything is laid."""
     refuse_coarse_edges(trials, spacing)
-    if speed * step > _LONGEST_MOVE:
-        raise RodError(
-            f"the grip moves {speed * step:g} m in a step of {step:g} s at {speed:g} m/s, too far "
-            f"for what happens between; give a step or a speed that makes it {_LONGEST_MOVE:g} m"
-        )
+    refuse_long_moves(speed, step)
     longest = max(float(trial.rod.length) for trial in trials)
     nodes, duration = longest / spacing + 100.0, 2.0 * longest / speed
     if duration / step > _MOST_STEPS or nodes > _MOST_NODES:
@@ -45,6 +41,14 @@ def refuse_endless(trials, speed, spacing, step, frame_interval) -> None:
         + (f" and {frames:.0f} frames" if frames else ""),
         "ask for fewer trials or frames, or a larger spacing",
     )
+
+
+def refuse_long_moves(speed: float, step: float) -> None:
+    if speed * step > _LONGEST_MOVE:
+        raise RodError(
+            f"the grip moves {speed * step:g} m in a step of {step:g} s at {speed:g} m/s, too far "
+            f"for what happens between; give a step or a speed that makes it {_LONGEST_MOVE:g} m"
+        )
 
 
 def refuse_coarse_edges(trials, spacing: float) -> None:
