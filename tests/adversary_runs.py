@@ -113,6 +113,8 @@ def wrong(end: End, left: list[str], around) -> str | None:
         return f"replaced {devices}"
     if end.code in (-signal.SIGXCPU, 128 + signal.SIGXCPU, -signal.SIGKILL):
         return None  # it was taken, and works
+    if end.code == 2 and end.seconds > LONGEST and "a worker was ended from outside" in end.said:
+        return None  # its worker was at work when the limit of processor time ended it
     if isinstance(around, str) and around.startswith("# "):
         return _wrong_around(end, around)
     if isinstance(around, str):  # there may be nobody to tell, and no room to tell it in
