@@ -55,13 +55,16 @@ def test_gripper_points_along_the_axis_that_turns_the_flange(tmp_path):
     np.testing.assert_allclose(turned[:3, 3], grasp_poses(arm, zero)[0, :3, 3], atol=1e-9)
 
 
-def test_xacro_is_expanded(tmp_path):
+def test_xacro_is_expanded(tmp_path, monkeypatch):
     pytest.importorskip("xacro")
     urdf = own_arm(tmp_path)
     text = urdf.read_text().replace("<robot ", '<robot xmlns:xacro="http://ros.org/wiki/xacro" ', 1)
     text = text.replace('xyz="0.03 0 0.2"', 'xyz="${2 * reach} 0 0.2"')
     text = text.replace("<link ", '<xacro:property name="reach" value="0.015"/><link ', 1)
     path = tmp_path / "own.xacro"
+    for name in ("xacro", "wrod", "re"):  # what lies there is not run
+        (tmp_path / f"{name}.py").write_text("raise SystemExit(77)")
+    monkeypatch.chdir(tmp_path)
     path.write_text(text)
     q = np.linspace(-1.0, 1.0, 6)[None]
     np.testing.assert_allclose(

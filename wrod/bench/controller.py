@@ -110,7 +110,9 @@ def _cold(arguments: list[str]) -> dict:
         return usage.ru_utime + usage.ru_stime
 
     clock, before = time.perf_counter(), processor()
-    subprocess.run([sys.executable, "-c", _COLD, *arguments], check=True, start_new_session=True)
+    subprocess.run(
+        [sys.executable, "-P", "-c", _COLD, *arguments], check=True, start_new_session=True
+    )
     return {
         "cold_seconds": time.perf_counter() - clock,
         "cold_cpu_seconds": processor() - before,

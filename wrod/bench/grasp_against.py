@@ -22,7 +22,7 @@ class _Worker:
         run = f"import runpy; runpy.run_path({str(script)!r}, run_name='__main__')"
         self.root = root
         self.process = subprocess.Popen(
-            [sys.executable, "-c", run, str(root.resolve()), str(inputs), device],
+            [sys.executable, "-P", "-c", run, str(root.resolve()), str(inputs), device],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

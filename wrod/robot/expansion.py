@@ -34,7 +34,7 @@ def expanded(path: Path) -> bytes:
             "write the URDF with `xacro FILE > arm.urdf`"
         )
     remedy = "write the URDF where its packages are installed, with `xacro FILE > arm.urdf`"
-    call = [sys.executable, "-m", "wrod.robot.expansion", str(path.resolve())]
+    call = [sys.executable, "-P", "-m", "wrod.robot.expansion", str(path.resolve())]
     try:
         done = subprocess.run(
             call, capture_output=True, timeout=_WALL, stdin=subprocess.DEVNULL,
