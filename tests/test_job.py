@@ -258,8 +258,7 @@ def test_scene_shows_every_phase(line, job, tmp_path):
         return np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
 
     opening = next(code for code in codes if phase.Get(code) == "release")
-    # It is simulated, and shortens a little as its weight leaves the fingers.
-    assert length(lying) == pytest.approx(length(np.array(rod.Get(opening))), rel=2e-4)
+    assert length(lying) == pytest.approx(length(np.array(rod.Get(opening))), rel=1e-6)
     assert length(lying) == pytest.approx(length(shapes[-1]), rel=1e-3)
     # The tail lies before the hand opens, but for what the fingers hold.
     assert (np.array(rod.Get(opening))[:, 2] < 2e-3).mean() > 0.8
