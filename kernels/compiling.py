@@ -23,6 +23,17 @@ def _begun(device: str, module: wp.Module, block: int) -> Future:
     return _compilers().submit(wp.force_load, device, [module], block_dim=block)
 
 
+def _forget() -> None:
+    """A process that was forked has none of the threads of the one before: what it waited for would
+    never come. Modules that were loaded are."""
+    _compilers.cache_clear()
+    _begun.cache_clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
+
+
 def compile_ahead(
     device: str, launches: Iterable[tuple[wp.Kernel | ModuleType, int]]
 ) -> list[Future]:

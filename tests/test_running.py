@@ -285,3 +285,22 @@ def test_rods_are_longer_than_what_is_measured_of_them():
     ):
         result = CliRunner().invoke(main, words.split())
         assert result.exit_code == 2 and "--length" in result.stderr
+
+
+def test_a_forked_process_compiles_with_threads_of_its_own(tmp_path):
+    """Its parent's threads are not in it: it would wait for them for ever."""
+    from forked import forked
+
+    from wrod.kernels.compiling import compile_ahead, compile_together
+    from wrod.kernels.grasping import mesh, reading
+
+    for begun in compile_ahead("cpu", [(mesh.refine, 1)]):
+        begun.result()
+    time.sleep(0.1)  # the thread is idle
+
+    def run():
+        signal.alarm(60)
+        compile_together("cpu", [(mesh.refine, 1), (reading.judge, 1)])
+        return 0
+
+    assert forked(run, tmp_path).code == 0
