@@ -319,8 +319,9 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
 
     def tried(robot, led):
         trajectory = SimpleNamespace(
-            contact=ring, position=above, metadata={"remainder_length": led}, arc_length=angle
-        )
+            contact=ring, position=above, metadata={"remainder_length": led}, arc_length=angle,
+            spin=0.0,
+        )  # fmt: skip
         task = SimpleNamespace(trajectory=trajectory, robot=load_robot(robot), clearance=0.005)
         failed = SimpleNamespace(task=task)
         curve = SimpleNamespace(length=0.6, remainder_length=led)
@@ -332,8 +333,12 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
     assert "gen3" in others and "panda" not in others and "iiwa" not in others
     assert {"remainder": False} not in tried("panda", 0.0)
     assert not any("robot" in change for change in tried("gen3", 0.1))
-    # Much too far: smaller from its other end first, then an arm that can.
+    # Much too far: the hand is spun back, then smaller from its other end, then an arm that can.
     angle *= 1.6
     ring[:, 0], ring[:, 1] = 0.1 * np.cos(angle), 0.1 * np.sin(angle)
-    far = tried("panda", 0.1)
-    assert far[0]["reverse"] and far[0]["resize"] < 1.0 and far[2] == {"robot": "ur5e"}
+    *spun, second, _, third = tried("panda", 0.1)[:5]
+    room = 2 * 2.8973
+    for change, part in zip(spun, (0.75, 0.9), strict=True):
+        left = 3.52 * np.pi + np.radians(change["spin"])
+        assert part * room - np.radians(10.0) <= left <= part * room + 0.03
+    assert second["reverse"] and second["resize"] < 1.0 and third == {"robot": "ur5e"}

@@ -36,6 +36,7 @@ DISTILLED = "distilled"
     closure=arguments.optional(arguments.text),
     remainder=arguments.either(arguments.flag, arguments.number(0.0, 100.0)),
     roll=arguments.either(arguments.text, arguments.number(-1e6, 1e6)),
+    spin=arguments.number(-100.0, 100.0),
     controller=arguments.like("a wrod.Controller", "predict", "out_of_range"),
     friction=arguments.optional(
         arguments.either(arguments.number(0.0, 100.0), arguments.array((2,)))
@@ -54,6 +55,7 @@ def plan(
     spacing: float = 0.0025,
     remainder: bool | float | None = None,
     roll: float | str = "plane",
+    spin: float = 0.0,
     controller: Controller | None = None,
     friction: float | tuple[float, float] | None = None,
     pace: float | tuple[float, float] | None = None,
@@ -84,6 +86,10 @@ def plan(
             by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
             into the table's plane to the side to which the pattern turns in all, or upwards. In
             the plane the twist changes least; up, less is pushed aside (docs/loop.md).
+        spin: by how much the hand turns about the rod from the first node to the last, beyond what
+            the pattern asks for [rad]; against the pattern's turns it spares an arm's last joint.
+            It twists the rod, evenly where the table's friction keeps it from rolling; for rods
+            without sides only. Expectations and corrections have it.
         controller: what "neural" and "auto" ask, for example one that was trained for this
             naturally curved rod; None is the one that ships, for all straight rods.
         friction: of the table, a coefficient (taken to be known to a tenth) or a range: the path
@@ -120,7 +126,7 @@ def plan(
     _check_method(method, friction, pace)
     how: dict[str, Any] = dict(
         closure=closure, spacing=spacing, roll=roll, controller=controller, device=device,
-        progress=progress,
+        progress=progress, spin=spin,
     )  # fmt: skip
     if friction is None and not expect:
         return plan_grasps(pattern, rod, method, remainder=remainder, **how)
