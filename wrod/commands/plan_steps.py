@@ -232,7 +232,7 @@ def _remedy(request, failed, rod, curve, planned, shaping) -> str | None:
 
 def _room(request, planned, shaping, change: dict, seconds: float) -> float | None:
     """How far from its joints' limits an arm stays with such a change [rad]; None where it finds no
-    path. As long as one try may last it is sought by the command that is printed."""
+    path in so many `seconds`, within which the command that is printed finds it too."""
     import warnings
 
     from wrod.errors import WrodError
@@ -267,8 +267,8 @@ def _said(change: dict) -> str:
         "reverse": "laid from its other end",
         "resize": "drawn {:g} times as large",
         "hold": "held {:g} m from its free end",
-        "remainder": "without a lead-in, which turns the hand,",
         "spin": "with a hand that turns about the rod by {:g} degrees besides",
+        "remainder": "without a lead-in, which turns the hand,",
     }
     return ", ".join(parts[name].format(change[name]) for name in parts if name in change)
 
@@ -317,6 +317,8 @@ def fitting(request, tries, planned, reason) -> str:
     import click
 
     from wrod.errors import WrodError
+    from wrod.robot.remedy import spins
+    from wrod.robot.solve import UnreachedError
 
     click.echo(
         f"wrod: {reason}; looking for a size that the arm can lay, for {_SEARCH / 60:.0f} minutes "
@@ -324,21 +326,39 @@ def fitting(request, tries, planned, reason) -> str:
         err=True,
     )
     begun, said = time.monotonic(), []
+
+    def found(shaping, spin: float | None = None, **limit):
+        """The arm's path as a command, or the spins that may help."""
+        asked = {} if spin is None else {"spin": spin}
+        rod = None
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                fitted, _, trajectory = planned(shaping, tried=True, **asked)
+                rod = fitted.rod
+                request.solve(trajectory, rod, **limit)
+        except UnreachedError as error:
+            return None, spins(error.task, rod)
+        except WrodError:
+            return None, []
+        size = {"resize": shaping.resize, "hold": shaping.hold, "reverse": shaping.reverse}
+        return again(remainder=False, **size, **asked), []
+
     for shaping in tries:
         if time.monotonic() - begun > _SEARCH:
             break
         said.append(f"{shaping.resize:g}")
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                fitted, _, trajectory = planned(shaping, tried=True)
-                request.solve(trajectory, fitted.rod)
-        except WrodError:
-            continue
-        command = again(
-            resize=shaping.resize, hold=shaping.hold, remainder=False, reverse=shaping.reverse
-        )
-        return f"smaller, and held so that little is left over, a joint path is found: {command}"
+        click.echo(f"wrod: trying {said[-1]} of its size", err=True)
+        command, others = found(shaping)
+        for spin in others:
+            if command is not None:
+                break
+            click.echo(f"wrod: trying that, and the hand spun by {spin:g} degrees", err=True)
+            command, _ = found(shaping, spin, time_limit=_TRY)
+        if command is not None:
+            return (
+                "smaller, and held so that little is left over, a joint path is found: " + command
+            )
     return (
         f"no joint path of {request.robot} was found at {', '.join(said)} of its size; another arm "
         "may do, or a rod that is longer or less stiff"

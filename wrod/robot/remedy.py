@@ -14,7 +14,7 @@ from wrod.robot.tail import FINGERS
 _TURN_ROOM = 0.2  # [rad] that a last joint should have left
 # Shares of a last joint's turn that a spun hand is left with, and the most that it may twist the
 # rod [1/L_gb]: up to there simulated rods lie no worse by it.
-_SPUN, _MOST_TWIST = (0.75, 0.9), 0.35
+_SPUN, _MOST_TWIST = (0.75, 0.6), 0.7
 # Sizes of a pattern, and rod left over at its end [L_gb].
 _SMALLER = ((0.85, 5.9), (0.8, 9.2), (0.93, 5.9))
 _STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
@@ -130,7 +130,7 @@ def remedies(
     turned, room = turning(failed.task)
     low = low_end(failed.task.trajectory, failed.task.clearance)
     arms = list(_other_arms(turned, low)) if turned > room else []
-    spun = [] if turned <= room else _spun(failed.task, rod, low)
+    spun = list(_spun(failed.task, rod, curve, low))
     if turned > room + FAR:
         ways = [*_turning_less(rod, curve), *_as_large(curve)]
         yield from [*spun, *ways[:2], *arms[:1], *ways[2:]]
@@ -141,24 +141,32 @@ def remedies(
     yield from arms
 
 
-def _spun(task, rod, low: float | None) -> list[dict]:
-    """Spins [degrees] against the pattern's turns after which the last joint has room, most of it
-    first; with less of a pattern whose end is too `low`."""
+def spins(task, rod) -> list[float]:
+    """Spins [degrees] against the pattern's turns after which the last joint has room, where it has
+    none."""
     from wrod.rods.model import RodModel
 
     trajectory = task.trajectory
-    if trajectory.spin != 0.0 or RodModel.of(rod).has_sides:
+    turned, room = turning(task)
+    if turned <= room or trajectory.spin != 0.0 or RodModel.of(rod).has_sides:
         return []
-    smaller = {} if low is None else {"resize": _least(low)}
     heading = headings(trajectory)
     share = trajectory.arc_length / trajectory.arc_length[-1]
     way = -math.copysign(1.0, heading[-1] - heading[0])
     most = _MOST_TWIST * trajectory.arc_length[-1] / rod.gravito_bending_length
     degrees = np.arange(0.0, math.degrees(most), 10.0)
     left = np.ptp(heading + way * np.radians(degrees)[:, None] * share, axis=1)
-    room = task.robot.upper[-1] - task.robot.lower[-1]
     found = [np.flatnonzero(left < part * room) for part in _SPUN]
-    return [{"spin": float(way * degrees[f[0]]), **smaller} for f in found if len(f)]
+    return [float(way * degrees[f[0]]) for f in found if len(f)]
+
+
+def _spun(task, rod, curve, low: float | None) -> Iterator[dict]:
+    """Spins without a lead-in, which leaves more rod at the end; with it; and for a smaller
+    pattern, whose rod begins lower."""
+    smaller = {} if low is None else {"resize": _least(low)}
+    ways = [*([_led(curve)] if _led(curve) else []), smaller, *list(_turning_less(rod, curve))[2:3]]
+    for spin in spins(task, rod)[:1]:
+        yield from ({"spin": spin, **way} for way in ways)
 
 
 def _other_arms(turned: float, low: float | None) -> Iterator[dict]:
