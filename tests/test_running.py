@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner
+from forked import call
 
 from wrod.commands import LazyGroup, main
 from wrod.commands.running import (
@@ -163,22 +164,13 @@ WORDS = "dataset --size 300 --shard-size 100 --no-sensitivities --device cpu"
 
 
 def test_a_disk_that_fills_up_loses_nothing(tmp_path):
-    import resource
-
-    from forked import forked
-
-    def run():
-        # A file may have so many bytes; the manifest has, a shard of 100 grasps has not.
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-        result = CliRunner().invoke(main, [*WORDS.split(), "--out", str(tmp_path / "out")])
-        os.write(1, result.output.encode())
-        return result.exit_code
-
-    end = forked(run, tmp_path)
+    words = [*WORDS.split(), "--out", str(tmp_path / "out")]
+    # The manifest has less, a shard of 100 grasps has more.
+    end = call(words, tmp_path, file_bytes=4096)
     assert end.code == REFUSED and "Traceback" not in end.said, end.said
     assert "run the same command again" in end.said or "choose another --out" in end.said
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["manifest.json"]
-    result = CliRunner().invoke(main, [*WORDS.split(), "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(main, words)
     assert result.exit_code == 0 and "300 solved now" in result.output
 
 
@@ -287,20 +279,18 @@ def test_rods_are_longer_than_what_is_measured_of_them():
         assert result.exit_code == 2 and "--length" in result.stderr
 
 
-def test_a_forked_process_compiles_with_threads_of_its_own(tmp_path):
+def test_a_forked_process_compiles_with_threads_of_its_own():
     """Its parent's threads are not in it: it would wait for them for ever."""
-    from forked import forked
-
-    from wrod.kernels.compiling import compile_ahead, compile_together
-    from wrod.kernels.grasping import mesh, reading
-
-    for begun in compile_ahead("cpu", [(mesh.refine, 1)]):
-        begun.result()
-    time.sleep(0.1)  # the thread is idle
-
-    def run():
-        signal.alarm(60)
-        compile_together("cpu", [(mesh.refine, 1), (reading.judge, 1)])
-        return 0
-
-    assert forked(run, tmp_path).code == 0
+    code = """
+import os, signal
+from wrod.kernels.compiling import compile_ahead, compile_together
+from wrod.kernels.grasping import mesh, reading
+for begun in compile_ahead("cpu", [(mesh.refine, 1)]):
+    begun.result()
+if os.fork() == 0:
+    signal.setitimer(signal.ITIMER_REAL, 300.0)
+    compile_together("cpu", [(mesh.refine, 1), (reading.judge, 1)])
+    os._exit(0)
+os._exit(os.waitstatus_to_exitcode(os.wait()[1]))
+"""
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
