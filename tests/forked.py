@@ -16,7 +16,7 @@ import subprocess
 import sys
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -54,18 +54,27 @@ class End:
         return f"was taken: {self.said[-200:]}" if refused and self.code != 2 else None
 
 
-def call(words: list[str], folder: Path, *, file_bytes: int | None = None) -> End:
-    """Run `wrod` with these words in a folder, where no file grows beyond so many bytes."""
-    return server().run(_invoked, (words, file_bytes), folder)
+@contextlib.contextmanager
+def full_disk(free: int) -> Iterator[None]:
+    """No file of this process grows beyond so many bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (free, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def _invoked(words: list[str], file_bytes: int | None) -> int:
+def call(words: list[str], folder: Path) -> End:
+    """Run `wrod` with these words in a folder."""
+    return server().run(_invoked, (words,), folder)
+
+
+def _invoked(words: list[str]) -> int:
     from click.testing import CliRunner
 
     from wrod.commands import main
 
-    if file_bytes is not None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, file_bytes))
     warnings.simplefilter("ignore")
     result = CliRunner().invoke(main, words)
     os.write(1, result.output.encode(errors="replace")[-20_000:])

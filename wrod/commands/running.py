@@ -88,7 +88,8 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return f"{error}; this process may have too few threads or too little memory (ulimit -a)", 2
     if isinstance(error, OSError):
         where = error.filename if error.filename is not None else "the output"
-        remedy = "make room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        remedy = "make room" if full else "check the path"
         said = error.strerror or str(error)
         return f"{where}: {said}; {remedy} or choose another, then run the same command again", 2
     if isinstance(error, RecursionError):
