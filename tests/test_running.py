@@ -69,13 +69,29 @@ def test_every_end_is_one_sentence(error, says, code, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["TQDM_MININTERVAL", "NUMPY_MADVISE_HUGEPAGE", "OPENCV_IO_MAX_IMAGE_PIXELS"]
+    "name",
+    [
+        "TQDM_MININTERVAL",
+        "NUMPY_MADVISE_HUGEPAGE",
+        "OPENCV_IO_MAX_IMAGE_PIXELS",
+        "SOURCE_DATE_EPOCH",
+    ],
 )
 def test_variables_that_a_library_cannot_read_are_named(name, tmp_path):
     words = ["plan", "line", "--rod", "rope", "--method", "intuitive", "--no-robot", "--spacing"]
     call = [sys.executable, "-m", "wrod", *words, "0.05", "--out", str(tmp_path / "out")]
     run = subprocess.run(call, env=os.environ | {name: "x"}, capture_output=True, text=True)
     assert run.returncode == REFUSED and f"{name}='x'" in run.stderr and len(run.stderr) < 300
+
+
+@pytest.mark.parametrize(
+    "names", [{}, {"COMP_WORDS": "wrod"}, {"COMP_WORDS": "wrod", "COMP_CWORD": "x"}]
+)
+def test_completions_that_no_shell_asks_for_are_refused(names, monkeypatch):
+    for name, value in {"_WROD_COMPLETE": "bash_complete", **names}.items():
+        monkeypatch.setenv(name, value)
+    result = CliRunner().invoke(main, ["rods"], prog_name="wrod")
+    assert result.exit_code == REFUSED and "WROD_COMPLETE" in result.stderr
 
 
 def test_what_is_complete_is_said(tmp_path):
