@@ -27,12 +27,12 @@ from pathlib import Path
 
 import click
 import numpy as np
+from adversary_dress import dressed
 from adversary_kinds import (
     MORE,
     SAME,
     combined,
     doubled,
-    dressed,
     happening,
     odd_name,
     structured,

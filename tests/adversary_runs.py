@@ -95,6 +95,7 @@ def _shell(words: list[str], around, out: Path) -> int:
         there = shlex.join([sys.executable, "-P", "-m", "wrod"])
         there += " " + shlex.join(words).replace(str(out), f"{out}.disk/out")
         line = before.replace("CALL_THERE", there).replace("CALL", call)
+        (out.parent / "call.sh").write_text(f"{call}\n", errors="surrogateescape")
     os.execve("/bin/bash", ["bash", "-c", line], environment)
 
 
