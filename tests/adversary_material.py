@@ -166,7 +166,7 @@ AROUND_LIMITS = (
     "ulimit -n 20", "ulimit -n 8", "ulimit -f 0", "ulimit -f 4", "ulimit -v 400000",
     "ulimit -v 1500000", "ulimit -s 256", "ulimit -u 1", "umask 777", "umask 000", "ulimit -c 0",
     "trap '' PIPE", "trap '' INT", "trap '' TERM HUP", "rmdir_cwd", "cd /proc", "cd /",
-    "ulimit -t 3", "ulimit -n 3", "ulimit -d 100000", "ulimit -l 0", "ulimit -x 0", "ulimit -i 0",
+    "ulimit -t 3", "ulimit -d 100000", "ulimit -l 0", "ulimit -x 0", "ulimit -i 0",
     "umask 077", "cd /dev", "cd /proc/self/fd", "exec 3</dev/zero 4>/dev/null 5>&2", "ulimit -q 0",
     "ulimit -s unlimited", "exec 1000</dev/null", "set -f; cd /sys",
 )  # fmt: skip
