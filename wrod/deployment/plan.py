@@ -86,18 +86,14 @@ def plan(
             by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
             into the table's plane to the side to which the pattern turns in all, or upwards. In
             the plane the twist changes least; up, less is pushed aside (docs/loop.md).
-        spin: by how much the hand turns about the rod from the first node to the last, beyond what
-            the pattern asks for [rad]; against the pattern's turns it spares an arm's last joint.
-            It twists the rod, evenly where the table's friction keeps it from rolling; for rods
-            without sides only. Expectations and corrections have it.
+        spin: by how much the hand turns besides about a rod without sides, which twists it [rad].
         controller: what "neural" and "auto" ask, for example one that was trained for this
             naturally curved rod; None is the one that ships, for all straight rods.
         friction: of the table, a coefficient (taken to be known to a tenth) or a range: the path
             is corrected through simulated deployments until what stays lies on the pattern, for
             rods and tables that cover what is known of them (docs/deployment.md; a minute or
             two). None: the grasps as they are.
-        pace: at which the contact is to move on that table [m/s], 0.04 unless told; of a range the
-            fastest that does no harm.
+        pace: of the contact on that table [m/s], 0.04 by default; of a range the fastest harmless.
         expect: also lay the finished plan in simulation, on tables of `friction` or, where it is
             not said, of 0.2 to 0.6 (seconds), for its `expected`.
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
@@ -125,8 +121,8 @@ def plan(
     """
     _check_method(method, friction, pace)
     how: dict[str, Any] = dict(
-        closure=closure, spacing=spacing, roll=roll, controller=controller, device=device,
-        progress=progress, spin=spin,
+        closure=closure, spacing=spacing, roll=roll, spin=spin, controller=controller,
+        device=device, progress=progress,
     )  # fmt: skip
     if friction is None and not expect:
         return plan_grasps(pattern, rod, method, remainder=remainder, **how)
