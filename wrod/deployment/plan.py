@@ -90,9 +90,8 @@ def plan(
         controller: what "neural" and "auto" ask, for example one that was trained for this
             naturally curved rod; None is the one that ships, for all straight rods.
         friction: of the table, a coefficient (taken to be known to a tenth) or a range: the path
-            is corrected through simulated deployments until what stays lies on the pattern, for
-            rods and tables that cover what is known of them (docs/deployment.md; a minute or
-            two). None: the grasps as they are.
+            is corrected through simulated deployments until what stays lies on the pattern
+            (docs/deployment.md; a minute or two). None: the grasps as they are.
         pace: of the contact on that table [m/s], 0.04 by default; of a range the fastest harmless.
         expect: also lay the finished plan in simulation, on tables of `friction` or, where it is
             not said, of 0.2 to 0.6 (seconds), for its `expected`.
