@@ -141,19 +141,20 @@ def remedies(
     yield from arms
 
 
-def spins(task, rod) -> list[float]:
+def spins(task, rod, lead_in: float = 0.0) -> list[float]:
     """Spins [degrees] against the pattern's turns after which the last joint has room, where it has
-    none."""
+    none; without a lead-in of such a length [m]."""
     from wrod.rods.model import RodModel
 
     trajectory = task.trajectory
     turned, room = turning(task)
     if turned <= room or trajectory.spin != 0.0 or RodModel.of(rod).has_sides:
         return []
-    heading = headings(trajectory)
-    share = trajectory.arc_length / trajectory.arc_length[-1]
+    rest = trajectory.arc_length >= lead_in
+    heading, laid = headings(trajectory)[rest], trajectory.arc_length[rest]
+    share = (laid - laid[0]) / (laid[-1] - laid[0])
     way = -math.copysign(1.0, heading[-1] - heading[0])
-    most = _MOST_TWIST * trajectory.arc_length[-1] / rod.gravito_bending_length
+    most = _MOST_TWIST * (laid[-1] - laid[0]) / rod.gravito_bending_length
     degrees = np.arange(0.0, math.degrees(most), 10.0)
     left = np.ptp(heading + way * np.radians(degrees)[:, None] * share, axis=1)
     found = [np.flatnonzero(left < part * room) for part in _SPUN]
@@ -164,9 +165,11 @@ def _spun(task, rod, curve, low: float | None) -> Iterator[dict]:
     """Spins without a lead-in, which leaves more rod at the end; with it; and for a smaller
     pattern, whose rod begins lower."""
     smaller = {} if low is None else {"resize": _least(low)}
-    ways = [*([_led(curve)] if _led(curve) else []), smaller, *list(_turning_less(rod, curve))[2:3]]
-    for spin in spins(task, rod)[:1]:
-        yield from ({"spin": spin, **way} for way in ways)
+    short = spins(task, rod, curve.remainder_length)
+    if led := _led(curve):
+        yield from ({"spin": spin, **led} for spin in short)
+    yield from ({"spin": spin, **smaller} for spin in spins(task, rod)[:1])
+    yield from ({"spin": spin, **list(_turning_less(rod, curve))[2]} for spin in short[:1])
 
 
 def _other_arms(turned: float, low: float | None) -> Iterator[dict]:
