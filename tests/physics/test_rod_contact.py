@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import warp as wp
+from vps import RADIUS, WEIGHT, G, momenta
+from vps import rods as batch_of
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
@@ -12,30 +14,12 @@ from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.statics import prescribe
 
-G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
-WEIGHT = np.pi * RADIUS**2 * DENSITY * G
-STIFFNESS = 2 * WEIGHT * LGB**3
-
 
 def scene(*rods, gravity=(0.0, 0.0, 0.0), scenes=1, stiffer=1.0):
     """One row with the given rods (node, 3), end to end; bending stiffness as a factor."""
     position = np.concatenate(rods)
     cuts = np.cumsum([len(q) for q in rods])[:-1] - 1
-    edge = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    edge[cuts] = 0.0
-    mass = np.zeros(len(position))
-    mass[:-1] += WEIGHT / G * edge / 2
-    mass[1:] += WEIGHT / G * edge / 2
-    batch = RodBatch(
-        np.repeat(position[None], scenes, axis=0),
-        stretching_stiffness=4 * STIFFNESS / RADIUS**2,
-        bending_stiffness=stiffer * STIFFNESS,
-        twisting_stiffness=stiffer * STIFFNESS / 1.5,
-        node_mass=mass,
-        gravity=gravity,
-    )
-    batch.cut(cuts)
-    return batch
+    return batch_of(np.repeat(position[None], scenes, axis=0), gravity, stiffer=stiffer, cuts=cuts)
 
 
 def line(axis, nodes=15, length=0.07, offset=(0.0, 0.0, 0.0)):
@@ -48,14 +32,6 @@ def hold(batch, nodes):
     """Prescribe nodes and the edges between them."""
     nodes = list(nodes)
     prescribe(batch, clamped_nodes=nodes, clamped_angles=nodes[:-1])
-
-
-def momenta(dynamics):
-    batch = dynamics.batch
-    mass, q, v = batch.node_mass.numpy()[0][:, None], batch.positions()[0], dynamics.velocities()[0]
-    inertia = dynamics.mass.numpy()[0, 3::4, None]
-    spin = inertia * dynamics.velocity.numpy()[0, 3::4, None] * batch.state.tangent.numpy()[0]
-    return (mass * v).sum(axis=0), np.cross(q, mass * v).sum(axis=0) + spin.sum(axis=0)
 
 
 def rough_pair(turn, seed, smooth):
