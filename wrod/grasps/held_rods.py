@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 
-from wrod.grasps.mesh import WEIGHT, node_weights, rest_lengths
+from wrod.grasps.mesh import WEIGHT, node_weights, rest_lengths, tolerance
 from wrod.kernels.contact.table import table
 from wrod.kernels.grasping import closures as grasping
 from wrod.kernels.grasping import holding
@@ -109,11 +109,7 @@ class HeldRods:
         def ints(value=0):
             return wp.full(n, value, dtype=wp.int32, device=device)
 
-        shortest = edges.min(axis=1)
-        # What rounding positions leaves: in the stiffest edge, and in the sharpest bend.
-        rounding = stretch_ratio / shortest * self.length
-        rounding = rounding + 4.0 / shortest**3 * np.minimum(self.length, 5.0)
-        self.tolerance = floats(np.maximum(1e-8, 8 * np.finfo(float).eps * rounding))
+        self.tolerance = floats(tolerance(edges, stretch_ratio, 1e-8))
         self.start = wp.zeros(n, dtype=wp.vec3d, device=device)
         self.target = wp.zeros(n, dtype=wp.vec3d, device=device)
         self.reaction = wp.zeros(n, dtype=wp.vec3d, device=device)

@@ -51,3 +51,19 @@ def node_weights(rest: np.ndarray) -> np.ndarray:
     weights[:, :-1] += WEIGHT * rest / 2
     weights[:, 1:] += WEIGHT * rest / 2
     return weights
+
+
+def tolerance(rest: np.ndarray, stretching: np.ndarray, least: float) -> np.ndarray:
+    """(n,) forces that count as none, at least `least`: what rounding positions leaves in the
+    stiffest edge, and in the sharpest bend."""
+    shortest, length = rest.min(axis=1), rest.sum(axis=1)
+    rounding = stretching / shortest * length + 4.0 / shortest**3 * np.minimum(length, 5.0)
+    return np.maximum(least, 8 * np.finfo(float).eps * rounding)
+
+
+def ghost(curvature: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) half the angle between the first edge and one behind the contact that holds the
+    pattern's curvature there, and (n, 1, 3) the node behind."""
+    half = np.arctan(0.5 * curvature * rest[:, 0])
+    back = np.stack([np.cos(half), -np.sin(half), np.zeros_like(half)], axis=1)
+    return half, (-rest[:, :1] * back)[:, None]
