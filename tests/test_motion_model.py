@@ -21,7 +21,7 @@ L_GB = START_L_GB * np.exp(STIFFNESS / 3)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Files that are written for recordings of a viscous rod with a bend of its own."""
-    m = moved((effects("motion")["natural_curvature"], CURVATURE), rods=6)
+    m = moved((effects("motion")["natural_curvature"], CURVATURE))
     report = identify_motion(m, candidates=("natural_curvature",))
     out = tmp_path_factory.mktemp("identified")
     written = {path.name for path in report.save(out)}

@@ -25,13 +25,13 @@ def as_png(figure) -> bytes:
 def dress(axes, title: str = "", x: str = "", y: str = "", *, legend: bool = False, **how) -> None:
     """A light grid, no frame but the axes, and what they say; `how` the legend looks."""
     if title:
-        axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
+        axes.set_title(title, loc="left", fontsize=9, color=MUTED)
     if x:
         axes.set_xlabel(x, fontsize=8.5)
     if y:
         axes.set_ylabel(y, fontsize=8.5)
     if legend:
-        axes.legend(fontsize=8, frameon=False, **how)
+        axes.legend(**{"fontsize": 8, "frameon": False, **how})
     axes.grid(color=GRID, lw=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8, colors=MUTED, which="both", length=0)
@@ -51,7 +51,7 @@ def draw_bands(axes, place, value, error, labels) -> None:
 
 def dress_map(axes, title: str) -> None:
     """Of a map: a title, and no frame."""
-    axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
+    axes.set_title(title, loc="left", fontsize=9, color=MUTED)
     axes.tick_params(labelsize=8, colors=MUTED, length=0)
     for spine in axes.spines.values():
         spine.set_visible(False)

@@ -104,7 +104,7 @@ def residual(report) -> bytes:
         panel.axhline(0.0, color=MUTED, lw=0.6)
         share = 100 * r.explained[title]
         panel.xaxis.get_major_locator().set_params(integer=True)
-        dress(panel, f"{title}: {share:.0f} %", "marker", legend=True)
+        dress(panel, f"{title}: {share:.0f} %", "marker", legend=True, fontsize=7)
     axes[2].set_ylabel("mean residual before [mm]", fontsize=8.5)
     return as_png(figure)
 
