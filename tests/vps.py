@@ -3,6 +3,7 @@
 import numpy as np
 
 from wrod.rods.batch import RodBatch
+from wrod.solvers.statics import prescribe
 
 G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
 WEIGHT = np.pi * RADIUS**2 * DENSITY * G
@@ -66,12 +67,10 @@ def rope(position, load, edge, *, post=False, bending=1e-8):
         np.asarray(position)[None], stretching_stiffness=100.0, bending_stiffness=bending,
         twisting_stiffness=bending, node_mass=1e-2 * edge, point_load=point_load,
     )  # fmt: skip
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[-3:] = False
     if post:
         batch.cut([1])
-        free[:8] = False
-    batch.set_free(free)
+    there = (0, 1) if post else ()
+    prescribe(batch, clamped_nodes=there, clamped_angles=there, pinned_nodes=(-1,))
     return batch
 
 

@@ -113,9 +113,7 @@ def test_rods_of_one_row_do_not_feel_each_other_apart():
     b = line(1, offset=(0.0, 0.3, 0.1))[::-1]
     pair, single = scene(a, b, gravity=(0, 0, -G)), scene(b, gravity=(0, 0, -G))
     for batch, i in ((pair, 15), (single, 0)):
-        free = np.ones(batch.dof_count, dtype=bool)
-        free[4 * i : 4 * i + 7] = False
-        batch.set_free(free)
+        hold(batch, [i, i + 1])
         contact = RodContact(batch, RADIUS, Friction(0.3))
         Dynamics(batch, scheme="euler", radius=RADIUS, contact=contact).advance(0.05, 5e-3)
     assert pair.positions()[0, 15:] == pytest.approx(single.positions()[0], abs=1e-9)
@@ -178,9 +176,7 @@ def on_rails(angles, friction, smooth=False):
     rod = line(0, nodes=15, length=0.07, offset=(0.0, 0, 2 * RADIUS))
     # Straight under its weight, so that it is a block.
     batch = scene(*rails, rod, gravity=(0, 0, -G), scenes=len(angles), stiffer=50.0)
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[: 4 * 14] = False
-    batch.set_free(free)
+    prescribe(batch, clamped_nodes=range(14), clamped_angles=range(14))
     contact = RodContact(batch, RADIUS, friction, smooth=smooth)
     dynamics = Dynamics(
         batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=0.0, tolerance=1e-8
@@ -240,9 +236,7 @@ def test_nothing_tunnels(speed, step, leaves):
     """A rod thrown onto two held ones bounces off, however long the step that is asked for."""
     rails = [line(1, nodes=9, offset=(x, 0, 0)) for x in (-0.02, 0.02)]
     batch = scene(*rails, line(0, offset=(0, 0.001, 4 * RADIUS)))
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[: 4 * 18] = False
-    batch.set_free(free)
+    prescribe(batch, clamped_nodes=range(18), clamped_angles=range(18))
     dynamics = Dynamics(
         batch, scheme="euler", radius=RADIUS, contact=RodContact(batch, RADIUS, Friction(0.3))
     )

@@ -23,6 +23,7 @@ from wrod.grasps.mesh import ghost, node_weights, tolerance, two_sided_rest_leng
 from wrod.kernels.grasping import general_rod, iteration, reading
 from wrod.rods.batch import RodBatch
 from wrod.solvers.stability import smallest_eigenvalue
+from wrod.solvers.statics import prescribe
 
 _CPU_CHUNK, _CUDA_CHUNK = 64, 8192
 # How much of a rod's own properties is added at once at first: natural curvature [1/L_gb], or the
@@ -257,10 +258,7 @@ class _GeneralLevel:
         twist = np.zeros((len(rest), batch.node_count))
         twist[:, 2:-1] = state[:, 1:-1, 6]
         batch.state.reference_twist.assign(twist)
-        free = np.ones(batch.dof_count, dtype=bool)
-        free[:11] = False
-        free[-4:] = False
-        batch.set_free(free)
+        prescribe(batch, clamped_nodes=(0, 1, 2, -1), clamped_angles=(0, 1, -1))
         return smallest_eigenvalue(batch)
 
 

@@ -11,7 +11,7 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.state import Derivatives
 from wrod.solvers.banded import BorderedSystem
 from wrod.solvers.stability import smallest_eigenvalue
-from wrod.solvers.statics import EquilibriumSolver
+from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 # Largest change of an edge in one step, as a fraction of its length.
 _STEP_LIMIT = 0.4
@@ -97,10 +97,7 @@ class HeldRods:
             director=(0.0, 0.0, 1.0),
             device=device,
         )
-        free = np.ones(batch.dof_count, dtype=bool)
-        free[:7] = False
-        free[-3:] = False
-        batch.set_free(free)
+        prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,), pinned_nodes=(-1,))
         self.system = BorderedSystem(batch, (-3, -2, -1))  # the grip
 
         def floats(value=0.0):

@@ -13,6 +13,7 @@ from wrod.grasps.mesh import WEIGHT, ghost, node_weights
 from wrod.grasps.results import Grasps
 from wrod.kernels.grasping.closures import CONVERGED
 from wrod.rods.batch import RodBatch
+from wrod.solvers.statics import prescribe
 
 
 class GraspSolver:
@@ -146,8 +147,5 @@ def held_batch(
         director=(0.0, 0.0, 1.0),
         device=device,
     )
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[:11] = False
-    free[-3:] = False
-    batch.set_free(free)
+    prescribe(batch, clamped_nodes=(0, 1, 2), clamped_angles=(0, 1), pinned_nodes=(-1,))
     return batch

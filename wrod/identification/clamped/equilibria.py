@@ -26,7 +26,7 @@ from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.rods.batch import RodBatch
 from wrod.rods.rotation import transport
 from wrod.rods.state import RodState
-from wrod.solvers.statics import EquilibriumSolver
+from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _WAYPOINTS = 8
 _PATIENCE, _WALK_PATIENCE, _FALL_PATIENCE = 12, 60, 150
@@ -63,10 +63,7 @@ class ClampedSolver:
             **vars(arrays),
         )
         self._assign_sections(setups)
-        free = np.ones(self.batch.dof_count, dtype=bool)
-        free[:7] = False
-        free[-7:] = False
-        self.batch.set_free(free)
+        prescribe(self.batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
         self.sensitivity = Sensitivity(self.batch, self.trial_count, self.edge_count)
         self.principal = np.zeros(self.batch.rod_count)
         self.negative = np.zeros(self.batch.rod_count, dtype=int)
