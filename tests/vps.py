@@ -3,6 +3,7 @@
 import numpy as np
 
 from wrod.rods.batch import RodBatch
+from wrod.rods.discretisation import cells
 from wrod.solvers.statics import prescribe
 
 G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
@@ -17,13 +18,12 @@ def rods(position, gravity=(0.0, 0.0, -G), *, stiffer=1.0, cuts=(), **more):
     position = np.asarray(position, dtype=float)
     edge = np.linalg.norm(np.diff(position, axis=1), axis=2)
     edge[:, list(cuts)] = 0.0
-    around = np.pad(edge, ((0, 0), (1, 0))) + np.pad(edge, ((0, 0), (0, 1)))
     batch = RodBatch(
         position,
         stretching_stiffness=more.pop("stretching", 4 * STIFFNESS / RADIUS**2),
         bending_stiffness=stiffer * STIFFNESS,
         twisting_stiffness=stiffer * STIFFNESS / 1.5,
-        node_mass=WEIGHT / G * 0.5 * around,
+        node_mass=WEIGHT / G * cells(edge),
         gravity=gravity,
         **more,
     )

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from wrod.rods.discretisation import cells
+
 WEIGHT = 0.5  # per length in k_b / L_gb^2 per L_gb, by the definition of L_gb
 # What the mirror y -> -y of the contact frame does to vectors, and to rotation vectors.
 MIRROR, MIRROR_ROTATION = np.array([1.0, -1.0, 1.0]), np.array([-1.0, 1.0, -1.0])
@@ -47,10 +49,7 @@ def two_sided_rest_lengths(suspended_length: np.ndarray, edge_count: int) -> np.
 
 def node_weights(rest: np.ndarray) -> np.ndarray:
     """(n, edge + 1) weight of every node: half that of the edges around it."""
-    weights = np.zeros((rest.shape[0], rest.shape[1] + 1))
-    weights[:, :-1] += WEIGHT * rest / 2
-    weights[:, 1:] += WEIGHT * rest / 2
-    return weights
+    return WEIGHT * cells(rest)
 
 
 def tolerance(rest: np.ndarray, stretching: np.ndarray, least: float) -> np.ndarray:

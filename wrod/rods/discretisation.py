@@ -25,6 +25,13 @@ _BY_SHARE: dict[str, int | list[int]] = {
 }  # fmt: skip
 
 
+def cells(edge: np.ndarray) -> np.ndarray:
+    """(..., node) half of the edges around each node, of lengths (..., edge); complex if they
+    are."""
+    none = np.zeros_like(edge[..., :1])
+    return 0.5 * (np.concatenate([none, edge], -1) + np.concatenate([edge, none], -1))
+
+
 def of_free_part(share: np.ndarray, **values: np.ndarray) -> dict[str, np.ndarray]:
     """What nodes have of whose cells only a share bends and twists.
 
@@ -127,8 +134,7 @@ def quadratic_drag(rods: Rod | Sequence[Rod], arc_length: np.ndarray) -> np.ndar
     if not drag.any():
         return None
     edge = np.diff(np.atleast_2d(np.asarray(arc_length, dtype=np.float64)), axis=1)
-    around = 0.5 * (np.pad(edge, ((0, 0), (1, 0))) + np.pad(edge, ((0, 0), (0, 1))))
-    return drag[:, None] * around
+    return drag[:, None] * cells(edge)
 
 
 def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict[str, np.ndarray]:
@@ -142,7 +148,7 @@ def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict
         high[:, -2] = s[:, -2]
     # The kernels' cells: half of the edges around a node, of its only edge at an end.
     rest = np.diff(s, axis=1)
-    around = 0.5 * (np.pad(rest, ((0, 0), (1, 0))) + np.pad(rest, ((0, 0), (0, 1))))
+    around = cells(rest)
     share = np.ones((rods, nodes))
     mass_share = np.ones((rods, nodes), dtype=bool)
     for is_clamped, node, ghost in ((clamped[0], 1, 0), (clamped[1], -2, -1)):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.rods.discretisation import in_principal, of_free_part
+from wrod.rods.discretisation import cells, in_principal, of_free_part
 
 # What the base model starts from where nothing is known: the gravito-bending length, and the strain
 # of the rod under its own weight. Motion only tells ratios to the weight.
@@ -117,8 +117,7 @@ class MotionSetup:
     @property
     def node_length(self) -> np.ndarray:
         """(n + 1,) rest length that belongs to each node [m]."""
-        padded = np.concatenate([[0.0], self.rest_length, [0.0]])
-        return 0.5 * (padded[1:] + padded[:-1])
+        return cells(self.rest_length)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What the kernels take, complex if the setup is, in the principal frame of bending.
