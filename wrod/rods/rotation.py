@@ -32,11 +32,18 @@ def unit(v: np.ndarray) -> np.ndarray:
 
 
 def transport(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Turn (..., 3) vectors by the smallest rotation from unit vectors t to u; analytic."""
+    """Turn (..., 3) vectors by the smallest rotation from unit vectors t to u; analytic but where u
+    is -t."""
     axis = np.cross(t, u)
     cosine = np.sum(t * u, axis=-1, keepdims=True)
-    along = np.sum(axis * v, axis=-1, keepdims=True) / (1.0 + cosine)
+    fold = 1.0 + cosine
+    along = np.sum(axis * v, axis=-1, keepdims=True) / np.where(np.real(fold) > 1e-12, fold, 1e-12)
     return cosine * v + np.cross(axis, v) + along * axis
+
+
+def angle_about(t: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(...,) angles [rad] about unit vectors t (..., 3) from a to b, which are across them."""
+    return np.arctan2(np.sum(np.cross(t, a) * b, axis=-1), np.sum(a * b, axis=-1))
 
 
 def carried(v: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from wrod.identification.clamped.sensitivity import WIND_PASSES, WIND_TOLERANCE,
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.rods.batch import RodBatch
-from wrod.rods.rotation import transport
+from wrod.rods.rotation import angle_about, transport
 from wrod.rods.state import RodState
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
@@ -274,11 +274,7 @@ class ClampedSolver:
         dof[:, -7:-4], dof[:, -3:] = b, b + h * rb[:, :, 2]
         for edge, column, frame in ((0, 3, ra), (-1, -4, rb)):
             carried = transport(director[:, edge], tangent[:, edge], frame[:, :, 2])
-            angle = np.arctan2(
-                np.sum(np.cross(frame[:, :, 2], carried) * frame[:, :, 0], axis=1),
-                np.sum(carried * frame[:, :, 0], axis=1),
-            )
-            angle += principal
+            angle = angle_about(frame[:, :, 2], carried, frame[:, :, 0]) + principal
             # The same angle on the turn that the rod is on.
             dof[:, column] = angle + 2 * np.pi * np.rint((dof[:, column] - angle) / (2 * np.pi))
         return dof

@@ -24,7 +24,7 @@ from wrod.identification.motion.tangents import COMPLEX_STEP, kind_of, node_colu
 from wrod.identification.motion.windows import Windows
 from wrod.kernels.stepping import motion_tangents
 from wrod.rods.batch import RodBatch
-from wrod.rods.rotation import node_frames, transport
+from wrod.rods.rotation import angle_about, node_frames, transport
 from wrod.rods.state import full_hessian
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
@@ -212,7 +212,7 @@ def _batch(setup, path, device) -> RodBatch:
     for edge, column, k in ((0, 3, 0), (-1, -4, 1)):
         t, d = (v.numpy()[:, edge] for v in (state.tangent, state.director))
         own = transport(path.grip_director[:, k], path.grip_tangent[:, k], t)
-        dof[:, column] = np.arctan2(np.sum(np.cross(d, own) * t, axis=1), np.sum(d * own, axis=1))
+        dof[:, column] = angle_about(t, d, own)
     # The angles between begin with an even share of the twist.
     edges = batch.node_count - 1
     dof[:, 3::4] = dof[:, 3:4] + (dof[:, -4:-3] - dof[:, 3:4]) * (np.arange(edges) / (edges - 1))
