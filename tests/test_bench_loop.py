@@ -34,7 +34,7 @@ def test_synthetic_measurements_show_the_true_rod():
     ids="+".join,
 )
 def test_loop_is_closed(tmp_path, controllers):
-    args = ["bench", "loop", "--out", str(tmp_path), "--json", "--trials", "12"]
+    args = ["bench", "loop", "--out", str(tmp_path), "--json", "--trials", "16"]
     args += ["--pattern", "letter-U", "--effect", "natural_curvature", "--curvature", "5"]
     args += ["--candidate", "natural_curvature", "--candidate", "stiffness"]
     args += ["--spacing", "0.008", "--speed", "0.05", "--friction", "1.0"]

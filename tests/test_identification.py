@@ -42,7 +42,7 @@ def reported_poses(trials: int, seed: int) -> dict[str, np.ndarray]:
     }
 
 
-def synthetic(apply=None, *, trials=10, seed=0, edge_count=150, noise=NOISE, measure=None):
+def synthetic(apply=None, *, trials=12, seed=0, edge_count=150, noise=NOISE, measure=None):
     """Arrays of a set whose rod has an effect, made on a finer mesh than any fit uses."""
     data = reported_poses(trials, seed) | {
         "arc_length": np.linspace(0.0, ROD.length, 21),
