@@ -290,7 +290,6 @@ def test_rods_are_longer_than_what_is_measured_of_them():
 def test_a_forked_process_compiles_with_threads_of_its_own(tmp_path):
     """Its parent's threads are not in it: it would wait for them for ever."""
     from forked import forked
-
     from wrod.kernels.compiling import compile_ahead, compile_together
     from wrod.kernels.grasping import mesh, reading
 

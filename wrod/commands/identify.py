@@ -49,9 +49,10 @@ def command(
     if data is None:
         raise DataError("no measurements given; name an .npz file, or --template to write one")
     from wrod.identification import identify, is_motion
+    from wrod.identification.entry import identification_cost
 
     kept = {"steps": out / "steps.jsonl"} if is_motion(data) else {}
-    work = cost.identification(data)
+    work = identification_cost(data)
     cost.settle(work, f"{data.name} identified", out, "give less data", quiet=as_json)
     bar_format = "{desc}: {elapsed}"
     with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:
