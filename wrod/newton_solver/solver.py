@@ -266,16 +266,7 @@ class SolverDER(RodBuilding, SolverBase):
                 source = getattr(moved, name, None)
                 if source is not None and len(source):
                     wp.copy(getattr(state_out, name), source)
-        if contacts is None and len(self._colliding) and not self._fell:
-            self._fell = True
-            names = ", ".join(repr(self.model.body_label[b]) for b in self._colliding[:3])
-            warnings.warn(
-                f"this solver moves bodies with shapes ({names}) and was given no contacts: they "
-                "fall through everything. Give step the contacts of a newton.CollisionPipeline, "
-                "or make them shapes without collision",
-                WrodWarning,
-                stacklevel=2,
-            )
+        self._note_falling(contacts)
         parts = 1 if self.max_step is None else int(np.ceil(dt / self.max_step * (1 - 1e-9)))
         before, after = self._poses
         wp.copy(after, moved.body_q)
@@ -301,6 +292,19 @@ class SolverDER(RodBuilding, SolverBase):
                 "them; call add_body_forces(state) on the state that it steps from",
                 WrodWarning,
                 stacklevel=2,
+            )
+
+    def _note_falling(self, contacts: newton.Contacts | None) -> None:
+        """Speak of bodies that nothing holds up, once."""
+        if contacts is None and len(self._colliding) and not self._fell:
+            self._fell = True
+            names = ", ".join(repr(self.model.body_label[b]) for b in self._colliding[:3])
+            warnings.warn(
+                f"this solver moves bodies with shapes ({names}) and was given no contacts: they "
+                "fall through everything. Give step the contacts of a newton.CollisionPipeline, "
+                "or make them shapes without collision",
+                WrodWarning,
+                stacklevel=3,
             )
 
     def _note_old_rods(self, state_in: newton.State, state_out: newton.State) -> None:
