@@ -43,7 +43,7 @@ class Slider:
         stiffness = whole * _RATE**2
         joint = builder.add_joint_prismatic(
             -1, link, axis=wp.vec3(0.0, 0.0, 1.0), target_ke=stiffness, target_kd=0.0,
-            target_pos=whole * 9.81 / stiffness - _AMPLITUDE,
+            target_q=whole * 9.81 / stiffness - _AMPLITUDE,
             actuator_mode=newton.JointTargetMode.POSITION,
         )  # fmt: skip
         builder.add_articulation([joint])
