@@ -88,14 +88,10 @@ def command(
 
 
 def _write_template(kind: str, out: Path, as_json: bool) -> None:
-    from wrod.errors import DataError
     from wrod.files import read_arrays
     from wrod.identification.template import write_template
 
-    try:
-        path = write_template(kind, out / f"{kind}.npz")
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    path = write_template(kind, out / f"{kind}.npz")
     fields = {name: list(value.shape) for name, value in read_arrays(path).items()}
     if as_json:
         click.echo(json.dumps({"fields": fields, "written": [str(path)]}, indent=2))
