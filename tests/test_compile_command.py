@@ -59,4 +59,4 @@ def test_modules_that_a_cpu_needs_are_compiled():
 
 
 def test_what_cannot_be_compiled_is_said():
-    assert "nowhere" in ahead._run(["cpu", "wrod.kernels.nowhere"])
+    assert "nowhere" in ahead._compile("cpu", "wrod.kernels.nowhere")

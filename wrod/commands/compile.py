@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+import os
 import time
+from multiprocessing import parent_process
 
 import click
 
 from wrod import cost
+from wrod.bench.side_by_side import run
 from wrod.commands.options import DEVICE, options
 from wrod.machine import usable_cores
 
-# A plan whose scene is drawn, for the kernels of Newton that this takes; nothing else of it counts.
-_EXAMPLE = ["plan", "line", "--rod", "green-vps", "--no-expect", "--no-shapes"]
-# Kernels that a CPU has no use for.
-_OF_A_GPU = ("_lanes", "_ends", "condensing")
+# Kernels that a CPU has no use for, and those that only solvers of Newton's models launch.
+_LEFT_OUT = ("_lanes", "_ends", "condensing", "bodies", "body_exchange", "body_system")
+# What takes a compiler longest is begun first, after the pictures.
+_LONG = (
+    "grasping.iteration",
+    "grasping.sensitivity",
+    "contact.edges",
+    "elastic.bending",
+    "linear.coupling",
+    "elastic.section",
+    "contact.rods",
+)
+_PICTURE, _ALL = "pictures of scenes", "all"  # kernels that are no module's
 
 
 @click.command(name="compile", short_help="Compile kernels before they are needed.")
@@ -31,8 +41,6 @@ def command(device: str, jobs: int | None, as_json: bool) -> None:
     Kernels are compiled once on a machine, by whatever needs them first; here all of them are, side
     by side. What is there already is not compiled again. `make setup` does this.
     """
-    from concurrent.futures import ThreadPoolExecutor
-
     from tqdm import tqdm
 
     from wrod.machine import machine_line
@@ -43,12 +51,12 @@ def command(device: str, jobs: int | None, as_json: bool) -> None:
     jobs = jobs or usable_cores()
     work = cost.Cost(cost.KERNELS / jobs)
     cost.settle(work, "all kernels, where none is there yet", None, "", quiet=as_json)
-    names = _modules() if device == "cpu" else []
-    parts = [["--picture"], *([device, *names[k::jobs]] for k in range(jobs if names else 1))]
-    with ThreadPoolExecutor(jobs) as pool:
-        done = pool.map(_run, parts)
-        quiet = as_json or None
-        failed = [one for one in tqdm(done, total=len(parts), desc="kernels", disable=quiet) if one]
+    kernels = _modules() if device == "cpu" else [_ALL]
+    parts = [(device, part) for part in (_PICTURE, *kernels)]
+    done = tqdm(
+        run(_compile, parts, jobs), total=len(parts), desc="kernels", disable=as_json or None
+    )
+    failed = [wrong for _, wrong in done if wrong]
     seconds = time.perf_counter() - clock
     if as_json:
         figures = {"seconds": seconds, "failed": failed, "machine": machine_line(device)}
@@ -61,62 +69,78 @@ def command(device: str, jobs: int | None, as_json: bool) -> None:
 
 
 def _modules() -> list[str]:
-    """Names of the modules of kernels."""
+    """Names of the modules of kernels, those first that take a compiler longest."""
     import pkgutil
 
     import wrod.kernels
 
     names = [m.name for m in pkgutil.walk_packages(wrod.kernels.__path__, "wrod.kernels.")]
-    # Others put kernels of their own into these once they are imported.
-    names.sort(key=lambda name: not name.endswith(("elastic.bending", "elastic.section")))
-    return [name for name in names if not name.endswith(_OF_A_GPU)]
+    names = [name for name in names if not name.endswith(_LEFT_OUT)]
+    order = {f"wrod.kernels.{name}": number for number, name in enumerate(_LONG)}
+    return sorted(names, key=lambda name: order.get(name, len(order)))
 
 
-def _run(what: list[str]) -> str | None:
-    """Do a part of the work in a process of its own; what went wrong, if anything."""
-    run = [sys.executable, "-P", "-m", "wrod.commands.compile", *what]
-    done = subprocess.run(run, stdin=subprocess.DEVNULL, capture_output=True, text=True)
-    if done.returncode == 0:
-        return None
-    last = (done.stderr.strip().splitlines() or ["no reason was given"])[-1]
-    return f"{what[0].strip('-')}: not all is compiled ({last[:300]})"
+def _compile(device: str, what: str) -> str | None:
+    """Do a part of the work; what went wrong, if anything."""
+    if parent_process() is not None:  # what compilers print is not for the terminal
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        os.close(nowhere)
+    try:
+        if what == _PICTURE:
+            _draw()
+        elif what == _ALL:
+            _compile_for_gpu(device)
+        else:
+            _compile_module(what)
+    except Exception as error:
+        return f"{what}: not compiled ({error})"[:300]
+    return None
 
 
-def _compile(device: str, names: list[str]) -> None:
-    """Modules for a CPU; a GPU's compiler is given all that it needs at once."""
+def _compile_module(name: str) -> None:
     from importlib import import_module
 
     import warp as wp
 
-    import wrod.solvers.dynamics  # noqa: F401  # with all the kernels that commands have
+    # Others put kernels of their own into some modules once they are imported.
+    for other in _modules():
+        import_module(other)
+    import wrod.solvers.dynamics  # noqa: F401
 
-    if device != "cpu":
-        from wrod.grasps.levels import compile_kernels
-        from wrod.solvers.compiling import compile_steps
+    # Some kernels have modules of their own.
+    own = {k.module for k in vars(import_module(name)).values() if isinstance(k, wp.Kernel)}
+    modules = [m for m in own | {wp.get_module(name)} if m.kernels]
+    wp.force_load("cpu", modules, block_dim=1)
 
-        compile_steps(device)
-        compile_steps(device, coupled=True)
-        compile_kernels(device, sensitivities=True)
-    for name in names:
-        module = wp.get_module(import_module(name).__name__)
-        if module.kernels:
-            wp.force_load("cpu", [module], block_dim=1)
+
+def _compile_for_gpu(device: str) -> None:
+    """A GPU's compiler is given all that it needs at once."""
+    from wrod.grasps.levels import compile_kernels
+    from wrod.solvers.compiling import compile_steps
+
+    compile_steps(device)
+    compile_steps(device, coupled=True)
+    compile_kernels(device, sensitivities=True)
 
 
 def _draw() -> None:
-    """Plan the example, if all is there that its scene takes."""
+    """Draw a scene, if all is there that it takes: Newton's kernels are compiled for it."""
     import tempfile
     from importlib.util import find_spec
+    from pathlib import Path
 
-    from wrod.commands import main
+    import wrod
+    from wrod.scene.export import export_usd
+    from wrod.scene.render import Renderer
 
-    if all(find_spec(name) for name in ("newton", "pxr", "pytorch_kinematics")):
-        with tempfile.TemporaryDirectory() as folder:
-            main([*_EXAMPLE, "--out", folder], standalone_mode=False)
-
-
-if __name__ == "__main__":
-    if sys.argv[1] == "--picture":
-        _draw()
-    else:
-        _compile(sys.argv[1], sys.argv[2:])
+    if not all(find_spec(name) for name in ("newton", "pxr")):
+        return
+    rod, pattern = wrod.rod("green-vps"), wrod.pattern("line")
+    # A taut rod, for whose shape nothing has to be solved.
+    trajectory = wrod.plan(pattern, rod, "intuitive", spacing=0.02)
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "scene.usdc"
+        export_usd(scene, trajectory=trajectory, pattern=pattern, rod=rod)
+        Renderer(scene, size=(32, 24)).frame(0.0)
