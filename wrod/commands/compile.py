@@ -14,17 +14,36 @@ from wrod.bench.side_by_side import run
 from wrod.commands.options import DEVICE, options
 from wrod.machine import usable_cores
 
-# Kernels that a CPU has no use for, and those that only solvers of Newton's models launch.
-_LEFT_OUT = ("_lanes", "_ends", "condensing", "bodies", "body_exchange", "body_system")
-# What takes a compiler longest is begun first, after the pictures.
+# Kernels that a CPU has no use for.
+_OF_A_GPU = ("_lanes", "_ends", "condensing")
+# What takes a compiler longest, which is begun first, after the pictures; a kernel after a colon
+# has a module of its own.
 _LONG = (
-    "grasping.iteration",
     "grasping.sensitivity",
-    "contact.edges",
+    "grasping.iteration:solve_straight",
     "elastic.bending",
-    "linear.coupling",
     "elastic.section",
+    "stepping.motion_tangents",
+)
+# What few commands launch: for rods that touch rods or what has edges, those that are curved by
+# nature or bodies of Newton's.
+_RARE = (
+    "grasping.iteration:solve_general",
+    "contact.edges",
+    "linear.coupling",
     "contact.rods",
+    "grasping.reading:read_general",
+    "grasping.general_rod",
+    "contact.pairs",
+    "contact.touching",
+    "linear.skyline",
+    "linear.skyline_order",
+    "stepping.hands",
+    "stepping.bodies",
+    "stepping.body_system",
+    "stepping.body_exchange",
+    "stepping.carrying",
+    "stepping.exchange",
 )
 _PICTURE, _ALL = "pictures of scenes", "all"  # kernels that are no module's
 
@@ -34,12 +53,15 @@ _PICTURE, _ALL = "pictures of scenes", "all"  # kernels that are no module's
 @click.option(
     "--jobs", type=click.IntRange(min=1), help="Processes at a time; default: one a core."
 )
+@click.option("--all", "rare", is_flag=True, help="On a CPU also what few commands launch.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(device: str, jobs: int | None, as_json: bool) -> None:
-    """Fill Warp's kernel cache, so that no other command has to wait for a compiler.
+def command(device: str, jobs: int | None, rare: bool, as_json: bool) -> None:
+    """Fill Warp's kernel cache, so that other commands do not have to wait for a compiler.
 
-    Kernels are compiled once on a machine, by whatever needs them first; here all of them are, side
-    by side. What is there already is not compiled again. `make setup` does this.
+    Kernels are compiled once on a machine, by whatever needs them first; here they are side by
+    side. Left out, unless --all is given, are those of knots, of fixtures with edges, of the rod
+    solver's grasps of naturally curved rods, and of Newton's solvers. What is there already is not
+    compiled again. `make setup` does this.
     """
     from tqdm import tqdm
 
@@ -51,7 +73,7 @@ def command(device: str, jobs: int | None, as_json: bool) -> None:
     jobs = jobs or usable_cores()
     work = cost.Cost(cost.KERNELS / jobs)
     cost.settle(work, "all kernels, where none is there yet", None, "", quiet=as_json)
-    kernels = _modules() if device == "cpu" else [_ALL]
+    kernels = _wanted(rare) if device == "cpu" else [_ALL]
     parts = [(device, part) for part in (_PICTURE, *kernels)]
     done = tqdm(
         run(_compile, parts, jobs), total=len(parts), desc="kernels", disable=as_json or None
@@ -69,15 +91,20 @@ def command(device: str, jobs: int | None, as_json: bool) -> None:
 
 
 def _modules() -> list[str]:
-    """Names of the modules of kernels, those first that take a compiler longest."""
+    """Names of the modules of kernels."""
     import pkgutil
 
     import wrod.kernels
 
     names = [m.name for m in pkgutil.walk_packages(wrod.kernels.__path__, "wrod.kernels.")]
-    names = [name for name in names if not name.endswith(_LEFT_OUT)]
-    order = {f"wrod.kernels.{name}": number for number, name in enumerate(_LONG)}
-    return sorted(names, key=lambda name: order.get(name, len(order)))
+    return [name for name in names if not name.endswith(_OF_A_GPU)]
+
+
+def _wanted(rare: bool) -> list[str]:
+    """What to compile for a CPU: modules, and kernels that have their own ("module:kernel")."""
+    first, last = ([f"wrod.kernels.{name}" for name in names] for names in (_LONG, _RARE))
+    names = first + [name for name in _modules() if name not in first + last]
+    return last[:2] + names + last[2:] if rare else names
 
 
 def _compile(device: str, what: str) -> str | None:
@@ -109,10 +136,10 @@ def _compile_module(name: str) -> None:
         import_module(other)
     import wrod.solvers.dynamics  # noqa: F401
 
-    # Some kernels have modules of their own.
-    own = {k.module for k in vars(import_module(name)).values() if isinstance(k, wp.Kernel)}
-    modules = [m for m in own | {wp.get_module(name)} if m.kernels]
-    wp.force_load("cpu", modules, block_dim=1)
+    place, _, kernel = name.partition(":")
+    module = getattr(import_module(place), kernel).module if kernel else wp.get_module(place)
+    if module.kernels:
+        wp.force_load("cpu", [module], block_dim=1)
 
 
 def _compile_for_gpu(device: str) -> None:

@@ -69,8 +69,8 @@ def expect(
         the pattern [m]; diverged: how many did.
     """
     course = expecting(pattern, rod, [trajectory], friction, trials, pace, coarse)
-    how = {"hold": hold, "tolerance": TOLERANCE, "device": device, "watch": watch}
-    (expected,) = follow([course], **how)[0]
+    how: dict[str, Any] = {"hold": hold, "tolerance": TOLERANCE, "watch": watch}
+    (expected,) = follow([course], device=device, **how)[0]
     return expected
 
 
