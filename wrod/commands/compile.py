@@ -137,7 +137,8 @@ def _compile_module(name: str) -> None:
     import wrod.solvers.dynamics  # noqa: F401
 
     place, _, kernel = name.partition(":")
-    module = getattr(import_module(place), kernel).module if kernel else wp.get_module(place)
+    home = import_module(place)
+    module = getattr(home, kernel).module if kernel else wp.get_module(place)
     if module.kernels:
         wp.force_load("cpu", [module], block_dim=1)
 
