@@ -42,6 +42,7 @@ _RARE = (
     "stepping.bodies",
     "stepping.body_system",
     "stepping.body_exchange",
+    "stepping.body_contact",
     "stepping.carrying",
     "stepping.exchange",
 )
