@@ -115,11 +115,12 @@ def test_nothing_is_left_where_nothing_was_finished(tmp_path):
 
 def test_a_second_process_is_told_so(tmp_path):
     code = (
-        "import sys, time; from wrod.files.locking import locked\n"
-        "with locked(sys.argv[1]): print('held', flush=True); time.sleep(60)"
+        "import sys; from wrod.files.locking import locked\n"
+        "with locked(sys.argv[1]): print('held', flush=True); sys.stdin.read()"
     )
     call = [sys.executable, "-c", code, str(tmp_path / "out")]
-    with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as first:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(call, text=True, **pipes) as first:
         assert first.stdout.readline() == "held\n"
         says = rf"another wrod process \({first.pid}\)"
         with pytest.raises(DataError, match=says), locked(tmp_path / "x" / ".." / "out"):
