@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -100,17 +101,17 @@ def test_what_is_complete_is_said(tmp_path):
 
 
 def test_nothing_is_left_where_nothing_was_finished(tmp_path):
-    out = tmp_path / "out"
+    out = tmp_path / "above" / "out"
 
     @click.command()
     @click.option("--out", type=click.Path(path_type=Path))
     def command(out):
-        out.mkdir()
+        (out / "part").mkdir()
         raise RodError("no")
 
     with pytest.raises(RodError):
         holding_output(command).callback(out=out)
-    assert not out.exists()
+    assert not out.parent.exists()
 
 
 def test_a_second_process_is_told_so(tmp_path):
@@ -131,6 +132,21 @@ def test_a_second_process_is_told_so(tmp_path):
         first.wait()
     with locked(tmp_path / "out"):
         pass  # the lock ended with its process
+
+
+def test_a_process_with_other_temporary_files_is_told_so(tmp_path, monkeypatch):
+    """A container, or another user."""
+    out, other = tmp_path / "out", tmp_path / "other"
+    out.mkdir()
+    other.mkdir()
+    with locked(out):
+        monkeypatch.setattr(tempfile, "tempdir", str(other))
+        with pytest.raises(DataError, match="another wrod process"), locked(out):
+            pass
+    with locked(out, "0"), locked(out, "1"), pytest.raises(DataError, match="another"), locked(out):
+        pass
+    with locked(out):
+        pass
 
 
 def hear_interruptions():
