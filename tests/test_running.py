@@ -95,6 +95,19 @@ def test_completions_that_no_shell_asks_for_are_refused(names, monkeypatch):
     assert result.exit_code == REFUSED and "WROD_COMPLETE" in result.stderr
 
 
+@pytest.mark.parametrize("words", ["-x", "rods --none", "bench --none", "bench none", "none"])
+def test_wrong_calls_are_one_sentence(words):
+    result = CliRunner().invoke(main, words.split(), prog_name="wrod")
+    assert result.exit_code == REFUSED and result.stderr.count("\n") == 1, result.stderr
+    assert result.stderr.startswith("wrod: No such ") and "--help)" in result.stderr
+
+
+@pytest.mark.parametrize("words", [[], ["bench"]])
+def test_a_call_without_words_says_how_to_call(words):
+    result = CliRunner().invoke(main, words, prog_name="wrod")
+    assert result.exit_code == REFUSED and result.output.startswith("Usage: wrod")
+
+
 def test_what_is_complete_is_said(tmp_path):
     said, code = ends(RodError("bad robot"), write=tmp_path / "plan.npz")
     assert code == REFUSED and f"(complete: {tmp_path / 'plan.npz'}" in said
