@@ -8,13 +8,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from cli import done, refused
 from wrod.training import dataset, store
 from wrod.training.dataset import Rank, generate, load
 from wrod.training.sampling import RANGE, RodInputs, sample, sample_worst
 
 import wrod
-from wrod.commands import main
 from wrod.errors import DataError, RodError
 from wrod.rods.law import Softening
 from wrod.rods.profile import Profile
@@ -220,8 +219,7 @@ def test_memory_stays_flat(tmp_path, monkeypatch):
 )
 def test_bad_options_are_one_sentence(tmp_path, arguments, says):
     out = tmp_path / "out"
-    result = CliRunner().invoke(main, ["dataset", "--size", "5", "--out", str(out), *arguments])
-    assert result.exit_code == 2 and says in result.stderr
+    refused(says, "dataset", "--size", "5", "--out", out, *arguments)
     assert not out.exists()
 
 
@@ -248,6 +246,5 @@ def test_manifest_names_solver_and_command(whole, tmp_path):
     assert manifest.solver == wrod.__version__
     words = manifest.command(tmp_path / "again").split()
     assert words[0] == "wrod"
-    result = CliRunner().invoke(main, [*words[1:], "--device", "cpu"])
-    assert result.exit_code == 0, result.output
+    done(*words[1:], "--device", "cpu")
     assert contents(tmp_path / "again") == contents(whole)
