@@ -109,7 +109,7 @@ def test_a_law_of_unknown_form_is_found_and_reported():
         setup.law = terms
 
     names = ["softening", "stiffness", "anisotropic_bending", "natural_curvature"]
-    report = identify(measurements_from_arrays(synthetic(law, seed=4, trials=12)), candidates=names)
+    report = identify(measurements_from_arrays(synthetic(law, seed=4, trials=8)), candidates=names)
     assert report.verdict == "explained"
     assert [e.name for e in report.effects] == ["moment_law"]
     for key, share in report.effects[0].parameters.items():

@@ -1,11 +1,15 @@
 import json
+import shutil
+from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+from cli import refused, told
 from click.testing import CliRunner
+from forked import full_disk
 from wrod.training.autograd import solve_grasps_differentiable
 from wrod.training.dataset import GraspTable
 from wrod.training.loop import CHECKPOINT, Training, errors
@@ -131,13 +135,52 @@ def test_resumed_training_gives_the_same_weights(table, tmp_path):
         np.testing.assert_array_equal(second.network.arrays()[name], value)
 
 
+@pytest.mark.parametrize("kind", ["full", "vanished"])
+def test_a_full_disk_or_a_folder_that_vanishes_loses_no_training(table, tmp_path, kind):
+    whole = training(table, tmp_path / "whole")
+    whole.run()
+    run = training(table, tmp_path / "out")
+    if kind == "full":
+        steps, original = iter(range(10**6)), run._one_step
+        with ExitStack() as later:
+
+            def fill_at_25(done):
+                if next(steps) == 25:
+                    later.enter_context(full_disk(100))
+                original(done)
+
+            run._one_step = fill_at_25
+            with pytest.raises(OSError, match=r"too large.*checkpoint"):
+                run.run(checkpoint_every=0.0)
+        assert [path.name for path in run.folder.iterdir()] == [CHECKPOINT]
+        run = training(table, tmp_path / "out")
+        assert run.resume() and run.step == 25
+        run.run()
+    else:
+
+        def vanish(step, *_):
+            if step % 20 == 5:
+                shutil.rmtree(run.folder, ignore_errors=True)
+
+        run.run(watch_every=1, progress=vanish)
+        assert training(table, tmp_path / "out").resume()
+    for name, value in whole.network.arrays().items():
+        np.testing.assert_array_equal(run.network.arrays()[name], value)
+
+
 def test_checkpoints_of_other_runs_and_damaged_ones_are_refused(table, tmp_path):
     run = training(table, tmp_path)
     assert not run.resume()
     path = run.checkpoint()
     with pytest.raises(DataError, match="another recipe, seed or dataset"):
         Training(SMALL, table, seed=2, device="cpu", folder=tmp_path).resume()
-    path.write_bytes(path.read_bytes()[:500])
+    content = bytearray(path.read_bytes())
+    weights = next(iter(run.network.tensors().values())).detach().numpy().tobytes()
+    content[content.index(weights)] ^= 1  # the file can be read, and says something else
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="a checksum does not fit"):
+        training(table, tmp_path).resume()
+    path.write_bytes(content[:500])
     with pytest.raises(DataError, match="not a readable checkpoint"):
         training(table, tmp_path).resume()
 
@@ -253,9 +296,7 @@ def test_train_from_nothing_is_one_command_that_resumes(tmp_path):
         "train", "--generate", "120", "--out", str(tmp_path), "--steps", "40", "--width", "16",
         "--test", "20", "--device", "cpu", "--json",
     ]  # fmt: skip
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 0, result.output
-    report = json.loads(result.stdout)
+    report = told(*arguments)
     assert report["samples"] == 120 and not report["resumed"]
     assert report["held_out"]["grasps"] == 20 and report["held_out"]["left_out"] == 0
     controller = Controller.load(tmp_path / "controller.safetensors")
@@ -280,8 +321,7 @@ def test_out_that_cannot_be_written_is_said_before_training(tmp_path, monkeypatc
     trained = []
     monkeypatch.setattr(Training, "run", lambda self, **options: trained.append(self))
     out = str(tmp_path / "file" / "out")
-    result = CliRunner().invoke(main, ["train", *source, "--out", out, "--device", "cpu"])
-    assert result.exit_code == 2 and "cannot be written" in result.stderr
+    refused("cannot be written", "train", *source, "--out", out, "--device", "cpu")
     assert not trained
 
 
@@ -294,6 +334,5 @@ def test_out_that_cannot_be_written_is_said_before_training(tmp_path, monkeypatc
     ],
 )
 def test_bad_options_are_one_sentence(tmp_path, arguments, says):
-    result = CliRunner().invoke(main, ["train", "--out", str(tmp_path / "out"), *arguments])
-    assert result.exit_code == 2 and says in result.stderr
+    refused(says, "train", "--out", tmp_path / "out", *arguments)
     assert not (tmp_path / "out").exists()

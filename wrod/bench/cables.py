@@ -164,6 +164,7 @@ def command(
 
     from wrod.errors import DataError
     from wrod.files import write_text
+    from wrod.identification.entry import identification_cost
     from wrod.identification.motion.loading import is_motion, load_motion
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -194,7 +195,7 @@ def command(
         for p in paths
         if (p.stem, k) not in have
     ]
-    seconds = sum(cost.identification(job[0]).seconds for job in jobs) / workers
+    seconds = sum(identification_cost(job[0]).seconds for job in jobs) / workers
     cost.settle(cost.Cost(seconds), f"{len(jobs)} folds", out, "ask for fewer", quiet=as_json)
     ended = side_by_side.run(fold_row, jobs, workers)
     for _, row in tqdm(ended, total=len(jobs), disable=None, file=sys.stderr):

@@ -42,7 +42,6 @@ _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
 
 @arguments.checked(
     SceneError,
-    path=arguments.path,
     trajectory=arguments.each(
         arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation")
     ),

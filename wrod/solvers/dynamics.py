@@ -89,12 +89,9 @@ class Dynamics(NewtonSteps):
 
     @arguments.checked(
         RodError,
-        batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
-        scheme=arguments.text,
         radius=arguments.numbers_of_any_shape,
         air_damping=arguments.array((), (None,)),
         drag=arguments.optional(arguments.numbers_of_any_shape),
-        inertia=arguments.text,
         internal_damping=arguments.numbers_of_any_shape,
         contact=arguments.optional(
             arguments.either(_IS_CONTACT, arguments.several(_IS_CONTACT, 0))
@@ -105,8 +102,6 @@ class Dynamics(NewtonSteps):
         force_scale=arguments.optional(arguments.array((), (None,))),
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(0, 10_000),
-        refuses_saddles=arguments.flag,
-        keeps_recording=arguments.flag,
     )
     def __init__(
         self,
@@ -206,7 +201,6 @@ class Dynamics(NewtonSteps):
         smallest_step=arguments.optional(arguments.number(above=0.0)),
         frames=arguments.optional(arguments.like("a Warp array", "ptr", "device", "shape")),
         frame_interval=arguments.number(above=0.0),
-        progress=arguments.optional(arguments.callback),
     )
     def advance(
         self,

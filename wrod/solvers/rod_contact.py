@@ -67,7 +67,6 @@ class RodContact:
 
     @arguments.checked(
         RodError,
-        batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
         radius=arguments.numbers_of_any_shape,
         friction=arguments.either(_IS_FRICTION, arguments.several(_IS_FRICTION)),
         stiffness=arguments.optional(arguments.array((), (None,))),
@@ -75,7 +74,6 @@ class RodContact:
         skin=arguments.number(1e-6, 1.0),
         partners=arguments.whole(1, 4096),
         passive=arguments.optional(arguments.truths),
-        smooth=arguments.flag,
     )
     def __init__(
         self,

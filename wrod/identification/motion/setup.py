@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod.rods.discretisation import cells, in_principal, of_free_part
+
 # What the base model starts from where nothing is known: the gravito-bending length, and the strain
 # of the rod under its own weight. Motion only tells ratios to the weight.
 START_L_GB = 0.2
@@ -115,8 +117,7 @@ class MotionSetup:
     @property
     def node_length(self) -> np.ndarray:
         """(n + 1,) rest length that belongs to each node [m]."""
-        padded = np.concatenate([[0.0], self.rest_length, [0.0]])
-        return 0.5 * (padded[1:] + padded[:-1])
+        return cells(self.rest_length)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What the kernels take, complex if the setup is, in the principal frame of bending.
@@ -128,25 +129,25 @@ class MotionSetup:
         for end, (node, edge) in enumerate(((1, 1), (-2, -2))):
             share[node] = (0.5 * self.rest_length[edge] + self.clamp_length[end]) / length[node]
         mass = self.line_mass * length + self.node_mass
-        stiffness = np.concatenate([self.bending, self.twisting[:, None]], axis=1)
-        c, s = np.cos(self.principal_angle), np.sin(self.principal_angle)
-        turn = np.array([[c, s], [-s, c]])
-        rest = np.concatenate(
-            [self.natural_curvature @ turn.T, self.natural_twist[:, None]], axis=1
-        )
-        offset = np.concatenate(
-            [self.marker_offset[:, :2] @ turn.T, self.marker_offset[:, 2:]], axis=1
+        angle, offset = self.principal_angle, self.marker_offset
+        here = of_free_part(
+            share,
+            bending_stiffness=self.bending,
+            twisting_stiffness=self.twisting,
+            natural_curvature=in_principal(self.natural_curvature, angle),
+            natural_twist=self.natural_twist,
+            softening=self.softening,
         )
         return {
             "rest_length": self.rest_length,
             "stretching": self.stretching,
-            "stiffness": stiffness / share[:, None],
-            "rest_strain": rest * share[:, None],
+            "stiffness": np.c_[here["bending_stiffness"], here["twisting_stiffness"]],
+            "rest_strain": np.c_[here["natural_curvature"], here["natural_twist"]],
             "viscous_time": self.viscous_time,
-            "softening": self.softening / np.stack([share**2, np.ones_like(share)], axis=1),
+            "softening": here["softening"],
             "mass": mass,
             "linear_drag": self.linear_drag * length,
             "quadratic_drag": self.quadratic_drag * length,
             "gravity": self.gravity + self.force,
-            "marker_offset": offset,
+            "marker_offset": np.c_[in_principal(offset[:, :2], angle), offset[:, 2]],
         }
