@@ -21,6 +21,8 @@ _MOST = 2**27
 F = TypeVar("F", bound=Callable)
 # Says what is wrong with a value ("must be ..."), or None if nothing is.
 Check = Callable[[Any], str | None]
+# Of kinds that count as whole numbers, and are none.
+_NO_NUMBERS = (bool, np.bool_, np.timedelta64)
 
 
 def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
@@ -100,7 +102,7 @@ def number(low: float = -math.inf, high: float = math.inf, above: float | None =
             isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiu"
         )
         # A whole number may be too large for any float.
-        fits = real and not isinstance(value, (bool, np.bool_)) and abs(value) <= _LARGEST
+        fits = real and not isinstance(value, _NO_NUMBERS) and abs(value) <= _LARGEST
         if fits and least <= value <= high and (above is None or value > above):
             return None
         return f"must be a finite number{bounds}"
@@ -112,7 +114,7 @@ def whole(low: int = 0, high: int = 2**53) -> Check:
     """A whole number from `low` to `high`."""
 
     def check(value: Any) -> str | None:
-        fits = isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.bool_))
+        fits = isinstance(value, (int, np.integer)) and not isinstance(value, _NO_NUMBERS)
         return (
             None if fits and low <= value <= high else f"must be a whole number{_range(low, high)}"
         )
@@ -291,6 +293,7 @@ def indices(value: Any) -> str | None:
     try:
         found = np.asarray(value)
         good = found.ndim == 1 and (found.dtype.kind in "iu" or found.size == 0)
+        good = good and not hasattr(value, "ptr")  # an array of Warp has no items
     except Exception:  # as in `array`
         good = False
     return None if good else "must be a list of whole numbers"
