@@ -205,7 +205,7 @@ def command(
     friction = grasps.friction(as_json)
 
     def planned(wanted: Shaping, friction=None, led=None, spin=None, tried=False):
-        """Pattern, rod and trajectory of a shaping; `led` is the remainder and `spin` [degrees] where
+        """Pattern, rod and trajectory of a shaping; `led` is the remainder, `spin` [degrees], where
         they are not as asked for. One that is only `tried` has no remainder by default."""
         fitted = fit(drawn, rod, wanted)
         try:
