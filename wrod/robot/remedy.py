@@ -14,7 +14,7 @@ from wrod.robot.tail import FINGERS
 _TURN_ROOM = 0.2  # [rad] that a last joint should have left
 # Shares of a last joint's turn that a spun hand is left with, and the most that it may twist the
 # rod [1/L_gb]: up to there simulated rods lie no worse by it.
-_SPUN, _MOST_TWIST = (0.75, 0.6), 0.7
+_SPUN, _MOST_TWIST = (0.75, 0.6, 0.9), 0.7
 # Sizes of a pattern, and rod left over at its end [L_gb].
 _SMALLER = ((0.85, 5.9), (0.8, 9.2), (0.93, 5.9))
 _STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
@@ -143,7 +143,7 @@ def remedies(
 
 def spins(task, rod, lead_in: float = 0.0) -> list[float]:
     """Spins [degrees] against the pattern's turns after which the last joint has room, where it has
-    none; without a lead-in of such a length [m]."""
+    none, two at most; without a lead-in of such a length [m]."""
     from wrod.rods.model import RodModel
 
     trajectory = task.trajectory
@@ -158,7 +158,7 @@ def spins(task, rod, lead_in: float = 0.0) -> list[float]:
     degrees = np.arange(0.0, math.degrees(most), 10.0)
     left = np.ptp(heading + way * np.radians(degrees)[:, None] * share, axis=1)
     found = [np.flatnonzero(left < part * room) for part in _SPUN]
-    return [float(way * degrees[f[0]]) for f in found if len(f)]
+    return [float(way * degrees[f[0]]) for f in found if len(f)][:2]
 
 
 def _spun(task, rod, curve, low: float | None) -> Iterator[dict]:
