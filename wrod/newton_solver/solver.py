@@ -80,8 +80,6 @@ class SolverDER(RodBuilding, SolverBase):
     @arguments.checked(
         RodError,
         model=arguments.like("a newton.Model", "body_q", "device"),
-        scheme=arguments.text,
-        inertia=arguments.text,
         max_step=arguments.optional(arguments.number()),
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(1, 10_000),
