@@ -10,9 +10,9 @@ from multiprocessing import parent_process
 import click
 
 from wrod import cost
-from wrod.bench.side_by_side import run
 from wrod.commands.options import DEVICE, options
 from wrod.machine import usable_cores
+from wrod.side_by_side import run
 
 # Kernels that a CPU has no use for.
 _OF_A_GPU = ("_lanes", "_ends", "condensing")
