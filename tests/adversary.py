@@ -13,7 +13,6 @@ The same seed draws the same calls.
 
 from __future__ import annotations
 
-import importlib
 import multiprocessing
 import os
 import random
@@ -28,12 +27,12 @@ from pathlib import Path
 
 import click
 import numpy as np
+from adversary_dress import dressed
 from adversary_kinds import (
     MORE,
     SAME,
     combined,
     doubled,
-    dressed,
     happening,
     odd_name,
     structured,
@@ -83,6 +82,7 @@ class Campaign:
             for name, command in self.commands.items()
             for option in [*command.params, None]
         ]
+        random.Random(0).shuffle(self.slots)  # a short campaign has some of every command
 
     def drawn(self, seed: int, number: int, only: str = "") -> tuple[str, list[str], dict | str]:
         """What is broken, the words of the call, and what is around it."""
@@ -253,27 +253,11 @@ class Campaign:
         return draw.choice(list(odd_places(self.folder / "odd", suffix).items()))
 
 
-def preload() -> None:
-    """What the commands import, once for all forked calls."""
-    commands()
-    for name in (
-        "cv2", "torch", "pxr.UsdGeom", "newton", "trimesh", "ezdxf", "svgelements", "xacro",
-        "matplotlib.figure", "scipy.optimize", "wrod.deployment.simulate", "wrod.robot.model",
-        "wrod.perception.scan", "wrod.scene.render", "wrod.training.loop", "wrod.identification",
-        "wrod.patterns.drawings",
-    ):  # fmt: skip
-        try:
-            importlib.import_module(name)
-        except ImportError:
-            continue
-
-
 def work(task: tuple) -> list[tuple]:
     """The calls of one process: (number, kind, words, code, seconds, wrong)."""
     folder, seed, numbers, only, end = task
     folder.mkdir(parents=True, exist_ok=True)
     files = material(folder / "files")
-    preload()
     campaign, found = Campaign(folder, files), []
     for number in numbers:
         if time.monotonic() > end:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from adversary_dress import reads
 from hostile import broken_arrays, broken_json, broken_xml, save_arrays, write_json_file
 
 # Valid calls beside adversary_material.VALID, for files that those do not read.
@@ -81,6 +82,25 @@ SCRIPTS = {
     "settings here": "printf 'backend: nothing\\nfont.size: \\377\\n' > matplotlibrc\n"
     "echo 'raise SystemExit(77)' | tee click.py random.py sitecustomize.py wrod.py > numpy.py\n"
     "CALL; a=$?\nrm -f matplotlibrc *.py\necho EXIT $a\n",
+    "on stdin": "CALL_STDIN < READ; echo EXIT $?\n",
+    "from a pipe": "cat READ | CALL_STDIN; echo EXIT $?\n",
+    "substituted": "exec 9< <(cat READ); CALL_FD; echo EXIT $?\n",
+    "small terminal": "script -qec 'stty cols 1 rows 1; exec bash ../call.sh' ../typed "
+    "< /dev/null > ../log; a=$?\ncat ../log; echo EXIT $a\n",
+    "no temporary room": "unshare -rm bash -c 'mkdir -p $OUT.disk; mount -t tmpfs -o size=SIZE "
+    "none $OUT.disk || exit 0\nexport TMPDIR=$OUT.disk; CALL; echo EXIT $?'\nrmdir $OUT.disk\n",
+    "no proc": "unshare -rm bash -c 'mount -t tmpfs none /proc || exit 0\nCALL; echo EXIT $?'\n",
+    "no shm": "unshare -rm bash -c 'mount -t tmpfs -o ro none /dev/shm || exit 0\nCALL; "
+    "echo EXIT $?'\n",
+    "no dev": "unshare -rm bash -c 'mount -t tmpfs none /dev || exit 0\nCALL; echo EXIT $?'\n",
+    "becomes a link": "CALL & p=$!\nsleep SECONDS; rm -rf $OUT* 2> ../log; ln -s /nonexistent/x "
+    "$OUT; wait $p\na=$?; rm -rf $OUT; echo EXIT $a\n",
+    "becomes read-only": "mkdir -p $OUT.disk; UNABLE CALL_THERE & p=$!\nsleep SECONDS; "
+    "chmod -R a-w $OUT.disk; wait $p\na=$?; find $OUT.disk -name '.*' -type f -printf 'HALF %p\n'\n"
+    "chmod -R u+w $OUT.disk; rm -rf $OUT.disk; echo EXIT $a\n",
+    "flips": "cp READ ../good; (while :; do cp ../good READ; printf '{\"a\": [' > READ; done) "
+    "& f=$!\nCALL; a=$?; kill $f; wait $f 2> ../log; cp ../good READ; echo EXIT $a\n",
+    "read-only input": "chmod 444 READ; CALL; a=$?; chmod 644 READ; echo EXIT $a\n",
     "json": "CALL --json 2> ../log | python3 -c 'import json, sys; text = sys.stdin.read()\n"
     "text and [json.loads(text, parse_constant=int)]'; s=\"${PIPESTATUS[*]}\"\n"
     "cat ../log; echo EXIT $s\n",
@@ -141,16 +161,12 @@ def doubled(draw, words, command, files) -> tuple[str, list[str]]:
     return f"all of {Path(one).name}", changed
 
 
-def _reads(words, files) -> list[str]:
-    return [word for word in words if word.strip("{}") in files]
-
-
 def structured(draw, words, files, folder) -> tuple[str, list[str]] | None:
     """One thing in a file broken, by its structure."""
-    reads = [w for w in _reads(words, files) if Path(w.strip("{}")).suffix in _BREAK]
-    if not reads:
+    found = [w for w in reads(words, files) if Path(w.strip("{}")).suffix in _BREAK]
+    if not found:
         return None
-    read = draw.choice(reads)
+    read = draw.choice(found)
     file, made = Path(files[read.strip("{}")]), folder / "broken"
     shutil.rmtree(made, ignore_errors=True)
     made.mkdir(parents=True)
@@ -185,10 +201,10 @@ _BREAK = {
 
 def odd_name(draw, words, files, folder) -> tuple[str, list[str]] | None:
     """A valid file under a name that nobody gives, or through links."""
-    reads = [w for w in _reads(words, files) if Path(files[w.strip("{}")]).is_file()]
-    if not reads:
+    found = [w for w in reads(words, files) if Path(files[w.strip("{}")]).is_file()]
+    if not found:
         return None
-    read = draw.choice(reads)
+    read = draw.choice(found)
     file, made = Path(files[read.strip("{}")]), folder / "named"
     shutil.rmtree(made, ignore_errors=True)
     made.mkdir(parents=True)
@@ -212,95 +228,16 @@ def odd_name(draw, words, files, folder) -> tuple[str, list[str]] | None:
     return f"{file.name} as {stem!r}, {how}", [str(path) if w == read else w for w in words]
 
 
-def dressed(draw, words, files, folder) -> tuple[str, list[str]]:
-    """The same call with its words or files written otherwise."""
-    reads = [w for w in _reads(words, files) if Path(w.strip("{}")).suffix in _DRESS]
-    if reads and draw.random() < 0.7:
-        read = draw.choice(reads)
-        file, made = Path(files[read.strip("{}")]), folder / "dressed"
-        shutil.rmtree(made, ignore_errors=True)
-        made.mkdir(parents=True)
-        kind = _DRESS[file.suffix](file, made / file.name, draw)
-        return f"{file.name} {kind}", [str(made / file.name) if w == read else w for w in words]
-    found, kinds = list(words), []
-    for k, word in enumerate(words):
-        try:
-            float(word)
-        except ValueError:
-            continue
-        if draw.random() < 0.7 and k and words[k - 1].startswith("--"):
-            ways = [f"+{word}", f" {word}", f"0{word}", f"{word}\t"]
-            if "." in word:
-                ways += [f"{word}000", f"{float(word):.17e}", f"{word}e0", f"{word}E+00"]
-            found[k] = draw.choice(ways)
-            kinds.append(found[k])
-    return f"numbers as {kinds}", found
-
-
-def _dress_text(file: Path, made: Path, draw) -> str:
-    text = file.read_text()
-    ways = {
-        "CRLF": text.replace("\n", "\r\n").encode(), "BOM": text.encode("utf-8-sig"),
-        "UTF-16": text.encode("utf-16"), "no last line end": text.rstrip("\n").encode(),
-        "blank lines": (text + "\n" * 500).encode(), "CR": text.replace("\n", "\r").encode(),
-        "spaces": text.replace("\n", " \t\n").encode(), "ends in ^Z": text.encode() + b"\x1a",
-    }  # fmt: skip
-    kind, content = draw.choice(list(ways.items()))
-    made.write_bytes(content)
-    return kind
-
-
-def _dress_json(file: Path, made: Path, draw) -> str:
-    value = json.loads(file.read_text())
-    if isinstance(value, dict):
-        value = dict(reversed(value.items()))
-    text = json.dumps(value, indent=draw.choice([None, 1, "\t"]))
-    ways = {"keys": text.encode(), "BOM": text.encode("utf-8-sig"), "UTF-16": text.encode("utf-16"),
-            "CRLF": text.replace("\n", "\r\n").encode(),
-            "spaces": b" \n" * 5000 + text.encode() + b"\n" * 5000}  # fmt: skip
-    kind, content = draw.choice(list(ways.items()))
-    made.write_bytes(content)
-    return kind
-
-
-def _dress_arrays(file: Path, made: Path, draw) -> str:
-    with np.load(file) as content:
-        arrays = {name: content[name] for name in content.files}
-    kind = draw.choice(["packed", "big-endian", "Fortran", "turned names", "a comment"])
-    if kind == "packed":
-        np.savez_compressed(made, **arrays)
-        return kind
-    if kind == "big-endian":
-        arrays = {k: v.astype(v.dtype.newbyteorder(">")) for k, v in arrays.items()}
-    elif kind == "Fortran":
-        arrays = {k: np.asfortranarray(v) for k, v in arrays.items()}
-    elif kind == "turned names":
-        arrays = dict(reversed(arrays.items()))
-    save_arrays(made, arrays)
-    if kind == "a comment":
-        import zipfile
-
-        with zipfile.ZipFile(made, "a") as archive:
-            archive.comment = b"words" * 1000
-    return kind
-
-
-_DRESS = {
-    ".csv": _dress_text, ".svg": _dress_text, ".urdf": _dress_text, ".usda": _dress_text,
-    ".json": _dress_json, ".npz": _dress_arrays,
-}  # fmt: skip
-
-
 def happening(draw, words, files, folder) -> tuple[str, list[str], str]:
     """Something happens while the call runs; the bash around it."""
     kind = draw.choice(list(SCRIPTS))
     text = SCRIPTS[kind]
-    reads = [w for w in _reads(words, files) if Path(files[w.strip("{}")]).is_file()]
-    if "READ" in text and not reads:
+    found = [w for w in reads(words, files) if Path(files[w.strip("{}")]).is_file()]
+    if "READ" in text and not found:
         kind = "two at once"
         text = SCRIPTS[kind]
     if "READ" in text:
-        read = draw.choice(reads)
+        read = draw.choice(found)
         made = folder / "happens"
         shutil.rmtree(made, ignore_errors=True)
         made.mkdir(parents=True)
@@ -308,6 +245,11 @@ def happening(draw, words, files, folder) -> tuple[str, list[str], str]:
         path = made / Path(files[read.strip("{}")]).name
         words = [str(path) if word == read else word for word in words]
         text = text.replace("READ", str(path))
+        at = [k for k, word in enumerate(words) if word == str(path)]
+        for name, place in (("CALL_STDIN", "/dev/stdin"), ("CALL_FD", "/dev/fd/9")):
+            if name in text:
+                text = text.replace(name, "CALL")
+                words = [place if k in at else word for k, word in enumerate(words)]
     text = text.replace("SECONDS", f"{draw.choice([0.5, 1.0, 1.5, 2.0, 3.0]):g}")
     text = text.replace("SIZE", draw.choice(["4k", "8k", "32k", "128k", "512k"]))
     text = text.replace("INODES", draw.choice(["2", "3", "4", "100", "100"]))

@@ -84,7 +84,9 @@ NUMBERS = (
     "1m", "9007199254740993", "9223372036854775808", "18446744073709551616",
     "340282366920938463463",
     "-9223372036854775809", "9" * 5000, "0." + "0" * 5000 + "1", "1" + "0" * 4400, "True", "",
-    "min", "max", "just below", "just above",
+    "min", "max", "just below", "just above", "−1", "–1", "1\u202f000", "1 000", "5e−3", "1d-3",
+    "1f", "1L", "0.1mm", "10cm", "1\u00a0", "٠.٥", "0,5", "1e+", "“1”", "1..2", "1;", "~1", "<1",
+    "1±0.1", "\u200e1", "1\ufeff", "0x1.8p1", "1e0x", "pi", "2*3", "1e-400", "-1e-400",
 )  # fmt: skip
 WORDS = (
     "", " ", "\n", "\t\r\n", ".", "..", "-", "--", "---", "-h", "--help", "=", ",", ", ,", ";", "|",
@@ -98,6 +100,11 @@ WORDS = (
     "cuda:999999999999999999999", "meta", "mps", "xla", "cpu:0", "cpu,cpu", "http://127.0.0.1:9/x",
     "file:///etc/passwd", "/etc/passwd", "con", "nul", "CON.json", ".json", "x.json", "x.urdf",
     "x.xacro", "x.npz", "x.svg", "x.dxf", "x.png", "x.step", ".npz", "🦄.npz",
+    "“line”", "line\u00a0", "–rod", "//127.0.0.1/share/x.npz", "\\\\server\\x.npz", "C:\\x.npz",
+    "s3://x/y.npz", "smb://x/y", "x.npz:stream", "x.csv.gz", "x.tar", "x.zip", "@x", "@{out}",
+    "line,,sine", ",line", "line,", "line line", "line\nsine", "1,2,3,4,5,6,7", "1;2;3;4",
+    "0.1,0.2,0.3,", "(0,0,0,0)", "[0.6,0,0,0]", "0.6 0 0 0", "0.6,0,0,0°", "64X48", "64x48x3",
+    "64 x 48", "64*48", "cpu;cuda", "cuda:0,1", "0", "all", "ALL", "any", "default", "-0", "π",
 )  # fmt: skip
 # Environments and limits around a call.
 AROUND = (
@@ -127,6 +134,28 @@ AROUND = (
     {"WARP_CACHE_PATH": "a\nb"}, {"PYTHONSAFEPATH": "1", "PYTHONNOUSERSITE": "1"},
     {"HOME": None, "PATH": None, "LANG": None, "TMPDIR": None, "USER": None, "LOGNAME": None},
     {"WROD_TRACEBACK": ""}, {"PXR_PLUGINPATH_NAME": "/dev/zero"},
+    {"HOME": "relative"}, {"HOME": "/tmp/\udcff"}, {"TMPDIR": "relative"}, {"TMPDIR": "\udcff"},
+    {"TMPDIR": "/dev/null"}, {"PWD": "/nonexistent"}, {"X": "y" * 100_000}, {"X": "\udcff"},
+    {"_WROD_COMPLETE": "bash_complete"}, {"_WROD_COMPLETE": "x"}, {"_WROD_COMPLETE": "zsh_source"},
+    {"_PYTHON__M_WROD_COMPLETE": "bash_complete"}, {"_PYTHON__M_WROD_COMPLETE": "fish_complete"},
+    {"_PYTHON__M_WROD_COMPLETE": "bash_complete", "COMP_WORDS": "wrod '", "COMP_CWORD": "x"},
+    {"SOURCE_DATE_EPOCH": "x"}, {"SOURCE_DATE_EPOCH": "-1"}, {"SOURCE_DATE_EPOCH": "9" * 30},
+    {"MPLBACKEND": "module://nothing"}, {"MPLCONFIGDIR": "/dev/null"},
+    {"MATPLOTLIBRC": "/dev/zero"},
+    {"MATPLOTLIBRC": "/nonexistent"}, {"XDG_CONFIG_HOME": "/dev/null"}, {"XDG_CACHE_HOME": "x"},
+    {"LANG": "ja_JP.SJIS"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    {"LC_NUMERIC": "de_DE.UTF-8"}, {"PYTHONUTF8": "1"}, {"PYTHONMALLOC": "debug"},
+    {"PYTHONFAULTHANDLER": "1"}, {"PYTHONPATH": "/dev/null:/proc:/nonexistent:"},
+    {"PYTHONNODEBUGRANGES": "1"}, {"PYTHONPYCACHEPREFIX": "/proc/x"}, {"PYTHONASYNCIODEBUG": "1"},
+    {"LD_PRELOAD": "/nonexistent.so"}, {"LD_LIBRARY_PATH": "/dev/null:/proc"}, {"LD_BIND_NOW": "1"},
+    {"FORCE_COLOR": "1"}, {"LINES": "1", "COLUMNS": "3"}, {"LINES": "x"}, {"PAGER": "/bin/false"},
+    {"COLUMNS": "1e9"}, {"MKL_NUM_THREADS": "x"}, {"MALLOC_ARENA_MAX": "x"},
+    {"CUDA_PATH": "/proc"},
+    {"TORCHINDUCTOR_CACHE_DIR": "/proc"}, {"PXR_WORK_THREAD_LIMIT": "x"},
+    {"TF_DEBUG": "*"},
+    {"ROS_PACKAGE_PATH": "/dev/zero:\udcff:/proc"}, {"AMENT_PREFIX_PATH": ":::"},
+    {"TORCH_HOME": "x"},
+    {"OPENCV_LOG_LEVEL": "x"}, {"QT_QPA_PLATFORM": "x"}, {"CUDA_CACHE_PATH": "/proc"},
     {"OPENCV_IO_MAX_IMAGE_PIXELS": "x"}, {"NUMEXPR_MAX_THREADS": "x"}, {"KMP_AFFINITY": "x"},
 )  # fmt: skip
 AROUND_STREAMS = (
@@ -137,7 +166,9 @@ AROUND_LIMITS = (
     "ulimit -n 20", "ulimit -n 8", "ulimit -f 0", "ulimit -f 4", "ulimit -v 400000",
     "ulimit -v 1500000", "ulimit -s 256", "ulimit -u 1", "umask 777", "umask 000", "ulimit -c 0",
     "trap '' PIPE", "trap '' INT", "trap '' TERM HUP", "rmdir_cwd", "cd /proc", "cd /",
-    "ulimit -t 3",
+    "ulimit -t 3", "ulimit -d 100000", "ulimit -l 0", "ulimit -x 0", "ulimit -i 0",
+    "umask 077", "cd /dev", "cd /proc/self/fd", "exec 3</dev/zero 4>/dev/null 5>&2", "ulimit -q 0",
+    "ulimit -s unlimited", "exec 1000</dev/null", "set -f; cd /sys",
 )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from adversary_kinds import ALLOWED
 from adversary_material import AROUND_STREAMS
-from forked import End, forked
+from forked import End, server
 from killing import same
 
 from wrod.commands import main
@@ -33,12 +33,10 @@ def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[E
     before = {path: _stamp(path) for path in files.values()}
     if isinstance(around, tuple):
         around = None
-    if (around is None and words[0] in ("train", "distil")) or words[:2] == ["bench", "robot"]:
-        around = {}  # torch's threads do not outlive a fork
     if around is None:
-        end = forked(lambda: _call(words), place / "here")
+        end = server().run(_call, (words,), place / "here")
     else:
-        end = forked(lambda: _shell(words, around, out), place / "here", limited=False)
+        end = server().run(_shell, (words, around, out), place / "here", limited=False)
     left = [str(path) for path in (place / "here").rglob("*")]
     if isinstance(around, dict) and around.get("WARP_CACHE_PATH"):
         left = []  # kernels are kept there
@@ -97,6 +95,7 @@ def _shell(words: list[str], around, out: Path) -> int:
         there = shlex.join([sys.executable, "-P", "-m", "wrod"])
         there += " " + shlex.join(words).replace(str(out), f"{out}.disk/out")
         line = before.replace("CALL_THERE", there).replace("CALL", call)
+        (out.parent / "call.sh").write_text(f"{call}\n", errors="surrogateescape")
     os.execve("/bin/bash", ["bash", "-c", line], environment)
 
 

@@ -4,19 +4,15 @@ Each call of `wrod` is a process of its own, of 12 s and 3 GiB: what hangs, cras
 The tests try a share of the kinds; WROD_FUZZ=50 (`make fuzz`) tries all of them.
 """
 
-import importlib
 import os
 import random
 import shutil
 import time
 from pathlib import Path
 
-import click
 import pytest
 from bombs import bombs, specials
 from forked import call
-
-from wrod.commands import COMMANDS, main
 
 FUZZ = int(os.environ.get("WROD_FUZZ", "1"))
 # Of a family's kinds, in the tests; `make fuzz` tries all, for so long [s] and in another order
@@ -79,23 +75,6 @@ NAMES = {
     "manifest": "manifest.json", "checkpoint": "checkpoint.pt",
     "ledger": "trials.jsonl", "patterns": "letterA.txt", "sets": "a.npz",
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module", autouse=True)
-def loaded():
-    """What the commands import, once for all forked calls."""
-    group = click.Context(main)
-    for name in COMMANDS:
-        main.get_command(group, name)
-    for name in (
-        "cv2", "torch", "pxr.UsdGeom", "newton", "trimesh", "ezdxf", "svgelements", "xacro",
-        "wrod.deployment.simulate", "wrod.robot.model", "wrod.perception.scan", "wrod.scene.render",
-        "wrod.training.loop", "wrod.patterns.drawings", "wrod.identification",
-    ):  # fmt: skip
-        try:
-            importlib.import_module(name)
-        except ImportError:
-            continue
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,7 @@
 """Splits, steps and starts of the fits to motions, and the summary of their cross-validation."""
 
+import json
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -283,8 +285,18 @@ def test_an_identification_that_was_stopped_goes_on(measured, tmp_path, monkeypa
 
     with pytest.raises(KeyboardInterrupt):
         select(stop, remembered=Remembered(steps, measured))
-    with open(steps, "a") as file:
-        file.write('{"step": "half a li')
+    lines = steps.read_text().splitlines()
+    row = json.loads(lines[-1])
+    for name, value in {"cost": 0.0, "more": [1], "misfit": "x"}.items():
+        row["found"][name] = value
+        steps.write_text("\n".join([*lines[:-1], json.dumps(row), ""]))
+        with pytest.raises(DataError, match=f"line {len(lines)}: is damaged; delete that line"):
+            Remembered(steps, measured)
+    for damaged in ("{}", "[]", '{"step": 1}', "\0", '{"step": "a", "found": {"a": ' + 40 * "["):
+        steps.write_text("\n".join([*lines[:-1], damaged, ""]))
+        with pytest.raises(DataError, match=r"steps\.jsonl"):
+            Remembered(steps, measured)
+    steps.write_text("\n".join([*lines, '{"step": "half a li']))
     linearised = MotionLaboratory._linearised
 
     def _linearised(self, windows, model, values):

@@ -38,6 +38,16 @@ def test_csv_with_named_columns_in_another_order(tmp_path):
     assert wrod.Pattern.load(path).length == pytest.approx(LENGTH, rel=1e-5)
 
 
+def test_cells_between_quotes_and_columns_that_count_the_points(tmp_path):
+    path = tmp_path / "p.csv"
+    rows = [f'"{x:.9g}","{y:.9g}"' for x, y in POINTS]
+    path.write_text("\n".join(['"x","y"', *rows]))
+    assert wrod.Pattern.load(path).length == pytest.approx(LENGTH, rel=1e-6)
+    path.write_text("\n".join(f"{i},{x:.9g},{y:.9g}" for i, (x, y) in enumerate(POINTS)))
+    with pytest.raises(PatternError, match="line 1: its first column counts the points"):
+        wrod.Pattern.load(path)
+
+
 def test_numpy_files(tmp_path):
     np.save(tmp_path / "a.npy", POINTS * 1e3)
     np.savez(tmp_path / "b.npz", points=POINTS * 100, units="cm")

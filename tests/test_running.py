@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner
+from forked import full_disk
 
 from wrod.commands import LazyGroup, main
 from wrod.commands.running import (
@@ -68,13 +69,29 @@ def test_every_end_is_one_sentence(error, says, code, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["TQDM_MININTERVAL", "NUMPY_MADVISE_HUGEPAGE", "OPENCV_IO_MAX_IMAGE_PIXELS"]
+    "name",
+    [
+        "TQDM_MININTERVAL",
+        "NUMPY_MADVISE_HUGEPAGE",
+        "OPENCV_IO_MAX_IMAGE_PIXELS",
+        "SOURCE_DATE_EPOCH",
+    ],
 )
 def test_variables_that_a_library_cannot_read_are_named(name, tmp_path):
     words = ["plan", "line", "--rod", "rope", "--method", "intuitive", "--no-robot", "--spacing"]
     call = [sys.executable, "-m", "wrod", *words, "0.05", "--out", str(tmp_path / "out")]
     run = subprocess.run(call, env=os.environ | {name: "x"}, capture_output=True, text=True)
     assert run.returncode == REFUSED and f"{name}='x'" in run.stderr and len(run.stderr) < 300
+
+
+@pytest.mark.parametrize(
+    "names", [{}, {"COMP_WORDS": "wrod"}, {"COMP_WORDS": "wrod", "COMP_CWORD": "x"}]
+)
+def test_completions_that_no_shell_asks_for_are_refused(names, monkeypatch):
+    for name, value in {"_WROD_COMPLETE": "bash_complete", **names}.items():
+        monkeypatch.setenv(name, value)
+    result = CliRunner().invoke(main, ["rods"], prog_name="wrod")
+    assert result.exit_code == REFUSED and "WROD_COMPLETE" in result.stderr
 
 
 def test_what_is_complete_is_said(tmp_path):
@@ -163,22 +180,14 @@ WORDS = "dataset --size 300 --shard-size 100 --no-sensitivities --device cpu"
 
 
 def test_a_disk_that_fills_up_loses_nothing(tmp_path):
-    import resource
-
-    from forked import forked
-
-    def run():
-        # A file may have so many bytes; the manifest has, a shard of 100 grasps has not.
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-        result = CliRunner().invoke(main, [*WORDS.split(), "--out", str(tmp_path / "out")])
-        os.write(1, result.output.encode())
-        return result.exit_code
-
-    end = forked(run, tmp_path)
-    assert end.code == REFUSED and "Traceback" not in end.said, end.said
-    assert "run the same command again" in end.said or "choose another --out" in end.said
+    words = [*WORDS.split(), "--out", str(tmp_path / "out")]
+    # The manifest has less, a shard of 100 grasps has more.
+    with full_disk(4096):
+        result = CliRunner().invoke(main, words)
+    assert result.exit_code == REFUSED and result.stderr.count("\n") == 1, result.output
+    assert "make room or choose another, then run the same command again" in result.stderr
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["manifest.json"]
-    result = CliRunner().invoke(main, [*WORDS.split(), "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(main, words)
     assert result.exit_code == 0 and "300 solved now" in result.output
 
 
@@ -287,20 +296,18 @@ def test_rods_are_longer_than_what_is_measured_of_them():
         assert result.exit_code == 2 and "--length" in result.stderr
 
 
-def test_a_forked_process_compiles_with_threads_of_its_own(tmp_path):
+def test_a_forked_process_compiles_with_threads_of_its_own():
     """Its parent's threads are not in it: it would wait for them for ever."""
-    from forked import forked
-
-    from wrod.kernels.compiling import compile_ahead, compile_together
-    from wrod.kernels.grasping import mesh, reading
-
-    for begun in compile_ahead("cpu", [(mesh.refine, 1)]):
-        begun.result()
-    time.sleep(0.1)  # the thread is idle
-
-    def run():
-        signal.alarm(60)
-        compile_together("cpu", [(mesh.refine, 1), (reading.judge, 1)])
-        return 0
-
-    assert forked(run, tmp_path).code == 0
+    code = """
+import os, signal
+from wrod.kernels.compiling import compile_ahead, compile_together
+from wrod.kernels.grasping import mesh, reading
+for begun in compile_ahead("cpu", [(mesh.refine, 1)]):
+    begun.result()
+if os.fork() == 0:
+    signal.setitimer(signal.ITIMER_REAL, 300.0)
+    compile_together("cpu", [(mesh.refine, 1), (reading.judge, 1)])
+    os._exit(0)
+os._exit(os.waitstatus_to_exitcode(os.wait()[1]))
+"""
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

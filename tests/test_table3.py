@@ -1,9 +1,11 @@
 """The accuracy campaign: its ledger, its tables, and that a stopped run goes on."""
 
 import json
+import shutil
 
 import pytest
 from click.testing import CliRunner
+from forked import full_disk
 
 from wrod.bench import table3_paper
 from wrod.bench.table3_paper import METHODS, PATTERNS, RODS, SUBSTRATES, friction, measured
@@ -89,7 +91,7 @@ def test_summary_names_the_cells_that_fall_short():
     assert "0.29 ± 0.13" in markdown(good, "head")  # the paper's cell
 
 
-def test_part_of_a_campaign_is_written_and_resumed(tmp_path):
+def test_part_of_a_campaign_is_written_and_resumed(tmp_path, monkeypatch):
     """Two cells on coarse meshes and long steps; a second call does what lacks, a third goes on to
     more cells with the trials that are there."""
     args = ["bench", "table3", "--out", str(tmp_path), "--trials", "2", "--device", "cpu"]
@@ -112,6 +114,40 @@ def test_part_of_a_campaign_is_written_and_resumed(tmp_path):
     assert set(table.splitlines()) - set((tmp_path / "table3.md").read_text().splitlines()) == {
         line for line in table.splitlines() if "cells" in line or "trials diverged" in line
     }
+    _full(args, tmp_path, table)
+    _vanished(args, tmp_path, table, monkeypatch)
+
+
+def _full(args, done, table):
+    """A disk that fills up while trials are kept: the same command goes on, to the same table."""
+    args = [str(done / "full") if word == str(done) else word for word in args]
+    with full_disk(4096):
+        result = CliRunner().invoke(main, [*args, "--substrate", "steel"])
+    assert result.exit_code == 2 and result.stderr.count("\n") == 1, result.output
+    assert "trials.jsonl" in result.stderr and "make room" in result.stderr
+    kept = (done / "full" / "trials.jsonl").read_text().count("\n") - 1
+    assert 0 < kept < 4
+    figures = json.loads(CliRunner().invoke(main, [*args, "--substrate", "steel"]).output)
+    assert figures["simulated_now"] == 4 - kept
+    assert (done / "full" / "table3.md").read_text() == table
+
+
+def _vanished(args, done, table, monkeypatch):
+    """A folder that is removed while trials are simulated loses none of them."""
+    args, added = [str(done / "gone") if word == str(done) else word for word in args], []
+    add = Ledger.add
+
+    def vanish(self, rows):
+        if len(added) == 2:
+            shutil.rmtree(self.path.parent)
+        added.append(rows)
+        add(self, rows)
+
+    monkeypatch.setattr(Ledger, "add", vanish)
+    result = CliRunner().invoke(main, [*args, "--substrate", "steel"])
+    assert result.exit_code == 0 and len(added) == 4, result.output
+    assert (done / "gone" / "trials.jsonl").read_text().count("\n") == 5
+    assert (done / "gone" / "table3.md").read_text() == table
 
 
 @pytest.mark.slow

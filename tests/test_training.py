@@ -1,4 +1,6 @@
 import json
+import shutil
+from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -6,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
+from forked import full_disk
 from wrod.training.autograd import solve_grasps_differentiable
 from wrod.training.dataset import GraspTable
 from wrod.training.loop import CHECKPOINT, Training, errors
@@ -131,13 +134,52 @@ def test_resumed_training_gives_the_same_weights(table, tmp_path):
         np.testing.assert_array_equal(second.network.arrays()[name], value)
 
 
+@pytest.mark.parametrize("kind", ["full", "vanished"])
+def test_a_full_disk_or_a_folder_that_vanishes_loses_no_training(table, tmp_path, kind):
+    whole = training(table, tmp_path / "whole")
+    whole.run()
+    run = training(table, tmp_path / "out")
+    if kind == "full":
+        steps, original = iter(range(10**6)), run._one_step
+        with ExitStack() as later:
+
+            def fill_at_25(done):
+                if next(steps) == 25:
+                    later.enter_context(full_disk(100))
+                original(done)
+
+            run._one_step = fill_at_25
+            with pytest.raises(OSError, match=r"too large.*checkpoint"):
+                run.run(checkpoint_every=0.0)
+        assert [path.name for path in run.folder.iterdir()] == [CHECKPOINT]
+        run = training(table, tmp_path / "out")
+        assert run.resume() and run.step == 25
+        run.run()
+    else:
+
+        def vanish(step, *_):
+            if step % 20 == 5:
+                shutil.rmtree(run.folder, ignore_errors=True)
+
+        run.run(watch_every=1, progress=vanish)
+        assert training(table, tmp_path / "out").resume()
+    for name, value in whole.network.arrays().items():
+        np.testing.assert_array_equal(run.network.arrays()[name], value)
+
+
 def test_checkpoints_of_other_runs_and_damaged_ones_are_refused(table, tmp_path):
     run = training(table, tmp_path)
     assert not run.resume()
     path = run.checkpoint()
     with pytest.raises(DataError, match="another recipe, seed or dataset"):
         Training(SMALL, table, seed=2, device="cpu", folder=tmp_path).resume()
-    path.write_bytes(path.read_bytes()[:500])
+    content = bytearray(path.read_bytes())
+    weights = next(iter(run.network.tensors().values())).detach().numpy().tobytes()
+    content[content.index(weights)] ^= 1  # the file can be read, and says something else
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="a checksum does not fit"):
+        training(table, tmp_path).resume()
+    path.write_bytes(content[:500])
     with pytest.raises(DataError, match="not a readable checkpoint"):
         training(table, tmp_path).resume()
 

@@ -4,6 +4,7 @@ import io
 import math
 import os
 import time
+import zipfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -50,6 +51,18 @@ def errors(network, table: GraspTable, device: str = "cpu") -> np.ndarray:
 def _pose(columns: int) -> list[int]:
     """Which of so many outputs are the grip's pose, twist included, and not the force."""
     return [*range(6), *range(9, columns)]
+
+
+def _refuse_damage(path: Path) -> None:
+    """Raise a ValueError if a part of a checkpoint does not fit its checksum, at which torch does
+    not look, or is packed, as none of ours is."""
+    with zipfile.ZipFile(path) as archive:
+        parts = archive.infolist()
+        packed = any(part.compress_type for part in parts)
+        if packed or sum(part.file_size for part in parts) > os.path.getsize(path):
+            raise ValueError("it is packed")
+        if archive.testzip() is not None:
+            raise ValueError("a checksum does not fit")
 
 
 class Training:
@@ -289,6 +302,7 @@ class Training:
             return False
         checked_path(path, "a checkpoint; delete it", limit=_MOST_BYTES)
         try:
+            _refuse_damage(path)
             content = torch.load(path, map_location=self.device, weights_only=True)
             known = content["format"] == _FORMAT
             other = not known or content["run"] != self._run()

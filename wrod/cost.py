@@ -119,20 +119,6 @@ def grasps(
     return Cost(count / ranks / rate, 50e3 * min(shard_size, count), float(row_bytes) * count)
 
 
-def identification(data) -> Cost:
-    """Of finding what a model misses in one file of measurements.
-
-    Raises:
-        DataError: it holds none.
-    """
-    from wrod.identification import is_motion, load_measurements, load_motion
-
-    if is_motion(data):
-        return Cost(RECORDING * load_motion(data).recording_count)
-    load_measurements(data)
-    return Cost(IDENTIFIED_SET)
-
-
 def manifold(count: int, lengths: int, *, device: str) -> Cost:
     """Of equilibria of held grips, and of the boundary for some suspended lengths."""
     seconds = EQUILIBRIUM * count + BOUNDARY * lengths

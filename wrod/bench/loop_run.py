@@ -142,7 +142,9 @@ def _settle(loop: Loop, curves: dict) -> None:
     refuse_long_moves(loop.speed, loop.step)
     controllers, believed = len(loop.controllers), rod(loop.rod_name)
     if loop.recording is not None:
-        known, cases, learning = cost.identification(loop.recording), 1, 0.0
+        from wrod.identification.entry import identification_cost
+
+        known, cases, learning = identification_cost(loop.recording), 1, 0.0
         count, length = 2 * max(len(loop.names), 1), 2.0
     else:
         cases = len(loop.effects or EFFECTS)

@@ -80,6 +80,18 @@ class LazyGroup(click.Group):
         except (Exception, KeyboardInterrupt) as error:
             stop(ctx, error)
 
+    def _main_shell_completion(self, *args, **kwargs):
+        """Nothing, unless a shell asks for completions."""
+        try:
+            super()._main_shell_completion(*args, **kwargs)
+        except (KeyError, ValueError) as error:  # it is no shell that asks
+            click.echo(
+                f"wrod: no words to complete ({error}); unset the variable that ends in "
+                "WROD_COMPLETE",
+                err=True,
+            )
+            sys.exit(REFUSED)
+
     def main(self, *args, **kwargs):
         open_streams()
         begin()

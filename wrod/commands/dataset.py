@@ -49,7 +49,6 @@ def command(
     \b
       torchrun --nproc-per-node 4 --no-python wrod dataset --size 1000000 --out DIR
     """
-    from wrod.errors import DataError
     from wrod.machine import machine_line
     from wrod.planning.roll import read_roll
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
@@ -75,14 +74,11 @@ def command(
             bar.total = total
             bar.update(count)
 
-        try:
-            outcome = generate(
-                out, size, seed=seed, closure=closure, sensitivities=sensitivities,
-                shard_size=shard_size, rod=rod, roll=read_roll(roll_text, rod),
-                device=device, rank=rank, progress=progress,
-            )  # fmt: skip
-        except OSError as error:
-            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+        outcome = generate(
+            out, size, seed=seed, closure=closure, sensitivities=sensitivities,
+            shard_size=shard_size, rod=rod, roll=read_roll(roll_text, rod),
+            device=device, rank=rank, progress=progress,
+        )  # fmt: skip
     figures = {
         "samples": outcome.samples,
         "solved_now": outcome.solved,

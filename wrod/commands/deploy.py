@@ -97,7 +97,6 @@ def command(
 def _write(out: Path, laying: Laying, deployments: list, path, curve, rod, fixtures) -> list[Path]:
     """Write the deployments, their picture, and the page of one."""
     from wrod.deployment.picture import draw_deployments
-    from wrod.errors import DataError
 
     title = f"{curve.name} · {path.metadata.get('method', '')} · friction {laying.friction:g}"
     names = ["deployment"]
@@ -106,16 +105,13 @@ def _write(out: Path, laying: Laying, deployments: list, path, curve, rod, fixtu
     kept = deployments
     if laying.frames is None:  # they were for the page alone
         kept = [replace(d, frames=None, hand=None) for d in deployments]
-    try:
-        written = [d.save(out / name) for d, name in zip(kept, names, strict=True)]
-        written.append(draw_deployments(out / "deployment.png", curve, kept, title, fixtures))
-        if laying.paged:
-            from wrod.scene.page import write_laying_page
+    written = [d.save(out / name) for d, name in zip(kept, names, strict=True)]
+    written.append(draw_deployments(out / "deployment.png", curve, kept, title, fixtures))
+    if laying.paged:
+        from wrod.scene.page import write_laying_page
 
-            page, seen = out / "deployment.html", deployments[0]
-            written.append(write_laying_page(page, seen, path, curve, rod, laying.interval))
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+        page, seen = out / "deployment.html", deployments[0]
+        written.append(write_laying_page(page, seen, path, curve, rod, laying.interval))
     return written
 
 

@@ -31,7 +31,6 @@ def command(
     \b
       torchrun --nproc-per-node 32 --no-python wrod distil --size 400 --out DIR
     """
-    from wrod.errors import DataError
     from wrod.training.dataset import Rank
     from wrod.training.plans import generate, load
 
@@ -44,17 +43,14 @@ def command(
         unit="plan", desc="plans", position=rank.local_index, total=-(-size // rank.count),
         quiet=as_json,
     ) as bar:  # fmt: skip
-        try:
-            good, bad = generate(
-                out / "plans",
-                size,
-                seed=seed,
-                rank=rank,
-                device=device,
-                progress=lambda: bar.update(1),
-            )
-        except OSError as error:
-            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+        good, bad = generate(
+            out / "plans",
+            size,
+            seed=seed,
+            rank=rank,
+            device=device,
+            progress=lambda: bar.update(1),
+        )
     figures: dict = {"plans": good, "not_laid": bad, "written": [str(out / "plans")]}
     if rank.count == 1:
         from wrod.training.distil import distil

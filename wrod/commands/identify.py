@@ -49,9 +49,10 @@ def command(
     if data is None:
         raise DataError("no measurements given; name an .npz file, or --template to write one")
     from wrod.identification import identify, is_motion
+    from wrod.identification.entry import identification_cost
 
     kept = {"steps": out / "steps.jsonl"} if is_motion(data) else {}
-    work = cost.identification(data)
+    work = identification_cost(data)
     cost.settle(work, f"{data.name} identified", out, "give less data", quiet=as_json)
     bar_format = "{desc}: {elapsed}"
     with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:
@@ -87,14 +88,10 @@ def command(
 
 
 def _write_template(kind: str, out: Path, as_json: bool) -> None:
-    from wrod.errors import DataError
     from wrod.files import read_arrays
     from wrod.identification.template import write_template
 
-    try:
-        path = write_template(kind, out / f"{kind}.npz")
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    path = write_template(kind, out / f"{kind}.npz")
     fields = {name: list(value.shape) for name, value in read_arrays(path).items()}
     if as_json:
         click.echo(json.dumps({"fields": fields, "written": [str(path)]}, indent=2))

@@ -58,10 +58,7 @@ def command(
     if out is not None:
         if out.suffix != ".json":
             raise RodError(f"{out}: is not a .json file name; `wrod plan --rod` knows rods by it")
-        try:
-            rod.save(out)
-        except OSError as error:
-            raise RodError(f"{out}: cannot be written ({error}); choose another --out") from None
+        rod.save(out)
     figures = {
         "loop_height_ratio": ratio,
         "gravito_bending_length": rod.gravito_bending_length,

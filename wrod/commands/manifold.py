@@ -40,7 +40,7 @@ def command(
     """
     from tqdm import tqdm
 
-    from wrod.errors import DataError, GraspError
+    from wrod.errors import GraspError
     from wrod.grasps.manifold.map import force_map, save_map
     from wrod.grasps.manifold.picture import draw_map, draw_nudges
 
@@ -66,14 +66,11 @@ def command(
             device=device,
             progress=progress,
         )
-    try:
-        written = [
-            draw_map(out / "manifold.png", manifold),
-            draw_nudges(out / "nudges.png", manifold),
-            save_map(out / "manifold.npz", manifold),
-        ]
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    written = [
+        draw_map(out / "manifold.png", manifold),
+        draw_nudges(out / "nudges.png", manifold),
+        save_map(out / "manifold.npz", manifold),
+    ]
     figures = {**_figures(manifold), "written": [str(path) for path in written]}
     if as_json:
         click.echo(json.dumps(figures, indent=2))

@@ -23,7 +23,6 @@ def command(paper: str, side: float, margin: float, out: Path, as_json: bool) ->
     `wrod plan photo.jpg --markers OUT/layout.json` knows the picture's scale.
     """
     from wrod.commands.scan import parse_numbers
-    from wrod.errors import DataError
     from wrod.perception.sheet import PAPERS, MarkerSheet
 
     size = PAPERS.get(paper.lower())
@@ -31,10 +30,7 @@ def command(paper: str, side: float, margin: float, out: Path, as_json: bool) ->
         width, height = parse_numbers(paper, 2, "--paper", "x")
         size = (width, height)
     sheet = MarkerSheet(size, side, margin)
-    try:
-        written = sheet.save(out)
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    written = sheet.save(out)
     if as_json:
         figures = sheet.layout() | {"span": sheet.span, "written": [str(path) for path in written]}
         click.echo(json.dumps(figures, indent=2))

@@ -65,10 +65,7 @@ def command(
     rod = RodMaterial(radius, found.gravito_bending_length, length, density=density)
     written = []
     if out is not None:
-        try:
-            written = [str(rod.save(out))]
-        except OSError as error:
-            raise RodError(f"{out}: cannot be written ({error}); choose another --out") from None
+        written = [str(rod.save(out))]
     # The stiffness goes with the cube of the length.
     share = 3.0 * found.error / found.gravito_bending_length
     figures = {

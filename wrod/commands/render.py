@@ -60,22 +60,19 @@ def command(
             bar.total = total
             bar.update(done - bar.n)
 
-        try:
-            if moments:
-                written = [draw_moments(scene, out, size=size, progress=progress)]
-            elif out.suffix.lower() == ".html":
-                written = [write_page(scene, out, camera=camera, hidden=hide, progress=progress)]
-            else:
-                written = render(
-                    scene,
-                    out,
-                    camera=camera,
-                    frames=count,
-                    size=size,
-                    hidden=hide,
-                    progress=progress,
-                )
-        except OSError as error:
-            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+        if moments:
+            written = [draw_moments(scene, out, size=size, progress=progress)]
+        elif out.suffix.lower() == ".html":
+            written = [write_page(scene, out, camera=camera, hidden=hide, progress=progress)]
+        else:
+            written = render(
+                scene,
+                out,
+                camera=camera,
+                frames=count,
+                size=size,
+                hidden=hide,
+                progress=progress,
+            )
     for path in written:
         click.echo(f"wrote {path}")

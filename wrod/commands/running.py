@@ -88,7 +88,8 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
         return f"{error}; this process may have too few threads or too little memory (ulimit -a)", 2
     if isinstance(error, OSError):
         where = error.filename if error.filename is not None else "the output"
-        remedy = "make room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        remedy = "make room" if full else "check the path"
         said = error.strerror or str(error)
         return f"{where}: {said}; {remedy} or choose another, then run the same command again", 2
     if isinstance(error, RecursionError):
@@ -136,6 +137,9 @@ def refuse_variables() -> None:
     for name in (f"OPENCV_IO_MAX_IMAGE_{what}" for what in ("PIXELS", "WIDTH", "HEIGHT")):
         if not re.fullmatch("[0-9]{1,18}([KM][Bb]|[km]b)?", os.environ.get(name, "1")):
             raise DataError(f"{name}={os.environ[name]!r:.80} is no number of OpenCV's; unset it")
+    date = "SOURCE_DATE_EPOCH"  # matplotlib's, of PDF
+    if not re.fullmatch("-?[0-9]{1,10}|[0-9]{11}", os.environ.get(date, "0")):
+        raise DataError(f"{date}={os.environ[date]!r:.80} is no date in seconds; unset it")
 
 
 def open_streams() -> None:

@@ -123,7 +123,6 @@ def command(
 
 def _scan(image: Path, out: Path, how: dict, start, several: bool, overlay: bool) -> dict:
     """Scan one picture, write what was found, and say what it is."""
-    from wrod.errors import DataError
     from wrod.perception.crossings import find_crossings
     from wrod.perception.export import write_scan
     from wrod.perception.overlay import draw_overlay, write_picture
@@ -132,10 +131,7 @@ def _scan(image: Path, out: Path, how: dict, start, several: bool, overlay: bool
 
     result = read_scan(image, **how)
     crossings = find_crossings(result.lines, None if how["mask"] else result.image)
-    try:
-        written = [write_scan(out / f"{image.stem}.npz", result, crossings, start, several)]
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+    written = [write_scan(out / f"{image.stem}.npz", result, crossings, start, several)]
     if overlay:
         picture = draw_overlay(result.image, result.lines, crossings)
         written.append(write_picture(out / f"{image.stem}-overlay.png", picture))

@@ -40,7 +40,6 @@ def command(
     import numpy as np
 
     from wrod.commands.plan_pattern import Shaping, fit, too_long
-    from wrod.errors import DataError
 
     first = reading.read(pattern)
     curve, notes = first, []
@@ -64,10 +63,7 @@ def command(
         "notes": notes,
     }
     if out is not None:
-        try:
-            _draw(out, curve, position, figures)
-        except OSError as error:
-            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+        _draw(out, curve, position, figures)
     if as_json:
         click.echo(json.dumps(figures, indent=2))
         return

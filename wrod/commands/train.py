@@ -2,7 +2,6 @@
 
 import json
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -88,8 +87,7 @@ def command(
     refine = 0
     if generate is not None:
         refine = generate // 5
-        with _writing(out):
-            dataset = _generate(out / "dataset", generate - refine, seed, device, as_json)
+        dataset = _generate(out / "dataset", generate - refine, seed, device, as_json)
     table = load(dataset, rows)
     training = Training(
         recipe,
@@ -177,10 +175,9 @@ def _train(training, out: Path, resumed: bool, minutes: float | None, quiet: boo
             bar.set_postfix(validation_mae=f"{error:.2e}")
             bar.update(done - bar.n)
 
-        with _writing(out):
-            if not resumed:
-                training.checkpoint()  # says now, not after the training, if it cannot be written
-            training.run(minutes=minutes, progress=progress)
+        if not resumed:
+            training.checkpoint()  # says now, not after the training, if it cannot be written
+        training.run(minutes=minutes, progress=progress)
 
 
 def _write(controller, training, summary: dict, out: Path) -> list[Path]:
@@ -208,17 +205,6 @@ def _say(training, summary: dict) -> None:
     click.echo(summary["machine"])
     for path in summary["written"]:
         click.echo(f"wrote {path}")
-
-
-@contextmanager
-def _writing(out: Path):
-    """Say in one sentence what cannot be written."""
-    from wrod.errors import DataError
-
-    try:
-        yield
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
 
 
 def _generate(folder: Path, size: int, seed: int, device: str, quiet: bool) -> Path:

@@ -3,13 +3,15 @@
 import os
 from typing import Any, overload
 
+from wrod import cost
 from wrod.errors import DataError
+from wrod.identification.clamped.loading import load_measurements
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.identification.clamped.report import IdentificationReport, identify_clamped
 from wrod.identification.laid.fit import LaidFit, fit_laid
 from wrod.identification.laid.measurements import LaidMeasurements
 from wrod.identification.motion.data import MotionMeasurements
-from wrod.identification.motion.loading import is_motion
+from wrod.identification.motion.loading import is_motion, load_motion
 from wrod.identification.motion.report import MotionReport, identify_motion
 
 Measurements = ClampedMeasurements | MotionMeasurements | LaidMeasurements
@@ -50,3 +52,15 @@ def identify(
     if isinstance(measurements, MotionMeasurements) or is_motion(measurements):
         return identify_motion(measurements, **options)
     return identify_clamped(measurements, **options)
+
+
+def identification_cost(data: str | os.PathLike[str]) -> cost.Cost:
+    """Of finding what a model misses in one file of measurements.
+
+    Raises:
+        DataError: it holds none.
+    """
+    if is_motion(data):
+        return cost.Cost(cost.RECORDING * load_motion(data).recording_count)
+    load_measurements(data)
+    return cost.Cost(cost.IDENTIFIED_SET)

@@ -90,13 +90,15 @@ def _read_numpy(path: Path) -> RawPoints:
 def _read_text(path: Path) -> RawPoints:
     text = read_text(path, "text, CSV, NPY or NPZ", error=PatternError, limit=_MAX_BYTES)
     units, columns, count, rows, lines = None, None, 0, [], []
+    named = False
     for number, line in enumerate(text.splitlines(), start=1):
-        content = line.strip()
+        content = line.replace('"', "").strip()  # spreadsheets put cells between quotes
         if not content:
             continue
         if content[0] in "#%" or (not rows and _is_header(content)):
             units = _declared_units(content, path, number) or units
             columns = _columns(content) or columns
+            named = columns is not None
             continue
         cells = _cells(content)
         try:
@@ -126,7 +128,13 @@ def _read_text(path: Path) -> RawPoints:
             f"{path}, line {lines[0]}: {count} whole numbers between commas look like {count // 2} "
             "with decimal commas; write decimal points, or put semicolons between the columns"
         )
-    return RawPoints(np.array(rows, dtype=float), str(path), units, lines)
+    points = np.array(rows, dtype=float)
+    if not named and count == 3 and np.ptp(points[:, 2]) and (np.diff(points[:, 0]) == 1.0).all():
+        raise PatternError(
+            f"{path}, line {lines[0]}: its first column counts the points; say which columns are "
+            "coordinates in a first line (index, x, y)"
+        )
+    return RawPoints(points, str(path), units, lines)
 
 
 def _too_many(count: int) -> str:

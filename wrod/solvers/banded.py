@@ -14,8 +14,9 @@ from wrod.rods.batch import RodBatch
 class BandedSystem:
     """Factorisation of the free block of a batch's Hessian, and solutions with it.
 
-    A CPU takes the rows one by one; a GPU gives each rod a warp, also of those that share a row, or
-    two for one right-hand side (`eliminate`).
+    `eliminate` solves for one right-hand side from both ends of each rod, on a GPU with two warps.
+    For several a CPU takes the rows one by one; a GPU gives each rod a warp, also of those that
+    share a row.
 
     Args:
         batch: the rods.
@@ -49,18 +50,16 @@ class BandedSystem:
     def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
         """Factorise `hessian` and solve for `gradient` (rod, dof), into the first column of `x`.
 
-        On a GPU nothing else can be solved after that."""
-        if not self._on_gpu:
-            self._factorise_and_solve(gradient, hessian, active)
-            return
+        Nothing else can be solved after that."""
+        count = lanes(self.batch.device, two_warps.ENDS)
         self._clear_pivots(active)
         wp.launch(
             banded_ends.solve,
-            dim=(self.batch.rod_count, len(self.segment), two_warps.ENDS),
+            dim=(self.batch.rod_count, len(self.segment), count),
             inputs=[self.segment, active, self.batch.free, hessian, gradient, self.shift],
             outputs=[self.factor, self.x, self.negative_pivots],
             device=self.batch.device,
-            block_dim=two_warps.ENDS,
+            block_dim=count,
         )
 
     def _factorise_and_solve(self, gradient, hessian, active) -> None:
@@ -69,8 +68,8 @@ class BandedSystem:
         self.solve(active, columns=1)
 
     def _clear_pivots(self, active: wp.array) -> None:
-        """Segments of a row add theirs up on a GPU."""
-        if self._on_gpu and len(self.segment) > 1:
+        """Segments of a row add theirs up."""
+        if len(self.segment) > 1:
             wp.launch(
                 banded_lanes.clear_pivots,
                 dim=self.batch.rod_count,

@@ -119,9 +119,6 @@ class CoupledSystem(PairedSystem):
             )
 
     def eliminate(self, gradient: wp.array, hessian: wp.array, active: wp.array) -> None:
-        if not self._on_gpu:
-            self._factorise_and_solve(gradient, hessian, active)
-            return
         self._collect(active)
         wp.copy(self.x[:, 0], gradient)
         BandedSystem.eliminate(self, gradient, hessian, self.banded)
