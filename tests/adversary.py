@@ -254,7 +254,7 @@ class Campaign:
 
 
 def work(task: tuple) -> list[tuple]:
-    """The calls of one process: (number, kind, words, code, seconds, wrong)."""
+    """The calls of one process: (number, kind, code, seconds, wrong, last words, memory grown)."""
     folder, seed, numbers, only, end = task
     folder.mkdir(parents=True, exist_ok=True)
     files = material(folder / "files")
@@ -267,7 +267,8 @@ def work(task: tuple) -> list[tuple]:
         said = wrong(ended, left, around)
         if isinstance(around, tuple) and ended.code == 0 and not said:
             said = campaign.alike(words, around, folder / "run")
-        row = (number, kind, ended.code, round(ended.seconds, 1), said, ended.said[-160:])
+        spent = round(ended.seconds, 1)
+        row = (number, kind, ended.code, spent, said, ended.said[-160:], ended.grown)
         found.append(row)
         if said:
             click.echo(f"{number} {kind}: {said}\n   {shlex.join(words)[:400]}\n")
@@ -295,16 +296,46 @@ def cli(count, first, seed, workers, minutes, only, log) -> None:
         context = multiprocessing.get_context("spawn")
         with context.Pool(workers) as pool:
             rows = sorted(row for rows in pool.imap_unordered(work, tasks) for row in rows)
-    names = {0: "done", 2: "refused", -signal.SIGXCPU: "at work"}
-    ends = Counter("wrong" if row[4] else names.get(row[2], f"exit {row[2]}") for row in rows)
     if log is not None:
         log.write_text("".join(f"{row!r}\n" for row in rows), encoding="utf-8", errors="replace")
-    for name in commands():
-        of = [row for row in rows if row[1].startswith(f"{name} ")]
-        taken, bad = sum(row[2] == 0 for row in of), sum(bool(row[4]) for row in of)
-        click.echo(f"{name:18} {len(of):5} calls, {taken:4} done, {bad:3} wrong")
-    click.echo(f"{len(rows)} calls: " + ", ".join(f"{n} {k}" for k, n in sorted(ends.items())))
-    sys.exit(bool(ends["wrong"]))
+    sys.exit(bool(_told(rows)))
+
+
+def _told(rows: list[tuple]) -> int:
+    """Print what the calls came to; how many ended as none may."""
+    ends = {0: "done", 2: "refused", 3: "without a path", -signal.SIGXCPU: "at work"}
+    names = sorted(commands(), key=len, reverse=True)  # the longest that fits is the command
+    for title, of in (("command", lambda row: _begins(row[1], names)), ("what is broken", _broken)):
+        click.echo(f"{title:18} calls  done  refused  wrong")
+        for name in sorted({of(row) for row in rows}):
+            mine = [row for row in rows if of(row) == name]
+            codes, bad = Counter(row[2] for row in mine), sum(bool(row[4]) for row in mine)
+            click.echo(f"{name:18} {len(mine):5} {codes[0]:5} {codes[2]:8} {bad:6}")
+    bad = sum(bool(row[4]) for row in rows)
+    said = Counter(ends.get(row[2], f"exit {row[2]}") for row in rows)
+    refused = [row for row in rows if row[2] == 2]
+    longest, largest = (max((row[k] for row in refused), default=0) for k in (3, 6))
+    click.echo(
+        f"{len(rows)} calls ({', '.join(f'{n} {k}' for k, n in sorted(said.items()))}): {bad} "
+        f"wrong; the longest refusal took {longest:.1f} s of a processor, the largest "
+        f"{max(largest, 0) / 2**20:.0f} MiB beyond the libraries"
+    )
+    return bad
+
+
+def _begins(kind: str, names: list[str]) -> str:
+    return next(name for name in names if kind.startswith(f"{name} "))
+
+
+def _broken(row: tuple) -> str:
+    """What is broken, of a few words."""
+    kind = row[1].removeprefix(f"{_begins(row[1], sorted(commands(), key=len, reverse=True))} ")
+    for how in ("combined", "doubled", "structured", "odd name", "dressed", "happening"):
+        if kind.startswith(how):
+            return how
+    beginnings = {"--out": "output", "--usd": "output", "--": "option", "argument": "argument"}
+    beginnings |= {"{'": "environment", "ulimit": "limits", "{": "bytes of a file"}
+    return next((what for start, what in beginnings.items() if kind.startswith(start)), "around")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import wrod
 from wrod.bench.applications_trials import cable_scene, knot_plan
@@ -143,8 +142,3 @@ def _given(film: Film, rods, names, radii, patterns) -> SimpleNamespace:
         hands=hands,
         closed=np.array(film.closed),
     )
-
-
-def yawed(angle: float) -> np.ndarray:
-    """(3, 3) of an upright hand, turned about the vertical."""
-    return Rotation.from_euler("z", angle).as_matrix() @ UPRIGHT

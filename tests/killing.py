@@ -26,6 +26,8 @@ from pathlib import Path
 
 import click
 
+from wrod.identification.template import write_template
+
 COMMANDS = {
     "dataset": "dataset --size 1500 --shard-size 128 --no-sensitivities --device cpu --out {out}",
     "train": "train --dataset {data} --out {out} --steps 2000 --width 32 --batch 256 --test 50 "
@@ -36,6 +38,7 @@ COMMANDS = {
     "--spacing 0.02 --step 0.05 --speed 0.1 --batch 1 --closure zero_tension --device cpu "
     "--out {out}",
     "identify": "bench identify --hidden 1 --only none --out {out}",
+    "motion": "identify {folder}/motion.npz --effect quadratic_drag --out {out}",
     "applications": "bench applications --case trefoil --trials 1 --batch 1 --device cpu "
     "--out {out}",
 }
@@ -116,7 +119,7 @@ def whole(name: str, folder: Path) -> float:
 
 
 def words(name: str, folder: Path, out: Path) -> str:
-    return COMMANDS[name].format(out=out, data=folder / "dataset-whole")
+    return COMMANDS[name].format(out=out, data=folder / "dataset-whole", folder=folder)
 
 
 def series(
@@ -193,6 +196,7 @@ def main(
     names, end = list(only or COMMANDS), time.monotonic() + 60 * minutes
     with tempfile.TemporaryDirectory() as place, ThreadPoolExecutor(workers) as pool:
         folder, tallies = Path(place), {}
+        write_template("motion", folder / "motion.npz")
         if {"train", "dataset"} & set(names):  # training reads it
             tallies["dataset"] = Tally(whole("dataset", folder))
         others = [name for name in names if name not in tallies]

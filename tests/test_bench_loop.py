@@ -1,16 +1,14 @@
 """`wrod bench loop`, small: a hidden effect is found and the rod is laid better."""
 
 import csv
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from cli import told
 
 import wrod
 from wrod.bench.loop_measurements import clamped_experiment
-from wrod.commands import main
 from wrod.errors import DataError
 from wrod.identification.clamped.loading import measurements_from_arrays
 
@@ -42,9 +40,7 @@ def test_loop_is_closed(tmp_path, controllers):
     args += ["--spacing", "0.008", "--speed", "0.05", "--friction", "1.0"]
     args += ["--grasps", "1000", "--steps", "2000"]
     args += [part for name in controllers for part in ("--controller", name)]
-    result = CliRunner().invoke(main, args)
-    assert result.exit_code == 0, result.output
-    figures = json.loads(result.stdout)
+    figures = told(*args)
     found = figures["found"]["natural_curvature"]
     assert list(found["effects"]) == ["natural_curvature"]
     assert np.hypot(*found["model"]["natural_curvature"]) == pytest.approx(5.0, rel=0.15)

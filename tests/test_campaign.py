@@ -1,6 +1,7 @@
 """Campaigns go on where they were stopped, and write the same as if they had not been."""
 
 import pytest
+from cli import refused
 from click.testing import CliRunner
 
 from wrod.bench import campaign
@@ -84,6 +85,5 @@ def test_comparison_of_closures_is_resumed_to_the_same_files(tmp_path, monkeypat
 @pytest.mark.parametrize("text", ["", "one", "0.1,-1", "nan"])
 def test_bad_axes_are_refused(tmp_path, text):
     arguments = ["bench", "closures", "--frictions", text, "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 2 and "frictions" in result.output
+    refused("frictions", *arguments)
     assert not (tmp_path / "out").exists()

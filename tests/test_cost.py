@@ -3,10 +3,9 @@
 import math
 
 import pytest
-from click.testing import CliRunner
+from cli import refused
 
 from wrod import cost, machine
-from wrod.commands import main
 from wrod.errors import DataError
 
 
@@ -52,8 +51,7 @@ def test_what_the_machine_has_not_needs_force(one, says, capsys, tmp_path, monke
 def test_commands_refuse_weeks_before_they_work(words, tmp_path, monkeypatch):
     monkeypatch.setattr(cost, "usable_cores", lambda: 2)  # many would end it within a week
     out = tmp_path / "out"
-    result = CliRunner().invoke(main, [*words.split(), "--out", str(out)])
-    assert result.exit_code == 2 and "about" in result.output, result.output
+    result = refused("about", *[*words.split(), "--out", str(out)])
     assert "--force" in result.output
     assert not list(out.rglob("*.safetensors")) and not list(out.rglob("*.npz"))
 
@@ -61,8 +59,7 @@ def test_commands_refuse_weeks_before_they_work(words, tmp_path, monkeypatch):
 @pytest.mark.parametrize("bench", ["loop", "slippery"])
 def test_steps_that_miss_what_happens_are_refused_before_the_work(bench, tmp_path):
     out = tmp_path / "out"
-    result = CliRunner().invoke(main, ["bench", bench, "--speed", "7", "--out", str(out)])
-    assert result.exit_code == 2 and "too far for what happens" in result.output, result.output
+    refused("too far for what happens", "bench", bench, "--speed", "7", "--out", out)
     assert not list(out.rglob("*.*"))
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
+from cli import done, run, told
 from scipy.spatial.transform import Rotation
 from test_deployment import ROD, quarter_turn
 from wrod.training.dataset import GraspTable, generate, load
@@ -16,7 +16,6 @@ from wrod.training.sampling import RodInputs
 from wrod.training.score import held_out, score
 
 import wrod
-from wrod.commands import main
 from wrod.controller.controller import Controller
 from wrod.controller.curved import SLOW, decode, encode, twisted, untwisted
 from wrod.errors import DataError, GraspError
@@ -42,8 +41,7 @@ def made(tmp_path_factory):
         ["train", "--dataset", str(folder / "grasps"), "--out", str(folder / "trained"),
          "--steps", "1200", "--width", "32", "--test", "40"],
     ):  # fmt: skip
-        result = CliRunner().invoke(main, [*args, "--device", "cpu", "--json"])
-        assert result.exit_code == 0, result.output
+        done(*args, "--device", "cpu", "--json")
     return folder
 
 
@@ -164,10 +162,8 @@ def test_plan_command_takes_a_controller(made, tmp_path):
     args += ["--roll", "plane", "--no-expect"]
     args += ["--controller", str(made / "trained"), "--no-shapes"]
     args += ["--spacing", "0.1", "--device", "cpu", "--json"]
-    result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "plan")])
-    assert result.exit_code == 0, result.output
-    assert len(json.loads(result.stdout)["twist"]) == 2
-    result = CliRunner().invoke(main, [*args, "--rod", "green-vps", "--out", str(tmp_path / "no")])
+    assert len(told(*args, "--out", tmp_path / "plan")["twist"]) == 2
+    result = run(*args, "--rod", "green-vps", "--out", tmp_path / "no")
     assert result.exit_code == 2
     assert not (tmp_path / "no").exists()
 

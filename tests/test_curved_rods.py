@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from cli import done, refused, run, told
 from scipy.spatial.transform import Rotation
 from test_deployment import QUICK, ROD, quarter_turn
 from wrod.training import store
@@ -14,7 +14,6 @@ from wrod.training.dataset import generate, load
 from wrod.training.sampling import RodInputs, sample
 
 import wrod
-from wrod.commands import main
 from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError, GraspError, RodError, WrodWarning
 from wrod.grasps.optimal import solve_grasps
@@ -288,27 +287,22 @@ def test_dataset_command_takes_a_model(tmp_path):
     path = model_file(tmp_path / "model.json", ["natural_curvature"], natural_curvature=[0.0, 5.0])
     out = tmp_path / "grasps"
     args = ["dataset", "--size", "4", "--rod", str(path), "--length", "0.3", "--out", str(out)]
-    result = CliRunner().invoke(main, [*args, "--device", "cpu", "--json"])
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["unconverged"] == 0
+    assert told(*args, "--device", "cpu", "--json")["unconverged"] == 0
     assert store.read_manifest(out).rod["length"] == pytest.approx(0.3 / 0.018)
     assert store.read_manifest(out).rod["natural_curvature"] == pytest.approx([0.09, 0.0])
     args[-1] += "-turned"
-    result = CliRunner().invoke(main, [*args, "--roll", "up", "--device", "cpu"])
-    assert result.exit_code == 0, result.output
+    done(*args, "--roll", "up", "--device", "cpu")
     turned = store.read_manifest(tmp_path / "grasps-turned").rod["natural_curvature"]
     assert turned == pytest.approx([0.0, 0.09])
-    result = CliRunner().invoke(main, ["dataset", "--size", "4", "--roll", "0", "--out", args[-1]])
-    assert result.exit_code == 2 and "name it with --rod" in result.stderr
+    refused("name it with --rod", "dataset", "--size", "4", "--roll", "0", "--out", args[-1])
     for roll in ("nan", "left"):
-        result = CliRunner().invoke(main, [*args, "--roll", roll])
-        assert result.exit_code == 2 and "use plane, up or" in result.stderr
+        refused("use plane, up or", *args, "--roll", roll)
 
 
 def test_training_refuses_one_straight_rod(tmp_path):
     generate(tmp_path / "grasps", 4, edge_count=32, rod=ROD, device="cpu")
     args = ["train", "--dataset", str(tmp_path / "grasps"), "--out", str(tmp_path / "c")]
-    result = CliRunner().invoke(main, [*args, "--device", "cpu"])
+    result = run(*args, "--device", "cpu")
     assert result.exit_code == 2
     assert "one straight rod" in result.stderr
 
@@ -328,8 +322,7 @@ def test_plan_command_takes_a_model(tmp_path):
     )
     args = ["plan", "line", "--rod", str(path), "--length", "0.7", "--out", str(tmp_path / "o")]
     args += ["--no-robot", "--no-expect", "--spacing", "0.05", "--device", "cpu", "--json"]
-    result = CliRunner().invoke(main, args)
-    assert result.exit_code == 0, result.output
+    result = done(*args)
     assert "air_flow set aside" in result.stderr
     figures = json.loads(result.stdout)
     assert figures["rod"]["natural_curvature"] == [0.0, 5.0]

@@ -1,13 +1,10 @@
 """`wrod deploy` from the command line."""
 
-import json
-
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from cli import done, refused, run, told
 
 import wrod
-from wrod.commands import main
 from wrod.deployment.result import Deployment
 
 
@@ -28,9 +25,7 @@ def test_deploys_and_writes_what_it_says(arc, tmp_path):
     out = tmp_path / "laid"
     args = ["deploy", str(arc), *SHORT, "--out", str(out), "--json"]
     args += ["--method", "numeric", "--device", "cpu"]
-    result = CliRunner().invoke(main, [*args, "--speed", "0.03", "--trials", "2"])
-    assert result.exit_code == 0, result.output
-    figures = json.loads(result.output)
+    figures = told(*args, "--speed", "0.03", "--trials", "2")
     assert len(figures["trials"]) == 2
     assert figures["trials"][0]["error_mean"] < 3e-3
     assert figures["trials"][0]["error_mean"] != figures["trials"][1]["error_mean"]
@@ -45,8 +40,7 @@ def test_takes_a_saved_trajectory(arc, tmp_path):
     rod = wrod.RodMaterial(0.0016, 0.018, 0.25)
     path = wrod.plan(wrod.Pattern.load(arc), rod, "intuitive").save(tmp_path / "plan")[1]
     args = ["deploy", str(arc), *SHORT, "--trajectory", str(path), "--out", str(tmp_path / "o")]
-    result = CliRunner().invoke(main, [*args, "--device", "cpu", "--speed", "0.03"])
-    assert result.exit_code == 0, result.output
+    result = done(*args, "--device", "cpu", "--speed", "0.03")
     assert "grip holding" in result.output
     assert f"wrote {tmp_path / 'o' / 'deployment.npz'}" in result.output
 
@@ -63,7 +57,7 @@ def test_takes_a_saved_trajectory(arc, tmp_path):
 )
 def test_bad_input_is_one_sentence(arc, tmp_path, extra, word):
     out = tmp_path / "out"
-    result = CliRunner().invoke(main, ["deploy", str(arc), *SHORT, "--out", str(out), *extra])
+    result = run("deploy", arc, *SHORT, "--out", out, *extra)
     assert result.exit_code == 2
     assert word in result.output
     assert "Traceback" not in result.output
@@ -83,7 +77,7 @@ def test_refuses_a_trajectory_of_something_else(arc, tmp_path, pattern, changes,
     rod = wrod.RodMaterial(0.0016, 0.018, 0.25)
     path = wrod.plan(wrod.Pattern.load(arc), rod, "intuitive").save(tmp_path / "plan")[1]
     args = ["deploy", pattern or str(arc), *SHORT, "--trajectory", str(path), *changes]
-    result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "o")])
+    result = run(*args, "--out", tmp_path / "o")
     assert result.exit_code == 2
     assert says in result.output
     assert not (tmp_path / "o").exists()
@@ -91,5 +85,4 @@ def test_refuses_a_trajectory_of_something_else(arc, tmp_path, pattern, changes,
 
 def test_refuses_a_closure_that_the_intuitive_method_ignores(arc, tmp_path):
     args = ["deploy", str(arc), *SHORT, "--method", "intuitive", "--closure", "min_force"]
-    result = CliRunner().invoke(main, [*args, "--out", str(tmp_path / "o")])
-    assert result.exit_code == 2 and "--closure does nothing" in result.output
+    refused("--closure does nothing", *args, "--out", tmp_path / "o")

@@ -73,8 +73,9 @@ def stand_ins(page: Path, folder: Path, shared: Path) -> None:
     """What a page's reader has of their own: photographs, measurements, an arm, a cell, a rod."""
     import json
 
+    from top_camera import TopCamera
+
     import wrod
-    from wrod.perception.camera import TopCamera
 
     text, drawn = page.read_text(), shared / "images" / "drawn"
     shutil.copytree(ROOT / "examples", folder / "examples")

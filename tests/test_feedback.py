@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from cli import refused, run
 
 import wrod
-from wrod.commands import main
 from wrod.deployment.beliefs import Beliefs
 from wrod.deployment.expectation import COARSE
 from wrod.deployment.feedback import Plant, Sight, lay_with_feedback
@@ -71,8 +70,7 @@ def test_looks_that_never_come_are_refused(bend):
 
 def test_an_unknown_effect_is_refused(tmp_path):
     arguments = ["bench", "feedback", "--effects", "ghost", "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 2 and "unknown effect 'ghost'" in result.output
+    refused("unknown effect 'ghost'", *arguments)
     assert not (tmp_path / "out").exists()
 
 
@@ -91,13 +89,12 @@ def test_finished_rows_are_kept_and_ratios_stand_beside_them(tmp_path, monkeypat
     monkeypatch.setattr(slippery.Shelf, "stock", lambda *args: None)
     arguments = ["bench", "feedback", "--device", "cpu", "--names", "letter-U"]
     arguments += ["--out", str(tmp_path), "--effects"]
-    first = CliRunner().invoke(main, [*arguments, "none", "--ways", "blind"])
+    first = run(*arguments, "none", "--ways", "blind")
     assert first.exit_code == 0 and asked == [("none", "blind")], first.output
-    both = CliRunner().invoke(main, [*arguments, "none,friction"])
+    both = run(*arguments, "none,friction")
     assert len(asked) == len(set(asked)) == 4
     assert "halved: blind 0.300 (1.50, 1.50), followed 0.030 (1.50, 0.15)" in both.output
-    other = CliRunner().invoke(main, [*arguments, "none", "--every", "0.1"])
-    assert other.exit_code == 2 and "other settings" in other.output
+    refused("other settings", *arguments, "none", "--every", "0.1")
 
 
 def test_a_grip_goes_back_and_on_as_it_would_have_gone(bend):

@@ -1,15 +1,13 @@
 """Laid centrelines as measurements: read, checked, and explained."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from cli import refused, told
 from test_deployment import QUICK, ROD, quarter_turn
 
 import wrod
-from wrod.commands import main
 from wrod.commands.plan_summary import read_friction
 from wrod.deployment.table import TableFriction
 from wrod.errors import DataError
@@ -152,12 +150,9 @@ def test_laid_command(plan, tmp_path):
     saved = path.save(tmp_path / "plan")[1]
     args = ["laid", str(tmp_path / "rod.csv"), "--pattern", str(tmp_path / "pattern.csv")]
     args += ["--trajectory", str(saved), "--noise", "0.0002", "--iterations", "0"]
-    result = CliRunner().invoke(main, [*args, "--json"])
-    assert result.exit_code == 0, result.output
-    figures = json.loads(result.stdout)
+    figures = told(*args, "--json")
     assert np.mean(figures["left_mm"]) == pytest.approx(2.0, abs=0.1)
-    result = CliRunner().invoke(main, [*args[:-1], "1"])
-    assert result.exit_code == 2 and "no rod given" in result.stderr
+    refused("no rod given", *args[:-1], "1")
 
 
 def test_friction_of_the_table_is_found(plan):

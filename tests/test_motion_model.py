@@ -5,11 +5,10 @@ import warnings
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from cli import done
 from test_motion_trace import STIFFNESS, VISCOUS, moved
 
 import wrod
-from wrod.commands import main
 from wrod.errors import WrodWarning
 from wrod.identification.effect import effects
 from wrod.identification.motion.report import identify_motion
@@ -78,8 +77,7 @@ def test_commands_take_the_model(folder, tmp_path):
     rod = ["--rod", str(folder / "model.json"), "--radius", "0.003", "--length", "1.5"]
     args = ["plan", "line", *rod, "--out", str(tmp_path / "plan"), "--no-robot"]
     args += ["--no-expect", "--spacing", "0.1", "--device", "cpu", "--json"]
-    result = CliRunner().invoke(main, args)
-    assert result.exit_code == 0, result.output
+    result = done(*args)
     assert "line_mass" in result.stderr and "set aside" not in result.stderr
     figures = json.loads(result.stdout)
     assert figures["rod"]["radius"] == 0.003
@@ -87,8 +85,7 @@ def test_commands_take_the_model(folder, tmp_path):
     assert figures["rod"]["natural_curvature"] == model["natural_curvature"] != [0.0, 0.0]
     assert figures["rod"]["internal_damping"] == model["internal_damping"] > 0.0
     args = ["dataset", "--size", "2", *rod, "--out", str(tmp_path / "grasps"), "--device", "cpu"]
-    result = CliRunner().invoke(main, args)
-    assert result.exit_code == 0, result.output
+    done(*args)
 
 
 def test_the_model_is_deployed(folder):

@@ -7,6 +7,7 @@ from wrod.training.moving import move_differentiable
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
+from wrod.solvers.statics import prescribe
 
 
 def scene(rods=2, nodes=7):
@@ -22,9 +23,7 @@ def scene(rods=2, nodes=7):
         twisting_stiffness=5e-3, natural_curvature=rng.normal(size=2) * 2.0, natural_twist=0.4,
         node_mass=mass, gravity=(0.0, 0.0, -9.81),
     )  # fmt: skip
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[:7] = False
-    batch.set_free(free)
+    prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
     tensor = torch.from_numpy
     position = tensor(batch.positions() + 0.01 * rng.normal(size=batch.positions().shape))
     velocity = tensor(0.2 * rng.normal(size=position.shape))

@@ -6,10 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from cli import done
 
 import wrod
-from wrod.commands import main
 from wrod.deployment import together
 from wrod.deployment.corrections import Corrections, pace_of
 from wrod.deployment.expectation import Unseen, balanced, expect, is_better, robot_error
@@ -57,8 +56,7 @@ def test_the_command_says_what_is_expected(bend, tmp_path):
     np.savetxt(tmp_path / "bend.txt", bend[0].sample(np.linspace(0.0, 0.19, 200))[0], header="m")
     arguments = ["plan", str(tmp_path / "bend.txt"), "--rod", str(ROD.save(tmp_path / "rod.json"))]
     arguments += ["--method", "intuitive", "--no-robot", "--units", "m", "--spacing", "0.01"]
-    result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path / "out")])
-    assert result.exit_code == 0, result.output
+    result = done(*arguments, "--out", tmp_path / "out")
     assert re.search(
         r"cm off the pattern; [\d.]+ at friction 0.2, .* at friction 0.6", result.output
     )

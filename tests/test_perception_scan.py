@@ -6,15 +6,14 @@ import json
 import cv2
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from cli import done, refused, run
 from PIL import Image
 from scipy.spatial import cKDTree
+from top_camera import TopCamera
 
 import wrod
-from wrod.commands import main
 from wrod.errors import PerceptionError
 from wrod.perception import refine
-from wrod.perception.camera import TopCamera, centerline_from_usd
 from wrod.perception.image import read_image
 from wrod.perception.measure import compare
 from wrod.perception.metric import CameraIntrinsics, MarkerLayout, Plane
@@ -257,32 +256,14 @@ def test_damaged_files_are_refused(tmp_path, camera, layout):
             read_image(tmp_path / name)
 
 
-def test_usd_curve_becomes_a_picture(tmp_path):
-    from pxr import Gf, Usd, UsdGeom
-
-    stage = Usd.Stage.CreateNew(str(tmp_path / "rod.usda"))
-    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
-    curve = UsdGeom.BasisCurves.Define(stage, "/world/rod")
-    UsdGeom.XformCommonAPI(curve).SetTranslate(Gf.Vec3d(1.0, 2.0, 0.0))
-    points = np.column_stack([100 * wave(200), np.full(200, 0.16)])
-    curve.CreatePointsAttr([Gf.Vec3f(*map(float, p)) for p in points])
-    stage.Save()
-    line = centerline_from_usd(tmp_path / "rod.usda")
-    assert np.allclose(
-        line, np.column_stack([wave(200) + [0.01, 0.02], np.full(200, 0.0016)]), atol=1e-7
-    )
-    with pytest.raises(PerceptionError, match="no such file; give a USD scene"):
-        centerline_from_usd(tmp_path / "none.usda")
-
-
 # ------------------------------------------------------------------ command line
-def run(*arguments):
-    return CliRunner().invoke(main, ["scan", *map(str, arguments)])
+def scanned(*arguments):
+    return run("scan", *arguments)
 
 
 def test_command_writes_paths_and_metres(tmp_path, camera, layout):
     Image.fromarray(drawing(camera, layout, loop())).save(tmp_path / "loop.png")
-    result = run(
+    result = scanned(
         tmp_path / "loop.png", "--markers", tmp_path / "layout.json", "--out", tmp_path / "o"
     )
     assert result.exit_code == 0, result.output
@@ -301,7 +282,9 @@ def test_command_scans_the_good_pictures_and_names_the_bad(tmp_path):
     cv2.line(mask, (20, 20), (270, 170), 255, 9)
     Image.fromarray(mask).save(tmp_path / "good.png")
     Image.fromarray(0 * mask).save(tmp_path / "blank.png")
-    result = run(tmp_path / "blank.png", tmp_path / "good.png", "--mask", "--out", tmp_path / "o")
+    result = scanned(
+        tmp_path / "blank.png", tmp_path / "good.png", "--mask", "--out", tmp_path / "o"
+    )
     assert result.exit_code == 2
     assert "blank.png" in result.output and "Traceback" not in result.output
     assert sorted(p.name for p in (tmp_path / "o").iterdir()) == ["good-overlay.png", "good.npz"]
@@ -314,12 +297,10 @@ def test_plan_takes_a_picture(tmp_path, camera, layout):
     rod = ["--rod", "green-vps", "--spacing", "0.05", "--no-robot", "--no-expect"]
     rod += ["--out", str(tmp_path / "plan")]
     markers = ["--markers", str(tmp_path / "layout.json"), "--start", "lower-right"]
-    result = CliRunner().invoke(main, ["plan", str(tmp_path / "bow.png"), *markers, *rod])
-    assert result.exit_code == 0, result.output
+    done("plan", tmp_path / "bow.png", *markers, *rod)
     trajectory = wrod.Trajectory.load(tmp_path / "plan" / "trajectory.npz")
     assert np.hypot(*(trajectory.contact[-1, :2] - bow[0])) < 1.5e-3
-    result = CliRunner().invoke(main, ["plan", "letter-U", *markers, *rod])
-    assert result.exit_code == 2 and "picture" in result.output
+    refused("picture", "plan", "letter-U", *markers, *rod)
 
 
 def test_published_drawings_within_a_tenth_of_a_millimetre(shared):

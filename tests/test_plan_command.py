@@ -1,13 +1,17 @@
 import json
 import shlex
+import threading
+import warnings
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import wrod
-from wrod.commands import main
+from wrod.commands import main, plan_expected
+from wrod.errors import GraspError
 from wrod.planning.trajectory import Trajectory
 
 
@@ -337,3 +341,48 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
     ring[:, 0], ring[:, 1] = 0.1 * np.cos(angle), 0.1 * np.sin(angle)
     far = tried("panda", 0.1)
     assert far[0]["reverse"] and far[0]["resize"] < 1.0 and far[2] == {"robot": "ur5e"}
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_what_to_expect_is_found_out_beside_or_before(beside, monkeypatch):
+    """A thread lays it while what is within is done; a plan that cannot be laid says so."""
+    within = threading.Event()
+
+    def foresee(curve, rod, trajectory, friction, device, watch):
+        assert not beside or within.wait(10.0)
+        if rod is None:
+            raise GraspError("no such rod")
+        return {"mean": 0.1}
+
+    monkeypatch.setattr("wrod.deployment.expectation.foresee", foresee)
+    monkeypatch.setattr(plan_expected, "usable_cores", lambda: 2)
+    for rod in ("rope", None):
+        trajectory = SimpleNamespace(metadata={})
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            within.clear()
+            asked = (None, rod, trajectory, None, "cpu", True)
+            with plan_expected.expecting(*asked, beside=beside) as wait:
+                assert ("expected" in trajectory.metadata) == (not beside)
+                within.set()
+                assert wait() == beside and not wait()
+        assert trajectory.metadata["expected"] == (rod and {"mean": 0.1})
+        assert [str(one.message) for one in said] == (
+            [] if rod else ["not laid in simulation: no such rod"]
+        )
+
+
+def test_nobody_waits_for_what_to_expect_of_a_plan_that_was_given_up(monkeypatch):
+    watched = threading.Event()
+
+    def foresee(curve, rod, trajectory, friction, device, watch):
+        while True:
+            watch(np.zeros(4))
+            watched.set()
+
+    monkeypatch.setattr("wrod.deployment.expectation.foresee", foresee)
+    monkeypatch.setattr(plan_expected, "usable_cores", lambda: 2)
+    asked = (None, None, SimpleNamespace(metadata={}), None, "cpu", True)
+    with pytest.raises(KeyboardInterrupt), plan_expected.expecting(*asked, beside=True):
+        assert watched.wait(10.0)
+        raise KeyboardInterrupt

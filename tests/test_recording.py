@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 import warp as wp
+from vps import RADIUS, WEIGHT, rods
 
-from wrod.rods.batch import RodBatch
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
 from wrod.solvers.statics import prescribe
 
-RADIUS, WEIGHT, STIFFNESS = 1.6e-3, 0.09, 6e-6
 DEVICES = [
     "cpu",
     pytest.param(
@@ -28,19 +27,7 @@ def crossing_rods(device, **options):
         np.concatenate([lying, np.column_stack([zero + 0.002, x, zero + height])])
         for height in (4.9e-3, 6e-3, 9e-3)
     ]
-    edge = np.full(29, 0.005)
-    edge[14] = 0.0
-    mass = WEIGHT / 9.81 * 0.5 * (np.append(edge, 0.0) + np.append(0.0, edge))
-    batch = RodBatch(
-        np.stack(scenes),
-        stretching_stiffness=4 * STIFFNESS / RADIUS**2,
-        bending_stiffness=STIFFNESS,
-        twisting_stiffness=STIFFNESS / 1.5,
-        node_mass=mass,
-        gravity=(0.0, 0.0, -9.81),
-        device=device,
-    )
-    batch.cut([14])
+    batch = rods(np.stack(scenes), cuts=[14], device=device)
     prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
     table = Contact(batch, RADIUS, WEIGHT / (0.01 * RADIUS), Friction(0.3))
     between = RodContact(batch, RADIUS, Friction(0.3))

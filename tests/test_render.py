@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from cli import refused
 from click.testing import CliRunner
 
 import wrod
@@ -87,19 +88,14 @@ def test_command_draws_frames_and_stills(tmp_path, scene):
     ],
 )
 def test_bad_requests_are_named(tmp_path, scene, arguments, says):
-    result = CliRunner().invoke(
-        main, ["render", str(scene), "--out", str(tmp_path / "out"), *arguments]
-    )
-    assert result.exit_code == 2 and says in result.stderr
+    refused(says, "render", scene, "--out", tmp_path / "out", *arguments)
     assert not (tmp_path / "out").exists()
 
 
 def test_missing_scene_and_several_frames_for_one_file(tmp_path, scene):
     from wrod.scene.render import render
 
-    result = CliRunner().invoke(
-        main, ["render", str(tmp_path / "gone.usdc"), "--out", str(tmp_path / "a.png")]
-    )
-    assert result.exit_code == 2 and "gone.usdc: no such file" in result.stderr
+    says = "gone.usdc: no such file"
+    refused(says, "render", tmp_path / "gone.usdc", "--out", tmp_path / "a.png")
     with pytest.raises(SceneError, match="3 frames do not fit in one picture"):
         render(scene, tmp_path / "a.png", frames=3)

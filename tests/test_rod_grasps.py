@@ -63,7 +63,7 @@ def test_second_order_in_the_mesh():
 def test_the_batch_finds_the_grasp_in_balance():
     """Energy's gradient by `RodBatch.of`, with the nodes and the rod's own frames given to it."""
     from wrod.rods.batch import RodBatch
-    from wrod.solvers.statics import solve_equilibria
+    from wrod.solvers.statics import prescribe, solve_equilibria
 
     model = replace(stiffer_upwards(), natural_twist=Profile((0.0,)))
     grasps = solve_rod_grasps(model, CONTACT[1:2], CURVATURE[1:2], extrapolate=False)
@@ -78,10 +78,7 @@ def test_the_batch_finds_the_grasp_in_balance():
     )
     # The contact's edges and the grip are held; the grip's roll is what brings the contact's
     # twisting moment to nothing.
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[:11] = False
-    free[-4:] = False
-    batch.set_free(free)
+    prescribe(batch, clamped_nodes=(0, 1, 2, -1), clamped_angles=(0, 1, -1))
     dof = batch.state.dof.numpy().copy()
     dof[:, -4] = grasps.twist[0]
     # Spread the twist over the rod before the rest is solved for.

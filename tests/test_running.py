@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -94,32 +95,46 @@ def test_completions_that_no_shell_asks_for_are_refused(names, monkeypatch):
     assert result.exit_code == REFUSED and "WROD_COMPLETE" in result.stderr
 
 
+@pytest.mark.parametrize("words", ["-x", "rods --none", "bench --none", "bench none", "none"])
+def test_wrong_calls_are_one_sentence(words):
+    result = CliRunner().invoke(main, words.split(), prog_name="wrod")
+    assert result.exit_code == REFUSED and result.stderr.count("\n") == 1, result.stderr
+    assert result.stderr.startswith("wrod: No such ") and "--help)" in result.stderr
+
+
+@pytest.mark.parametrize("words", [[], ["bench"]])
+def test_a_call_without_words_says_how_to_call(words):
+    result = CliRunner().invoke(main, words, prog_name="wrod")
+    assert result.exit_code == REFUSED and result.output.startswith("Usage: wrod")
+
+
 def test_what_is_complete_is_said(tmp_path):
     said, code = ends(RodError("bad robot"), write=tmp_path / "plan.npz")
     assert code == REFUSED and f"(complete: {tmp_path / 'plan.npz'}" in said
 
 
 def test_nothing_is_left_where_nothing_was_finished(tmp_path):
-    out = tmp_path / "out"
+    out = tmp_path / "above" / "out"
 
     @click.command()
     @click.option("--out", type=click.Path(path_type=Path))
     def command(out):
-        out.mkdir()
+        (out / "part").mkdir()
         raise RodError("no")
 
     with pytest.raises(RodError):
         holding_output(command).callback(out=out)
-    assert not out.exists()
+    assert not out.parent.exists()
 
 
 def test_a_second_process_is_told_so(tmp_path):
     code = (
-        "import sys, time; from wrod.files.locking import locked\n"
-        "with locked(sys.argv[1]): print('held', flush=True); time.sleep(60)"
+        "import sys; from wrod.files.locking import locked\n"
+        "with locked(sys.argv[1]): print('held', flush=True); sys.stdin.read()"
     )
     call = [sys.executable, "-c", code, str(tmp_path / "out")]
-    with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as first:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(call, text=True, **pipes) as first:
         assert first.stdout.readline() == "held\n"
         says = rf"another wrod process \({first.pid}\)"
         with pytest.raises(DataError, match=says), locked(tmp_path / "x" / ".." / "out"):
@@ -130,6 +145,21 @@ def test_a_second_process_is_told_so(tmp_path):
         first.wait()
     with locked(tmp_path / "out"):
         pass  # the lock ended with its process
+
+
+def test_a_process_with_other_temporary_files_is_told_so(tmp_path, monkeypatch):
+    """A container, or another user."""
+    out, other = tmp_path / "out", tmp_path / "other"
+    out.mkdir()
+    other.mkdir()
+    with locked(out):
+        monkeypatch.setattr(tempfile, "tempdir", str(other))
+        with pytest.raises(DataError, match="another wrod process"), locked(out):
+            pass
+    with locked(out, "0"), locked(out, "1"), pytest.raises(DataError, match="another"), locked(out):
+        pass
+    with locked(out):
+        pass
 
 
 def hear_interruptions():

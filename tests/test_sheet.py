@@ -2,6 +2,7 @@ import json
 
 import numpy as np
 import pytest
+from cli import done, refused
 from click.testing import CliRunner
 
 from wrod.commands import main
@@ -15,8 +16,7 @@ from wrod.perception.sheet import MarkerSheet  # noqa: E402
 
 
 def test_printed_sheet_is_read_back_to_a_tenth_of_a_millimetre(tmp_path):
-    result = CliRunner().invoke(main, ["markers", "--paper", "a3", "--out", str(tmp_path)])
-    assert result.exit_code == 0, result.output
+    done("markers", "--paper", "a3", "--out", tmp_path)
     image = cv2.imread(str(tmp_path / "markers.png"))
     height, width = image.shape[:2]
     dots = 300 / 0.0254  # [1/m]
@@ -70,8 +70,8 @@ def test_sheets_that_cannot_be_are_refused(options, says):
 
 def test_bad_paper_leaves_nothing(tmp_path):
     out = tmp_path / "out"
-    result = CliRunner().invoke(main, ["markers", "--paper", "b17", "--out", str(out)])
-    assert result.exit_code == 2 and "--paper b17" in result.output and not out.exists()
+    refused("--paper b17", "markers", "--paper", "b17", "--out", out)
+    assert not out.exists()
 
 
 def test_layout_is_that_of_docs(tmp_path):

@@ -1,23 +1,17 @@
-import json
-
 import pytest
-from click.testing import CliRunner
-
-from wrod.commands import main
+from cli import run, told
 
 
 def test_show_says_what_a_drawing_is_and_what_a_rod_makes_of_it(tmp_path):
     drawing = tmp_path / "l.csv"
     drawing.write_text("x [mm],y [mm]\n0,0\n250,0\n250,250\n")
     picture = tmp_path / "l.png"
-    result = CliRunner().invoke(main, ["show", str(drawing), "--out", str(picture), "--json"])
-    assert result.exit_code == 0, result.output
-    figures = json.loads(result.stdout)
+    figures = told("show", drawing, "--out", picture, "--json")
     assert figures["length"] == pytest.approx(0.5, abs=1e-3)
     assert figures["size"] == pytest.approx([0.25, 0.25], abs=2e-3)
     assert figures["departure_from_points"] < 1e-3
     assert picture.read_bytes()[:4] == b"\x89PNG"
-    result = CliRunner().invoke(main, ["show", str(drawing), "--rod", "green-vps"])
+    result = run("show", drawing, "--rod", "green-vps")
     assert result.exit_code == 0 and "are rounded to 94 1/m" in result.output
-    result = CliRunner().invoke(main, ["show", "letter-U", "--rod", "cable", "--length", "0.5"])
+    result = run("show", "letter-U", "--rod", "cable", "--length", "0.5")
     assert result.exit_code == 2

@@ -4,6 +4,7 @@ import json
 import shutil
 
 import pytest
+from cli import told
 from click.testing import CliRunner
 from forked import full_disk
 
@@ -97,9 +98,7 @@ def test_part_of_a_campaign_is_written_and_resumed(tmp_path, monkeypatch):
     args = ["bench", "table3", "--out", str(tmp_path), "--trials", "2", "--device", "cpu"]
     args += ["--speed", "0.2", "--step", "0.1", "--spacing", "0.04", "--json", "--batch", "1"]
     args += ["--closure", "zero_tension", "--rod", "green-vps", "--pattern", "line"]
-    first = CliRunner().invoke(main, [*args, "--substrate", "steel"])
-    assert first.exit_code == 0, first.output
-    figures = json.loads(first.output)
+    figures = told(*args, "--substrate", "steel")
     assert figures["simulated_now"] == figures["trials"] == 4
     table = (tmp_path / "table3.md").read_text()
     assert table.count("let go") == 2 and "| rope |" not in table

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from cli import refused, told
 from click.testing import CliRunner
 from forked import full_disk
 from wrod.training.autograd import solve_grasps_differentiable
@@ -295,9 +296,7 @@ def test_train_from_nothing_is_one_command_that_resumes(tmp_path):
         "train", "--generate", "120", "--out", str(tmp_path), "--steps", "40", "--width", "16",
         "--test", "20", "--device", "cpu", "--json",
     ]  # fmt: skip
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 0, result.output
-    report = json.loads(result.stdout)
+    report = told(*arguments)
     assert report["samples"] == 120 and not report["resumed"]
     assert report["held_out"]["grasps"] == 20 and report["held_out"]["left_out"] == 0
     controller = Controller.load(tmp_path / "controller.safetensors")
@@ -322,8 +321,7 @@ def test_out_that_cannot_be_written_is_said_before_training(tmp_path, monkeypatc
     trained = []
     monkeypatch.setattr(Training, "run", lambda self, **options: trained.append(self))
     out = str(tmp_path / "file" / "out")
-    result = CliRunner().invoke(main, ["train", *source, "--out", out, "--device", "cpu"])
-    assert result.exit_code == 2 and "cannot be written" in result.stderr
+    refused("cannot be written", "train", *source, "--out", out, "--device", "cpu")
     assert not trained
 
 
@@ -336,6 +334,5 @@ def test_out_that_cannot_be_written_is_said_before_training(tmp_path, monkeypatc
     ],
 )
 def test_bad_options_are_one_sentence(tmp_path, arguments, says):
-    result = CliRunner().invoke(main, ["train", "--out", str(tmp_path / "out"), *arguments])
-    assert result.exit_code == 2 and says in result.stderr
+    refused(says, "train", "--out", tmp_path / "out", *arguments)
     assert not (tmp_path / "out").exists()

@@ -6,6 +6,7 @@ import inspect
 import math
 import numbers
 import os
+import re
 import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -20,20 +21,26 @@ _MOST = 2**27
 F = TypeVar("F", bound=Callable)
 # Says what is wrong with a value ("must be ..."), or None if nothing is.
 Check = Callable[[Any], str | None]
+# Of kinds that count as whole numbers, and are none.
+_NO_NUMBERS = (bool, np.bool_, np.timedelta64)
 
 
 def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
-    """Decorator: the named arguments are checked before the function runs.
+    """Decorator: arguments are checked before the function runs.
 
     Arguments that are left out, or given as their default, pass.
 
     Args:
         error: what a wrong argument raises; its sentence names function and argument.
-        checks: of the arguments by name.
+        checks: of the arguments by name; the others are what their annotation says.
     """
 
     def decorate(function: F) -> F:
         signature = inspect.signature(function)
+        # Where decorators are stacked, the lowest looks at annotations.
+        alone = {} if hasattr(function, "__wrapped__") else signature.parameters
+        told = ((name, _told(parameter.annotation)) for name, parameter in alone.items())
+        wanted = {name: check for name, check in told if check is not None} | checks
         unknown = set(checks) - set(signature.parameters)
         if unknown:
             raise TypeError(f"{function.__qualname__} has no argument {min(unknown)!r}")
@@ -44,7 +51,7 @@ def checked(error: type[WrodError], **checks: Check) -> Callable[[F], F]:
                 given = signature.bind(*args, **kwargs).arguments
             except TypeError as reason:
                 raise TypeError(f"{_name(function, args)}: {reason}") from None
-            for name, check in checks.items():
+            for name, check in wanted.items():
                 if name not in given or given[name] is signature.parameters[name].default:
                     continue
                 wrong = check(given[name])
@@ -95,7 +102,7 @@ def number(low: float = -math.inf, high: float = math.inf, above: float | None =
             isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiu"
         )
         # A whole number may be too large for any float.
-        fits = real and not isinstance(value, (bool, np.bool_)) and abs(value) <= _LARGEST
+        fits = real and not isinstance(value, _NO_NUMBERS) and abs(value) <= _LARGEST
         if fits and least <= value <= high and (above is None or value > above):
             return None
         return f"must be a finite number{bounds}"
@@ -107,7 +114,7 @@ def whole(low: int = 0, high: int = 2**53) -> Check:
     """A whole number from `low` to `high`."""
 
     def check(value: Any) -> str | None:
-        fits = isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.bool_))
+        fits = isinstance(value, (int, np.integer)) and not isinstance(value, _NO_NUMBERS)
         return (
             None if fits and low <= value <= high else f"must be a whole number{_range(low, high)}"
         )
@@ -286,12 +293,36 @@ def indices(value: Any) -> str | None:
     try:
         found = np.asarray(value)
         good = found.ndim == 1 and (found.dtype.kind in "iu" or found.size == 0)
+        good = good and not hasattr(value, "ptr")  # an array of Warp has no items
     except Exception:  # as in `array`
         good = False
     return None if good else "must be a list of whole numbers"
 
 
 callback = like("a function", "__call__")
+
+
+_BY_TYPE: dict[str, Check] = {
+    "bool": flag,
+    "str": text,
+    "str | PathLike[str]": path,
+    "ModelBuilder": like("a newton.ModelBuilder", "has_custom_attribute"),
+    "Pattern": like("a wrod.Pattern", "sample", "length", "remainder_length"),
+    "RodBatch": like("a wrod.RodBatch", "rod_count", "node_count", "state"),
+    "RodModel | RodMaterial": like(
+        "a wrod.RodMaterial or wrod.RodModel", "radius", "length", "gravito_bending_length"
+    ),
+    "Trajectory": like("a wrod.Trajectory", "arc_length", "position", "rotation"),
+}
+
+
+def _told(annotation: Any) -> Check | None:
+    """What an annotation says, if it is one of `_BY_TYPE` or a function, or None besides."""
+    said = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+    said = re.sub(r"(\w+\.)+", "", said)
+    plain = said.removesuffix(" | None")
+    check = callback if plain.startswith("Callable[") else _BY_TYPE.get(plain)
+    return check if check is None or plain == said else optional(check)
 
 
 def _range(low: float, high: float, above: float | None = None) -> str:

@@ -42,6 +42,39 @@ LANES = """
     // or a row meet no bank conflicts.
     WROD_SHARED double window[42 * 12];
 #define WROD_AT(at, k) window[(at) * STRIDE + (k)]
+    // In a substitution each lane has one unknown of a chunk of 32, which the others learn by a
+    // shuffle; first the chunk before takes off what it knows. Going back, `beyond` and `here` are
+    // the rows of the window that have the entries of the chunk before and of this one.
+#define WROD_FORWARD() \\
+    for (int t = CHUNK - REACH; t < CHUNK; ++t) { \\
+        const double other = WROD_FROM(known, t); \\
+        WROD_LANES { \\
+            const int k = lane + CHUNK - t; \\
+            if (k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other; \\
+        } \\
+    } \\
+    _Pragma("unroll 4") for (int t = 0; t < CHUNK; ++t) { \\
+        const double other = WROD_FROM(value, t); \\
+        WROD_LANES { \\
+            const int k = lane - t; \\
+            if (k > 0 && k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other; \\
+        } \\
+    }
+#define WROD_BACKWARD(beyond, here, pivot) \\
+    for (int t = 0; t < REACH; ++t) { \\
+        const double other = WROD_FROM(known, t); \\
+        WROD_LANES { \\
+            const int k = CHUNK + t - lane; \\
+            if (k <= REACH) WROD_OWN(value) -= WROD_AT(beyond, k) * other; \\
+        } \\
+    } \\
+    _Pragma("unroll 4") for (int t = CHUNK - 1; t >= 0; --t) { \\
+        const double other = WROD_FROM(value, t) * (pivot); \\
+        WROD_LANES { \\
+            const int k = t - lane; \\
+            if (k > 0 && k <= REACH) WROD_OWN(value) -= WROD_AT(here, k) * other; \\
+        } \\
+    }
 """
 
 _FACTORISE = (
@@ -210,20 +243,7 @@ _SOLVE = (
         }
         WROD_SYNC();
         WROD_LANES { WROD_PREFETCH(base + CHUNK) }
-        for (int t = CHUNK - REACH; t < CHUNK; ++t) {
-            const double other = WROD_FROM(known, t);
-            WROD_LANES {
-                const int k = lane + CHUNK - t;
-                if (k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
-            }
-        }
-        _Pragma("unroll 4") for (int t = 0; t < CHUNK; ++t) {
-            const double other = WROD_FROM(value, t);
-            WROD_LANES {
-                const int k = lane - t;
-                if (k > 0 && k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
-            }
-        }
+        WROD_FORWARD()
         WROD_LANES {
             WROD_OWN(known) = WROD_OWN(value);
             if (base + lane < n) solution[base + lane] = WROD_OWN(value) / WROD_AT(lane, 0);
@@ -239,20 +259,7 @@ _SOLVE = (
         }
         WROD_SYNC();
         WROD_LANES { WROD_PREFETCH(base - CHUNK) }
-        for (int t = 0; t < REACH; ++t) {
-            const double other = WROD_FROM(known, t);
-            WROD_LANES {
-                const int k = CHUNK + t - lane;
-                if (k <= REACH) WROD_OWN(value) -= WROD_AT(CHUNK + t, k) * other;
-            }
-        }
-        _Pragma("unroll 4") for (int t = CHUNK - 1; t >= 0; --t) {
-            const double other = WROD_FROM(value, t);
-            WROD_LANES {
-                const int k = t - lane;
-                if (k > 0 && k <= REACH) WROD_OWN(value) -= WROD_AT(t, k) * other;
-            }
-        }
+        WROD_BACKWARD(CHUNK + t, t, 1.0)
         WROD_LANES {
             WROD_OWN(known) = WROD_OWN(value);
             if (base + lane < n) solution[base + lane] = WROD_OWN(value);

@@ -157,8 +157,7 @@ def substitute(factor: wp.array3d(dtype=wp.float64), r: int, p: int, x: wp.array
         x[r, p, a] = factor[r, a, 10] * value
 
 
-# Each lane has one unknown of a chunk of 32, which the others learn by a shuffle; the window holds
-# what the chunk's rows have left of the diagonal, then what they have from it on.
+# The window holds what the chunk's rows have left of the diagonal, then what they have from it on.
 _SUBSTITUTE = (
     LANES
     + """
@@ -178,20 +177,7 @@ _SUBSTITUTE = (
             }
         }
         WROD_SYNC();
-        for (int t = CHUNK - REACH; t < CHUNK; ++t) {
-            const double other = WROD_FROM(known, t);
-            WROD_LANES {
-                const int k = lane + CHUNK - t;
-                if (k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
-            }
-        }
-        _Pragma("unroll 4") for (int t = 0; t < CHUNK; ++t) {
-            const double other = WROD_FROM(value, t);
-            WROD_LANES {
-                const int k = lane - t;
-                if (k > 0 && k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
-            }
-        }
+        WROD_FORWARD()
         WROD_LANES {
             WROD_OWN(known) = WROD_OWN(value);
             if (base + lane < n) solution[base + lane] = WROD_OWN(value);
@@ -208,20 +194,7 @@ _SUBSTITUTE = (
             }
         }
         WROD_SYNC();
-        for (int t = 0; t < REACH; ++t) {
-            const double other = WROD_FROM(known, t);
-            WROD_LANES {
-                const int k = CHUNK + t - lane;
-                if (k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
-            }
-        }
-        _Pragma("unroll 4") for (int t = CHUNK - 1; t >= 0; --t) {
-            const double other = WROD_FROM(value, t) * WROD_AT(t, 0);
-            WROD_LANES {
-                const int k = t - lane;
-                if (k > 0 && k <= REACH) WROD_OWN(value) -= WROD_AT(lane, k) * other;
-            }
-        }
+        WROD_BACKWARD(lane, lane, WROD_AT(t, 0))
         WROD_LANES {
             WROD_OWN(known) = WROD_OWN(value) * WROD_AT(lane, 0);
             if (base + lane < n) solution[base + lane] = WROD_OWN(known);

@@ -193,7 +193,7 @@ def body_balance(
     matrix_out: wp.array3d(dtype=wp.float64),
 ):
     """Residual of every body, with what rods do to it, and its own derivative D (row, slot, 36).
-    `push` (row, slot, 42) is what contact adds to both."""
+    `push` (row, slot, 7) is what contact adds to the first."""
     r, s = wp.tid()
     b = body[r, s]
     if (active[r] == 0 and converged[r] == 0) or b.mass == ZERO:
@@ -232,7 +232,7 @@ def body_balance(
                 t = t + gradient[r, 4 * h.edge + 3] * along
                 d = d - gradient[r, 4 * h.edge + 3] * wp.skew(along)
     for k in range(36):
-        matrix_out[r, s, k] = push[r, s, 6 + k]
+        matrix_out[r, s, k] = ZERO
     for k in range(3):
         residual_out[r, s, k] = f[k] + push[r, s, k]
         residual_out[r, s, 3 + k] = t[k] + push[r, s, 3 + k]
@@ -252,6 +252,7 @@ def refuse_unbalanced(
     tolerance: wp.array(dtype=wp.float64),
     # State in:
     residual: wp.array3d(dtype=wp.float64),
+    push: wp.array3d(dtype=wp.float64),
     # State in and out:
     converged: wp.array(dtype=wp.int32),
     active: wp.array(dtype=wp.int32),
@@ -262,7 +263,8 @@ def refuse_unbalanced(
         return
     for s in range(body.shape[1]):
         if body[r, s].mass > ZERO:
-            limit = tolerance[r] * (force_scale[r] + body[r, s].mass * wp.length(gravity[r]))
+            weight = body[r, s].mass * wp.length(gravity[r])
+            limit = tolerance[r] * (force_scale[r] + weight + push[r, s, 6])
             for k in range(6):
                 value = wp.abs(residual[r, s, k])
                 if k >= 3:

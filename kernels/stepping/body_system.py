@@ -7,9 +7,10 @@ and g their residual, a Newton step of the free part (f) and of the bodies solve
 
     K_ff x + C_f xi = g_f,    C_f^T x + (V^T C + D) xi = r + V^T g,    C = K V,
 
-where r is the residual of the bodies alone and D its derivative. The rods are eliminated: one
-right-hand side for each motion of a body, and a small dense system for xi is left (a Schur
-complement). Forces between rod and body are equal and opposite to the last bit.
+where r is the residual of the bodies alone, with what they do to each other where they touch, and D
+its derivative. The rods are eliminated: one right-hand side for each motion of a body, and a small
+dense system for xi is left (a Schur complement). Forces between rod and body are equal and opposite
+to the last bit.
 """
 
 import warp as wp
@@ -90,11 +91,12 @@ def condense(
     solution: wp.array3d(dtype=wp.float64),
     residual: wp.array3d(dtype=wp.float64),
     matrix: wp.array3d(dtype=wp.float64),
+    press: wp.array3d(dtype=wp.float64),
     # Out:
     small_out: wp.array3d(dtype=wp.float64),
 ):
-    """The bodies' system, its right-hand side in the last column. Launched over (row, motion,
-    motion + 1)."""
+    """The bodies' system, its right-hand side in the last column: `press` is the part of D that
+    contact makes. Launched over (row, motion, motion + 1)."""
     r, j, k = wp.tid()
     if active[r] == 0:
         return
@@ -107,8 +109,10 @@ def condense(
             value += motion[r, j, a] * column[r, k, a]
     if k == n:
         value += residual[r, j // 6, j % 6]
-    elif j // 6 == k // 6:
-        value += matrix[r, j // 6, 6 * (j % 6) + k % 6]
+    else:
+        value += press[r, j, k]
+        if j // 6 == k // 6:
+            value += matrix[r, j // 6, 6 * (j % 6) + k % 6]
     small_out[r, j, k] = value
 
 

@@ -2,39 +2,25 @@
 
 import numpy as np
 import pytest
+from vps import (
+    CONTACT,
+    LGB,
+    RADIUS,
+    STIFFNESS,
+    WEIGHT,
+    G,
+    Pull,
+    half_turn,
+    rods,
+    rope,
+    straight,
+    tensions,
+)
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
 from wrod.solvers.contact import Box, Contact, Cylinder, Friction, FrictionField, Plane
 from wrod.solvers.dynamics import SCHEMES, Dynamics
-
-G, RADIUS, LGB, DENSITY = 9.81, 1.6e-3, 0.032, 1180.0
-WEIGHT = np.pi * RADIUS**2 * DENSITY * G
-STIFFNESS = 2 * WEIGHT * LGB**3
-CONTACT = 600 * WEIGHT / RADIUS
-
-
-def rods(position, gravity=(0.0, 0.0, -G)):
-    position = np.asarray(position, dtype=float)
-    edge = np.linalg.norm(np.diff(position, axis=1), axis=2)
-    mass = np.zeros(position.shape[:2])
-    mass[:, :-1] += WEIGHT / G * edge / 2
-    mass[:, 1:] += WEIGHT / G * edge / 2
-    return RodBatch(
-        position,
-        stretching_stiffness=4 * STIFFNESS / RADIUS**2,
-        bending_stiffness=STIFFNESS,
-        twisting_stiffness=STIFFNESS / 1.5,
-        node_mass=mass,
-        gravity=gravity,
-    )
-
-
-def straight(count=1, nodes=15, axis=0, height=RADIUS, length=0.07):
-    position = np.zeros((count, nodes, 3))
-    position[:, :, axis] = np.linspace(0, length, nodes)
-    position[:, :, 2] = height
-    return position
 
 
 def on_slope(angles, friction, axis=0, **options):
@@ -291,17 +277,8 @@ def test_drilling_is_held_up_to_a_bound(step):
     mu w L^2 / 4, the moment of friction about its middle, it does not creep in a minute, above it
     spins up as fast as the moment that is left over tells, whatever the step."""
     length, nodes, law, share = 0.07, 15, 0.5, np.array([0.5, 0.95, 1.2])
-    position = straight(len(share), nodes=nodes, length=length)
-    mass = np.full(nodes, WEIGHT / G * length / (nodes - 1))
-    mass[[0, -1]] *= 0.5
-    batch = RodBatch(
-        position,
-        stretching_stiffness=4e3 * STIFFNESS / RADIUS**2,
-        bending_stiffness=1e3 * STIFFNESS,
-        twisting_stiffness=1e3 * STIFFNESS,
-        node_mass=mass,
-        gravity=(0.0, 0.0, -G),
-    )
+    stretching = 4e3 * STIFFNESS / RADIUS**2
+    batch = rods(straight(len(share), nodes, length=length), stiffer=1e3, stretching=stretching)
     contact = Contact(batch, RADIUS, CONTACT, Friction(law))
     dynamics = Dynamics(
         batch, scheme="euler", radius=RADIUS, contact=contact, air_damping=0.0, tolerance=1e-9,
@@ -319,7 +296,7 @@ def test_drilling_is_held_up_to_a_bound(step):
         return np.arctan2(*(q[:, -1] - q[:, 0])[:, 1::-1].T)
 
     dynamics.advance(0.6, min(step, 5e-3))
-    inertia = np.sum(mass * (np.linspace(0, length, nodes) - length / 2) ** 2)
+    inertia = np.sum(batch.node_mass.numpy()[0] * (np.linspace(0, length, nodes) - length / 2) ** 2)
     turned = 0.5 * (share[2] - 1.0) * bound / inertia * 0.1**2
     assert heading()[2] == pytest.approx(turned, rel=0.1)
     dynamics.advance(5.0, step)
@@ -349,43 +326,14 @@ def test_bad_contacts_are_refused():
         Contact(batch, RADIUS, CONTACT, Friction(0.3), shapes=(Box((0, 0, 0), (1, 0, 1)),))
 
 
-class _PullDown:
-    """Moves the last node down at 1 cm/s."""
-
-    def __init__(self, batch):
-        self.batch, self.height = batch, batch.positions()[0, -1, 2]
-
-    def prescribe(self, running, time, step, start):
-        dof = self.batch.state.dof.numpy().copy()
-        dof[:, -1] = self.height - 0.01 * (time.numpy() + step.numpy())
-        self.batch.state.dof.assign(dof)
-
-
 @pytest.mark.parametrize("friction", [0.15, 0.3])
 def test_capstan(friction):
     """A flexible rod pulled over a cylinder, half a turn, against a load: the tensions are in the
     ratio exp(mu pi)."""
     cylinder, edge, load = 0.02, 4e-3, 0.2
     reach = cylinder + RADIUS
-    angle = np.linspace(np.pi, 0, round(np.pi * reach / edge) + 1)
-    arc = reach * np.column_stack([np.cos(angle), 0 * angle, np.sin(angle)])
-    down = edge * np.arange(1, 9)
-    left = np.column_stack([0 * down - reach, 0 * down, -down])[::-1]
-    right = np.column_stack([0 * down + reach, 0 * down, -down])
-    position = np.concatenate([left, arc, right])[None]
-    point_load = np.zeros_like(position)
-    point_load[0, 0, 2] = -load
-    batch = RodBatch(
-        position,
-        stretching_stiffness=100.0,
-        bending_stiffness=1e-7,  # against load x radius^2: bending does not matter
-        twisting_stiffness=1e-7,
-        node_mass=1e-2 * edge,
-        point_load=point_load,
-    )
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[-3:] = False
-    batch.set_free(free)
+    # Against load x radius^2 bending does not matter.
+    batch = rope(half_turn(reach, edge), [0.0, 0.0, -load], edge, bending=1e-7)
     shapes = (Cylinder((0, 0, 0), cylinder, 0.05, axis=(0, 1, 0)),)
     contact = Contact(batch, RADIUS, 2e5, Friction(friction), shapes=shapes)
     dynamics = Dynamics(
@@ -394,13 +342,9 @@ def test_capstan(friction):
         radius=RADIUS,
         contact=contact,
         air_damping=20.0,
-        motion=_PullDown(batch),
+        motion=Pull(batch, [0.0, 0.0, -1.0]),
     )
     dynamics.advance(0.2, 2e-3)
-    strain = (
-        np.linalg.norm(np.diff(batch.positions()[0], axis=0), axis=1) / batch.rest_length.numpy()[0]
-        - 1
-    )
-    tension = 100.0 * strain
+    tension = tensions(batch)
     assert tension[3] == pytest.approx(load, rel=0.01)
     assert tension[-3] / tension[3] == pytest.approx(np.exp(friction * np.pi), rel=0.03)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import eigh
+from vps import momenta
 
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
@@ -185,16 +186,6 @@ def free_rod(seed=0, nodes=9, gravity=(0.0, 0.0, 0.0)):
         gravity=gravity,
     )
     return batch, rng.normal(size=(1, nodes, 3)) * 0.3
-
-
-def momenta(dynamics):
-    """Linear and angular momentum of the nodes, and the spin of the edges about their axes."""
-    batch = dynamics.batch
-    q, v = batch.positions()[0], dynamics.velocities()[0]
-    mass = batch.node_mass.numpy()[0][:, None]
-    inertia = dynamics.mass.numpy()[0, 3::4, None]
-    spin = inertia * dynamics.velocity.numpy()[0, 3::4, None] * batch.state.tangent.numpy()[0]
-    return (mass * v).sum(axis=0), np.cross(q, mass * v).sum(axis=0) + spin.sum(axis=0)
 
 
 def test_momentum_of_a_free_rod_is_conserved():

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 import warp as wp
-from test_contact import CONTACT, RADIUS, WEIGHT, G, _PullDown, rods, straight
+from vps import CONTACT, RADIUS, WEIGHT, G, Pull, half_turn, rods, rope, straight, tensions
 
-from wrod.rods.batch import RodBatch
 from wrod.solvers.contact import Box, Contact, Cylinder, Friction, Plane
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
@@ -116,42 +115,6 @@ def test_rod_leans_on_a_pin_between_two_nodes():
     assert force[nodes // 2, 2] == pytest.approx(force[nodes // 2 - 1, 2], rel=1e-3)
 
 
-def rope(position, load, stretching=100.0):
-    point_load = np.zeros_like(position)
-    point_load[0, 0] = load
-    batch = RodBatch(
-        position,
-        stretching_stiffness=stretching,
-        bending_stiffness=1e-8,
-        twisting_stiffness=1e-8,
-        node_mass=1e-2 * np.linalg.norm(position[0, 1] - position[0, 0]),
-        point_load=point_load,
-    )
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[-3:] = False
-    batch.set_free(free)
-    return batch
-
-
-class _Pull(_PullDown):
-    """Moves the last node at 1 cm/s."""
-
-    def __init__(self, batch, direction):
-        self.batch, self.direction = batch, direction
-        self.start = batch.positions()[0, -1].copy()
-
-    def prescribe(self, running, time, step, start):
-        dof = self.batch.state.dof.numpy().copy()
-        dof[:, -3:] = self.start + 0.01 * (time.numpy() + step.numpy()) * self.direction
-        self.batch.state.dof.assign(dof)
-
-
-def tensions(batch, stretching=100.0):
-    nodes = batch.positions()[0]
-    strain = np.linalg.norm(np.diff(nodes, axis=0), axis=1) / batch.rest_length.numpy()[0] - 1
-    return stretching * strain
-
-
 @pytest.mark.parametrize("shape", ["pin", "corner"])
 @pytest.mark.parametrize("friction", [0.2, 0.4])
 def test_capstan_over_what_is_thinner_than_an_edge(shape, friction):
@@ -171,8 +134,8 @@ def test_capstan_over_what_is_thinner_than_an_edge(shape, friction):
     left = out * [-1.0, 1.0, 1.0]
     s = edge * (np.arange(10) + 0.5)
     top = np.array([0.0, 0.0, RADIUS / np.cos(turn)])
-    position = np.concatenate([top + s[::-1, None] * left, top + s[:, None] * out])[None]
-    batch = rope(position, load * left)
+    position = np.concatenate([top + s[::-1, None] * left, top + s[:, None] * out])
+    batch = rope(position, load * left, edge)
     contact = Contact(batch, RADIUS, 1e6, Friction(friction), shapes=(fixture,))
     dynamics = Dynamics(
         batch,
@@ -180,7 +143,7 @@ def test_capstan_over_what_is_thinner_than_an_edge(shape, friction):
         radius=RADIUS,
         contact=contact,
         air_damping=20.0,
-        motion=_Pull(batch, out),
+        motion=Pull(batch, out),
     )
     ratios, until = [], 0.3
     for _ in range(8):
@@ -195,12 +158,7 @@ def test_capstan_over_what_is_thinner_than_an_edge(shape, friction):
 def test_capstan_half_a_turn_around_a_thin_post():
     """Post of 0.5 mm, rod of 1.6 mm, edges of 0.8 mm."""
     reach, edge, load, friction = 0.0005 + RADIUS, 0.8e-3, 0.2, 0.3
-    angle = np.linspace(np.pi, 0, round(np.pi * reach / edge) + 1)
-    arc = reach * np.column_stack([np.cos(angle), 0 * angle, np.sin(angle)])
-    down = edge * np.arange(1, 9)
-    side = np.column_stack([0 * down + reach, 0 * down, -down])
-    position = np.concatenate([(side * [-1, 1, 1])[::-1], arc, side])[None]
-    batch = rope(position, [0.0, 0.0, -load])
+    batch = rope(half_turn(reach, edge), [0.0, 0.0, -load], edge)
     pin = Cylinder((0.0, 0.0, 0.0), 0.0005, 0.05, axis=(0, 1, 0))
     contact = Contact(batch, RADIUS, 5e6, Friction(friction), shapes=(pin,))
     dynamics = Dynamics(
@@ -209,7 +167,7 @@ def test_capstan_half_a_turn_around_a_thin_post():
         radius=RADIUS,
         contact=contact,
         air_damping=20.0,
-        motion=_Pull(batch, np.array([0.0, 0.0, -1.0])),
+        motion=Pull(batch, [0.0, 0.0, -1.0]),
     )
     dynamics.advance(0.2, 2e-3)
     tension = tensions(batch)
@@ -305,29 +263,15 @@ def test_capstan_of_rod_on_rod():
     exp(mu pi R / (R + r))."""
     post, edge, load, friction = 6e-3, 0.8e-3, 0.2, 0.3
     reach = post + RADIUS
-    angle = np.linspace(np.pi, 0, round(np.pi * reach / edge) + 1)
-    arc = reach * np.column_stack([np.cos(angle), 0 * angle, np.sin(angle)])
-    down = edge * np.arange(1, 9)
-    side = np.column_stack([0 * down + reach, 0 * down, -down])
     # The post first: the rope's end is the row's.
-    nodes = [[[0.0, -0.03, 0.0], [0.0, 0.03, 0.0]], (side * [-1, 1, 1])[::-1], arc, side]
-    position = np.concatenate(nodes)[None]
-    point_load = np.zeros_like(position)
-    point_load[0, 2] = [0.0, 0.0, -load]
-    batch = RodBatch(
-        position, stretching_stiffness=100.0, bending_stiffness=1e-8, twisting_stiffness=1e-8,
-        node_mass=1e-2 * edge, point_load=point_load,
-    )  # fmt: skip
-    batch.cut([1])
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[:8] = free[-3:] = False
-    batch.set_free(free)
+    nodes = np.concatenate([[[0.0, -0.03, 0.0], [0.0, 0.03, 0.0]], half_turn(reach, edge)])
+    batch = rope(nodes, [0.0, 0.0, -load], edge, post=True)
     radius = np.full((1, batch.node_count - 1), RADIUS)
     radius[0, 0] = post
     contact = RodContact(batch, radius, Friction(friction), stiffness=1e4, partners=64)
     dynamics = Dynamics(
         batch, scheme="euler", radius=radius, contact=contact, air_damping=20.0,
-        motion=_Pull(batch, np.array([0.0, 0.0, -1.0])),
+        motion=Pull(batch, [0.0, 0.0, -1.0]),
     )  # fmt: skip
     ratios, until = [], 0.1
     for _ in range(4):

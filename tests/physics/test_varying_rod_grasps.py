@@ -56,9 +56,7 @@ def clamped(model: RodModel, at: float, roll: float, grasps, k: int, edges: int)
     angle = roll + model.rolled(at)
     m1 = np.array([0.0, np.cos(angle), np.sin(angle)])
     batch = wrod.RodBatch.of(model, s, position[None], clamped=(True, True), director=m1)
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[:7] = free[-7:] = False
-    batch.set_free(free)
+    wrod.prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
     # The grip's frame: y where what was left has been carried to; the section's own from there.
     turn = roll + model.principal_angle
     target = np.cos(turn) * frame[:, 1] + np.sin(turn) * frame[:, 2]

@@ -126,11 +126,10 @@ def _rod(scenario: Scenario, spec: Rod, n_elements: int) -> wrod.RodBatch:
         model, arc, position[None], clamped=ghosts, director=director[None], gravity=gravity,
         point_load=load[None],
     )  # fmt: skip
-    free = np.ones(batch.dof_count, dtype=bool)
-    for at, end in ((0, End.START), (batch.dof_count - 3, End.END)):
-        if spec.condition(end) is EndCondition.PINNED:
-            free[at : at + 3] = False
-    batch.set_free(free)
+    ends = ((0, End.START), (-1, End.END))
+    wrod.prescribe(
+        batch, pinned_nodes=[k for k, end in ends if spec.condition(end) is EndCondition.PINNED]
+    )
     return batch
 
 

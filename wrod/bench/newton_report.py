@@ -88,12 +88,10 @@ def draw(path: str | os.PathLike[str], figures: dict) -> Path:
                 )  # fmt: skip
             if j == 0:
                 handles.append(line)
-        axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
-        axes.set_xlabel("computing time per simulated second [s]", fontsize=8.5, color=INK)
         axes.xaxis.set_minor_formatter(NullFormatter())
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        dress(axes)
+        dress(axes, title, "computing time per simulated second [s]")
     figure.text(0.065, 0.955, "A heavy cantilever against the continuum", fontsize=11.5, color=INK)
     figure.text(0.935, 0.957, "numbers at the marks: edges", fontsize=8, color=MUTED, ha="right")
     figure.legend(

@@ -25,6 +25,7 @@ from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
+from wrod.solvers.statics import prescribe
 
 # Part of the loosest loop's radius that a knot is pulled by before it is looked at.
 RUN_IN = 0.3
@@ -148,9 +149,7 @@ class _Ends:
         self.stop()
         along = self.ends[:, 1] - self.ends[:, 0]
         self.direction = along / np.linalg.norm(along, axis=1)[:, None]
-        free = np.ones(batch.dof_count, dtype=bool)
-        free[[0, 1, 2, -3, -2, -1]] = False
-        batch.set_free(free)
+        prescribe(batch, pinned_nodes=(0, -1))
 
     def stop(self) -> None:
         """Stand still where the ends are."""

@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import sys
 import warnings
+from typing import NoReturn
 
 import click
 
@@ -72,13 +73,19 @@ class LazyGroup(click.Group):
                 refuse_variables()
                 return super().invoke(ctx)
         except click.UsageError as error:
-            path = ctx.command_path if error.ctx is None else error.ctx.command_path
-            click.echo(f"wrod: {cut(error.format_message())} (see {path} --help)", err=True)
-            ctx.exit(REFUSED)
+            _say_usage(error, ctx.command_path)
         except (click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except (Exception, KeyboardInterrupt) as error:
             stop(ctx, error)
+
+    def make_context(self, info_name, args, parent=None, **extra):
+        try:
+            return super().make_context(info_name, args, parent, **extra)
+        except click.UsageError as error:
+            if parent is not None:  # `invoke` says it
+                raise
+            _say_usage(error, info_name)
 
     def _main_shell_completion(self, *args, **kwargs):
         """Nothing, unless a shell asks for completions."""
@@ -100,6 +107,16 @@ class LazyGroup(click.Group):
         except KeyboardInterrupt:  # before a command began, or after it ended
             click.echo("wrod: interrupted", err=True)
             sys.exit(INTERRUPTED)
+
+
+def _say_usage(error: click.UsageError, path: str | None) -> NoReturn:
+    """Say in one sentence what was called wrongly, or how to call, and exit."""
+    if type(error).__name__ == "NoArgsIsHelpError":  # older click has none
+        error.show()
+    else:
+        path = path if error.ctx is None else error.ctx.command_path
+        click.echo(f"wrod: {cut(error.format_message())} (see {path} --help)", err=True)
+    sys.exit(REFUSED)
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):

@@ -1,6 +1,8 @@
 """The steps of `wrod plan`, each of which leaves something behind: grasps, files, joint path."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +13,9 @@ _SHARE = 0.5
 
 def solve_grasps_of(
     curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, pace=None,
-    expects=False, **options,
+    **options,
 ):  # fmt: skip
-    """The trajectory, with the rod's shapes where they are wanted, and with what is expected of it
-    on a table where that is."""
+    """The trajectory, with the rod's shapes where they are wanted."""
     from tqdm import tqdm
 
     from wrod.deployment.plan import plan
@@ -34,25 +35,7 @@ def solve_grasps_of(
         if shapes:
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
-        wanted = expects or (friction is not None and method == "intuitive")
-        if wanted and "expected" not in trajectory.metadata:
-            bar.set_description("laying it in simulation")
-            trajectory.metadata["expected"] = _expected(curve, rod, trajectory, friction, device)
     return trajectory
-
-
-def _expected(curve, rod, trajectory, friction, device) -> dict | None:
-    """What is expected of a plan on a table; None, with a warning, where it cannot be laid."""
-    import warnings
-
-    from wrod.deployment.expectation import foresee
-    from wrod.errors import WrodError, WrodWarning
-
-    try:
-        return foresee(curve, rod, trajectory, friction, device=device)
-    except WrodError as error:
-        warnings.warn(WrodWarning(f"not laid in simulation: {error}"), stacklevel=3)
-        return None
 
 
 def softened(curve, rod, trajectory, start, how, friction, device):
@@ -100,23 +83,38 @@ def save_plan(out: Path, curve, trajectory) -> list[Path]:
     Raises:
         DataError: the folder cannot be written.
     """
-    from wrod.errors import DataError
     from wrod.planning.picture import draw_plan
 
-    try:
+    with _writing(out):
         picture = draw_plan(out / "preview.png", curve, trajectory)
-        return [*trajectory.save(out / "trajectory"), picture]
+    return [*save_trajectory(out, trajectory), picture]
+
+
+def save_trajectory(out: Path, trajectory) -> list[Path]:
+    """Write the trajectory alone; see `save_plan`."""
+    with _writing(out):
+        return trajectory.save(out / "trajectory")
+
+
+@contextmanager
+def _writing(out: Path) -> Iterator[None]:
+    from wrod.errors import DataError
+
+    try:
+        yield
     except OSError as error:
         raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
 
 
 def arm_steps(
-    request, out: Path, trajectory, curve, rod, quiet: bool, planned, shaping, softer=None
+    request, out: Path, trajectory, curve, rod, quiet: bool, planned, shaping, expected, softer=None
 ):
     """Joint path and scene, or the reason why there is none, with what would help.
 
     Args:
         planned: a `Shaping` -> what the plan would be with it; `shaping` is what it is now.
+        expected: what waits for what is expected of the trajectory, called before kernels are
+            launched and files are made of it.
         softer: what asks less of the arm than all corrections for a table, see `softened`; None:
             there are none. Where the arm cannot follow them they are made anew within what it can
             do, and if it cannot follow these either it follows as many as it can.
@@ -126,7 +124,7 @@ def arm_steps(
     """
     from tqdm import tqdm
 
-    from wrod.errors import DataError, RobotError
+    from wrod.errors import RobotError
     from wrod.robot.remedy import draw_reach
     from wrod.robot.solve import UnreachedError
     from wrod.scene.deliver import deliver
@@ -140,20 +138,20 @@ def arm_steps(
         step("joint path")
         try:
             joint_path, trajectory = _followed(request, trajectory, rod, softer)
-        except UnreachedError as error:
+            expected()
+        except RobotError as error:
+            expected()
+            if not isinstance(error, UnreachedError):
+                return None, str(error), [], trajectory
             step("remedy")
             picture = draw_reach(out / "reach.png", error)
             said = _remedy(request, error, rod, curve, planned, shaping) if request.remedy else None
             reason = str(error).rsplit(";", 1)[0] + f"; {said}" if said else str(error)
             return None, reason, [picture], trajectory
-        except RobotError as error:
-            return None, str(error), [], trajectory
-        try:
+        with _writing(out):
             written = request.export(joint_path, out)
             written += deliver(out, trajectory, joint_path, curve, rod, step)
-            return joint_path, None, written, trajectory
-        except OSError as error:
-            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+        return joint_path, None, written, trajectory
 
 
 def _followed(request, trajectory, rod, softer):

@@ -87,7 +87,7 @@ def sentence(error: BaseException) -> tuple[str, int] | None:
     ):
         return f"{error}; this process may have too few threads or too little memory (ulimit -a)", 2
     if isinstance(error, OSError):
-        where = error.filename if error.filename is not None else "the output"
+        where = error.filename if error.filename is not None else "the system says"
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         remedy = "make room" if full else "check the path"
         said = error.strerror or str(error)
@@ -281,6 +281,16 @@ def _read_files(command: click.Command, given: dict) -> list[str]:
     return found
 
 
+def _missing_from(out: Path) -> Path | None:
+    """The outermost folder of a path that is not there; None if all are."""
+    missing = None
+    for place in (out, *out.parents):
+        if os.path.lexists(place):
+            break
+        missing = place
+    return missing
+
+
 def _remove_empty(folder: Path) -> None:
     """Remove a folder and those in it that hold no file."""
     for place, _, _ in os.walk(folder, topdown=False):
@@ -304,19 +314,19 @@ def holding_output(command: click.Command) -> click.Command:
         out = kwargs.get("out")
         if out is None:
             return run(*args, **kwargs)
-        existing = os.path.lexists(out)
+        made = _missing_from(Path(out))
         if _is_file(Path(out), option.type):
             refuse_no_file(out)
             refuse_unwritable(Path(os.path.realpath(out)).parent)
         else:
             refuse_unwritable(Path(out))
+            Path(out).mkdir(parents=True, exist_ok=True)  # what is locked
         try:
             with locked(out, os.environ.get("RANK", "")):
                 return run(*args, **kwargs)
-        except BaseException:
-            if not existing:
-                _remove_empty(Path(out))  # nothing was finished: leave nothing
-            raise
+        finally:
+            if made is not None:
+                _remove_empty(made)  # where nothing was finished nothing is left
 
     command.callback = guarded
     return command

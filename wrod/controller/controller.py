@@ -67,7 +67,7 @@ class Controller:
         self._on_device: dict = {}
 
     @classmethod
-    @arguments.checked(DataError, path=arguments.optional(arguments.path), closure=arguments.text)
+    @arguments.checked(DataError)
     def load(
         cls, path: str | os.PathLike[str] | None = None, *, closure: str = "zero_tension"
     ) -> Controller:

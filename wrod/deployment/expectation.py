@@ -11,7 +11,7 @@ from wrod.deployment.result import METRIC_POINTS, interpolation
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread, stretching
-from wrod.deployment.tangents import Laid
+from wrod.deployment.tangents import Laid, Watch
 from wrod.deployment.together import Asked, Course, follow
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
@@ -49,13 +49,14 @@ def expect(
     pace: float = FINE["speed"],
     coarse: bool = False,
     device: str | None = "cpu",
+    watch: Watch | None = None,
 ) -> dict:
     """What a trajectory is to be expected to do on a table: disturbed rods, laid in simulation.
 
     The disturbances are those of a careful laboratory (`Disturbance.random`), placement and jitter
     included; friction runs from the least to the largest, and rods stretch as believed or less
     (`Spread.stretch`). Meshes may be `coarse`: what lies differs by 0.05 cm, in a third of the
-    time.
+    time. `watch` is that of `wrod.deployment.tangents.lay`.
 
     Returns:
         Plain JSON values: friction (trials,) [-]; error_mean (trials,), their mean and deviation
@@ -68,7 +69,8 @@ def expect(
         the pattern [m]; diverged: how many did.
     """
     course = expecting(pattern, rod, [trajectory], friction, trials, pace, coarse)
-    (expected,) = follow([course], hold=hold, tolerance=TOLERANCE, device=device)[0]
+    how: dict[str, Any] = {"hold": hold, "tolerance": TOLERANCE, "watch": watch}
+    (expected,) = follow([course], device=device, **how)[0]
     return expected
 
 
@@ -79,14 +81,13 @@ def foresee(
     friction: float | tuple[float, float] | None = None,
     *,
     device: str | None = None,
+    watch: Watch | None = None,
 ) -> dict:
     """`expect` for a table, or for one that nobody measured: four rods, coarse meshes."""
-    device = device or "auto"
-    if friction is not None:
-        return expect(pattern, rod, trajectory, friction, device=device)
-    return expect(
-        pattern, rod, trajectory, UNMEASURED, trials=_FORESEEN, coarse=True, device=device
-    )
+    how: dict[str, Any] = {"device": device or "auto", "watch": watch}
+    if friction is None:
+        friction, how = UNMEASURED, {**how, "trials": _FORESEEN, "coarse": True}
+    return expect(pattern, rod, trajectory, friction, **how)
 
 
 def expecting(

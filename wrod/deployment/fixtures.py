@@ -137,7 +137,7 @@ class Fixtures:
         return (Plane(), *(item.shape for item in self.items))
 
     @classmethod
-    @arguments.checked(SceneError, path=arguments.path)
+    @arguments.checked(SceneError)
     def load(cls, path: str | os.PathLike[str]) -> Fixtures:
         """Read a scene file.
 
@@ -158,12 +158,10 @@ class Fixtures:
     @classmethod
     @arguments.checked(
         SceneError,
-        pattern=arguments.like("a wrod.Pattern", "sample", "length"),
         stations=arguments.array((None,)),
         gap=arguments.array((), (None,)),
         radius=arguments.number(above=0.0, high=100.0),
         height=arguments.number(above=0.0, high=100.0),
-        name=arguments.optional(arguments.text),
     )
     def along(
         cls,

@@ -31,9 +31,6 @@ DISTILLED = "distilled"
 )
 @arguments.checked(
     GraspError,
-    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
-    method=arguments.text,
-    closure=arguments.optional(arguments.text),
     remainder=arguments.either(arguments.flag, arguments.number(0.0, 100.0)),
     roll=arguments.either(arguments.text, arguments.number(-1e6, 1e6)),
     controller=arguments.like("a wrod.Controller", "predict", "out_of_range"),
@@ -41,9 +38,6 @@ DISTILLED = "distilled"
         arguments.either(arguments.number(0.0, 100.0), arguments.array((2,)))
     ),
     pace=arguments.optional(arguments.either(arguments.number(5e-4, 10.0), arguments.array((2,)))),
-    expect=arguments.flag,
-    device=arguments.optional(arguments.text),
-    progress=arguments.optional(arguments.callback),
 )
 def plan(
     pattern: Pattern,

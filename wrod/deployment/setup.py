@@ -20,6 +20,7 @@ from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+from wrod.rods.rotation import angle_about, carried, unit
 
 # The mesh stays fine for this long beyond what is laid, in L_gb: the boundary layer at the contact.
 _FINE_BEYOND = 4.0
@@ -271,15 +272,7 @@ def blend(t: np.ndarray, approach: float) -> np.ndarray:
 def _frame_without_twist(frame, position, on_table, tip) -> np.ndarray:
     """The contact frame carried along the hanging part to the grip, x axis along the rod."""
     edges = np.diff(position[int(on_table.sum()) - 1 :], axis=0)
-    tangents = np.vstack([frame[:, 0], edges / np.linalg.norm(edges, axis=1)[:, None]])
-    # The smallest rotation from each tangent to the next.
-    axis = np.cross(tangents[:-1], tangents[1:])
-    cosine = np.sum(tangents[:-1] * tangents[1:], axis=1)[:, None, None]
-    turns = cosine * np.eye(3) + np.cross(axis[:, :, None], np.eye(3), axisa=1, axisb=0, axisc=1)
-    turns += axis[:, :, None] * axis[:, None, :] / (1.0 + cosine)
-    side = frame[:, 1]
-    for turn in turns:
-        side = turn @ side
+    side = carried(frame[:, 1], np.vstack([frame[:, 0], unit(edges)]))[-1]
     x = tip / np.linalg.norm(tip)
     side = side - (side @ x) * x
     side /= np.linalg.norm(side)
@@ -291,8 +284,7 @@ def _whole_turns(untwisted: np.ndarray, rotation: np.ndarray, twist: float) -> i
     that it is twisted by `twist` in the end."""
     x = rotation[:, 0]
     shortest, _ = Rotation.align_vectors(x[None], untwisted[None, :, 0])
-    carried, side = shortest.apply(untwisted[:, 1]), rotation[:, 1]
-    angle = np.arctan2(np.cross(carried, side) @ x, carried @ side)
+    angle = angle_about(x, shortest.apply(untwisted[:, 1]), rotation[:, 1])
     return int(np.rint((twist - angle) / (2.0 * np.pi)))
 
 

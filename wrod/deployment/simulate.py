@@ -40,9 +40,6 @@ _CPU_CHUNK, _MANY_CORES = 16, 8
 
 @arguments.checked(
     RodError,
-    pattern=arguments.like("a wrod.Pattern", "sample", "length", "remainder_length"),
-    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
-    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
     friction=arguments.either(
         arguments.like("a wrod.Friction", "static", "kinetic"), arguments.number(0.0, 1e3)
     ),
@@ -100,15 +97,12 @@ def simulate_deployment(
     spacing=arguments.number(1e-5, 1.0),
     node_count=arguments.optional(arguments.whole(4, 100_000)),
     step=arguments.number(1e-6, 1.0),
-    scheme=arguments.text,
     air_damping=arguments.optional(arguments.number(0.0, 1e6)),
     internal_damping=arguments.optional(arguments.number(0.0, 1e6)),
     tolerance=arguments.number(1e-15, 1.0),
     frame_interval=arguments.optional(arguments.number(1e-5, 1e6)),
-    device=arguments.optional(arguments.text),
     threads=arguments.optional(arguments.whole(0, 4096)),
     friction_field=arguments.optional(arguments.like("a wrod.FrictionField", "factor", "x", "y")),
-    progress=arguments.optional(arguments.callback),
 )
 def simulate_deployments(
     trials: list[Trial],

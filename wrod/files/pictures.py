@@ -22,8 +22,16 @@ def as_png(figure) -> bytes:
     return buffer.getvalue()
 
 
-def dress(axes) -> None:
-    """A light grid, and no frame but the axes."""
+def dress(axes, title: str = "", x: str = "", y: str = "", *, legend: bool = False, **how) -> None:
+    """A light grid, no frame but the axes, and what they say; `how` the legend looks."""
+    if title:
+        axes.set_title(title, loc="left", fontsize=9, color=MUTED)
+    if x:
+        axes.set_xlabel(x, fontsize=8.5)
+    if y:
+        axes.set_ylabel(y, fontsize=8.5)
+    if legend:
+        axes.legend(**{"fontsize": 8, "frameon": False, **how})
     axes.grid(color=GRID, lw=0.6)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=8, colors=MUTED, which="both", length=0)
@@ -32,9 +40,18 @@ def dress(axes) -> None:
         spine.set_color(FAINT)
 
 
+def draw_bands(axes, place, value, error, labels) -> None:
+    """Lines of (place, column) values in bands of two standard errors, and where zero is."""
+    for column, label in enumerate(labels):
+        color, v, e = SERIES[column % len(SERIES)], value[:, column], 2 * error[:, column]
+        axes.plot(place, v, color=color, lw=1.6, label=label)
+        axes.fill_between(place, v - e, v + e, color=color, alpha=0.15, lw=0)
+    axes.axhline(0.0, color=FAINT, lw=0.8, zorder=0)
+
+
 def dress_map(axes, title: str) -> None:
     """Of a map: a title, and no frame."""
-    axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
+    axes.set_title(title, loc="left", fontsize=9, color=MUTED)
     axes.tick_params(labelsize=8, colors=MUTED, length=0)
     for spine in axes.spines.values():
         spine.set_visible(False)

@@ -19,10 +19,11 @@ import warp as wp
 from wrod.grasps.device_results import empty_results
 from wrod.grasps.inputs import GraspOptions
 from wrod.grasps.levels import Ladder, MeshLevel, make_scratch, make_task, per_rod, put
-from wrod.grasps.mesh import node_weights, two_sided_rest_lengths
+from wrod.grasps.mesh import ghost, node_weights, tolerance, two_sided_rest_lengths
 from wrod.kernels.grasping import general_rod, iteration, reading
 from wrod.rods.batch import RodBatch
 from wrod.solvers.stability import smallest_eigenvalue
+from wrod.solvers.statics import prescribe
 
 _CPU_CHUNK, _CUDA_CHUNK = 64, 8192
 # How much of a rod's own properties is added at once at first: natural curvature [1/L_gb], or the
@@ -155,11 +156,8 @@ class _GeneralLevel:
         self.straight = level = MeshLevel(n, edges, device, ladder.iterations)
         # The straight rod's Newton iteration hardly has to move on the new mesh.
         put(level.rest, rods.rest_length)
-        shortest = rods.rest_length.min(axis=1)
         length = rods.rest_length.sum(axis=1)
-        rounding = rods.stretching.max(axis=1) / shortest * length
-        rounding += 4.0 / shortest**3 * np.minimum(length, 5.0)
-        put(level.tolerance, np.maximum(1e-9, 8 * np.finfo(float).eps * rounding))
+        put(level.tolerance, tolerance(rods.rest_length, rods.stretching.max(axis=1), 1e-9))
 
         def array(value, dtype=wp.float64):
             return wp.array(np.ascontiguousarray(value), dtype=dtype, device=device)
@@ -236,18 +234,17 @@ class _GeneralLevel:
         rods, state = self.rods, self.state.contiguous().numpy()
         shape, director = state[:, :, :3], state[:, :-1, 3:6]
         rest = rods.rest_length
-        half = np.arctan(0.5 * self.straight.curvature.numpy() * rest[:, 0])
-        back = np.stack([np.cos(half), -np.sin(half), np.zeros_like(half)], axis=1)
+        half, behind = ghost(self.straight.curvature.numpy(), rest)
         # Turned back about the vertical, as the ghost edge stands to the first.
         c, s = np.cos(2.0 * half), np.sin(2.0 * half)
         x, y, z = director[:, 0].T
-        ghost = np.stack([c * x + s * y, c * y - s * x, z], axis=1)
+        held = np.stack([c * x + s * y, c * y - s * x, z], axis=1)
 
         def pad(value):
             return np.concatenate([value[:, :1], value], axis=1)
 
         batch = RodBatch(
-            np.concatenate([(-rest[:, :1] * back)[:, None], shape], axis=1),
+            np.concatenate([behind, shape], axis=1),
             rest_length=pad(rest),
             stretching_stiffness=pad(rods.stretching),
             bending_stiffness=pad(rods.bending),
@@ -255,16 +252,13 @@ class _GeneralLevel:
             natural_curvature=pad(rods.natural_curvature),
             natural_twist=pad(rods.natural_twist),
             softening=pad(rods.softening),
-            director=np.concatenate([ghost[:, None], director], axis=1),
+            director=np.concatenate([held[:, None], director], axis=1),
             device=self.device,
         )
         twist = np.zeros((len(rest), batch.node_count))
         twist[:, 2:-1] = state[:, 1:-1, 6]
         batch.state.reference_twist.assign(twist)
-        free = np.ones(batch.dof_count, dtype=bool)
-        free[:11] = False
-        free[-4:] = False
-        batch.set_free(free)
+        prescribe(batch, clamped_nodes=(0, 1, 2, -1), clamped_angles=(0, 1, -1))
         return smallest_eigenvalue(batch)
 
 

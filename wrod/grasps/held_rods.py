@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 
-from wrod.grasps.mesh import WEIGHT, node_weights, rest_lengths
+from wrod.grasps.mesh import WEIGHT, node_weights, rest_lengths, tolerance
 from wrod.kernels.contact.table import table
 from wrod.kernels.grasping import closures as grasping
 from wrod.kernels.grasping import holding
@@ -11,7 +11,7 @@ from wrod.rods.batch import RodBatch
 from wrod.rods.state import Derivatives
 from wrod.solvers.banded import BorderedSystem
 from wrod.solvers.stability import smallest_eigenvalue
-from wrod.solvers.statics import EquilibriumSolver
+from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 # Largest change of an edge in one step, as a fraction of its length.
 _STEP_LIMIT = 0.4
@@ -97,10 +97,7 @@ class HeldRods:
             director=(0.0, 0.0, 1.0),
             device=device,
         )
-        free = np.ones(batch.dof_count, dtype=bool)
-        free[:7] = False
-        free[-3:] = False
-        batch.set_free(free)
+        prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,), pinned_nodes=(-1,))
         self.system = BorderedSystem(batch, (-3, -2, -1))  # the grip
 
         def floats(value=0.0):
@@ -109,11 +106,7 @@ class HeldRods:
         def ints(value=0):
             return wp.full(n, value, dtype=wp.int32, device=device)
 
-        shortest = edges.min(axis=1)
-        # What rounding positions leaves: in the stiffest edge, and in the sharpest bend.
-        rounding = stretch_ratio / shortest * self.length
-        rounding = rounding + 4.0 / shortest**3 * np.minimum(self.length, 5.0)
-        self.tolerance = floats(np.maximum(1e-8, 8 * np.finfo(float).eps * rounding))
+        self.tolerance = floats(tolerance(edges, stretch_ratio, 1e-8))
         self.start = wp.zeros(n, dtype=wp.vec3d, device=device)
         self.target = wp.zeros(n, dtype=wp.vec3d, device=device)
         self.reaction = wp.zeros(n, dtype=wp.vec3d, device=device)

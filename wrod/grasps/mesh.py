@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from wrod.rods.discretisation import cells
+
 WEIGHT = 0.5  # per length in k_b / L_gb^2 per L_gb, by the definition of L_gb
 # What the mirror y -> -y of the contact frame does to vectors, and to rotation vectors.
 MIRROR, MIRROR_ROTATION = np.array([1.0, -1.0, 1.0]), np.array([-1.0, 1.0, -1.0])
@@ -47,7 +49,20 @@ def two_sided_rest_lengths(suspended_length: np.ndarray, edge_count: int) -> np.
 
 def node_weights(rest: np.ndarray) -> np.ndarray:
     """(n, edge + 1) weight of every node: half that of the edges around it."""
-    weights = np.zeros((rest.shape[0], rest.shape[1] + 1))
-    weights[:, :-1] += WEIGHT * rest / 2
-    weights[:, 1:] += WEIGHT * rest / 2
-    return weights
+    return WEIGHT * cells(rest)
+
+
+def tolerance(rest: np.ndarray, stretching: np.ndarray, least: float) -> np.ndarray:
+    """(n,) forces that count as none, at least `least`: what rounding positions leaves in the
+    stiffest edge, and in the sharpest bend."""
+    shortest, length = rest.min(axis=1), rest.sum(axis=1)
+    rounding = stretching / shortest * length + 4.0 / shortest**3 * np.minimum(length, 5.0)
+    return np.maximum(least, 8 * np.finfo(float).eps * rounding)
+
+
+def ghost(curvature: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) half the angle between the first edge and one behind the contact that holds the
+    pattern's curvature there, and (n, 1, 3) the node behind."""
+    half = np.arctan(0.5 * curvature * rest[:, 0])
+    back = np.stack([np.cos(half), -np.sin(half), np.zeros_like(half)], axis=1)
+    return half, (-rest[:, :1] * back)[:, None]

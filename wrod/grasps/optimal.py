@@ -37,16 +37,9 @@ _KEPT_SHARE = 0.1
     curvature=arguments.array(finite=False),
     stretch_ratio=arguments.array(finite=False),
     natural_curvature=arguments.optional(arguments.array((2,), (None, 2), finite=False)),
-    sensitivities=arguments.flag,
-    eigenvalues=arguments.flag,
-    shapes=arguments.flag,
-    extrapolate=arguments.flag,
-    closure=arguments.text,
     poisson=arguments.number(-1.0, 0.5),
-    device=arguments.optional(arguments.text),
     edge_count=arguments.whole(4, 4096),
     threads=arguments.optional(arguments.whole(0, 4096)),
-    progress=arguments.optional(arguments.callback),
 )
 def solve_grasps(
     suspended_length,

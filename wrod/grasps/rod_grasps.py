@@ -66,15 +66,11 @@ class RodGrasps:
 
 @arguments.checked(
     GraspError,
-    rod=arguments.like("a wrod.RodMaterial or wrod.RodModel", "radius", "length"),
     arc_length=arguments.array((), (None,)),
     curvature=arguments.array((), (None,)),
-    closure=arguments.text,
     roll=arguments.array((), (None,), finite=False),
     natural_share=arguments.array((), (None,)),
-    device=arguments.optional(arguments.text),
     edge_count=arguments.whole(4, 4096),
-    extrapolate=arguments.flag,
     threads=arguments.optional(arguments.whole(0, 4096)),
 )
 def solve_rod_grasps(

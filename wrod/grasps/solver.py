@@ -9,10 +9,11 @@ import numpy as np
 import warp as wp
 
 from wrod.grasps.levels import MeshLevel, WorkList, make_scratch, put
-from wrod.grasps.mesh import WEIGHT, node_weights
+from wrod.grasps.mesh import WEIGHT, ghost, node_weights
 from wrod.grasps.results import Grasps
 from wrod.kernels.grasping.closures import CONVERGED
 from wrod.rods.batch import RodBatch
+from wrod.solvers.statics import prescribe
 
 
 class GraspSolver:
@@ -134,10 +135,8 @@ def held_batch(
 ) -> RodBatch:
     """Straight isotropic rods (n, node, 3) behind ghosts that hold the contact's curvature; ghost,
     contact, first free node and grip are held."""
-    half = np.arctan(0.5 * curvature * rest[:, 0])
-    back = np.stack([np.cos(half), -np.sin(half), np.zeros_like(half)], axis=1)
     batch = RodBatch(
-        np.concatenate([(-rest[:, :1] * back)[:, None], shape], axis=1),
+        np.concatenate([ghost(curvature, rest)[1], shape], axis=1),
         rest_length=np.concatenate([rest[:, :1], rest], axis=1),
         stretching_stiffness=np.broadcast_to(stretch_ratio, len(rest))[:, None],
         bending_stiffness=1.0,
@@ -148,8 +147,5 @@ def held_batch(
         director=(0.0, 0.0, 1.0),
         device=device,
     )
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[:11] = False
-    free[-3:] = False
-    batch.set_free(free)
+    prescribe(batch, clamped_nodes=(0, 1, 2), clamped_angles=(0, 1), pinned_nodes=(-1,))
     return batch

@@ -157,7 +157,7 @@ def effects(kind: str = "clamped") -> dict[str, Effect]:
             is_effect = isinstance(value, type) and issubclass(value, Effect)
             if is_effect and value is not Effect and kind in value.kinds:
                 found[value.name] = value()
-    return found
+    return dict(sorted(found.items()))
 
 
 def as_asked(kind: str, of: type, load: Callable, measurements, test, candidates):

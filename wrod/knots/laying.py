@@ -1,7 +1,5 @@
 """Laying the rods of a knot, one after the other."""
 
-from itertools import pairwise
-
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -11,6 +9,7 @@ from wrod.deployment.setup import disturb, prepare_deployment
 from wrod.knots.tying_run import TyingRun, laying_of
 from wrod.knots.workbench import Poses, Workbench
 from wrod.planning.tail import tail
+from wrod.rods.rotation import carried, unit
 
 # Length of the edges over the rod's radius: rods in contact want edges no longer than thick.
 _EDGE = 2.0
@@ -32,13 +31,13 @@ def lay(run: TyingRun, k: int) -> None:
     setups = [disturb(undisturbed, laying_of(trial, k)) for trial in run.trials]
     position = np.stack([setup.position for setup in setups])
     director = np.stack([setup.director for setup in setups])
-    director = np.stack([_carried(p, d) for p, d in zip(position, director, strict=True)])
+    director = _carried(position, director)
     if run.bench is not None:
         before = run.bench.batch
         lying = before.positions()
         for scene in range(len(run.trials)):
             position[scene] = _over(run, lying[scene], position[scene], arc, rod.radius)
-        director = np.stack([_carried(p, d[0]) for p, d in zip(position, director, strict=True)])
+        director = _carried(position, director[:, 0])
         position = np.concatenate([lying, position], axis=1)
         link = position[:, before.node_count] - position[:, before.node_count - 1]
         across = np.cross(link, [0.31, 0.59, 0.74])[:, None]
@@ -123,16 +122,10 @@ def _over(
 
 
 def _carried(position: np.ndarray, director: np.ndarray) -> np.ndarray:
-    """(node - 1, 3) the first edge's director carried along the rod without twist."""
-    edges = np.diff(position, axis=0)
-    tangents = edges / np.linalg.norm(edges, axis=1)[:, None]
-    out = [director - (director @ tangents[0]) * tangents[0]]
-    for before, after in pairwise(tangents):
-        d, axis = out[-1], np.cross(before, after)
-        out.append(
-            (before @ after) * d + np.cross(axis, d) + axis * (axis @ d) / (1 + before @ after)
-        )
-    return np.array(out) / np.linalg.norm(out, axis=1)[:, None]
+    """(..., node - 1, 3) the first edge's director carried along the rods without twist."""
+    tangents = unit(np.diff(position, axis=-2))
+    along = np.sum(director * tangents[..., 0, :], axis=-1, keepdims=True)
+    return carried(unit(director - along * tangents[..., 0, :]), tangents)
 
 
 def _refined(line: np.ndarray) -> np.ndarray:

@@ -99,7 +99,7 @@ class KnotPlan:
     rod_names: tuple[str, ...] = ()
 
     @classmethod
-    @arguments.checked(DataError, path=arguments.path)
+    @arguments.checked(DataError)
     def load_plan(cls, path: str | os.PathLike[str]) -> KnotPlan:
         """Read a plan and its patterns.
 

@@ -1,98 +1,13 @@
-"""Alexander and Jones polynomials of knot diagrams, in integers.
+"""Jones polynomials of knot diagrams, in integers: Kauffman brackets.
 
-The Alexander polynomial is a minor of the matrix of Fox derivatives, evaluated modulo a prime at
-as many points as it has coefficients. The Jones polynomial is the Kauffman bracket: crossings are
-glued one after the other to a growing tangle (Bar-Natan 2007), so that the cost follows the width
-of the diagram, not two to the power of its crossings.
+Crossings are glued one after the other to a growing tangle (Bar-Natan 2007), so that the cost
+follows the width of the diagram, not two to the power of its crossings.
 """
 
 import numpy as np
 
 # For each curve, the (crossing, over) pairs that it meets, in its own order.
 Visits = tuple[tuple[tuple[int, bool], ...], ...]
-# Products of two residues fit into 64 bits; coefficients must stay below half of it.
-_PRIME = 2**31 - 1
-
-
-def alexander(visits: Visits, sign: np.ndarray) -> dict[int, int]:
-    """Alexander polynomial in one variable of a diagram (`wrod.knots.topology.Diagram`)."""
-    arcs, rows = 0, {}
-    whole = False
-    for curve in visits:
-        under = [k for k, (_, over) in enumerate(curve) if not over]
-        if not under:  # passes over everything: its arc has no end
-            whole = True
-            for crossing, _ in curve:
-                rows.setdefault(crossing, {})["over"] = arcs
-            arcs += 1
-            continue
-        first = arcs
-        for step in range(len(curve)):
-            crossing, over = curve[(under[0] + 1 + step) % len(curve)]
-            row = rows.setdefault(crossing, {})
-            if over:
-                row["over"] = arcs
-            else:
-                row["in"] = arcs
-                arcs += 1
-                row["out"] = arcs if arcs < first + len(under) else first
-    if whole and len(visits) > 1:
-        return {}  # lies above the others: they are not linked
-    count = len(rows)
-    if count < 2:
-        return {0: 1}
-    points = np.arange(2, count + 2)
-    matrix = np.zeros((len(points), count, count), dtype=np.int64)
-    for number, (crossing, row) in enumerate(sorted(rows.items())):
-        into, out = ("in", "out") if sign[crossing] > 0 else ("out", "in")
-        matrix[:, number, row["over"]] += 1 - points
-        matrix[:, number, row[into]] += points
-        matrix[:, number, row[out]] -= 1
-    values = _determinants(matrix[:, 1:, 1:] % _PRIME)
-    return _normalised(_interpolate(points, values))
-
-
-def _determinants(matrix: np.ndarray) -> list[int]:
-    """Determinants modulo the prime of (k, n, n) residues."""
-    m = matrix.copy()
-    k, n, _ = m.shape
-    result = np.ones(k, dtype=np.int64)
-    every = np.arange(k)
-    for c in range(n):
-        pivot = c + np.argmax(m[:, c:, c] != 0, axis=1)
-        swapped = pivot != c
-        m[every, c], m[every, pivot] = m[every, pivot].copy(), m[every, c].copy()
-        value = m[:, c, c]
-        result = result * value % _PRIME
-        result = np.where(swapped, (_PRIME - result) % _PRIME, result)
-        inverse = np.array([pow(int(v), -1, _PRIME) if v else 0 for v in value])
-        factor = m[:, c + 1 :, c] * inverse[:, None] % _PRIME
-        m[:, c + 1 :] = (m[:, c + 1 :] - factor[:, :, None] * m[:, None, c] % _PRIME) % _PRIME
-    return [int(v) for v in result]
-
-
-def _interpolate(points, values: list[int]) -> list[int]:
-    """Coefficients, of smallest size modulo the prime, of the polynomial through the points."""
-    points = [int(x) for x in points]
-    divided = list(values)
-    for order in range(1, len(points)):
-        for k in range(len(points) - 1, order - 1, -1):
-            gap = pow(points[k] - points[k - order], -1, _PRIME)
-            divided[k] = (divided[k] - divided[k - 1]) * gap % _PRIME
-    out = [0]
-    for x, value in zip(points[::-1], divided[::-1], strict=True):
-        shifted = [0, *out]
-        out = [(s - x * o) % _PRIME for s, o in zip(shifted, [*out, 0], strict=True)]
-        out[0] = (out[0] + value) % _PRIME
-    return [c - _PRIME if c > _PRIME // 2 else c for c in out]
-
-
-def _normalised(coefficients: list[int]) -> dict[int, int]:
-    present = [k for k, c in enumerate(coefficients) if c]
-    if not present:
-        return {}
-    sign = 1 if coefficients[present[0]] > 0 else -1
-    return {k - present[0]: sign * coefficients[k] for k in present}
 
 
 def jones(visits: Visits, sign: np.ndarray) -> dict[float, int]:

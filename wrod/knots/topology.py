@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RodError
-from wrod.knots.polynomials import KNOWN, Visits, alexander, jones, polynomial_text
+from wrod.knots.polynomials import KNOWN, Visits, jones, polynomial_text
 
 # Closing points lie this many times the rods' extent away.
 _FAR = 20.0
@@ -46,10 +46,6 @@ class Diagram:
         """Half the signed crossings between two curves (Gauss linking number)."""
         between = (self.curves == [first, second]).all(1) | (self.curves == [second, first]).all(1)
         return int(self.sign[between].sum()) // 2
-
-    def alexander_polynomial(self) -> dict[int, int]:
-        """{power of t: coefficient}, lowest power 0, its coefficient positive; {} is zero."""
-        return alexander(self.visits, self.sign)
 
     def jones_polynomial(self) -> dict[float, int]:
         """{power of t: coefficient}; powers are halves for links of an even number of curves."""

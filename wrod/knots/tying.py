@@ -21,15 +21,12 @@ from wrod.knots.tying_run import TyingRun
     RodError,
     knot=arguments.like("a KnotPlan", "rods", "steps", "pull"),
     trials=arguments.several(arguments.like("a Handling", "__dict__")),
-    method=arguments.text,
     friction=arguments.number(0.0, 1e3),
     rod_friction=arguments.number(0.0, 1e3),
     speed=arguments.number(1e-4, 10.0),
     hand_speed=arguments.number(1e-4, 10.0),
     step=arguments.number(1e-5, 1.0),
     film_interval=arguments.optional(arguments.number(1e-4, 1e6)),
-    device=arguments.text,
-    progress=arguments.optional(arguments.callback),
 )
 def tie(
     knot: KnotPlan,

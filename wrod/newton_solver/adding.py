@@ -31,24 +31,18 @@ class RodBuilding:
     @staticmethod
     @arguments.checked(
         RodError,
-        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
         points=arguments.array((None, 3)),
         material=arguments.like("a wrod.RodModel or wrod.RodMaterial", "radius", "length"),
-        start=arguments.text,
         start_body=arguments.whole(-1),
-        end=arguments.text,
         end_body=arguments.whole(-1),
         director=arguments.optional(arguments.array((3,), (None, 3))),
         velocity=arguments.array((), (3,), (None, 3)),
         natural_curvature=arguments.optional(arguments.array((2,), (None, 2))),
         natural_twist=arguments.optional(arguments.array((), (None,))),
         rest_length=arguments.optional(arguments.array((), (None,))),
-        touches_rods=arguments.flag,
         air_damping=arguments.optional(arguments.number(0.0, 1e9)),
         internal_damping=arguments.optional(arguments.number(0.0, 1e9)),
-        visible=arguments.flag,
         color=arguments.optional(_COLOR),
-        label=arguments.optional(arguments.text),
     )
     def add_rod(
         builder: newton.ModelBuilder,
@@ -118,7 +112,6 @@ class RodBuilding:
     @staticmethod
     @arguments.checked(
         RodError,
-        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
         rod=arguments.like("a newton.Rod", "points", "edges", "quaternions"),
         density=arguments.number(0.0, 1e6),
     )
@@ -179,11 +172,9 @@ class RodBuilding:
     @staticmethod
     @arguments.checked(
         RodError,
-        builder=arguments.like("a newton.ModelBuilder", "has_custom_attribute"),
         rod=arguments.whole(0),
         body=arguments.whole(-1),
         node=arguments.whole(0),
-        kind=arguments.text,
     )
     def attach(
         builder: newton.ModelBuilder, rod: int, body: int, *, node: int, kind: str = "clamped"

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from newton import Model, ModelBuilder
 
+from wrod.arguments import whole
 from wrod.errors import RodError
 from wrod.newton_solver.meshed import MeshedRod
 
@@ -197,13 +198,13 @@ def _add_nodes(builder: ModelBuilder, rod: MeshedRod) -> None:
 def attach(builder: ModelBuilder, rod: int, body: int, node: int, kind: str) -> None:
     """`SolverDER.attach`, which documents the arguments."""
     count = builder._custom_frequency_counts.get(ROD, 0)
-    if not (isinstance(rod, (int, np.integer)) and 0 <= rod < count):
+    if whole(0, count - 1)(rod):
         raise RodError(f"rod is {rod!r}; give the index of one of the builder's {count} rods")
     nodes = builder.custom_attributes["der:rod_node_count"].values[rod]
     last = nodes - 1 if kind == "pinned" else nodes - 2
     if kind not in ("pinned", "clamped"):
         raise RodError(f"kind is {kind!r}; use pinned or clamped")
-    if not (isinstance(node, (int, np.integer)) and 0 <= node <= last):
+    if whole(0, last)(node):
         raise RodError(f"node is {node!r}; rod {rod} has nodes 0 to {last} that can be {kind}")
     if not -1 <= body < builder.body_count:
         raise RodError(

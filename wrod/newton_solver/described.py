@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.errors import RodError
 from wrod.rods.model import RodModel
+from wrod.rods.rotation import angle_about, transport, unit
 
 # What joins the ends of a ring or of branches is a body; its share of the mass of one edge.
 _JOINT_MASS = 0.01
@@ -75,10 +76,7 @@ class _Shape:
 
     def carried_to(self, points: np.ndarray) -> np.ndarray:
         """Directors turned the shortest way to the tangents of another polygon."""
-        steps = np.diff(points, axis=0)
-        ways = steps / np.linalg.norm(steps, axis=1)[:, None]
-        before = zip(self.tangents, ways, self.directors, strict=True)
-        return np.array([_turned(d, t, u) for t, u, d in before])
+        return transport(self.directors, self.tangents, unit(np.diff(points, axis=0)))
 
     def strains(self, first: _Shape, ring: bool, straight: bool) -> tuple[np.ndarray, np.ndarray]:
         """Curvature (node, 2) and twist (node,) of this shape as `RodBatch` measures them [1/m], or
@@ -100,15 +98,8 @@ class _Shape:
         t, u, a, b = self.tangents[e], self.tangents[f], self.directors[e], self.directors[f]
         length = 0.5 * (self.lengths[e] + self.lengths[f])
         kappa = [a @ u - b @ t, np.cross(t, a) @ u - np.cross(u, b) @ t]
-        along = _turned(a, t, u)
-        angle = np.arctan2(np.cross(along, b) @ u, along @ b)
+        angle = angle_about(u, transport(a, t, u), b)
         return np.array(kappa) / ((1.0 + t @ u) * length), float(angle / length)
-
-
-def _turned(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """A vector turned with t to u, the shortest way."""
-    axis, cosine = np.cross(t, u), t @ u
-    return cosine * v + np.cross(axis, v) + (axis @ v) / max(1.0 + cosine, 1e-12) * axis
 
 
 def _chains(edges: list[tuple[int, int]]) -> list[list[tuple[int, int, int]]]:

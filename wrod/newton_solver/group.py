@@ -2,9 +2,10 @@
 
 import numpy as np
 import warp as wp
-from newton import Model, State
+from newton import Contacts, Model, State
 
 from wrod.kernels.stepping import carrying, exchange
+from wrod.newton_solver.body_contact import BodyContact
 from wrod.newton_solver.holds import Holds
 from wrod.newton_solver.layout import Layout
 from wrod.newton_solver.owned import find_owned
@@ -34,6 +35,7 @@ class RodGroup:
         poses: arrays of the bodies' poses at the start and at the end of a step.
         holds: what holds the rods.
         own: (body,) whether a body moves with the rods that it holds.
+        colliding: (body,) which of those have shapes that collide.
         contact_stiffness: normal and tangential stiffness per length of rod [N/m^2], or None.
         rod_friction: friction coefficient of rods with themselves and each other, or None.
         rod_stiffness: of a pair of edges [N/m], or None.
@@ -48,6 +50,7 @@ class RodGroup:
         poses: tuple[wp.array, wp.array],
         holds: Holds,
         own: np.ndarray,
+        colliding: np.ndarray,
         contact_stiffness: float | None,
         rod_friction: float | None,
         rod_stiffness: float | None,
@@ -67,7 +70,10 @@ class RodGroup:
         self.bodies = None if owned is None else Bodies(self.batch, owned, records)
         self.contact = self._make_contact(contact_stiffness) if len(shapes.rows) else None
         self.rod_contact = self._make_rod_contact(rod_friction, rod_stiffness, records)
-        contacts = [c for c in (self.contact, self.rod_contact) if c is not None]
+        self.body_contact = None
+        if owned is not None and colliding[owned["index"][owned["mass"] > 0]].any():
+            self.body_contact = BodyContact(model, self.bodies)
+        contacts = [c for c in (self.contact, self.rod_contact, self.body_contact) if c is not None]
         self.dynamics = Dynamics(
             self.batch,
             radius=self._edge_values("radius"),
@@ -170,10 +176,16 @@ class RodGroup:
             _, place, turn = self.shapes.carriers(self.worlds)
             self.shape_place.assign(place)
             self.shape_turn.assign(turn)
+        if self.body_contact is not None:
+            self.body_contact.refresh()
 
-    def step(self, state_in: State, duration: float, step: float) -> None:
+    def step(
+        self, state_in: State, contacts: Contacts | None, duration: float, step: float
+    ) -> None:
         """Take up what changed in `state_in`, and move on by `duration` [s]."""
         batch, dynamics = self.batch, self.dynamics
+        if self.body_contact is not None and self.body_contact.read(contacts, state_in.body_q):
+            dynamics.forget_recording()
         if duration != self.duration:
             self.duration = duration
             dynamics.forget_recording()
@@ -320,8 +332,17 @@ class RodGroup:
                 device=self.device,
             )
 
+        if self.body_contact is not None:
+            self.body_contact.add_loads(self.body_before, force, torque)
+
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
         """Carry what is held, and shapes, to where their bodies are at the end of the step."""
+        if self.body_contact is not None:
+            self.body_contact.carry(
+                self.duration,
+                [running, self.changed, self.dynamics.until, time, step],
+                [self.body_before, self.body_q],
+            )
         wp.launch(
             carrying.carry_held,
             dim=self.hold.shape,

@@ -9,6 +9,10 @@ from wrod.kernels.stepping.exchange import Place
 from wrod.newton_solver.attributes import CLAMPED, FREE
 from wrod.newton_solver.holds import Holds
 from wrod.rods.batch import RodBatch
+from wrod.rods.discretisation import of_free_part
+
+_OF_NODES = ("bending_stiffness", "twisting_stiffness", "natural_curvature", "natural_twist",
+             "softening", "inelastic")  # fmt: skip
 
 
 class Layout:
@@ -114,9 +118,6 @@ class Layout:
         edges = self.places["edge"][:, :-1].copy()
         for cut in self.cuts:
             edges[:, cut] = edges[:, cut - 1]
-        # A clamp holds from the first node on: only the half of that node's length which is free
-        # bends and twists, so it is twice as stiff, and turns by half as much at rest.
-        stiffer = np.where(self._in_clamp(), 2.0, 1.0)
         position = der.node_q.numpy()[n]
         rest = der.edge_rest_length.numpy()[edges]
         for row, i in zip(*np.nonzero(self.ghost), strict=True):
@@ -135,12 +136,10 @@ class Layout:
             position,
             rest_length=rest,
             stretching_stiffness=der.edge_stretching_stiffness.numpy()[edges],
-            bending_stiffness=der.node_bending_stiffness.numpy()[n] * stiffer[:, :, None],
-            twisting_stiffness=der.node_twisting_stiffness.numpy()[n] * stiffer,
-            natural_curvature=der.node_natural_curvature.numpy()[n] / stiffer[:, :, None],
-            natural_twist=der.node_natural_twist.numpy()[n] / stiffer,
-            softening=der.node_softening.numpy()[n] * stiffer[:, :, None] ** [-2.0, 0.0],
-            inelastic=der.node_inelastic.numpy()[n] * stiffer[:, :, None] ** [0.0, 0.0, -1.0, 0.0],
+            **of_free_part(
+                np.where(self._in_clamp(), 0.5, 1.0),
+                **{name: getattr(der, f"node_{name}").numpy()[n] for name in _OF_NODES},
+            ),
             node_mass=np.where(self.ghost, 0.0, der.node_mass.numpy()[n]),
             gravity=gravity,
             director=directors,

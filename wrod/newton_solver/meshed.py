@@ -10,6 +10,7 @@ from wrod import arguments
 from wrod.errors import RodError
 from wrod.rods.discretisation import mesh_arrays, principal_directors
 from wrod.rods.model import RodModel
+from wrod.rods.rotation import carried, unit
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class MeshedRod:
         points = _points(points)
         count = len(points)
         rest = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        directors = _directors(points, rest, director)
+        directors = _directors(points, director)
         directors = principal_directors(model, directors, np.diff(points, axis=0) / rest[:, None])
         velocity = _spread("velocity", velocity, (count, 3))
         if natural_curvature is not None:
@@ -97,9 +98,9 @@ def _points(points) -> np.ndarray:
     return points
 
 
-def _directors(points: np.ndarray, rest: np.ndarray, director) -> np.ndarray:
+def _directors(points: np.ndarray, director) -> np.ndarray:
     """(node - 1, 3) first material directors: those given, or one carried along without twist."""
-    tangents = np.diff(points, axis=0) / rest[:, None]
+    tangents = unit(np.diff(points, axis=0))
     if np.shape(director) == tangents.shape:
         across = director - np.sum(director * tangents, axis=1)[:, None] * tangents
         size = np.linalg.norm(across, axis=1)
@@ -114,16 +115,7 @@ def _directors(points: np.ndarray, rest: np.ndarray, director) -> np.ndarray:
             "director must be three finite numbers: a direction across the first edge; or one "
             "across every edge"
         )
-    out = np.empty_like(tangents)
-    last = tangents[0]
-    for i, t in enumerate(tangents):
-        axis, cosine = np.cross(last, t), float(last @ t)
-        turned = cosine * before + np.cross(axis, before)
-        turned = turned + (axis @ before) / max(1.0 + cosine, 1e-12) * axis
-        turned = turned - (turned @ t) * t
-        size = np.linalg.norm(turned)
-        if not size > 1e-9:
-            raise RodError("director is along the rod's first edge; give one across it")
-        out[i] = before = turned / size
-        last = t
-    return out
+    across = before - (before @ tangents[0]) * tangents[0]
+    if not np.linalg.norm(across) > 1e-9:
+        raise RodError("director is along the rod's first edge; give one across it")
+    return carried(unit(across), tangents)

@@ -7,13 +7,16 @@ from wrod.newton_solver.attributes import CLAMPED
 from wrod.newton_solver.holds import Holds
 
 
-def find_rows(model: Model, holds: Holds, own: np.ndarray, touching: bool) -> list[np.ndarray]:
+def find_rows(
+    model: Model, holds: Holds, own: np.ndarray, colliding: np.ndarray, touching: bool
+) -> list[np.ndarray]:
     """Rods that step together, (row, rod) arrays of rows with rods alike.
 
     Args:
         model: the Newton model.
         holds: what holds its rods.
         own: (body,) whether a body moves with the rods that it holds.
+        colliding: (body,) which of those may touch each other; those of a world share a row.
         touching: whether rods touch each other: then those of a world share a row.
     """
     der = model.der
@@ -27,9 +30,12 @@ def find_rows(model: Model, holds: Holds, own: np.ndarray, touching: bool) -> li
 
     by_body: dict[int, int] = {}
     by_world: dict[int, int] = {}
+    by_collision: dict[int, int] = {}
     worlds, joins = der.rod_world.numpy(), der.rod_touches_rods.numpy() != 0
     for rod in range(count):
         partners = [by_body.setdefault(h.body, rod) for h in holds.of(rod) if own[h.body]]
+        if any(colliding[h.body] for h in holds.of(rod) if h.body >= 0):
+            partners.append(by_collision.setdefault(int(worlds[rod]), rod))
         if touching and joins[rod]:
             partners.append(by_world.setdefault(int(worlds[rod]), rod))
         for partner in partners:

@@ -21,6 +21,7 @@ from newton.solvers import SolverBase
 from wrod.kernels.stepping.carrying import add_wrenches
 from wrod.newton_solver import attributes
 from wrod.newton_solver.adding import RodBuilding
+from wrod.newton_solver.body_contact import colliding_bodies
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.holds import Holds, free_bodies
 from wrod.newton_solver.rows import find_rows
@@ -44,8 +45,8 @@ class SolverDER(RodBuilding, SolverBase):
     Bodies hold rods, by their ends (`add_rod`) or anywhere (`attach`):
 
     - A free body (mass, not kinematic, no joint but a free one) is moved by this solver, with its
-      rods, in one implicit step that conserves momentum; `state_in.body_f` acts on it. It touches
-      nothing but rods.
+      rods, in one implicit step that conserves momentum; `state_in.body_f` acts on it, and what
+      `contacts` say that it touches.
     - Kinematic bodies are moved by the caller.
     - Bodies of articulations, and what `bodies` leaves out, are moved by another solver before:
       call `add_body_forces(state)` on the state that it steps from.
@@ -79,8 +80,6 @@ class SolverDER(RodBuilding, SolverBase):
     @arguments.checked(
         RodError,
         model=arguments.like("a newton.Model", "body_q", "device"),
-        scheme=arguments.text,
-        inertia=arguments.text,
         max_step=arguments.optional(arguments.number()),
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(1, 10_000),
@@ -166,7 +165,7 @@ class SolverDER(RodBuilding, SolverBase):
         self._force, self._torque = (
             wp.zeros(model.body_count, dtype=wp.vec3d, device=model.device) for _ in range(2)
         )
-        self._loads_taken, self._steps = False, 0
+        self._loads_taken, self._fell, self._steps = False, False, 0
         self._last_out: weakref.ref | None = None
         self._build()
 
@@ -189,6 +188,8 @@ class SolverDER(RodBuilding, SolverBase):
     def _build(self) -> None:
         model = self.model
         shapes = ModelShapes(model, self._own)
+        colliding = colliding_bodies(model, self._own)
+        self._colliding = np.flatnonzero(colliding)
         self._groups = [
             RodGroup(
                 model,
@@ -197,12 +198,13 @@ class SolverDER(RodBuilding, SolverBase):
                 self._poses,
                 self._holds,
                 self._own,
+                colliding,
                 self._contact_stiffness,
                 self._rod_friction,
                 self._rod_stiffness,
                 self._options,
             )
-            for rows in find_rows(model, self._holds, self._own, self._rods_meet)
+            for rows in find_rows(model, self._holds, self._own, colliding, self._rods_meet)
         ]
         held = [b for b in self._holds.bodies if not self._own[b]]
         moved = model.body_flags.numpy()[held] & int(newton.BodyFlags.DYNAMIC) != 0
@@ -238,7 +240,8 @@ class SolverDER(RodBuilding, SolverBase):
             state_in: The input state: rods, and the bodies that this solver moves, as they are.
             state_out: The output state; may be the input state.
             control: Not used.
-            contacts: Not used: rods find their own contacts.
+            contacts: What the bodies that this solver moves touch, from Newton's collision
+                detection in `state_in` (`newton.CollisionPipeline`); rods find their own contacts.
             dt: The time step [s].
             observables: None, or a container without requests.
             moved: The state into which another solver has put the bodies that it moves, where they
@@ -261,6 +264,7 @@ class SolverDER(RodBuilding, SolverBase):
                 source = getattr(moved, name, None)
                 if source is not None and len(source):
                     wp.copy(getattr(state_out, name), source)
+        self._note_falling(contacts)
         parts = 1 if self.max_step is None else int(np.ceil(dt / self.max_step * (1 - 1e-9)))
         before, after = self._poses
         wp.copy(after, moved.body_q)
@@ -268,7 +272,7 @@ class SolverDER(RodBuilding, SolverBase):
         if device.is_cuda and not device.is_capturing:
             self._listen()  # What earlier steps have told by now.
         for group in self._groups:
-            group.step(state_in, dt, dt / parts)
+            group.step(state_in, contacts, dt, dt / parts)
         self._note_old_rods(state_in, state_out)
         wp.copy(before, after)
         self._force.zero_()
@@ -286,6 +290,19 @@ class SolverDER(RodBuilding, SolverBase):
                 "them; call add_body_forces(state) on the state that it steps from",
                 WrodWarning,
                 stacklevel=2,
+            )
+
+    def _note_falling(self, contacts: newton.Contacts | None) -> None:
+        """Speak of bodies that nothing holds up, once."""
+        if contacts is None and len(self._colliding) and not self._fell:
+            self._fell = True
+            names = ", ".join(repr(self.model.body_label[b]) for b in self._colliding[:3])
+            warnings.warn(
+                f"this solver moves bodies with shapes ({names}) and was given no contacts: they "
+                "fall through everything. Give step the contacts of a newton.CollisionPipeline, "
+                "or make them shapes without collision",
+                WrodWarning,
+                stacklevel=3,
             )
 
     def _note_old_rods(self, state_in: newton.State, state_out: newton.State) -> None:

@@ -6,7 +6,7 @@ from wrod.patterns.pattern import Pattern
 from wrod.patterns.shapes import SHAPES
 
 
-@arguments.checked(PatternError, name=arguments.text)
+@arguments.checked(PatternError)
 def pattern(name: str) -> Pattern:
     """Built-in pattern by name, such as "letter-A".
 

@@ -64,11 +64,7 @@ class Pattern:
     @classmethod
     @arguments.checked(
         PatternError,
-        path=arguments.path,
-        units=arguments.optional(arguments.text),
         smoothing=arguments.optional(arguments.number(0.0, 100.0)),
-        name=arguments.optional(arguments.text),
-        layer=arguments.optional(arguments.text),
         stroke=arguments.optional(arguments.whole(1)),
     )
     def load(
@@ -110,10 +106,7 @@ class Pattern:
     @arguments.checked(
         PatternError,
         points=arguments.array(finite=False),
-        units=arguments.text,
         smoothing=arguments.optional(arguments.number(0.0, 100.0)),
-        name=arguments.text,
-        traced=arguments.flag,
     )
     def from_points(
         cls,
@@ -182,8 +175,6 @@ class Pattern:
         expressions=arguments.several(arguments.either(arguments.text, arguments.callback)),
         start=arguments.number(-1e9, 1e9),
         stop=arguments.number(-1e9, 1e9),
-        units=arguments.text,
-        name=arguments.text,
     )
     def from_expression(
         cls,
@@ -385,7 +376,7 @@ class Pattern:
             noise=self.noise,
         )
 
-    @arguments.checked(PatternError, path=arguments.path, spacing=arguments.number(1e-6, 1e3))
+    @arguments.checked(PatternError, spacing=arguments.number(1e-6, 1e3))
     def save(self, path: str | os.PathLike[str], spacing: float = 0.001) -> Path:
         """Write points along the pattern (without a remainder) as CSV that `load` reads."""
         count = max(int(np.ceil(self.length / spacing)), 8) + 1

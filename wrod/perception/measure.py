@@ -106,7 +106,6 @@ def compare(deployed: np.ndarray, pattern, points: int = 50) -> Measurement:
         arguments.array((None, 2), (None, 3)),
     ),
     points=arguments.whole(2, 100_000),
-    picture=arguments.optional(arguments.path),
 )
 def measure_deployment(
     image, pattern, *, points: int = 50, picture: str | os.PathLike[str] | None = None, **reading

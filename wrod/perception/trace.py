@@ -52,7 +52,6 @@ class Centerline:
     PerceptionError,
     image=arguments.picture,
     mask=arguments.optional(arguments.picture),
-    kind=arguments.text,
     color=arguments.optional(arguments.array((3,))),
 )
 def trace_centerlines(

@@ -41,8 +41,6 @@ class FrictionBound:
 
 @arguments.checked(
     RodError,
-    pattern=arguments.like("a wrod.Pattern", "sample", "length", "remainder_length"),
-    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
     friction=arguments.optional(arguments.number(0.0, 1e3)),
     spacing=arguments.number(1e-5, 10.0),
 )

@@ -160,9 +160,7 @@ def _draw_above(axes, trajectory: Trajectory, shapes: np.ndarray | None) -> None
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
     axes.set_title("from above", loc="left", pad=4, fontsize=9.5, color=MUTED)
-    axes.set_xlabel("x [m]", fontsize=8.5)
-    axes.set_ylabel("y [m]", fontsize=8.5)
-    dress(axes)
+    dress(axes, x="x [m]", y="y [m]")
 
 
 def _draw_profiles(bends, heights, pattern: Pattern, trajectory: Trajectory) -> None:

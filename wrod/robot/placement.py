@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-import numbers
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from wrod.arguments import number
 from wrod.errors import RobotError
 from wrod.robot.capsules import capsules_of
 from wrod.robot.model import Robot
@@ -39,8 +39,7 @@ class Placement:
 
     def __post_init__(self) -> None:
         given = (self.x, self.y, self.z, self.yaw)
-        real = all(isinstance(one, numbers.Real) for one in given)
-        if not (real and all(abs(one) <= _FARTHEST for one in given)):
+        if any(number(-_FARTHEST, _FARTHEST)(one) for one in given):
             raise RobotError(
                 f"placement {given!r:.120}: give finite numbers, metres and an angle, within "
                 f"{_FARTHEST:g}"

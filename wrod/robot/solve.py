@@ -48,12 +48,9 @@ _DEEPER, _ROUNDS = 5, 8  # further searches near the best of them, and their rou
 
 @arguments.checked(
     RobotError,
-    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
     robot=arguments.either(arguments.path, arguments.like("a Robot", "joint_names", "chain")),
     grip_angle=arguments.either(arguments.text, arguments.number(-1e3, 1e3)),
     gripper_length=arguments.optional(arguments.number(1e-3, 10.0)),
-    flange=arguments.optional(arguments.text),
-    tip=arguments.optional(arguments.text),
     table_height=arguments.optional(arguments.number(-10.0, 10.0)),
     obstacles=arguments.optional(arguments.like("a wrod.robot.Obstacles", "shapes", "capsules")),
     placement=arguments.either(
@@ -64,7 +61,6 @@ _DEEPER, _ROUNDS = 5, 8  # further searches near the best of them, and their rou
     limit_margin=arguments.number(0.0, 3.0),
     clearance=arguments.number(0.0, 1.0),
     rod_radius=arguments.number(1e-6, 1.0),
-    whole_job=arguments.flag,
     time_limit=arguments.optional(arguments.number(0.0)),
 )
 def solve_joint_path(

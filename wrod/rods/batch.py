@@ -54,7 +54,6 @@ class RodBatch(BatchArrays):
     @arguments.checked(
         RodError,
         position=arguments.mesh(finite=False),
-        device=arguments.optional(arguments.text),
     )
     def __init__(
         self,
@@ -133,7 +132,6 @@ class RodBatch(BatchArrays):
         clamped=arguments.several(arguments.flag, least=2),
         director=arguments.optional(arguments.array((3,), (None, 3), (None, None, 3))),
         gravity=arguments.optional(arguments.array((3,), (None, 3))),
-        device=arguments.optional(arguments.text),
     )
     def of(
         cls,

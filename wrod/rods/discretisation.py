@@ -4,7 +4,8 @@ A node carries what its Voronoi cell has: from the middle of the edge before it 
 edge after it. Stiffnesses, natural curvature and natural twist are means over the cell, mass is
 what lies in it; an edge's stretching stiffness is its mean. Beyond a clamp stands a ghost edge that
 has the clamp's direction: at the clamp's node only the cell's half on the rod bends and twists, so
-that stiffnesses count more and what is there at rest less, by the share of the cell that is free.
+that stiffnesses count more and what is there at rest less, by the share of the cell that is free
+(`of_free_part`, to second order in the edge).
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,40 @@ from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
 Rod = RodModel | RodMaterial
+# Powers of the free share that quantities go with, each component's where they differ.
+_BY_SHARE: dict[str, int | list[int]] = {
+    "bending_stiffness": -1, "twisting_stiffness": -1, "coupling": -1, "natural_curvature": 1,
+    "natural_twist": 1, "softening": [-2, 0], "inelastic": [0, 0, 1, 0],
+}  # fmt: skip
+
+
+def cells(edge: np.ndarray) -> np.ndarray:
+    """(..., node) half of the edges around each node, of lengths (..., edge); complex if they
+    are."""
+    none = np.zeros_like(edge[..., :1])
+    return 0.5 * (np.concatenate([none, edge], -1) + np.concatenate([edge, none], -1))
+
+
+def of_free_part(share: np.ndarray, **values: np.ndarray) -> dict[str, np.ndarray]:
+    """What nodes have of whose cells only a share bends and twists.
+
+    Args:
+        share: (..., node) free shares; it may be complex, as the values.
+        values: (..., node) or (..., node, component), named as the arguments of `RodBatch`, and
+            coupling of bending with twist.
+    """
+    out = {}
+    for name, value in values.items():
+        powers = np.array(_BY_SHARE[name], dtype=float)
+        out[name] = value * (share if value.ndim == share.ndim else share[..., None]) ** powers
+    return out
+
+
+def in_principal(vector: np.ndarray, angle) -> np.ndarray:
+    """(..., 2) components along the principal directions, by `angle` [rad] from m_1 towards m_2,
+    of those along (m_1, m_2); complex if they or the angle are."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return vector @ np.array([[cosine, -sine], [sine, cosine]])
 
 
 def models_of(rods: Rod | Sequence[Rod]) -> list[RodModel]:
@@ -99,8 +134,7 @@ def quadratic_drag(rods: Rod | Sequence[Rod], arc_length: np.ndarray) -> np.ndar
     if not drag.any():
         return None
     edge = np.diff(np.atleast_2d(np.asarray(arc_length, dtype=np.float64)), axis=1)
-    around = 0.5 * (np.pad(edge, ((0, 0), (1, 0))) + np.pad(edge, ((0, 0), (0, 1))))
-    return drag[:, None] * around
+    return drag[:, None] * cells(edge)
 
 
 def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict[str, np.ndarray]:
@@ -114,7 +148,7 @@ def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict
         high[:, -2] = s[:, -2]
     # The kernels' cells: half of the edges around a node, of its only edge at an end.
     rest = np.diff(s, axis=1)
-    around = 0.5 * (np.pad(rest, ((0, 0), (1, 0))) + np.pad(rest, ((0, 0), (0, 1))))
+    around = cells(rest)
     share = np.ones((rods, nodes))
     mass_share = np.ones((rods, nodes), dtype=bool)
     for is_clamped, node, ghost in ((clamped[0], 1, 0), (clamped[1], -2, -1)):
@@ -126,13 +160,10 @@ def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict
         return profile.mean(low, high)
 
     model = model.turned(-model.principal_angle) if model.principal_angle else model
-    cell = share[:, :, None]
     softening, inelastic = np.zeros((rods, nodes, 2)), np.zeros((rods, nodes, 4))
     if isinstance(model.law, Softening):
-        c, r = model.law.softening
-        softening[:, :, 0], softening[:, :, 1] = c / share**2, r
+        softening[:] = model.law.softening
     inelastic[:] = model.law.inelastic
-    inelastic[:, :, 2] *= share
     mass = np.where(mass_share, model.line_mass.mean(low, high) * (high - low), 0.0)
     for place, extra in model.point_masses:
         _hang(mass, s, place, extra, clamped)
@@ -141,14 +172,17 @@ def _on_mesh(model: RodModel, s: np.ndarray, clamped: tuple[bool, bool]) -> dict
     return {
         "rest_length": rest,
         "stretching_stiffness": model.stretching_stiffness.mean(s[:, :-1], s[:, 1:]),
-        "bending_stiffness": np.stack([mean(b) for b in model.bending_stiffness], axis=2) / cell,
-        "twisting_stiffness": mean(model.twisting_stiffness) / share,
-        "natural_curvature": np.stack([mean(k) for k in model.natural_curvature], axis=2) * cell,
-        "natural_twist": mean(model.natural_twist) * share,
-        "softening": softening,
-        "inelastic": inelastic,
         "node_mass": mass,
         "gravity": gravity,
+        **of_free_part(
+            share,
+            bending_stiffness=np.stack([mean(b) for b in model.bending_stiffness], axis=2),
+            twisting_stiffness=mean(model.twisting_stiffness),
+            natural_curvature=np.stack([mean(k) for k in model.natural_curvature], axis=2),
+            natural_twist=mean(model.natural_twist),
+            softening=softening,
+            inelastic=inelastic,
+        ),
     }
 
 

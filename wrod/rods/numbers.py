@@ -1,10 +1,8 @@
 """Numbers and profiles of a rod, checked."""
 
 import math
-import sys
 
-import numpy as np
-
+from wrod.arguments import number
 from wrod.errors import RodError
 from wrod.rods.profile import Profile
 
@@ -21,14 +19,7 @@ def as_number(name: str, value, *, positive: bool = False, least: float = -math.
             f"rod {name} is a profile and can only be one number for the whole rod; give "
             f"{_INSTEAD.get(name, 'its mean')}"
         )
-    is_number = isinstance(value, (int, float, np.floating, np.integer))
-    if (
-        not is_number
-        or isinstance(value, bool)
-        or not abs(value) <= sys.float_info.max
-        or value < least
-        or (positive and value <= 0.0)
-    ):
+    if number(least, above=0.0 if positive else None)(value) is not None:
         wanted = (
             "a positive" if positive else "a" if least == -math.inf else f"at least {least:g}, a"
         )

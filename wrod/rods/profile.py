@@ -77,7 +77,6 @@ class Profile:
     @classmethod
     @arguments.checked(
         RodError,
-        function=arguments.callback,
         start=arguments.number(),
         stop=arguments.number(),
     )

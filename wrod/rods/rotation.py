@@ -26,9 +26,41 @@ def left_jacobian(vector: np.ndarray) -> np.ndarray:
     return np.eye(3) + a * k + b * (k @ k)
 
 
+def unit(v: np.ndarray) -> np.ndarray:
+    """(..., 3) vectors divided by their lengths; analytic."""
+    return v / np.sqrt(np.sum(v * v, axis=-1, keepdims=True))
+
+
 def transport(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Turn (..., 3) vectors by the smallest rotation from unit vectors t to u; analytic."""
+    """Turn (..., 3) vectors by the smallest rotation from unit vectors t to u; analytic but where u
+    is -t."""
     axis = np.cross(t, u)
     cosine = np.sum(t * u, axis=-1, keepdims=True)
-    along = np.sum(axis * v, axis=-1, keepdims=True) / (1.0 + cosine)
+    fold = 1.0 + cosine
+    along = np.sum(axis * v, axis=-1, keepdims=True) / np.where(np.real(fold) > 1e-12, fold, 1e-12)
     return cosine * v + np.cross(axis, v) + along * axis
+
+
+def angle_about(t: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(...,) angles [rad] about unit vectors t (..., 3) from a to b, which are across them."""
+    return np.arctan2(np.sum(np.cross(t, a) * b, axis=-1), np.sum(a * b, axis=-1))
+
+
+def carried(v: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """(..., edge, 3) vectors (..., 3) across the first edge carried on without twist, by the unit
+    tangents (..., edge, 3) of all edges; analytic."""
+    out = [transport(v, t[..., 0, :], t[..., 0, :])]
+    for k in range(1, t.shape[-2]):
+        out.append(transport(out[-1], t[..., k - 1, :], t[..., k, :]))
+    return np.stack(out, axis=-2)
+
+
+def node_frames(m1: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """(rod, node, 3, 3) columns m1, m2, tangent, the means of the edges' (rod, edge, 3) around each
+    node."""
+    t, m1 = (
+        np.concatenate([a[:, :1], a[:, 1:] + a[:, :-1], a[:, -1:]], axis=1) for a in (unit(t), m1)
+    )
+    t = unit(t)
+    m1 = unit(m1 - np.sum(m1 * t, axis=2, keepdims=True) * t)
+    return np.stack([m1, np.cross(t, m1), t], axis=3)

@@ -26,10 +26,12 @@ class Bodies:
 
     Attributes:
         place, turn: (row, slot) centres of mass [length] and rotations.
+        now, before: bodies as Newton's method has them, and at the start of the step.
         velocity, momentum: (row, slot) velocity of the centre of mass, angular momentum about it.
         force, torque: (row, slot) forces on the bodies from elsewhere, constant in a step.
         carried: (row, dof) whether a degree of freedom moves: it is free, or held by a body.
-        push: (row, slot, 42) what contact adds to residual (6) and matrix (36) of each body.
+        push, press: (row, slot, 7) and (row, motion, motion) what contact adds to the residual of
+            each body, with how hard it is pressed, and its derivative by the motions of all.
     """
 
     def __init__(self, batch: RodBatch, body: np.ndarray, hold: np.ndarray):
@@ -52,13 +54,13 @@ class Bodies:
         def floats(*size):
             return wp.zeros((shape[0], *size), dtype=wp.float64, device=device)
 
-        self._now, self._before, self._older = motion(), motion(), motion()
-        self.place, self.turn = self._now.place, self._now.turn
-        self.velocity, self.momentum = self._before.velocity, self._before.momentum
+        self.now, self.before, self._older = motion(), motion(), motion()
+        self.place, self.turn = self.now.place, self.now.turn
+        self.velocity, self.momentum = self.before.velocity, self.before.momentum
         self.force, self.torque = vectors(), vectors()
         self._motion, self._column = floats(motions, dofs), floats(motions, dofs)
         self._residual, self._matrix = floats(shape[1], 6), floats(shape[1], 36)
-        self.push = floats(shape[1], 42)
+        self.push, self.press = floats(shape[1], 7), floats(motions, motions)
         self._small, self._step = floats(motions, motions + 1), floats(motions)
         self._fraction = wp.ones(shape[0], dtype=wp.float64, device=device)
         self.carried = wp.array(self._carried(hold), dtype=wp.int32, device=device)
@@ -82,8 +84,8 @@ class Bodies:
         self.batch.launch(
             kernels.predict_bodies,
             self.body.shape,
-            [self.body, starting, span, self._before],
-            [self._now],
+            [self.body, starting, span, self.before],
+            [self.now],
         )
         self.put(starting, start)
 
@@ -92,7 +94,7 @@ class Bodies:
         self.batch.launch(
             kernels.place_held,
             self.hold.shape,
-            [self.body, self.hold, chosen, self._now, start.tangent, start.director],
+            [self.body, self.hold, chosen, self.now, start.tangent, start.director],
             [self.batch.state.dof],
         )
 
@@ -113,11 +115,11 @@ class Bodies:
                 steps.coefficient,
                 self.batch.state.dof,
                 self.batch.derivatives.gradient,
-                self._before,
+                self.before,
                 self._older,
                 self.push,
             ],
-            [self._now, self._residual, self._matrix],
+            [self.now, self._residual, self._matrix],
         )
         self.batch.launch(
             kernels.refuse_unbalanced,
@@ -129,6 +131,7 @@ class Bodies:
                 steps.length_scale,
                 steps.step_tolerance,
                 self._residual,
+                self.push,
             ],
             [steps.converged, steps.active],
         )
@@ -139,7 +142,7 @@ class Bodies:
         self.batch.launch(
             body_system.spread_motion,
             self.hold.shape,
-            [self.hold, active, self._now, self.batch.state.dof],
+            [self.hold, active, self.now, self.batch.state.dof],
             [self._motion],
         )
         self.batch.launch(
@@ -160,7 +163,8 @@ class Bodies:
         self.batch.launch(
             body_system.condense,
             self._small.shape,
-            [active, free, self._motion, self._column, x, self._residual, self._matrix],
+            [active, free, self._motion, self._column, x, self._residual, self._matrix]
+            + [self.press],
             [self._small],
         )
         self.batch.launch(
@@ -183,7 +187,7 @@ class Bodies:
             self.body.shape,
             [self.body, steps.active, self._step, self._fraction]
             + [steps.system.shortened, steps.taken],
-            [self._now],
+            [self.now],
         )
         self.put(steps.active, steps.start)
 
@@ -193,7 +197,7 @@ class Bodies:
             kernels.finish_bodies,
             self.body.shape,
             [steps.accepted, steps.rejected, steps.step, steps.span],
-            [self._now, self._before, self._older],
+            [self.now, self.before, self._older],
         )
 
     def find_changes(self, body_q: wp.array, body_qd: wp.array, changed: wp.array) -> None:
@@ -212,13 +216,13 @@ class Bodies:
             body_exchange.read_bodies,
             self.body.shape,
             [self.body, chosen, body_q, body_qd, body_f],
-            [self._now, self._before, self.force, self.torque],
+            [self.now, self.before, self.force, self.torque],
         )
         self.put(chosen, start)
         self.batch.launch(
             body_exchange.carry_velocity,
             self.hold.shape,
-            [self.body, self.hold, chosen, self._before, self.batch.state.dof],
+            [self.body, self.hold, chosen, self.before, self.batch.state.dof],
             [velocity],
         )
 
@@ -227,6 +231,6 @@ class Bodies:
         self.batch.launch(
             body_exchange.write_bodies,
             self.body.shape,
-            [self.body, self._now, self._before],
+            [self.body, self.now, self.before],
             [body_q, body_qd, self._written_q, self._written_qd],
         )

@@ -89,12 +89,9 @@ class Dynamics(NewtonSteps):
 
     @arguments.checked(
         RodError,
-        batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
-        scheme=arguments.text,
         radius=arguments.numbers_of_any_shape,
         air_damping=arguments.array((), (None,)),
         drag=arguments.optional(arguments.numbers_of_any_shape),
-        inertia=arguments.text,
         internal_damping=arguments.numbers_of_any_shape,
         contact=arguments.optional(
             arguments.either(_IS_CONTACT, arguments.several(_IS_CONTACT, 0))
@@ -105,8 +102,6 @@ class Dynamics(NewtonSteps):
         force_scale=arguments.optional(arguments.array((), (None,))),
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(0, 10_000),
-        refuses_saddles=arguments.flag,
-        keeps_recording=arguments.flag,
     )
     def __init__(
         self,
@@ -137,8 +132,7 @@ class Dynamics(NewtonSteps):
         super().__init__(batch)
         self._scheme, self.max_iterations = SCHEMES.index(scheme), max_iterations
         self.tolerance, self.refuses_saddles = tolerance, int(refuses_saddles)
-        self.contact, self.motion = contact, motion
-        self.follower, self.bodies = follower, bodies
+        self.contact, self.motion, self.follower, self.bodies = contact, motion, follower, bodies
         rods, device = batch.rod_count, batch.device
         if contact is None:
             contact = ()
@@ -180,6 +174,7 @@ class Dynamics(NewtonSteps):
             one.time_step = self.span
         if self.rod_contact is not None:
             self.rod_contact.balance = (self.residual, self.step_tolerance)
+            self.rod_contact.velocity = self.velocity
         # Rounds since last asked; whether to take another, and whether any rod still runs.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)
@@ -206,7 +201,6 @@ class Dynamics(NewtonSteps):
         smallest_step=arguments.optional(arguments.number(above=0.0)),
         frames=arguments.optional(arguments.like("a Warp array", "ptr", "device", "shape")),
         frame_interval=arguments.number(above=0.0),
-        progress=arguments.optional(arguments.callback),
     )
     def advance(
         self,

@@ -7,7 +7,7 @@ from wrod.kernels.contact import edges as kernels
 from wrod.kernels.contact.planes import Touchable
 from wrod.rods.batch import RodBatch
 
-_EMERGING = 0.1
+_EMERGING = 0.01
 
 
 class EdgeContact:
@@ -45,7 +45,8 @@ class EdgeContact:
         model.radius, model.skin = floats(radius), floats(skin * radius)
         model.stiffness = floats(stiffness)
         model.relaxation = floats(damping[:, None] * np.sqrt(mass / stiffness))
-        # What is hidden comes out at a tenth of the speed at which contact stops within a radius.
+        # What is hidden comes out at a hundredth of the speed at which contact stops within a
+        # radius: faster, it loses its grip on the way.
         self._speed = floats(
             _EMERGING * radius * np.sqrt(stiffness / np.maximum(mass, 1e-12 * mass.max()))
         )

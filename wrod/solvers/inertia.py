@@ -5,6 +5,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
+from wrod.rods.discretisation import cells
 
 
 def lumped_masses(batch: RodBatch, radius) -> np.ndarray:
@@ -34,7 +35,7 @@ def edge_masses(batch: RodBatch) -> np.ndarray:
     real = (mass[:, 1:] > 0) & (mass[:, :-1] > 0)
     real[:, list(batch.cut_edges)] = False
     length = np.where(real, rest, 0.0)
-    around = 0.5 * (np.pad(length, ((0, 0), (1, 0))) + np.pad(length, ((0, 0), (0, 1))))
+    around = cells(length)
     density = np.divide(mass, around, out=np.zeros_like(mass), where=around > 0)
     return np.minimum(density[:, 1:], density[:, :-1]) * length
 

@@ -67,7 +67,6 @@ def smallest_eigenvalue(
 
 @arguments.checked(
     RodError,
-    batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
     neutral=arguments.number(0.0, 1e6),
 )
 def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarray:
@@ -118,7 +117,6 @@ def count_unstable_modes(batch: RodBatch, *, neutral: float = 1e-6) -> np.ndarra
 
 @arguments.checked(
     RodError,
-    equilibria=arguments.callback,
     low=arguments.number(),
     high=arguments.number(),
     neutral=arguments.number(0.0, 1e6),

@@ -80,7 +80,6 @@ class EquilibriumSolver:
     @arguments.checked(
         RodError,
         prescribed=arguments.optional(arguments.numbers_of_any_shape),
-        ramp_loads=arguments.flag,
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(1, 1_000_000),
     )
@@ -289,9 +288,7 @@ class EquilibriumSolver:
         self._copy(self.active, trial, batch.state)
 
 
-@arguments.checked(
-    RodError, batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state")
-)
+@arguments.checked(RodError)
 def solve_equilibria(batch: RodBatch, **options) -> Equilibria:
     """Bring every rod of `batch` to equilibrium; see `EquilibriumSolver.solve` for the options."""
     return EquilibriumSolver(batch).solve(**options)
@@ -299,7 +296,6 @@ def solve_equilibria(batch: RodBatch, **options) -> Equilibria:
 
 @arguments.checked(
     RodError,
-    batch=arguments.like("a wrod.RodBatch", "rod_count", "node_count", "state"),
     clamped_nodes=_INDICES,
     pinned_nodes=_INDICES,
     clamped_angles=_INDICES,

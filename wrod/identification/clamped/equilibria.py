@@ -24,9 +24,9 @@ from wrod.identification.clamped.sensitivity import WIND_PASSES, WIND_TOLERANCE,
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.kernels.elastic.bend_twist import bend_twist_energy
 from wrod.rods.batch import RodBatch
-from wrod.rods.rotation import transport
+from wrod.rods.rotation import angle_about, transport
 from wrod.rods.state import RodState
-from wrod.solvers.statics import EquilibriumSolver
+from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _WAYPOINTS = 8
 _PATIENCE, _WALK_PATIENCE, _FALL_PATIENCE = 12, 60, 150
@@ -63,10 +63,7 @@ class ClampedSolver:
             **vars(arrays),
         )
         self._assign_sections(setups)
-        free = np.ones(self.batch.dof_count, dtype=bool)
-        free[:7] = False
-        free[-7:] = False
-        self.batch.set_free(free)
+        prescribe(self.batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
         self.sensitivity = Sensitivity(self.batch, self.trial_count, self.edge_count)
         self.principal = np.zeros(self.batch.rod_count)
         self.negative = np.zeros(self.batch.rod_count, dtype=int)
@@ -277,11 +274,7 @@ class ClampedSolver:
         dof[:, -7:-4], dof[:, -3:] = b, b + h * rb[:, :, 2]
         for edge, column, frame in ((0, 3, ra), (-1, -4, rb)):
             carried = transport(director[:, edge], tangent[:, edge], frame[:, :, 2])
-            angle = np.arctan2(
-                np.sum(np.cross(frame[:, :, 2], carried) * frame[:, :, 0], axis=1),
-                np.sum(carried * frame[:, :, 0], axis=1),
-            )
-            angle += principal
+            angle = angle_about(frame[:, :, 2], carried, frame[:, :, 0]) + principal
             # The same angle on the turn that the rod is on.
             dof[:, column] = angle + 2 * np.pi * np.rint((dof[:, column] - angle) / (2 * np.pi))
         return dof

@@ -1,8 +1,7 @@
 """Setups of clamped rods laid out for a batch: one row for each candidate and trial.
 
-Beyond each clamp stands a ghost edge that carries the clamp's frame; at the clamp's node only half
-of the Voronoi length bends and twists, so stiffnesses count twice and natural curvatures half there
-(second order in the edge length).
+Beyond each clamp stands a ghost edge that carries the clamp's frame, as in
+`wrod.rods.discretisation`.
 """
 
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from wrod.identification.clamped.setup import ClampedSetup
+from wrod.rods.discretisation import in_principal, of_free_part
 
 COMPLEX_STEP = 1e-30
 # Share of the stiffness in a layer that is not there: the mean of its two stiffnesses divides.
@@ -39,21 +39,19 @@ def batch_arrays(setups: Sequence[ClampedSetup]) -> BatchArrays:
     for s in setups:
         n = len(s.fraction) - 1
         h = s.length / n
-        share = np.ones(n + 1)
-        share[[0, -1]] = 0.5
-        c, d = np.cos(s.principal_angle), np.sin(s.principal_angle)
-        k = s.natural_curvature
-        principal = np.stack([c * k[:, 0] + d * k[:, 1], -d * k[:, 0] + c * k[:, 1]], axis=1)
+        share = _free_share(s)
         rows["rest_length"].append(np.full(n + 2, h))
         rows["stretching_stiffness"].append(np.pad(s.stretching, 1, mode="edge"))
         linear = 1.0 - s.law[:, 1].sum()
-        rows["bending_stiffness"].append(_with_ghosts(linear * s.bending / share[:, None]))
-        rows["twisting_stiffness"].append(_with_ghosts(s.twisting / share))
-        rows["natural_curvature"].append(_with_ghosts(principal * share[:, None]))
-        rows["natural_twist"].append(_with_ghosts(s.natural_twist * share))
-        rows["softening"].append(
-            _with_ghosts(s.softening / np.stack([share**2, np.ones(n + 1)], axis=1))
-        )
+        for name, value in of_free_part(
+            share,
+            bending_stiffness=linear * s.bending,
+            twisting_stiffness=s.twisting,
+            natural_curvature=in_principal(s.natural_curvature, s.principal_angle),
+            natural_twist=s.natural_twist,
+            softening=s.softening,
+        ).items():
+            rows[name].append(_with_ghosts(value))
         rows["node_mass"].append(np.pad(s.line_mass * h * share + s.node_mass, 1))
         rows["gravity"].append(s.gravity)
     trials = len(setups[0].clamp_position)
@@ -66,19 +64,17 @@ def law_layers(setups: Sequence[ClampedSetup]) -> list[tuple[np.ndarray, np.ndar
     trials = len(setups[0].clamp_position)
     layers = []
     for j in range(max(len(s.law) for s in setups)):
-        stiffness, softening = [], []
+        terms = []
         for s in setups:
             c, p = s.law[j] if j < len(s.law) else (0.0, 0.0)
-            share = np.ones((len(s.fraction), 1))
-            share[[0, -1]] = 0.5
-            stiffness.append(_with_ghosts((p + _NO_LAYER) * s.bending / share))
-            softening.append(_with_ghosts(c / share**2 * [1.0, 0.0]))
-        layers.append(
-            (
-                np.repeat(np.stack(stiffness), trials, axis=0),
-                np.repeat(np.stack(softening), trials, axis=0),
-            )
+            softening = np.full((len(s.fraction), 2), [c, 0.0])
+            bending = (p + _NO_LAYER) * s.bending
+            here = of_free_part(_free_share(s), bending_stiffness=bending, softening=softening)
+            terms.append([_with_ghosts(value) for value in here.values()])
+        stiffness, softening = (
+            np.repeat(np.stack(t), trials, axis=0) for t in zip(*terms, strict=True)
         )
+        layers.append((stiffness, softening))
     return layers
 
 
@@ -86,12 +82,16 @@ def coupling_of(setups: Sequence[ClampedSetup]) -> np.ndarray:
     """(rod, node, 2) coupling of bending with twist in principal directions; complex if it is."""
     rows = []
     for s in setups:
-        share = np.ones((len(s.fraction), 1))
-        share[[0, -1]] = 0.5
-        c, d = np.cos(s.principal_angle), np.sin(s.principal_angle)
-        g = np.stack([c * s.coupling[0] + d * s.coupling[1], c * s.coupling[1] - d * s.coupling[0]])
-        rows.append(_with_ghosts(g / share))
+        coupling = np.tile(in_principal(s.coupling, s.principal_angle), (len(s.fraction), 1))
+        rows.append(_with_ghosts(of_free_part(_free_share(s), coupling=coupling)["coupling"]))
     return np.repeat(np.stack(rows), len(setups[0].clamp_position), axis=0)
+
+
+def _free_share(setup: ClampedSetup) -> np.ndarray:
+    """(node,) of each node's cell: half at the clamps."""
+    share = np.ones(len(setup.fraction))
+    share[[0, -1]] = 0.5
+    return share
 
 
 def _with_ghosts(values: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.rods.material import RodMaterial
 
 
-@arguments.checked(DataError, path=arguments.path)
+@arguments.checked(DataError)
 def load_measurements(path: str | os.PathLike[str]) -> ClampedMeasurements:
     """Read a set of clamped equilibria (.npz, fields as in `ClampedMeasurements`) and check it.
 

@@ -9,9 +9,9 @@ from wrod.files.pictures import (
     INK,
     MEASURED,
     MUTED,
-    SERIES,
     add_scale,
     as_png,
+    draw_bands,
     dress,
     dress_map,
     new_figure,
@@ -40,12 +40,7 @@ def shapes(report, count: int = 4) -> bytes:
             *plane(m.centerline[trial]), "o", ms=2.6, color=MEASURED, label="measured", zorder=3
         )
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set_title(f"trial {trial}", loc="left", fontsize=9.5, color=MUTED)
-        axes.set_xlabel("along [cm]", fontsize=8.5)
-        if k == 0:
-            axes.set_ylabel("up [cm]", fontsize=8.5)
-            axes.legend(fontsize=8, frameon=False)
-        dress(axes)
+        dress(axes, f"trial {trial}", "along [cm]", "" if k else "up [cm]", legend=k == 0)
     return as_png(figure)
 
 
@@ -93,20 +88,10 @@ def force_print(report) -> bytes:
         labels = [f"{name}\n[{u}]" for name, (_, u) in zip(best.components, units, strict=True)]
         axes.set_xticks(place, labels, fontsize=8)
     else:
-        for column, label in enumerate(best.components):
-            color = SERIES[column % len(SERIES)]
-            value, error = best.value[:, column], 2 * best.stderr[:, column]
-            axes.plot(best.arc_length, value, color=color, lw=1.6, label=label)
-            axes.fill_between(
-                best.arc_length, value - error, value + error, color=color, alpha=0.15, lw=0
-            )
-        axes.set_xlabel("arc length [m]", fontsize=8.5)
-        axes.legend(fontsize=8, frameon=False, ncol=3)
-    axes.axhline(0.0, color=FAINT, lw=0.8, zorder=0)
-    if best.arc_length is not None:
-        axes.set_ylabel(f"[{best.unit}]" if best.unit else "relative change", fontsize=8.5)
-    axes.set_title(f"{best.title} (± 2 standard errors)", loc="left", fontsize=9, color=MUTED)
-    dress(axes)
+        draw_bands(axes, best.arc_length, best.value, best.stderr, best.components)
+        y = f"[{best.unit}]" if best.unit else "relative change"
+        dress(axes, x="arc length [m]", y=y, legend=True, ncol=3)
+    dress(axes, f"{best.title} (± 2 standard errors)")
     axes = figure.add_subplot(1, 2, 2)
     names = [p.name.replace("_", " ") for p in report.prints][::-1]
     values = [max(p.evidence, 0.0) for p in report.prints][::-1]
@@ -117,8 +102,7 @@ def force_print(report) -> bytes:
             va="center", fontsize=8, color=MUTED,
         )  # fmt: skip
     axes.set_xlim(0.0, 1.15 * max(*values, 1.0))
-    axes.set_title("log evidence, and share of the excess", loc="left", fontsize=9, color=MUTED)
-    dress(axes)
+    dress(axes, "log evidence, and share of the excess")
     return as_png(figure)
 
 

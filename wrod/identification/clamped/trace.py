@@ -12,6 +12,7 @@ import numpy as np
 
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.effect import Effect, Model, Parameter, effects
+from wrod.rods.rotation import node_frames
 
 KNOTS = 7
 # A print changes over the trials where first and last differ by so much of it, so many errors.
@@ -135,9 +136,9 @@ def trace(laboratory: Laboratory) -> list[Print]:
     residual = laboratory.whiten(residual, trials).ravel()
     solver, _ = laboratory.solver_at(Model(), np.zeros(0))
     prints = []
-    for name, title, unit, points_to, model, components in _plans(
-        _node_frames(solver), m.material.weight
-    ):
+    directors, tangents = solver.batch.material_directors(), solver.batch.state.tangent.numpy()
+    frames = node_frames(directors[:, :, 0], tangents)[:, 1:-1]
+    for name, title, unit, points_to, model, components in _plans(frames, m.material.weight):
         scale = np.array([p.scale for p in model.parameters])
         _, rates = laboratory.jacobian(model, np.zeros(len(scale)))
         jacobian = laboratory.whiten(rates[trials] * scale, trials).reshape(-1, len(scale))
@@ -245,17 +246,6 @@ def _plans(frames: np.ndarray, weight: float) -> list[tuple]:
             own,
         ),
     ]
-
-
-def _node_frames(solver) -> np.ndarray:
-    """(T, n + 1, 3, 3) columns m1, m2, tangent at the nodes between the clamps."""
-    m1 = solver.batch.material_directors()[:, :, 0]
-    t = solver.batch.state.tangent.numpy()
-    t, m1 = (a[:, 1:] + a[:, :-1] for a in (t, m1))
-    t /= np.linalg.norm(t, axis=2, keepdims=True)
-    m1 -= np.sum(m1 * t, axis=2, keepdims=True) * t
-    m1 /= np.linalg.norm(m1, axis=2, keepdims=True)
-    return np.stack([m1, np.cross(t, m1), t], axis=3)
 
 
 def smooth_prior(width: int) -> np.ndarray:

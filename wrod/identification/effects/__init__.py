@@ -1,1 +1,1 @@
-"""Effects that the base model lacks, one file each; a new file is found by itself."""
+"""Effects that the base model lacks, a file for each kind; a new file is found by itself."""

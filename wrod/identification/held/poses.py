@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from wrod.identification.held.measurements import HeldPoses
 from wrod.rods.batch import RodBatch
-from wrod.rods.rotation import transport
+from wrod.rods.rotation import angle_about, transport
 from wrod.rods.state import node_positions
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
@@ -72,10 +72,7 @@ def pose_shapes(
         carried = transport(
             batch.state.director.numpy()[:, -1], batch.state.tangent.numpy()[:, -1], tangent
         )
-        angle = np.arctan2(
-            np.einsum("ri,ri->r", np.cross(tangent, carried), director),
-            np.einsum("ri,ri->r", carried, director),
-        )
+        angle = angle_about(tangent, carried, director)
         before = target[:, -4]
         target[:, -4] = angle + 2.0 * np.pi * np.rint((before - angle) / (2.0 * np.pi))
         good &= solver.solve(

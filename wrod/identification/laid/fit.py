@@ -135,15 +135,10 @@ def _estimates(values, active, covariance) -> tuple[dict[str, Estimate], float]:
 @arguments.checked(
     DataError,
     measurements=arguments.like("what wrod.load_laid returns", "pattern", "curves"),
-    rod=arguments.like("a wrod.RodMaterial or wrod.RodModel", "radius", "length"),
-    trajectory=arguments.like("a wrod.Trajectory", "arc_length", "position", "rotation"),
     friction=arguments.either(
         arguments.like("a wrod.Friction", "static", "kinetic"), arguments.number(0.0, 1e3)
     ),
-    fit_friction=arguments.flag,
-    released=arguments.flag,
     iterations=arguments.whole(1, 1000),
-    progress=arguments.optional(arguments.callback),
 )
 def fit_laid(
     measurements: LaidMeasurements,

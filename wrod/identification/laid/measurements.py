@@ -86,8 +86,6 @@ class LaidMeasurements:
     sources=arguments.several(
         arguments.either(arguments.path, arguments.array((None, 2), (None, 3), finite=False))
     ),
-    pattern=arguments.like("a wrod.Pattern", "sample", "length", "remainder_length"),
-    units=arguments.optional(arguments.text),
     noise=arguments.optional(arguments.number(0.0, 100.0)),
 )
 def load_laid(

@@ -24,6 +24,7 @@ from wrod.identification.motion.tangents import COMPLEX_STEP, kind_of, node_colu
 from wrod.identification.motion.windows import Windows
 from wrod.kernels.stepping import motion_tangents
 from wrod.rods.batch import RodBatch
+from wrod.rods.rotation import angle_about, node_frames, transport
 from wrod.rods.state import full_hessian
 from wrod.solvers.statics import EquilibriumSolver, prescribe
 
@@ -210,20 +211,13 @@ def _batch(setup, path, device) -> RodBatch:
     dof = state.dof.numpy().copy()
     for edge, column, k in ((0, 3, 0), (-1, -4, 1)):
         t, d = (v.numpy()[:, edge] for v in (state.tangent, state.director))
-        own = _carried(path.grip_director[:, k], path.grip_tangent[:, k], t)
-        dof[:, column] = np.arctan2(np.sum(np.cross(d, own) * t, axis=1), np.sum(d * own, axis=1))
+        own = transport(path.grip_director[:, k], path.grip_tangent[:, k], t)
+        dof[:, column] = angle_about(t, d, own)
     # The angles between begin with an even share of the twist.
     edges = batch.node_count - 1
     dof[:, 3::4] = dof[:, 3:4] + (dof[:, -4:-3] - dof[:, 3:4]) * (np.arange(edges) / (edges - 1))
     state.dof.assign(dof)
     return batch
-
-
-def _carried(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) across the unit tangents `t` turned the shortest way to `u`."""
-    axis = np.cross(t, u)
-    along = np.sum(axis * v, axis=1, keepdims=True) / (1.0 + np.sum(t * u, axis=1, keepdims=True))
-    return np.sum(t * u, axis=1, keepdims=True) * v + np.cross(axis, v) + along * axis
 
 
 class _Condensation:
@@ -303,7 +297,7 @@ class _Condensation:
             frame=sampled[:, 1],
             velocity=path.velocity,
             acceleration=path.acceleration,
-            frames=_node_frames(directors[:, :, 0], t),
+            frames=node_frames(directors[:, :, 0], t),
             left=left @ self.see,
             missing=np.einsum("sqf,sf->sq", left, self.reaction),
             noise=left @ self.noise @ left.transpose(0, 2, 1),
@@ -334,15 +328,3 @@ class _Condensation:
             [out],
         )
         return out.reshape((b.rod_count, b.node_count))
-
-
-def _node_frames(m1: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """(S, n, 3, 3) columns m1, m2, tangent: those of the edges around each node, averaged."""
-    t, m1 = (
-        np.concatenate([a[:, :1], a[:, 1:] + a[:, :-1], a[:, -1:]], axis=1)
-        for a in (t / np.linalg.norm(t, axis=2, keepdims=True), m1)
-    )
-    t = t / np.linalg.norm(t, axis=2, keepdims=True)
-    m1 = m1 - np.sum(m1 * t, axis=2, keepdims=True) * t
-    m1 /= np.linalg.norm(m1, axis=2, keepdims=True)
-    return np.stack([m1, np.cross(t, m1), t], axis=3)

@@ -22,7 +22,7 @@ def is_motion(path: str | os.PathLike[str]) -> bool:
         return False
 
 
-@arguments.checked(DataError, path=arguments.path)
+@arguments.checked(DataError)
 def load_motion(path: str | os.PathLike[str]) -> MotionMeasurements:
     """Read recordings of a rod in motion (.npz) and check them.
 

@@ -43,13 +43,8 @@ def shapes(report, count: int = 6) -> bytes:
         axes.plot(*plane(report.predicted_after[r, f]), color=AFTER, lw=1.4, label="after")
         axes.plot(*plane(w.markers[r, f]), "o", ms=2.6, color=MEASURED, label="measured", zorder=3)
         axes.set_aspect("equal", adjustable="datalim")
-        dress(axes)
-        title = f"{f / report.measurements.rate:.1f} s"
-        axes.set_title(title, loc="left", fontsize=9.5, color=MUTED)
-        axes.set_xlabel("along [cm]", fontsize=8.5)
-        if k == 0:
-            axes.set_ylabel("up [cm]", fontsize=8.5)
-            axes.legend(fontsize=7.5, frameon=False, loc="lower left")
+        title, y = f"{f / report.measurements.rate:.1f} s", "" if k else "up [cm]"
+        dress(axes, title, "along [cm]", y, legend=k == 0, loc="lower left")
     return as_png(figure)
 
 
@@ -68,15 +63,12 @@ def errors(report) -> bytes:
         left.plot(time, np.nanmean(error, axis=0), color=color, lw=1.4, label=label)
         place = np.arange(len(error)) + 0.4 * k - 0.2
         right.bar(place, np.nanmean(error, axis=1), width=0.38, color=color)
-    left.set_xlabel("time [s]", fontsize=8.5)
-    left.set_ylabel("mean |difference| [mm]", fontsize=8.5)
-    left.legend(fontsize=8, frameon=False)
     right.set_xticks(
         range(len(w.recording)), [report.measurements.names[r] for r in w.recording], fontsize=8
     )
-    right.set_xlabel("test recording", fontsize=8.5)
+    dress(left, x="time [s]", y="mean |difference| [mm]", legend=True)
+    dress(right, x="test recording")
     for axes in (left, right):
-        dress(axes)
         axes.set_ylim(bottom=0.0)
     return as_png(figure)
 
@@ -111,11 +103,8 @@ def residual(report) -> bytes:
             panel.plot(1e3 * value[:, c], color=color, lw=1.4, label=labels[c])
         panel.axhline(0.0, color=MUTED, lw=0.6)
         share = 100 * r.explained[title]
-        panel.set_title(f"{title}: {share:.0f} %", loc="left", fontsize=9.5, color=MUTED)
         panel.xaxis.get_major_locator().set_params(integer=True)
-        panel.set_xlabel("marker", fontsize=8.5)
-        panel.legend(fontsize=7, frameon=False)
-        dress(panel)
+        dress(panel, f"{title}: {share:.0f} %", "marker", legend=True, fontsize=7)
     axes[2].set_ylabel("mean residual before [mm]", fontsize=8.5)
     return as_png(figure)
 
@@ -142,9 +131,7 @@ def ladder(report) -> bytes | None:
         axes.text(1e3 * value, y + 0.19, f" {1e3 * value:.2f}", fontsize=8, va="center", color=INK)
     axes.set_yticks(place, names, fontsize=9)
     axes.invert_yaxis()
-    axes.set_xlabel("mean |difference| [mm]", fontsize=8.5)
-    axes.legend(fontsize=8, frameon=False)
-    dress(axes)
+    dress(axes, x="mean |difference| [mm]", legend=True)
     axes.tick_params(axis="y", labelsize=9)
     return as_png(figure)
 

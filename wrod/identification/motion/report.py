@@ -175,9 +175,7 @@ class MotionReport(Report):
 
 
 @checked_as_identification(arguments.like("recordings", "positions"))
-@arguments.checked(
-    DataError, subdivisions=arguments.whole(1, 64), steps=arguments.optional(arguments.path)
-)
+@arguments.checked(DataError, subdivisions=arguments.whole(1, 64))
 def identify_motion(
     measurements: MotionMeasurements | str | os.PathLike[str],
     *,

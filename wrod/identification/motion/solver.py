@@ -16,7 +16,7 @@ from wrod.kernels.stepping.viscosity import measure_strains
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import RodState
 from wrod.solvers.dynamics import Dynamics
-from wrod.solvers.statics import EquilibriumSolver
+from wrod.solvers.statics import EquilibriumSolver, prescribe
 
 _TOLERANCE = 1e-7
 _MAX_ITERATIONS = 25
@@ -283,10 +283,5 @@ def _batch(values, position, director, free_roll: bool, device: str) -> RodBatch
         director=director,
         device=device,
     )
-    free = np.ones(batch.dof_count, dtype=bool)
-    free[[*range(3), *range(4, 7)]] = False
-    free[[*range(-7, -4), *range(-3, 0)]] = False
-    if not free_roll:
-        free[[3, -4]] = False
-    batch.set_free(free)
+    prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=() if free_roll else (0, -1))
     return batch

@@ -8,12 +8,7 @@ import numpy as np
 from wrod.identification.motion.curves import through_markers
 from wrod.identification.motion.setup import MotionSetup
 from wrod.identification.motion.windows import Windows
-from wrod.rods.rotation import transport
-
-
-def unit(v):
-    """(..., 3) vectors over their lengths; analytic."""
-    return v / np.sqrt(np.sum(v * v, axis=-1, keepdims=True))
+from wrod.rods.rotation import carried, unit
 
 
 def held_ends(windows: Windows, setup: MotionSetup, substeps: int) -> tuple[np.ndarray, ...]:
@@ -69,10 +64,7 @@ def _without_offsets(setup, markers, a1, substeps: int) -> np.ndarray:
     t = unit(np.concatenate([markers[:, :, 1:2] - markers[:, :, :1], t,
                               markers[:, :, -1:] - markers[:, :, -2:-1]], axis=2))  # fmt: skip
     for f, step in ((0, 0), (1, substeps)):
-        frames = [transport(a1[:, step, 0], t[:, f, 0], t[:, f, 0])]
-        for k in range(1, t.shape[2]):
-            frames.append(transport(frames[-1], t[:, f, k - 1], t[:, f, k]))
-        d = np.stack(frames, axis=1)
+        d = carried(a1[:, step, 0], t[:, f])
         end = a1[:, step, 1]
         y = np.sum(np.cross(d[:, -1], end) * t[:, f, -1], axis=-1)
         x = np.sum(d[:, -1] * end, axis=-1)

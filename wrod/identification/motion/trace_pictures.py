@@ -10,11 +10,14 @@ from wrod.files.pictures import (
     SERIES,
     add_scale,
     as_png,
+    draw_bands,
     dress,
     dress_map,
     new_figure,
 )
 from wrod.identification.motion.trace import MotionTrace
+
+_ALONG = "arc length from the first grip [m]"
 
 
 def missing_force(trace: MotionTrace, rate: float, name: str) -> bytes:
@@ -43,11 +46,9 @@ def missing_force(trace: MotionTrace, rate: float, name: str) -> bytes:
     frames = (("laboratory", ("x", "y", "z")), ("material", ("m1", "m2", "tangent")))
     for panel, (frame, labels) in zip(axes, frames, strict=True):
         value, error = trace.force.mean(frame)
-        _lines(panel, trace.force.arc_length, value, error, labels)
-        panel.set_title(
-            f"mean in the {frame} frame, all recordings (± 2 standard errors)",
-            loc="left", fontsize=9.5, color=MUTED,
-        )  # fmt: skip
+        draw_bands(panel, trace.force.arc_length, value, error, labels)
+        title = f"mean in the {frame} frame, all recordings (± 2 standard errors)"
+        dress(panel, title, _ALONG, legend=True, ncol=3)
     axes[0].set_ylabel("missing force / weight", fontsize=8.5)
     return as_png(figure)
 
@@ -61,11 +62,11 @@ def prints(trace: MotionTrace) -> bytes:
         place = np.arange(len(best.value))
         left.bar(place, best.value, yerr=2 * best.stderr, color=AFTER, width=0.6, ecolor=INK)
         left.set_xticks(place, [c.replace(" ", "\n", 1) for c in best.components], fontsize=8)
-        dress(left)
     else:
-        _lines(left, best.arc_length, best.value, best.stderr, best.components)
-    left.set_ylabel(f"[{best.unit}]" if best.unit else "relative", fontsize=8.5)
-    left.set_title(f"{best.title} (± 2 standard errors)", loc="left", fontsize=9, color=MUTED)
+        draw_bands(left, best.arc_length, best.value, best.stderr, best.components)
+        dress(left, x=_ALONG, legend=True, ncol=3)
+    y = f"[{best.unit}]" if best.unit else "relative"
+    dress(left, f"{best.title} (± 2 standard errors)", y=y)
     shown = trace.prints[::-1]
     place = np.arange(len(shown))
     first = trace.steps[0][0][0] if trace.steps else None
@@ -80,25 +81,9 @@ def prints(trace: MotionTrace) -> bytes:
             right.text(b, y - 0.2, f"  {b:.0f} %", va="center", fontsize=7.5, color=MUTED)
     right.set_yticks(place, [p.name.replace("_", " ") for p in shown])
     right.set_xlim(0.0, 112.0)
-    right.set_title(
-        "share of the missing force alone, and (orange) of what the first leaves",
-        loc="left", fontsize=9, color=MUTED,
-    )  # fmt: skip
-    dress(right)
+    dress(right, "share of the missing force alone, and (orange) of what the first leaves")
     right.grid(False, axis="y")
     return as_png(figure)
-
-
-def _lines(axes, place, value, error, labels) -> None:
-    for column, label in enumerate(labels):
-        color = SERIES[column % len(SERIES)]
-        v, e = value[:, column], 2 * np.nan_to_num(error[:, column])
-        axes.plot(place, v, color=color, lw=1.6, label=label)
-        axes.fill_between(place, v - e, v + e, color=color, alpha=0.15, lw=0)
-    axes.axhline(0.0, color=FAINT, lw=0.8, zorder=0)
-    axes.set_xlabel("arc length from the first grip [m]", fontsize=8.5)
-    axes.legend(fontsize=8, frameon=False, ncol=3)
-    dress(axes)
 
 
 def _edges(centres: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Jobs of a bench in processes side by side."""
+"""Jobs in processes side by side."""
 
 import contextlib
 import os
@@ -26,7 +26,7 @@ def run(
             with the caller's loop, however it ends.
 
     Raises:
-        DataError: a worker was killed.
+        DataError: a worker was killed, or none can be begun.
     """
     if workers == 1:
         for job in jobs:
@@ -37,9 +37,16 @@ def run(
     # A fresh interpreter for each worker: Warp's threads do not survive a fork.
     context = get_context("spawn")
     watched, kept = context.Pipe(duplex=False)
-    with ProcessPoolExecutor(
-        min(workers, max(len(jobs), 1)), mp_context=context, initializer=_watch, initargs=(watched,)
-    ) as pool:
+    count = min(workers, max(len(jobs), 1))
+    try:
+        begun = ProcessPoolExecutor(
+            count, mp_context=context, initializer=_watch, initargs=(watched,)
+        )
+    except OSError as reason:  # no room for what they share
+        raise DataError(
+            f"processes side by side cannot be begun here ({reason}); give --workers 1"
+        ) from None
+    with begun as pool:
         try:
             with _unheard():
                 futures: dict[Future, tuple] = {pool.submit(function, *job): job for job in jobs}

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from wrod.errors import PerceptionError
 from wrod.perception.metric import MarkerLayout
 
 SUPERSAMPLING = 4  # rays per pixel and axis
@@ -34,10 +32,6 @@ class TopCamera:
     def __post_init__(self):
         forward = np.subtract(self.target, self.position)
         right = np.cross(forward, self.up)
-        if np.hypot(*forward[:2]) + abs(forward[2]) == 0 or np.linalg.norm(right) < 1e-12:
-            raise PerceptionError(
-                "the camera must look at a point other than its own, not along up"
-            )
         forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
         rotation = np.array([right, -np.cross(right, forward), forward])
         object.__setattr__(self, "_rotation", rotation)
@@ -64,8 +58,6 @@ class TopCamera:
     def project(self, points: np.ndarray) -> np.ndarray:
         """(n, 3) positions [m] -> (n, 2) pixels."""
         seen = (np.asarray(points, float) - self.position) @ self._rotation.T
-        if (seen[:, 2] <= 0).any():
-            raise PerceptionError("part of the scene lies behind the camera; raise the camera")
         pixels = seen @ self.matrix.T
         return pixels[:, :2] / pixels[:, 2:]
 
@@ -105,8 +97,6 @@ class TopCamera:
 
         if isinstance(centerlines, np.ndarray) and centerlines.ndim == 2:
             centerlines = [centerlines]
-        if not (np.isfinite(radius) and radius > 0):
-            raise PerceptionError(f"rod radius is {radius!r}; give metres, above 0")
         fine = SUPERSAMPLING
         width, height = self.size
         canvas = np.empty((height * fine, width * fine, 3), np.uint8)
@@ -116,10 +106,6 @@ class TopCamera:
         strokes = []
         for line in centerlines:
             line = np.asarray(line, float)
-            if line.ndim != 2 or line.shape[1] not in (2, 3) or not np.isfinite(line).all():
-                raise PerceptionError(
-                    f"centreline of shape {line.shape}; give finite (n, 3) points"
-                )
             if line.shape[1] == 2:
                 line = np.column_stack([line, np.full(len(line), radius)])
             depth = (line - self.position) @ self._rotation[2]
@@ -175,47 +161,3 @@ class TopCamera:
                     shade = 20 if bits[row, column] == 0 else 238
                     at = np.round(16 * at[:, :2] / at[:, 2:]).astype(np.int32)
                     cv2.fillConvexPoly(canvas, at, (shade,) * 3, cv2.LINE_8, shift=4)
-
-
-def centerline_from_usd(
-    path: str | os.PathLike[str], prim: str | None = None, time: float | None = None
-) -> np.ndarray:
-    """(n, 3) points [m] of a curve in a USD scene, in world coordinates.
-
-    Args:
-        path: the scene.
-        prim: path of its BasisCurves; by default the only one, or the one called "rod".
-        time: time code; by default the last one.
-
-    Raises:
-        PerceptionError: no such file or curve, or several to choose from.
-    """
-    from pxr import Usd, UsdGeom
-
-    from wrod.files import checked_path
-
-    checked_path(path, "a USD scene", error=PerceptionError, limit=512 * 2**20)
-    try:
-        stage = Usd.Stage.Open(os.fspath(path))
-    except Exception:  # of OpenUSD's own, which is no class of Python's
-        raise PerceptionError(f"{path}: not a USD scene that can be opened") from None
-    if prim is None:
-        curves = [p for p in stage.Traverse() if p.IsA(UsdGeom.BasisCurves)]
-        named = [p for p in curves if p.GetName().lower() == "rod"]
-        chosen = curves if len(curves) == 1 else named
-        if len(chosen) != 1:
-            names = ", ".join(str(p.GetPath()) for p in curves) or "none"
-            raise PerceptionError(f"{path}: name the rod's curve; the scene's curves are: {names}")
-        chosen = chosen[0]
-    else:
-        chosen = stage.GetPrimAtPath(prim)
-        if not chosen or not chosen.IsA(UsdGeom.BasisCurves):
-            raise PerceptionError(f"{path}: {prim} is not a BasisCurves in this scene")
-    when = stage.GetEndTimeCode() if time is None else time
-    code = Usd.TimeCode(when) if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.Default()
-    points = UsdGeom.BasisCurves(chosen).GetPointsAttr().Get(code)
-    if not points:
-        raise PerceptionError(f"{path}: {chosen.GetPath()} has no points")
-    world = np.array(UsdGeom.Xformable(chosen).ComputeLocalToWorldTransform(code))
-    lifted = np.column_stack([np.array(points, float), np.ones(len(points))]) @ world
-    return lifted[:, :3] * UsdGeom.GetStageMetersPerUnit(stage)

@@ -1,4 +1,4 @@
-"""A steady draught across the rod."""
+"""Air that damps, drags or draws."""
 
 import numpy as np
 
@@ -8,7 +8,20 @@ _AIR_DENSITY = 1.2
 _DRAG_COEFFICIENT = 1.2
 
 
+class AirDamping(Effect):
+    """A drag in proportion to the velocity, as thick air would exert."""
+
+    name = "air_damping"
+    title = "drag in proportion to the velocity"
+    reference = "f = -c rho A v per length, c the drag per mass"
+    kinds = ("motion",)
+    adds = "linear_drag"
+    parameters = (Parameter("drag_per_mass", "1/s", 3.0, lower=0.0),)
+
+
 class AirFlow(Effect):
+    """A steady draught across the rod."""
+
     name = "air_flow"
     title = "drag of a steady flow across the rod"
     reference = (
@@ -39,3 +52,16 @@ class AirFlow(Effect):
             "azimuth": Estimate(*azimuth, "deg"),
             **super().describe(values, covariance, measurements),
         }
+
+
+class QuadraticDrag(Effect):
+    """The drag of thin air on a fast rod."""
+
+    name = "quadratic_drag"
+    title = "drag in proportion to the velocity squared"
+    reference = (
+        "f = -d rho A |v| v per length; d = rho_air C_d radius / (rho A) for a round section"
+    )
+    kinds = ("motion",)
+    adds = "quadratic_drag"
+    parameters = (Parameter("drag_per_mass", "1/m", 1.0, lower=0.0),)

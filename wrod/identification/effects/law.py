@@ -1,0 +1,85 @@
+"""Moments that do not follow the curvature in proportion."""
+
+import numpy as np
+
+from wrod.identification.effect import Effect, Estimate, Parameter
+
+
+class Softening(Effect):
+    """A rod whose moment falls behind its curvature, as of a cable whose strands begin to slip."""
+
+    name = "softening"
+    title = "bending stiffness that falls with curvature, from B to r B"
+    reference = (
+        "M = B k (r + (1 - r) / (1 + (k / k_c)^2)), a smooth form of the stick-slip law of "
+        "stranded cables (Papailiou 1997)"
+    )
+    kinds = ("clamped", "motion")
+    parameters = (
+        Parameter("log_critical_curvature", "", 3.0, lower=-5.0, upper=10.0, anywhere=True),
+        Parameter("lost_stiffness", "", 1.0, lower=0.0, upper=1.0),
+    )
+    # What is lost counts against the stiffness; where fits of it start; what is left is called so.
+    sign, first, left = -1.0, (0.1, 0.7), "kept_stiffness"
+
+    def starts(self, measurements):
+        return [np.array([np.log(k), change]) for k in (3.0, 30.0) for change in self.first]
+
+    def apply(self, setup, values):
+        # A rod has one law: of two, the last counts.
+        own = np.array([np.exp(-2.0 * values[0]), 1.0 + self.sign * values[1]])
+        setup.softening = 0.0 * setup.softening + own
+
+    def describe(self, values, covariance, measurements):
+        errors = np.sqrt(np.diag(covariance))
+        critical = float(np.exp(values[0]))
+        return {
+            "critical_curvature": Estimate(critical, float(critical * errors[0]), "1/m"),
+            self.left: Estimate(1.0 + self.sign * float(values[1]), float(errors[1]), ""),
+        }
+
+
+class Stiffening(Softening):
+    """A rod whose moment runs ahead of its curvature, as of a chain of beads that touch."""
+
+    name = "stiffening"
+    title = "bending stiffness that grows with curvature, from B to r B"
+    reference = "M = B k (r + (1 - r) / (1 + (k / k_c)^2)) with r > 1: softening's law, backwards"
+    parameters = (
+        Parameter("log_critical_curvature", "", 3.0, lower=-5.0, upper=10.0, anywhere=True),
+        Parameter("gained_stiffness", "", 1.0, lower=0.0, upper=9.0),
+    )
+    sign, first, left = 1.0, (0.1, 1.0), "final_stiffness"
+
+
+class BendTwist(Effect):
+    """A rod that twists as it is bent, as one does whose layers or strands are laid at an angle."""
+
+    name = "bend_twist"
+    title = "bending and twisting that are coupled"
+    reference = (
+        "energy per length sqrt(B C) g . e (tau - tau_0) of the excess curvatures e and the twist "
+        "(Dias & Audoly 2014); stable at rest where |g| < 1"
+    )
+    parameters = (
+        Parameter("coupling_1", "", 0.5, lower=-0.9, upper=0.9),
+        Parameter("coupling_2", "", 0.5, lower=-0.9, upper=0.9),
+    )
+
+    def apply(self, setup, values):
+        size = np.sqrt(setup.bending[0, 0] * setup.twisting[0])
+        setup.coupling = setup.coupling + size * np.asarray(values)
+
+
+class InternalDamping(Effect):
+    """A material whose moments also depend on how fast it is bent and twisted."""
+
+    name = "internal_damping"
+    title = "strain-rate damping inside the rod (Kelvin-Voigt)"
+    reference = (
+        "M = B (k + eta dk/dt), bending and twisting alike; Bergou et al. 2010, Discrete Viscous "
+        "Threads, Sec. 4"
+    )
+    kinds = ("motion",)
+    adds = "viscous_time"
+    parameters = (Parameter("viscous_time", "s", 0.1, lower=0.0),)
