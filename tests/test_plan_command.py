@@ -270,7 +270,8 @@ def test_only_what_was_solved_is_said_to_help(capsys):
     words = ["my drawing.csv", "--rod", "rope", "--hold", "0.8", "--out", "o", "--export", "poses"]
     with planning(*words):
         said = fitting(request, tries, planned, "too long")
-        assert "too long; looking" in capsys.readouterr().err
+        told = capsys.readouterr().err
+        assert "too long; looking" in told and "trying 0.8 of its size" in told
         none = fitting(request, tries[:2], planned, "too long")
         assert none.startswith("no joint path of sawyer")
     # The whole command, to be copied: what was given, and what helps.
@@ -323,8 +324,9 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
 
     def tried(robot, led):
         trajectory = SimpleNamespace(
-            contact=ring, position=above, metadata={"remainder_length": led}, arc_length=angle
-        )
+            contact=ring, position=above, metadata={"remainder_length": led}, arc_length=angle,
+            spin=0.0,
+        )  # fmt: skip
         task = SimpleNamespace(trajectory=trajectory, robot=load_robot(robot), clearance=0.005)
         failed = SimpleNamespace(task=task)
         curve = SimpleNamespace(length=0.6, remainder_length=led)
@@ -336,11 +338,18 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
     assert "gen3" in others and "panda" not in others and "iiwa" not in others
     assert {"remainder": False} not in tried("panda", 0.0)
     assert not any("robot" in change for change in tried("gen3", 0.1))
-    # Much too far: smaller from its other end first, then an arm that can.
+    # Much too far: the hand is spun back, then smaller from its other end, then an arm that can.
     angle *= 1.6
     ring[:, 0], ring[:, 1] = 0.1 * np.cos(angle), 0.1 * np.sin(angle)
-    far = tried("panda", 0.1)
-    assert far[0]["reverse"] and far[0]["resize"] < 1.0 and far[2] == {"robot": "ur5e"}
+    *spun, second, _, third = tried("panda", 0.1)[:7]
+    room = 2 * 2.8973
+    for change, part in zip(spun[:2], (0.75, 0.6), strict=True):
+        left = (angle[-1] - angle[angle >= 0.1][0]) + np.radians(change["spin"])
+        assert part * room - np.radians(10.0) <= left <= part * room + 0.03
+    assert [{*change} - {"spin"} for change in spun] == [
+        {"remainder"}, {"remainder"}, set(), {"resize", "hold", "remainder"}
+    ]  # fmt: skip
+    assert second["reverse"] and second["resize"] < 1.0 and third == {"robot": "ur5e"}
 
 
 @pytest.mark.parametrize("beside", [True, False])

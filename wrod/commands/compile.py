@@ -72,8 +72,8 @@ def command(device: str, jobs: int | None, rare: bool, as_json: bool) -> None:
     device = resolve_device(device)
     clock = time.perf_counter()
     jobs = jobs or usable_cores()
-    work = cost.Cost(cost.KERNELS / jobs)
-    cost.settle(work, "all kernels, where none is there yet", None, "", quiet=as_json)
+    work = cost.Cost((cost.KERNELS + rare * cost.RARE_KERNELS) / jobs)
+    cost.settle(work, "the kernels, where none is there yet", None, "", quiet=as_json)
     kernels = _wanted(rare) if device == "cpu" else [_ALL]
     parts = [(device, part) for part in (_PICTURE, *kernels)]
     done = tqdm(

@@ -1,6 +1,7 @@
 """`wrod plan PATTERN`: the trajectory of the grip as files and as a picture."""
 
 import json
+import math
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -80,6 +81,12 @@ _GRASPS = (
         "curved.",
     ),
     *ROLL,
+    click.option(
+        "--spin",
+        default=0.0,
+        help="Turn the hand about the rod besides, evenly, by so much in all [degrees]: against "
+        "the pattern's turns it spares an arm's last joint, and twists the rod.",
+    ),
 )
 
 
@@ -97,6 +104,7 @@ class _GraspRequest:
     shapes: bool
     remainder: bool | None
     roll_text: str | None
+    spin: float
 
     def read(self) -> dict:
         """What `solve_grasps_of` takes, but for roll and friction.
@@ -117,6 +125,7 @@ class _GraspRequest:
             "spacing": self.spacing,
             "remainder": self.remainder,
             "shapes": self.shapes,
+            "spin": math.radians(self.spin),
             "controller": None if file is None else Controller.load(file),
             "pace": None
             if self.pace is None
@@ -195,9 +204,9 @@ def command(
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = grasps.friction(as_json)
 
-    def planned(wanted: Shaping, friction=None, led=None, tried=False):
-        """Pattern, rod and trajectory of a shaping; `led` is the remainder where it is not as asked
-        for. One that is only `tried` has none by default."""
+    def planned(wanted: Shaping, friction=None, led=None, spin=None, tried=False):
+        """Pattern, rod and trajectory of a shaping; `led` is the remainder, `spin` [degrees], where
+        they are not as asked for. One that is only `tried` has no remainder by default."""
         fitted = fit(drawn, rod, wanted)
         try:
             remainder = led if led is not None else False if tried else grasps.remainder
@@ -211,9 +220,10 @@ def command(
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
         grasps.compile_ahead(chosen)
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
+        turned = how["spin"] if spin is None else math.radians(spin)
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or tried, roll=read_roll(grasps.roll_text, fitted.rod),
-            device=chosen, friction=friction, **{**how, "remainder": False},
+            device=chosen, friction=friction, **{**how, "remainder": False, "spin": turned},
         )  # fmt: skip
         return fitted, curve, trajectory
 

@@ -204,7 +204,8 @@ def _complete(item: SimpleNamespace, number: int) -> SimpleNamespace:
     item.points = _pattern_points(item.pattern, trajectory)
     item.radius = _DEFAULT_RADIUS if item.rod is None else float(item.rod.radius)
     placement = None if joint_path is None else joint_path.placement
-    item.table = table_under(covered(trajectory, joint_path, onward), placement, item.radius)
+    rest = None if joint_path is None else item.film.shapes[-1]
+    item.table = table_under(covered(trajectory, rest), placement, item.radius)
     item.floor = float(item.table.pose[2, 3] + item.table.floor)
     item.ground = item.table.corners()[:, :2]  # what it covers
     if placement is not None:

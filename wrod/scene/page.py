@@ -89,7 +89,7 @@ def write_deployment_page(
         server = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
     try:
         placement = None if joint_path is None else joint_path.placement
-        lies = covered(trajectory, joint_path, onward)
+        lies = covered(trajectory, None if joint_path is None and at_nodes else shapes[-1])
         _workplace(server, trajectory, lies, placement, pattern, radius)
         arm = None if joint_path is None else ShownArm(server, joint_path, at)
         nodes = np.interp(at, time, np.arange(len(time)))

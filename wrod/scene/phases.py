@@ -74,12 +74,13 @@ def rods_of(trajectory, joint_path, pattern, points: int) -> tuple[np.ndarray, O
     return whole_rod(trajectory, pattern, points), None
 
 
-def covered(trajectory, joint_path, onward: Onward | None) -> np.ndarray:
-    """(n, 3) points of the table on which the rod comes to lie [m]."""
-    if onward is None:
+def covered(trajectory, rest: np.ndarray | None) -> np.ndarray:
+    """(n, 3) points of the table on which the rod comes to lie [m], of the pattern and of the rod
+    at `rest` (M, 3), let go of; None: it is held to the end."""
+    if rest is None:
         return trajectory.contact
-    reached = onward.laid <= joint_path.arc_length[-1] + 0.02
-    return np.concatenate([trajectory.contact, onward.contact[reached]])
+    height = np.full(len(rest), trajectory.contact[-1, 2])
+    return np.concatenate([trajectory.contact, np.column_stack([rest[:, :2], height])])
 
 
 def falling(trajectory) -> Falls:

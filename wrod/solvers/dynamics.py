@@ -113,7 +113,7 @@ class Dynamics(NewtonSteps):
         drag: np.ndarray | None = None,
         inertia: str = "lumped",
         internal_damping: np.ndarray | float = 0.0,
-        contact: Contact | RodContact | Sequence[Contact | RodContact] | None = None,
+        contact: Contact | RodContact | Sequence | None = None,
         motion: Motion | None = None,
         follower: Follower | None = None,
         bodies: Bodies | None = None,
