@@ -7,10 +7,12 @@ from test_identification import synthetic
 from wrod.bench.hidden_sets import BUILT, hidden_set
 from wrod.identification import identify
 from wrod.identification.clamped.described import Attraction, LocalBend, LocalLoad, Stretch
+from wrod.identification.clamped.fit import Fit
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.moment_law import MomentLaw
 from wrod.identification.clamped.profiles import ProfileEffect, _linearised, profiles_of
+from wrod.identification.clamped.steps import exchanged
 from wrod.identification.effect import Model, effects
 
 BASIS = np.random.default_rng(3).normal(size=(21, 2, 3))
@@ -63,11 +65,25 @@ def test_the_scan_finds_the_kind_and_the_place():
     found = profiles_of(linear)
     assert found[0].kind == "curvature"
     assert found[0].effective < 0.8 * found[0].value.size
+    # A profile as an effect has no numbers of which the data say little, and takes as much.
+    basis = np.moveaxis(found[0].basis, 1, 0).reshape(found[0].value.size, -1)
+    assert basis.shape[1] < 0.5 * len(basis)
+    part = slice(linear.first["curvature"], linear.first["curvature"] + len(basis))
+    towards = basis.T @ linear.towards[part]
+    gram = basis.T @ linear.gram[part, part] @ basis
+    kept = towards @ np.linalg.solve(gram + np.eye(len(gram)), towards)
+    assert kept > 0.97 * linear.towards[part] @ found[0].value.T.ravel()
     taken, values, knot, _ = linear.scan(("curvature",), [(i, i) for i in range(1, 20)])[0]
     assert abs(knot * 0.025 - 0.31) < 0.02
     assert np.allclose(values * 0.025, [0.1, 0.15], atol=0.02)
     windows = [(i, j) for i in range(21) for j in range(i + 1, 21)]
     assert taken > linear.scan(("force",), windows)[0][0]
+
+
+def test_nothing_is_exchanged_beside_a_profile():
+    model = Model((effects()["density"], ProfileEffect("curvature", BASIS)))
+    fit = Fit(model, np.zeros(4), np.eye(4), 0.0, 9, 9.0, True)
+    assert exchanged(None, fit, list(effects().values()), None) == (fit, [])
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """`wrod bench cables`: cross-validation of what is found in recordings of rods in motion.
 
-Restartable: a fold that has ended is kept.
+Restartable: a fold that has ended is kept, and so is what one that was stopped has computed.
 """
 
 import json
@@ -8,14 +8,19 @@ from pathlib import Path
 
 import click
 
-from wrod import cost
-from wrod.bench import side_by_side
+from wrod import cost, side_by_side
 from wrod.files.ledger import Ledger
 from wrod.files.row_schemas import FoldRow
 
 
-def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -> dict:
-    """One fold of one rod: the whole selection without it, and the errors on it [mm]."""
+def fold_row(
+    path: str, fold: int, number: int, contiguous: bool, device: str, out: str | None
+) -> dict:
+    """One fold of one rod: the whole selection without it, and the errors on it [mm].
+
+    Args:
+        out: folder where what is computed is kept until the fold has ended.
+    """
     import time
 
     import numpy as np
@@ -23,13 +28,15 @@ def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -
     from wrod.identification.effect import Model, effects
     from wrod.identification.motion.fit import MotionLaboratory, errors_of
     from wrod.identification.motion.loading import load_motion
+    from wrod.identification.motion.remembered import Remembered
     from wrod.identification.motion.selection import BASE, select_motion
     from wrod.identification.motion.split import folds, with_test
 
     clock, cpu = time.perf_counter(), time.process_time()
     m = load_motion(path)
     m = with_test(m, folds(m.recording_count, number, contiguous=contiguous)[fold])
-    rod = MotionLaboratory(m, device=device)
+    kept = Remembered(Path(out) / f"{Path(path).stem}-{fold}.jsonl", m) if out else None
+    rod = MotionLaboratory(m, device=device, remembered=kept)
     s = select_motion(rod, list(effects("motion").values()))
     seconds, cpu = time.perf_counter() - clock, time.process_time() - cpu
     windows = rod.windows(m.test)
@@ -39,7 +46,7 @@ def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -
         mean = [1e3 * e[2:][seen[2:]].mean() for e, seen in zip(error, windows.seen, strict=True)]
         return dict(zip((m.names[r] for r in m.test), map(float, mean), strict=True))
 
-    return {
+    row = {
         "rod": Path(path).stem,
         "fold": fold,
         "undamped_mm": 1e3 * s.undamped,
@@ -61,6 +68,9 @@ def fold_row(path: str, fold: int, number: int, contiguous: bool, device: str) -
         "seconds": seconds,
         "cpu_seconds": cpu,
     }
+    if kept is not None:
+        kept.forget()
+    return row
 
 
 def summary(rows: list[dict]) -> dict:
@@ -179,7 +189,7 @@ def command(
     have = {(row["rod"], row["fold"]) for row in rows}
     # The rods in turn, so that a run which is stopped has some of each.
     jobs = [
-        (str(p), k, number, contiguous, device)
+        (str(p), k, number, contiguous, device, str(out) if out else None)
         for k in range(number)
         for p in paths
         if (p.stem, k) not in have

@@ -94,6 +94,21 @@ def lens(rng, rod):
     return Hidden(Experiment(see=see), {})
 
 
+def rolling_shutter(rng, rod):
+    """The camera is carried along while its picture is read out row after row, faster in some
+    trials than in others."""
+    skew = _between(rng, 0.015, 0.03, either_sign=True)  # way over height read meanwhile
+    rail, centre = _direction(rng), np.array([0.4, 0.0, 0.4]) + rng.uniform(-0.1, 0.1, 3)
+    rows = np.cross(rail, _direction(rng))
+    rows /= np.linalg.norm(rows)
+    pace = skew * rng.uniform(0.5, 1.5, TRIALS)
+
+    def see(position, frame):
+        return position + pace[:, None, None] * ((position - centre) @ rows)[..., None] * rail
+
+    return Hidden(Experiment(see=see), {})
+
+
 def shelf(rng, rod):
     """Something soft below: it pushes up where the rod hangs lower, in some trials only."""
     height = 0.43 - _between(rng, 0.3, 0.42) * rod.length
@@ -116,5 +131,6 @@ STRANGE: dict[Callable, tuple[tuple[str, ...], tuple[str, ...]]] = {
     soft_grip: (("grip_rotation",), ("grip_end",)),
     sliding_markers: (("marker_offset",), ("markers",)),
     lens: (("camera_scale",), ("camera",)),
+    rolling_shutter: (("camera_rotation",), ("camera",)),
     shelf: (("local_load",), ("force_in_laboratory", "force_in_material")),
 }

@@ -23,7 +23,8 @@ KNOTS = 21
 # Correlation lengths to choose from, over the free length.
 _SMOOTH = (0.06, 0.12, 0.25, 0.5)
 _AMPLITUDES = np.logspace(-3, 3, 25)
-# Components of a profile that explain less than this of its prior variance are left out.
+# Components of a profile that explain less than this of its prior variance are left out, and so
+# are those of which the data say less than the prior does.
 _LEAST = 0.01
 _PLACES = 3
 
@@ -114,7 +115,8 @@ class Found:
 
     Attributes:
         evidence: log evidence over none [nats]; effective: numbers that the data determine.
-        value: (KNOTS, width); basis: (KNOTS, width, P) components of the prior, by size.
+        value: (KNOTS, width); basis: (KNOTS, width, P) components that the data determine, each 1
+            large by the prior.
     """
 
     kind: str
@@ -220,7 +222,8 @@ def _likeliest(kind, width, gram, projected) -> Found:
             gain = 0.5 * (towards**2 * shrunk).sum() - 0.5 * np.log1p(amplitude * small).sum()
             if best is None or gain > best[0]:
                 value = (root @ (modes @ (shrunk * towards))).reshape(width, KNOTS).T
-                basis = np.sqrt(amplitude) * np.moveaxis(root.reshape(width, KNOTS, -1), 0, 1)
+                seen = root @ modes[:, amplitude * small > 1.0]
+                basis = np.sqrt(amplitude) * np.moveaxis(seen.reshape(width, KNOTS, -1), 0, 1)
                 effective = float((amplitude * small / (1.0 + amplitude * small)).sum())
                 best = (gain, Found(kind, float(gain), effective, value, basis))
     return best[1]
@@ -252,7 +255,9 @@ def built_effects(laboratory) -> tuple[list[Effect], list[Found]]:
         LocalLoad(loads),
         Attraction(_points(laboratory, linear.forces)),
     ]
-    effects += [ProfileEffect(f.kind, f.basis) for f in found[:2] if f.evidence > 10.0]
+    effects += [
+        ProfileEffect(f.kind, f.basis) for f in found[:2] if f.evidence > 10.0 and f.basis.size
+    ]
     return effects, found
 
 

@@ -9,10 +9,11 @@ much as squares of noise vary by themselves. No model has more than `MOST_EFFECT
 effects leave more than half of the excess a third is not tried: what so many small effects mend is
 not theirs.
 
-Where no known effect reaches the noise, effects are built from profiles along the rod (`profiles`)
-and tried by themselves, then beside the known ones. The noise is taken as declared, then estimated
-from what the chosen model leaves; where it is another one, everything is weighed with it and chosen
-anew.
+Where no known effect reaches the noise, effects are built from profiles along the rod (`profiles`):
+a few numbers at one place that reach it by themselves are chosen among themselves, else all are
+searched together. The noise is taken as declared, then estimated from what the chosen model leaves;
+where it is another one, everything is weighed with it: chosen anew where the model leaves no more
+than noise, else freed of effects that are not needed then.
 """
 
 from dataclasses import dataclass
@@ -32,13 +33,21 @@ from wrod.identification.clamped.steps import (
     best_of_each,
     exchanged,
     extensions,
+    has_profile,
     held_out_error,
     leaner,
     pairs_beside,
     pruned,
     reordered,
 )
-from wrod.identification.clamped.verdict import AT_NOISE, BIC_MARGIN, Round, Selection, judge
+from wrod.identification.clamped.verdict import (
+    AT_NOISE,
+    BIC_MARGIN,
+    Round,
+    Selection,
+    at_noise_of,
+    judge,
+)
 from wrod.identification.effect import Effect
 
 LEAST_SHARE = 0.005
@@ -72,6 +81,10 @@ def select(
             current, rounds, held_out = _with_built(laboratory, pool, opening, None, progress)
             tried_to_build = True
         if not _noise_changed(laboratory, current):
+            break
+        if not _at_noise(laboratory, current):
+            # No other weights would leave a smaller error, but the noise may ask for fewer effects.
+            current = _weighed_anew(laboratory, current)
             break
     final = _polished(laboratory, current)
     return judge(laboratory, final, base_fit(laboratory), rounds, held_out)
@@ -110,7 +123,7 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
     """(model, rounds, held out) with effects that are built from profiles, which join `pool`.
 
     A few numbers at one place that reach the noise by themselves end the search where no known
-    effect and no likely pair does: a search among the known ones would take most of the time.
+    effect and no likely pair does; else the built ones are searched with the known.
 
     Args:
         known: what a search among the known effects has found; None: it has not been made.
@@ -118,51 +131,57 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
     built = built_effects(laboratory)[0]
     if all(e.name != MomentLaw.name for e in pool):
         built.append(moment_law_of(laboratory))
-    other = _search(laboratory, built, progress)
-    effects = other[0].model.effects
-    few = bool(effects) and all(isinstance(e, (Described, MomentLaw)) for e in effects)
-    if known is None and few and _reaches_noise(laboratory, other[0]):
-        pool += built
-        alone, bic = opening.singles, base_fit(laboratory).bic
-        reason = "leaves more than noise, and so does every likely pair"
-        first = Round((), alone[0], alone, [bic - f.bic for f in alone], None, reason)
-        return other[0], [first, *other[1]], other[2]
-    best = known or _search(laboratory, pool, progress, opening)
     pool += built
-    for one in (other, None):
-        if one is None:
-            if _reaches_noise(laboratory, best[0]):
-                break
-            one = _search(laboratory, pool, progress)
-        if one[0].bic < best[0].bic - BIC_MARGIN:
-            best = one[0], [*best[1], *one[1]], one[2]
-    return best
+    alone, empty = opening.singles, base_fit(laboratory)
+    mark = min(f.chi_squared for f in [*alone, *opening.pairs])
+    singles = extensions(laboratory, empty, built, progress, rival=mark)
+    few = [f for f in singles if isinstance(f.model.effects[0], (Described, MomentLaw))]
+    if known is None and few and _reaches_noise(laboratory, few[0]):
+        found = _search(laboratory, built, progress, _Opening(singles, [], True))
+        if found[0].model.effects and _reaches_noise(laboratory, found[0]):
+            reason = "leaves more than noise, and so does every likely pair"
+            first = Round((), alone[0], alone, [empty.bic - f.bic for f in alone], None, reason)
+            return found[0], [first, *found[1]], found[2]
+    together = _Opening(best_of_each([*alone, *singles]), opening.pairs, False)
+    found = _search(laboratory, pool, progress, together)
+    if known and known[0].bic <= found[0].bic + BIC_MARGIN:
+        return known
+    return found
 
 
 def _reaches_noise(laboratory: Laboratory, fit: Fit) -> bool:
     """Whether a model is as near to the train trials as noise lets it, with plausible numbers."""
+    return not fit.model.at_bound(fit.values) and _at_noise(laboratory, fit)
+
+
+def _at_noise(laboratory: Laboratory, fit: Fit) -> bool:
     m = laboratory.measurements
     try:
         rms = laboratory.rms(laboratory.predict(fit.model, fit.values), m.train)
     except DataError:  # a trial that is not fitted has no equilibrium with it
         return False
-    return rms <= AT_NOISE * m.noise_floor and not fit.model.at_bound(fit.values)
+    return rms <= at_noise_of(laboratory) * m.noise_floor
 
 
 def _noise_changed(laboratory: Laboratory, current: Fit) -> bool:
-    """Estimate the noise beside a model; whether it is another one than the choice was made with.
-
-    Without an effect, or with errors that no noise of the declared size has, nothing would change.
-    """
+    """Estimate the noise beside a model; whether the model was chosen with another one."""
     noise, rates = estimate(laboratory, current.model, current.values)
     if noise.near(laboratory.noise):
         return False
     laboratory.set_noise(noise, rates)
-    return bool(current.model.effects) or not _reaches_noise(laboratory, current)
+    return bool(current.model.effects)
+
+
+def _weighed_anew(laboratory: Laboratory, fit: Fit) -> Fit:
+    """The effects of a model that are needed with the present noise."""
+    again = fit_models(laboratory, [fit.model], [fit.values], origin=fit, race=False)[0]
+    return pruned(laboratory, again)
 
 
 def _search(laboratory: Laboratory, candidates, progress, opening: _Opening | None = None):
     """(model, rounds, (before, after) RMS of markers held out) with the present noise.
+
+    A profile stands by itself or joins what is there: nothing joins it.
 
     Args:
         opening: of the same candidates, if it is there already.
@@ -170,10 +189,9 @@ def _search(laboratory: Laboratory, candidates, progress, opening: _Opening | No
     empty = base_fit(laboratory)
     current, rounds = empty, []
     excess = max(empty.chi_squared - empty.residual_count, 0.0)
-    fluctuation = np.sqrt(2.0 * empty.residual_count)
     held_out = held_out_error(laboratory, empty)
     base_held_out = held_out
-    while len(current.model.effects) < MOST_EFFECTS:
+    while len(current.model.effects) < MOST_EFFECTS and not has_profile(current.model):
         ready = opening.pairs if opening and len(current.model.effects) == 1 else []
         if opening and not current.model.effects:
             fits = opening.singles
@@ -184,48 +202,21 @@ def _search(laboratory: Laboratory, candidates, progress, opening: _Opening | No
             fits += ready or pairs_beside(laboratory, current, candidates, progress)
         if not fits:
             break
-        best = min(fits, key=lambda f: f.bic)
+        # What begins with a profile would end there.
+        few = [f for f in fits if current.model.effects or not has_profile(f.model)]
+        best = min(few or fits, key=lambda f: f.bic)
         if len(best.model.effects) > 1 and current.bic - best.bic >= BIC_MARGIN:
             best, others = exchanged(laboratory, best, candidates, progress)
             fits += others
-        fits = best_of_each(fits)
-        gain = current.bic - best.bic
-        taken = current.chi_squared - best.chi_squared
-        left = current.chi_squared - current.residual_count
-        share = taken / max(excess, fluctuation)
-        # Where much is left to explain, an effect beside a far larger one may be small.
-        more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
-        reason, ahead = "", held_out
-        if gain < BIC_MARGIN:
-            reason = f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
-        elif excess < FLUCTUATION * fluctuation and taken < fluctuation:
-            reason = f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
-        elif share < LEAST_SHARE and not more:
-            reason = f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
-        else:
-            try:
-                ahead = held_out_error(laboratory, best)
-            except DataError:
-                reason = "a trial held out has no equilibrium with it"
-            if ahead[1] >= held_out[1]:
-                reason = reason or "trials held out get worse"
-        accepted = None if reason else best.model.names
-        rounds.append(
-            Round(
-                current.model.names,
-                best,
-                fits,
-                [current.bic - f.bic for f in fits],
-                accepted,
-                reason or f"BIC falls by {gain:.0f}, held-out error to {1e3 * ahead[0]:.3f} mm",
-            )
-        )
-        if reason:
+        step, ahead = _judged(laboratory, empty, current, best, best_of_each(fits), held_out)
+        rounds.append(step)
+        if step.accepted is None:
             break
         current, held_out = best, ahead
         left = current.chi_squared - current.residual_count
         if len(current.model.effects) > 1 and left > 0.5 * excess:
             break
+    current, held_out = _or_profile(laboratory, empty, current, rounds, held_out)
     current = pruned(laboratory, current)
     current = leaner(laboratory, current, candidates, rounds, progress)
     if len(current.model.effects) > 1:
@@ -234,6 +225,45 @@ def _search(laboratory: Laboratory, candidates, progress, opening: _Opening | No
         order = [alone.index(name) if name in alone else len(alone) for name in current.model.names]
         current = reordered(current, sorted(range(len(order)), key=order.__getitem__))
     return current, rounds, (base_held_out[0], held_out[0])
+
+
+def _judged(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit, fits, held_out):
+    """(step from a model to the best of its extensions, its held-out error): see the module."""
+    excess = max(empty.chi_squared - empty.residual_count, 0.0)
+    fluctuation = np.sqrt(2.0 * empty.residual_count)
+    gain = current.bic - best.bic
+    taken = current.chi_squared - best.chi_squared
+    left = current.chi_squared - current.residual_count
+    share = taken / max(excess, fluctuation)
+    # Where much is left to explain, an effect beside a far larger one may be small.
+    more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
+    reason, ahead = "", held_out
+    if gain < BIC_MARGIN:
+        reason = f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
+    elif excess < FLUCTUATION * fluctuation and taken < fluctuation:
+        reason = f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
+    elif share < LEAST_SHARE and not more:
+        reason = f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
+    else:
+        try:
+            ahead = held_out_error(laboratory, best)
+        except DataError:
+            reason = "a trial held out has no equilibrium with it"
+        if ahead[1] >= held_out[1]:
+            reason = reason or "trials held out get worse"
+    said = reason or f"BIC falls by {gain:.0f}, held-out error to {1e3 * ahead[0]:.3f} mm"
+    gains, accepted = [current.bic - f.bic for f in fits], None if reason else best.model.names
+    return Round(current.model.names, best, fits, gains, accepted, said), ahead
+
+
+def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[Round], held_out):
+    """(model, held-out error): the best profile alone, where it does better than what was found."""
+    alone = [f for f in rounds[0].fits if has_profile(f.model)] if rounds else []
+    if not alone or alone[0].bic > current.bic - BIC_MARGIN:
+        return current, held_out
+    step, ahead = _judged(laboratory, empty, current, alone[0], alone, held_out)
+    rounds.append(step)
+    return (alone[0], ahead) if step.accepted else (current, held_out)
 
 
 def _polished(laboratory: Laboratory, fit: Fit) -> Fit:

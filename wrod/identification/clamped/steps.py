@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrod.identification.clamped.fit import WIDE, Fit, fit_models
+from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.pairs import likely_pairs
+from wrod.identification.clamped.profiles import ProfileEffect
 from wrod.identification.clamped.verdict import BIC_MARGIN, Round
 from wrod.identification.effect import Effect, Model
 
@@ -65,10 +66,14 @@ def extensions(
     return best_of_each(_fit(laboratory, models, starts, current, progress, rival=rival))
 
 
-def _narrow(candidates: Sequence[Effect]) -> list[Effect]:
-    """Effects of few numbers: a profile along the rod stands by itself or joins what is there.
-    Pairs and exchanges with its dozens of numbers would take most of the time, and mean little."""
-    return [e for e in candidates if len(e.parameters) <= WIDE]
+def has_profile(model: Model) -> bool:
+    return any(isinstance(e, ProfileEffect) for e in model.effects)
+
+
+def _described(candidates: Sequence[Effect]) -> list[Effect]:
+    """All but profiles along the rod, which stand by themselves or join what is there: pairs and
+    exchanges with their many numbers would take most of the time, and mean little."""
+    return [e for e in candidates if not isinstance(e, ProfileEffect)]
 
 
 def pairs_beside(laboratory, current: Fit, candidates, progress, *, joined=False) -> list[Fit]:
@@ -83,7 +88,7 @@ def pairs_beside(laboratory, current: Fit, candidates, progress, *, joined=False
     ):
         return []
     first, own = current.model.names[0], []
-    chosen = likely_pairs(laboratory, _narrow(candidates), _PAIRS)
+    chosen = likely_pairs(laboratory, _described(candidates), _PAIRS)
     if joined:
         partners = {e.name: e for model, _ in chosen if first in model.names for e in model.effects}
         own = extensions(laboratory, current, list(partners.values()), progress)
@@ -96,7 +101,9 @@ def pairs_beside(laboratory, current: Fit, candidates, progress, *, joined=False
 def exchanged(laboratory, best: Fit, candidates, progress) -> tuple[Fit, list[Fit]]:
     """Try every other effect in the place of each earlier one: the first choice saw the others'
     work as its own. Once one has changed, the others have to prove themselves beside it. Returns
-    every fit on the way as well."""
+    every fit on the way as well. What a profile has joined stays."""
+    if has_profile(best.model):
+        return best, []
     # The last one was chosen from all, with the others as they are.
     places = len(best.model.effects) - 1
     tried, seen = 0, []
@@ -105,7 +112,7 @@ def exchanged(laboratory, best: Fit, candidates, progress) -> tuple[Fit, list[Fi
         parts = best.model.split(best.values)
         rest, values = Model(best.model.effects[1:]), np.concatenate(parts[1:])
         models, starts = [], []
-        for effect in _narrow(candidates):
+        for effect in _described(candidates):
             if effect.name not in best.model.names:
                 for start in _starts(laboratory, effect):
                     models.append(rest.extended(effect))
@@ -159,7 +166,7 @@ def leaner(laboratory, current: Fit, candidates, rounds: list[Round], progress) 
     tried = {frozenset(f.model.names) for r in rounds for f in r.fits}
     pairs = [
         (model, start)
-        for model, start in likely_pairs(laboratory, _narrow(candidates), _LEANER_FROM)
+        for model, start in likely_pairs(laboratory, _described(candidates), _LEANER_FROM)
         if len(start) < len(current.values) and frozenset(model.names) not in tried
     ][:_LEANER]
     models, starts = [model for model, _ in pairs], [start for _, start in pairs]
