@@ -1,6 +1,7 @@
 """Kernels compiled ahead, and a scene drawn by a process of its own."""
 
 import sys
+from importlib import import_module
 
 import pytest
 
@@ -52,11 +53,18 @@ def test_the_process_ends_with_what_needed_it(monkeypatch):
         assert beside.painter() is None
 
 
-def test_modules_that_a_cpu_needs_are_compiled():
-    names = ahead._modules()
+def test_kernels_that_a_cpu_needs_are_compiled():
+    """Each once, and with --all whatever there is for a CPU."""
+    names, whole = ahead._wanted(rare=False), ahead._wanted(rare=True)
     assert {"wrod.kernels.elastic.bending", "wrod.kernels.contact.planes"} <= set(names)
-    assert not any(name.endswith(("_lanes", "_ends")) for name in names)
+    assert "wrod.kernels.contact.rods" not in names
+    assert len(set(whole)) == len(whole) and set(ahead._modules()) <= set(whole)
+    assert set(names) < set(whole)
+    assert not any(name.endswith(("_lanes", "_ends")) for name in whole)
+    for name in whole:
+        place, _, kernel = name.partition(":")
+        assert hasattr(import_module(place), kernel or "__doc__")
 
 
 def test_what_cannot_be_compiled_is_said():
-    assert "nowhere" in ahead._run(["cpu", "wrod.kernels.nowhere"])
+    assert "nowhere" in ahead._compile("cpu", "wrod.kernels.nowhere")

@@ -24,6 +24,7 @@ def test_no_room_looks_up_and_no_files_go_in_circles(seen):
     assert house.circles(seen.rooms) == []
     assert seen.file_circles == [ONE_CONCEPT]
     assert "wrod.commands" not in seen.rooms["wrod.bench"]
+    assert "wrod.bench" not in seen.rooms["wrod.commands"]
     assert {"wrod.bench", "wrod.commands"}.isdisjoint(
         other for room, others in seen.rooms.items() if room.count(".") for other in others
         if room not in ("wrod.bench", "wrod.commands", "wrod.__main__")

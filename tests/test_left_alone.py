@@ -3,7 +3,7 @@
 import numpy as np
 
 import wrod
-from wrod.deployment.left_alone import fall
+from wrod.deployment.left_alone import Fall
 from wrod.scene.phases import falling, film, let_go
 from wrod.scene.rod_shapes import whole_rod
 
@@ -19,7 +19,7 @@ def test_a_straight_rod_falls_straight_ahead_and_lies():
     angle = 0.9 * (1.0 - np.exp(-((rise / 0.08) ** 2)))
     step = np.diff(s)[:, None] * np.column_stack([np.cos(angle), 0 * s, np.sin(angle)])[1:]
     shape = np.concatenate([np.zeros((1, 3)), np.cumsum(step, axis=0)])
-    shapes = fall(rod, shape, TIME, 0.4)
+    shapes = Fall.of(rod, shape, TIME[-1], 0.4).at(shape, TIME)
     np.testing.assert_allclose(shapes[0], shape, atol=5e-4)
     tops = shapes[:, -1, 2]
     assert tops[0] > 0.05 and tops[2] < 0.7 * tops[0]

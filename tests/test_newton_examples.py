@@ -10,7 +10,8 @@ from newton.viewer import ViewerNull
 
 FOLDER = Path(__file__).parents[1] / "examples" / "newton"
 SLOW = ("cable_pile", "arm_carries_cable", "gripper_picks_cable", "bundle_hysteresis", "plectoneme")
-NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem != "pictures")
+TOOLS = ("pictures", "beside_vbd")
+NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in TOOLS)
 
 
 @pytest.mark.parametrize(

@@ -171,6 +171,18 @@ def test_sheet_and_scale_give_metres(layout):
     assert scaled.length == pytest.approx(refine.arc_length(wave())[-1], rel=0.005)
 
 
+def test_a_sheet_is_found_with_a_shadow_over_its_edge(layout):
+    camera = TopCamera((WIDTH / 2, HEIGHT / 2, 0.5), (WIDTH / 2, HEIGHT / 2, 0), focal_length=1500)
+    picture = drawing(camera, MarkerLayout({}, (WIDTH, HEIGHT)), wave(), table=(150, 125, 95))
+    rows, columns = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    shade = 1.0 / (1.0 + np.exp(-(columns - 0.72 * picture.shape[1]) / 12.0))
+    shade *= 1.0 / (1.0 + np.exp(-(rows - 0.45 * picture.shape[0]) / 12.0))
+    shaded = (picture * (1.0 - 0.45 * shade)[..., None]).astype(np.uint8)
+    pattern = wrod.scan(shaded, sheet=(WIDTH, HEIGHT))
+    position = pattern.sample(np.linspace(0, pattern.length, 2000))[0][:, :2]
+    assert mean_distance(position, wave()) < 2e-4
+
+
 def test_start_is_a_corner_a_point_or_a_dot(camera, layout):
     curve = wave()
     dot = curve[-1] + [0.012, 0.0]

@@ -1,13 +1,17 @@
 import json
 import shlex
+import threading
+import warnings
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import wrod
-from wrod.commands import main
+from wrod.commands import main, plan_expected
+from wrod.errors import GraspError
 from wrod.planning.trajectory import Trajectory
 
 
@@ -266,7 +270,8 @@ def test_only_what_was_solved_is_said_to_help(capsys):
     words = ["my drawing.csv", "--rod", "rope", "--hold", "0.8", "--out", "o", "--export", "poses"]
     with planning(*words):
         said = fitting(request, tries, planned, "too long")
-        assert "too long; looking" in capsys.readouterr().err
+        told = capsys.readouterr().err
+        assert "too long; looking" in told and "trying 0.8 of its size" in told
         none = fitting(request, tries[:2], planned, "too long")
         assert none.startswith("no joint path of sawyer")
     # The whole command, to be copied: what was given, and what helps.
@@ -319,8 +324,9 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
 
     def tried(robot, led):
         trajectory = SimpleNamespace(
-            contact=ring, position=above, metadata={"remainder_length": led}, arc_length=angle
-        )
+            contact=ring, position=above, metadata={"remainder_length": led}, arc_length=angle,
+            spin=0.0,
+        )  # fmt: skip
         task = SimpleNamespace(trajectory=trajectory, robot=load_robot(robot), clearance=0.005)
         failed = SimpleNamespace(task=task)
         curve = SimpleNamespace(length=0.6, remainder_length=led)
@@ -332,8 +338,60 @@ def test_where_a_hand_cannot_turn_so_far_less_turning_or_another_arm_is_tried(mo
     assert "gen3" in others and "panda" not in others and "iiwa" not in others
     assert {"remainder": False} not in tried("panda", 0.0)
     assert not any("robot" in change for change in tried("gen3", 0.1))
-    # Much too far: smaller from its other end first, then an arm that can.
+    # Much too far: the hand is spun back, then smaller from its other end, then an arm that can.
     angle *= 1.6
     ring[:, 0], ring[:, 1] = 0.1 * np.cos(angle), 0.1 * np.sin(angle)
-    far = tried("panda", 0.1)
-    assert far[0]["reverse"] and far[0]["resize"] < 1.0 and far[2] == {"robot": "ur5e"}
+    *spun, second, _, third = tried("panda", 0.1)[:7]
+    room = 2 * 2.8973
+    for change, part in zip(spun[:2], (0.75, 0.6), strict=True):
+        left = (angle[-1] - angle[angle >= 0.1][0]) + np.radians(change["spin"])
+        assert part * room - np.radians(10.0) <= left <= part * room + 0.03
+    assert [{*change} - {"spin"} for change in spun] == [
+        {"remainder"}, {"remainder"}, set(), {"resize", "hold", "remainder"}
+    ]  # fmt: skip
+    assert second["reverse"] and second["resize"] < 1.0 and third == {"robot": "ur5e"}
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_what_to_expect_is_found_out_beside_or_before(beside, monkeypatch):
+    """A thread lays it while what is within is done; a plan that cannot be laid says so."""
+    within = threading.Event()
+
+    def foresee(curve, rod, trajectory, friction, device, watch):
+        assert not beside or within.wait(10.0)
+        if rod is None:
+            raise GraspError("no such rod")
+        return {"mean": 0.1}
+
+    monkeypatch.setattr("wrod.deployment.expectation.foresee", foresee)
+    monkeypatch.setattr(plan_expected, "usable_cores", lambda: 2)
+    for rod in ("rope", None):
+        trajectory = SimpleNamespace(metadata={})
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            within.clear()
+            asked = (None, rod, trajectory, None, "cpu", True)
+            with plan_expected.expecting(*asked, beside=beside) as wait:
+                assert ("expected" in trajectory.metadata) == (not beside)
+                within.set()
+                assert wait() == beside and not wait()
+        assert trajectory.metadata["expected"] == (rod and {"mean": 0.1})
+        assert [str(one.message) for one in said] == (
+            [] if rod else ["not laid in simulation: no such rod"]
+        )
+
+
+def test_nobody_waits_for_what_to_expect_of_a_plan_that_was_given_up(monkeypatch):
+    watched = threading.Event()
+
+    def foresee(curve, rod, trajectory, friction, device, watch):
+        while True:
+            watch(np.zeros(4))
+            watched.set()
+
+    monkeypatch.setattr("wrod.deployment.expectation.foresee", foresee)
+    monkeypatch.setattr(plan_expected, "usable_cores", lambda: 2)
+    asked = (None, None, SimpleNamespace(metadata={}), None, "cpu", True)
+    with pytest.raises(KeyboardInterrupt), plan_expected.expecting(*asked, beside=True):
+        assert watched.wait(10.0)
+        raise KeyboardInterrupt

@@ -193,6 +193,24 @@ def test_spacing_is_checked(spacing):
         wrod.plan(wrod.pattern("line"), ROD, "intuitive", spacing=spacing)
 
 
+def test_spin_turns_the_hand_evenly_about_the_rod_and_stays_in_the_tail():
+    from wrod.planning.tail import tail
+
+    pattern, rod = wrod.pattern("letter-C"), wrod.rod("green-vps")
+    plain, spun = (wrod.plan(pattern, rod, "neural", spin=spin) for spin in (0.0, 5.0))
+    np.testing.assert_array_equal(spun.position, plain.position)
+    np.testing.assert_allclose(spun.rotation[..., 0], plain.rotation[..., 0], atol=1e-12)
+    turned = plain.rotation.transpose(0, 2, 1) @ spun.rotation
+    angle = np.unwrap(np.arctan2(turned[:, 2, 1], turned[:, 1, 1]))
+    np.testing.assert_allclose(angle, 5.0 * plain.arc_length / plain.arc_length[-1], atol=1e-9)
+    ends = [tail(pattern, rod, t).rotation[-1] for t in (plain, spun)]
+    left = Rotation.from_matrix(ends[0].T @ ends[1]).as_rotvec()
+    np.testing.assert_allclose(left, [5.0 - 2.0 * np.pi, 0.0, 0.0], atol=1e-3)
+    assert spun.spin == 5.0 and plain.spin == 0.0
+    with pytest.raises(GraspError, match="leave spin out"):
+        wrod.plan(pattern, replace(rod, natural_curvature=(0.0, 4.0)), "intuitive", spin=1.0)
+
+
 def test_unknown_method():
     with pytest.raises(GraspError, match="numeric, intuitive"):
         wrod.plan(wrod.pattern("line"), ROD, "guess")

@@ -210,6 +210,17 @@ def test_nothing_of_the_workplace_floats_or_intersects(scene, letter):
     assert (contact[:, :2] > top_low[:2]).all() and (contact[:, :2] < top_high[:2]).all()
 
 
+def test_the_table_reaches_to_where_the_rod_falls(letter):
+    from wrod.scene.phases import covered
+    from wrod.scene.workplace import table_under
+
+    aside = letter.contact[-1] + np.linspace(0.0, 0.6, 20)[:, None] * [-0.6, 0.8, 0.1]
+    table = table_under(covered(letter, aside), None, 0.0016)
+    for lying in (aside, letter.contact):
+        assert (lying[:, :2] > table.low + 0.1).all() and (lying[:, :2] < table.high - 0.1).all()
+    assert table.top == pytest.approx(letter.contact[:, 2].min() - 0.0016)
+
+
 @pytest.mark.parametrize(
     "change, says",
     [

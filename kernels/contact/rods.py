@@ -43,6 +43,22 @@ MOST_RENEWALS = wp.constant(2)
 NEARLY = wp.constant(wp.float64(100.0))
 
 
+# Part of the radius by which a pair that meets in a step would have come nearer in it at most: in a
+# longer one implicit Euler stops what should bounce.
+FIRST_WAY = wp.constant(wp.float64(0.25))
+
+
+@wp.func
+def way_of(
+    velocity: wp.array2d(dtype=wp.float64), kind: int, weight: wp.vec3d, r: int, i: int
+) -> wp.vec3d:
+    """Velocity of a point of piece i at the start of a step."""
+    out = wp.vec3d(ZERO, ZERO, ZERO)
+    for n in range(piece_size(kind)):
+        out += weight[n] * node(velocity, r, i + n)
+    return out
+
+
 @wp.kernel
 def rod_contact(
     # Model:
@@ -152,26 +168,37 @@ def renew_loads(
     renewals: wp.array(dtype=wp.int32),
     dof: wp.array2d(dtype=wp.float64),
     dof_before: wp.array2d(dtype=wp.float64),
+    velocity: wp.array2d(dtype=wp.float64),
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
+    depth: wp.array3d(dtype=wp.float64),
     # State in and out:
     rubbing: Rubbing,
     # State out:
     renewed_out: wp.array(dtype=wp.int32),
 ):
     """Where a rod is in balance or nearly so, take the loads anew that bound what slides and are
-    out of date. A pair that meets in this step rubs from the next one on."""
+    out of date. A pair that meets in this step rubs from the next one on, and is told of where it
+    came too far at once."""
     r, i = wp.tid()
-    if renewals[r] >= MOST_RENEWALS:
-        return
+    renews = renewals[r] < MOST_RENEWALS
     if converged[r] == 0:
         nearly = active[r] != 0 and residual[r] <= NEARLY * tolerance[r]
-        if not nearly or rubbing.sticking[r] != 0:
+        if not renews or not nearly or rubbing.sticking[r] != 0:
             return
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
         old = rubbing.load[r, i, k]
         if old == ZERO:
+            if converged[r] != 0 and depth[r, i, k] > ZERO:
+                near = nearest_of_edges(m, dof, r, i, j)
+                first = way_of(velocity, m.kind[r, i], near.first_weight, r, i)
+                apart = first - way_of(velocity, m.kind[r, j], near.second_weight, r, j)
+                closing = -step[r] * wp.dot(apart, near.gap)
+                if closing > FIRST_WAY * m.radius[r, i] * near.distance:
+                    wp.atomic_max(renewed_out, r, 2)
+            continue
+        if not renews:
             continue
         c = pair_contact(m, rubbing, step[r], dof, dof_before, SLIPPING, r, i, j, k)
         if c.force > ZERO and wp.abs(c.force - old) > STALE * wp.max(c.force, old):

@@ -123,7 +123,7 @@ def refuse_large_steps(
 ):
     """No tunnelling: a step stands only if no node moved by more than half a radius, for which the
     lists of partners were made, and no pair is deeper than half a radius: then centrelines that
-    were apart cannot have crossed."""
+    were apart cannot have crossed. Nor does one in which a pair met too fast (2 in `renewed`)."""
     r, lane = wp.tid()
     if converged[r] == 0:
         if lane == 0 and renewed[r] != 0:
@@ -142,11 +142,14 @@ def refuse_large_steps(
     bad = count_of_lanes(bad)
     if lane > 0:
         return
-    stale = renewed[r] != 0
+    stale = renewed[r] == 1
+    fast = renewed[r] == 2
     renewed[r] = 0
     if stale:
         renewals[r] = renewals[r] + 1
-    if stale or (sticking[r] != 0 and overloaded[r] != 0):
+    if fast:
+        converged[r] = 0
+    elif stale or (sticking[r] != 0 and overloaded[r] != 0):
         # In balance only under loads of before, or with bristles that hold more than they can:
         # iterate.
         converged[r] = 0

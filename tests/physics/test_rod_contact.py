@@ -227,12 +227,8 @@ def test_sticking_does_not_creep():
     assert np.abs(dynamics.batch.positions() - before).max() < 1e-3 * RADIUS
 
 
-@pytest.mark.parametrize(
-    # Long steps of implicit Euler take of how fast it leaves them.
-    ("speed", "step", "leaves"),
-    [(0.1, 0.02, 2.2), (0.1, 0.005, 2.5), (1.0, 0.02, 2.5)],
-)
-def test_nothing_tunnels(speed, step, leaves):
+@pytest.mark.parametrize(("speed", "step"), [(0.1, 0.02), (0.1, 0.005), (1.0, 0.02)])
+def test_nothing_tunnels(speed, step):
     """A rod thrown onto two held ones bounces off, however long the step that is asked for."""
     rails = [line(1, nodes=9, offset=(x, 0, 0)) for x in (-0.02, 0.02)]
     batch = scene(*rails, line(0, offset=(0, 0.001, 4 * RADIUS)))
@@ -248,7 +244,7 @@ def test_nothing_tunnels(speed, step, leaves):
         dynamics.advance(time, step)
         above_rails = batch.positions()[0, [18 + 3, 18 + 11], 2]
         assert above_rails.min() > 1.5 * RADIUS
-    assert above_rails.min() > leaves * RADIUS
+    assert above_rails.min() > 2.5 * RADIUS
 
 
 def test_bad_rod_contacts_are_refused():

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import click
 
-from wrod import cost
-from wrod.bench import side_by_side
+from wrod import cost, side_by_side
 from wrod.files.ledger import Ledger
 from wrod.files.row_schemas import FoldRow
 

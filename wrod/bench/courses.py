@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from wrod.bench import side_by_side
+from wrod import side_by_side
 
 
 def run(

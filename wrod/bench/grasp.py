@@ -22,9 +22,8 @@ from wrod import cost
 )
 @click.option(
     "--counts",
-    default="4096,65536,1048576",
-    show_default=True,
-    help="--against: grasps a call, separated by commas.",
+    help="--against: grasps a call, separated by commas. Default: 4096,65536,1048576, on a CPU "
+    "256,1024.",
 )
 @click.option(
     "--patience",
@@ -46,7 +45,7 @@ def command(
     device: str,
     threads: int,
     against: Path | None,
-    counts: str,
+    counts: str | None,
     patience: float,
     closures: tuple[str, ...],
     as_json: bool,
@@ -62,6 +61,7 @@ def command(
 
     device = resolve_device(device)
     if against is not None:
+        counts = counts or ("256,1024" if device == "cpu" else "4096,65536,1048576")
         _compare(against, counts, closures or tuple(CLOSURES), device, patience, as_json)
         return
 
@@ -100,6 +100,8 @@ def command(
     figures: dict[str, Any] = {"machine": machine_line(device), "device": device, "rows": rows}
     if on_gpu:
         figures["gpu"] = gpu_work(whole_range(count), device)
+    else:
+        figures["cpu"] = cpu_work(rows[2])
     if as_json:
         click.echo(json.dumps(figures))
         return
@@ -119,6 +121,13 @@ def _say(figures: dict, threads: int) -> None:
             f"{row['grasps']:8d} {row['edges']:6d} {row['closure']:>13} {row['per_second']:9.1f} "
             f"{1e3 * row['cpu_seconds_per_grasp']:8.3f} {row['converged']:10.4f} "
             f"{row['iterations']:10.1f}"
+        )
+    if "cpu" in figures:
+        click.echo(
+            "by count of operations {gflops:.1f} GFLOP/s of float64, where a core multiplies "
+            "matrices with {peak_gflops:.0f}, and {gbytes:.1f} GB/s to and from scratch memory, "
+            "where it copies {peak_gbytes:.0f}; {flops_per_byte:.1f} operations a byte: it would "
+            "be limited to {bound:.0f} grasps/s a core by {limit}".format(**figures["cpu"])
         )
     if "gpu" in figures:
         click.echo(
@@ -197,22 +206,53 @@ def gpu_work(inputs, device: str) -> dict:
     solve()
     events = wp.timing_end()
     wall, gpu = sorted(walls)[1], sum(event.elapsed for event in events)
-    operations, moved = work_of(float(grasps.iterations.numpy().mean()), EDGE_COUNT)
-    count = len(grasps)
-    bounds = {"arithmetic": PEAK_GFLOPS * 1e9 / operations, "memory": PEAK_GBYTES * 1e9 / moved}
-    limit = min(bounds, key=bounds.get)
+    work = work_of(float(grasps.iterations.numpy().mean()), EDGE_COUNT)
     return {
-        "grasps": count,
+        "grasps": len(grasps),
         "wall": wall,
         "gpu": gpu,
         "busy": gpu / wall,
         "launches": sum("kernel" in event.name for event in events),
         "copies": sum("memcpy" in event.name and "DtoD" not in event.name for event in events),
-        "gflops": operations * count / gpu / 1e6,
-        "gbytes": moved * count / gpu / 1e6,
+        **_roofline(work, 1e3 * len(grasps) / gpu, PEAK_GFLOPS, PEAK_GBYTES),
+    }
+
+
+def cpu_work(row: dict) -> dict:
+    """What a CPU does for the grasps of a row, and where the limits of one core lie, which are
+    measured: a product of matrices, and a copy of more than caches hold."""
+    import numpy as np
+
+    def best(do, times: int = 5) -> float:
+        walls = []
+        for _ in range(times):
+            cpu = time.process_time()
+            do()
+            walls.append(time.process_time() - cpu)
+        return min(walls)
+
+    size = 768
+    a = np.ones((size, size))
+    source = np.ones(2**24)
+    target = np.empty_like(source)
+    peaks = (
+        2e-9 * size**3 / best(lambda: a @ a),
+        2e-9 * source.nbytes / best(lambda: np.copyto(target, source)),
+    )
+    return _roofline(work_of(row["iterations"], row["edges"]), row["per_second"], *peaks)
+
+
+def _roofline(work: tuple[float, float], rate: float, gflops: float, gbytes: float) -> dict:
+    """Operations and bytes a second at a rate of grasps [1/s], and the limit under peaks."""
+    operations, moved = work
+    bounds = {"arithmetic": gflops * 1e9 / operations, "memory": gbytes * 1e9 / moved}
+    limit = min(bounds, key=lambda name: bounds[name])
+    return {
+        "gflops": operations * rate / 1e9,
+        "gbytes": moved * rate / 1e9,
         "flops_per_byte": operations / moved,
-        "peak_gflops": PEAK_GFLOPS,
-        "peak_gbytes": PEAK_GBYTES,
+        "peak_gflops": gflops,
+        "peak_gbytes": gbytes,
         "bound": bounds[limit],
         "limit": limit,
     }

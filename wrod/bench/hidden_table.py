@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from wrod.bench import side_by_side
+from wrod import side_by_side
 
 # A direction is right within the same 5 %, of a radian.
 WITHIN = 0.05

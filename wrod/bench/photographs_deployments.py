@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrod.bench import side_by_side
+from wrod import side_by_side
 from wrod.files import row_schemas
 from wrod.files.ledger import Ledger
 from wrod.identification.laid.photographs import LaidPhotograph

@@ -3,20 +3,50 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+import os
 import time
+from multiprocessing import parent_process
 
 import click
 
 from wrod import cost
 from wrod.commands.options import DEVICE, options
 from wrod.machine import usable_cores
+from wrod.side_by_side import run
 
-# A plan whose scene is drawn, for the kernels of Newton that this takes; nothing else of it counts.
-_EXAMPLE = ["plan", "line", "--rod", "green-vps", "--no-expect", "--no-shapes"]
 # Kernels that a CPU has no use for.
 _OF_A_GPU = ("_lanes", "_ends", "condensing")
+# What takes a compiler longest, which is begun first, after the pictures; a kernel after a colon
+# has a module of its own.
+_LONG = (
+    "grasping.sensitivity",
+    "grasping.iteration:solve_straight",
+    "elastic.bending",
+    "elastic.section",
+    "stepping.motion_tangents",
+)
+# What few commands launch: for rods that touch rods or what has edges, those that are curved by
+# nature or bodies of Newton's.
+_RARE = (
+    "grasping.iteration:solve_general",
+    "contact.edges",
+    "linear.coupling",
+    "contact.rods",
+    "grasping.reading:read_general",
+    "grasping.general_rod",
+    "contact.pairs",
+    "contact.touching",
+    "linear.skyline",
+    "linear.skyline_order",
+    "stepping.hands",
+    "stepping.bodies",
+    "stepping.body_system",
+    "stepping.body_exchange",
+    "stepping.body_contact",
+    "stepping.carrying",
+    "stepping.exchange",
+)
+_PICTURE, _ALL = "pictures of scenes", "all"  # kernels that are no module's
 
 
 @click.command(name="compile", short_help="Compile kernels before they are needed.")
@@ -24,15 +54,16 @@ _OF_A_GPU = ("_lanes", "_ends", "condensing")
 @click.option(
     "--jobs", type=click.IntRange(min=1), help="Processes at a time; default: one a core."
 )
+@click.option("--all", "rare", is_flag=True, help="On a CPU also what few commands launch.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
-def command(device: str, jobs: int | None, as_json: bool) -> None:
-    """Fill Warp's kernel cache, so that no other command has to wait for a compiler.
+def command(device: str, jobs: int | None, rare: bool, as_json: bool) -> None:
+    """Fill Warp's kernel cache, so that other commands do not have to wait for a compiler.
 
-    Kernels are compiled once on a machine, by whatever needs them first; here all of them are, side
-    by side. What is there already is not compiled again. `make setup` does this.
+    Kernels are compiled once on a machine, by whatever needs them first; here they are side by
+    side. Left out, unless --all is given, are those of knots, of fixtures with edges, of the rod
+    solver's grasps of naturally curved rods, and of Newton's solvers. What is there already is not
+    compiled again. `make setup` does this.
     """
-    from concurrent.futures import ThreadPoolExecutor
-
     from tqdm import tqdm
 
     from wrod.machine import machine_line
@@ -41,14 +72,14 @@ def command(device: str, jobs: int | None, as_json: bool) -> None:
     device = resolve_device(device)
     clock = time.perf_counter()
     jobs = jobs or usable_cores()
-    work = cost.Cost(cost.KERNELS / jobs)
-    cost.settle(work, "all kernels, where none is there yet", None, "", quiet=as_json)
-    names = _modules() if device == "cpu" else []
-    parts = [["--picture"], *([device, *names[k::jobs]] for k in range(jobs if names else 1))]
-    with ThreadPoolExecutor(jobs) as pool:
-        done = pool.map(_run, parts)
-        quiet = as_json or None
-        failed = [one for one in tqdm(done, total=len(parts), desc="kernels", disable=quiet) if one]
+    work = cost.Cost((cost.KERNELS + rare * cost.RARE_KERNELS) / jobs)
+    cost.settle(work, "the kernels, where none is there yet", None, "", quiet=as_json)
+    kernels = _wanted(rare) if device == "cpu" else [_ALL]
+    parts = [(device, part) for part in (_PICTURE, *kernels)]
+    done = tqdm(
+        run(_compile, parts, jobs), total=len(parts), desc="kernels", disable=as_json or None
+    )
+    failed = [wrong for _, wrong in done if wrong]
     seconds = time.perf_counter() - clock
     if as_json:
         figures = {"seconds": seconds, "failed": failed, "machine": machine_line(device)}
@@ -67,56 +98,78 @@ def _modules() -> list[str]:
     import wrod.kernels
 
     names = [m.name for m in pkgutil.walk_packages(wrod.kernels.__path__, "wrod.kernels.")]
-    # Others put kernels of their own into these once they are imported.
-    names.sort(key=lambda name: not name.endswith(("elastic.bending", "elastic.section")))
     return [name for name in names if not name.endswith(_OF_A_GPU)]
 
 
-def _run(what: list[str]) -> str | None:
-    """Do a part of the work in a process of its own; what went wrong, if anything."""
-    run = [sys.executable, "-P", "-m", "wrod.commands.compile", *what]
-    done = subprocess.run(run, stdin=subprocess.DEVNULL, capture_output=True, text=True)
-    if done.returncode == 0:
-        return None
-    last = (done.stderr.strip().splitlines() or ["no reason was given"])[-1]
-    return f"{what[0].strip('-')}: not all is compiled ({last[:300]})"
+def _wanted(rare: bool) -> list[str]:
+    """What to compile for a CPU: modules, and kernels that have their own ("module:kernel")."""
+    first, last = ([f"wrod.kernels.{name}" for name in names] for names in (_LONG, _RARE))
+    names = first + [name for name in _modules() if name not in first + last]
+    return last[:2] + names + last[2:] if rare else names
 
 
-def _compile(device: str, names: list[str]) -> None:
-    """Modules for a CPU; a GPU's compiler is given all that it needs at once."""
+def _compile(device: str, what: str) -> str | None:
+    """Do a part of the work; what went wrong, if anything."""
+    if parent_process() is not None:  # what compilers print is not for the terminal
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        os.close(nowhere)
+    try:
+        if what == _PICTURE:
+            _draw()
+        elif what == _ALL:
+            _compile_for_gpu(device)
+        else:
+            _compile_module(what)
+    except Exception as error:
+        return f"{what}: not compiled ({error})"[:300]
+    return None
+
+
+def _compile_module(name: str) -> None:
     from importlib import import_module
 
     import warp as wp
 
-    import wrod.solvers.dynamics  # noqa: F401  # with all the kernels that commands have
+    # Others put kernels of their own into some modules once they are imported.
+    for other in _modules():
+        import_module(other)
+    import wrod.solvers.dynamics  # noqa: F401
 
-    if device != "cpu":
-        from wrod.grasps.levels import compile_kernels
-        from wrod.solvers.compiling import compile_steps
+    place, _, kernel = name.partition(":")
+    home = import_module(place)
+    module = getattr(home, kernel).module if kernel else wp.get_module(place)
+    if module.kernels:
+        wp.force_load("cpu", [module], block_dim=1)
 
-        compile_steps(device)
-        compile_steps(device, coupled=True)
-        compile_kernels(device, sensitivities=True)
-    for name in names:
-        module = wp.get_module(import_module(name).__name__)
-        if module.kernels:
-            wp.force_load("cpu", [module], block_dim=1)
+
+def _compile_for_gpu(device: str) -> None:
+    """A GPU's compiler is given all that it needs at once."""
+    from wrod.grasps.levels import compile_kernels
+    from wrod.solvers.compiling import compile_steps
+
+    compile_steps(device)
+    compile_steps(device, coupled=True)
+    compile_kernels(device, sensitivities=True)
 
 
 def _draw() -> None:
-    """Plan the example, if all is there that its scene takes."""
+    """Draw a scene, if all is there that it takes: Newton's kernels are compiled for it."""
     import tempfile
     from importlib.util import find_spec
+    from pathlib import Path
 
-    from wrod.commands import main
+    import wrod
+    from wrod.scene.export import export_usd
+    from wrod.scene.render import Renderer
 
-    if all(find_spec(name) for name in ("newton", "pxr", "pytorch_kinematics")):
-        with tempfile.TemporaryDirectory() as folder:
-            main([*_EXAMPLE, "--out", folder], standalone_mode=False)
-
-
-if __name__ == "__main__":
-    if sys.argv[1] == "--picture":
-        _draw()
-    else:
-        _compile(sys.argv[1], sys.argv[2:])
+    if not all(find_spec(name) for name in ("newton", "pxr")):
+        return
+    rod, pattern = wrod.rod("green-vps"), wrod.pattern("line")
+    # A taut rod, for whose shape nothing has to be solved.
+    trajectory = wrod.plan(pattern, rod, "intuitive", spacing=0.02)
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "scene.usdc"
+        export_usd(scene, trajectory=trajectory, pattern=pattern, rod=rod)
+        Renderer(scene, size=(32, 24)).frame(0.0)

@@ -1,6 +1,8 @@
 """`wrod plan PATTERN`: the trajectory of the grip as files and as a picture."""
 
 import json
+import math
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +29,7 @@ from wrod.commands.plan_steps import (
     arm_steps,
     fitting,
     save_plan,
+    save_trajectory,
     softened,
     solve_grasps_of,
     within_speed,
@@ -78,6 +81,12 @@ _GRASPS = (
         "curved.",
     ),
     *ROLL,
+    click.option(
+        "--spin",
+        default=0.0,
+        help="Turn the hand about the rod besides, evenly, by so much in all [degrees]: against "
+        "the pattern's turns it spares an arm's last joint, and twists the rod.",
+    ),
 )
 
 
@@ -95,6 +104,7 @@ class _GraspRequest:
     shapes: bool
     remainder: bool | None
     roll_text: str | None
+    spin: float
 
     def read(self) -> dict:
         """What `solve_grasps_of` takes, but for roll and friction.
@@ -115,6 +125,7 @@ class _GraspRequest:
             "spacing": self.spacing,
             "remainder": self.remainder,
             "shapes": self.shapes,
+            "spin": math.radians(self.spin),
             "controller": None if file is None else Controller.load(file),
             "pace": None
             if self.pace is None
@@ -132,6 +143,18 @@ class _GraspRequest:
             work = cost.Cost(cost.CORRECTED_PLAN * plans)
             cost.settle(work, "the plan, corrected for its table", None, "", quiet=quiet)
         return friction
+
+    def expecting(
+        self, curve, rod, trajectory, friction, device: str | None, quiet: bool, beside: bool
+    ):
+        """A context in which what is expected of a trajectory is found out, where it is wanted and
+        not known yet; see `wrod.commands.plan_expected.expecting`."""
+        wanted = self.expects or (friction is not None and self.method == "intuitive")
+        if not wanted or "expected" in trajectory.metadata:
+            return nullcontext(lambda: False)
+        from wrod.commands.plan_expected import expecting
+
+        return expecting(curve, rod, trajectory, friction, device, quiet, beside=beside)
 
     def compile_ahead(self, device: str | None) -> None:
         """Begin to compile what the rod solver needs, while the rest is read and planned."""
@@ -181,9 +204,9 @@ def command(
     rod, drawn = rod_options.read(), reading.read(pattern)
     friction = grasps.friction(as_json)
 
-    def planned(wanted: Shaping, friction=None, led=None, expects=False, tried=False):
-        """Pattern, rod and trajectory of a shaping; `led` is the remainder where it is not as asked
-        for. One that is only `tried` has none by default."""
+    def planned(wanted: Shaping, friction=None, led=None, spin=None, tried=False):
+        """Pattern, rod and trajectory of a shaping; `led` is the remainder, `spin` [degrees], where
+        they are not as asked for. One that is only `tried` has no remainder by default."""
         fitted = fit(drawn, rod, wanted)
         try:
             remainder = led if led is not None else False if tried else grasps.remainder
@@ -197,36 +220,40 @@ def command(
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
         grasps.compile_ahead(chosen)
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
+        turned = how["spin"] if spin is None else math.radians(spin)
         trajectory = solve_grasps_of(
             curve, fitted.rod, as_json or tried, roll=read_roll(grasps.roll_text, fitted.rod),
-            device=chosen, friction=friction, expects=expects,
-            **{**how, "remainder": False},
+            device=chosen, friction=friction, **{**how, "remainder": False, "spin": turned},
         )  # fmt: skip
         return fitted, curve, trajectory
 
     how["pace"] = within_speed(request, how["pace"], lambda: planned(shaping))
-    fitted, curve, trajectory = planned(shaping, friction, expects=grasps.expects)
-    written, joint_path, reason = save_plan(out, curve, trajectory), None, None
-    if not request.no_robot:
+    fitted, curve, trajectory = planned(shaping, friction)
+    joint_path, reason = None, None
+    beside = not request.no_robot
+    with grasps.expecting(curve, fitted.rod, trajectory, friction, chosen, as_json, beside) as wait:
+        written = save_plan(out, curve, trajectory)
+
+        def expected():
+            if wait():
+                save_trajectory(out, trajectory)
 
         def softer(how):
             start = planned(shaping)[2]
             return softened(curve, fitted.rod, trajectory, start, how, friction, chosen)
 
-        corrected = (trajectory.optimised or {}).get("kept", False)
-        joint_path, reason, more, followed = arm_steps(
-            request, out, trajectory, curve, fitted.rod, as_json, planned, shaping,
-            softer if corrected else None,
-        )  # fmt: skip
-        if followed is not trajectory:
-            trajectory = followed
-            save_plan(out, curve, trajectory)
-        written += more
+        if not request.no_robot:
+            corrected = (trajectory.optimised or {}).get("kept", False)
+            joint_path, reason, more, followed = arm_steps(
+                request, out, trajectory, curve, fitted.rod, as_json, planned, shaping, expected,
+                softer if corrected else None,
+            )  # fmt: skip
+            if followed is not trajectory:
+                trajectory = followed
+                save_plan(out, curve, trajectory)
+            written += more
     _say(_figures(trajectory, fitted, joint_path, reason, written), as_json)
-    if reason is not None:
-        click.echo(f"wrod: {reason}", err=True)
-        click.get_current_context().exit(NO_JOINT_PATH)
-    if request.view:
+    if reason is None and request.view:
         _view(out / "scene.usdc")
 
 
@@ -252,9 +279,13 @@ def _figures(trajectory, fitted, joint_path, reason: str | None, written: list[P
 
 
 def _say(figures: dict, as_json: bool) -> None:
+    """Print them; without a joint path the command ends here."""
     if as_json:
         click.echo(json.dumps(figures, indent=2))
-        return
-    click.echo(summary(figures))
-    for path in figures["written"]:
-        click.echo(f"wrote {path}")
+    else:
+        click.echo(summary(figures))
+        for path in figures["written"]:
+            click.echo(f"wrote {path}")
+    if figures["no_joint_path"] is not None:
+        click.echo(f"wrod: {figures['no_joint_path']}", err=True)
+        click.get_current_context().exit(NO_JOINT_PATH)

@@ -1,6 +1,8 @@
 """The steps of `wrod plan`, each of which leaves something behind: grasps, files, joint path."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +13,9 @@ _SHARE = 0.5
 
 def solve_grasps_of(
     curve, rod, quiet: bool, *, method: str, device, shapes: bool, friction=None, pace=None,
-    expects=False, **options,
+    **options,
 ):  # fmt: skip
-    """The trajectory, with the rod's shapes where they are wanted, and with what is expected of it
-    on a table where that is."""
+    """The trajectory, with the rod's shapes where they are wanted."""
     from tqdm import tqdm
 
     from wrod.deployment.plan import plan
@@ -34,25 +35,7 @@ def solve_grasps_of(
         if shapes:
             bar.n = 0
             trajectory = with_shapes(trajectory, curve, device=device, progress=progress)
-        wanted = expects or (friction is not None and method == "intuitive")
-        if wanted and "expected" not in trajectory.metadata:
-            bar.set_description("laying it in simulation")
-            trajectory.metadata["expected"] = _expected(curve, rod, trajectory, friction, device)
     return trajectory
-
-
-def _expected(curve, rod, trajectory, friction, device) -> dict | None:
-    """What is expected of a plan on a table; None, with a warning, where it cannot be laid."""
-    import warnings
-
-    from wrod.deployment.expectation import foresee
-    from wrod.errors import WrodError, WrodWarning
-
-    try:
-        return foresee(curve, rod, trajectory, friction, device=device)
-    except WrodError as error:
-        warnings.warn(WrodWarning(f"not laid in simulation: {error}"), stacklevel=3)
-        return None
 
 
 def softened(curve, rod, trajectory, start, how, friction, device):
@@ -100,23 +83,38 @@ def save_plan(out: Path, curve, trajectory) -> list[Path]:
     Raises:
         DataError: the folder cannot be written.
     """
-    from wrod.errors import DataError
     from wrod.planning.picture import draw_plan
 
-    try:
+    with _writing(out):
         picture = draw_plan(out / "preview.png", curve, trajectory)
-        return [*trajectory.save(out / "trajectory"), picture]
+    return [*save_trajectory(out, trajectory), picture]
+
+
+def save_trajectory(out: Path, trajectory) -> list[Path]:
+    """Write the trajectory alone; see `save_plan`."""
+    with _writing(out):
+        return trajectory.save(out / "trajectory")
+
+
+@contextmanager
+def _writing(out: Path) -> Iterator[None]:
+    from wrod.errors import DataError
+
+    try:
+        yield
     except OSError as error:
         raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
 
 
 def arm_steps(
-    request, out: Path, trajectory, curve, rod, quiet: bool, planned, shaping, softer=None
+    request, out: Path, trajectory, curve, rod, quiet: bool, planned, shaping, expected, softer=None
 ):
     """Joint path and scene, or the reason why there is none, with what would help.
 
     Args:
         planned: a `Shaping` -> what the plan would be with it; `shaping` is what it is now.
+        expected: what waits for what is expected of the trajectory, called before kernels are
+            launched and files are made of it.
         softer: what asks less of the arm than all corrections for a table, see `softened`; None:
             there are none. Where the arm cannot follow them they are made anew within what it can
             do, and if it cannot follow these either it follows as many as it can.
@@ -124,9 +122,10 @@ def arm_steps(
     Returns:
         The `JointPath` or None, the reason or None, the files written, and the trajectory followed.
     """
+    import click
     from tqdm import tqdm
 
-    from wrod.errors import DataError, RobotError
+    from wrod.errors import RobotError
     from wrod.robot.remedy import draw_reach
     from wrod.robot.solve import UnreachedError
     from wrod.scene.deliver import deliver
@@ -140,20 +139,27 @@ def arm_steps(
         step("joint path")
         try:
             joint_path, trajectory = _followed(request, trajectory, rod, softer)
-        except UnreachedError as error:
-            step("remedy")
-            picture = draw_reach(out / "reach.png", error)
-            said = _remedy(request, error, rod, curve, planned, shaping) if request.remedy else None
-            reason = str(error).rsplit(";", 1)[0] + f"; {said}" if said else str(error)
-            return None, reason, [picture], trajectory
+            expected()
         except RobotError as error:
-            return None, str(error), [], trajectory
-        try:
+            expected()
+            if not isinstance(error, UnreachedError):
+                return None, str(error), [], trajectory
+            step("remedy")
+            picture, said = draw_reach(out / "reach.png", error), None
+            failure = str(error).rsplit(";", 1)[0]
+            if request.remedy:
+                click.echo(
+                    f"wrod: {failure}; looking for what would help, for {_REMEDY / 60:.0f} minutes "
+                    "at most (--no-remedy leaves that out)",
+                    err=True,
+                )
+                said = _remedy(request, error, rod, curve, planned, shaping)
+            reason = f"{failure}; {said}" if said else str(error)
+            return None, reason, [picture], trajectory
+        with _writing(out):
             written = request.export(joint_path, out)
             written += deliver(out, trajectory, joint_path, curve, rod, step)
-            return joint_path, None, written, trajectory
-        except OSError as error:
-            raise DataError(f"{out}: cannot be written ({error}); choose another --out") from None
+        return joint_path, None, written, trajectory
 
 
 def _followed(request, trajectory, rod, softer):
@@ -183,13 +189,13 @@ def _followed(request, trajectory, rod, softer):
 def _remedy(request, failed, rod, curve, planned, shaping) -> str | None:
     """Options with which the joint path was found, or None."""
     import time
-    import warnings
 
-    from wrod.errors import WrodError
+    import click
+
     from wrod.robot.placement import candidates
     from wrod.robot.remedy import remedies
 
-    until = time.monotonic() + _REMEDY
+    until, narrow = time.monotonic() + _REMEDY, None
 
     def places(heights):
         return candidates(failed.task.trajectory, failed.task.robot, heights=heights)
@@ -198,7 +204,7 @@ def _remedy(request, failed, rod, curve, planned, shaping) -> str | None:
     for change in remedies(failed, rod, curve, places, until):
         left = until - time.monotonic()
         if left < 0.0:
-            return (
+            return narrow or (
                 f"nothing that helps was found in {_REMEDY / 60:.0f} minutes; use a smaller "
                 "pattern, or another arm"
             )
@@ -211,20 +217,36 @@ def _remedy(request, failed, rod, curve, planned, shaping) -> str | None:
         if "robot" in change and not other_arm:
             continue  # they are of the arm that was asked for
         change = _absolute(change, shaping)
-        shape = {name: change[name] for name in ("resize", "hold", "reverse") if name in change}
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                fitted, _, trajectory = planned(
-                    replace(shaping, **shape), led=change.get("remainder")
-                )
-                wanted = replace(request, robot=change.get("robot", request.robot))
-                # As long as one try may last it is sought by the command that is printed.
-                wanted.solve(trajectory, fitted.rod, time_limit=min(_TRY, left))
-        except WrodError:
+        click.echo(f"wrod: trying it {_said(change).rstrip(',')}", err=True)
+        room = _room(request, planned, shaping, change, min(_TRY, left))
+        if room is None:
             continue
-        return f"{_said(change)} it is found: {again(**change)}"
-    return None
+        said = f"{_said(change)} it is found: {again(**change)}"
+        if room >= _COMFORT:
+            return said
+        narrow = narrow or said
+    return narrow
+
+
+def _room(request, planned, shaping, change: dict, seconds: float) -> float | None:
+    """How far from its joints' limits an arm stays with such a change [rad]; None where it finds no
+    path in so many `seconds`, within which the command that is printed finds it too."""
+    import warnings
+
+    from wrod.errors import WrodError
+
+    shape = {name: change[name] for name in ("resize", "hold", "reverse") if name in change}
+    wanted = replace(request, robot=change.get("robot", request.robot))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            fitted, _, trajectory = planned(
+                replace(shaping, **shape), led=change.get("remainder"), spin=change.get("spin")
+            )
+            path = wanted.solve(trajectory, fitted.rod, time_limit=seconds)
+    except WrodError:
+        return None
+    return path.metadata["limit_margin"]
 
 
 def _absolute(change: dict, shaping) -> dict:
@@ -243,6 +265,7 @@ def _said(change: dict) -> str:
         "reverse": "laid from its other end",
         "resize": "drawn {:g} times as large",
         "hold": "held {:g} m from its free end",
+        "spin": "with a hand that turns about the rod by {:g} degrees besides",
         "remainder": "without a lead-in, which turns the hand,",
     }
     return ", ".join(parts[name].format(change[name]) for name in parts if name in change)
@@ -275,6 +298,7 @@ def again(**changes) -> str:
 # [s] of looking for what would help an arm, in all and by one change, and for a size that it can
 # lay.
 _REMEDY, _TRY, _SEARCH = 180.0, 60.0, 600.0
+_COMFORT = 0.05  # [rad] from a joint's limits, with less of which another remedy is looked for
 
 
 def fitting(request, tries, planned, reason) -> str:
@@ -291,6 +315,8 @@ def fitting(request, tries, planned, reason) -> str:
     import click
 
     from wrod.errors import WrodError
+    from wrod.robot.remedy import spins
+    from wrod.robot.solve import UnreachedError
 
     click.echo(
         f"wrod: {reason}; looking for a size that the arm can lay, for {_SEARCH / 60:.0f} minutes "
@@ -298,21 +324,39 @@ def fitting(request, tries, planned, reason) -> str:
         err=True,
     )
     begun, said = time.monotonic(), []
+
+    def found(shaping, spin: float | None = None, **limit):
+        """The arm's path as a command, or the spins that may help."""
+        asked = {} if spin is None else {"spin": spin}
+        rod = None
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                fitted, _, trajectory = planned(shaping, tried=True, **asked)
+                rod = fitted.rod
+                request.solve(trajectory, rod, **limit)
+        except UnreachedError as error:
+            return None, spins(error.task, rod)
+        except WrodError:
+            return None, []
+        size = {"resize": shaping.resize, "hold": shaping.hold, "reverse": shaping.reverse}
+        return again(remainder=False, **size, **asked), []
+
     for shaping in tries:
         if time.monotonic() - begun > _SEARCH:
             break
         said.append(f"{shaping.resize:g}")
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                fitted, _, trajectory = planned(shaping, tried=True)
-                request.solve(trajectory, fitted.rod)
-        except WrodError:
-            continue
-        command = again(
-            resize=shaping.resize, hold=shaping.hold, remainder=False, reverse=shaping.reverse
-        )
-        return f"smaller, and held so that little is left over, a joint path is found: {command}"
+        click.echo(f"wrod: trying {said[-1]} of its size", err=True)
+        command, others = found(shaping)
+        for spin in others:
+            if command is not None:
+                break
+            click.echo(f"wrod: trying that, and the hand spun by {spin:g} degrees", err=True)
+            command, _ = found(shaping, spin, time_limit=_TRY)
+        if command is not None:
+            return (
+                "smaller, and held so that little is left over, a joint path is found: " + command
+            )
     return (
         f"no joint path of {request.robot} was found at {', '.join(said)} of its size; another arm "
         "may do, or a rod that is longer or less stiff"

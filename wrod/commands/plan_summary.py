@@ -37,6 +37,11 @@ def summary(figures: dict) -> str:
             f"{degrees(figures['roll']):.0f} degrees from left towards up, twisted by {first:.2f} "
             f"turns between table and grip at first and by {last:.2f} in the end"
         )
+    if spin := figures.get("spin"):
+        lines.append(
+            f"the hand turns about the rod by {degrees(spin):.0f} degrees besides, which twists it "
+            f"by up to {abs(spin) / figures['laid_length']:.1f} 1/m"
+        )
     if "shapes" in figures:
         apart = 1e3 * figures["shapes"]["largest_grip_difference"]
         lines[1] += f"; the rod solver's grips differ by {apart:.2g} mm at most"

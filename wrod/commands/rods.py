@@ -41,3 +41,7 @@ def command(as_json: bool) -> None:
     for source in dict.fromkeys(entry.source for entry in entries):
         names = ", ".join(entry.name for entry in entries if entry.source == source)
         click.echo(f"{names}: {source}")
+    click.echo(
+        "No published stiffness was found of Ethernet cables and climbing ropes; yours takes a "
+        "ruler and two minutes: fold it over on a table and give `wrod loop` the height of the fold"
+    )

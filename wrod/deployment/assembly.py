@@ -41,7 +41,9 @@ def assemble(
         _stiffness(rods, [t.fixtures for t in trials]),
         [t.friction for t in trials],
         [[Plane()] if t.fixtures is None else list(t.fixtures.shapes) for t in trials],
-        keeps_roll=np.array([RodModel.of(t.rod).has_sides for t in trials]),
+        keeps_roll=np.array(
+            [RodModel.of(t.rod).has_sides or t.trajectory.spin != 0.0 for t in trials]
+        ),
         friction_field=friction_field,
     )
     drag = quadratic_drag(rods, np.stack([setup.arc_length for setup in setups]))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+import warp as wp
 from scipy.interpolate import CubicSpline
 
 from wrod.rods.batch import RodBatch
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+from wrod.rods.state import node_positions
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
 
@@ -46,47 +50,71 @@ def left_alone(
         contact=contact,
         force_scale=weight * np.array([rod.gravito_bending_length for rod in rods]),
         tolerance=1e-5,
+        keeps_recording=device == "cpu",  # as in `wrod.deployment.tangents.lay`
     )
     return batch, dynamics
 
 
-def fall(
-    rod: RodModel | RodMaterial, shape: np.ndarray, time: np.ndarray, friction: float
-) -> np.ndarray | None:
+@dataclass(frozen=True)
+class Fall:
     """How a rod comes to lie that is let go at rest.
 
-    Args:
-        rod: what it is.
-        shape: (M, 3) centreline as it was held, its lowest points on the table [m]; evenly spaced
-            along the rod. It is taken for free of twist and stretch.
-        time: (K,) since it was let go, growing [s].
-        friction: of the table [-].
-
-    Returns:
-        (K, M, 3) [m] at the same points, as far apart as they were, where a coarse mesh is longer
-        or shorter by a part in ten thousand. None where the simulation does not converge.
+    Attributes:
+        nodes: (N,) rest arc length [m].
+        places: (K, N, 3) centrelines [m], `_STEP` apart in time from when it was let go.
+        rise: [m] by which its points are higher than those of the shape it was let go in.
     """
-    steps = np.linalg.norm(np.diff(shape, axis=0), axis=1)
-    points = np.concatenate([[0.0], np.cumsum(steps)])
-    lowest = float(shape[:, 2].min())
-    count = max(int(np.ceil(_EDGES * points[-1] / rod.gravito_bending_length)), 20) + 1
-    nodes = np.linspace(0.0, points[-1], count)
-    place = CubicSpline(points, shape)(nodes)
-    place[:, 2] += rod.radius - lowest
-    place[:, 2] = np.maximum(place[:, 2], rod.radius)
-    across = np.cross([0.0, 0.0, 1.0], place[1] - place[0])
-    batch, dynamics = left_alone(
-        [rod], nodes[None], place[None], across[None], [Friction(friction)]
-    )
-    shapes, now = [], 0.0
-    for at in time:
-        if at > now and dynamics.advance(at, _STEP).diverged.any():
+
+    nodes: np.ndarray
+    places: np.ndarray
+    rise: float
+
+    @classmethod
+    def of(
+        cls, rod: RodModel | RodMaterial, shape: np.ndarray, until: float, friction: float
+    ) -> Fall | None:
+        """Simulate it; None where that does not converge.
+
+        Args:
+            rod: what it is.
+            shape: (M, 3) centreline as it was held, its lowest points on the table [m]; evenly
+                spaced along the rod. It is taken for free of twist and stretch.
+            until: when it lies [s since it was let go].
+            friction: of the table [-].
+        """
+        points = arc_length_of(shape)
+        rise = rod.radius - float(shape[:, 2].min())
+        count = max(int(np.ceil(_EDGES * points[-1] / rod.gravito_bending_length)), 20) + 1
+        nodes = np.linspace(0.0, points[-1], count)
+        place = CubicSpline(points, shape)(nodes)
+        place[:, 2] = np.maximum(place[:, 2] + rise, rod.radius)
+        across = np.cross([0.0, 0.0, 1.0], place[1] - place[0])
+        batch, dynamics = left_alone(
+            [rod], nodes[None], place[None], across[None], [Friction(friction)]
+        )
+        frames = np.repeat(batch.state.dof.numpy()[:, None], round(until / _STEP) + 1, axis=1)
+        kept = wp.array(frames, dtype=wp.float64, device=batch.device)
+        if dynamics.advance(until, _STEP, frames=kept, frame_interval=_STEP).diverged.any():
             return None
-        now = at
-        lies = CubicSpline(nodes, batch.positions()[0])(points)
-        lies[:, 2] += lowest - rod.radius
-        pieces = np.diff(lies, axis=0)
-        pieces *= (steps / np.linalg.norm(pieces, axis=1))[:, None]
-        lies[1:] = lies[0] + np.cumsum(pieces, axis=0)
-        shapes.append(lies)
-    return np.array(shapes)
+        return cls(nodes, node_positions(kept.numpy()[0]), rise)
+
+    def at(self, shape: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """(K, M, 3) [m] at times (K,) since it was let go [s], at the points of the shape (M, 3) in
+        which it was, as far apart as they were there, where a coarse mesh is longer or shorter by
+        a part in ten thousand."""
+        points = arc_length_of(shape)
+        lengths = np.diff(points)[None, :, None]
+        frame = np.clip(np.asarray(time) / _STEP, 0.0, len(self.places) - 1.0)
+        low = np.minimum(frame.astype(int), len(self.places) - 2)
+        share = (frame - low)[:, None, None]
+        places = (1.0 - share) * self.places[low] + share * self.places[low + 1]
+        lies = CubicSpline(self.nodes, places, axis=1)(points)
+        lies[..., 2] -= self.rise
+        pieces = np.diff(lies, axis=1)
+        pieces *= lengths / np.linalg.norm(pieces, axis=2, keepdims=True)
+        return np.concatenate([lies[:, :1], lies[:, :1] + np.cumsum(pieces, axis=1)], axis=1)
+
+
+def arc_length_of(shape: np.ndarray) -> np.ndarray:
+    """(M,) from the first point along the lines between points (M, 3)."""
+    return np.insert(np.cumsum(np.linalg.norm(np.diff(shape, axis=0), axis=1)), 0, 0.0)

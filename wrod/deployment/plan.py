@@ -33,6 +33,7 @@ DISTILLED = "distilled"
     GraspError,
     remainder=arguments.either(arguments.flag, arguments.number(0.0, 100.0)),
     roll=arguments.either(arguments.text, arguments.number(-1e6, 1e6)),
+    spin=arguments.number(-100.0, 100.0),
     controller=arguments.like("a wrod.Controller", "predict", "out_of_range"),
     friction=arguments.optional(
         arguments.either(arguments.number(0.0, 100.0), arguments.array((2,)))
@@ -48,6 +49,7 @@ def plan(
     spacing: float = 0.0025,
     remainder: bool | float | None = None,
     roll: float | str = "plane",
+    spin: float = 0.0,
     controller: Controller | None = None,
     friction: float | tuple[float, float] | None = None,
     pace: float | tuple[float, float] | None = None,
@@ -78,14 +80,13 @@ def plan(
             by it from left towards up [rad]; or "plane" and "up", which turn its natural curvature
             into the table's plane to the side to which the pattern turns in all, or upwards. In
             the plane the twist changes least; up, less is pushed aside (docs/loop.md).
+        spin: by how much the hand turns besides about a rod without sides, which twists it [rad].
         controller: what "neural" and "auto" ask, for example one that was trained for this
             naturally curved rod; None is the one that ships, for all straight rods.
         friction: of the table, a coefficient (taken to be known to a tenth) or a range: the path
-            is corrected through simulated deployments until what stays lies on the pattern, for
-            rods and tables that cover what is known of them (docs/deployment.md; a minute or
-            two). None: the grasps as they are.
-        pace: at which the contact is to move on that table [m/s], 0.04 unless told; of a range the
-            fastest that does no harm.
+            is corrected through simulated deployments until what stays lies on the pattern
+            (docs/deployment.md; a minute or two). None: the grasps as they are.
+        pace: of the contact on that table [m/s], 0.04 by default; of a range the fastest harmless.
         expect: also lay the finished plan in simulation, on tables of `friction` or, where it is
             not said, of 0.2 to 0.6 (seconds), for its `expected`.
         device: where the solver runs: "cpu", "cuda:0" or None for the solver's choice.
@@ -113,8 +114,8 @@ def plan(
     """
     _check_method(method, friction, pace)
     how: dict[str, Any] = dict(
-        closure=closure, spacing=spacing, roll=roll, controller=controller, device=device,
-        progress=progress,
+        closure=closure, spacing=spacing, roll=roll, spin=spin, controller=controller,
+        device=device, progress=progress,
     )  # fmt: skip
     if friction is None and not expect:
         return plan_grasps(pattern, rod, method, remainder=remainder, **how)

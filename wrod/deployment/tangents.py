@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,8 @@ from wrod.rods.device import resolve_device
 from wrod.rods.model import RodModel
 from wrod.rods.rotation import left_jacobian
 from wrod.solvers.contact import FrictionField
+
+Watch = Callable[[np.ndarray], object]
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ def lay(
     tolerance: float = 1e-5,
     friction_field: FrictionField | None = None,
     device: str | None = "cpu",
+    watch: Watch | None = None,
 ) -> list[Laid]:
     """Lay rods until the end of their patterns, with the derivatives of what lies.
 
@@ -114,6 +117,7 @@ def lay(
         release: as in `simulate_deployments`, for all or for each.
         hold, speed, spacing, node_count, step, scheme, tolerance, friction_field, device: see
             `simulate_deployments`.
+        watch: called now and then with the (rod,) times [s]; what it raises ends the laying.
 
     Raises:
         RodError: a trial has fixtures or lets the rod roll while derivatives are wanted, or the
@@ -127,9 +131,7 @@ def lay(
         displacements = [np.zeros((len(trial.trajectory), 6)) for trial in trials]
     moves = [_over_keys(*one) for one in zip(trials, setups, displacements, strict=True)]
     setups = [_displaced(*one) for one in zip(setups, moves, strict=True)]
-    columns = None
-    if directions is not None:
-        columns = _columns(trials, setups, directions, moves)
+    columns = None if directions is None else _columns(trials, setups, directions, moves)
     # One thread that replays its launches is faster than two that make them.
     batch, contact, dynamics = assemble(
         trials,
@@ -142,7 +144,7 @@ def lay(
     )
     if columns is not None:
         dynamics.follower = tangents = Tangents(batch, contact, *columns)
-    end = dynamics.advance(np.array([s.measure_time for s in setups]), step)
+    end = dynamics.advance(np.array([s.measure_time for s in setups]), step, progress=watch)
     positions, slip = batch.positions(), contact.slip.numpy()
     rates = np.zeros((len(trials), 0, *positions.shape[1:]))
     if columns is not None:

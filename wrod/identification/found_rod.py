@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from wrod.identification.effect import Model
+from wrod.identification.setup import RodSetup
 from wrod.rods.law import BendingLaw, Linear, Softening
 from wrod.rods.model import RodModel
 from wrod.rods.model_file import save_model
@@ -67,7 +68,9 @@ def found_rod(
     return FoundRod(read(model.setup(base, values)), tuple(aside), assumed, effects)
 
 
-def rod_of(setup, arc_length: np.ndarray, *, like: RodModel, line_mass: float = 1.0) -> RodModel:
+def rod_of(
+    setup: RodSetup, arc_length: np.ndarray, *, like: RodModel, line_mass: float = 1.0
+) -> RodModel:
     """The rod in a set-up of either kind.
 
     Args:

@@ -37,8 +37,8 @@ class RodGroup:
         own: (body,) whether a body moves with the rods that it holds.
         colliding: (body,) which of those have shapes that collide.
         contact_stiffness: normal and tangential stiffness per length of rod [N/m^2], or None.
-        rod_friction: friction coefficient of rods with themselves and each other, or None.
-        rod_stiffness: of a pair of edges [N/m], or None.
+        rods: how rods touch themselves and each other: `friction` coefficient or None, `stiffness`
+            of a pair of edges [N/m] or None, `smooth`.
         options: of `Dynamics`.
     """
 
@@ -52,8 +52,7 @@ class RodGroup:
         own: np.ndarray,
         colliding: np.ndarray,
         contact_stiffness: float | None,
-        rod_friction: float | None,
-        rod_stiffness: float | None,
+        rods: dict,
         options: dict,
     ):
         self.model, self.rows, self.shapes = model, rows, shapes
@@ -69,7 +68,7 @@ class RodGroup:
         self.hold = wp.array(records, dtype=carrying.Hold, device=device)
         self.bodies = None if owned is None else Bodies(self.batch, owned, records)
         self.contact = self._make_contact(contact_stiffness) if len(shapes.rows) else None
-        self.rod_contact = self._make_rod_contact(rod_friction, rod_stiffness, records)
+        self.rod_contact = self._make_rod_contact(records, **rods)
         self.body_contact = None
         if owned is not None and colliding[owned["index"][owned["mass"] > 0]].any():
             self.body_contact = BodyContact(model, self.bodies)
@@ -144,7 +143,7 @@ class RodGroup:
         )
 
     def _make_rod_contact(
-        self, friction: float | None, stiffness: float | None, holds: np.ndarray
+        self, holds: np.ndarray, friction: float | None, stiffness: float | None, smooth: bool
     ) -> RodContact | None:
         touches = self._edge_values("touches_rods") != 0
         if friction is None or not touches.any():
@@ -165,6 +164,7 @@ class RodGroup:
             stiffness=stiffness,
             skin=_PAIR_SKIN,
             passive=passive,
+            smooth=smooth,
         )
 
     def refresh_gravity(self) -> None:

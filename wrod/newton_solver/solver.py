@@ -87,6 +87,7 @@ class SolverDER(RodBuilding, SolverBase):
         self_contact=arguments.optional(arguments.number(0.0, 1e3)),
         rod_contact=arguments.optional(arguments.number(0.0, 1e3)),
         rod_stiffness=arguments.optional(arguments.number()),
+        smooth_rods=arguments.flag,
         bodies=arguments.either(arguments.text, arguments.indices),
     )
     def __init__(
@@ -102,6 +103,7 @@ class SolverDER(RodBuilding, SolverBase):
         self_contact: float | None = None,
         rod_contact: float | None = None,
         rod_stiffness: float | None = None,
+        smooth_rods: bool = False,
         bodies: str | Sequence[int] = "free",
     ):
         """
@@ -124,6 +126,8 @@ class SolverDER(RodBuilding, SolverBase):
             rod_stiffness: Normal and tangential stiffness of a place where rods touch [N/m].
                 Defaults to EA / (5 radius), or 6000 times an edge's weight on Earth over the
                 radius if more. Tight knots want fifty times the first.
+            smooth_rods: Rods touch without corners along them, as what crosses and slides wants;
+                what winds around itself or others wants edges.
             bodies: Which of the bodies that hold rods this solver moves: "free", "none" or some of
                 the free ones.
 
@@ -139,10 +143,8 @@ class SolverDER(RodBuilding, SolverBase):
             )
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
-        given = (max_step, contact_stiffness, rod_stiffness)
-        for name, value in zip(
-            ("max_step", "contact_stiffness", "rod_stiffness"), given, strict=True
-        ):
+        given = {"max_step": max_step, "contact_stiffness": contact_stiffness}
+        for name, value in {**given, "rod_stiffness": rod_stiffness}.items():
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise RodError(f"{name} is {value!r}; give a positive finite number")
         if rod_contact is not None and self_contact is not None:
@@ -153,8 +155,8 @@ class SolverDER(RodBuilding, SolverBase):
             scheme=scheme, inertia=inertia, tolerance=tolerance, max_iterations=max_iterations
         )
         self._contact_stiffness = contact_stiffness
-        self._rod_friction = self_contact if rod_contact is None else rod_contact
-        self._rod_stiffness = rod_stiffness
+        friction = self_contact if rod_contact is None else rod_contact
+        self._rod_options = dict(friction=friction, stiffness=rod_stiffness, smooth=smooth_rods)
         self._rods_meet = rod_contact is not None
         self._bodies = bodies
         self._holds = Holds(model)
@@ -200,8 +202,7 @@ class SolverDER(RodBuilding, SolverBase):
                 self._own,
                 colliding,
                 self._contact_stiffness,
-                self._rod_friction,
-                self._rod_stiffness,
+                self._rod_options,
                 self._options,
             )
             for rows in find_rows(model, self._holds, self._own, colliding, self._rods_meet)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,8 @@ from wrod.files import read_json, schemas
 
 # Numbers of distortion coefficients that OpenCV knows.
 _COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+_STRAIGHT, _ELSEWHERE = 0.01, 0.03  # how far a sheet's outline leaves straight edges, and how much
+_DARKER = (0.85, 0.7, 0.55)  # shares of what parts bright from dark, of a sheet in a shadow
 MARKER_MISFIT = 0.02  # largest rms of the marker corners to their layout, in marker sides
 
 
@@ -231,26 +234,55 @@ def find_markers(image: np.ndarray, layout: MarkerLayout) -> dict[int, np.ndarra
 
 def find_sheet(image: np.ndarray) -> np.ndarray:
     """(4, 2) corners [px] of the one bright sheet: upper left, upper right, lower right, left."""
-    import cv2
-
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    _, bright = cv2.threshold(
-        cv2.GaussianBlur(grey, (5, 5), 0), 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU
-    )
-    bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
-    contours, _ = cv2.findContours(bright, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    outline = max(contours, key=cv2.contourArea, default=None)
-    if outline is not None and cv2.contourArea(outline) > 0.1 * grey.size:
-        corners = cv2.approxPolyDP(outline, 0.03 * cv2.arcLength(outline, True), True)[:, 0]
-        border = (corners < 2) | (corners > np.array(grey.shape[::-1]) - 3)
-        if len(corners) == 4 and not border.any():
-            edges = _fit_edges(outline[:, 0].astype(float), corners.astype(float))
-            by_height = edges[np.argsort(edges[:, 1])]
+    # The edges of a whole sheet are straight; a dog's ear is forgiven what is bright.
+    tries = [(mask, _STRAIGHT) for mask in _sheets(image)]
+    for mask, off in [*tries, (tries[0][0], 1.0)]:
+        corners = _quadrilateral(mask, off)
+        if corners is not None:
+            by_height = corners[np.argsort(corners[:, 1])]
             top, bottom = (half[np.argsort(half[:, 0])] for half in (by_height[:2], by_height[2:]))
             return np.array([top[0], top[1], bottom[1], bottom[0]])
     raise PerceptionError(
         "no whole sheet with four corners stands out of the table; show it all, or use markers"
     )
+
+
+def _sheets(image: np.ndarray) -> Iterator[np.ndarray]:
+    """(H, W) masks of what may be the sheet, most likely first: what is bright; what has no colour,
+    in a shadow too; what is bright enough in a shadow."""
+    import cv2
+
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    grey = cv2.GaussianBlur(grey, (5, 5), 0)
+    level, bright = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    yield bright
+    if image.ndim == 3:
+        colour = cv2.cvtColor(cv2.GaussianBlur(image, (9, 9), 0), cv2.COLOR_RGB2HSV)[..., 1]
+        yield cv2.threshold(colour, 0, 255, cv2.THRESH_BINARY_INV | cv2.THRESH_OTSU)[1]
+    for share in _DARKER:
+        yield cv2.threshold(grey, share * level, 255, cv2.THRESH_BINARY)[1]
+
+
+def _quadrilateral(mask: np.ndarray, off: float) -> np.ndarray | None:
+    """(4, 2) corners [px] of a mask's largest piece where it is one within the picture, whose
+    outline leaves its edges by such a share of its length at most."""
+    import cv2
+
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    outline = max(contours, key=cv2.contourArea, default=None)
+    if outline is None or cv2.contourArea(outline) < 0.1 * mask.size:
+        return None
+    around = cv2.arcLength(outline, True)
+    corners = cv2.approxPolyDP(outline, 0.03 * around, True)[:, 0]
+    border = (corners < 2) | (corners > np.array(mask.shape[::-1]) - 3)
+    if len(corners) != 4 or border.any() or not cv2.isContourConvex(corners):
+        return None
+    line = np.zeros(mask.shape, np.uint8)
+    cv2.polylines(line, [corners], True, 255, max(int(2.0 * off * around), 1))
+    if (line[outline[:, 0, 1], outline[:, 0, 0]] == 0).mean() > _ELSEWHERE:
+        return None
+    return _fit_edges(outline[:, 0].astype(float), corners.astype(float))
 
 
 def _fit_edges(outline: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from wrod.planning.reservations import (
     warn_relaxed,
     warn_unstable,
 )
-from wrod.planning.roll import roll_angle
+from wrod.planning.roll import roll_angle, with_spin
 from wrod.planning.shapes import contact_frame, placed
 from wrod.planning.sources import SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
@@ -53,6 +53,7 @@ def plan_grasps(
     controller: Controller | None,
     device: str | None,
     progress: Callable[[int, int], object] | None,
+    spin: float = 0.0,
 ) -> Trajectory:
     """Trajectory of the grip that lays `rod` along `pattern`, for no table in particular.
 
@@ -74,7 +75,7 @@ def plan_grasps(
         roll=roll, closure=closure, device=device, progress=progress, controller=controller,
     )  # fmt: skip
     poses, said = _solved(method, inputs, s)
-    return _trajectory(pattern, rod, s - s[0], course, poses, roll, said)
+    return with_spin(_trajectory(pattern, rod, s - s[0], course, poses, roll, said), rod, spin)
 
 
 def _usual_closure(pattern: Pattern, rod, method: str, controller: Controller | None) -> str:

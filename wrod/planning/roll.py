@@ -1,9 +1,13 @@
 """How a rod is rolled about its tangent where it is gripped."""
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from wrod.errors import GraspError, RodError
 from wrod.patterns.pattern import Pattern
+from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
 
@@ -49,6 +53,29 @@ def read_roll(text: str | None, rod) -> float | str:
     if not np.isfinite(roll):
         raise RodError(f"--roll {text} is no roll; use plane, up or a finite number of degrees")
     return roll
+
+
+def with_spin(trajectory: Trajectory, rod: RodModel | RodMaterial, spin: float) -> Trajectory:
+    """The trajectory with a hand that turns about the rod besides, by `spin` [rad] in all, evenly
+    over the laid length.
+
+    Raises:
+        GraspError: the rod has sides, so that it matters how it is rolled.
+    """
+    if spin == 0.0:
+        return trajectory
+    if RodModel.of(rod).has_sides:
+        raise GraspError(
+            "spin turns the rod about itself, and this one is curved at rest or bends more easily "
+            "to one side, so that it would lie elsewhere; leave spin out"
+        )
+    share = trajectory.arc_length / trajectory.arc_length[-1]
+    turns = Rotation.from_rotvec(spin * share[:, None] * [1.0, 0.0, 0.0])
+    return replace(
+        trajectory,
+        rotation=trajectory.rotation @ turns.as_matrix(),
+        metadata={**trajectory.metadata, "spin": float(spin)},
+    )
 
 
 def _softer_upwards(rod: RodModel | RodMaterial) -> float:

@@ -89,7 +89,8 @@ def tail(
         )
     )
     position = contact + lgb * np.einsum("tij,tj->ti", frame, poses.position)
-    rotation = frame @ Rotation.from_rotvec(poses.rotation).as_matrix()
+    spun = Rotation.from_rotvec([trajectory.spin, 0.0, 0.0])  # and no further
+    rotation = frame @ (Rotation.from_rotvec(poses.rotation) * spun).as_matrix()
     grip = position.copy()
     # A corrected trajectory ends beside its grasp: the correction fades out with the bend.
     position += (1.0 - ease)[:, None] * (trajectory.position[-1] - position[0])

@@ -67,6 +67,12 @@ class Trajectory:
         return float(self.metadata.get("remainder_length", 0.0))
 
     @property
+    def spin(self) -> float:
+        """By how much more the hand has turned about the rod at the last node than at the first,
+        see `wrod.plan` [rad]."""
+        return self.metadata.get("spin", 0.0)
+
+    @property
     def closure(self) -> str | None:
         """What the grasps' one freedom was used for; None for a path without grasps."""
         return self.metadata.get("closure")

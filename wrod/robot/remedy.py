@@ -8,11 +8,13 @@ import numpy as np
 
 from wrod.errors import RobotError
 from wrod.robot.model import ROBOTS, load_robot
-from wrod.robot.solve import UnreachedError, attempt, turning
+from wrod.robot.solve import FAR, UnreachedError, attempt, headings, low_end, turning
 from wrod.robot.tail import FINGERS
 
 _TURN_ROOM = 0.2  # [rad] that a last joint should have left
-_FAR = 2.5  # [rad] beyond a last joint's turn, from where on a pattern as large is tried last
+# Shares of a last joint's turn that a spun hand is left with, and the most that it may twist the
+# rod [1/L_gb]: up to there simulated rods lie no worse by it.
+_SPUN, _MOST_TWIST = (0.75, 0.6, 0.9), 0.7
 # Sizes of a pattern, and rod left over at its end [L_gb].
 _SMALLER = ((0.85, 5.9), (0.8, 9.2), (0.93, 5.9))
 _STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
@@ -33,16 +35,6 @@ def least_suspended(rod, clearance: float = 0.005) -> float:
     height = lgb * solve_grasps(lengths, 0.0, rod.stretch_ratio).position[:, 2]
     high = np.flatnonzero(height > FINGERS + clearance)
     return float(lengths[high[0] if len(high) else -1] * lgb)
-
-
-def low_end(trajectory, clearance: float) -> float | None:
-    """Share of the laid length at which the fingers come down to the table; None if they do not."""
-    low = trajectory.position[:, 2] < FINGERS + clearance
-    if not low.any():
-        return None
-    first = int(np.argmax(low))
-    arc = trajectory.arc_length
-    return float(arc[max(first - 1, 0)] / arc[-1])
 
 
 def other_height(
@@ -127,10 +119,10 @@ def draw_reach(path, failed: UnreachedError):
 def remedies(
     failed: UnreachedError, rod, curve, candidates, until: float = math.inf
 ) -> Iterator[dict]:
-    """What to try, most likely first: {"resize" | "hold" | "reverse" | "remainder" | "robot" |
-    "table_height": value, ...}. Where the pattern turns the hand further than its joint, less
-    turning comes first and arms whose last joint turns further come last. Heights of the table are
-    tried `until` then [s of the monotonic clock].
+    """What to try, most likely first: {"resize" | "hold" | "reverse" | "remainder" | "spin" |
+    "robot" | "table_height": value, ...}. Where the pattern turns the hand further than its joint,
+    less turning comes first and arms whose last joint turns further come last. Heights of the table
+    are tried `until` then [s of the monotonic clock].
 
     Args:
         rod, curve: that were planned, the pattern with its lead-in.
@@ -138,14 +130,46 @@ def remedies(
     turned, room = turning(failed.task)
     low = low_end(failed.task.trajectory, failed.task.clearance)
     arms = list(_other_arms(turned, low)) if turned > room else []
-    if turned > room + _FAR:
+    spun = list(_spun(failed.task, rod, curve, low))
+    if turned > room + FAR:
         ways = [*_turning_less(rod, curve), *_as_large(curve)]
-        yield from [*ways[:2], *arms[:1], *ways[2:]]
+        yield from [*spun, *ways[:2], *arms[:1], *ways[2:]]
     elif turned > room:
-        yield from _as_large(curve)
+        yield from [*_as_large(curve), *spun]
         yield from _turning_less(rod, curve)
     yield from _others(failed, rod, curve, candidates, until, low)
     yield from arms
+
+
+def spins(task, rod, lead_in: float = 0.0) -> list[float]:
+    """Spins [degrees] against the pattern's turns after which the last joint has room, where it has
+    none, two at most; without a lead-in of such a length [m]."""
+    from wrod.rods.model import RodModel
+
+    trajectory = task.trajectory
+    turned, room = turning(task)
+    if turned <= room or trajectory.spin != 0.0 or RodModel.of(rod).has_sides:
+        return []
+    rest = trajectory.arc_length >= lead_in
+    heading, laid = headings(trajectory)[rest], trajectory.arc_length[rest]
+    share = (laid - laid[0]) / (laid[-1] - laid[0])
+    way = -math.copysign(1.0, heading[-1] - heading[0])
+    most = _MOST_TWIST * (laid[-1] - laid[0]) / rod.gravito_bending_length
+    degrees = np.arange(0.0, math.degrees(most), 10.0)
+    left = np.ptp(heading + way * np.radians(degrees)[:, None] * share, axis=1)
+    found = [np.flatnonzero(left < part * room) for part in _SPUN]
+    return [float(way * degrees[f[0]]) for f in found if len(f)][:2]
+
+
+def _spun(task, rod, curve, low: float | None) -> Iterator[dict]:
+    """Spins without a lead-in, which leaves more rod at the end; with it; and for a smaller
+    pattern, whose rod begins lower."""
+    smaller = {} if low is None else {"resize": _least(low)}
+    short = spins(task, rod, curve.remainder_length)
+    if led := _led(curve):
+        yield from ({"spin": spin, **led} for spin in short)
+    yield from ({"spin": spin, **smaller} for spin in spins(task, rod)[:1])
+    yield from ({"spin": spin, **list(_turning_less(rod, curve))[2]} for spin in short[:1])
 
 
 def _other_arms(turned: float, low: float | None) -> Iterator[dict]:

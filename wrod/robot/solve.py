@@ -21,6 +21,7 @@ from wrod.robot.kinematics import one_torch_thread
 from wrod.robot.model import Robot, load_robot
 from wrod.robot.placement import Placement, candidates
 from wrod.robot.search import Branch
+from wrod.robot.tail import FINGERS
 from wrod.robot.timing import schedule
 from wrod.robot.variation import vary
 
@@ -44,6 +45,7 @@ _LOST = 0.3  # [m] miss of the nearest branch from which on other grip angles ar
 _REFINED = 4  # branches that are varied where none was good enough as it was
 _FOLLOWED, _VARIED = 0.05, 6  # [m] miss up to which branches are varied by derivatives; so many
 _DEEPER, _ROUNDS = 5, 8  # further searches near the best of them, and their rounds
+FAR = 2.5  # [rad] beyond a last joint's turn, from where on elbow and tilt do not make up for it
 
 
 @arguments.checked(
@@ -197,6 +199,9 @@ def attempt(task: Task, places: list[Placement], angles, fixed: bool) -> Solutio
         promising += branches[:_REFINED]
         if min(branch.miss.max() for branch in branches) > _LOST:
             return best  # no turn of the gripper makes up for that
+    turned, room = turning(task)
+    if turned > room + FAR or low_end(task.trajectory, task.clearance) is not None:
+        return best
     for branch, improved in _others(task, sorted(promising, key=task.cost), fixed):
         best = _better(best, task.finish(branch, improved))
         if best.report.problem is None or task.is_over():
@@ -237,11 +242,27 @@ def _failure(best: Solution, fixed: Placement | None, task: Task) -> str:
 
 
 def turning(task: Task) -> tuple[float, float]:
-    """How far the pattern turns from its first direction to where it has turned most, and how far
-    the arm's last joint, which follows it, can turn [rad]."""
-    ahead = np.gradient(task.trajectory.contact[:, :2], axis=0)
-    heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    return float(np.ptp(heading)), float(task.robot.upper[-1] - task.robot.lower[-1])
+    """How far the pattern turns the hand from one side to the other, and how far the arm's last
+    joint, which follows it, can turn [rad]."""
+    turned = float(np.ptp(headings(task.trajectory)))
+    return turned, float(task.robot.upper[-1] - task.robot.lower[-1])
+
+
+def headings(trajectory: Trajectory) -> np.ndarray:
+    """(T,) how far the hand has turned about the vertical, with the pattern and its spin [rad]."""
+    ahead = np.gradient(trajectory.contact[:, :2], axis=0)
+    share = trajectory.arc_length / trajectory.arc_length[-1]
+    return np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])) + trajectory.spin * share
+
+
+def low_end(trajectory, clearance: float) -> float | None:
+    """Share of the laid length at which the fingers come down to the table; None if they do not."""
+    low = trajectory.position[:, 2] < FINGERS + clearance
+    if not low.any():
+        return None
+    first = int(np.argmax(low))
+    arc = trajectory.arc_length
+    return float(arc[max(first - 1, 0)] / arc[-1])
 
 
 def _is_auto(placement) -> bool:

@@ -89,6 +89,7 @@ def _paint() -> None:
     answer = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what else is printed is no picture
     import newton.sensors  # noqa: F401  # takes seconds, in which the scene is made
+    from PIL import Image  # noqa: F401
 
     from wrod.scene import newton_model  # noqa: F401
     from wrod.scene.render import four_moments, write_png

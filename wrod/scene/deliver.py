@@ -3,11 +3,13 @@
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from wrod.files import write_atomically
 from wrod.robot.joint_path import JointPath
 from wrod.scene.beside import painter
 from wrod.scene.export import export_usd
+from wrod.scene.phases import falling
 from wrod.scene.render import four_moments, save_png
 
 
@@ -34,9 +36,8 @@ def deliver(
     if joint_path is not None:
         written += joint_path.save(out / "joint_path")
     progress("scene")
-    scene = export_usd(
-        out / "scene.usdc", trajectory=trajectory, joint_path=joint_path, pattern=pattern, rod=rod
-    )
+    shown: dict[str, Any] = {"pattern": pattern, "rod": rod, "falls": falling(trajectory)}
+    scene = export_usd(out / "scene.usdc", trajectory=trajectory, joint_path=joint_path, **shown)
     written.append(scene)
     beside = painter()
     if beside is not None:
@@ -46,9 +47,7 @@ def deliver(
 
         progress("page")
         page = out / "scene.html"
-        written.append(
-            write_deployment_page(page, trajectory, joint_path, pattern=pattern, rod=rod)
-        )
+        written.append(write_deployment_page(page, trajectory, joint_path, **shown))
     if find_spec("newton") is not None:
         progress("picture")
         drawn = None if beside is None else beside.finish()

@@ -53,6 +53,7 @@ _DEFAULT_RADIUS = 0.002  # [m] where no rod is given
         arguments.each(arguments.like("a wrod.RodMaterial or wrod.RodModel", "radius", "length"))
     ),
     pattern=arguments.optional(arguments.each(arguments.array((None, 2), (None, 3)), "sample")),
+    falls=arguments.optional(arguments.each(arguments.callback)),
 )
 def export_usd(
     path: str | os.PathLike[str],
@@ -62,6 +63,7 @@ def export_usd(
     shapes=None,
     pattern=None,
     rod=None,
+    falls=None,
 ) -> Path:
     """Write a stage of one deployment, or of many side by side, for review in any USD viewer.
 
@@ -87,6 +89,8 @@ def export_usd(
             trajectory: laid part and, where the planner computed it, suspended part.
         pattern: `Pattern`, or points (n, 3) [m]; by default the contact points.
         rod: `RodMaterial`; its radius is the rod's thickness (2 mm without it).
+        falls: how a rod falls that is let go, where that is known already: (M, 3) as it is held
+            [m], (K,) times since then [s] -> (K, M, 3).
 
     Returns:
         The path.
@@ -100,8 +104,9 @@ def export_usd(
     if trajectory is None:
         raise SceneError("a scene needs a trajectory; pass trajectory=...")
     deployments = _deployments(
-        trajectory=trajectory, joint_path=joint_path, shapes=shapes, pattern=pattern, rod=rod
-    )
+        trajectory=trajectory, joint_path=joint_path, shapes=shapes, pattern=pattern, rod=rod,
+        falls=falls,
+    )  # fmt: skip
     codes = [item.film.code for item in deployments]
     stage = new_stage(min(code[0] for code in codes), max(code[-1] for code in codes))
     materials = Materials(stage)
@@ -195,11 +200,12 @@ def _complete(item: SimpleNamespace, number: int) -> SimpleNamespace:
         raise SceneError(f"{where}shapes are {shape}; give ({count}, points, 3), one rod per node")
     if not np.isfinite(item.shapes).all():
         raise SceneError(f"{where}shapes hold numbers that are not finite")
-    item.film = film(joint_path, item.shapes, onward, falling(trajectory))
+    item.film = film(joint_path, item.shapes, onward, item.falls or falling(trajectory))
     item.points = _pattern_points(item.pattern, trajectory)
     item.radius = _DEFAULT_RADIUS if item.rod is None else float(item.rod.radius)
     placement = None if joint_path is None else joint_path.placement
-    item.table = table_under(covered(trajectory, joint_path, onward), placement, item.radius)
+    rest = None if joint_path is None else item.film.shapes[-1]
+    item.table = table_under(covered(trajectory, rest), placement, item.radius)
     item.floor = float(item.table.pose[2, 3] + item.table.floor)
     item.ground = item.table.corners()[:, :2]  # what it covers
     if placement is not None:

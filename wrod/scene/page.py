@@ -24,7 +24,7 @@ from wrod.scene.page_parts import (
     move_rod,
     pose_of,
 )
-from wrod.scene.phases import covered, falling, rods_of, with_release
+from wrod.scene.phases import Falls, covered, falling, rods_of, with_release
 from wrod.scene.workplace import TABLE_THICKNESS, table_under
 
 _FRAMES = 400  # at most: a page of a few MB whatever the path's duration
@@ -48,6 +48,7 @@ def write_deployment_page(
     errors: np.ndarray | None = None,
     time: np.ndarray | None = None,
     captions: list[str] | None = None,
+    falls: Falls | None = None,
 ) -> Path:
     """Write a deployment as one page.
 
@@ -60,6 +61,7 @@ def write_deployment_page(
         errors: (T, M) how far off its points lie [m], as colours; by default what is expected.
         time: (T,) when each shape is reached [s]; by default the joint path's, else 2 cm/s.
         captions: lines above the table.
+        falls: as in `wrod.export_usd`.
 
     Raises:
         SceneError: Viser is missing.
@@ -68,8 +70,7 @@ def write_deployment_page(
         import viser
     except ImportError as error:
         raise SceneError("pages need Viser; install wrod[view]") from error
-    radius = 0.002 if rod is None else float(rod.radius)
-    onward = None
+    radius, onward = 0.002 if rod is None else float(rod.radius), None
     if shapes is None:
         shapes, onward = rods_of(trajectory, joint_path, pattern, _ROD_POINTS)
     if time is None:
@@ -77,7 +78,8 @@ def write_deployment_page(
         time = laid / 0.02 if joint_path is None else joint_path.node_time
     at_nodes = len(time) == len(trajectory)
     if joint_path is not None and at_nodes and errors is None:
-        shapes, time = with_release(joint_path, shapes, time, onward, falling(trajectory))
+        falls = falls or falling(trajectory)
+        shapes, time = with_release(joint_path, shapes, time, onward, falls)
     if errors is None and (errors := expected_errors(trajectory, pattern, shapes)) is not None:
         captions = [*(captions or []), *_expectation(trajectory)]
     duration = float(time[-1]) if joint_path is None else float(joint_path.time[-1])
@@ -87,10 +89,11 @@ def write_deployment_page(
         server = viser.ViserServer(host="127.0.0.1", port=_free_port(), verbose=False)
     try:
         placement = None if joint_path is None else joint_path.placement
-        lies = covered(trajectory, joint_path, onward)
+        lies = covered(trajectory, None if joint_path is None and at_nodes else shapes[-1])
         _workplace(server, trajectory, lies, placement, pattern, radius)
         arm = None if joint_path is None else ShownArm(server, joint_path, at)
         nodes = np.interp(at, time, np.arange(len(time)))
+        laid = _length_laid(trajectory, joint_path, onward, at, nodes)
         line = add_rod(server, shapes, errors, nodes[0], radius)
         holder = [] if joint_path is None else add_holder(server, joint_path.metadata)
         seen = _seen(trajectory, shapes, arm)
@@ -107,16 +110,20 @@ def write_deployment_page(
             if k % 5 == 0 or k == count - 1:
                 label.text = _clock(at[k], duration, joint_path)
                 if at_nodes:
-                    laid = np.interp(node, np.arange(len(trajectory)), trajectory.arc_length)
-                    if onward is not None:
-                        laid = np.interp(at[k], joint_path.time, joint_path.arc_length)
-                    label.text += f", {100 * laid:.1f} cm laid"
+                    label.text += f", {100 * laid[k]:.1f} cm laid"
             recording.insert_sleep(duration / max(count - 1, 1))
         page = recording.as_html(dark_mode=False)
     finally:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
     return write_text(out, page)
+
+
+def _length_laid(trajectory, joint_path, onward, at: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(n,) that lies at times or nodes (n,), of the tail too where it is laid [m]."""
+    if onward is not None:
+        return np.interp(at, joint_path.time, joint_path.arc_length)
+    return np.interp(nodes, np.arange(len(trajectory)), trajectory.arc_length)
 
 
 def _expectation(trajectory) -> list[str]:

@@ -1,5 +1,6 @@
 """The whole job over time codes: what comes before and after the nodes of a trajectory."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,8 @@ _FALLING = np.concatenate([np.linspace(0.0, 0.5, 11), np.linspace(0.7, 2.5, 10)]
 _FRICTION = 0.4  # of a table that the plan does not know
 _OPEN = 0.5  # share of the release after which the fingers are open
 _LIES = 1e-4  # [m] above the end of the laid part, what is lower lies
+# A rod as it is held (M, 3) [m], times (K,) since it was let go [s] -> (K, M, 3).
+Falls = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -71,35 +74,39 @@ def rods_of(trajectory, joint_path, pattern, points: int) -> tuple[np.ndarray, O
     return whole_rod(trajectory, pattern, points), None
 
 
-def covered(trajectory, joint_path, onward: Onward | None) -> np.ndarray:
-    """(n, 3) points of the table on which the rod comes to lie [m]."""
-    if onward is None:
+def covered(trajectory, rest: np.ndarray | None) -> np.ndarray:
+    """(n, 3) points of the table on which the rod comes to lie [m], of the pattern and of the rod
+    at `rest` (M, 3), let go of; None: it is held to the end."""
+    if rest is None:
         return trajectory.contact
-    reached = onward.laid <= joint_path.arc_length[-1] + 0.02
-    return np.concatenate([trajectory.contact, onward.contact[reached]])
+    height = np.full(len(rest), trajectory.contact[-1, 2])
+    return np.concatenate([trajectory.contact, np.column_stack([rest[:, :2], height])])
 
 
-def falling(trajectory):
+def falling(trajectory) -> Falls:
     """How the rod of a trajectory falls when it is let go: (M, 3) as it is held [m], times (K,)
-    since then [s] -> (K, M, 3). It is simulated, on the table that the plan was laid on; drawn
-    straight ahead where the trajectory does not say its rod, or the simulation does not end."""
+    since then [s] -> (K, M, 3). It is simulated, on the table that the plan was laid on, once: what
+    it is asked for later is the same rod, whatever points that has. It is drawn straight ahead
+    where the trajectory does not say its rod, or the simulation does not end."""
     expected = trajectory.metadata.get("expected") or {}
     friction = float(np.mean(expected.get("friction", _FRICTION)))
+    rod = trajectory.rod
+    simulated = []
 
     def falls(shape: np.ndarray, time: np.ndarray) -> np.ndarray:
-        from wrod.deployment.left_alone import fall
+        from wrod.deployment.left_alone import Fall
 
-        found = None
-        if trajectory.rod is not None:
-            found = fall(trajectory.rod, shape, np.minimum(time, _FALLING[-1]), friction)
+        if rod is not None and not simulated:
+            simulated.append(Fall.of(rod, shape, _FALLING[-1], friction))
+        found = simulated[0] if simulated else None
         if found is None:
-            found = np.stack([let_go(shape, at / _FALL) for at in time])
-        return found
+            return np.stack([let_go(shape, at / _FALL) for at in time])
+        return found.at(shape, time)
 
     return falls
 
 
-def film(joint_path, shapes: np.ndarray, onward: Onward | None, falls) -> Film:
+def film(joint_path, shapes: np.ndarray, onward: Onward | None, falls: Falls) -> Film:
     """What a joint path and a rod at the nodes (T, M, 3) [m], and beyond them, show.
 
     The rod hangs as the first node has it until it is grasped. What is suspended when the fingers
@@ -147,7 +154,9 @@ def opening(joint_path) -> float:
     return float("inf")
 
 
-def with_release(joint_path, shapes: np.ndarray, time: np.ndarray, onward: Onward | None, falls):
+def with_release(
+    joint_path, shapes: np.ndarray, time: np.ndarray, onward: Onward | None, falls: Falls
+) -> tuple[np.ndarray, np.ndarray]:
     """Shapes (T + n, M, 3) [m] and their times [s] with those of the tail that is laid and of the
     rod that is let go and `falls`."""
     parts, times = [shapes], [time]

@@ -160,6 +160,6 @@ def save_png(path: str | os.PathLike[str], picture: np.ndarray) -> Path:
 
 def write_png(file, picture: np.ndarray) -> None:
     """The same into an open binary file."""
-    from matplotlib import image
+    from PIL import Image
 
-    image.imsave(file, picture, format="png")
+    Image.fromarray(picture).save(file, format="png")

@@ -98,7 +98,7 @@ class Dynamics(NewtonSteps):
         ),
         motion=arguments.optional(arguments.like("a motion", "prescribe")),
         follower=arguments.optional(arguments.like("a follower", "follow")),
-        bodies=arguments.optional(arguments.like("rigid bodies", "columns")),
+        bodies=arguments.optional(arguments.like("rigid bodies", "columns", "push", "carried")),
         force_scale=arguments.optional(arguments.array((), (None,))),
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(0, 10_000),
@@ -113,7 +113,7 @@ class Dynamics(NewtonSteps):
         drag: np.ndarray | None = None,
         inertia: str = "lumped",
         internal_damping: np.ndarray | float = 0.0,
-        contact: Contact | RodContact | Sequence[Contact | RodContact] | None = None,
+        contact: Contact | RodContact | Sequence | None = None,
         motion: Motion | None = None,
         follower: Follower | None = None,
         bodies: Bodies | None = None,
@@ -132,8 +132,7 @@ class Dynamics(NewtonSteps):
         super().__init__(batch)
         self._scheme, self.max_iterations = SCHEMES.index(scheme), max_iterations
         self.tolerance, self.refuses_saddles = tolerance, int(refuses_saddles)
-        self.contact, self.motion = contact, motion
-        self.follower, self.bodies = follower, bodies
+        self.contact, self.motion, self.follower, self.bodies = contact, motion, follower, bodies
         rods, device = batch.rod_count, batch.device
         if contact is None:
             contact = ()
@@ -175,6 +174,7 @@ class Dynamics(NewtonSteps):
             one.time_step = self.span
         if self.rod_contact is not None:
             self.rod_contact.balance = (self.residual, self.step_tolerance)
+            self.rod_contact.velocity = self.velocity
         # Rounds since last asked; whether to take another, and whether any rod still runs.
         self._rounds = wp.zeros(1, dtype=wp.int32, device=device)
         self._going = wp.zeros(2, dtype=wp.int32, device=device)

@@ -36,7 +36,8 @@ class RodContact:
     radii along the rod are left out: a rod cannot touch itself within half a turn of its tightest
     bend. Friction acts between the surfaces, which roll on each other where the rods are free to
     spin. A step of `Dynamics` in which a node moves by more than half a radius is refused and
-    halved, so that nothing tunnels. Posts and boxes are touched through
+    halved, so that nothing tunnels, and so is one in which edges meet that come nearer by more than
+    a quarter, so that they bounce. Posts and boxes are touched through
     `wrod.solvers.contact.Contact`.
 
     Args:
@@ -56,6 +57,7 @@ class RodContact:
     Attributes:
         time_step: (rod,) duration of the present step; see `Contact`.
         balance: (rod,) residual of the present iteration and the step's tolerance.
+        velocity: (rod, dof) at the start of the present step.
         force: (rod, node) contact force on each node at the end of the last step.
         slip: (rod, edge) distance that each edge has slid on others in all [length].
         penetration: (rod,) deepest penetration at the end of the last step [length].
@@ -102,7 +104,6 @@ class RodContact:
         stiffness = arguments.spread(stiffness, (rods,), "RodContact: stiffness", RodError)
         if not (np.isfinite(stiffness) & (stiffness > 0)).all():
             raise RodError("contact stiffness must be positive and finite")
-        friction = [friction] * rods if isinstance(friction, Friction) else friction
         rest = batch.rest_length.numpy()
         arc = np.zeros((rods, nodes))
         # Rods are strangers to each other: as far apart as can be along the row.
@@ -153,6 +154,7 @@ class RodContact:
         self.force = zeros(wp.vec3d, nodes)
         self.time_step = floats(np.full(rods, np.inf))
         self.balance = (floats(np.full(rods, np.inf)), floats(np.zeros(rods)))
+        self.velocity = zeros(wp.float64, batch.dof_count)
         self.configuration: tuple[wp.array, ...] = ()
         self._check_start()
 
@@ -232,8 +234,8 @@ class RodContact:
             kernels.renew_loads,
             self.partner_count.shape,
             [self.pieces, self.time_step, converged, active, *self.balance]
-            + [self._renewals, dof, dof_before]
-            + [self.partner_count, self.partner],
+            + [self._renewals, dof, dof_before, self.velocity]
+            + [self.partner_count, self.partner, self.depth],
             [self.rubbing, self._renewed],
         )
         self.batch.launch_lanes(
@@ -321,10 +323,11 @@ def _splines(cut: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.where(alone, radius, both), np.where(last, EDGE, kind).astype(np.int32)
 
 
-def _laws(friction: list[Friction], stiffness, relaxation, skin) -> list:
+def _laws(friction: Friction | list[Friction], stiffness, relaxation, skin) -> list:
     """The law of each row's pairs."""
     laws = []
-    for r, f in enumerate(friction):
+    rows = [friction] * len(stiffness) if isinstance(friction, Friction) else friction
+    for r, f in enumerate(rows):
         law = pair_contact.PairLaw()
         law.stiffness, law.skin, law.relaxation = stiffness[r], skin[r], relaxation[r]
         law.static_friction = f.static

@@ -7,32 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.clamped.measurements import ClampedMeasurements
+from wrod.identification.setup import RodSetup
 
 
 @dataclass
-class ClampedSetup:
-    """Everything that an effect may change; n edges between the clamps, T trials; SI units.
-
-    The arrays may be complex: a parameter's exact derivative comes from a small imaginary part
-    that effects carry through (complex step), so only analytic functions may touch them.
+class ClampedSetup(RodSetup):
+    """A rod of n edges between the clamps in T trials, and how it is held and seen.
 
     Attributes:
-        fraction: (n + 1,) position of each node as a fraction of the free length (real).
         length: free length between the clamps [m].
-        bending: (n + 1, 2) bending stiffness about the principal directions [N m^2].
-        principal_angle: angle from m1 to the first principal direction of bending [rad].
-        twisting: (n + 1,) [N m^2].
-        stretching: (n,) EA of each edge [N].
-        natural_curvature: (n + 1, 2) components of dt/ds at rest along (m1, m2) [1/m].
-        natural_twist: (n + 1,) [rad/m].
-        softening: (n + 1, 2) c [m^2] and r of the moment B k (r + (1 - r) / (1 + c k^2)).
-        law: (J, 2), of a moment M = B k (1 - sum_j p_j c_j k^2 / (1 + c_j k^2)) on top of that: c
-            [m^2] and p of every term; no rows: none.
+        law: (J, 2), of a moment M = B k (1 - sum_j p_j c_j k^2 / (1 + c_j k^2)) besides softening:
+            c [m^2] and p of every term; no rows: none.
         coupling: (2,) G of an energy per length G . e (tau - tau_0) of the excess curvatures along
             (m1, m2) and the twist [N m^2].
-        line_mass: (n + 1,) mass per unstretched length [kg/m].
-        node_mass: (n + 1,) masses on top of it [kg].
-        gravity: (3,) [m/s^2].
         wind: (3,) w of the force |w_perp| w_perp per length, w_perp across the rod [(N/m)^1/2].
         force: (T, n + 1, 3), broadcast: dead force on each node [N].
         clamp_position, grip_position: (T, 3) [m].
@@ -42,18 +29,9 @@ class ClampedSetup:
             depend on the place in the laboratory (real) [m].
     """
 
-    fraction: np.ndarray
     length: complex
-    bending: np.ndarray
-    principal_angle: complex
-    twisting: np.ndarray
-    stretching: np.ndarray
-    natural_curvature: np.ndarray
-    natural_twist: np.ndarray
-    softening: np.ndarray
-    line_mass: np.ndarray
-    node_mass: np.ndarray
-    gravity: np.ndarray
+    law: np.ndarray
+    coupling: np.ndarray
     wind: np.ndarray
     force: np.ndarray
     clamp_position: np.ndarray
@@ -62,8 +40,6 @@ class ClampedSetup:
     grip_rotation: np.ndarray
     marker_arc_length: np.ndarray
     measured: np.ndarray
-    law: np.ndarray
-    coupling: np.ndarray
 
     @classmethod
     def base(
@@ -71,20 +47,16 @@ class ClampedSetup:
     ) -> ClampedSetup:
         """The straight, uniform, isotropic, linear rod clamped as reported."""
         m, rod = measurements, measurements.material
-        nodes = edge_count + 1
-        return cls(
-            fraction=np.linspace(0.0, 1.0, nodes),
+        return cls.plain(
+            np.linspace(0.0, 1.0, edge_count + 1),
+            rod.bending_stiffness,
+            rod.twisting_stiffness,
+            rod.stretching_stiffness,
+            rod.weight / rod.gravity,
+            rod.gravity,
             length=rod.length,
-            bending=np.full((nodes, 2), rod.bending_stiffness),
-            principal_angle=0.0,
-            twisting=np.full(nodes, rod.twisting_stiffness),
-            stretching=np.full(edge_count, rod.stretching_stiffness),
-            natural_curvature=np.zeros((nodes, 2)),
-            natural_twist=np.zeros(nodes),
-            softening=np.zeros((nodes, 2)),
-            line_mass=np.full(nodes, rod.weight / rod.gravity),
-            node_mass=np.zeros(nodes),
-            gravity=np.array([0.0, 0.0, -rod.gravity]),
+            law=np.zeros((0, 2)),
+            coupling=np.zeros(2),
             wind=np.zeros(3),
             force=np.zeros((1, 1, 3)),
             clamp_position=m.clamp_position[trials],
@@ -93,19 +65,12 @@ class ClampedSetup:
             grip_rotation=m.grip_rotation[trials],
             marker_arc_length=m.arc_length.copy(),
             measured=m.node_positions(edge_count)[trials],
-            law=np.zeros((0, 2)),
-            coupling=np.zeros(2),
         )
 
     @property
     def arc_length(self) -> np.ndarray:
         """(n + 1,) unstretched arc length of each node [m]."""
         return self.fraction * self.length
-
-    @property
-    def edge_fraction(self) -> np.ndarray:
-        """(n,) position of each edge's middle as a fraction of the free length."""
-        return 0.5 * (self.fraction[1:] + self.fraction[:-1])
 
     def weights_at(self, arc_length) -> np.ndarray:
         """(n + 1,) smooth shares of the nodes around a point: their sum is 1, their mean the point.

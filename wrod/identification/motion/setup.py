@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod.identification.setup import RodSetup
 from wrod.rods.discretisation import cells, in_principal, of_free_part
 
 # What the base model starts from where nothing is known: the gravito-bending length, and the strain
@@ -16,32 +17,20 @@ _POISSON = 0.5
 
 
 @dataclass
-class MotionSetup:
-    """Everything that an effect may change; n edges, M markers; per line mass, so in m and s.
+class MotionSetup(RodSetup):
+    """A rod of n edges between two grips, and what it moves in; M markers.
 
-    The arrays may be complex: a parameter's exact derivative comes from a small imaginary part
-    that effects carry through (complex step), so only analytic functions may touch them. Forces
-    are per mean line mass: a stiffness is in m^4/s^2.
+    All is per mean line mass: a stiffness is in m^4/s^2, a mass in m, the line mass relative to the
+    mean. Held nodes are outside the free length.
 
     Attributes:
-        fraction: (n + 1,) position of each node between the grips, 0...1; held ones outside (real).
         marker_node: (M,) node of each marker (int).
         rest_length: (n,) [m].
-        bending: (n + 1, 2) bending stiffness per line mass [m^4/s^2].
-        principal_angle: angle from m1 to the first principal direction of bending [rad].
-        twisting: (n + 1,) [m^4/s^2].
-        stretching: (n,) [m^2/s^2].
-        natural_curvature: (n + 1, 2) components of dt/ds at rest along (m1, m2) [1/m].
-        natural_twist: (n + 1,) [rad/m].
-        line_mass: (n + 1,) relative to the mean.
-        node_mass: (n + 1,) on top of it, per line mass [m].
-        gravity: (3,) [m/s^2].
         force: (n + 1, 3) other forces per mass, fixed in the laboratory [m/s^2].
         linear_drag: (n + 1,) force per mass and velocity [1/s].
         quadratic_drag: (n + 1,) force per mass and velocity squared [1/m].
-        viscous_time: (n + 1, 3) Kelvin-Voigt time of bending (two directions) and twisting [s].
-        softening: (n + 1, 2) c [m^2] and r of the moment B e (r + (1 - r) / (1 + c e^2)) at an
-            excess curvature e, its rate times `viscous_time` included; c = 0 is linear.
+        viscous_time: (n + 1, 3) Kelvin-Voigt time of bending (two directions) and twisting [s]; the
+            moment that softens is that of the strain and its rate times it.
         clamp_length: (2,) length inside each grip that still bends [m].
         marker_offset: (M, 3) of every marker from the centreline, components along (m1, m2, t) [m].
         roll: (2,) angle of the material frame against each grip's frame [rad].
@@ -49,23 +38,12 @@ class MotionSetup:
             the grip's (m1, m2) [rad].
     """
 
-    fraction: np.ndarray
     marker_node: np.ndarray
     rest_length: np.ndarray
-    bending: np.ndarray
-    principal_angle: complex
-    twisting: np.ndarray
-    stretching: np.ndarray
-    natural_curvature: np.ndarray
-    natural_twist: np.ndarray
-    line_mass: np.ndarray
-    node_mass: np.ndarray
-    gravity: np.ndarray
     force: np.ndarray
     linear_drag: np.ndarray
     quadratic_drag: np.ndarray
     viscous_time: np.ndarray
-    softening: np.ndarray
     clamp_length: np.ndarray
     marker_offset: np.ndarray
     roll: np.ndarray
@@ -85,34 +63,24 @@ class MotionSetup:
         n = len(nodes)
         place = np.array([0, *range(1, n - 1, subdivisions), n - 1])
         bending = 2.0 * gravity * START_L_GB**3  # k_b = 2 rho A g L_gb^3
-        return cls(
-            fraction=(nodes - nodes[1]) / (nodes[-2] - nodes[1]),
+        return cls.plain(
+            (nodes - nodes[1]) / (nodes[-2] - nodes[1]),
+            bending,
+            bending / (1.0 + _POISSON),
+            gravity * length.sum() / _WEIGHT_STRAIN,
+            1.0,
+            gravity,
             marker_node=place,
             rest_length=length,
-            bending=np.full((n, 2), bending),
-            principal_angle=0.0,
-            twisting=np.full(n, bending / (1.0 + _POISSON)),
-            stretching=np.full(n - 1, gravity * length.sum() / _WEIGHT_STRAIN),
-            natural_curvature=np.zeros((n, 2)),
-            natural_twist=np.zeros(n),
-            line_mass=np.ones(n),
-            node_mass=np.zeros(n),
-            gravity=np.array([0.0, 0.0, -gravity]),
             force=np.zeros((n, 3)),
             linear_drag=np.zeros(n),
             quadratic_drag=np.zeros(n),
             viscous_time=np.zeros((n, 3)),
-            softening=np.zeros((n, 2)),
             clamp_length=np.zeros(2),
             marker_offset=np.zeros((len(place), 3)),
             roll=np.zeros(2),
             held_turn=np.zeros((2, 2)),
         )
-
-    @property
-    def edge_fraction(self) -> np.ndarray:
-        """(n,) position of each edge's middle."""
-        return 0.5 * (self.fraction[1:] + self.fraction[:-1])
 
     @property
     def node_length(self) -> np.ndarray:

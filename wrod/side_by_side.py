@@ -1,4 +1,4 @@
-"""Jobs of a bench in processes side by side."""
+"""Jobs in processes side by side."""
 
 import contextlib
 import os

@@ -1,0 +1,81 @@
+"""What is to be expected of a plan, found out in a thread while its joint path is sought."""
+
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from threading import Event
+
+from wrod.machine import usable_cores
+
+
+class _NotWantedError(Exception):
+    """Nobody waits for it any more."""
+
+
+@contextmanager
+def expecting(
+    curve, rod, trajectory, friction, device: str | None, quiet: bool, *, beside: bool
+) -> Iterator[Callable[[], bool]]:
+    """Lay a plan in simulation and put what is to be expected of it into its metadata: a warning
+    and None where it cannot be laid.
+
+    Args:
+        friction: of the table; None: of one that nobody measured.
+        beside: while what is within is done, where there is a core for it, which must not launch
+            kernels before it has waited; else before.
+
+    Yields:
+        What waits until it is there; True where that was not before.
+    """
+    from wrod.deployment.expectation import foresee  # two threads must not load it at a time
+    from wrod.rods.device import resolve_device
+
+    def lay(watch) -> dict:
+        return foresee(curve, rod, trajectory, friction, device=device, watch=watch)
+
+    if not (beside and usable_cores() > 1 and resolve_device(device) == "cpu"):
+        with _shown(quiet) as watch:
+            _put(trajectory, lambda: lay(watch))
+        yield lambda: False
+        return
+    unwanted = Event()
+
+    def look(times) -> None:
+        if unwanted.is_set():
+            raise _NotWantedError
+
+    with ThreadPoolExecutor(1) as thread:
+        laid = thread.submit(lay, look)
+
+        def wait() -> bool:
+            if "expected" in trajectory.metadata:
+                return False
+            _put(trajectory, laid.result)
+            return True
+
+        try:
+            yield wait
+        finally:
+            unwanted.set()
+
+
+@contextmanager
+def _shown(quiet: bool) -> Iterator[Callable]:
+    """Show how long rods have been laid; yields what is told of their times [s]."""
+    from tqdm import tqdm
+
+    with tqdm(
+        unit="s", leave=False, delay=1.0, desc="laying it in simulation", disable=quiet or None
+    ) as bar:
+        yield lambda times: bar.update(float(times.min()) - bar.n)
+
+
+def _put(trajectory, expected: Callable[[], dict]) -> None:
+    from wrod.errors import WrodError, WrodWarning
+
+    try:
+        trajectory.metadata["expected"] = expected()
+    except WrodError as error:
+        trajectory.metadata["expected"] = None
+        warnings.warn(WrodWarning(f"not laid in simulation: {error}"), stacklevel=3)

@@ -1,0 +1,69 @@
+"""A rod as plain arrays, which effects change: what every identification has of it."""
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+
+@dataclass
+class RodSetup:
+    """Everything of a rod that an effect may change; n edges. SI units, or, where only motion is
+    seen, per mean line mass: in m and s.
+
+    The arrays may be complex: a parameter's exact derivative comes from a small imaginary part
+    that effects carry through (complex step), so only analytic functions may touch them.
+
+    Attributes:
+        fraction: (n + 1,) position of each node along the free length, 0...1 (real).
+        bending: (n + 1, 2) bending stiffness about the principal directions [N m^2].
+        principal_angle: angle from m1 to the first principal direction of bending [rad].
+        twisting: (n + 1,) [N m^2].
+        stretching: (n,) EA of each edge [N].
+        natural_curvature: (n + 1, 2) components of dt/ds at rest along (m1, m2) [1/m].
+        natural_twist: (n + 1,) [rad/m].
+        softening: (n + 1, 2) c [m^2] and r of the moment B e (r + (1 - r) / (1 + c e^2)) at an
+            excess curvature e; c = 0 is linear.
+        line_mass: (n + 1,) mass per unstretched length [kg/m].
+        node_mass: (n + 1,) masses on top of it [kg].
+        gravity: (3,) [m/s^2].
+    """
+
+    fraction: np.ndarray
+    bending: np.ndarray
+    principal_angle: complex
+    twisting: np.ndarray
+    stretching: np.ndarray
+    natural_curvature: np.ndarray
+    natural_twist: np.ndarray
+    softening: np.ndarray
+    line_mass: np.ndarray
+    node_mass: np.ndarray
+    gravity: np.ndarray
+
+    @classmethod
+    def plain(
+        cls, fraction: np.ndarray, bending: float, twisting: float, stretching: float,
+        line_mass: float, gravity: float, **others: Any,
+    ) -> Self:  # fmt: skip
+        """Of the straight, uniform, isotropic, linear rod; `others` what else there is."""
+        nodes = len(fraction)
+        return cls(
+            fraction=fraction,
+            bending=np.full((nodes, 2), bending),
+            principal_angle=0.0,
+            twisting=np.full(nodes, twisting),
+            stretching=np.full(nodes - 1, stretching),
+            natural_curvature=np.zeros((nodes, 2)),
+            natural_twist=np.zeros(nodes),
+            softening=np.zeros((nodes, 2)),
+            line_mass=np.full(nodes, line_mass),
+            node_mass=np.zeros(nodes),
+            gravity=np.array([0.0, 0.0, -gravity]),
+            **others,
+        )
+
+    @property
+    def edge_fraction(self) -> np.ndarray:
+        """(n,) position of each edge's middle."""
+        return 0.5 * (self.fraction[1:] + self.fraction[:-1])
