@@ -90,9 +90,12 @@ class Server:
     def __init__(self):
         here = str(Path(__file__).parent)
         code = f"import sys; sys.path.insert(0, {here!r}); import forked; forked.serve()"
+        # Threads of BLAS that wait for each other on a busy machine count as processor time.
+        single = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
         self.process = subprocess.Popen(
-            [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
+            [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            env={**os.environ, **single},
+        )  # fmt: skip
         atexit.register(self.close)
 
     def run(self, function: Callable, arguments: tuple, folder: Path, *, limited=True) -> End:
