@@ -4,6 +4,7 @@ A call is one that works; one argument after the other is replaced. What is refu
 refused before the work, so a call that still works after a second has taken its argument.
 """
 
+import array
 import atexit
 import importlib
 import inspect
@@ -20,6 +21,7 @@ from decimal import Decimal
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -50,7 +52,50 @@ class Liar:
     __hash__ = None
 
 
+class Table:
+    """As pandas has them: columns of their own kinds, by name."""
+
+    columns, shape, ndim, size = ["x", "y"], (3, 2), 2, 6
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array([[1.0, "a"], [2.0, None], [np.nan, "b"]], dtype=object)
+
+    def __len__(self):
+        return 3
+
+    def __getitem__(self, key):
+        raise KeyError(key)
+
+
+class Tagged(np.ndarray):
+    """A subclass that takes part in nothing."""
+
+    __array_priority__ = 1e9
+
+    def __array_ufunc__(self, *_, **__):
+        return NotImplemented
+
+
+class Sly(float):
+    """A number that is none when it is asked."""
+
+    def __float__(self):
+        return float("nan")
+
+    def __index__(self):
+        raise OverflowError("no")
+
+
 WRONG = {
+    "table": Table(), "subclass": np.ones((4, 3)).view(Tagged), "sly": Sly(0.5),
+    "memory": memoryview(b"abcdefgh"), "numbers": array.array("d", [0.1, 0.2, 0.3]),
+    "void": np.void(b"abc"), "duration": np.timedelta64(3, "s"), "big-endian": np.ones(3, ">f8"),
+    "zero-d object": np.array(None, dtype=object), "zero-d text": np.array("line"),
+    "uint": np.full((4, 3), 2**64 - 1, np.uint64), "mapping": MappingProxyType({"a": 1}),
+    "strange keys": {None: 1, 2: "b"},
+    "huge range": range(10**18),
+    "bool list": [True, False, True], "text numbers": ["0.1", "0.2", "0.3"], "pair": (0.1, "m"),
+    "nan list": [float("nan")] * 4, "many": [0.1] * 100_000, "iterator": iter([0.1, 0.2]),
     "None": None, "words": "words", "no text": "", "bytes": b"x", "truth": True, "zero": 0,
     "minus": -1, "half": 0.5, "nan": float("nan"), "inf": float("inf"), "minus inf": -float("inf"),
     "huge": 1e300, "tiny": 1e-300, "digits": 10**400, "minus digits": -(10**400), "complex": 1j,
@@ -89,12 +134,21 @@ with suppress(ImportError):
 
     WRONG |= {
         "gradient": torch.ones((4, 3), requires_grad=True), "meta": torch.ones(3, device="meta"),
+        "half tensor": torch.ones((4, 3), dtype=torch.half), "empty tensor": torch.zeros((0, 3)),
+        "complex tensor": torch.ones(3, dtype=torch.cfloat), "truths": torch.ones(3, dtype=bool),
+        "conjugate": torch.ones(3, dtype=torch.cdouble).conj(),
+        "nan tensor": torch.full((4, 3), np.nan),
         "bfloat": torch.ones(3, dtype=torch.bfloat16), "sparse": torch.eye(3).to_sparse(),
     }  # fmt: skip
 with suppress(ImportError):
     import warp
 
     WRONG |= {"warp": warp.ones((4, 3), dtype=float), "warp points": warp.zeros(3, dtype=warp.vec3)}
+    WRONG |= {
+        "warp whole": warp.zeros(3, dtype=int),
+        "warp frames": warp.zeros(2, dtype=warp.quatd),
+    }
+    WRONG |= {"warp half": warp.ones(3, dtype=warp.float16), "warp type": warp.float64}
 
 
 @pytest.fixture(scope="module", autouse=True)

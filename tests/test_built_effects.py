@@ -5,9 +5,10 @@ import pytest
 from test_identification import synthetic
 
 from wrod.bench.hidden_sets import BUILT, hidden_set
+from wrod.errors import DataError
 from wrod.identification import identify
 from wrod.identification.clamped.described import Attraction, LocalBend, LocalLoad, Stretch
-from wrod.identification.clamped.fit import Fit
+from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.moment_law import MomentLaw
@@ -84,6 +85,18 @@ def test_nothing_is_exchanged_beside_a_profile():
     model = Model((effects()["density"], ProfileEffect("curvature", BASIS)))
     fit = Fit(model, np.zeros(4), np.eye(4), 0.0, 9, 9.0, True)
     assert exchanged(None, fit, list(effects().values()), None) == (fit, [])
+
+
+def test_a_fit_begins_at_the_base_model_where_no_path_leads_to_its_origin(laboratory, monkeypatch):
+    model = Model((effects()["density"],))
+    (plain,) = fit_models(laboratory, [model], [np.zeros(1)])
+
+    def lost(*_):
+        raise DataError("no equilibrium")
+
+    monkeypatch.setattr(laboratory, "solver_at", lost)
+    (fit,) = fit_models(laboratory, [model], [np.zeros(1)], origin=plain)
+    assert np.array_equal(fit.values, plain.values)
 
 
 @pytest.mark.slow

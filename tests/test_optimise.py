@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ from cli import done
 import wrod
 from wrod.deployment import together
 from wrod.deployment.corrections import Corrections, pace_of
-from wrod.deployment.expectation import expect, is_better, robot_error
-from wrod.deployment.optimise import Task, _fastest, course, optimise
+from wrod.deployment.expectation import Unseen, balanced, expect, is_better, robot_error
+from wrod.deployment.optimise import Task, _descend, _fastest, _State, course, optimise
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
 from wrod.deployment.spread import Spread
@@ -175,12 +176,33 @@ def test_a_sample_stretches_less_than_is_believed(kind):
 
 def test_a_correction_is_kept_for_what_it_saves_every_rod():
     """Not for a mean that one of them makes, nor if one of them can no longer be laid."""
-    before = {"error_robot": [1.0, 2.0, 3.0, 1.5], "diverged": 0}
-    assert is_better({"error_robot": [0.9, 1.8, 2.9, 1.4], "diverged": 0}, before)
-    assert not is_better({"error_robot": [1.1, 2.1, 2.0, 1.6], "diverged": 0}, before)
-    assert not is_better({"error_robot": [1.1, 2.1, 3.1, 1.6], "diverged": 0}, before)
-    assert not is_better({"error_robot": [0.9, 1.8, 2.9, 1.4], "diverged": 1}, before)
+    middle = [[0.0] * 4] * 4
+
+    def told(*errors, diverged=0):
+        return {"error_robot": errors, "diverged": diverged, "beside": middle}
+
+    before = told(1.0, 2.0, 3.0, 1.5)
+    assert is_better(told(0.9, 1.8, 2.9, 1.4), before)
+    assert not is_better(told(1.1, 2.1, 2.0, 1.6), before)
+    assert not is_better(told(1.1, 2.1, 3.1, 1.6), before)
+    assert not is_better(told(0.9, 1.8, 2.9, 1.4, diverged=1), before)
     assert not is_better(before, before)
+
+
+def test_what_rods_happen_to_be_decides_nothing():
+    """Softer rods by chance: one plan suits them, and is worse for those in the middle."""
+    unseen = Unseen.of(wrod.pattern("line"), ROD, 0.3)
+    assert unseen.beside.shape == (10, 4)
+    np.testing.assert_allclose(unseen.beside[:, 2], np.linspace(-0.03, 0.03, 10), atol=1e-15)
+    assert abs(unseen.beside[:, 3].mean()) < 0.02 and np.ptp(unseen.beside[:, 3]) > 0.7
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(10)
+    chance = unseen.beside + [0.02, 0.0, 0.0, 0.1]
+    saved = -0.003 + chance @ [0.3, 0.01, 0.0, 0.05] + noise
+    assert saved.mean() > 0.005
+    mean, doubt = balanced(saved, chance)
+    assert abs(mean + 0.003) < 3 * doubt < 0.003
+    # Too few to tell one from the other.
+    assert balanced(saved[:4], chance[:4])[0] == saved[:4].mean()
 
 
 def test_no_step_is_made_by_derivatives_that_ran_away(bend):
@@ -198,9 +220,29 @@ def test_no_step_is_made_by_derivatives_that_ran_away(bend):
     np.testing.assert_array_equal(ended.value.value.position, trajectory.position)
 
 
+@pytest.mark.parametrize("share, reached", [(1.0, 1.05), (0.3, 0.7)])
+def test_a_step_that_kept_its_promise_is_followed_by_a_longer_one(share, reached):
+    class Far:
+        """Three numbers that had better be 2; of what that promises a share comes true."""
+
+        corrections = SimpleNamespace(count=1)
+
+        def at(self, x):
+            value = 6.0 - share * (6.0 - 0.5 * float(np.sum((x - 2.0) ** 2)))
+            return _State(x, np.array([value]), value, value, np.eye(3), x - 2.0)
+            yield
+
+    with pytest.raises(StopIteration) as ended:
+        next(_descend(Far(), ahead=True))
+    states, (last,) = ended.value.value
+    np.testing.assert_allclose(states[-1].values, 0.35)
+    np.testing.assert_allclose(last, reached)
+
+
 def test_the_fastest_pace_is_taken_that_does_no_harm(bend):
     def at(pace, *errors):
         expected = {"error_robot": errors, "mean": np.mean(errors), "diverged": 0}
+        expected["beside"] = [[0.0] * 4] * 4
         said = {"optimised": {"pace": pace}, "expected": expected}
         return replace(bend[1], metadata={**bend[1].metadata, **said})
 

@@ -40,6 +40,8 @@ def test_summary_is_the_mean_over_trials_and_then_over_cells():
         (("--engines", "wrod,bullet"), "unknown engine 'bullet'"),
         (("--trials", "0"), "--trials"),
         (("--frictions", "slippery"), "--frictions is 'slippery'"),
+        (("--disturbed", "wind"), "unknown disturbance 'wind'"),
+        (("--disturbed", "yaw", "--undisturbed"), "leave one out"),
     ],
 )
 def test_bad_options_are_refused(tmp_path, options, says):
@@ -62,19 +64,21 @@ def test_rods_put_down_exactly_are_compared_and_kept(tmp_path):
     assert (tmp_path / "slippery.png").stat().st_size > 10_000
 
 
-def test_where_the_robot_stands_bounds_what_a_plan_can_do(tmp_path):
+@pytest.mark.parametrize("kinds", [None, "placement", "jitter,lgb_error"])
+def test_where_the_robot_stands_bounds_what_a_plan_can_do(tmp_path, kinds):
     from wrod.deployment.setup import Disturbance
 
     arguments = ["bench", "slippery", "--methods", "misplaced", "--frictions", "0.6", "--device"]
     arguments += ["cpu", "--rods", "green-vps", "--names", "line", "--trials", "1", "--json"]
     arguments += ["--out", str(tmp_path)]
-    result = CliRunner().invoke(main, arguments)
+    result = CliRunner().invoke(main, arguments + (["--disturbed", kinds] if kinds else []))
     assert result.exit_code == 0, result.output
     (cell,) = json.loads(result.output)["cells"]
     # A line turned by a small angle about its first point, which is shifted.
     s = np.linspace(0.0, wrod.pattern("line").length, 50)
     how = Disturbance.random(9_000)
-    along, aside = how.offset
-    expected = np.hypot(along - 0.5 * s * how.yaw**2, aside + s * how.yaw).mean()
-    assert cell["error_mean"]["misplaced"] == pytest.approx(100.0 * expected, rel=1e-3)
+    along, aside = how.offset if kinds in (None, "placement") else (0.0, 0.0)
+    yaw = how.yaw if kinds is None else 0.0
+    expected = np.hypot(along - 0.5 * s * yaw**2, aside + s * yaw).mean()
+    assert cell["error_mean"]["misplaced"] == pytest.approx(100.0 * expected, rel=1e-3, abs=1e-9)
     assert cell["error_robot"]["misplaced"] < 1e-6

@@ -103,6 +103,7 @@ def number(low: float = -math.inf, high: float = math.inf, above: float | None =
         )
         # A whole number may be too large for any float.
         fits = real and not isinstance(value, _NO_NUMBERS) and abs(value) <= _LARGEST
+        fits = fits and not math.isnan(float(value))  # of a subclass that says otherwise
         if fits and least <= value <= high and (above is None or value > above):
             return None
         return f"must be a finite number{bounds}"

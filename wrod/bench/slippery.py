@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -27,13 +28,20 @@ METHODS = (
     "zero_tension",
     "min_friction",
     "optimised",
+    "certain",
     "distilled",
     "feedback",
     PUT_DOWN,
     MISPLACED,
 )
 # Those whose plan is corrected for its table, and that plan.
-_CORRECTED = {"optimised": "optimised", "feedback": "optimised", "distilled": "distilled"}
+_CORRECTED = {
+    "optimised": "optimised",
+    "certain": "certain",
+    "feedback": "optimised",
+    "distilled": "distilled",
+}
+_OPTIMISED = ("optimised", "certain")
 # Seeds of disturbances that no plan was fitted to or judged by.
 _FIRST_SEED = 9_000
 _PLAN_SPACING = 0.005
@@ -50,7 +58,11 @@ _GENTLE = 0.4
     "--names", default="sine,letter-U,letter-C,letter-L,letter-A", show_default=True,
     help="Patterns.",
 )  # fmt: skip
-@click.option("--methods", default=",".join(METHODS), show_default=True, help="What lays them.")
+@click.option(
+    "--methods", default=",".join(m for m in METHODS if m != "certain"), show_default=True,
+    help="What lays them; certain: optimised for the very rod and table of the trials, but for "
+    "what disturbs these.",
+)  # fmt: skip
 @click.option("--trials", default=2, show_default=True, help="Disturbed trials a cell.")
 @click.option(
     "--engines", default="wrod", show_default=True,
@@ -60,6 +72,8 @@ _GENTLE = 0.4
     "--chain-step", default=0.004, show_default=True, help="Time step of the mujoco engine [s]."
 )
 @click.option("--undisturbed", is_flag=True, help="Lay the planned rod, placed as planned.")
+@click.option("--disturbed", help="What alone disturbs the trials: jitter, lgb_error, placement, "
+              "yaw, natural_curvature; default: all.")  # fmt: skip
 @click.option("--workers", type=click.IntRange(min=1), default=1, show_default=True,
               help="Processes, on a CPU.")  # fmt: skip
 @campaign.options(speed=0.04, step=0.01, spacing=0.005)
@@ -72,6 +86,7 @@ def command(
     engines: str,
     chain_step: float,
     undisturbed: bool,
+    disturbed: str | None,
     workers: int,
     **common,
 ) -> None:
@@ -93,6 +108,7 @@ def command(
     asked = campaign.Common(**common)
     out, spacing, as_json = asked.out, asked.spacing, asked.as_json
     chosen, played = _some(methods, "method", METHODS), _some(engines, "engine", ENGINES)
+    by = _disturbing(undisturbed, disturbed)
     if "mujoco" in played:
         require_mujoco()
     device = resolve_device(asked.device)
@@ -103,11 +119,11 @@ def command(
         **pace,
         "spacing": spacing,
         "patterns": "built-in" if asked.patterns is None else asked.patterns.name,
-        "undisturbed": undisturbed,
+        "disturbed": by,
     }
     if "mujoco" in played:
         settings["chain_step"] = chain_step
-    how = {**pace, "undisturbed": undisturbed, "chain_step": chain_step}
+    how = {**pace, "disturbed": by, "chain_step": chain_step}
     for rod_name, name in product(rods.split(","), names.split(",")):
         shelf.course(rod_name, name)  # refused before anything is written
     out.mkdir(parents=True, exist_ok=True)
@@ -163,6 +179,17 @@ def _tell(rows: list[dict], shelf: Shelf, out: Path, kept: list[Path], as_json: 
         click.echo(f"wrote {path}")
 
 
+def _disturbing(undisturbed: bool, disturbed: str | None) -> list[str]:
+    """What of a laboratory's disturbances the trials have."""
+    from wrod.deployment.setup import DEVIATIONS
+
+    if undisturbed and disturbed is not None:
+        raise RodError("--undisturbed leaves nothing for --disturbed to choose; leave one out")
+    if disturbed is not None:
+        return _some(disturbed, "disturbance", tuple(DEVIATIONS))
+    return [] if undisturbed else list(DEVIATIONS)
+
+
 def _some(names: str, what: str, known: tuple[str, ...]) -> list[str]:
     """The names, with commas between, all of which must be known."""
     given = names.split(",")
@@ -181,12 +208,7 @@ class Shelf:
 
     def course(self, rod_name: str, name: str):
         """The pattern as `plan` lays it, and the rod."""
-        from wrod.bench.table3_paper import read_pattern
-        from wrod.planning.remainder import prepare
-        from wrod.rods.catalogue import rod
-
-        material = rod(rod_name)
-        return prepare(read_pattern(name, self.patterns), material, None), material
+        return _led(rod_name, name, self.patterns)
 
     def bends(self, rod_name: str, name: str) -> bool:
         """Whether the pattern's largest curvature is over 0.4 / L_gb."""
@@ -207,7 +229,7 @@ class Shelf:
         jobs = [
             (self, *cell)
             for cell in dict.fromkeys(cells)
-            if cell[3] == "optimised" and not self.place(*cell).exists()
+            if cell[3] in _OPTIMISED and not self.place(*cell).exists()
         ]
 
         def save(job: tuple, made) -> None:
@@ -221,7 +243,7 @@ class Shelf:
         from wrod.planning.trajectory import Trajectory
 
         path = self.place(rod_name, name, friction, method)
-        if not path.exists() and method == "optimised":
+        if not path.exists() and method in _OPTIMISED:
             self.stock([(rod_name, name, friction, method)])
         if path.exists():
             return Trajectory.load(path)
@@ -237,13 +259,28 @@ class Shelf:
         return made
 
 
-def _planning(shelf: Shelf, rod_name: str, name: str, friction: float, _method: str):
+@cache
+def _led(rod_name: str, name: str, patterns: Path | None):
+    """Once for all trials: whether a lead-in is needed takes a simulation."""
+    from wrod.bench.table3_paper import read_pattern
+    from wrod.planning.remainder import prepare
+    from wrod.rods.catalogue import rod
+
+    material = rod(rod_name)
+    return prepare(read_pattern(name, patterns), material, None), material
+
+
+def _planning(shelf: Shelf, rod_name: str, name: str, friction: float, method: str):
     """What is laid to optimise a plan, and the plan."""
     from wrod.deployment.optimise import Task, course
     from wrod.deployment.plan import plan
+    from wrod.deployment.spread import Spread
 
     led, material = shelf.course(rod_name, name)
     start = plan(led, material, spacing=_PLAN_SPACING, remainder=False, device="cpu")
+    if method == "certain":
+        one = Spread((friction, friction), lgb_error=0.0, natural_curvature=0.0, stretch=False)
+        return (yield from course(Task(led, material, start, one), samples=1))
     return (yield from course(Task(led, material, start, friction)))
 
 
@@ -261,8 +298,8 @@ def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
     rod_name, name, mu, method, engine, seed = key
     led, material = shelf.course(rod_name, name)
     how = dict(how)
-    undisturbed, chain_step = how.pop("undisturbed"), how.pop("chain_step")
-    told, steps, diverged = _disturbance(key, undisturbed), 0, False
+    told, steps, diverged = _disturbance(key, how.pop("disturbed")), 0, False
+    chain_step = how.pop("chain_step")
     if method == PUT_DOWN and engine == "mujoco":
         s, place = put_down_in_mujoco(led, material, mu)
     elif method == PUT_DOWN:
@@ -296,13 +333,13 @@ def _course(shelf: Shelf, key: tuple, spacing: float, how: dict):
     return row | {"steps": steps, "diverged": diverged}
 
 
-def _disturbance(key: tuple, undisturbed: bool):
+def _disturbance(key: tuple, by: list[str]):
     """Of the trial; a rod that is put down exactly has none."""
     from wrod.deployment.setup import Disturbance
 
-    if undisturbed or key[3] == PUT_DOWN:
+    if key[3] == PUT_DOWN:
         return Disturbance()
-    return Disturbance.random(_FIRST_SEED + key[5])
+    return Disturbance.random(_FIRST_SEED + key[5], only=by)
 
 
 def _figures(shelf: Shelf, key: tuple, s: np.ndarray, place: np.ndarray, disturbance) -> dict:

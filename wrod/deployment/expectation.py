@@ -10,7 +10,7 @@ import numpy as np
 from wrod.deployment.result import METRIC_POINTS, interpolation
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import Trial
-from wrod.deployment.spread import Spread
+from wrod.deployment.spread import Spread, stretching
 from wrod.deployment.tangents import Laid, Watch
 from wrod.deployment.together import Asked, Course, follow
 from wrod.patterns.pattern import Pattern
@@ -28,14 +28,14 @@ COARSE_EDGE, FINE_EDGE = 1.0 / 3.0, 1.0 / 6.0
 # Residual forces that are enough for it, see `lay`: these change what lies by 0.003 mm.
 TOLERANCE = 1e-3
 # Disturbed rods that are laid by the finished plan, none of which the optimisation has seen.
-_UNSEEN = 6
+_UNSEEN = 10
 # Friction of a table that nobody measured, and rods that are laid on such tables.
 UNMEASURED, _FORESEEN = (0.2, 0.6), 4
 _FIRST_SEED = 77_000
 # What counts as slid, and as not on the pattern [m].
 _SLID, _OFF = 1e-3, 5e-3
 # Standard errors by which a plan has to be better than another to be preferred to it.
-_SURE = 2.0
+_SURE = 1.0
 
 
 def expect(
@@ -115,6 +115,7 @@ class Unseen:
     rods: list[RodModel | RodMaterial]
     frictions: np.ndarray
     disturbances: list[Disturbance]
+    beside: np.ndarray
 
     @classmethod
     def of(
@@ -127,8 +128,11 @@ class Unseen:
         """So many, on tables from the least friction to the largest."""
         spread = Spread.of(friction)
         disturbances = [Disturbance.random(_FIRST_SEED + k) for k in range(count)]
-        mus = np.linspace(*spread.friction, count)
-        return cls(pattern, spread.unseen(count, rod), mus, disturbances)
+        mus, parts = spread.unseen(count)
+        rods = [stretching(rod, part) for part in parts] if spread.stretch else [rod] * count
+        table = np.column_stack([mus, parts]) - spread.middle()
+        own = [(one.lgb_error, one.natural_curvature) for one in disturbances]
+        return cls(pattern, rods, mus, disturbances, np.column_stack([own, table]))
 
     def laid_by(self, trajectory: Trajectory) -> list[Trial]:
         """The rods, to be laid by a trajectory."""
@@ -163,6 +167,7 @@ class Unseen:
             "friction": mus.tolist(),
             "error_mean": means.tolist(),
             "error_robot": own,
+            "beside": self.beside.tolist(),
             "mean": float(means.mean()),
             "deviation": float(means.std()),
             "slides": _stretches(s, np.mean(slid > _SLID, axis=0) >= 0.5),
@@ -175,10 +180,23 @@ class Unseen:
 
 def is_better(after: dict, before: dict) -> bool:
     """Whether a plan lays the same disturbed rods better than another, by what `expect` says of
-    both: by twice the standard error of the mean of their differences, misplacement aside."""
+    both: by more than the standard error of what they differ by, misplacement aside."""
     saved = np.array(before["error_robot"]) - np.array(after["error_robot"])
-    doubt = saved.std(ddof=1) / np.sqrt(len(saved)) if len(saved) > 1 else 0.0
-    return bool(after["diverged"] <= before["diverged"] and saved.mean() > _SURE * doubt)
+    mean, doubt = balanced(saved, np.array(before["beside"]))
+    return bool(after["diverged"] <= before["diverged"] and mean > _SURE * doubt)
+
+
+def balanced(errors: np.ndarray, beside: np.ndarray) -> tuple[float, float]:
+    """Mean of errors (rod,), and its standard error, as if the rods lay evenly about the middle,
+    beside which they are by (rod, kind): of few rods one plan answers to a stiffer one and another
+    to a softer one, and their sum is chance. What errors answer linearly to is taken out."""
+    count = len(errors)
+    design = np.column_stack([np.ones(count), beside])
+    fit, _, rank, _ = np.linalg.lstsq(design, errors)
+    if rank >= count:
+        return float(errors.mean()), float(errors.std(ddof=1) / np.sqrt(count))
+    variance = float(np.sum((errors - design @ fit) ** 2)) / (count - rank)
+    return float(fit[0]), float(np.sqrt(variance * np.linalg.pinv(design.T @ design)[0, 0]))
 
 
 def robot_error(

@@ -23,6 +23,7 @@ from wrod.deployment.expectation import (
     FINE_EDGE,
     TOLERANCE,
     Unseen,
+    balanced,
     edged,
     is_better,
     misplacement,
@@ -45,8 +46,10 @@ _SIZE, _ROUGHNESS = 6e-3, 2e-2
 # Cost of an arm beyond its limits by all of one of them, at one pose.
 _LIMIT = 1e2
 # Largest change of a correction in one iteration [L_gb], what is left of it after a change for the
-# worse, and where that ends.
+# worse, and where that ends; what it grows by after one that was cut to it and saved more than this
+# part of what its model promised.
 _STEP, _SHORTER, _SHORTEST = 0.35, 0.4, 0.01
+_LONGER, _KEPT_PROMISE = 2.0, 0.5
 # Steps at most; further ones, on fine meshes too, save nothing that unseen rods feel.
 _STEPS = 2
 # Residual forces that are enough for them, see `lay`: these change what lies by 0.02 mm.
@@ -99,11 +102,12 @@ def optimise(
     Rods that cover the spread of friction, L_gb and natural curvature are laid together with their
     derivatives by smooth displacements of the grip; a Gauss-Newton step, limited in size, reduces
     their squared errors, the worse ones weighing more, and what the corrections cost in size and
-    roughness. A step that makes it worse is taken back and shortened. Meshes are coarse. Then
-    disturbed rods that none of this has seen are laid on fine ones by each of the paths that were
-    tried, but for those by which the sample lies worse by more than 1 mm. That by which they lie
-    best is taken, but none rather than one that is not better than none by twice the standard error
-    of the differences; what they show is what is expected of the plan.
+    roughness. A step that makes it worse is taken back and shortened, after one that was cut and
+    kept its promise the next may be twice as large. Meshes are coarse. Then disturbed rods that
+    none of this has seen are laid on fine ones by each of the paths that were tried, but for those
+    by which the sample lies worse by more than 1 mm. That by which they would lie best if they were
+    spread evenly (`balanced`) is taken, but none rather than one that is not better than none by
+    more than the standard error of the differences; what they show is what is expected of the plan.
 
     Args:
         pattern: with the remainder that the trajectory lays.
@@ -113,7 +117,7 @@ def optimise(
         limits: of the arm, beyond which the path is not to be corrected; None: no arm.
         pace: at which the contact is to move [m/s], or a range: then the path is corrected for both
             of its ends and for their geometric mean, and the fastest is taken that does not lay
-            unseen rods worse than the best by twice the standard error of the differences.
+            unseen rods worse than the best by more than the standard error of the differences.
         samples: rods that are laid at a time; None: two, or four for a range that is wide.
         hold: length of the free end that is held at first [m].
         judge: whether to lay the unseen rods, without which nothing is expected of the plan and
@@ -143,11 +147,16 @@ def optimise(
 def _fastest(made: list[Trajectory]) -> Trajectory:
     """Of plans from slow to fast, the fastest that is not clearly worse than the best."""
     said = [one.expected for one in made]
-    best = min(said, key=lambda one: float(np.mean(one["error_robot"])))
+    best = min(said, key=_expected_error)
     chosen = [one for one, told in zip(made, said, strict=True) if not is_better(best, told)][-1]
     tried = [[one.optimised["pace"], one.expected["mean"]] for one in made]
     optimised = {**chosen.optimised, "paces": tried}
     return replace(chosen, metadata={**chosen.metadata, "optimised": optimised})
+
+
+def _expected_error(told: dict) -> float:
+    """Of what `expect` says, misplacement aside [m]."""
+    return balanced(np.array(told["error_robot"]), np.array(told["beside"]))[0]
 
 
 def optimise_each(
@@ -289,7 +298,7 @@ class _Problem:
             laid = laid[len(each[0]) :]
             errors = [np.hypot(*misplacement(task.pattern, o)[0].reshape(2, -1)) for o in own]
             told = unseen.told(rest)
-            measure = float(np.mean(told["error_robot"]))
+            measure = _expected_error(told)
             if task.limits is not None:
                 excess, _ = task.limits.excess(corrections.displacement(x))
                 measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
@@ -337,6 +346,9 @@ def _descend(problem: _Problem, ahead: bool) -> Course[tuple[list[_State], list[
         states.append(tried)
         if tried.measure < best.measure:
             enough = tried.measure > _DONE * best.measure
+            promised = best.saved(step) * best.value
+            if length > radius and best.value - tried.value > _KEPT_PROMISE * promised:
+                radius *= _LONGER
             best = tried
             if enough:
                 break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -81,11 +82,13 @@ class Disturbance:
 
     @classmethod
     @arguments.checked(RodError, seed=arguments.whole(), slip=arguments.number(0.0, 1e3))
-    def random(cls, seed: int, *, slip: float = 0.0) -> Disturbance:
-        """A trial like those of a careful laboratory: `DEVIATIONS`, and the standard deviation
-        `slip` [m]."""
+    def random(
+        cls, seed: int, *, slip: float = 0.0, only: Collection[str] = DEVIATIONS.keys()
+    ) -> Disturbance:
+        """A trial like those of a careful laboratory: `DEVIATIONS`, or `only` those that are named,
+        and the standard deviation `slip` [m]."""
         rng = np.random.default_rng(seed)
-        one = DEVIATIONS
+        one = {name: value if name in only else 0.0 for name, value in DEVIATIONS.items()}
         offset = one["placement"] * rng.standard_normal(2)
         return cls(
             jitter=one["jitter"],

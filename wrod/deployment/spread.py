@@ -85,13 +85,19 @@ class Spread:
             out.append((held, Friction(mu), disturbance))
         return out
 
-    def unseen(self, count: int, rod: RodModel | RodMaterial) -> list[RodModel | RodMaterial]:
-        """Rods that stretch as believed, or less, by shares that cover what may be in an order of
-        their own."""
-        if not self.stretch:
-            return [rod] * count
+    def unseen(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Friction (count,) from low to high, and the part (count,) of what is believed that a rod
+        stretches by, which covers what may be in an order of its own."""
         shares = (_GOLDEN * np.arange(1, count + 1)) % 1.0
-        return [stretching(rod, _LEAST_STRETCH + (1.0 - _LEAST_STRETCH) * u) for u in shares]
+        parts = (
+            _LEAST_STRETCH + (1.0 - _LEAST_STRETCH) * shares if self.stretch else 0.0 * shares + 1
+        )
+        return np.linspace(*self.friction, count), parts
+
+    def middle(self) -> tuple[float, float]:
+        """Of what the friction and the part of the stretch may be."""
+        least = _LEAST_STRETCH if self.stretch else 1.0
+        return 0.5 * sum(self.friction), 0.5 * (least + 1.0)
 
 
 def stretching(rod: RodModel | RodMaterial, part: float) -> RodModel | RodMaterial:

@@ -262,7 +262,8 @@ def _sheet_region(plane: Plane, size: tuple[float, float], shape: tuple[int, int
 
 
 def _foreground(picture, mask, kind, color, region) -> tuple[np.ndarray, np.ndarray | None]:
-    if isinstance(mask, np.ndarray):
+    if not isinstance(mask, (bool, np.bool_)):
+        mask = np.asarray(mask)
         if mask.shape != picture.shape[:2]:
             raise PerceptionError(
                 f"the mask has shape {mask.shape}, the picture {picture.shape[:2]}; they must agree"

@@ -98,7 +98,7 @@ class Dynamics(NewtonSteps):
         ),
         motion=arguments.optional(arguments.like("a motion", "prescribe")),
         follower=arguments.optional(arguments.like("a follower", "follow")),
-        bodies=arguments.optional(arguments.like("rigid bodies", "columns")),
+        bodies=arguments.optional(arguments.like("rigid bodies", "columns", "push", "carried")),
         force_scale=arguments.optional(arguments.array((), (None,))),
         tolerance=arguments.number(1e-16, 1e3),
         max_iterations=arguments.whole(0, 10_000),

@@ -3,10 +3,12 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
+from wrod.errors import DataError
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.setup import ClampedSetup
@@ -100,10 +102,11 @@ def fit_models(
     slices = max(-(-len(still) // _BATCH), 1)
     groups = [g for g in (*(still[k::slices] for k in range(slices)), windy) if g]
     least_gains = np.broadcast_to(least_gain, len(models))
-    state = laboratory.base_state
+    state = tuple(a[trials] for a in laboratory.base_state)
     if origin is not None:
-        state = laboratory.solver_at(origin.model, origin.values)[0].saved()
-    state = tuple(a[trials] for a in state)
+        # A fit may have come past a fold that a path from the base model does not get past.
+        with suppress(DataError):
+            state = laboratory.solver_at(origin.model, origin.values, trials)[0].saved()
 
     def run(group, rival=rival):
         own = ([models[c] for c in group], [starts[c] for c in group])
