@@ -254,7 +254,7 @@ class Campaign:
 
 
 def work(task: tuple) -> list[tuple]:
-    """The calls of one process: (number, kind, code, seconds, wrong, last words, memory grown)."""
+    """The calls of one process: (number, kind, code, seconds, wrong, last words, memory)."""
     folder, seed, numbers, only, end = task
     folder.mkdir(parents=True, exist_ok=True)
     files = material(folder / "files")
@@ -268,7 +268,7 @@ def work(task: tuple) -> list[tuple]:
         if isinstance(around, tuple) and ended.code == 0 and not said:
             said = campaign.alike(words, around, folder / "run")
         spent = round(ended.seconds, 1)
-        row = (number, kind, ended.code, spent, said, ended.said[-160:], ended.grown)
+        row = (number, kind, ended.code, spent, said, ended.said[-160:], ended.memory)
         found.append(row)
         if said:
             click.echo(f"{number} {kind}: {said}\n   {shlex.join(words)[:400]}\n")
@@ -318,7 +318,7 @@ def _told(rows: list[tuple]) -> int:
     click.echo(
         f"{len(rows)} calls ({', '.join(f'{n} {k}' for k, n in sorted(said.items()))}): {bad} "
         f"wrong; the longest refusal took {longest:.1f} s of a processor, the largest "
-        f"{max(largest, 0) / 2**20:.0f} MiB beyond the libraries"
+        f"{largest / 2**20:.0f} MiB"
     )
     return bad
 

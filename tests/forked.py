@@ -33,20 +33,20 @@ class End:
         code: exit code; negative, the signal that ended it.
         said: what it printed.
         seconds: of a processor.
-        grown: bytes of memory more than before.
+        memory: bytes that were resident at most, of the libraries too.
     """
 
     code: int
     said: str
     seconds: float
-    grown: int
+    memory: int
 
     def wrong(self, *, refused: bool = False) -> str | None:
         """What no call may do; None if it did nothing of that."""
         if self.seconds > SECONDS or self.code in (-signal.SIGXCPU, -signal.SIGKILL):
             return f"no end after {self.seconds:.0f} s"
-        if self.grown > BYTES:
-            return f"took {self.grown / 2**30:.1f} GiB"
+        if self.memory > BYTES:
+            return f"took {self.memory / 2**30:.1f} GiB"
         if "Traceback" in self.said or self.code not in (0, 2, 3):
             return f"exit {self.code}: {self.said[-600:]}"
         if self.code == 2 and (not self.said.strip() or len(self.said) > 4000):
@@ -158,7 +158,7 @@ def preload() -> None:
 
 
 def _forked(function: Callable, arguments: tuple, folder: Path, limited: bool) -> End:
-    before, (reader, writer) = _resident(), os.pipe()
+    reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
         code = 99
@@ -194,7 +194,7 @@ def _forked(function: Callable, arguments: tuple, folder: Path, limited: bool) -
         os.waitstatus_to_exitcode(status),
         said.decode(errors="replace"),
         spent.ru_utime + spent.ru_stime,
-        1024 * spent.ru_maxrss - before,
+        1024 * spent.ru_maxrss,
     )
 
 
@@ -210,11 +210,6 @@ def _processor(process: int) -> int:
     while more := {one for one, parent in above.items() if parent in of} - of:
         of |= more
     return sum(used.get(one, 0) for one in of)
-
-
-def _resident() -> int:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def _virtual() -> int:
