@@ -43,6 +43,7 @@ _RARE = (
     "stepping.body_system",
     "stepping.body_exchange",
     "stepping.body_contact",
+    "stepping.body_meetings",
     "stepping.carrying",
     "stepping.exchange",
 )

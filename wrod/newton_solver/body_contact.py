@@ -5,6 +5,7 @@ import numpy as np
 import warp as wp
 
 from wrod.kernels.stepping import body_contact as kernels
+from wrod.kernels.stepping import body_meetings as meetings
 from wrod.kernels.stepping.carrying import Pose
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.friction import contact_damping
@@ -40,10 +41,10 @@ class BodyContact:
         for (r, s), record in np.ndenumerate(bodies.body.numpy()):
             if record["mass"] > 0:
                 row[record["index"]], slot[record["index"]] = r, s
-        self._owned = owned = kernels.Owned()
+        self._owned = owned = meetings.Owned()
         owned.row, owned.slot = (wp.array(a, dtype=int, device=device) for a in (row, slot))
         owned.mass = model.body_mass
-        self._detected = kernels.Detected()
+        self._detected = meetings.Detected()
         self.refresh()
 
     def refresh(self) -> None:
@@ -73,7 +74,7 @@ class BodyContact:
         wp.copy(self._old, self._meeting)
         wp.copy(self._old_bristle, self._bristle)
         self._launch(
-            kernels.read_contacts,
+            meetings.read_contacts,
             [self._owned, detected, capacity, body_q, self._old, self._old_bristle],
             [self._meeting, self._bristle],
         )
@@ -86,7 +87,7 @@ class BodyContact:
             return wp.zeros(size, dtype=kind, device=device)
 
         self._size = size
-        self._meeting, self._old = records(kernels.Meeting), records(kernels.Meeting)
+        self._meeting, self._old = records(meetings.Meeting), records(meetings.Meeting)
         self._fill_none()
         self._here, self._was = records(Pose), records(Pose)
         self._bristle, self._old_bristle, self._force, self._place = (
@@ -94,7 +95,7 @@ class BodyContact:
         )
 
     def _fill_none(self) -> None:
-        self._launch(kernels.clear_contacts, [], [self._meeting])
+        self._launch(meetings.clear_contacts, [], [self._meeting])
 
     def _launch(self, kernel, inputs: list, outputs: list) -> None:
         if self._size:
@@ -107,7 +108,7 @@ class BodyContact:
         """Put bodies that others move to where they are in a step: arguments of `carry_others`."""
         if self._size:
             inputs = [wp.float64(duration), self._meeting, *times, *poses]
-            self._launch(kernels.carry_others, inputs, [self._was, self._here])
+            self._launch(meetings.carry_others, inputs, [self._was, self._here])
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces and stiffness to those of the bodies."""
