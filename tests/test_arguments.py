@@ -431,7 +431,7 @@ CALLS = {
             slip=0.0,
         ),
     ),
-    "Disturbance.random": lambda: (wrod.Disturbance.random, dict(seed=0, slip=0.0)),
+    "Disturbance.random": lambda: (wrod.Disturbance.random, dict(seed=0, slip=0.0, only=["yaw"])),
     "Handling.random": lambda: (wrod.Handling.random, dict(seed=0)),
     "Friction": lambda: (
         wrod.Friction,

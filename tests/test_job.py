@@ -203,7 +203,8 @@ def test_a_pattern_that_turns_further_than_the_hand_is_told_so():
     angle = np.linspace(0.0, 2 * np.pi, 200)
     ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     for name, room in (("panda", 2 * 2.8973), ("gen3", np.inf)):
-        task = SimpleNamespace(trajectory=SimpleNamespace(contact=ring), robot=load_robot(name))
+        course = SimpleNamespace(contact=ring, arc_length=angle, spin=0.0)
+        task = SimpleNamespace(trajectory=course, robot=load_robot(name))
         turned, there = turning(task)
         assert turned == pytest.approx(2 * np.pi, abs=0.05)
         assert there == pytest.approx(room)

@@ -8,7 +8,7 @@ import numbers
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Set
 from typing import Any, TypeVar
 
 import numpy as np
@@ -211,6 +211,18 @@ def several(one: Check, least: int = 1) -> Check:
             if wrong is not None:
                 return f"holds at place {k} {shown(item)}, which {wrong}"
         return None
+
+    return check
+
+
+def some_of(names: Collection[str]) -> Check:
+    """A list, tuple or set of none, some or all of these names."""
+
+    def check(value: Any) -> str | None:
+        good = isinstance(value, (list, tuple, Set)) and all(
+            isinstance(name, str) and name in names for name in value
+        )
+        return None if good else f"must be a list of names out of {', '.join(names)}"
 
     return check
 

@@ -22,6 +22,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "--friction": (0.0, 100.0),
     "--kinetic": (0.0, 100.0),
     "--spacing": (2e-4, 1.0),
+    "--spin": (-5700.0, 5700.0),
     "--scale": (1e-7, 1.0),
     "--trials": (1, 10_000),
     "--speed": (5e-4, 10.0),

@@ -81,9 +81,14 @@ class Disturbance:
                 raise RodError(f"Disturbance: {name} is {getattr(self, name)!r:.60}; it {wrong}")
 
     @classmethod
-    @arguments.checked(RodError, seed=arguments.whole(), slip=arguments.number(0.0, 1e3))
+    @arguments.checked(
+        RodError,
+        seed=arguments.whole(),
+        slip=arguments.number(0.0, 1e3),
+        only=arguments.some_of(DEVIATIONS),
+    )
     def random(
-        cls, seed: int, *, slip: float = 0.0, only: Collection[str] = DEVIATIONS.keys()
+        cls, seed: int, *, slip: float = 0.0, only: Collection[str] = tuple(DEVIATIONS)
     ) -> Disturbance:
         """A trial like those of a careful laboratory: `DEVIATIONS`, or `only` those that are named,
         and the standard deviation `slip` [m]."""
