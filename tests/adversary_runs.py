@@ -40,6 +40,8 @@ def run(words: list[str], around, place: Path, files: dict[str, str]) -> tuple[E
     left = [str(path) for path in (place / "here").rglob("*")]
     if isinstance(around, dict) and around.get("WARP_CACHE_PATH"):
         left = []  # kernels are kept there
+    if isinstance(around, dict) and around.get("HOME") == "relative":
+        left = [path for path in left if "/relative" not in path]  # and here
     if end.code != 2 and not set(words) & {str(out), f"{out}.json", f"{out}.png"}:
         left = []  # it was to write there
     written = set(words[words.index("--out") + 1 :][:1]) if "--out" in words else set()

@@ -341,3 +341,15 @@ if os.fork() == 0:
 os._exit(os.waitstatus_to_exitcode(os.wait()[1]))
 """
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(tmp_path, monkeypatch):
+    from wrod.bench import applications
+
+    monkeypatch.setattr(applications, "_run", lambda *args: pytest.fail("worked first"))
+    words = ["bench", "applications", "--trials", "1", "--case", "trefoil", "--device", "cpu"]
+    result = CliRunner().invoke(
+        main, [*words, "--out", str(tmp_path / "out"), "--usd", str(tmp_path / ("n" * 300))]
+    )
+    assert result.exit_code == REFUSED and "too long" in result.output.lower(), result.output
+    assert list(tmp_path.iterdir()) == []

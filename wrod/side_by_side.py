@@ -56,7 +56,7 @@ def run(
             kept.close()
             raise DataError(
                 "a worker was ended from outside, as a machine without memory does; give fewer "
-                "--workers"
+                "--workers (what was complete is kept)"
             ) from None
         except BaseException:
             kept.close()  # and with it the workers, whatever they are at
