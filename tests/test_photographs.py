@@ -43,6 +43,13 @@ def write(path, turn=0.0, shift=(0.0, 0.0), size=1.05, **changes):
     return path
 
 
+def test_a_picture_that_was_cut_off_is_refused(tmp_path):
+    path = write(tmp_path / "green-vps-letterX-int.npz")
+    path.with_suffix(".png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(13))
+    with pytest.raises(DataError, match="ends within its head"):
+        load_photograph(path)
+
+
 def test_a_photograph_is_read_at_the_size_it_was_laid(tmp_path):
     photograph = load_photograph(write(tmp_path / "green-vps-letterX-int.npz"))
     assert (photograph.rod, photograph.pattern_name) == ("green-vps", "letterX")

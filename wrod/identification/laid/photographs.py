@@ -119,10 +119,12 @@ def load_photographs(folder: str | os.PathLike[str], method: str = "int") -> lis
 def _middle(path: Path, pixels: np.ndarray) -> np.ndarray:
     """(2,) the middle of the picture [px]; of what is seen, where the picture is not there."""
     picture = path.with_suffix(".png")
-    if picture.exists():
+    if picture.is_file():
         with open(picture, "rb") as file:
             head = file.read(24)
         if head[:8] == b"\x89PNG\r\n\x1a\n":
+            if len(head) < 24:
+                raise DataError(f"{picture}: ends within its head; copy it again, or remove it")
             size = np.frombuffer(head[16:24], dtype=">u4").astype(float)
             return 0.5 * (size - 1.0)
     return 0.5 * (np.nanmin(pixels, axis=0) + np.nanmax(pixels, axis=0))
