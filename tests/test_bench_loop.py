@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli import told
+from cli import refused, told
 
 import wrod
 from wrod.bench.loop_measurements import clamped_experiment
@@ -71,3 +71,10 @@ def test_loop_is_closed(tmp_path, controllers):
     assert made.natural_curvature == (pytest.approx(size), 0.0)
     assert rows["natural_curvature", "network", "new"]["method"] == "neural"
     assert found["network"]["held_out"]["mean_absolute_error"] < 0.01
+
+
+def test_a_roll_that_is_none_is_refused_before_the_work(tmp_path):
+    out = tmp_path / "out"
+    words = ["bench", "loop", "--effect", "stiffness", "--pattern", "line", "--out", str(out)]
+    refused("is no roll", *words, "--roll", "line,,sine")
+    assert not out.exists()

@@ -141,6 +141,7 @@ def _settle(loop: Loop, curves: dict) -> None:
     """Say what identification, training and deployments cost, or refuse it."""
     refuse_long_moves(loop.speed, loop.step)
     controllers, believed = len(loop.controllers), rod(loop.rod_name)
+    read_roll(loop.roll_text, believed)
     if loop.recording is not None:
         from wrod.identification.entry import identification_cost
 
