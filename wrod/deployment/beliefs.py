@@ -29,7 +29,7 @@ _MEMORY = 0.12
 # Length before the contact over which what lies is compared with what is believed to [m].
 _NEAR, _STEP = 0.1, 1e-3
 # Standard deviation of how far that is beside what is believed though the beliefs are right [m].
-_BESIDE = 1e-3
+_BESIDE = 3e-4
 
 
 class Beliefs:
