@@ -36,8 +36,9 @@ _SIZE, _ROUGHNESS = 2e-4, 2e-4
 # grows by after one that was cut to it and saves more. One step is not enough on a slippery table,
 # where a rod answers linearly to a millimetre and not to a centimetre.
 _STEP, _SHORTER, _SHORT, _LONGER, _KEPT_PROMISE = 0.35, 0.3, 0.5, 2.0, 0.5
-# So many steps at most, and none that would save less than that part by its model.
-_STEPS, _DONE = 5, 0.1
+# So many steps at most, and none that would save less by its model than that part, or than a root
+# mean square of that [m].
+_STEPS, _DONE, _FELT = 5, 0.1, 5e-5
 # Damping of a step, relative to errors of 1 L_gb, that is tried first where it would be too large.
 _DAMPING = 1e-6
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
@@ -262,7 +263,7 @@ class _Now:
         for _ in range(_STEPS if np.isfinite(now.value) else 0):
             step = now.step(radius, _DAMPING * METRIC_POINTS * lgb**2)
             length, promised = np.abs(step).max(), now.value - now.ahead(step)
-            if not promised > _DONE * now.value:
+            if not promised > max(_DONE * now.value, METRIC_POINTS * _FELT**2):
                 break
             tried = yield from at(now.values + step)
             saved = now.value - tried.value
