@@ -20,6 +20,7 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import GraspError
+from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
@@ -115,7 +116,7 @@ def open_trefoil(shortening: float, tail: float, spacing: float) -> np.ndarray:
     before = curve[0] + run[::-1] * first / np.linalg.norm(first)
     after = curve[-1] + run * last / np.linalg.norm(last)
     curve = np.concatenate([before, curve, after])
-    arc = np.r_[0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))]
+    arc = arc_length(curve)
     even = np.linspace(0, arc[-1], round(arc[-1] / spacing) + 1)
     return np.column_stack([np.interp(even, arc, curve[:, c]) for c in range(3)])
 

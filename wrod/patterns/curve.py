@@ -84,3 +84,14 @@ def heading_of_curvature(curvature: PPoly, angle: float) -> PPoly:
     heading = curvature.antiderivative()
     heading.c[-1] += angle - float(heading(curvature.x[0]))
     return heading
+
+
+def smoothstep(x):
+    """The quintic smoothstep from 0 to 1 at x, clipped there: two derivatives are continuous."""
+    x = np.clip(x, 0.0, 1.0)
+    return x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+
+
+def arc_length(points: np.ndarray) -> np.ndarray:
+    """(n,) length of the polyline (n, 2 or 3) up to each of its points."""
+    return np.insert(np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)), 0, 0.0)
