@@ -141,7 +141,7 @@ def centre_offsets(
     return offset, weight, width
 
 
-def _running_median(values: np.ndarray, window: int = 25) -> np.ndarray:
+def _running_median(values: np.ndarray) -> np.ndarray:
     from scipy.ndimage import median_filter
 
-    return median_filter(values, min(window, len(values)), mode="nearest")
+    return median_filter(values, min(25, len(values)), mode="nearest")
