@@ -3,15 +3,15 @@
 Four of them are stated for SolverVBD too: the same cables, as `newton.Rod`, on the mesh of the
 example, ten steps a frame. SolverVBD moves no arm.
 
-Run: `python examples/newton/beside_vbd.py [ITERATIONS OF SolverVBD]`
+Run: `python examples/newton/beside_vbd.py [--device cuda:0] [--iterations 20] [EXAMPLE...]`
 """
 
+import argparse
 import importlib
 import sys
 import time
 import warnings
 from pathlib import Path
-from types import SimpleNamespace
 
 import newton
 import numpy as np
@@ -44,11 +44,12 @@ class Vbd:
         bodies: those of each cable; state: at the end of the last frame.
     """
 
-    def __init__(self, iterations: int, air: float, gravity: float = 9.81):
+    def __init__(self, args, air: float, gravity: float = 9.81):
         self.builder = newton.ModelBuilder(gravity=(0.0, 0.0, -gravity))
         self.builder.rigid_gap = 0.002
         self.bodies: list[list[int]] = []
-        self._iterations, self._air, self._mass = iterations, air, {}
+        self._iterations, self._air, self._mass = args.iterations, air, {}
+        self._device = args.device
 
     def add(self, points, young, radius, line_mass, *, damping=0.0, mu=None, edges=None) -> list:
         """A cable that is straight at rest; damping is Kelvin-Voigt's time [s]."""
@@ -73,7 +74,7 @@ class Vbd:
 
     def begin(self, held=()) -> None:
         self.builder.color()
-        self.model = model = self.builder.finalize(device="cpu")
+        self.model = model = self.builder.finalize(device=self._device)
         # Capsules weigh more than a cable's cylinders, by their caps.
         ratio = np.ones(model.body_count)
         for body, mass in self._mass.items():
@@ -104,7 +105,7 @@ class Vbd:
             wp.capture_launch(self._graph)
             return
         self._take_steps()  # compiles
-        with wp.ScopedCapture("cpu") as capture:
+        with wp.ScopedCapture(self._device) as capture:
             self._take_steps()
         self._graph = capture.graph
 
@@ -115,7 +116,7 @@ class Vbd:
             wp.launch(
                 drag, self.model.body_count,
                 [self._air, self.model.body_mass, self.state.body_qd], [self.state.body_f],
-                device="cpu",
+                device=self._device,
             )  # fmt: skip
             self._solver.step(
                 self.state, self._other, self._control, self._contacts, FRAME / SUBSTEPS
@@ -142,7 +143,7 @@ def lines_of(example) -> list[np.ndarray]:
     return [q[first : first + count] for first, count in spans]
 
 
-def der_error(name: str, e, module) -> float:
+def der_error(name: str, e, module, args) -> float:
     """What an example of SolverDER misses at its end, see `WHAT`."""
     if name == "crane":
         weight = float(e.model.body_mass.numpy()[e.beam]) + e.model.der.node_mass.numpy().sum()
@@ -152,7 +153,7 @@ def der_error(name: str, e, module) -> float:
     if name == "gripper_picks_cable":
         return float(np.abs(e.hanging[0][:3] / e.hanging[1] - 1.0).max())
     if name == "y_junction":
-        return float(np.abs(tips_of(e) - fine_tips(module)).max()) / module.BRANCH
+        return float(np.abs(tips_of(e) - fine_tips(module, args)).max()) / module.BRANCH
     if name == "twist_transfer":
         return max(
             abs(wrapped(e.angle(k, module.EDGES - 1) - e.angle(k, 0)))
@@ -183,28 +184,31 @@ def tips_of(example) -> np.ndarray:
     return np.array([lines[k][-1] for k in example.rods[1:]])
 
 
-def fine_tips(module) -> np.ndarray:
+def fine_tips(module, args) -> np.ndarray:
     coarse, module.EDGES = module.EDGES, 3 * module.EDGES
-    fine = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+    fine = module.Example(ViewerNull(num_frames=1), args)
     for _ in range(fine.frame_count):
         fine.step()
     module.EDGES = coarse
     return tips_of(fine)
 
 
-def run(frames: int, step) -> float:
-    """Milliseconds of a frame, but for the first two."""
+def run(frames: int, step, device) -> float:
+    """Milliseconds of a frame, but for the first two: of a core, or by the clock on a GPU."""
+    now = time.process_time if wp.get_device(device).is_cpu else time.perf_counter
     step(1), step(2)
-    start = time.process_time()
+    wp.synchronize()
+    start = now()
     for k in range(3, frames + 1):
         step(k)
-    return 1e3 * (time.process_time() - start) / (frames - 2)
+    wp.synchronize()
+    return 1e3 * (now() - start) / (frames - 2)
 
 
-def vbd_pile(module, iterations: int) -> tuple[float, float]:
-    scene, deepest = Vbd(iterations, 0.5), [0.0]
+def vbd_pile(module, args) -> tuple[float, float]:
+    scene, deepest = Vbd(args, 0.5), [0.0]
     scene.builder.add_ground_plane(cfg=newton.ModelBuilder.ShapeConfig(ke=1e5, kd=0.0, mu=0.6))
-    made = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+    made = module.Example(ViewerNull(num_frames=1), args)
     m = made.material
     for points in lines_of(made):
         scene.add(points, m.youngs_modulus, m.radius, m.weight / m.gravity, damping=0.005, mu=0.4)
@@ -215,11 +219,11 @@ def vbd_pile(module, iterations: int) -> tuple[float, float]:
         lines = [scene.line(c) for c in range(len(scene.bodies))]
         deepest[0] = max(deepest[0], deepest_of(lines, m.radius))
 
-    took = run(module.Example.frame_count, step)
+    took = run(module.Example.frame_count, step, args.device)
     return deepest[0], took
 
 
-def vbd_junction(module, iterations: int) -> tuple[float, float]:
+def vbd_junction(module, args) -> tuple[float, float]:
     nodes, edges = [np.array([0.0, 0.0, module.HEIGHT])], []
     for branch in range(3):
         turn = branch * module.THIRD
@@ -227,7 +231,7 @@ def vbd_junction(module, iterations: int) -> tuple[float, float]:
             edges.append((0 if k == 1 else len(nodes) - 1, len(nodes)))
             way = np.array([np.cos(turn), np.sin(turn), 0.0]) * module.BRANCH * k / module.EDGES
             nodes.append(nodes[0] + way)
-    scene = Vbd(iterations, 3.0)
+    scene = Vbd(args, 3.0)
     mass = module.DENSITY * np.pi * module.RADIUS**2
     bodies = scene.add(nodes, module.YOUNG, module.RADIUS, mass, damping=0.02, edges=edges)
     half = 0.5 * module.BRANCH / module.EDGES
@@ -236,14 +240,14 @@ def vbd_junction(module, iterations: int) -> tuple[float, float]:
         child_xform=wp.transform((0.0, 0.0, half)),
     )  # fmt: skip
     scene.begin()
-    took = run(module.Example.frame_count, lambda k: scene.step())
+    took = run(module.Example.frame_count, lambda k: scene.step(), args.device)
     ends = scene.ends(0)[[2 * module.EDGES - 1, 3 * module.EDGES - 1], 1]
-    return float(np.abs(ends - fine_tips(module)).max()) / module.BRANCH, took
+    return float(np.abs(ends - fine_tips(module, args)).max()) / module.BRANCH, took
 
 
-def vbd_twist(module, iterations: int) -> tuple[float, float]:
-    scene, held = Vbd(iterations, 2.0, 0.0), []
-    made = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+def vbd_twist(module, args) -> tuple[float, float]:
+    scene, held = Vbd(args, 2.0, 0.0), []
+    made = module.Example(ViewerNull(num_frames=1), args)
     for k, young in enumerate(module.YOUNGS):
         m = made.materials[k]
         bodies = scene.add(
@@ -269,16 +273,16 @@ def vbd_twist(module, iterations: int) -> tuple[float, float]:
             poses[body] = [*first[body, :3], *turn.as_quat()]
         scene.step(poses)
 
-    took = run(module.Example.frame_count, step)
+    took = run(module.Example.frame_count, step, args.device)
     came = [turned(bodies[-1]).as_rotvec()[2] for bodies in scene.bodies]
     return max(abs(wrapped(c - module.TURN)) for c in came), took
 
 
-def vbd_plectoneme(module, iterations: int) -> tuple[float, float]:
-    made = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+def vbd_plectoneme(module, args) -> tuple[float, float]:
+    made = module.Example(ViewerNull(num_frames=1), args)
     (points,) = lines_of(made)
     young, radius, deepest = 2e7, module.RADIUS, [0.0]
-    scene = Vbd(iterations, 4.0, 0.0)
+    scene = Vbd(args, 4.0, 0.0)
     bodies = scene.add(points, young, radius, 1150.0 * np.pi * radius**2, damping=0.01, mu=0.1)
     scene.begin([bodies[0], bodies[-1]])
     first = scene.state.body_q.numpy().astype(float)
@@ -292,7 +296,7 @@ def vbd_plectoneme(module, iterations: int) -> tuple[float, float]:
         scene.step({bodies[0]: first[bodies[0]], bodies[-1]: [*last[:3], *turn.as_quat()]})
         deepest[0] = max(deepest[0], inside_itself(scene.line(0), radius))
 
-    took = run(module.Example.frame_count, step)
+    took = run(module.Example.frame_count, step, args.device)
     return deepest[0], took
 
 
@@ -311,18 +315,18 @@ VBD = {
 }  # fmt: skip
 
 
-def main(iterations: int = 20, only: list[str] | None = None) -> None:
+def main(args) -> None:
     sys.path.insert(0, str(Path(__file__).parent))
-    print(machine_line("cpu"), f"; newton {newton.__version__}", sep="")
-    print(f"\n| example | what is off | SolverDER | SolverVBD, {iterations} iterations |")
+    print(machine_line(args.device), f"; newton {newton.__version__}", sep="")
+    print(f"\n| example | what is off | SolverDER | SolverVBD, {args.iterations} iterations |")
     print("| --- | --- | --- | --- |")
-    for name in only or WHAT:
+    for name in args.examples or WHAT:
         module = importlib.import_module(name)
-        example = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
-        took = run(module.Example.frame_count, lambda k, example=example: example.step())
-        cells = [f"{der_error(name, example, module):.2g}, {took:.1f} ms"]
+        example = module.Example(ViewerNull(num_frames=1), args)
+        took = run(module.Example.frame_count, lambda k, e=example: e.step(), args.device)
+        cells = [f"{der_error(name, example, module, args):.2g}, {took:.1f} ms"]
         if name in VBD:
-            error, took = VBD[name](module, iterations)
+            error, took = VBD[name](module, args)
             cells.append(f"{error:.2g}, {took:.1f} ms")
         else:
             cells.append("-")
@@ -330,5 +334,9 @@ def main(iterations: int = 20, only: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("examples", nargs="*", metavar="EXAMPLE", help=", ".join(WHAT))
+    parser.add_argument("--iterations", type=int, default=20, help="of SolverVBD")
+    parser.add_argument("--device", default="cpu", help="cpu, cuda:0")
     warnings.simplefilter("ignore")  # Newton corrects the inertia of thin capsules
-    main(*map(int, sys.argv[1:2]), only=sys.argv[2:])
+    main(parser.parse_args())
