@@ -544,7 +544,7 @@ def test_a_bent_wire_keeps_its_curvature():
     from wrod.rods.law import Plastic
 
     bent, yields, hardening, count = 20.0, 5.0, 0.2, 21
-    wire = replace(ROD.model(), law=Plastic(yields, hardening))
+    wire = replace(wrod.RodModel.of(ROD), law=Plastic(yields, hardening))
     angle = bent * np.linspace(0.0, 0.1, count)
     arc = np.column_stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)]) / bent
     builder = scene(gravity=0.0)

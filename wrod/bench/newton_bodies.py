@@ -79,8 +79,9 @@ def momentum(
     return float(np.abs(last - expected).max() / np.linalg.norm(expected))
 
 
-def pendulum(mass: float = 0.7, length: float = 0.5) -> tuple[float, float]:
+def pendulum() -> tuple[float, float]:
     """Period of a bob on a cable pinned at both ends, and 2 pi sqrt(l / g) [s]."""
+    mass, length = 0.7, 0.5
     model, body = hung(NYLON, mass, (1e-5,) * 3, length=length, start="pinned", end="pinned")
     _, state = simulate(model, 60, 0.05, scheme="euler")  # the cable takes its length
     long = -float(state.body_q.numpy()[body, 2])

@@ -16,7 +16,7 @@ from wrod.commands.options import (
     gathered,
     options,
 )
-from wrod.rods.model_file import rod_as_json
+from wrod.rods.model_file import rod_as_json, save_rod
 
 _FIT = (
     click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient."),
@@ -82,7 +82,7 @@ class _Fit:
         """Write the rod and the table that were asked for."""
         from wrod.deployment.table import TableFriction
 
-        written = [] if self.out is None else [str(found.rod.save(self.out))]
+        written = [] if self.out is None else [str(save_rod(found.rod, self.out))]
         if self.table is not None:
             error = found.estimates["log_friction"].stderr
             written.append(

@@ -41,6 +41,7 @@ def command(
     """
     from wrod.errors import RodError
     from wrod.rods.material import LOOP_HEIGHT_RATIO, LOOP_LENGTH_RATIO, RodMaterial
+    from wrod.rods.model_file import save_rod
 
     needed = LOOP_LENGTH_RATIO / LOOP_HEIGHT_RATIO * height
     if length < needed:
@@ -58,7 +59,7 @@ def command(
     if out is not None:
         if out.suffix != ".json":
             raise RodError(f"{out}: is not a .json file name; `wrod plan --rod` knows rods by it")
-        rod.save(out)
+        save_rod(rod, out)
     figures = {
         "loop_height_ratio": ratio,
         "gravito_bending_length": rod.gravito_bending_length,

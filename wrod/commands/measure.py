@@ -51,6 +51,7 @@ def command(
     """
     from wrod.errors import DataError, RodError
     from wrod.rods.material import RodMaterial
+    from wrod.rods.model_file import save_rod
 
     if (curve is None) == (overhang is None and fall is None):
         raise DataError("give either --overhang and --fall, or the picture of a hanging loop")
@@ -65,7 +66,7 @@ def command(
     rod = RodMaterial(radius, found.gravito_bending_length, length, density=density)
     written = []
     if out is not None:
-        written = [str(rod.save(out))]
+        written = [str(save_rod(rod, out))]
     # The stiffness goes with the cube of the length.
     share = 3.0 * found.error / found.gravito_bending_length
     figures = {
