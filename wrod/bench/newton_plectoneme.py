@@ -7,8 +7,8 @@ import newton
 import numpy as np
 import warp as wp
 
-from wrod.knots.hand_paths import smooth
 from wrod.newton_solver import SolverDER
+from wrod.patterns.curve import smoothstep
 from wrod.rods.model import RodModel
 
 _LENGTH, _RADIUS, _BENDING = 0.5, 0.004, 1e-3
@@ -61,9 +61,9 @@ def wind(edges: int, turns: float, slack: float) -> Ply:
     solver, state = SolverDER(scene, self_contact=0.0), scene.state()
     for k in range(round((_NEARING + _TURNING + _RESTING) * _RATE)):
         time = (k + 1) / _RATE
-        half = np.pi * turns * smooth((time - _NEARING) / _TURNING)
+        half = np.pi * turns * smoothstep((time - _NEARING) / _TURNING)
         poses = state.body_q.numpy()
-        poses[hands[1], 0] = _LENGTH - slack * smooth(time / _NEARING)
+        poses[hands[1], 0] = _LENGTH - slack * smoothstep(time / _NEARING)
         poses[hands[1], 3:] = [np.sin(half), 0.0, 0.0, np.cos(half)]
         state.body_q.assign(poses)
         solver.step(state, state, None, None, 1.0 / _RATE)
