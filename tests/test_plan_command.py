@@ -46,7 +46,8 @@ def test_json_has_the_figures_of_the_plan(tmp_path):
 
 
 def test_rod_file(tmp_path):
-    path = wrod.RodMaterial(0.002, 0.03, 0.8, density=1000.0).save(tmp_path / "rod.json")
+    rod = wrod.RodMaterial(0.002, 0.03, 0.8, density=1000.0)
+    path = wrod.save_rod(rod, tmp_path / "rod.json")
     result = run("line", "--rod", path, "--method", "intuitive", "--out", tmp_path / "o", "--json")
     assert json.loads(result.stdout)["rod"]["density"] == 1000.0
 
