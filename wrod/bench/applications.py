@@ -1,6 +1,5 @@
 """`wrod bench applications`: cables laid between fixtures, and knots. Restartable."""
 
-import json
 import time
 from itertools import product
 from pathlib import Path
@@ -71,7 +70,7 @@ def command(
     from wrod.errors import RodError
     from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
     if first < 0:
@@ -112,10 +111,8 @@ def command(
         ],
         "written": [str(path) for path in written],
     }
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
-    click.echo(figures["machine"])
     click.echo(f"{len(pending)} trials on {device} in {seconds:.1f} s")
     click.echo(text)
     for path in written:

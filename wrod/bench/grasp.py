@@ -56,7 +56,7 @@ def command(
 
     from wrod.grasps.inputs import CLOSURES, whole_range
     from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
@@ -104,15 +104,13 @@ def command(
         figures["gpu"] = gpu_work(whole_range(count), device)
     else:
         figures["cpu"] = cpu_work(rows[2])
-    if as_json:
-        click.echo(json.dumps(figures))
+    if printed_as_json(figures, as_json):
         return
     _say(figures, threads)
 
 
 def _say(figures: dict, threads: int) -> None:
     """Print the figures for people."""
-    click.echo(figures["machine"])
     click.echo(f"device {figures['device']}, {threads} thread(s); cold starts over the whole range")
     click.echo(
         f"{'grasps':>8} {'edges':>6} {'closure':>13} {'per s':>9} {'cpu ms':>8} "

@@ -1,6 +1,5 @@
 """`wrod bench robot`: joint paths for the seven patterns and rods 1 to 3, of one arm or of all."""
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -97,14 +96,12 @@ def _fields(row: dict) -> type:
 
 
 def _say(rows: list[dict], finer: bool, as_json: bool) -> None:
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
 
     solved = sum("error" not in row for row in rows)
     whole = sum("error" not in row and not row["no_approach"] for row in rows)
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(), "paths": rows, "solved": solved}))
+    if printed_as_json({"machine": machine_line(), "paths": rows, "solved": solved}, as_json):
         return
-    click.echo(machine_line())
     click.echo(
         f"{'robot':7s} {'pattern':10s} {'rod':10s} {'CPU s':>6s} {'error mm':>9s} {'degrees':>9s}"
         f" {'limit':>6s} {'gap mm':>7s} {'turn':>6s} {'step':>6s} {'beyond':>6s} {'minutes':>8s}"

@@ -81,6 +81,8 @@ def plan(
             into the table's plane to the side to which the pattern turns in all, or upwards. In
             the plane the twist changes least; up, less is pushed aside (docs/loop.md).
         spin: by how much the hand turns besides about a rod without sides, which twists it [rad].
+            With `friction`, grasps that know the twist are taken where the table is expected to
+            hold it, as far as it does; without, those of a rod that is not twisted.
         controller: what "neural" and "auto" ask, for example one that was trained for this
             naturally curved rod; None is the one that ships, for all straight rods.
         friction: of the table, a coefficient (taken to be known to a tenth) or a range: the path
@@ -160,12 +162,13 @@ def _for_a_table(
 def _corrected(led: Pattern, rod, method: str, friction, pace, how: dict[str, Any]) -> Trajectory:
     """The plan that `how` asks for, corrected for a table of such a friction."""
     from wrod.deployment.optimise import optimise
-    from wrod.deployment.rivals import own_or_straight
+    from wrod.deployment.rivals import as_is_or_twisted, own_or_straight
     from wrod.deployment.spread import Spread
 
     spread = Spread.of(friction)
     base = "auto" if method == DISTILLED else method
     start = own_or_straight(led, rod, base, spread.friction, how)
+    start = as_is_or_twisted(led, rod, start, spread.friction, how)
     if method == DISTILLED:
         from wrod.deployment.distilled import distilled
 
