@@ -61,7 +61,7 @@ VALID = {
     "bench newton": ["--edges", "4", "--iterations", "10", "--rods", "1", "--periods", "0.1",
                      "--out", "{out}"],
     "bench cosserat": ["--experiment", "cantilever", "--solver", "wrod", "--elements", "8"],
-    "bench identify": ["--sets", "{sets}", "--out", "{out}"],
+    "bench identify": ["--sets", "{sets}"],
     "bench cables": ["--data", "{cables}", "--folds", "2", "--out", "{out}"],
     "bench loop": ["--effect", "stiffness", "--pattern", "line", "--trials", "8", "--grasps",
                    "100", "--controller", "numeric", "--out", "{out}"],

@@ -76,6 +76,8 @@ def test_pattern_file_with_units(tmp_path):
         (("line", "--radius", 0.001, "--lgb", 0.03, "--length", 0.4), "shorten the pattern"),
         (("line", "--rod", "rope", "--method", "guess"), "unknown method 'guess'"),
         (("line", "--rod", "rope", "--units", "mm"), "drop --units"),
+        (("line", "--rod", "rope", "--layer", "a", "--stroke", 1), "drop --layer and --stroke"),
+        (("line", "--rod", "rope", "--no-robot", "--robot", "x"), "drop them or --no-robot"),
         (("line", "--rod", "rope", "--friction", "-1"), "friction is -1.0"),
         (("line", "--rod", "missing.json"), "missing.json: no such file"),
     ],

@@ -93,8 +93,6 @@ def command(
         cost.Cost(seconds, 2e7 * size, 1e5 * len(pending)), f"{len(pending)} trials", out,
         "ask for fewer --trials or for one --case", force=force, quiet=as_json,
     )  # fmt: skip
-    if usd is not None:  # says now, not after the first trials, if it cannot be made
-        usd.mkdir(parents=True, exist_ok=True)
     written = _run(pending, len(keys), cases, size, ledger, device, usd, as_json)
     seconds = time.perf_counter() - start
     wanted = {(case, method, trial) for trial, case, method in keys}

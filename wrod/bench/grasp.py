@@ -64,6 +64,8 @@ def command(
         counts = counts or ("256,1024" if device == "cpu" else "4096,65536,1048576")
         _compare(against, counts, closures or tuple(CLOSURES), device, patience, as_json)
         return
+    if counts is not None or closures:
+        raise click.UsageError("--counts and --closure are of --against; give it, or drop them")
 
     on_gpu = device != "cpu"
     # 3.75 times as many grasps, some of them of closures that take twice as long, with shapes.

@@ -63,6 +63,9 @@ def command(
     if seeds:
         _hidden(seeds, noises or ("white",), only, out, workers, device, as_json, force)
     else:
+        if noises or only or out is not None or workers > 1:
+            said = "--noise, --only, --out and --workers are of --hidden; drop them beside --sets"
+            raise click.UsageError(said)
         _measured(folder, device, as_json)
 
 

@@ -48,6 +48,7 @@ def command(
 
     from wrod.errors import RobotError
     from wrod.files.ledger import Ledger
+    from wrod.planning.sources import SOURCES
     from wrod.robot.model import ROBOTS
     from wrod.rods.catalogue import rod_names
 
@@ -58,6 +59,10 @@ def command(
     unknown = [name for name in rods.split(",") if name not in rod_names()]
     if unknown:
         raise RobotError(f"unknown rod {unknown[0]!r}; known rods: {', '.join(rod_names())}")
+    if method not in SOURCES:
+        raise RobotError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
+    for pattern in PATTERNS:  # one that cannot be read is refused before the others are planned
+        _curve(pattern, patterns)
     cases = [(name, p, r) for name in names for r in rods.split(",") for p in PATTERNS]
     ledger = None
     if out is not None:
@@ -160,6 +165,15 @@ def against_finer(path, curve, rod, method: str, trajectory) -> dict:
     }
 
 
+def _curve(pattern: str, folder: Path | None):
+    """The pattern, of a folder of points files if there is one."""
+    import wrod
+
+    if folder is None:
+        return wrod.pattern(pattern)
+    return wrod.Pattern.load(folder / f"{pattern.replace('-', '')}.txt")
+
+
 def run_case(
     pattern: str,
     rod_name: str,
@@ -187,10 +201,7 @@ def run_case(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", WrodWarning)
-            if folder is None:
-                curve = wrod.pattern(pattern)
-            else:
-                curve = wrod.Pattern.load(folder / f"{pattern.replace('-', '')}.txt")
+            curve = _curve(pattern, folder)
             trajectory = with_shapes(wrod.plan(curve, wrod.rod(rod_name), method=method))
         started = time.process_time()
         path = wrod.solve_joint_path(
