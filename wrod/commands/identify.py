@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.machine import printed_as_json
 
 # Parameters of an effect that are printed.
 _SHOWN = 8
@@ -96,8 +97,7 @@ def _write_template(kind: str, out: Path, as_json: bool) -> None:
 
     path = write_template(kind, out / f"{kind}.npz")
     fields = {name: list(value.shape) for name, value in read_arrays(path).items()}
-    if as_json:
-        click.echo(json.dumps({"fields": fields, "written": [str(path)]}, indent=2))
+    if printed_as_json({"fields": fields, "written": [str(path)]}, as_json):
         return
     for name, shape in fields.items():
         click.echo(f"{name:16s} {tuple(shape) if shape else 'one number'}")
