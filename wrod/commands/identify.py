@@ -41,6 +41,7 @@ def command(
     there.
     """
     from wrod.errors import DataError
+    from wrod.files import checked_path
 
     if template is not None:
         if data is not None:
@@ -49,6 +50,8 @@ def command(
         return
     if data is None:
         raise DataError("no measurements given; name an .npz file, or --template to write one")
+    wanted = "an .npz file of measurements (`wrod identify --template clamped` writes an example)"
+    checked_path(data, wanted)  # before much is loaded
     from wrod.identification import identify, is_motion
     from wrod.identification.entry import identification_cost
 
