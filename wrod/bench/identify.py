@@ -29,7 +29,12 @@ from wrod import cost
     multiple=True,
     help="Hidden: kind of noise of the markers; may be given again. Default: white.",
 )
-@click.option("--only", multiple=True, help="Hidden: only cases with this text in their name.")
+@click.option(
+    "--only",
+    multiple=True,
+    help="Hidden: only cases with this text in their name, "
+    "in the order of the texts; may be given again.",
+)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Hidden: keep rows.")
 @click.option("--workers", default=1, show_default=True, help="Hidden: processes side by side.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
@@ -75,7 +80,7 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
     from wrod.files.ledger import Ledger
     from wrod.machine import machine_line
 
-    names = [n for n in cases() if not only or any(text in n for text in only)]
+    names = list(dict.fromkeys(n for text in only or ("",) for n in cases() if text in n))
     if not names:
         raise DataError(
             f"no case is called like {', '.join(only)}; the cases: {', '.join(cases())}"
@@ -96,7 +101,7 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
             ledger.add([row])
             rows.append(row)
 
-    wanted = [(name, seed, noise) for noise in noises for seed in seeds for name in names]
+    wanted = [(name, seed, noise) for noise in noises for name in names for seed in seeds]
     rows += [have[key] for key in wanted if key in have]
     pending = [key for key in wanted if key not in have]
     start = time.perf_counter()
