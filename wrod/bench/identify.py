@@ -37,6 +37,11 @@ from wrod import cost
 )
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Hidden: keep rows.")
 @click.option("--workers", default=1, show_default=True, help="Hidden: processes side by side.")
+@click.option(
+    "--minutes",
+    type=click.FloatRange(min=0, min_open=True),
+    help="For each set: end its search by then with the best verdict so far.",
+)
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
@@ -47,6 +52,7 @@ def command(
     only: tuple[str, ...],
     out: Path | None,
     workers: int,
+    minutes: float | None,
     device: str,
     as_json: bool,
     force: bool,
@@ -66,13 +72,14 @@ def command(
     if workers < 1:
         raise DataError(f"workers is {workers}; give 1 or more")
     device = resolve_device(device)
+    seconds = None if minutes is None else 60.0 * minutes
     if seeds:
-        _hidden(seeds, noises or ("white",), only, out, workers, device, as_json, force)
+        _hidden(seeds, noises or ("white",), only, out, workers, seconds, device, as_json, force)
     else:
-        _measured(folder, device, as_json)
+        _measured(folder, seconds, device, as_json)
 
 
-def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
+def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) -> None:
     from wrod.bench.hidden_noise import NOISES
     from wrod.bench.hidden_sets import cases
     from wrod.bench.hidden_table import examine_all, lines, summary
@@ -111,7 +118,7 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
         "ask for fewer with --only or --hidden", force=force, quiet=as_json,
     )  # fmt: skip
     with cost.progress_bar(total=len(wanted), initial=len(rows), unit="set", quiet=as_json) as bar:
-        examine_all(pending, min(workers, max(len(pending), 1)), device, keep, bar.update)
+        examine_all(pending, min(workers, max(len(pending), 1)), device, limit, keep, bar.update)
     rows.sort(key=lambda r: wanted.index((r["set"], r["seed"], r["noise"])))
     seconds = time.perf_counter() - start
     if as_json:
@@ -124,7 +131,7 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
         click.echo(f"wrote {out / 'rows.jsonl'}")
 
 
-def _measured(folder: Path, device: str, as_json: bool) -> None:
+def _measured(folder: Path, limit: float | None, device: str, as_json: bool) -> None:
     from wrod.bench.identify_row import row
     from wrod.errors import DataError
     from wrod.machine import machine_line
@@ -136,7 +143,7 @@ def _measured(folder: Path, device: str, as_json: bool) -> None:
     with cost.progress_bar(paths, unit="set", quiet=as_json) as bar:
         for path in bar:
             bar.set_description(path.stem)
-            rows.append(row(path, device))
+            rows.append(row(path, device, limit))
     if as_json:
         click.echo(json.dumps({"machine": machine_line(device), "device": device, "rows": rows}))
         return

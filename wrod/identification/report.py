@@ -24,7 +24,8 @@ class FoundEffect:
         parameters: what was found, with standard errors.
         after: test error with the effects up to this one [m].
         others: further errors, by what `to_dict` calls them [m].
-        An error is None where something has no equilibrium with what was fitted.
+        An error is None where something has no equilibrium with what was fitted, or the time was
+        over.
     """
 
     name: str
