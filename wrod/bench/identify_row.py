@@ -19,7 +19,7 @@ def row(data, device: str, seconds: float | None = None) -> dict:
         "set": report.measurements.name,
         "verdict": report.verdict,
         "reason": report.reason,
-        "out_of_time": report.selection.out_of_time,
+        "out_of_time": report.out_of_time,
         "before_mm": content["before_mm"],
         "after_mm": content["after_mm"],
         "noise_floor_mm": content["noise_floor_mm"],

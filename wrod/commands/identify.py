@@ -81,9 +81,7 @@ def command(
         content = report.to_dict() | {"written": [str(p) for p in written]}
         click.echo(json.dumps(content, indent=2, allow_nan=False))
         return
-    verdict = report.verdict
-    if not moves and report.selection.out_of_time:
-        verdict += " so far"
+    verdict = f"{report.verdict} so far" if report.out_of_time else report.verdict
     click.echo(f"{report.measurements.name}: {verdict}; {report.reason}")
     click.echo(
         f"test error {1e3 * report.before:.2f} mm before, {1e3 * report.after:.2f} mm after, "

@@ -58,6 +58,11 @@ class Report:
     effects: tuple[FoundEffect, ...]
     candidates: tuple[dict, ...]
 
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the time was over before all was tried."""
+        return False
+
     if TYPE_CHECKING:
 
         @property

@@ -2,10 +2,7 @@
 
 import math
 import time
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from wrod.identification.clamped.fit import Fit
+from typing import Any
 
 # To judge what is there when the time is over, at least [s] and of the time.
 _LEAST_GRACE, _GRACE = 10.0, 0.1
@@ -20,11 +17,12 @@ class Clock:
 
     Attributes:
         seconds: the whole; None: as long as it takes.
-        fits: models fitted to all that may be fitted, with the present noise.
+        fits: `Fit`s of models that were fitted to all that may be fitted, with the present noise.
     """
 
     def __init__(self, seconds: float | None = None):
-        self.seconds, self.fits = seconds, list["Fit"]()
+        self.seconds = seconds
+        self.fits: list[Any] = []
         self._end = math.inf if seconds is None else time.monotonic() + seconds
 
     @property

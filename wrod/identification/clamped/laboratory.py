@@ -30,18 +30,14 @@ class Laboratory:
         edge_count: edges between the clamps. Predictions are extrapolated to the continuum with a
             mesh of half as many.
         device: Warp device.
-        clock: the time that there is for a search.
+
+    A search sets its `clock`, without an end by default.
     """
 
     def __init__(
-        self,
-        measurements: ClampedMeasurements,
-        *,
-        edge_count: int = 90,
-        device: str = "cpu",
-        clock: Clock | None = None,
+        self, measurements: ClampedMeasurements, *, edge_count: int = 90, device: str = "cpu"
     ):
-        self.measurements, self.clock = measurements, clock or Clock()
+        self.measurements, self.clock = measurements, Clock()
         self.edge_count, self.device = edge_count, device
         self.trials = np.arange(measurements.trial_count)
         self.base = ClampedSetup.base(measurements, self.trials, edge_count)

@@ -70,6 +70,11 @@ class IdentificationReport(Report):
     outliers: np.ndarray
     branches: tuple[Branch, ...]
 
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the time was over before all was tried."""
+        return self.selection.out_of_time
+
     def to_dict(self) -> dict:
         """The content of `report.json`; lengths of errors in mm, everything else SI."""
         s = self.selection
@@ -79,7 +84,7 @@ class IdentificationReport(Report):
                 {"model": list(r.current), "accepted": r.accepted, "reason": r.reason}
                 for r in s.rounds
             ],
-            "out_of_time": s.out_of_time,
+            "out_of_time": self.out_of_time,
             "cross_validation_mm": [millimetres(v) for v in s.cross_validation],
             "chi_squared": {
                 "base": s.base_chi_squared,
@@ -136,7 +141,7 @@ def identify_clamped(
         candidates: effects, or names of effects; default: every known one.
         device: "cpu", "cuda:0", "auto".
         seconds: after which the search for effects ends with the best verdict until then, which
-            says so (`selection.out_of_time`); default: when all is tried.
+            says so (`out_of_time`); default: when all is tried.
         progress: called with (text,) as the work goes on.
 
     Raises:
@@ -146,10 +151,11 @@ def identify_clamped(
     clock, asked = Clock(seconds), (measurements, test, candidates)
     m, chosen = as_asked("clamped", ClampedMeasurements, load_measurements, *asked)
     say("base model")
-    laboratory = Laboratory(m, device=resolve_device(device), clock=clock)
+    laboratory = Laboratory(m, device=resolve_device(device))
     say("force print")
     prints = trace(laboratory)
     say("effects")
+    laboratory.clock = clock
     selection = select(laboratory, chosen, build=candidates is None)
     say("scores")
     fit = selection.fit

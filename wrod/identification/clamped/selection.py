@@ -316,8 +316,8 @@ def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
         laboratory.measurements,
         edge_count=int(_FINE * laboratory.edge_count),
         device=laboratory.device,
-        clock=laboratory.clock,
     )
+    fine.clock = laboratory.clock
     fine.set_noise(laboratory.noise, laboratory.scatter_rates)
     if not fit.model.effects:
         laboratory.adopt(fine)
