@@ -9,7 +9,7 @@ import wrod
 
 
 def main(out: str | Path = "out/examples") -> Path:
-    plain = wrod.rod("cable").model()
+    plain = wrod.RodModel.of(wrod.rod("cable"))
     k = plain.mean_bending_stiffness
     knots = (0.0, 0.15, 0.16, 0.29, 0.30, plain.length)
     sleeve = wrod.Profile((k, k, 4 * k, 4 * k, k, k), knots)
@@ -21,8 +21,8 @@ def main(out: str | Path = "out/examples") -> Path:
         line_mass=wrod.Profile((mass, mass, 2 * mass, 2 * mass, mass, mass), knots),
         radius=plain.radius, natural_curvature=(0.0, 1.0),
     )  # fmt: skip
-    path = cable.save(Path(out) / "model.json")
-    assert wrod.RodModel.load(path) == cable
+    path = wrod.save_rod(cable, Path(out) / "model.json")
+    assert wrod.load_rod(path) == cable
     s = np.linspace(0.0, cable.length, 90)
     arc = sagging(s, apart=0.75)
     figure, axes = panels()

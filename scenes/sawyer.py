@@ -151,8 +151,8 @@ LINKS = {
 }
 
 
-def sawyer_urdf(gripper_length: float = GRIPPER_LENGTH) -> str:
-    """Text of the URDF: arm, head, pedestal and a gripper of `gripper_length` [m]."""
+def sawyer_urdf() -> str:
+    """Text of the URDF: arm, head, pedestal and gripper."""
     robot = ElementTree.Element("robot", name="sawyer")
     for name, rgba in COLORS.items():
         material = ElementTree.SubElement(robot, "material", name=name)
@@ -161,7 +161,7 @@ def sawyer_urdf(gripper_length: float = GRIPPER_LENGTH) -> str:
         robot.append(link_element(name, mass, visuals, collisions))
     for name, parent, child, xyz, rpy, limits in JOINTS:
         robot.append(joint_element(name, parent, child, xyz, rpy, limits))
-    robot.extend(gripper_elements("right_hand", gripper_length))
+    robot.extend(gripper_elements("right_hand", GRIPPER_LENGTH))
     ElementTree.indent(robot)
     note = "<!-- Written by `python -m wrod.scenes.sawyer`; change the tables there. -->"
     return f'<?xml version="1.0"?>\n{note}\n{ElementTree.tostring(robot, encoding="unicode")}\n'

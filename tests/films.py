@@ -8,7 +8,8 @@ import wrod
 from wrod.bench.applications_trials import cable_scene, knot_plan
 from wrod.deployment.setup import prepare_deployment
 from wrod.deployment.simulate import with_remainder_of
-from wrod.knots.hand_paths import hand_path, path_length, smooth
+from wrod.knots.hand_paths import hand_path, path_length
+from wrod.patterns.curve import smoothstep
 from wrod.planning.tail import tail
 
 STEP = 0.4  # [s] between frames
@@ -75,7 +76,7 @@ def carry(path, speed: float) -> np.ndarray:
     count = max(4, round(1.9 * path_length(path) / speed / STEP))
     poses = np.tile(np.eye(4), (count, 1, 1))
     poses[:, :3, :3] = UPRIGHT
-    poses[:, :3, 3] = [path(smooth(u)) for u in np.linspace(0.0, 1.0, count)]
+    poses[:, :3, 3] = [path(smoothstep(u)) for u in np.linspace(0.0, 1.0, count)]
     return poses
 
 

@@ -198,6 +198,11 @@ def vps():
 
 
 @cache
+def rod_model():
+    return wrod.RodModel.of(vps())
+
+
+@cache
 def path():
     return wrod.plan(line(), vps(), "intuitive", spacing=0.02)
 
@@ -207,7 +212,10 @@ def files() -> dict[str, str]:
     """A valid file of each kind that something loads."""
     folder = Path(tempfile.mkdtemp(prefix="wrod-arguments-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    made = {"rod": vps().save(folder / "rod.json"), "model": vps().model().save(folder / "m.json")}
+    made = {
+        "rod": wrod.save_rod(vps(), folder / "rod.json"),
+        "model": wrod.save_rod(rod_model(), folder / "m.json"),
+    }
     made["trajectory"] = path().save(folder / "plan")[1]
     for kind in ("clamped", "motion"):
         made[kind] = write_template(kind, folder / f"{kind}.npz")
@@ -287,24 +295,22 @@ CALLS = {
         wrod.RodMaterial.from_loop_height,
         dict(loop_height=0.04, radius=0.002, length=0.8, poisson=0.5, density=1e3, gravity=9.81),
     ),
-    "RodMaterial.load": lambda: (
-        wrod.RodMaterial.load,
-        dict(path=files()["rod"], radius=None, length=None),
+    "load_rod": lambda: (wrod.load_rod, dict(path=files()["rod"], radius=None, length=None)),
+    "load_rod, a model": lambda: (
+        wrod.load_rod,
+        dict(path=files()["model"], radius=None, length=None),
     ),
+    "save_rod": lambda: (wrod.save_rod, dict(rod=vps(), path="/proc/none/a", assumed=())),
     "RodMaterial.curvature_held": lambda: (vps().curvature_held, dict(roll=0.0)),
     "RodModel": lambda: (wrod.RodModel, MODEL),
     "RodModel.of": lambda: (wrod.RodModel.of, dict(rod=vps())),
-    "RodModel.load": lambda: (
-        wrod.RodModel.load,
-        dict(path=files()["model"], radius=None, length=None),
-    ),
-    "RodModel.rolled": lambda: (vps().model().rolled, dict(s=0.1)),
-    "RodModel.curvature_held": lambda: (vps().model().curvature_held, dict(roll=0.0)),
-    "RodModel.bent": lambda: (vps().model().bent, dict(left=1.0, up=0.0, roll=0.0)),
-    "RodModel.stiffened": lambda: (vps().model().stiffened, dict(factor=2.0)),
-    "RodModel.piece": lambda: (vps().model().piece, dict(start=0.1, stop=0.2)),
-    "RodModel.turned": lambda: (vps().model().turned, dict(roll=0.1)),
-    "RodModel.scaled": lambda: (vps().model().scaled, dict(length_unit=0.03, force_unit=0.01)),
+    "RodModel.rolled": lambda: (rod_model().rolled, dict(s=0.1)),
+    "RodModel.curvature_held": lambda: (rod_model().curvature_held, dict(roll=0.0)),
+    "RodModel.bent": lambda: (rod_model().bent, dict(left=1.0, up=0.0, roll=0.0)),
+    "RodModel.stiffened": lambda: (rod_model().stiffened, dict(factor=2.0)),
+    "RodModel.piece": lambda: (rod_model().piece, dict(start=0.1, stop=0.2)),
+    "RodModel.turned": lambda: (rod_model().turned, dict(roll=0.1)),
+    "RodModel.scaled": lambda: (rod_model().scaled, dict(length_unit=0.03, force_unit=0.01)),
     "Profile": lambda: (wrod.Profile, dict(values=(1.0, 2.0), knots=(0.0, 1.0))),
     "Profile.of": lambda: (wrod.Profile.of, dict(value=1.0)),
     "Profile.sampled": lambda: (
@@ -371,7 +377,7 @@ CALLS = {
     "solve_rod_grasps": lambda: (
         wrod.solve_rod_grasps,
         dict(
-            rod=vps().model(), arc_length=[0.4], curvature=[0.0], closure="zero_tension", roll=0.0,
+            rod=rod_model(), arc_length=[0.4], curvature=[0.0], closure="zero_tension", roll=0.0,
             device="cpu", edge_count=128, extrapolate=True, threads=1,
         ),
     ),
@@ -486,7 +492,7 @@ CALLS = {
     "RodBatch.of": lambda: (
         wrod.RodBatch.of,
         dict(
-            rods=[vps().model()], arc_length=np.linspace(0, 0.885, 6),
+            rods=[rod_model()], arc_length=np.linspace(0, 0.885, 6),
             position=np.stack([np.linspace(0, 0.885, 6), np.zeros(6), np.zeros(6)], 1)[None],
             clamped=(False, False), director=None, gravity=None, point_load=0.0, device="cpu",
         ),
@@ -536,7 +542,7 @@ CALLS = {
         wrod.find_critical_load,
         dict(
             equilibria=lambda loads: wrod.RodBatch.of(
-                [vps().model()] * len(loads), np.linspace(0, 0.885, 6),
+                [rod_model()] * len(loads), np.linspace(0, 0.885, 6),
                 np.stack([np.linspace(0, 0.885, 6), np.zeros(6), np.zeros(6)], 1)[None],
             ),
             low=0.0, high=1.0, neutral=1e-6, tolerance=1e-3,

@@ -44,7 +44,8 @@ def test_loop_is_closed(tmp_path, controllers):
     found = figures["found"]["natural_curvature"]
     assert list(found["effects"]) == ["natural_curvature"]
     assert np.hypot(*found["model"]["natural_curvature"]) == pytest.approx(5.0, rel=0.15)
-    model = wrod.RodMaterial.load(tmp_path / "natural_curvature" / "model.json")
+    model = wrod.load_rod(tmp_path / "natural_curvature" / "model.json")
+    model = wrod.RodModel.of(model).material()
     assert list(model.natural_curvature) == found["model"]["natural_curvature"]
     rows = {(row["effect"], row["controller"], row["plan"]): row for row in figures["rows"]}
     assert len(rows) == 3 * len(controllers) and not any(row["diverged"] for row in rows.values())

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -52,3 +53,16 @@ def test_many_worlds():
     row = measure(Pile(3, 12), "stack", "SolverDER", 20)
     assert row["largest_rise_over_energy"] < 1e-3 and not row["diverged"]
     assert 0.0 < row["deepest_over_radius"] < 0.05
+
+
+def test_plectoneme_pulls_as_its_angle_says():
+    """F R^2 / B and M R / B of two wound strands follow from their angle alone."""
+    from wrod.bench.newton_plectoneme import Ply, wind
+
+    for angle, force in ((25.0, 0.065578), (30.0, 0.15625), (35.0, 0.370573)):
+        assert Ply(np.radians(angle), 1, 0, 0, 0).expected()[0] == pytest.approx(force, rel=1e-5)
+    ply = wind(80, 6.0, 0.38)
+    force, moment = ply.expected()
+    assert ply.speed < 1e-6 and np.radians(20.0) < ply.angle < np.radians(24.0)
+    assert ply.force == pytest.approx(force, rel=0.02)
+    assert ply.moment == pytest.approx(moment, rel=0.02)

@@ -107,7 +107,7 @@ def test_bad_natural_curvature_is_named():
 
 def test_rod_file_carries_natural_curvature(tmp_path):
     rod = replace(CURVED, natural_curvature=(3.0, -1.0))
-    assert wrod.RodMaterial.load(rod.save(tmp_path / "rod.json")) == rod
+    assert wrod.load_rod(wrod.save_rod(rod, tmp_path / "rod.json")) == rod
     assert not rod.is_straight and ROD.is_straight
     assert rod.curvature_held(0.0) == (3.0, -1.0)
     # A quarter turn takes the first director from left to up, the second from up to right.
@@ -131,14 +131,14 @@ def test_identified_model_loads_as_a_rod(tmp_path):
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        rod = wrod.RodMaterial.load(path)
+        rod = wrod.load_rod(path)
     assert rod.natural_curvature == (4.0, 0.5)
     aside = model_file(tmp_path / "aside.json", ["camera_scale", "stiffness", "grip_slip"])
     with pytest.warns(WrodWarning, match="camera_scale, grip_slip set aside"):
-        wrod.RodMaterial.load(aside)
+        wrod.load_rod(aside)
     (tmp_path / "broken.json").write_text('{"format": "wrod-rod-model-1", "rod": 3}')
     with pytest.raises(RodError, match=r"broken\.json: holds no rod"):
-        wrod.RodMaterial.load(tmp_path / "broken.json")
+        wrod.load_rod(tmp_path / "broken.json")
 
 
 def test_rolls_by_word():

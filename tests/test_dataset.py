@@ -224,7 +224,7 @@ def test_bad_options_are_one_sentence(tmp_path, arguments, says):
 
 
 def test_a_rod_that_varies_is_refused_and_one_that_is_damped_is_not():
-    one = wrod.rod("green-vps").model()
+    one = wrod.RodModel.of(wrod.rod("green-vps"))
     damped = replace(one, internal_damping=0.1, stretching_stiffness=50.0)
     asked = RodInputs.of(damped)
     assert asked.stretch_ratio == damped.stretch_ratio != RodInputs.of(one).stretch_ratio

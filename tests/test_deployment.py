@@ -240,7 +240,7 @@ def test_tail_is_laid_as_planned_whatever_rod_is_laid(plans):
 def test_a_rod_brings_its_drag(plans):
     pattern, by_method = plans
     path, drag = by_method["numeric"], 3.0
-    airy = replace(ROD.model(), quadratic_drag=drag)
+    airy = replace(wrod.RodModel.of(ROD), quadratic_drag=drag)
     trials = [Trial(pattern, rod, path, wrod.Friction(0.8)) for rod in (airy, ROD)]
     setups = prepare_trials(trials, 0.05, 0.05, 0.03, 0.02, None)
     dynamics = assemble(trials, setups)[2]
@@ -323,7 +323,7 @@ def test_rods_that_remember_are_laid(plans):
 
     pattern, by_method = plans
     laws = [Plastic(1e4, 0.1), Plastic(10.0, 0.0), StandardLinearSolid(0.5, 0.3)]
-    rods = [ROD, *(replace(ROD.model(), law=law) for law in laws)]
+    rods = [ROD, *(replace(wrod.RodModel.of(ROD), law=law) for law in laws)]
     jobs = [Trial(pattern, rod, by_method["numeric"], wrod.Friction(0.8)) for rod in rods]
     elastic, stiff, soft, relaxing = simulate_deployments(jobs, **QUICK)
     assert not any(d.diverged for d in (elastic, stiff, soft, relaxing))

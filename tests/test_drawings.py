@@ -43,6 +43,17 @@ def test_inkscape_drawing_has_its_size_layers_and_upright_axes(tmp_path):
     assert pattern.departure()[0] < 1e-4
 
 
+def test_strokes_that_a_drawing_uses_from_its_definitions_are_read(tmp_path):
+    path = tmp_path / "used.svg"
+    used = INKSCAPE.replace('<path id="path2"', '<defs><path id="path2"', 1)
+    used = used.replace('-60,0"/></g>', '-60,0"/></defs><use href="#path2" x="5"/></g>')
+    path.write_text(used)
+    pattern = wrod.Pattern.load(path, layer="cable")
+    ends = pattern.sample([0.0, pattern.length])[0][:, :2]
+    np.testing.assert_allclose(ends[:, 0], 0.035, atol=2e-4)
+    np.testing.assert_allclose(ends[1] - ends[0], [0.0, 0.08], atol=2e-4)
+
+
 def a_drawing(tmp_path, units=4):
     document = ezdxf.new()
     document.header["$INSUNITS"] = units

@@ -63,7 +63,7 @@ def test_a_cable_is_planned_with_what_was_found(tmp_path):
     rod = replace(what.rod, internal_damping=0.05, quadratic_drag=0.3)
     saved = replace(what, rod=rod).save(tmp_path / "model.json")
     pattern = own_bend(rod)
-    path = wrod.plan(pattern, RodModel.load(saved), spacing=0.05)
+    path = wrod.plan(pattern, wrod.load_rod(saved), spacing=0.05)
     assert path.rod == rod
     with pytest.raises(DataError, match="too short to be laid"):
         own_bend(replace(rod, length=3.0 * rod.gravito_bending_length))
@@ -84,7 +84,7 @@ def test_a_recorded_cable_goes_from_recording_to_plan(tmp_path):
 
     out = tmp_path / "found"
     run("identify", tmp_path / "cable.npz", "--out", out, "--effect", "natural_curvature")
-    rod = RodModel.load(out / "model.json")
+    rod = wrod.load_rod(out / "model.json")
     assert rod.internal_damping > 0.0
     assert set(json.loads((out / "report.json").read_text())["set_aside"]) <= OF_THE_MEASUREMENT
     curve = own_bend(rod)

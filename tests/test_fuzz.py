@@ -142,8 +142,7 @@ ROD = {
 JSON_FILES = {
     "fixtures": (Fixtures.load, json.loads((SCENES / "cable/U.json").read_text())),
     "knot": (KnotPlan.load_plan, json.loads((SCENES / "knots/trefoil.json").read_text())),
-    "rod": (wrod.RodMaterial.load, ROD),
-    "model": (wrod.RodModel.load, ROD),
+    "rod": (wrod.load_rod, ROD),
     "markers": (
         MarkerLayout.load,
         {

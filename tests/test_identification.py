@@ -19,6 +19,7 @@ from wrod.identification.clamped.setup import ClampedSetup, rotation_of
 from wrod.identification.clamped.trace import trace
 from wrod.identification.effect import Effect, Model, Parameter, effects
 from wrod.rods.material import RodMaterial
+from wrod.rods.model_file import load_rod
 
 ROD = RodMaterial(0.0018, 0.06, 0.5, density=1500.0)
 NOISE = 5e-4
@@ -237,7 +238,7 @@ def test_two_effects_are_found_together(tmp_path):
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 4
     assert "http" not in page
-    rod = RodMaterial.load(tmp_path / "out" / "rod.json")
+    rod = load_rod(tmp_path / "out" / "rod.json")
     assert rod.bending_stiffness == pytest.approx(1.3 * ROD.bending_stiffness, rel=0.05)
 
 

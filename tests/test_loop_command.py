@@ -23,7 +23,7 @@ def test_loop_height_gives_the_rod_and_its_file(tmp_path):
     # E = 8 rho g L_gb^3 / h^2 (Eq. material)
     modulus = 8 * 1180.0 * 9.81 * 0.032**3 / 0.0016**2
     assert figures["youngs_modulus"] == pytest.approx(modulus, rel=3e-4)
-    assert wrod.RodMaterial.load(out).length == 0.885
+    assert wrod.load_rod(out).length == 0.885
 
 
 @pytest.mark.parametrize(

@@ -51,9 +51,9 @@ def test_what_is_no_rod_is_refused(changed, says):
 
 
 def test_models_that_are_no_rods_are_refused_where_they_are_read_and_planned(tmp_path):
-    lump = dataclasses.replace(wrod.rod("green-vps").model(), radius=0.4)
+    lump = dataclasses.replace(wrod.RodModel.of(wrod.rod("green-vps")), radius=0.4)
     with pytest.raises(RodError, match="at least 2 radii"):
-        wrod.RodModel.load(lump.save(tmp_path / "lump.json"))
+        wrod.load_rod(wrod.save_rod(lump, tmp_path / "lump.json"))
     with pytest.raises(RodError, match="at least 2 radii"):
         wrod.plan(wrod.pattern("line"), lump, "intuitive")
 
@@ -65,7 +65,7 @@ def test_unknown_rod_lists_the_known_ones():
 
 def test_rod_file_round_trip(tmp_path):
     rod = wrod.RodMaterial(0.002, 0.03, 0.8, density=1000.0)
-    assert wrod.RodMaterial.load(rod.save(tmp_path / "rod.json")) == rod
+    assert wrod.load_rod(wrod.save_rod(rod, tmp_path / "rod.json")) == rod
 
 
 @pytest.mark.parametrize(
@@ -90,4 +90,4 @@ def test_bad_rod_files_are_named(tmp_path, content, says):
     path = tmp_path / "rod.json"
     path.write_text(content)
     with pytest.raises(RodError, match=rf"rod\.json: .*{says}"):
-        wrod.RodMaterial.load(path)
+        wrod.load_rod(path)

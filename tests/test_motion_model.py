@@ -45,14 +45,14 @@ def test_the_report_has_the_evidence(folder):
 def test_the_model_is_a_rod_with_what_motion_tells(folder):
     path = folder / "model.json"
     with pytest.warns(WrodWarning) as said:
-        model = wrod.RodModel.load(path)
+        model = wrod.load_rod(path)
     (sentence,) = (str(w.message) for w in said)
     assert "set aside" not in sentence
     assert "radius" in sentence and "line_mass" in sentence and "assumed" in sentence
     assert model.air_damping > 0.0
     assert model.internal_damping == pytest.approx(VISCOUS, rel=0.2)
     with pytest.warns(WrodWarning, match="cannot carry this one's internal_damping, air_damping"):
-        rod = wrod.RodMaterial.load(path)
+        rod = wrod.load_rod(path).material()
     # The mesh of fits is half as fine.
     assert rod.gravito_bending_length == pytest.approx(L_GB, rel=0.1)
     # Its size hardly shows: between two clamps a uniform bend leaves no force while the rod stays
@@ -69,7 +69,7 @@ def test_the_model_is_a_rod_with_what_motion_tells(folder):
     assert rod.gravito_bending_length == pytest.approx(lgb, rel=1e-12)
     assert set(found) == {"stiffness", "air_damping", "internal_damping", "natural_curvature"}
     with pytest.warns(WrodWarning, match=r"line_mass .* assumed") as said:
-        measured = wrod.RodMaterial.load(path, radius=0.004)
+        measured = wrod.load_rod(path, radius=0.004)
     assert measured.radius == 0.004 and "radius" not in str(said[0].message)
 
 
@@ -91,7 +91,7 @@ def test_commands_take_the_model(folder, tmp_path):
 def test_the_model_is_deployed(folder):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", WrodWarning)
-        rod = wrod.RodMaterial.load(folder / "model.json", radius=0.003, length=1.0)
+        rod = wrod.load_rod(folder / "model.json", radius=0.003, length=1.0).material()
     pattern = wrod.Pattern.from_points(np.linspace([0, 0, 0], [0.15, 0, 0], 20))
     trajectory = wrod.plan(pattern, rod, "numeric", device="cpu", spacing=0.05)
     deployment = wrod.simulate_deployment(pattern, rod, trajectory, device="cpu")

@@ -156,7 +156,7 @@ def test_boxes_and_cylinders_and_their_friction():
     builder.add_shape_cylinder(
         -1, xform=wp.transform((0.08, 0, 0.015), turned), radius=0.005, half_height=0.05
     )
-    builder.add_shape_plane(plane=(0.0, 0.0, 1.0, 1.0), width=0.1, length=0.1)
+    builder.add_shape_plane(plane=(0.0, 0.0, 1.0, 1.0), width=0.1, length=0.0)
     SolverDER.add_rod(
         builder, straight(21, 0.1, 0.023), ROD, internal_damping=0.05, air_damping=5.0
     )
@@ -169,6 +169,21 @@ def test_boxes_and_cylinders_and_their_friction():
     assert q[on_box, 2].max() == pytest.approx(0.02 + ROD.radius, abs=0.05 * ROD.radius)
     top = np.abs(q[:, 0] - 0.08) < 0.004
     assert force[top, 2].sum() > 0.2 * ROD.weight * 0.1
+
+
+def test_planes_have_ends():
+    """A rod comes to rest on a tilted sheet; one beyond its end falls as freely as any."""
+    builder = scene()
+    turn = wp.quat_from_axis_angle(wp.vec3(1.0, 0.0, 0.0), 0.1)
+    builder.add_shape_plane(xform=wp.transform((0.05, 0.0, 0.0), turn), width=0.12, length=0.06)
+    for beyond in (0.0, 0.06):
+        points = straight(6, 0.1, 2.0 * ROD.radius) + [0.0, beyond, 0.0]
+        SolverDER.add_rod(builder, points, ROD)
+    q = nodes(simulate(builder.finalize(device="cpu"), 40, 5e-3, scheme="euler")[1])
+    height = q[:6] @ [0.0, -np.sin(0.1), np.cos(0.1)]
+    np.testing.assert_allclose(height, ROD.radius, rtol=0.01)
+    fallen = 0.5 * 9.81 * 0.2**2 * (1.0 + 1.0 / 40)
+    np.testing.assert_allclose(q[6:, 2], 2.0 * ROD.radius - fallen, rtol=1e-6)
 
 
 def different_rods():
@@ -529,7 +544,7 @@ def test_a_bent_wire_keeps_its_curvature():
     from wrod.rods.law import Plastic
 
     bent, yields, hardening, count = 20.0, 5.0, 0.2, 21
-    wire = replace(ROD.model(), law=Plastic(yields, hardening))
+    wire = replace(wrod.RodModel.of(ROD), law=Plastic(yields, hardening))
     angle = bent * np.linspace(0.0, 0.1, count)
     arc = np.column_stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)]) / bent
     builder = scene(gravity=0.0)

@@ -54,7 +54,12 @@ def test_a_corrected_plan_lays_better_than_the_best_grasps(bend):
 
 def test_the_command_says_what_is_expected(bend, tmp_path):
     np.savetxt(tmp_path / "bend.txt", bend[0].sample(np.linspace(0.0, 0.19, 200))[0], header="m")
-    arguments = ["plan", str(tmp_path / "bend.txt"), "--rod", str(ROD.save(tmp_path / "rod.json"))]
+    arguments = [
+        "plan",
+        str(tmp_path / "bend.txt"),
+        "--rod",
+        str(wrod.save_rod(ROD, tmp_path / "rod.json")),
+    ]
     arguments += ["--method", "intuitive", "--no-robot", "--units", "m", "--spacing", "0.01"]
     result = done(*arguments, "--out", tmp_path / "out")
     assert re.search(

@@ -13,6 +13,7 @@ from top_camera import TopCamera
 
 import wrod
 from wrod.errors import PerceptionError
+from wrod.patterns.curve import arc_length
 from wrod.perception import refine
 from wrod.perception.image import read_image
 from wrod.perception.measure import compare
@@ -78,7 +79,7 @@ def test_drawn_curve_is_recovered_in_metres(camera, layout, curve):
     pattern = wrod.scan(drawing(camera, layout, curve), markers=layout)
     position = pattern.sample(np.linspace(0, pattern.length, 2000))[0][:, :2]
     assert mean_distance(position, curve) < 7e-5
-    assert pattern.length == pytest.approx(refine.arc_length(curve)[-1], rel=0.005)
+    assert pattern.length == pytest.approx(arc_length(curve)[-1], rel=0.005)
     assert np.hypot(*(position[0] - curve[0])) < 1e-3  # the end nearest the lower left corner
 
 
@@ -168,7 +169,7 @@ def test_sheet_and_scale_give_metres(layout):
     position = pattern.sample(np.linspace(0, pattern.length, 2000))[0][:, :2]
     assert mean_distance(position, wave()) < 2e-4
     scaled = wrod.scan(picture[200:-200, 250:-250], scale=0.5 / 1500)
-    assert scaled.length == pytest.approx(refine.arc_length(wave())[-1], rel=0.005)
+    assert scaled.length == pytest.approx(arc_length(wave())[-1], rel=0.005)
 
 
 def test_a_sheet_is_found_with_a_shadow_over_its_edge(layout):

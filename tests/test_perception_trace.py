@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 import wrod
 from wrod.errors import PerceptionError
+from wrod.patterns.curve import arc_length
 from wrod.perception import refine
 from wrod.perception.bridges import bending_energy
 from wrod.perception.crossings import find_crossings
@@ -75,7 +76,7 @@ def test_known_curves_are_found_to_a_fifth_of_a_pixel(name, radius):
 def test_length_has_no_staircase():
     truth = spline((40, 400), (300, 300), (420, 120), (300, 60), (220, 200), (560, 430))
     (line,) = wrod.trace_centerlines(draw([truth], 4.0))
-    assert line.length == pytest.approx(refine.arc_length(truth)[-1], rel=0.005)
+    assert line.length == pytest.approx(arc_length(truth)[-1], rel=0.005)
 
 
 def test_closed_curve_is_closed():
@@ -93,7 +94,7 @@ def test_figure_eight_is_one_closed_curve():
     (line,) = wrod.trace_centerlines(draw([truth], 5.0))
     assert line.closed
     assert len(find_crossings([line])) == 1
-    assert line.length == pytest.approx(refine.arc_length(truth)[-1], rel=0.005)
+    assert line.length == pytest.approx(arc_length(truth)[-1], rel=0.005)
 
 
 def test_rod_that_leaves_the_picture_ends_on_its_border():

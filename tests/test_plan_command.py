@@ -46,7 +46,8 @@ def test_json_has_the_figures_of_the_plan(tmp_path):
 
 
 def test_rod_file(tmp_path):
-    path = wrod.RodMaterial(0.002, 0.03, 0.8, density=1000.0).save(tmp_path / "rod.json")
+    rod = wrod.RodMaterial(0.002, 0.03, 0.8, density=1000.0)
+    path = wrod.save_rod(rod, tmp_path / "rod.json")
     result = run("line", "--rod", path, "--method", "intuitive", "--out", tmp_path / "o", "--json")
     assert json.loads(result.stdout)["rod"]["density"] == 1000.0
 
@@ -75,6 +76,8 @@ def test_pattern_file_with_units(tmp_path):
         (("line", "--radius", 0.001, "--lgb", 0.03, "--length", 0.4), "shorten the pattern"),
         (("line", "--rod", "rope", "--method", "guess"), "unknown method 'guess'"),
         (("line", "--rod", "rope", "--units", "mm"), "drop --units"),
+        (("line", "--rod", "rope", "--layer", "a", "--stroke", 1), "drop --layer and --stroke"),
+        (("line", "--rod", "rope", "--no-robot", "--robot", "x"), "drop them or --no-robot"),
         (("line", "--rod", "rope", "--friction", "-1"), "friction is -1.0"),
         (("line", "--rod", "missing.json"), "missing.json: no such file"),
     ],

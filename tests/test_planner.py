@@ -15,6 +15,7 @@ from wrod.errors import (
     WrodWarning,
 )
 from wrod.planning.remainder import free_end, prepare
+from wrod.planning.roll import held_twist
 from wrod.planning.trajectory import Trajectory
 
 ROD = wrod.rod("green-vps")
@@ -209,6 +210,35 @@ def test_spin_turns_the_hand_evenly_about_the_rod_and_stays_in_the_tail():
     assert spun.spin == 5.0 and plain.spin == 0.0
     with pytest.raises(GraspError, match="leave spin out"):
         wrod.plan(pattern, replace(rod, natural_curvature=(0.0, 4.0)), "intuitive", spin=1.0)
+
+
+def test_what_hangs_of_a_spun_rod_is_twisted_as_much_as_the_hand_has_turned():
+    laid = np.linspace(0.0, 0.6, 2001)
+    twist = held_twist(0.8, laid, 5.0)
+    on_the_table = np.concatenate([[0.0], np.cumsum(0.5 * (twist[1:] + twist[:-1]) * laid[1])])
+    np.testing.assert_allclose(on_the_table + (0.8 - laid) * twist, 5.0 * laid / 0.6, atol=1e-6)
+
+
+def test_grasps_that_know_the_twist_lay_a_spun_rod_where_the_table_holds_its_roll():
+    from wrod.deployment.expectation import COARSE
+    from wrod.deployment.setup import Disturbance
+    from wrod.deployment.simulate import Trial
+    from wrod.deployment.tangents import lay
+    from wrod.planning.plan import plan_grasps
+    from wrod.planning.tail import Tail
+    from wrod.solvers.contact import Friction
+
+    pattern, rod = wrod.pattern("line"), wrod.rod("green-vps")
+    how = dict(closure="zero_tension", spacing=0.01, roll="plane", controller=None, device="cpu")
+    how |= dict(remainder=False, progress=None, spin=8.0)
+    plans = [plan_grasps(pattern, rod, "numeric", twisted=knows, **how) for knows in (False, True)]
+    law = Friction(0.6, roll=3.0)
+    trials = [Trial(pattern, rod, t, law, Disturbance(), Tail.none(t)) for t in plans]
+    off = [
+        np.abs(one.centerline[one.arc_length < pattern.length, 1]).mean()
+        for one in lay(trials, None, hold=0.05, tolerance=1e-3, device="cpu", **COARSE)
+    ]
+    assert off[0] > 2e-3 and off[1] < 3e-4
 
 
 def test_unknown_method():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import wrod
 from wrod.errors import GraspError, WrodWarning
 from wrod.grasps.optimal import solve_grasps
 from wrod.grasps.rod_grasps import solve_rod_grasps
@@ -190,3 +191,30 @@ def test_the_straight_rods_plan_is_taken_where_it_is_expected_to_lay_better(monk
     straightened = replace(model, natural_curvature=(0.0, 0.0))
     plain = plan_grasps(line, straightened, "auto", remainder=False, **how | {"roll": own.roll})
     assert np.array_equal(other.position, plain.position)
+
+
+def test_grasps_that_know_a_spun_rods_twist_are_taken_where_they_are_expected_to_lay_better(
+    monkeypatch,
+):
+    from wrod.deployment import rivals
+    from wrod.planning.plan import plan_grasps
+
+    line, straight = wrod.pattern("line"), rod("green-vps")
+    how = dict(closure=None, spacing=0.1, roll="plane", controller=None, device="cpu", spin=8.0)
+    how["progress"] = None
+    plan = plan_grasps(line, straight, "auto", remainder=False, **how)
+
+    def chosen(*errors, held=straight):
+        monkeypatch.setattr(rivals, "expected_errors", lambda *a, **k: np.array(errors))
+        return rivals.as_is_or_twisted(line, held, plan, 0.6, how)
+
+    assert chosen(0.01, 0.02) is plan
+    knows = chosen(0.02, 0.01)
+    assert knows.spin == plan.spin and knows.metadata["method"] == "auto"
+    assert (
+        knows.metadata["solver"] == "rod solver" and knows.force[-1, 1] > plan.force[-1, 1] + 1e-4
+    )
+    tapered = replace(
+        RodModel.of(straight), bending_stiffness=(Profile((1e-5, 2e-5), (0.0, 0.8)),) * 2
+    )
+    assert chosen(0.02, 0.01, held=tapered) is plan

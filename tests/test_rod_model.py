@@ -112,17 +112,16 @@ def test_files_hold_everything(tmp_path):
     model = varied()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert RodModel.load(model.save(tmp_path / "model.json")) == model
-        assert RodModel.load(wrod.rod("rope").save(tmp_path / "rod.json")) == RodModel.of(
-            wrod.rod("rope")
-        )
+        assert wrod.load_rod(wrod.save_rod(model, tmp_path / "model.json")) == model
+        rope = wrod.rod("rope")
+        assert wrod.load_rod(wrod.save_rod(rope, tmp_path / "rod.json")) == rope
     with pytest.warns(WrodWarning, match="principal|law"):
-        assert wrod.RodMaterial.load(tmp_path / "model.json").length == 0.7
-    shorter = RodModel.load(tmp_path / "model.json", length=0.5)
+        assert wrod.load_rod(tmp_path / "model.json").material().length == 0.7
+    shorter = wrod.load_rod(tmp_path / "model.json", length=0.5)
     assert shorter == with_length(model, 0.5) and len(shorter.point_masses) == 1
-    model.save(tmp_path / "motion.json", assumed=("radius", "line_mass"))
+    wrod.save_rod(model, tmp_path / "motion.json", assumed=("radius", "line_mass"))
     with pytest.warns(WrodWarning, match=r"radius 0\.002 assumed"):
-        RodModel.load(tmp_path / "motion.json")
+        wrod.load_rod(tmp_path / "motion.json")
 
 
 def test_what_an_earlier_version_wrote_is_read(tmp_path):
@@ -131,7 +130,7 @@ def test_what_an_earlier_version_wrote_is_read(tmp_path):
     old = {"format": "wrod-rod-model-1", "rod": rod, "assumed": ["radius"], "effects": effects}
     (tmp_path / "old.json").write_text(json.dumps(old))
     with pytest.warns(WrodWarning, match="softening set aside.*radius 0.002 assumed"):
-        model = RodModel.load(tmp_path / "old.json")
+        model = RodModel.of(wrod.load_rod(tmp_path / "old.json"))
     assert model.gravito_bending_length == pytest.approx(0.05)
     assert [float(c(0.3)) for c in model.natural_curvature] == [1.0, 0.0]
 
@@ -152,10 +151,10 @@ def test_what_an_earlier_version_wrote_is_read(tmp_path):
     ],
 )
 def test_spoiled_files_are_refused_in_one_sentence(tmp_path, change):
-    path = varied().save(tmp_path / "model.json")
+    path = wrod.save_rod(varied(), tmp_path / "model.json")
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     with pytest.raises(RodError, match=r"model\.json") as said:
-        RodModel.load(path)
+        wrod.load_rod(path)
     assert len(str(said.value)) < 300
 
 

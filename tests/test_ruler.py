@@ -112,7 +112,7 @@ def test_command_measures_both_ways_and_writes_the_rod(loop, tmp_path):
         "--overhang", overhang, "--fall", overhang * overhanging(2.2), *rod, "--out", out
     )  # fmt: skip
     assert result.exit_code == 0, result.output
-    assert wrod.RodMaterial.load(out).gravito_bending_length == pytest.approx(L_GB, rel=1e-3)
+    assert wrod.load_rod(out).gravito_bending_length == pytest.approx(L_GB, rel=1e-3)
     points = tmp_path / "loop.csv"
     np.savetxt(points, loop, delimiter=",")
     result = run(points, *rod)

@@ -197,11 +197,8 @@ def sweep(folder: Path, mine: range) -> None:
             path.unlink(missing_ok=True)
 
 
-def read_shard(folder: Path, manifest: Manifest, shard: int, count: int | None = None) -> dict:
+def read_shard(folder: Path, manifest: Manifest, shard: int) -> dict:
     """Columns of one shard by name.
-
-    Args:
-        count: rows to expect, where not all that the manifest gives the shard.
 
     Raises:
         DataError: the shard is missing, truncated, damaged or of another dataset.
@@ -211,7 +208,7 @@ def read_shard(folder: Path, manifest: Manifest, shard: int, count: int | None =
     label, arrays = _open(path)
     if label.get("dataset") != manifest.identity or label.get("first") != first:
         raise DataError(f"{path}: belongs to another dataset or place; delete it to solve it again")
-    if label.get("count") != (whole if count is None else count):
+    if label.get("count") != whole:
         raise DataError(f"{path}: holds {label.get('count')} of {whole} rows; run `wrod dataset`")
     found = check_arrays(arrays, "ShardColumns", str(path))
     missing = manifest.columns.keys() - found.keys()

@@ -38,6 +38,8 @@ from .rods.catalogue import rod as rod
 from .rods.catalogue import rod_names as rod_names
 from .rods.material import RodMaterial as RodMaterial
 from .rods.model import RodModel as RodModel
+from .rods.model_file import load_rod as load_rod
+from .rods.model_file import save_rod as save_rod
 from .rods.profile import Profile as Profile
 from .rods.rows import join_rods as join_rods
 from .scene.export import export_usd as export_usd

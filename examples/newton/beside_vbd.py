@@ -1,139 +1,27 @@
 """The examples of this folder beside Newton's own cables: error, and time of a frame, in one run.
 
-Four of them are stated for SolverVBD too: the same cables, as `newton.Rod`, on the mesh of the
-example, ten steps a frame. SolverVBD moves no arm.
+Six of them are stated for SolverVBD too: the same cables, as `newton.Rod`, on the mesh of the
+example, ten steps a frame; the bundle's without Dahl's friction. SolverVBD moves no arm.
 
-Run: `python examples/newton/beside_vbd.py [ITERATIONS OF SolverVBD]`
+Run: `python examples/newton/beside_vbd.py [--device cuda:0] [--iterations 20] [EXAMPLE...]`
 """
 
+import argparse
 import importlib
 import sys
 import time
 import warnings
 from pathlib import Path
-from types import SimpleNamespace
 
 import newton
 import numpy as np
 import warp as wp
 from newton.viewer import ViewerNull
 from scipy.spatial.transform import Rotation
+from vbd_scene import FRAME, Vbd
 
 from wrod.bench.newton_piles import deepest_of
 from wrod.machine import machine_line
-
-SUBSTEPS, FRAME = 10, 1.0 / 60.0
-
-
-@wp.kernel
-def drag(
-    rate: float,
-    mass: wp.array[float],
-    speed: wp.array[wp.spatial_vector],
-    force: wp.array[wp.spatial_vector],
-):
-    b = wp.tid()
-    v = -rate * mass[b] * wp.spatial_top(speed[b])
-    force[b] = wp.spatial_vector(v[0], v[1], v[2], 0.0, 0.0, 0.0)
-
-
-class Vbd:
-    """Cables under SolverVBD; add them, `begin`, and step.
-
-    Attributes:
-        bodies: those of each cable; state: at the end of the last frame.
-    """
-
-    def __init__(self, iterations: int, air: float, gravity: float = 9.81):
-        self.builder = newton.ModelBuilder(gravity=(0.0, 0.0, -gravity))
-        self.builder.rigid_gap = 0.002
-        self.bodies: list[list[int]] = []
-        self._iterations, self._air, self._mass = iterations, air, {}
-
-    def add(self, points, young, radius, line_mass, *, damping=0.0, mu=None, edges=None) -> list:
-        """A cable that is straight at rest; damping is Kelvin-Voigt's time [s]."""
-        points = np.asarray(points, dtype=float)
-        rod = newton.Rod(
-            [wp.vec3(*p) for p in points], edges=edges, radius=radius, rest_straight=edges is None
-        )
-        lengths = [np.linalg.norm(points[b] - points[a]) for a, b in rod.edges]
-        edge, area = np.mean(lengths), np.pi * radius**2
-        bending = young * area * radius**2 / 4.0 / edge
-        config = newton.ModelBuilder.ShapeConfig(
-            ke=1e5, kd=0.0, mu=mu or 0.0, has_shape_collision=mu is not None
-        )
-        bodies, _ = self.builder.add_rod(
-            rod=rod, cfg=config, stretch_stiffness=young * area / edge, bend_stiffness=bending,
-            twist_stiffness=2.0 / 3.0 * bending, bend_damping=damping * bending,
-            twist_damping=damping * bending,
-        )  # fmt: skip
-        self._mass |= dict(zip(bodies, line_mass * np.array(lengths), strict=True))
-        self.bodies.append(list(bodies))
-        return self.bodies[-1]
-
-    def begin(self, held=()) -> None:
-        self.builder.color()
-        self.model = model = self.builder.finalize(device="cpu")
-        # Capsules weigh more than a cable's cylinders, by their caps.
-        ratio = np.ones(model.body_count)
-        for body, mass in self._mass.items():
-            ratio[body] = mass / model.body_mass.numpy()[body]
-        for name, power in (("mass", 1), ("inertia", 1), ("inv_mass", -1), ("inv_inertia", -1)):
-            array = getattr(model, f"body_{name}")
-            values = array.numpy()
-            array.assign(values * ratio.reshape(-1, *[1] * (values.ndim - 1)) ** power)
-        flags = model.body_flags.numpy()
-        flags[list(held)] = int(newton.BodyFlags.KINEMATIC)
-        model.body_flags.assign(flags)
-        self._solver = newton.solvers.SolverVBD(
-            model, iterations=self._iterations, rigid_contact_history=True,
-            rigid_body_contact_buffer_size=256,
-        )  # fmt: skip
-        self.state, self._other, self._control = model.state(), model.state(), model.control()
-        self._detection = newton.CollisionPipeline(model, contact_matching="latest")
-        self._contacts, self._graph = self._detection.contacts(), None
-
-    def step(self, poses=None) -> None:
-        """A frame; `poses` {body: pose} of kinematic ones, carried there in its first step."""
-        for state in (self.state, self._other):
-            q = state.body_q.numpy().copy()
-            for body, pose in (poses or {}).items():
-                q[body] = pose
-            state.body_q.assign(q)
-        if self._graph is not None:
-            wp.capture_launch(self._graph)
-            return
-        self._take_steps()  # compiles
-        with wp.ScopedCapture("cpu") as capture:
-            self._take_steps()
-        self._graph = capture.graph
-
-    def _take_steps(self) -> None:
-        """An even number, so that the graph ends in the state that it began with."""
-        for _ in range(SUBSTEPS):
-            self._detection.collide(self.state, self._contacts)
-            wp.launch(
-                drag, self.model.body_count,
-                [self._air, self.model.body_mass, self.state.body_qd], [self.state.body_f],
-                device="cpu",
-            )  # fmt: skip
-            self._solver.step(
-                self.state, self._other, self._control, self._contacts, FRAME / SUBSTEPS
-            )
-            self.state, self._other = self._other, self.state
-
-    def ends(self, cable: int) -> np.ndarray:
-        """(edge, 2, 3) where the edges of a cable begin and end."""
-        pose = self.state.body_q.numpy()[self.bodies[cable]].astype(float)
-        shapes = [self.model.body_shapes[b][0] for b in self.bodies[cable]]
-        half = self.model.shape_scale.numpy()[shapes, 1]
-        ahead = Rotation.from_quat(pose[:, 3:]).apply([0.0, 0.0, 1.0]) * half[:, None]
-        return np.stack([pose[:, :3] - ahead, pose[:, :3] + ahead], axis=1)
-
-    def line(self, cable: int) -> np.ndarray:
-        """(node, 3) of a cable without branches."""
-        ends = self.ends(cable)
-        return np.concatenate([ends[:1, 0], ends[:, 1]])
 
 
 def lines_of(example) -> list[np.ndarray]:
@@ -142,17 +30,16 @@ def lines_of(example) -> list[np.ndarray]:
     return [q[first : first + count] for first, count in spans]
 
 
-def der_error(name: str, e, module) -> float:
+def der_error(name: str, e, module, args) -> float:
     """What an example of SolverDER misses at its end, see `WHAT`."""
     if name == "crane":
-        weight = float(e.model.body_mass.numpy()[e.beam]) + e.model.der.node_mass.numpy().sum()
-        return abs(-e.solver.body_wrenches()[e.hook, 2] / (9.81 * weight) - 1.0)
+        return float(np.linalg.norm(place_of_beam(e) - fine(module, args, place_of_beam))) / 0.4
     if name == "arm_carries_cable":
         return abs(e.hanging[0] / e.hanging[1] - 1.0)
     if name == "gripper_picks_cable":
         return float(np.abs(e.hanging[0][:3] / e.hanging[1] - 1.0).max())
     if name == "y_junction":
-        return float(np.abs(tips_of(e) - fine_tips(module)).max()) / module.BRANCH
+        return float(np.abs(tips_of(e) - fine(module, args, tips_of)).max()) / module.BRANCH
     if name == "twist_transfer":
         return max(
             abs(wrapped(e.angle(k, module.EDGES - 1) - e.angle(k, 0)))
@@ -163,7 +50,7 @@ def der_error(name: str, e, module) -> float:
 
 
 WHAT = {
-    "crane": "load of the hook, relative",
+    "crane": "place of the beam at the end over 0.4 m, from a mesh three times as fine",
     "cable_pile": "deepest overlap over the radius",
     "arm_carries_cable": "torque of the shoulder, relative",
     "gripper_picks_cable": "torques of the arm, relative",
@@ -183,28 +70,36 @@ def tips_of(example) -> np.ndarray:
     return np.array([lines[k][-1] for k in example.rods[1:]])
 
 
-def fine_tips(module) -> np.ndarray:
+def place_of_beam(example) -> np.ndarray:
+    return example.state.body_q.numpy()[example.beam, :3].astype(float)
+
+
+def fine(module, args, result):
+    """Result of an example at its end on a mesh three times as fine."""
     coarse, module.EDGES = module.EDGES, 3 * module.EDGES
-    fine = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
-    for _ in range(fine.frame_count):
-        fine.step()
+    example = module.Example(ViewerNull(num_frames=1), args)
+    for _ in range(example.frame_count):
+        example.step()
     module.EDGES = coarse
-    return tips_of(fine)
+    return result(example)
 
 
-def run(frames: int, step) -> float:
-    """Milliseconds of a frame, but for the first two."""
+def run(frames: int, step, device) -> float:
+    """Milliseconds of a frame, but for the first two: of a core, or by the clock on a GPU."""
+    now = time.process_time if wp.get_device(device).is_cpu else time.perf_counter
     step(1), step(2)
-    start = time.process_time()
+    wp.synchronize()
+    start = now()
     for k in range(3, frames + 1):
         step(k)
-    return 1e3 * (time.process_time() - start) / (frames - 2)
+    wp.synchronize()
+    return 1e3 * (now() - start) / (frames - 2)
 
 
-def vbd_pile(module, iterations: int) -> tuple[float, float]:
-    scene, deepest = Vbd(iterations, 0.5), [0.0]
+def vbd_pile(module, args) -> tuple[float, float]:
+    scene, deepest = Vbd(args, 0.5), [0.0]
     scene.builder.add_ground_plane(cfg=newton.ModelBuilder.ShapeConfig(ke=1e5, kd=0.0, mu=0.6))
-    made = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+    made = module.Example(ViewerNull(num_frames=1), args)
     m = made.material
     for points in lines_of(made):
         scene.add(points, m.youngs_modulus, m.radius, m.weight / m.gravity, damping=0.005, mu=0.4)
@@ -212,14 +107,69 @@ def vbd_pile(module, iterations: int) -> tuple[float, float]:
 
     def step(k: int) -> None:
         scene.step()
-        lines = [scene.line(c) for c in range(len(scene.bodies))]
-        deepest[0] = max(deepest[0], deepest_of(lines, m.radius))
+        deepest[0] = max(deepest[0], scene.deepest(m.radius))
 
-    took = run(module.Example.frame_count, step)
+    took = run(module.Example.frame_count, step, args.device)
     return deepest[0], took
 
 
-def vbd_junction(module, iterations: int) -> tuple[float, float]:
+def vbd_crane(module, args) -> tuple[float, float]:
+    made = module.Example(ViewerNull(num_frames=1), args)
+    scene, m = Vbd(args, 0.3), made.material
+    poses = made.model.body_q.numpy()
+    hook = scene.builder.add_body(xform=poses[made.hook], mass=1.0)
+    beam = scene.builder.add_body(
+        xform=poses[made.beam], mass=module.MASS,
+        inertia=wp.mat33(made.model.body_inertia.numpy()[made.beam]),
+    )  # fmt: skip
+    for points in lines_of(made):
+        bodies = scene.add(points, m.youngs_modulus, m.radius, m.weight / m.gravity, damping=0.01)
+        half = 0.5 * np.linalg.norm(points[1] - points[0])
+        scene.builder.add_joint_ball(hook, bodies[0], child_xform=wp.transform((0.0, 0.0, -half)))
+        on_beam = points[-1] - place_of_beam(made)
+        scene.builder.add_joint_ball(
+            bodies[-1], beam, parent_xform=wp.transform((0.0, 0.0, half)),
+            child_xform=wp.transform(tuple(on_beam)),
+        )  # fmt: skip
+    scene.begin([hook])
+
+    def step(k: int) -> None:
+        way = module.smooth(k * FRAME / module.MOVING)
+        at = made.start + [module.ASIDE * way, 0.0, module.LIFT * way]
+        scene.step({hook: [*at, 0.0, 0.0, 0.0, 1.0]})
+
+    took = run(module.Example.frame_count, step, args.device)
+    place = scene.state.body_q.numpy()[beam, :3].astype(float)
+    return float(np.linalg.norm(place - fine(module, args, place_of_beam))) / 0.4, took
+
+
+def vbd_bundle(module, args) -> tuple[float, float]:
+    """The cables without Dahl's friction."""
+    made, deepest = module.Example(ViewerNull(num_frames=1), args), [0.0]
+    scene, radius = Vbd(args, 3.0, 0.0), module.RADIUS
+    for points in lines_of(made)[:-1]:
+        scene.add(points, 0.04 / (np.pi * radius**4), radius, 0.055, damping=0.02, mu=0.3)
+    poses = made.model.body_q.numpy()
+    pegs = [scene.builder.add_body(xform=poses[peg], mass=1.0) for peg in made.pegs]
+    cfg = newton.ModelBuilder.ShapeConfig(ke=1e5, kd=0.0, mu=0.0)
+    for peg in pegs:
+        scene.builder.add_shape_capsule(peg, radius=module.PEG, half_height=0.06, cfg=cfg)
+    scene.begin(pegs)
+
+    def step(k: int) -> None:
+        t = k * FRAME
+        way = module.smooth(t / module.PRESSING)
+        way -= module.smooth((t - module.PRESSING - module.HOLDING) / module.LEAVING)
+        places = poses[made.pegs].copy()
+        places[:, 1] = made.sides * (module.AWAY - (module.AWAY + module.PRESS) * way)
+        scene.step(dict(zip(pegs, places, strict=True)))
+        deepest[0] = max(deepest[0], scene.deepest(radius))
+
+    took = run(module.Example.frame_count, step, args.device)
+    return deepest[0], took
+
+
+def vbd_junction(module, args) -> tuple[float, float]:
     nodes, edges = [np.array([0.0, 0.0, module.HEIGHT])], []
     for branch in range(3):
         turn = branch * module.THIRD
@@ -227,7 +177,7 @@ def vbd_junction(module, iterations: int) -> tuple[float, float]:
             edges.append((0 if k == 1 else len(nodes) - 1, len(nodes)))
             way = np.array([np.cos(turn), np.sin(turn), 0.0]) * module.BRANCH * k / module.EDGES
             nodes.append(nodes[0] + way)
-    scene = Vbd(iterations, 3.0)
+    scene = Vbd(args, 3.0)
     mass = module.DENSITY * np.pi * module.RADIUS**2
     bodies = scene.add(nodes, module.YOUNG, module.RADIUS, mass, damping=0.02, edges=edges)
     half = 0.5 * module.BRANCH / module.EDGES
@@ -236,14 +186,14 @@ def vbd_junction(module, iterations: int) -> tuple[float, float]:
         child_xform=wp.transform((0.0, 0.0, half)),
     )  # fmt: skip
     scene.begin()
-    took = run(module.Example.frame_count, lambda k: scene.step())
+    took = run(module.Example.frame_count, lambda k: scene.step(), args.device)
     ends = scene.ends(0)[[2 * module.EDGES - 1, 3 * module.EDGES - 1], 1]
-    return float(np.abs(ends - fine_tips(module)).max()) / module.BRANCH, took
+    return float(np.abs(ends - fine(module, args, tips_of)).max()) / module.BRANCH, took
 
 
-def vbd_twist(module, iterations: int) -> tuple[float, float]:
-    scene, held = Vbd(iterations, 2.0, 0.0), []
-    made = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+def vbd_twist(module, args) -> tuple[float, float]:
+    scene, held = Vbd(args, 2.0, 0.0), []
+    made = module.Example(ViewerNull(num_frames=1), args)
     for k, young in enumerate(module.YOUNGS):
         m = made.materials[k]
         bodies = scene.add(
@@ -269,16 +219,16 @@ def vbd_twist(module, iterations: int) -> tuple[float, float]:
             poses[body] = [*first[body, :3], *turn.as_quat()]
         scene.step(poses)
 
-    took = run(module.Example.frame_count, step)
+    took = run(module.Example.frame_count, step, args.device)
     came = [turned(bodies[-1]).as_rotvec()[2] for bodies in scene.bodies]
     return max(abs(wrapped(c - module.TURN)) for c in came), took
 
 
-def vbd_plectoneme(module, iterations: int) -> tuple[float, float]:
-    made = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+def vbd_plectoneme(module, args) -> tuple[float, float]:
+    made = module.Example(ViewerNull(num_frames=1), args)
     (points,) = lines_of(made)
     young, radius, deepest = 2e7, module.RADIUS, [0.0]
-    scene = Vbd(iterations, 4.0, 0.0)
+    scene = Vbd(args, 4.0, 0.0)
     bodies = scene.add(points, young, radius, 1150.0 * np.pi * radius**2, damping=0.01, mu=0.1)
     scene.begin([bodies[0], bodies[-1]])
     first = scene.state.body_q.numpy().astype(float)
@@ -292,7 +242,7 @@ def vbd_plectoneme(module, iterations: int) -> tuple[float, float]:
         scene.step({bodies[0]: first[bodies[0]], bodies[-1]: [*last[:3], *turn.as_quat()]})
         deepest[0] = max(deepest[0], inside_itself(scene.line(0), radius))
 
-    took = run(module.Example.frame_count, step)
+    took = run(module.Example.frame_count, step, args.device)
     return deepest[0], took
 
 
@@ -306,23 +256,23 @@ def inside_itself(q: np.ndarray, radius: float) -> float:
 
 
 VBD = {
-    "cable_pile": vbd_pile, "y_junction": vbd_junction, "twist_transfer": vbd_twist,
-    "plectoneme": vbd_plectoneme,
+    "crane": vbd_crane, "cable_pile": vbd_pile, "y_junction": vbd_junction,
+    "twist_transfer": vbd_twist, "bundle_hysteresis": vbd_bundle, "plectoneme": vbd_plectoneme,
 }  # fmt: skip
 
 
-def main(iterations: int = 20, only: list[str] | None = None) -> None:
+def main(args) -> None:
     sys.path.insert(0, str(Path(__file__).parent))
-    print(machine_line("cpu"), f"; newton {newton.__version__}", sep="")
-    print(f"\n| example | what is off | SolverDER | SolverVBD, {iterations} iterations |")
+    print(machine_line(args.device), f"; newton {newton.__version__}", sep="")
+    print(f"\n| example | what is off | SolverDER | SolverVBD, {args.iterations} iterations |")
     print("| --- | --- | --- | --- |")
-    for name in only or WHAT:
+    for name in args.examples or WHAT:
         module = importlib.import_module(name)
-        example = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
-        took = run(module.Example.frame_count, lambda k, example=example: example.step())
-        cells = [f"{der_error(name, example, module):.2g}, {took:.1f} ms"]
+        example = module.Example(ViewerNull(num_frames=1), args)
+        took = run(module.Example.frame_count, lambda k, e=example: e.step(), args.device)
+        cells = [f"{der_error(name, example, module, args):.2g}, {took:.1f} ms"]
         if name in VBD:
-            error, took = VBD[name](module, iterations)
+            error, took = VBD[name](module, args)
             cells.append(f"{error:.2g}, {took:.1f} ms")
         else:
             cells.append("-")
@@ -330,5 +280,9 @@ def main(iterations: int = 20, only: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("examples", nargs="*", metavar="EXAMPLE", help=", ".join(WHAT))
+    parser.add_argument("--iterations", type=int, default=20, help="of SolverVBD")
+    parser.add_argument("--device", default="cpu", help="cpu, cuda:0")
     warnings.simplefilter("ignore")  # Newton corrects the inertia of thin capsules
-    main(*map(int, sys.argv[1:2]), only=sys.argv[2:])
+    main(parser.parse_args())

@@ -19,7 +19,8 @@ import wrod
 
 LIFT, ASIDE = 0.3, 0.4  # way of the hook [m]
 MOVING, RESTING = 2.5, 3.5  # [s]
-MASS = 0.5  # of the beam [kg]
+MASS, EDGES, LENGTH = 0.5, 15, 0.4  # of the beam [kg]; of a cable, and its length [m]
+SIDES = (0.4, 0.03, 0.03)
 
 
 def smooth(x: float) -> float:
@@ -33,7 +34,7 @@ class Example:
 
     def __init__(self, viewer, args):
         self.viewer, self.sim_time = viewer, 0.0
-        self.material = wrod.RodMaterial.from_youngs_modulus(2e8, 0.003, 0.4, density=1150.0)
+        self.material = wrod.RodMaterial.from_youngs_modulus(2e8, 0.003, LENGTH, density=1150.0)
         builder = newton.ModelBuilder()
         wrod.SolverDER.register_custom_attributes(builder)
         cfg = newton.ModelBuilder.ShapeConfig(density=0.0, has_shape_collision=False)
@@ -43,16 +44,16 @@ class Example:
             is_kinematic=True, label="hook",
         )  # fmt: skip
         builder.add_shape_sphere(self.hook, radius=0.02, cfg=cfg)
-        sides = (0.4, 0.03, 0.03)
-        inertia = MASS / 12.0 * np.diag([2 * 0.03**2, 0.4**2 + 0.03**2, 0.4**2 + 0.03**2])
+        square = np.square(SIDES)
+        inertia = MASS / 12.0 * np.diag(square.sum() - square)
         self.beam = builder.add_body(
             xform=wp.transform((0.0, 0.0, 0.5), wp.quat_identity()), mass=MASS,
             inertia=wp.mat33(*inertia.ravel()), label="beam",
         )  # fmt: skip
-        builder.add_shape_box(self.beam, hx=sides[0] / 2, hy=sides[1] / 2, hz=sides[2] / 2, cfg=cfg)
+        builder.add_shape_box(self.beam, hx=SIDES[0] / 2, hy=SIDES[1] / 2, hz=SIDES[2] / 2, cfg=cfg)
         for x in (-0.18, 0.18):
             ends = self.start, np.array([x, 0.0, 0.515])
-            points = ends[0] + np.linspace(0.0, 1.0, 16)[:, None] * (ends[1] - ends[0])
+            points = ends[0] + np.linspace(0.0, 1.0, EDGES + 1)[:, None] * (ends[1] - ends[0])
             wrod.SolverDER.add_rod(
                 builder, points, self.material, start="pinned", start_body=self.hook,
                 end="pinned", end_body=self.beam, internal_damping=0.01, air_damping=0.3,

@@ -1,6 +1,6 @@
 """Run the examples of this folder without a display, check them, and draw them at some times.
 
-Run: `python examples/newton/pictures.py`, which writes out/examples/newton.png.
+Run: `python examples/newton/pictures.py [DEVICE]`, which writes out/examples/newton.png.
 """
 
 import importlib
@@ -56,11 +56,11 @@ SCENES = {
 }  # fmt: skip
 
 
-def run(name: str, times) -> list:
+def run(name: str, times, device: str) -> list:
     """Positions of nodes by rod, and of the example's links or beam, at the times."""
     sys.path.insert(0, str(HERE))
     module = importlib.import_module(name)
-    example = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+    example = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device=device))
     frames = [round(t / example.frame_dt) for t in times]
     out = []
     for k in range(1, example.frame_count + 1):
@@ -93,11 +93,11 @@ def bodies(example) -> list[np.ndarray]:
     return out
 
 
-def main(out: str | Path = "out/examples") -> Path:
+def main(device: str = "cpu", out: str | Path = "out/examples") -> Path:
     figure = plt.figure(figsize=(19, 9), layout="constrained")
     for k, (name, (title, times, view, limits)) in enumerate(SCENES.items()):
         axes = figure.add_subplot(2, -(-len(SCENES) // 2), k + 1, projection="3d")
-        found = run(name, times)
+        found = run(name, times, device)
         for moment, (lines, boxes) in enumerate(found):
             shade = (moment + 1) / len(found)
             for i, q in enumerate(lines):
@@ -120,4 +120,4 @@ def main(out: str | Path = "out/examples") -> Path:
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:2])

@@ -15,7 +15,7 @@ from wrod.rods.model import RodModel
 from wrod.rods.profile import Profile
 from wrod.solvers.statics import EquilibriumSolver
 
-GREEN = wrod.rod("green-vps").model()
+GREEN = wrod.RodModel.of(wrod.rod("green-vps"))
 B, L, LGB = GREEN.mean_bending_stiffness, GREEN.length, GREEN.gravito_bending_length
 AT = 0.62
 

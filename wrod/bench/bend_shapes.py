@@ -7,6 +7,7 @@ times, and over and under decide what it is.
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from wrod.patterns.curve import arc_length
 from wrod.rods.material import RodMaterial
 
 # Whether the first rod passes over (+1) at its crossings, one after the other.
@@ -43,10 +44,10 @@ def bend(name: str, rods: list[RodMaterial], loop: float = 0.045, leg: float = 0
         away = (s[:, None] - s[at[upper]]) / (3.0 * thick)
         lift = 1.3 * thick * np.exp(-(away**4)).max(axis=1, initial=0.0)
         line = np.column_stack([plane, rod.radius + lift])
-        arc = _arc(line)
+        arc = arc_length(line)
         even = np.linspace(0.0, arc[-1], int(np.ceil(arc[-1] / (2.0 * rod.radius))) + 1)
         lines.append(np.column_stack([np.interp(even, arc, c) for c in line.T]))
-        arcs.append(_arc(lines[-1]))
+        arcs.append(arc_length(lines[-1]))
     return lines, arcs
 
 
@@ -64,15 +65,11 @@ def _loop(radius: float, half_gap: float, centre: float, leg: float):
             np.column_stack([x[::-1], np.full_like(x, -half_gap)]),
         ]
     )
-    arc = _arc(outline)
+    arc = arc_length(outline)
     even = np.linspace(0.0, arc[-1], _FINE)
     line = np.column_stack([np.interp(even, arc, c) for c in outline.T])
     # The neck's corners are rounded.
     return gaussian_filter1d(line, 0.25 * radius / even[1], axis=0, mode="nearest"), even
-
-
-def _arc(line: np.ndarray) -> np.ndarray:
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
 def _crossings(one: np.ndarray, other: np.ndarray) -> list[tuple[int, int]]:

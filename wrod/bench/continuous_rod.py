@@ -241,10 +241,10 @@ def _solve(rod, experiment: Experiment, share: float, a, ra, b, rb, guess, toler
     return found
 
 
-def _first_guesses(measurements, edge_count: int = 60):
+def _first_guesses(measurements):
     """wrod's base solution of every trial as (u, y)."""
     trials = np.arange(measurements.trial_count)
-    setup = ClampedSetup.base(measurements, trials, edge_count)
+    setup = ClampedSetup.base(measurements, trials, 60)
     solver = ClampedSolver([setup])
     seen = solver.predict([setup])
     positions = solver.batch.positions()[:, 1:-1]

@@ -3,6 +3,7 @@
 import json
 from importlib.util import find_spec
 from itertools import product
+from math import isfinite
 from pathlib import Path
 
 import click
@@ -17,7 +18,7 @@ _METRICS = {
     "twist": "critical_twist_error",
     "crossing": "shape_error",
     "capstan": "slide",
-    "pile": "footprint",
+    "pile": "max_rod_overlap",
 }
 _SOLVERS = ("wrod", "pyelastica", "newton-vbd", "mujoco", "dismech")
 
@@ -30,8 +31,10 @@ _SOLVERS = ("wrod", "pyelastica", "newton-vbd", "mujoco", "dismech")
 @click.option("--elements", multiple=True, type=click.IntRange(4, 2000),
               help="Elements of each rod; may be repeated. Default: the experiment's.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for a picture of all.")
+@click.option("--with", "others", multiple=True, type=click.Path(exists=True, path_type=Path),
+              help="Rows of another run's --json to draw too; may be repeated.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def command(chosen, solvers, elements, out, as_json) -> None:
+def command(chosen, solvers, elements, out, others, as_json) -> None:
     """Experiments of cosseratbench: error and time, side by side.
 
     Each is scored by cosseratbench's own metrics, in one run on one machine; times are
@@ -46,7 +49,7 @@ def command(chosen, solvers, elements, out, as_json) -> None:
     if not as_json:
         click.echo(machine_line())
         click.echo(f"{'experiment':12s} {'solver':11s} {'n':>4s} {'s':>8s}  outcome")
-    rows = []
+    rows, drawn = [], [row for path in others for row in _rows_of(path)]
     for experiment in chosen or _METRICS:
         for solver, count in product(solvers or _SOLVERS, elements or (None,)):
             row = _run(experiment, solver, count)
@@ -57,9 +60,24 @@ def command(chosen, solvers, elements, out, as_json) -> None:
                     f"  {row['said']}"
                 )
         if out is not None:
-            _draw(out, rows)  # after each: some take their time
+            _draw(out, rows + drawn)  # after each: some take their time
     if as_json:
         click.echo(json.dumps({"machine": machine_line(), "rows": rows}))
+
+
+def _rows_of(path: Path) -> list[dict]:
+    """Rows that this command has printed.
+
+    Raises:
+        DataError: the file holds something else.
+    """
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
+        if all(row["experiment"] in _METRICS and row["solver"] in _SOLVERS for row in rows):
+            return rows
+    except (ValueError, TypeError, KeyError):
+        pass
+    raise DataError(f"{path} is not what `wrod bench cosserat --json` prints; run that again")
 
 
 def _draw(out: Path, rows: list[dict]) -> None:
@@ -111,8 +129,10 @@ def _run(name: str, solver: str, elements: int | None) -> dict:
     row |= {"seconds": summary.get("wall_time") or 0.0, "outcome": summary["outcome"]}
     row["simulated"] = experiment.build(**experiment.values()).duration
     metrics = summary.get("metrics") or {}
+    overlap = (summary.get("observations") or {}).get("max_rod_overlap")
+    if overlap is not None and isfinite(overlap):
+        metrics = {**metrics, "max_rod_overlap": overlap}
     said = ", ".join(f"{key} {value:.3g}" for key, value in metrics.items() if value is not None)
     if summary["outcome"] != "completed":
         said = f"{summary['outcome']}: {summary.get('failure') or summary.get('missing')}"
-    overlap = (summary.get("observations") or {}).get("max_rod_overlap")
-    return {**row, "metrics": metrics, "overlap": overlap, "said": said}
+    return {**row, "metrics": metrics, "said": said}

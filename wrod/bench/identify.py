@@ -1,6 +1,5 @@
 """`wrod bench identify`: verdicts, parameters, errors and times on sets of measurements."""
 
-import json
 import time
 from pathlib import Path
 
@@ -76,7 +75,14 @@ def command(
     if seeds:
         _hidden(seeds, noises or ("white",), only, out, workers, seconds, device, as_json, force)
     else:
+<<<<<<< HEAD
         _measured(folder, seconds, device, as_json)
+=======
+        if noises or only or out is not None or workers > 1:
+            said = "--noise, --only, --out and --workers are of --hidden; drop them beside --sets"
+            raise click.UsageError(said)
+        _measured(folder, device, as_json)
+>>>>>>> main
 
 
 def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) -> None:
@@ -85,7 +91,7 @@ def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) ->
     from wrod.bench.hidden_table import examine_all, lines, summary
     from wrod.errors import DataError
     from wrod.files.ledger import Ledger
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
 
     names = list(dict.fromkeys(n for text in only or ("",) for n in cases() if text in n))
     if not names:
@@ -121,10 +127,10 @@ def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) ->
         examine_all(pending, min(workers, max(len(pending), 1)), device, limit, keep, bar.update)
     rows.sort(key=lambda r: wanted.index((r["set"], r["seed"], r["noise"])))
     seconds = time.perf_counter() - start
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(device), "seconds": seconds, "rows": rows}))
+    if printed_as_json(
+        {"machine": machine_line(device), "seconds": seconds, "rows": rows}, as_json
+    ):
         return
-    click.echo(machine_line(device))
     click.echo("\n".join(lines(rows) + [""] + summary(rows)))
     click.echo(f"{len(pending)} sets in {seconds:.0f} s with {workers} processes")
     if out is not None:
@@ -134,7 +140,7 @@ def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) ->
 def _measured(folder: Path, limit: float | None, device: str, as_json: bool) -> None:
     from wrod.bench.identify_row import row
     from wrod.errors import DataError
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
 
     paths = sorted(folder.glob("*.npz"))
     if not paths:
@@ -143,11 +149,15 @@ def _measured(folder: Path, limit: float | None, device: str, as_json: bool) -> 
     with cost.progress_bar(paths, unit="set", quiet=as_json) as bar:
         for path in bar:
             bar.set_description(path.stem)
+<<<<<<< HEAD
             rows.append(row(path, device, limit))
     if as_json:
         click.echo(json.dumps({"machine": machine_line(device), "device": device, "rows": rows}))
+=======
+            rows.append(row(path, device))
+    if printed_as_json({"machine": machine_line(device), "device": device, "rows": rows}, as_json):
+>>>>>>> main
         return
-    click.echo(machine_line(device))
     click.echo(
         f"{'set':28} {'verdict':17} {'before':>7} {'after':>7} {'/floor':>7} {'wall s':>7} "
         f"{'cpu s':>7}"

@@ -199,7 +199,7 @@ def with_length(found: RodModel, believed: RodMaterial) -> RodModel | RodMateria
 def varied_rod(believed: RodMaterial) -> RodModel:
     """Half as stiff after 30 cm as at the first, a third softer across than along the section's
     stiffer direction, and softening from 20 /m on."""
-    model = believed.model()
+    model = RodModel.of(believed)
     stiffness = Profile((1.3, 0.7), (0.0, 0.30)) * model.mean_bending_stiffness
     return replace(
         model,

@@ -31,6 +31,8 @@ _AIR = 1.0
 # Radius of the spheres that touch the table, over the rod's: contact at the centreline does not
 # let what lies roll, which rods of silicone and rope do not.
 _TOUCH = 1e-3
+# Of a rod that is put down: length of a segment [m], time that it lies [s].
+_SEGMENT, _LYING = 0.008, 3.0
 
 
 def require_mujoco():
@@ -213,12 +215,7 @@ def lay_in_mujoco(
 
 
 def put_down_in_mujoco(
-    pattern: Pattern,
-    rod: RodMaterial,
-    friction: float,
-    *,
-    segment: float = 0.008,
-    seconds: float = 3.0,
+    pattern: Pattern, rod: RodMaterial, friction: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """A rod that is put down exactly and left to itself (`wrod.bench.put_down`).
 
@@ -226,7 +223,7 @@ def put_down_in_mujoco(
         Arc length of the ends of the segments (n + 1,) and their positions (n + 1, 3) [m].
     """
     length = pattern.length + pattern.remainder_length
-    s = np.linspace(0.0, length, int(np.ceil(length / segment)) + 1)
+    s = np.linspace(0.0, length, int(np.ceil(length / _SEGMENT)) + 1)
     place, tangent, _ = pattern.sample(s - pattern.remainder_length)
     lift = [0.0, 0.0, rod.radius - place[0, 2]]
     one = chain(
@@ -240,7 +237,7 @@ def put_down_in_mujoco(
         gravity=(0.0, 0.0, -rod.gravity),
         lengths=np.diff(s),
     )
-    one.step(round(seconds / one.model.opt.timestep))
+    one.step(round(_LYING / one.model.opt.timestep))
     return s, one.nodes() - lift
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from wrod.bench import newton_lag, newton_touching
+from wrod.bench import newton_lag, newton_plectoneme, newton_touching
 from wrod.bench.newton_piles import Pile
 from wrod.newton_solver import SolverDER
 from wrod.rods.batch import RodBatch
@@ -79,8 +79,9 @@ def momentum(
     return float(np.abs(last - expected).max() / np.linalg.norm(expected))
 
 
-def pendulum(mass: float = 0.7, length: float = 0.5) -> tuple[float, float]:
+def pendulum() -> tuple[float, float]:
     """Period of a bob on a cable pinned at both ends, and 2 pi sqrt(l / g) [s]."""
+    mass, length = 0.7, 0.5
     model, body = hung(NYLON, mass, (1e-5,) * 3, length=length, start="pinned", end="pinned")
     _, state = simulate(model, 60, 0.05, scheme="euler")  # the cable takes its length
     long = -float(state.body_q.numpy()[body, 2])
@@ -252,6 +253,7 @@ def measure() -> Iterator[tuple[str, str, str]]:
             yield what, f"{found:.4f}", f"{expected:.4f}"
     yield from newton_lag.measure()
     yield from newton_touching.measure()
+    yield from newton_plectoneme.measure()
     pile = Pile()
     cost = pile.run(90)
     yield "pile of 6 cables of 20 edges: deepest over radius", f"{pile.deepest:.4f}", "0"

@@ -71,12 +71,12 @@ class Slider:
         return np.array(out)
 
 
-def period_and_rate(x: np.ndarray, dt: float = STEP) -> tuple[float, float]:
+def period_and_rate(x: np.ndarray) -> tuple[float, float]:
     """Period [s], and rate at which the swing grows [1/s], of its maxima and minima."""
     i = np.flatnonzero((x[1:-1] - x[:-2]) * (x[2:] - x[1:-1]) < 0) + 1
     bend = x[i - 1] - 2.0 * x[i] + x[i + 1]
     slope = 0.5 * (x[i + 1] - x[i - 1])
-    times, tops = dt * (i - slope / bend), np.abs(x[i] - 0.5 * slope**2 / bend)
+    times, tops = STEP * (i - slope / bend), np.abs(x[i] - 0.5 * slope**2 / bend)
     half = np.polyfit(np.arange(len(times)), times, 1)[0]
     return 2.0 * float(half), float(np.polyfit(times, np.log(tops), 1)[0])
 

@@ -20,6 +20,7 @@ import numpy as np
 import warp as wp
 
 from wrod.errors import GraspError
+from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
 from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
@@ -33,9 +34,7 @@ RUN_IN = 0.3
 _ONCE_MORE = 0.05
 
 
-def solve_braid(
-    points: int = 161, half_length: float = 8.0, stiffness: float = 1e4
-) -> tuple[float, float]:
+def solve_braid(points: int = 161) -> tuple[float, float]:
     """Total contact force c between the strands of the braid, in units of B h^(-1/2) R^(-3/2), and
     its energy E beyond that of strands without thickness, in units of B h^(1/2) R^(-3/2).
 
@@ -44,7 +43,8 @@ def solve_braid(
     straight and the other has the loop's curvature, U'' = +-1/2; U turns by 3 half turns between
     the ends of the braid (its 3 crossings). Solved as the least of the energy with a stiff contact.
     """
-    x = np.linspace(-half_length, half_length, points)
+    x = np.linspace(-8.0, 8.0, points)
+    stiffness = 1e4
     n, h = points, x[1] - x[0]
     second = np.diff(np.eye(n), 2, axis=0) / h**2
     bending = h * second.T @ second
@@ -90,8 +90,8 @@ def solve_braid(
         k *= 10
     k /= 10
     contact = k * h * np.maximum(1 - np.hypot(*u), 0).sum()
-    # Both strands; without thickness each half of the braid has -half_length / 8.
-    return float(contact), float(2 * (energy(u, k) + half_length / 4))
+    # Both strands; without thickness each half of the braid, 8 long, has -1.
+    return float(contact), float(2 * (energy(u, k) + 2.0))
 
 
 def knot_force(
@@ -115,7 +115,7 @@ def open_trefoil(shortening: float, tail: float, spacing: float) -> np.ndarray:
     before = curve[0] + run[::-1] * first / np.linalg.norm(first)
     after = curve[-1] + run * last / np.linalg.norm(last)
     curve = np.concatenate([before, curve, after])
-    arc = np.r_[0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))]
+    arc = arc_length(curve)
     even = np.linspace(0, arc[-1], round(arc[-1] / spacing) + 1)
     return np.column_stack([np.interp(even, arc, curve[:, c]) for c in range(3)])
 

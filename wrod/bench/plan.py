@@ -1,6 +1,5 @@
 """`wrod bench plan`: time of plans, pattern by pattern and rod by rod."""
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ def command(patterns: Path | None, method: str, device: str, as_json: bool) -> N
     """Plan every pattern for the paper's rods 1 to 3, at a node every 5 mm."""
     import wrod
     from wrod.errors import PatternError
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
@@ -48,10 +47,8 @@ def command(patterns: Path | None, method: str, device: str, as_json: bool) -> N
                 {"rod": name, "pattern": curve.name, "nodes": len(trajectory), "seconds": seconds}
             )
     total = sum(row["seconds"] for row in rows)
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(device), "rows": rows, "seconds": total}))
+    if printed_as_json({"machine": machine_line(device), "rows": rows, "seconds": total}, as_json):
         return
-    click.echo(machine_line(device))
     click.echo(f"{'rod':>12} {'pattern':>12} {'nodes':>6} {'ms':>8}")
     for row in rows:
         click.echo(

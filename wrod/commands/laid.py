@@ -1,6 +1,5 @@
 """`wrod laid RODS... --pattern P`: what rods on the table say of the model that laid them."""
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,7 +15,8 @@ from wrod.commands.options import (
     gathered,
     options,
 )
-from wrod.rods.model_file import rod_as_json
+from wrod.machine import printed_as_json
+from wrod.rods.model_file import rod_as_json, save_rod
 
 _FIT = (
     click.option("--friction", default=0.6, show_default=True, help="Static friction coefficient."),
@@ -82,7 +82,7 @@ class _Fit:
         """Write the rod and the table that were asked for."""
         from wrod.deployment.table import TableFriction
 
-        written = [] if self.out is None else [str(found.rod.save(self.out))]
+        written = [] if self.out is None else [str(save_rod(found.rod, self.out))]
         if self.table is not None:
             error = found.estimates["log_friction"].stderr
             written.append(
@@ -157,8 +157,7 @@ def command(
         }
         if written := fit.save(found):
             figures["written"] = written
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     click.echo(
         f"{len(rods)} rods {figures['from_pattern_mm']:.2f} mm from the pattern (RMS), noise floor "

@@ -1,9 +1,10 @@
 """`wrod loop`: the material of a rod from the height of its loop."""
 
-import json
 from pathlib import Path
 
 import click
+
+from wrod.machine import printed_as_json
 
 
 @click.command(name="loop", short_help="Measure a rod: a fold on the table and a ruler.")
@@ -41,6 +42,7 @@ def command(
     """
     from wrod.errors import RodError
     from wrod.rods.material import LOOP_HEIGHT_RATIO, LOOP_LENGTH_RATIO, RodMaterial
+    from wrod.rods.model_file import save_rod
 
     needed = LOOP_LENGTH_RATIO / LOOP_HEIGHT_RATIO * height
     if length < needed:
@@ -58,7 +60,7 @@ def command(
     if out is not None:
         if out.suffix != ".json":
             raise RodError(f"{out}: is not a .json file name; `wrod plan --rod` knows rods by it")
-        rod.save(out)
+        save_rod(rod, out)
     figures = {
         "loop_height_ratio": ratio,
         "gravito_bending_length": rod.gravito_bending_length,
@@ -67,8 +69,7 @@ def command(
         "bending_stiffness": rod.bending_stiffness,
         "written": [] if out is None else [str(out)],
     }
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     click.echo(f"loop height             {ratio:.5f} L_gb")
     click.echo(f"gravito-bending length  {rod.gravito_bending_length * 100:.3f} cm")

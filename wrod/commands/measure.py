@@ -1,11 +1,11 @@
 """`wrod measure`: a rod's stiffness from an overhanging end, or from how it hangs as a loop."""
 
-import json
 from pathlib import Path
 
 import click
 
 from wrod.commands.options import PICTURE, UNITS, PatternOptions, gathered
+from wrod.machine import printed_as_json
 
 
 @click.command(
@@ -51,6 +51,7 @@ def command(
     """
     from wrod.errors import DataError, RodError
     from wrod.rods.material import RodMaterial
+    from wrod.rods.model_file import save_rod
 
     if (curve is None) == (overhang is None and fall is None):
         raise DataError("give either --overhang and --fall, or the picture of a hanging loop")
@@ -65,7 +66,7 @@ def command(
     rod = RodMaterial(radius, found.gravito_bending_length, length, density=density)
     written = []
     if out is not None:
-        written = [str(rod.save(out))]
+        written = [str(save_rod(rod, out))]
     # The stiffness goes with the cube of the length.
     share = 3.0 * found.error / found.gravito_bending_length
     figures = {
@@ -77,8 +78,7 @@ def command(
         "warning": found.warning,
         "written": written,
     }
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     click.echo(
         f"gravito-bending length  {100 * found.gravito_bending_length:.3f} "

@@ -19,6 +19,7 @@ from wrod.deployment.setup import Disturbance, one_hemisphere
 from wrod.deployment.simulate import prepare_trials, with_remainder_of
 from wrod.deployment.trial import Trial
 from wrod.errors import RodError
+from wrod.patterns.curve import smoothstep
 from wrod.planning.tail import Tail
 from wrod.solvers.contact import Friction
 
@@ -178,8 +179,7 @@ class LayingVectorEnv(VectorEnv):
         """Turn the offset of the grip smoothly into another until a time, and keep it after."""
         episode = self._episode
         t = KEY_INTERVAL * np.arange(episode.position.shape[1])
-        x = np.clip((t - self.time) / (until - self.time), 0.0, 1.0)
-        share = (x**3 * (10.0 - 15.0 * x + 6.0 * x**2))[None, :, None]
+        share = smoothstep((t - self.time) / (until - self.time))[None, :, None]
         offset = self.offset[:, None] + share * (wanted - self.offset)[:, None]
         motion = episode.dynamics.motion
         motion.position.assign(episode.position + offset[..., :3])

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 from scipy.interpolate import CubicSpline
 
+from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
@@ -82,7 +83,7 @@ class Fall:
             until: when it lies [s since it was let go].
             friction: of the table [-].
         """
-        points = arc_length_of(shape)
+        points = arc_length(shape)
         rise = rod.radius - float(shape[:, 2].min())
         count = max(int(np.ceil(_EDGES * points[-1] / rod.gravito_bending_length)), 20) + 1
         nodes = np.linspace(0.0, points[-1], count)
@@ -102,7 +103,7 @@ class Fall:
         """(K, M, 3) [m] at times (K,) since it was let go [s], at the points of the shape (M, 3) in
         which it was, as far apart as they were there, where a coarse mesh is longer or shorter by
         a part in ten thousand."""
-        points = arc_length_of(shape)
+        points = arc_length(shape)
         lengths = np.diff(points)[None, :, None]
         frame = np.clip(np.asarray(time) / _STEP, 0.0, len(self.places) - 1.0)
         low = np.minimum(frame.astype(int), len(self.places) - 2)
@@ -113,8 +114,3 @@ class Fall:
         pieces = np.diff(lies, axis=1)
         pieces *= lengths / np.linalg.norm(pieces, axis=2, keepdims=True)
         return np.concatenate([lies[:, :1], lies[:, :1] + np.cumsum(pieces, axis=1)], axis=1)
-
-
-def arc_length_of(shape: np.ndarray) -> np.ndarray:
-    """(M,) from the first point along the lines between points (M, 3)."""
-    return np.insert(np.cumsum(np.linalg.norm(np.diff(shape, axis=0), axis=1)), 0, 0.0)

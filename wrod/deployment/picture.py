@@ -59,15 +59,15 @@ def draw_deployments(
     return write_figure(path, figure, 110)
 
 
-def draw_above(axes, pattern: Pattern, deployments: list[Deployment], lw: float = 1.5) -> None:
+def draw_above(axes, pattern: Pattern, deployments: list[Deployment]) -> None:
     """The pattern from above and the laid rods on it, cut off where they leave the table."""
     s = np.linspace(-pattern.remainder_length, pattern.length, 400)
     target = pattern.sample(s)[0]
-    axes.plot(target[:, 0], target[:, 1], color=PATTERN_COLOR, lw=2.6 * lw, alpha=0.35)
+    axes.plot(target[:, 0], target[:, 1], color=PATTERN_COLOR, lw=3.9, alpha=0.35)
     for deployment in deployments:
         laid = deployment.arc_length <= pattern.length + pattern.remainder_length
-        axes.plot(*deployment.released_centerline[:, :2].T, color=RELEASED_COLOR, lw=0.6 * lw)
-        axes.plot(*deployment.centerline[laid, :2].T, color=HELD_COLOR, lw=lw)
+        axes.plot(*deployment.released_centerline[:, :2].T, color=RELEASED_COLOR, lw=0.9)
+        axes.plot(*deployment.centerline[laid, :2].T, color=HELD_COLOR, lw=1.5)
     axes.set_aspect("equal", adjustable="datalim")
 
 

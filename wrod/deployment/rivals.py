@@ -14,7 +14,7 @@ import numpy as np
 
 from wrod.deployment.expectation import TOLERANCE, UNMEASURED, expecting
 from wrod.deployment.together import follow
-from wrod.errors import WrodWarning
+from wrod.errors import GraspError, WrodWarning
 from wrod.patterns.pattern import Pattern
 from wrod.planning.plan import plan_grasps
 from wrod.planning.trajectory import Trajectory
@@ -79,3 +79,28 @@ def own_or_straight(
         | {"rod": rod_as_json(rod), "natural_share": 0.0}
         | {"warnings": [*own.metadata["warnings"], f"WrodWarning: {said}"]},
     )
+
+
+def as_is_or_twisted(
+    pattern: Pattern, rod: RodModel | RodMaterial, own: Trajectory, friction, how: dict[str, Any]
+) -> Trajectory:
+    """The plan or, where its hand spins and that is expected to lie better, one whose grasps know
+    the twist: a table that does not hold it lets the rod roll, and what hangs untwists.
+
+    Args:
+        pattern: with its remainder.
+        how: further arguments of `plan_grasps`, of which `own` is made.
+    """
+    if own.spin == 0.0:
+        return own
+    asked = how | {"closure": own.metadata["closure"], "controller": None, "twisted": True}
+    try:
+        rival = plan_grasps(pattern, rod, "numeric", remainder=False, **asked)
+    except GraspError:  # no such grasp exists, or nobody knows it
+        return own
+    rivals = [(pattern, own), (pattern, rival)]
+    errors = expected_errors(rod, rivals, friction, device=how["device"])
+    if errors[0] <= errors[1]:
+        return own
+    method = own.metadata["method"]
+    return replace(rival, metadata=rival.metadata | {"method": method})

@@ -15,6 +15,7 @@ from wrod.deployment.grip_path import KEY_INTERVAL, GripPath, GripSchedule, smoo
 from wrod.errors import PatternError, RodError
 from wrod.grasps.mesh import rest_lengths
 from wrod.grasps.optimal import solve_grasps
+from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
@@ -270,8 +271,7 @@ def _slipped(setup: Setup, disturbance: Disturbance) -> np.ndarray:
 
 def blend(t: np.ndarray, approach: float) -> np.ndarray:
     """From where the rod hangs at first (1) to where the trajectory begins (0)."""
-    x = np.clip(t / (0.7 * approach), 0.0, 1.0)
-    return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    return 1.0 - smoothstep(t / (0.7 * approach))
 
 
 def _frame_without_twist(frame, position, on_table, tip) -> np.ndarray:

@@ -18,19 +18,15 @@ _KINDS = {
 _MISTAKEN = {"m": " (millimetres?)", "rad": " (degrees?)", "m/s^2": " (mm/s^2?)"}
 
 
-def read_fields(
-    path: str | os.PathLike[str], kind: str, *, error: type[WrodError] = DataError
-) -> dict[str, Any]:
+def read_fields(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     """The arrays of a file that `ARRAYS[kind]` names, as `check_arrays` gives them.
 
     Raises:
-        WrodError: of type `error`: as `read_arrays` or `check_arrays`.
+        DataError: as `read_arrays` or `check_arrays`.
     """
     table = ARRAYS[kind]
     wanted = [*table.fields, "format"]
-    return check_arrays(
-        read_arrays(path, table.what, error=error, only=wanted), kind, str(path), error
-    )
+    return check_arrays(read_arrays(path, table.what, only=wanted), kind, str(path))
 
 
 def check_arrays(

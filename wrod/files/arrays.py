@@ -127,36 +127,30 @@ def _check_header(stream, size: int, limit: int, where, error) -> int:
     return count
 
 
-def read_tensors(
-    path: str | os.PathLike[str],
-    what: str,
-    *,
-    error: type[WrodError] = DataError,
-    limit: int = 4 * MAX_ARRAYS,
-) -> tuple[str, dict[str, np.ndarray]]:
+def read_tensors(path: str | os.PathLike[str], what: str) -> tuple[str, dict[str, np.ndarray]]:
     """The text "wrod" among the metadata of a .safetensors file, and its arrays by name.
 
     Raises:
-        WrodError: of type `error`: there is no such file, it is larger than `limit`, or damaged:
+        DataError: there is no such file, it is larger than four times `MAX_ARRAYS`, or damaged:
             cut, or of another checksum than the one that its label may give.
     """
     from safetensors import SafetensorError, safe_open
 
-    file = checked_path(path, what, error=error, limit=limit)
+    file = checked_path(path, what, error=DataError, limit=4 * MAX_ARRAYS)
     try:
         with safe_open(file, framework="numpy") as content:
             label = (content.metadata() or {}).get("wrod", "null")
             arrays = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
     except (OSError, TypeError, ValueError, AttributeError, KeyError, SafetensorError) as reason:
-        raise error(f"{path}: is truncated or not {what} ({shown(reason, 200)})") from None
+        raise DataError(f"{path}: is truncated or not {what} ({shown(reason, 200)})") from None
     except MemoryError:
-        raise error(f"{path}: does not fit into memory") from None
+        raise DataError(f"{path}: does not fit into memory") from None
     try:
         said = json.loads(label)
     except (ValueError, RecursionError):  # for the reader of labels
         said = None
     if isinstance(said, dict) and said.get("sha256", None) not in (None, _digest(arrays)):
-        raise error(f"{path}: is damaged (its checksum is another); make it again")
+        raise DataError(f"{path}: is damaged (its checksum is another); make it again")
     return label, arrays
 
 

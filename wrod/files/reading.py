@@ -121,7 +121,6 @@ def read_json(
     what: str,
     *,
     error: type[WrodError] = DataError,
-    limit: int = MAX_JSON,
 ) -> T:
     """The content of a JSON file as a `schema` of `wrod.files.schemas`.
 
@@ -130,13 +129,12 @@ def read_json(
         schema: a `msgspec.Struct` or another type that msgspec knows.
         what: what the file should be, for messages: "a marker layout".
         error: type of the refusal.
-        limit: largest size [bytes].
 
     Raises:
         WrodError: of type `error`: as `read_text`, or it is no JSON, nested too deeply, or an
             entry is missing, unknown, of the wrong kind or out of bounds; names line or entry.
     """
-    text = read_text(path, what, error=error, limit=limit)
+    text = read_text(path, what, error=error, limit=MAX_JSON)
     return decode_json(text, schema, str(path), what, error=error)
 
 

@@ -103,8 +103,8 @@ class HeldRods:
         def floats(value=0.0):
             return wp.array(np.broadcast_to(value, (n,)), dtype=wp.float64, device=device)
 
-        def ints(value=0):
-            return wp.full(n, value, dtype=wp.int32, device=device)
+        def ints():
+            return wp.zeros(n, dtype=wp.int32, device=device)
 
         self.tolerance = floats(tolerance(edges, stretch_ratio, 1e-8))
         self.start = wp.zeros(n, dtype=wp.vec3d, device=device)

@@ -8,6 +8,7 @@ import os
 import queue
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
@@ -15,7 +16,7 @@ import warp as wp
 from wrod import arguments
 from wrod.errors import GraspError
 from wrod.grasps.device_results import empty_results
-from wrod.grasps.general import curved_rods, solve_general
+from wrod.grasps.general import RodArrays, curved_rods, solve_general
 from wrod.grasps.inputs import LIMITS, GraspArrays, GraspOptions, closure_number
 from wrod.grasps.levels import Ladder, compile_kernels
 from wrod.grasps.results import SENSITIVITIES, Grasps
@@ -103,6 +104,25 @@ def solve_grasps(
     if not -1.0 < poisson <= 0.5:
         raise GraspError(f"poisson is {poisson!r}; an elastic rod needs a value in (-1, 0.5]")
     return _solve_curved(inputs, natural, poisson, options)
+
+
+def solve_twisted(
+    suspended_length, curvature, stretch_ratio, twist, *, closure: str, poisson: float, device=None
+) -> Grasps:
+    """`solve_grasps` of straight rods that the laid part twists besides: by its moment there is so
+    much `twist` (n,) [1/L_gb] between contact and grip, which poses and shapes leave out."""
+    inputs = GraspArrays.of(suspended_length, curvature, stretch_ratio, device=device)
+    length, kappa, ratio = inputs.numpy()
+    number = closure_number(closure)
+
+    def rods(edges: int) -> RodArrays:
+        straight = curved_rods(length, ratio, np.zeros((len(length), 2)), poisson, edges)
+        # Laid and hanging as if it were not twisted, a rod twisted at rest has that moment.
+        return replace(straight, natural_twist=np.repeat(-twist[:, None], edges + 1, axis=1))
+
+    options = GraspOptions(number, inputs.device, EDGE_COUNT, True, True, True, None, None)
+    fields = solve_general(length, kappa, ratio, rods, np.zeros(len(length)), options)
+    return Grasps(**{**fields, "twist": None})
 
 
 def _solve_straight(inputs: GraspArrays, sensitivities: bool, options: GraspOptions) -> Grasps:

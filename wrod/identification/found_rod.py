@@ -16,7 +16,7 @@ from wrod.identification.effect import Model
 from wrod.identification.setup import RodSetup
 from wrod.rods.law import BendingLaw, Linear, Softening
 from wrod.rods.model import RodModel
-from wrod.rods.model_file import save_model
+from wrod.rods.model_file import save_rod
 from wrod.rods.profile import Profile
 
 # Values that agree to this, relative to the largest, are one number.
@@ -40,10 +40,10 @@ class FoundRod:
     effects: dict[str, dict[str, float]]
 
     def save(self, path: Path) -> Path:
-        """Write `model.json`, which `RodModel.load` and `RodMaterial.load` read."""
+        """Write `model.json`, which `wrod.load_rod` reads."""
         effects = [{"name": n, "parameters": p} for n, p in self.effects.items()]
         found = {"effects": effects, "set_aside": list(self.set_aside)}
-        return save_model(self.rod, path, assumed=self.assumed, found=found)
+        return save_rod(self.rod, path, assumed=self.assumed, found=found)
 
 
 def found_rod(

@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from wrod.errors import DataError
 from wrod.grasps.mesh import WEIGHT
 from wrod.identification.ruler import MeasuredLength
+from wrod.patterns.curve import arc_length
 from wrod.rods.batch import RodBatch
 from wrod.rods.model import RodModel
 from wrod.solvers.statics import EquilibriumSolver, prescribe
@@ -47,7 +48,7 @@ def measure_hanging_loop(points: np.ndarray) -> MeasuredLength:
     if not np.isfinite(points).all():
         raise DataError("a point of the loop is not finite; leave it out")
     points = points[:, :2]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    arc = arc_length(points)
     if not (np.diff(arc) > 0).all():
         raise DataError("the loop has the same point twice in a row; leave it out")
     if len(points) > _MOST:

@@ -33,7 +33,7 @@ class MeasuredLength:
     warning: str | None = None
 
 
-def fall_ratio(lengths: np.ndarray, edge_count: int = _EDGES) -> np.ndarray:
+def fall_ratio(lengths: np.ndarray) -> np.ndarray:
     """Fall of the end over the overhang, for overhangs (n,) [L_gb] of a rod that is clamped level.
 
     Two meshes are extrapolated.
@@ -41,7 +41,7 @@ def fall_ratio(lengths: np.ndarray, edge_count: int = _EDGES) -> np.ndarray:
     Raises:
         DataError: an equilibrium was not found.
     """
-    coarse, fine = (_falls(np.asarray(lengths, float), n) for n in (edge_count // 2, edge_count))
+    coarse, fine = (_falls(np.asarray(lengths, float), n) for n in (_EDGES // 2, _EDGES))
     return (4.0 * fine - coarse) / 3.0
 
 

@@ -16,9 +16,8 @@ def holding_force(
     height: np.ndarray | float,
     tip: np.ndarray | float,
     friction: np.ndarray | float = PAD_FRICTION,
-    grip_force: float = GRIP_FORCE,
 ) -> np.ndarray:
-    """Force that takes a round rod out of two flat, upright pads [N].
+    """Force that takes a round rod out of two flat, upright pads that press with `GRIP_FORCE` [N].
 
     Pads that reach below the rod's axis press on its sides, and friction holds 2 mu F. Pads that
     end above it touch it with their lower edges, where its surface leans by alpha, sin(alpha) =
@@ -30,7 +29,6 @@ def holding_force(
         height: of its axis over the table [m].
         tip: height of the pads' lower ends [m].
         friction: coefficient of the pads on the rod.
-        grip_force: F, with which each finger presses [N].
     """
     lean = np.clip((np.asarray(tip, dtype=float) - height) / radius, 0.0, 1.0)
-    return np.maximum(2.0 * grip_force * (friction * np.sqrt(1.0 - lean**2) - lean), 0.0)
+    return np.maximum(2.0 * GRIP_FORCE * (friction * np.sqrt(1.0 - lean**2) - lean), 0.0)

@@ -5,10 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from wrod.knots.hand_paths import hand_path, path_length, smooth
+from wrod.knots.hand_paths import hand_path, path_length
 from wrod.knots.plan import Move
 from wrod.knots.tying_run import TyingRun
 from wrod.knots.workbench import Poses
+from wrod.patterns.curve import smoothstep
 
 _REST = 0.6  # [s]
 # Fastest over mean speed of the smooth way of a hand.
@@ -30,7 +31,7 @@ def make(run: TyingRun, moves: Sequence[Move], name: str) -> None:
     duration = _PEAK * max(lengths) / run.hand_speed
 
     def poses(t: float) -> list[Poses]:
-        u = smooth((t - begin) / duration)
+        u = smoothstep((t - begin) / duration)
         out = []
         for hand in range(2):
             if hand not in ends:
@@ -67,10 +68,10 @@ def approach(run: TyingRun, places: dict[int, np.ndarray]) -> None:
         x = (t - begin) / duration
         out = list(run.now)
         for hand, (start, path) in paths.items():
-            here = run.hand_pose(hand, path(smooth(x)), floor=places[hand][2])
+            here = run.hand_pose(hand, path(smoothstep(x)), floor=places[hand][2])
             # Out of the pose in which the rod was laid into the upright one.
             turn = (here.rotation * start.rotation.inv()).as_rotvec()
-            left = Rotation.from_rotvec((smooth(3.0 * x) - 1.0) * turn)
+            left = Rotation.from_rotvec((smoothstep(3.0 * x) - 1.0) * turn)
             out[hand] = Poses(here.position, left * here.rotation)
         return out
 

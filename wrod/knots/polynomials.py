@@ -121,9 +121,9 @@ def _mirror(p: dict[float, int]) -> dict[float, int]:
     return {-e: v for e, v in p.items()}
 
 
-def polynomial_text(p: dict[float, int], variable: str = "t") -> str:
+def polynomial_text(p: dict[float, int]) -> str:
     """A polynomial in words, such as "1 t^1 + 1 t^3 - 1 t^4"."""
-    terms = [f"{v:+d} {variable}^{e:g}" for e, v in sorted(p.items())]
+    terms = [f"{v:+d} t^{e:g}" for e, v in sorted(p.items())]
     return " ".join(terms) or "0"
 
 

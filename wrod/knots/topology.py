@@ -42,9 +42,9 @@ class Diagram:
         """Sum of the crossings' signs."""
         return int(self.sign.sum())
 
-    def linking_number(self, first: int = 0, second: int = 1) -> int:
-        """Half the signed crossings between two curves (Gauss linking number)."""
-        between = (self.curves == [first, second]).all(1) | (self.curves == [second, first]).all(1)
+    def linking_number(self) -> int:
+        """Half the signed crossings between the first two curves (Gauss linking number)."""
+        between = (self.curves == [0, 1]).all(1) | (self.curves == [1, 0]).all(1)
         return int(self.sign[between].sum()) // 2
 
     def jones_polynomial(self) -> dict[float, int]:

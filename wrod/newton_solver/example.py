@@ -21,6 +21,7 @@ import numpy as np
 import warp as wp
 
 from wrod.newton_solver import SolverDER
+from wrod.patterns.curve import smoothstep
 from wrod.rods.catalogue import rod
 
 _SPACING = 0.006
@@ -30,11 +31,6 @@ _FALL, _LOWER, _DRAG, _REST = 1.2, 1.0, 1.6, 1.2
 _WAY = 0.12
 _FIXTURE = 0.006  # radius of the cylinder [m]
 _FRICTION = 0.6
-
-
-def _smooth(time: float, begin: float, duration: float) -> float:
-    x = min(max((time - begin) / duration, 0.0), 1.0)
-    return x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
 
 
 class Example:
@@ -99,9 +95,9 @@ class Example:
         """(3,) where the gripper is [m]."""
         down = _HEIGHT - self.material.gravito_bending_length
         return self.start + [
-            -_WAY * _smooth(time, _FALL + _LOWER, _DRAG),
+            -_WAY * smoothstep((time - _FALL - _LOWER) / _DRAG),
             0.0,
-            -down * _smooth(time, _FALL, _LOWER),
+            -down * smoothstep((time - _FALL) / _LOWER),
         ]
 
     def step(self) -> None:

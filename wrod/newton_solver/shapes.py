@@ -34,8 +34,12 @@ _SOLIDS = (
 )
 
 
+# A plane with ends is a sheet as thick as this fraction of its shorter side.
+_THINNESS = 1e-3
+
+
 class ModelShapes:
-    """Endless planes and solids that collide with shapes, with the friction of their `mu`.
+    """Planes and solids that collide with shapes, with the friction of their `mu`.
 
     A shape of world -1 touches the rods of every world, any other those of its own. A shape that
     no rod can touch is named in a warning.
@@ -52,11 +56,12 @@ class ModelShapes:
         self.model = model
         kinds, flags, scale = (self._read(n) for n in ("type", "flags", "scale"))
         collide = flags & int(ShapeFlags.COLLIDE_SHAPES) != 0
-        endless = (kinds == GeoType.PLANE) & (scale[:, :2] == 0).all(axis=1)
+        sides = scale[:, :2] > 0
+        planes = (kinds == GeoType.PLANE) & (sides.all(axis=1) | ~sides.any(axis=1))
         body = self._read("body")
         owned = np.zeros(len(kinds), dtype=bool)
         owned[body >= 0] = own[body[body >= 0]]
-        known = (endless | np.isin(kinds, [int(k) for k in _SOLIDS])) & ~owned
+        known = (planes | np.isin(kinds, [int(k) for k in _SOLIDS])) & ~owned
         self.rows = np.flatnonzero(collide & known)
         self._worlds = self._read("world")[self.rows]
         self._meshes: dict[int, Mesh] = {}
@@ -67,8 +72,8 @@ class ModelShapes:
             ]
             warnings.warn(
                 f"rods pass through {len(unknown)} shapes: {', '.join(names)}"
-                f"{' and others' if len(unknown) > 3 else ''}; they touch no planes with ends, and "
-                "nothing on free bodies that hold rods and move with them",
+                f"{' and others' if len(unknown) > 3 else ''}; they touch no planes that end on "
+                "two sides alone, and nothing on free bodies that hold rods and move with them",
                 WrodWarning,
                 stacklevel=4,
             )
@@ -127,7 +132,11 @@ class ModelShapes:
     def _solid(self, shape: int, kind: GeoType, place: tuple, turn: Rotation, size) -> Shape:
         axis, quaternion = tuple(turn.as_matrix()[:, 2]), tuple(turn.as_quat())
         if kind == GeoType.PLANE:
-            return Plane(place, axis)
+            if not size[:2].all():
+                return Plane(place, axis)
+            deep = 0.5 * _THINNESS * size[:2].min()
+            center = tuple(np.subtract(place, np.multiply(deep, axis)))
+            return Box(center, (0.5 * size[0], 0.5 * size[1], deep), quaternion)
         if kind == GeoType.SPHERE:
             return Sphere(place, size[0])
         if kind in (GeoType.BOX, GeoType.ELLIPSOID):

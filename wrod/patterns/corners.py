@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
 
+from wrod.patterns.curve import smoothstep
 from wrod.patterns.smoothing import fit_heading
 
 CORNER = np.radians(40.0)  # a larger turn at one point is a corner, unless all points turn so
@@ -59,9 +60,8 @@ def heading_with_corners(
             here = here + 2 * np.pi * np.round((values[-1][-1] - here[0]) / (2 * np.pi))
             share = np.linspace(0.0, 1.0, _PER_TURN + 2)[1:-1]
             low, high = places[-1][-1], starts[number] + before
-            rise = share**3 * (10 - 15 * share + 6 * share**2)
             places.append(low + share * (high - low))
-            values.append(values[-1][-1] + rise * (here[0] - values[-1][-1]))
+            values.append(values[-1][-1] + smoothstep(share) * (here[0] - values[-1][-1]))
         places.append(starts[number] + local)
         values.append(here)
     spline = make_interp_spline(np.concatenate(places), np.concatenate(values), 3)

@@ -52,14 +52,13 @@ def heading_of_curve(
     curve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     start: float,
     stop: float,
-    count: int = 4001,
 ) -> tuple[PPoly, np.ndarray]:
     """Heading along the arc length of an exact parametric curve t -> (x, y), and its first point.
 
-    The curve is interpolated at `count` values of t, to about 1e-9 of its length if its features
+    The curve is interpolated at 4001 values of t, to about 1e-9 of its length if its features
     are longer than a hundredth of it.
     """
-    t = np.linspace(start, stop, count)
+    t = np.linspace(start, stop, 4001)
     x, y = curve(t)
     position = make_interp_spline(t, np.stack([x, y], axis=1), 7)
     velocity = position.derivative()
@@ -69,7 +68,7 @@ def heading_of_curve(
     step = np.hypot(np.diff(x), np.diff(y))[:, None]
     if not (np.abs(between) <= 0.05 * step).all():  # it turns by half a radian there
         raise PatternError(
-            f"the curve has features finer than a {count - 1}th of its range; give a shorter range "
+            "the curve has features finer than a 4000th of its range; give a shorter range "
             "without kinks, jumps and ripples, or the points of a drawing"
         )
     speed = np.linalg.norm(velocity(t[:-1, None] + half * (1.0 + _NODES)), axis=-1)
@@ -84,3 +83,14 @@ def heading_of_curvature(curvature: PPoly, angle: float) -> PPoly:
     heading = curvature.antiderivative()
     heading.c[-1] += angle - float(heading(curvature.x[0]))
     return heading
+
+
+def smoothstep(x):
+    """The quintic smoothstep from 0 to 1 at x, clipped there: two derivatives are continuous."""
+    x = np.clip(x, 0.0, 1.0)
+    return x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+
+
+def arc_length(points: np.ndarray) -> np.ndarray:
+    """(n,) length of the polyline (n, 2 or 3) up to each of its points."""
+    return np.insert(np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)), 0, 0.0)

@@ -161,7 +161,7 @@ def _visible(root, svgelements):
         )
         if hidden:
             continue
-        if isinstance(element, (svgelements.Group, svgelements.SVG)):
+        if isinstance(element, (svgelements.Group, svgelements.SVG, svgelements.Use)):
             queue = [*element, *queue]
         elif isinstance(element, svgelements.Shape):
             yield element

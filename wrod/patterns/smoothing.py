@@ -12,6 +12,8 @@ from scipy import linalg
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 from scipy.optimize import brentq, minimize_scalar
 
+from wrod.patterns.curve import arc_length
+
 _MAX_SITES = 400  # columns of the regression; a rod pattern of 0.8 m then has a knot every 2 mm
 _MIN_SMOOTHED = 8  # fewer points say nothing about their noise and are interpolated
 _GAMMA = 1.4  # weight of a degree of freedom in GCV against undersmoothing (Kim and Gu 2004)
@@ -123,10 +125,10 @@ def fit_heading(
         Heading angle [rad] as a piecewise polynomial of arc length on [0, length], the curve's
         first point (2,) [m], and the standard deviation of the points across the curve [m].
     """
-    scale = float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    scale = float(arc_length(points)[-1])
     scaled = points / scale
     level = None if smoothing is None else smoothing / scale
-    t = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(scaled, axis=0), axis=1))])
+    t = arc_length(scaled)
     # Noise lengthens the chords; refitting over the fitted curve's own arc length removes that.
     # The noise along the curve is taken up by the parameter, so what is left is that across it.
     for _ in range(4):

@@ -9,8 +9,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from wrod.patterns.curve import arc_length
 from wrod.perception.network import Junction
-from wrod.perception.refine import arc_length, smooth
+from wrod.perception.refine import smooth
 
 # Energies are made dimensionless with the strand's radius r: E = r * integral of curvature^2.
 HIDDEN_END = 1.5  # price of a strand end at a junction: a bridge that turns by some 70 degrees

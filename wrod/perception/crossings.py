@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrod.perception import refine
+from wrod.patterns.curve import arc_length
 from wrod.perception.trace import Centerline
 
 SAME_COLOR = (
@@ -41,7 +41,7 @@ def find_crossings(lines: list[Centerline], image: np.ndarray | None = None) -> 
     starts = np.vstack([line.points[:-1] for line in lines])
     ends = np.vstack([line.points[1:] for line in lines])
     owner = np.concatenate([np.full(len(line.points) - 1, k) for k, line in enumerate(lines)])
-    arc = np.concatenate([refine.arc_length(line.points)[:-1] for line in lines])
+    arc = np.concatenate([arc_length(line.points)[:-1] for line in lines])
     reach = float(np.hypot(*(ends - starts).T).max()) + 1e-6
     i, j = cKDTree((starts + ends) / 2).query_pairs(reach, output_type="ndarray").T
     apart = (owner[i] != owner[j]) | (np.abs(i - j) > 1)
@@ -101,7 +101,7 @@ def _stacked(crossing: Crossing, lines: list[Centerline], image: np.ndarray) -> 
     frames = []
     for strand, at in zip(crossing.strands, crossing.arc_lengths, strict=True):
         line = lines[strand]
-        arc = refine.arc_length(line.points)
+        arc = arc_length(line.points)
         ends = [
             np.array([np.interp(at + side, arc, line.points[:, k]) for k in (0, 1)])
             for side in (-2.0 * line.radius, 2.0 * line.radius)

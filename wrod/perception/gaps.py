@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from wrod.perception.refine import arc_length
+from wrod.patterns.curve import arc_length
 from wrod.perception.trace import Centerline
 
 _LONGEST = 30.0  # gap, in half-widths of the stroke

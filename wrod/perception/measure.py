@@ -8,7 +8,7 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import PerceptionError
-from wrod.perception import refine
+from wrod.patterns.curve import arc_length
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def _even(curve: np.ndarray, points: int, what: str) -> tuple[np.ndarray, float]
     if not np.isfinite(curve).all():
         raise PerceptionError(f"{what} has points that are not finite")
     curve = curve[:, :2]
-    arc = refine.arc_length(curve)
+    arc = arc_length(curve)
     if arc[-1] <= 0:
         raise PerceptionError(f"{what} has no length")
     at = np.linspace(0.0, arc[-1], points)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from wrod.files import write_atomically
+from wrod.patterns.curve import arc_length
 from wrod.perception.crossings import Crossing
 from wrod.perception.trace import Centerline
 
@@ -56,7 +57,7 @@ def draw_overlay(
             strand = crossing.strands[crossing.over]
             at = crossing.arc_lengths[crossing.over]
             line = lines[strand]
-            arc = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line.points, axis=0).T))]
+            arc = arc_length(line.points)
             reach = np.linspace(at - 1.5 * line.radius, at + 1.5 * line.radius, 9)
             course = np.column_stack([np.interp(reach, arc, line.points[:, i]) for i in (0, 1)])
             stroke(course, paper, 3 + 3 * zoom)

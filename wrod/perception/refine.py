@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from wrod.patterns.curve import arc_length
+
 SMOOTHING = 6.0  # wavelength that the smoothing halves, in strand radii: no rod bends that often
 REACH = 2.2  # how far across the strand edges are looked for, in strand radii
 EDGE = 127.5  # foreground value at which a strand ends
@@ -46,11 +48,6 @@ def smooth(
     held = weight + 1e-6
     bands[2] += held
     return solveh_banded(bands, held[:, None] * points, check_finite=False)
-
-
-def arc_length(points: np.ndarray) -> np.ndarray:
-    """(n,) length of the polyline up to each of its points."""
-    return np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
 
 
 def resample(points: np.ndarray, step: float, *values: np.ndarray) -> list[np.ndarray]:
@@ -144,7 +141,7 @@ def centre_offsets(
     return offset, weight, width
 
 
-def _running_median(values: np.ndarray, window: int = 25) -> np.ndarray:
+def _running_median(values: np.ndarray) -> np.ndarray:
     from scipy.ndimage import median_filter
 
-    return median_filter(values, min(window, len(values)), mode="nearest")
+    return median_filter(values, min(25, len(values)), mode="nearest")

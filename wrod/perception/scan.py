@@ -9,10 +9,11 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import PerceptionError, WrodWarning
+from wrod.patterns.curve import arc_length
 from wrod.perception.gaps import join_gaps
 from wrod.perception.image import as_image, is_mask, read_image
 from wrod.perception.metric import CameraIntrinsics, MarkerLayout, Plane
-from wrod.perception.refine import arc_length, resample
+from wrod.perception.refine import resample
 from wrod.perception.segment import segment
 from wrod.perception.trace import Centerline, trace_mask
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from wrod import arguments
 from wrod.errors import PerceptionError
+from wrod.patterns.curve import arc_length
 from wrod.perception import refine
 from wrod.perception.image import as_image, is_mask
 from wrod.perception.junctions import is_doubtful, resolve, share_stretches
@@ -42,7 +43,7 @@ class Centerline:
     @property
     def length(self) -> float:
         """Length of the polyline [px]."""
-        return float(refine.arc_length(self.points)[-1])
+        return float(arc_length(self.points)[-1])
 
     def __array__(self, dtype=None, copy=None):
         return np.array(self.points, dtype=dtype)
@@ -281,7 +282,7 @@ def _cut_ends(points, width, foreground, radius):
             width = np.r_[width, np.repeat(width[-1], max(end - 1, 0))]
             continue
         drop = radius - max(end - 0.5, 0.0)
-        arc = refine.arc_length(points)
+        arc = arc_length(points)
         if drop > 0:
             keep = arc <= arc[-1] - drop
             if keep.sum() >= 2:

@@ -20,7 +20,6 @@ def draw_plan(
     path: str | os.PathLike[str],
     pattern: Pattern,
     trajectory: Trajectory,
-    shapes: np.ndarray | None = None,
 ) -> Path:
     """Write a PNG of a plan: 3D view, view from above, curvature and grip height along the rod.
 
@@ -28,13 +27,13 @@ def draw_plan(
         path: the picture.
         pattern: what is laid.
         trajectory: how.
-        shapes: (m, nodes, 3) rod centrelines to draw [m]; by default a few of the trajectory's.
     """
     # Figure objects of their own: pyplot would keep state and choose a display.
     from matplotlib.figure import Figure
 
-    if shapes is None and trajectory.shape is not None:
-        shapes = trajectory.shape[_spread(len(trajectory), _SHAPES)]
+    shapes = trajectory.shape
+    if shapes is not None:
+        shapes = shapes[_spread(len(trajectory), _SHAPES)]
     figure = Figure(figsize=(12.8, 7.2), facecolor="white")
     view = figure.add_axes((0.0, 0.03, 0.53, 0.87), projection="3d", proj_type="ortho")
     above = figure.add_axes((0.57, 0.47, 0.41, 0.38))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +22,7 @@ from wrod.planning.reservations import (
     warn_relaxed,
     warn_unstable,
 )
-from wrod.planning.roll import roll_angle, with_spin
+from wrod.planning.roll import held_twist, roll_angle, with_spin
 from wrod.planning.shapes import contact_frame, placed
 from wrod.planning.sources import SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
@@ -54,11 +55,13 @@ def plan_grasps(
     device: str | None,
     progress: Callable[[int, int], object] | None,
     spin: float = 0.0,
+    twisted: bool = False,
 ) -> Trajectory:
     """Trajectory of the grip that lays `rod` along `pattern`, for no table in particular.
 
     Arguments, what it returns, errors and warnings are those of `wrod.plan` (`wrod.deployment`),
-    which checks the arguments first, and corrects the trajectory for a table.
+    which checks the arguments first, and corrects the trajectory for a table. `twisted`: grasps by
+    the rod solver of a uniform rod that the table holds as the spin twists it.
     """
     if method not in SOURCES:
         raise GraspError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
@@ -74,6 +77,11 @@ def plan_grasps(
         rod, rod.length - (s - s[0]), curvature,
         roll=roll, closure=closure, device=device, progress=progress, controller=controller,
     )  # fmt: skip
+    if twisted:
+        if inputs.rod is not None:
+            raise GraspError("grasps of a rod that spin twists are known of uniform ones only")
+        twist = held_twist(rod.length, s - s[0], spin) * rod.gravito_bending_length
+        inputs = replace(inputs, twist=twist)
     poses, said = _solved(method, inputs, s)
     return with_spin(_trajectory(pattern, rod, s - s[0], course, poses, roll, said), rod, spin)
 

@@ -78,6 +78,17 @@ def with_spin(trajectory: Trajectory, rod: RodModel | RodMaterial, spin: float) 
     )
 
 
+def held_twist(length: float, laid: np.ndarray, spin: float) -> np.ndarray:
+    """(T,) twist [rad/m] of what hangs of a rod of that length [m] when so much is `laid` (T,) [m],
+    if the table holds the roll of what lies.
+
+    What is laid down keeps the twist t that the hanging part has then: the grip's turn, even over
+    the laid length s, is (L - s) t and the integral of t over what lies, so that dt/ds is the rate
+    of the turn over L - s.
+    """
+    return spin / laid[-1] * np.log(length / (length - laid))
+
+
 def _softer_upwards(rod: RodModel | RodMaterial) -> float:
     """The roll that turns a straight rod's softer principal direction upwards, where it bends most;
     the other way round the suspended rod rolls towards it and takes the laid one along."""

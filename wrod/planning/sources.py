@@ -29,8 +29,9 @@ class GraspInputs:
     """What a grasp source is given: (T,) dimensionless lengths and curvatures of all nodes, the
     natural curvature (left, up) of the rod as it is held [1/L_gb], and the controller to ask; None
     is the one that ships, which knows straight rods. A rod that is more than uniform, isotropic and
-    linear comes along with its roll [rad]. Eigenvalues, which say how near solved grasps are to
-    instability, are left out where `eigenvalues` is false."""
+    linear comes along with its roll [rad]; one that what lies holds twisted, with its twist (T,)
+    [1/L_gb]. Eigenvalues, which say how near solved grasps are to instability, are left out where
+    `eigenvalues` is false."""
 
     suspended_length: np.ndarray
     curvature: np.ndarray
@@ -44,6 +45,7 @@ class GraspInputs:
     rod: RodModel | None = None
     roll: float = 0.0
     eigenvalues: bool = True
+    twist: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -138,10 +140,19 @@ def _of_varying_rod(inputs: GraspInputs) -> Grasps:
 
 def _numeric(inputs: GraspInputs) -> Grasps:
     """Optimal grasps from the rod solver."""
-    from wrod.grasps.optimal import solve_grasps
+    from wrod.grasps.optimal import solve_grasps, solve_twisted
 
     if inputs.rod is not None:
         return _of_varying_rod(inputs)
+    asked = inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
+    if inputs.twist is not None:
+        return solve_twisted(
+            *asked,
+            inputs.twist,
+            closure=inputs.closure,
+            poisson=inputs.poisson,
+            device=inputs.device,
+        )
 
     count = len(inputs.suspended_length)
     watch = inputs.progress
@@ -149,9 +160,7 @@ def _numeric(inputs: GraspInputs) -> Grasps:
     if not inputs.is_straight:
         own = {"natural_curvature": inputs.natural_curvature, "poisson": inputs.poisson}
     return solve_grasps(
-        inputs.suspended_length,
-        inputs.curvature,
-        inputs.stretch_ratio,
+        *asked,
         closure=inputs.closure,
         device=inputs.device,
         eigenvalues=inputs.eigenvalues,

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from wrod.patterns.curve import smoothstep
 from wrod.patterns.pattern import Pattern
 from wrod.planning.sources import MIN_SUSPENDED_LENGTH, SOURCES, GraspInputs
 from wrod.planning.trajectory import Trajectory
@@ -64,8 +65,7 @@ def tail(
     count = max(int(np.ceil(length / _SPACING)), 1) + 1
     s = np.linspace(0.0, max(length, 0.0), count)
     corner, tangent, bend = _end(pattern, trajectory)
-    x = np.clip(s / (_STRAIGHTEN * lgb), 0.0, 1.0)
-    ease = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    ease = smoothstep(s / (_STRAIGHTEN * lgb))
     curvature = bend * (1.0 - ease)
     heading = np.arctan2(tangent[1], tangent[0]) + _integrate(curvature, s)
     frame = Rotation.from_euler("z", heading[:, None]).as_matrix()

@@ -27,12 +27,12 @@ _PAIR_FRAMES = 10
 _FAR = 0.05  # cost of a radian between two holds
 
 
-def coarse_frames(hold: Hold, least: int = 8) -> np.ndarray:
+def coarse_frames(hold: Hold) -> np.ndarray:
     """Frames of a hold that are about `_COARSE` of travel apart; both ends are among them."""
     travel = hold_travel(hold)
     if travel[-1] < 1e-4:
         return np.array([0, len(travel) - 1]) if len(travel) > 1 else np.array([0])
-    count = max(least, int(np.ceil(travel[-1] / _COARSE)))
+    count = max(8, int(np.ceil(travel[-1] / _COARSE)))
     frames = np.searchsorted(travel, np.linspace(0.0, travel[-1], count) - 1e-12)
     frames = np.unique(np.append(frames, len(travel) - 1))
     # Frames at rest share one travel: keep the first.

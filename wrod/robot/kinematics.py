@@ -52,14 +52,13 @@ def pose_error(pose: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
 
 
 def newton_step(
-    robot: Robot, positions: torch.Tensor, target: torch.Tensor, damping: float = 1e-8
+    robot: Robot, positions: torch.Tensor, target: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """One least-norm step of the grasp towards `target`.
 
     Args:
         positions: (B, n) joint positions [rad].
         target: (B, 4, 4) poses of the grasp in the base frame [m].
-        damping: added to J J^T; keeps the step finite at a singularity.
 
     Returns:
         step (B, n) [rad], Jacobian (B, 6, n), error (B, 6) before the step.
@@ -69,8 +68,9 @@ def newton_step(
     jacobian, pose = robot.chain.jacobian_tensor(positions, ret_eef_pose=True)
     error = pose_error(pose, target)
     eye = torch.eye(6, dtype=positions.dtype)
-    # Damping that grows with the error (Levenberg): far targets do not throw the arm about.
-    level = damping + 0.05 * error.square().sum(-1)[:, None, None]
+    # Damping keeps the step finite at a singularity; it grows with the error (Levenberg), so that
+    # far targets do not throw the arm about.
+    level = 1e-8 + 0.05 * error.square().sum(-1)[:, None, None]
     solved = torch.linalg.solve(jacobian @ jacobian.mT + level * eye, error.unsqueeze(-1))
     return (jacobian.mT @ solved).squeeze(-1), jacobian, error
 

@@ -17,23 +17,23 @@ _TURN_ROOM = 0.2  # [rad] that a last joint should have left
 _SPUN, _MOST_TWIST = (0.75, 0.6, 0.9), 0.7
 # Sizes of a pattern, and rod left over at its end [L_gb].
 _SMALLER = ((0.85, 5.9), (0.8, 9.2), (0.93, 5.9))
+_CLEARANCE = 0.005  # of the fingers over the table [m]
 _STEPS = (0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.45, -0.45)  # [m] table heights tried, about the best
 
 
-def least_suspended(rod, clearance: float = 0.005) -> float:
+def least_suspended(rod) -> float:
     """Length [m] of suspended rod from which on upright fingers clear the table, on a straight
     pattern; a length of which they do not is not laid by an arm.
 
     Args:
         rod: a `RodMaterial` or `RodModel`.
-        clearance: of the fingers [m].
     """
     from wrod.grasps.optimal import solve_grasps
 
     lgb = rod.gravito_bending_length
     lengths = np.linspace(1.0, 8.0, 57)
     height = lgb * solve_grasps(lengths, 0.0, rod.stretch_ratio).position[:, 2]
-    high = np.flatnonzero(height > FINGERS + clearance)
+    high = np.flatnonzero(height > FINGERS + _CLEARANCE)
     return float(lengths[high[0] if len(high) else -1] * lgb)
 
 

@@ -5,6 +5,7 @@ The clip opens to the side away from its post, as a fork does.
 
 import numpy as np
 
+from wrod.patterns.curve import arc_length
 from wrod.planning.trajectory import Trajectory
 from wrod.robot.arm import gap_between
 
@@ -28,7 +29,7 @@ def stands(trajectory: Trajectory, capsules) -> list[list]:
     if trajectory.shape is None or not np.isfinite(trajectory.shape[0]).all():
         return []
     shape = trajectory.shape[0][::-1]
-    arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(shape, axis=0), axis=1)))
+    arc = arc_length(shape)
     below = min(_BELOW, 0.5 * arc[-1])
     held = np.array([np.interp(below, arc, axis) for axis in shape.T])
     start, end, radius = capsules

@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from wrod.errors import RobotError
+from wrod.patterns.curve import smoothstep
 from wrod.robot.arm import Arm
 from wrod.robot.kinematics import refine, solve_poses
 
@@ -41,8 +42,7 @@ class Leg:
 
     def at(self, u: np.ndarray) -> np.ndarray:
         """(k, n) joint positions at shares u (k,) of the duration."""
-        u = np.clip(u, 0.0, 1.0)
-        share = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        share = smoothstep(u)
         places = np.linspace(0.0, 1.0, len(self.knots))
         if len(self.knots) == 2:
             return self.knots[0] + share[:, None] * (self.knots[1] - self.knots[0])

@@ -4,16 +4,10 @@ Parameters and Table 2)."""
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from wrod import arguments
 from wrod.errors import RodError
-
-if TYPE_CHECKING:
-    from wrod.rods.model import RodModel
 
 # Height of the loop of a heavy rod over its gravito-bending length, as
 # `wrod.identification.folded_loop` derives it from the heavy elastica. The paper's 0.9066 belongs
@@ -175,51 +169,6 @@ class RodMaterial:
             raise RodError(f"loop height is {loop_height!r:.80}; give a positive number of metres")
         lgb = loop_height / LOOP_HEIGHT_RATIO
         return cls(radius, lgb, length, poisson, density, gravity)
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the rod as JSON, SI units."""
-        from wrod.rods.model_file import save_material
-
-        return save_material(self, path)
-
-    @classmethod
-    def load(
-        cls,
-        path: str | os.PathLike[str],
-        *,
-        radius: float | None = None,
-        length: float | None = None,
-    ) -> RodMaterial:
-        """Read a rod that `save` or `wrod loop` wrote, or the model that `wrod identify` wrote.
-
-        Args:
-            radius, length: instead of the file's, which measurements may not tell [m].
-
-        Raises:
-            RodError: the file is missing, not a rod file, or holds unphysical values.
-
-        Warns:
-            WrodWarning: the model has effects that a uniform, isotropic, linear rod cannot carry,
-                or numbers that were not measured.
-        """
-        from wrod.rods.model_file import load_material
-
-        return load_material(path, radius=radius, length=length)
-
-    def model(self) -> RodModel:
-        """This rod as the description that may differ along the rod, `wrod.RodModel`."""
-        from wrod.rods.model import RodModel
-
-        return RodModel(
-            length=self.length,
-            bending_stiffness=self.bending_stiffness,
-            twisting_stiffness=self.twisting_stiffness,
-            stretching_stiffness=self.stretching_stiffness,
-            line_mass=self.weight / self.gravity,
-            radius=self.radius,
-            natural_curvature=self.natural_curvature,
-            gravity=self.gravity,
-        )
 
     @property
     def is_straight(self) -> bool:

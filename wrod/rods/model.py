@@ -12,16 +12,13 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import RodError, WrodWarning
 from wrod.rods.law import LAWS, BendingLaw, Linear
+from wrod.rods.material import RodMaterial, refuse_lumps
 from wrod.rods.numbers import as_number, as_pair, as_profile
 from wrod.rods.profile import Profile
 from wrod.rods.transformations import RodTransformations
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Sequence
-    from pathlib import Path
-
-    from wrod.rods.material import RodMaterial
 
     AnyProfile = Profile | float | dict[str, list[float]]
 
@@ -157,11 +154,20 @@ class RodModel(RodTransformations):
         """
         if isinstance(rod, RodModel):
             return rod
-        if not hasattr(rod, "model"):
+        if not isinstance(rod, RodMaterial):
             raise RodError(
                 f"rod is {type(rod).__name__}; give a wrod.RodMaterial or a wrod.RodModel"
             )
-        return rod.model()
+        return cls(
+            length=rod.length,
+            bending_stiffness=rod.bending_stiffness,
+            twisting_stiffness=rod.twisting_stiffness,
+            stretching_stiffness=rod.stretching_stiffness,
+            line_mass=rod.weight / rod.gravity,
+            radius=rod.radius,
+            natural_curvature=rod.natural_curvature,
+            gravity=rod.gravity,
+        )
 
     def refuse_lump(self) -> None:
         """Refuse what is too thick for its stiffness or length to be a rod.
@@ -169,8 +175,6 @@ class RodModel(RodTransformations):
         Raises:
             RodError: see `RodMaterial`.
         """
-        from wrod.rods.material import refuse_lumps
-
         curvature = math.hypot(*(max(map(abs, c.values)) for c in self.natural_curvature))
         refuse_lumps(self.radius, self.gravito_bending_length, self.length, curvature)
 
@@ -209,8 +213,6 @@ class RodModel(RodTransformations):
         Warns:
             WrodWarning: names what was set aside.
         """
-        from wrod.rods.material import RodMaterial
-
         aside = self.not_uniform()
         if aside:
             said = f"a uniform, isotropic, linear rod cannot carry this one's {', '.join(aside)}"
@@ -312,35 +314,3 @@ class RodModel(RodTransformations):
         own."""
         plain = isinstance(self.law, Linear) and not self.point_masses and self._untwisted
         return plain and self.is_isotropic and not self.varies
-
-    # ---- files --------------------------------------------------------------------------------
-
-    def save(self, path: str | os.PathLike[str], *, assumed=()) -> Path:
-        """Write the rod as JSON, SI units; `assumed` names numbers that nobody measured."""
-        from wrod.rods.model_file import save_model
-
-        return save_model(self, path, assumed=assumed)
-
-    @classmethod
-    def load(
-        cls,
-        path: str | os.PathLike[str],
-        *,
-        radius: float | None = None,
-        length: float | None = None,
-    ) -> RodModel:
-        """Read a rod that `save`, `RodMaterial.save`, `wrod loop` or `wrod identify` wrote.
-
-        Args:
-            radius, length: instead of the file's, which measurements may not tell [m].
-
-        Raises:
-            RodError: the file is missing, not a rod file, or holds unphysical values.
-
-        Warns:
-            WrodWarning: the file holds numbers that were not measured, or, written by an earlier
-                version, effects that it cannot carry.
-        """
-        from wrod.rods.model_file import load_model
-
-        return load_model(path, radius=radius, length=length)

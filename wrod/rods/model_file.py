@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from wrod import arguments
 from wrod.errors import RodError, WrodWarning
 from wrod.files import decode_labels, read_json, schemas, write_json
 from wrod.files.reading import entry_message
@@ -25,20 +26,25 @@ _CARRIED = ("stiffness", "density", "natural_curvature")
 _WHAT = "a rod file, as `wrod loop --out` or `wrod identify` writes it"
 
 
-def save_material(material: RodMaterial, path: str | os.PathLike[str]) -> Path:
-    """Write a uniform rod, SI units."""
-    return _write(path, {"format": MATERIAL_FORMAT, **asdict(material)})
-
-
-def save_model(model: RodModel, path: str | os.PathLike[str], *, assumed=(), found=None) -> Path:
-    """Write a rod model, SI units.
+@arguments.checked(RodError)
+def save_rod(
+    rod: RodMaterial | RodModel, path: str | os.PathLike[str], *, assumed=(), found=None
+) -> Path:
+    """Write a rod as JSON, SI units.
 
     Args:
-        assumed: names of numbers that nobody measured.
+        assumed: names of a `RodModel`'s numbers that nobody measured.
         found: a record of how the model was found, which readers keep out of the rod.
+
+    Raises:
+        RodError: it is no rod.
     """
-    content = {"format": MODEL_FORMAT, **model_as_json(model), "assumed": list(assumed)}
-    return _write(path, content if found is None else {**content, "found": found})
+    if isinstance(rod, RodMaterial):
+        return write_json(path, {"format": MATERIAL_FORMAT, **asdict(rod)}, allow_nan=False)
+    content = {"format": MODEL_FORMAT, **model_as_json(RodModel.of(rod)), "assumed": list(assumed)}
+    if found is not None:
+        content["found"] = found
+    return write_json(path, content, allow_nan=False)
 
 
 def model_as_json(model: RodModel) -> dict:
@@ -94,41 +100,33 @@ def rod_of_json(content) -> RodModel | RodMaterial:
         raise RodError(str(error).replace("RodMaterial.__init__() ", "")) from None
 
 
-def load_rod(path, *, radius: float | None = None, length: float | None = None):
-    """A `RodMaterial` where the file holds no more than that, else the `RodModel`.
+@arguments.checked(RodError)
+def load_rod(
+    path: str | os.PathLike[str], *, radius: float | None = None, length: float | None = None
+) -> RodMaterial | RodModel:
+    """Read a rod that `save_rod`, `wrod loop` or `wrod identify` wrote.
+
+    Args:
+        radius, length: instead of the file's, which measurements may not tell [m].
+
+    Returns:
+        A `RodMaterial` where the file holds no more than that, else the `RodModel`.
 
     Raises:
-        RodError: as `RodModel.load`.
+        RodError: the file is missing, not a rod file, or holds unphysical values.
+
+    Warns:
+        WrodWarning: the file holds numbers that were not measured, or, written by an earlier
+            version, effects that it cannot carry.
     """
-    if _read(path).get("format") != MODEL_FORMAT:
-        return load_material(path, radius=radius, length=length)
-    model = load_model(path, radius=radius, length=length)
-    return model if model.not_uniform() else model.material()
-
-
-def load_model(path, *, radius: float | None = None, length: float | None = None) -> RodModel:
-    """See `RodModel.load`."""
-    instead = {"radius": radius, "length": length}
-    instead = {key: value for key, value in instead.items() if value is not None}
     content = _read(path)
-    try:
-        if content.get("format") == MODEL_FORMAT:
-            return _new(path, content, instead)
-        return _material(path, content, instead).model()
-    except RodError as error:
-        said = str(error)
-        raise RodError(said if said.startswith(str(path)) else f"{path}: {said}") from None
-
-
-def load_material(path, *, radius: float | None = None, length: float | None = None):
-    """See `RodMaterial.load`."""
-    content = _read(path)
-    if content.get("format") == MODEL_FORMAT:
-        return load_model(path, radius=radius, length=length).material()
     instead = {"radius": radius, "length": length}
     instead = {key: value for key, value in instead.items() if value is not None}
     try:
-        return _material(path, content, instead)
+        if content.get("format") != MODEL_FORMAT:
+            return _material(path, content, instead)
+        model = _new(path, content, instead)
+        return model if model.not_uniform() else model.material()
     except RodError as error:
         said = str(error)
         raise RodError(said if said.startswith(str(path)) else f"{path}: {said}") from None
@@ -206,7 +204,7 @@ def _assumed(rod: dict, assumed, instead: dict) -> list[str]:
 
 def _warn(path, said: list[str]) -> None:
     if said:
-        warnings.warn(f"{path}: {'; '.join(said)}", WrodWarning, stacklevel=6)
+        warnings.warn(f"{path}: {'; '.join(said)}", WrodWarning, stacklevel=5)
 
 
 def _read(path) -> dict:
@@ -216,7 +214,3 @@ def _read(path) -> dict:
         text = json.dumps(content)
         return decode_labels(text, schemas.RodModelFile, str(path), _WHAT, error=RodError)
     return content
-
-
-def _write(path, content: dict) -> Path:
-    return write_json(path, content, allow_nan=False)

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from wrod.patterns.curve import smoothstep
+
 _BRINGING = 3.0  # [s]
 
 
@@ -27,8 +29,7 @@ def with_waiting(
     waiting = waiting_line(length.sum(), ground, radius)
     begin = max(time[absent][-1] - _BRINGING, time[0])
     for k in np.flatnonzero(absent):
-        x = np.clip((time[k] - begin) / max(time[absent][-1] - begin, 1e-9), 0.0, 1.0)
-        share = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+        share = smoothstep((time[k] - begin) / max(time[absent][-1] - begin, 1e-9))
         # Edges turn from one direction into the other, so that the rod keeps its length.
         tangent = _turned(np.array([1.0, 0.0, 0.0]), edges / length[:, None], share)
         tip = waiting[-1] + share * (first[-1] - waiting[-1])

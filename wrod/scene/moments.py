@@ -20,7 +20,6 @@ def draw_moments(
     out: str | os.PathLike[str],
     *,
     size: tuple[int, int] = (400, 300),
-    cameras: tuple[str, ...] = CAMERAS,
     progress: Callable[[int, int], object] | None = None,
 ) -> Path:
     """Write one PNG with a column for every moment that a stage names, a row for every camera.
@@ -29,14 +28,13 @@ def draw_moments(
         path: a stage of `wrod.scene.tying.export_scene`.
         out: the picture.
         size: of each [pixels].
-        cameras: on the stage.
         progress: called with (done, total).
 
     Raises:
         SceneError: the stage names no moments, or see `wrod.scene.render.Renderer`.
     """
     rows, done = [], 0
-    for camera in cameras:
+    for camera in CAMERAS:
         stage = open_stage(path)
         codes = moments(stage)
         if not codes:
@@ -48,7 +46,7 @@ def draw_moments(
             row += [np.full((size[1], _GAP, 3), _PAPER, dtype=np.uint8), renderer.frame(code)]
             done += 1
             if progress is not None:
-                progress(done, len(codes) * len(cameras))
+                progress(done, len(codes) * len(CAMERAS))
         rows += [np.full((_GAP, sum(p.shape[1] for p in row[1:]), 3), _PAPER, dtype=np.uint8)]
         rows.append(np.hstack(row[1:]))
     return save_png(out, np.vstack(rows[1:]))

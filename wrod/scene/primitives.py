@@ -113,15 +113,12 @@ def add_mesh(stage, path: str, vertices, faces, scale, pose, materials: Material
     return mesh
 
 
-def add_curve(
-    stage, path: str, points, width: float, materials: Materials, color, times=None, pose=None
-):
+def add_curve(stage, path: str, points, width: float, materials: Materials, color, times=None):
     """Define a tube of round section along a polyline, still (M, 3) or moving (T, M, 3) [m].
 
     Args:
         width: diameter of the tube [m].
         times: (T,) time codes of a moving one.
-        pose: (4, 4) of the curve in its parent.
     """
     from pxr import Usd, UsdGeom, Vt
 
@@ -144,7 +141,5 @@ def add_curve(
         bounds = np.stack([frame.min(0) - pad, frame.max(0) + pad])
         position.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(frame)), code)
         extent.Set(Vt.Vec3fArray.FromNumpy(bounds), code)
-    if pose is not None:
-        set_pose(curve.GetPrim(), pose)
     materials.bind(curve.GetPrim(), color)
     return curve

@@ -68,7 +68,6 @@ def fit_models(
     models: Sequence[Model],
     starts: Sequence[np.ndarray],
     *,
-    trials: np.ndarray | None = None,
     weights: np.ndarray | None = None,
     origin: Fit | None = None,
     least_gain: float | Sequence[float] = 0.0,
@@ -79,8 +78,7 @@ def fit_models(
 
     Args:
         models, starts: candidates and their first parameter vectors.
-        trials: trial indices to fit on; default: the measurements' train trials.
-        weights: (candidate, trial) of 0 and 1: which of `trials` a candidate may see.
+        weights: (candidate, trial) of 0 and 1: which of the train trials a candidate may see.
         origin: a fit whose shapes to start from; by default those of the base model.
         least_gain: a candidate stops at once where the linearised problem promises less; for all
             or for each.
@@ -91,8 +89,7 @@ def fit_models(
     Raises:
         OutOfTime: the laboratory's clock has run out; it keeps what was fitted.
     """
-    every = trials is None and weights is None
-    trials = laboratory.measurements.train if trials is None else trials
+every, trials = weights is None, laboratory.measurements.train
     if weights is None:
         weights = np.ones((len(models), len(trials)))
     # Launches release the interpreter, so slices of the candidates run side by side; their number

@@ -32,11 +32,10 @@ def load_measurements(path: str | os.PathLike[str]) -> ClampedMeasurements:
 
 
 def measurements_from_arrays(
-    data: dict[str, np.ndarray], *, name: str = "measurements", where: str | None = None
+    data: dict[str, np.ndarray], *, name: str = "measurements"
 ) -> ClampedMeasurements:
-    """The same from a dictionary of arrays; `where` starts the sentences of errors."""
-    where = where or name
-    return _checked(check_arrays(data, "ClampedMeasurements", where), name, where)
+    """The same from a dictionary of arrays; `name` starts the sentences of errors."""
+    return _checked(check_arrays(data, "ClampedMeasurements", name), name, name)
 
 
 def _checked(data: dict, name: str, where: str) -> ClampedMeasurements:

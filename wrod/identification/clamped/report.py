@@ -29,6 +29,7 @@ from wrod.identification.found_rod import FoundRod, found_rod, rod_of
 from wrod.identification.report import FoundEffect, Report, millimetres
 from wrod.rods.device import resolve_device
 from wrod.rods.model import RodModel
+from wrod.rods.model_file import save_rod
 
 METRIC = "RMS over test trials and markers of the 3-D distance [mm]"
 _FORMAT = "wrod-identification-1"
@@ -117,7 +118,7 @@ class IdentificationReport(Report):
         """Write report.json, report.html, model.json and rod.json into a folder."""
         from wrod.identification.clamped.page import write_page
 
-        return [*self.written(out, write_page), self.material.save(Path(out) / "rod.json")]
+        return [*self.written(out, write_page), save_rod(self.material, Path(out) / "rod.json")]
 
 
 @checked_as_identification(

@@ -57,11 +57,7 @@ class OverheadCamera:
         return seen_from(arc_length, nodes, self.below(photograph), self.height)
 
 
-def find_camera(
-    photographs: Sequence[LaidPhotograph],
-    rods: Sequence[LaidRod],
-    start: OverheadCamera | None = None,
-) -> OverheadCamera:
+def find_camera(photographs: Sequence[LaidPhotograph], rods: Sequence[LaidRod]) -> OverheadCamera:
     """The camera that brings predicted rods nearest to what is seen hanging.
 
     Every picture is first placed by one rigid motion, then the sum over pictures of the mean
@@ -69,14 +65,13 @@ def find_camera(
 
     Args:
         photographs: of laid rods; rods: where a simulation lays each.
-        start: first guess; default: above the middle, 1 m high.
 
     Raises:
         DataError: photographs and rods differ in number, or no point hangs in any picture.
     """
     if len(photographs) != len(rods):
         raise DataError(f"{len(photographs)} photographs and {len(rods)} rods; give one rod each")
-    camera = start or OverheadCamera(height=1.0)
+    camera = OverheadCamera(height=1.0)
     for _ in range(_ROUNDS):
         tails = [
             tail

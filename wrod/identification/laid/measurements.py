@@ -17,9 +17,9 @@ from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS
 from wrod.errors import DataError, WrodError
 from wrod.files import check_arrays, read_arrays
+from wrod.patterns.curve import arc_length
 from wrod.patterns.files import read_points, unit_scale
 from wrod.patterns.pattern import Pattern
-from wrod.perception.refine import arc_length
 
 # A rod further from its pattern than this share of its length is another pattern, unit or frame.
 _FAR = 0.5

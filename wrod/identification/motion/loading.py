@@ -38,11 +38,10 @@ def load_motion(path: str | os.PathLike[str]) -> MotionMeasurements:
 
 
 def motion_from_arrays(
-    data: dict[str, np.ndarray], *, name: str = "recordings", where: str | None = None
+    data: dict[str, np.ndarray], *, name: str = "recordings"
 ) -> MotionMeasurements:
-    """The same from a dictionary of arrays; `where` starts the sentences of errors."""
-    where = where or name
-    return _checked(check_arrays(data, "MotionMeasurements", where), name, where)
+    """The same from a dictionary of arrays; `name` starts the sentences of errors."""
+    return _checked(check_arrays(data, "MotionMeasurements", name), name, name)
 
 
 def _checked(data: dict, name: str, where: str) -> MotionMeasurements:

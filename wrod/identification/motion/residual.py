@@ -81,9 +81,9 @@ def _frames(x: np.ndarray) -> np.ndarray:
     return np.stack([t, bend, np.cross(t, bend)], axis=3)
 
 
-def _in_time(size: np.ndarray, seen: np.ndarray, pieces: int = 25) -> np.ndarray:
+def _in_time(size: np.ndarray, seen: np.ndarray) -> np.ndarray:
     frames = size.shape[1]
-    edges = np.unique(np.linspace(2, frames, min(pieces, frames - 2) + 1).astype(int))
+    edges = np.unique(np.linspace(2, frames, min(25, frames - 2) + 1).astype(int))
     out = []
     for a, b in pairwise(edges):
         part = size[:, a:b][seen[:, a:b]]
