@@ -75,14 +75,10 @@ def command(
     if seeds:
         _hidden(seeds, noises or ("white",), only, out, workers, seconds, device, as_json, force)
     else:
-<<<<<<< HEAD
-        _measured(folder, seconds, device, as_json)
-=======
         if noises or only or out is not None or workers > 1:
             said = "--noise, --only, --out and --workers are of --hidden; drop them beside --sets"
             raise click.UsageError(said)
-        _measured(folder, device, as_json)
->>>>>>> main
+        _measured(folder, seconds, device, as_json)
 
 
 def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) -> None:
@@ -149,14 +145,8 @@ def _measured(folder: Path, limit: float | None, device: str, as_json: bool) -> 
     with cost.progress_bar(paths, unit="set", quiet=as_json) as bar:
         for path in bar:
             bar.set_description(path.stem)
-<<<<<<< HEAD
             rows.append(row(path, device, limit))
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(device), "device": device, "rows": rows}))
-=======
-            rows.append(row(path, device))
     if printed_as_json({"machine": machine_line(device), "device": device, "rows": rows}, as_json):
->>>>>>> main
         return
     click.echo(
         f"{'set':28} {'verdict':17} {'before':>7} {'after':>7} {'/floor':>7} {'wall s':>7} "

@@ -89,7 +89,7 @@ def fit_models(
     Raises:
         OutOfTime: the laboratory's clock has run out; it keeps what was fitted.
     """
-every, trials = weights is None, laboratory.measurements.train
+    every, trials = weights is None, laboratory.measurements.train
     if weights is None:
         weights = np.ones((len(models), len(trials)))
     # Launches release the interpreter, so slices of the candidates run side by side; their number
