@@ -61,7 +61,7 @@ VALID = {
     "bench newton": ["--edges", "4", "--iterations", "10", "--rods", "1", "--periods", "0.1",
                      "--out", "{out}"],
     "bench cosserat": ["--experiment", "cantilever", "--solver", "wrod", "--elements", "8"],
-    "bench identify": ["--sets", "{sets}", "--out", "{out}"],
+    "bench identify": ["--sets", "{sets}"],
     "bench cables": ["--data", "{cables}", "--folds", "2", "--out", "{out}"],
     "bench loop": ["--effect", "stiffness", "--pattern", "line", "--trials", "8", "--grasps",
                    "100", "--controller", "numeric", "--out", "{out}"],
@@ -194,7 +194,7 @@ def material(folder: Path) -> dict[str, str]:
     path = wrod.plan(wrod.pattern("line"), wrod.rod("green-vps"), "intuitive", spacing=0.02)
     files = path.save(folder / "plan")
     made["plan.npz"] = str(next(file for file in map(Path, files) if file.suffix == ".npz"))
-    made["rod.json"] = str(wrod.rod("green-vps").save(folder / "rod.json"))
+    made["rod.json"] = str(wrod.save_rod(wrod.rod("green-vps"), folder / "rod.json"))
     corners = {str(k): [[x, y], [x + 0.02, y], [x + 0.02, y - 0.02], [x, y - 0.02]]
                for k, (x, y) in enumerate([(0, 0), (0.3, 0), (0.3, 0.2), (0, 0.2)])}  # fmt: skip
     at("layout.json").write_text(json.dumps({"marker_corners_m": corners}))

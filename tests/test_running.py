@@ -343,13 +343,35 @@ os._exit(os.waitstatus_to_exitcode(os.wait()[1]))
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
-def test_a_folder_that_cannot_be_made_is_refused_before_the_work(tmp_path, monkeypatch):
-    from wrod.bench import applications
+LAID = "laid laid.npz --pattern line --trajectory plan.npz --rod rope --fit-friction"
+LONG = "n" * 300
 
-    monkeypatch.setattr(applications, "_run", lambda *args: pytest.fail("worked first"))
-    words = ["bench", "applications", "--trials", "1", "--case", "trefoil", "--device", "cpu"]
-    result = CliRunner().invoke(
-        main, [*words, "--out", str(tmp_path / "out"), "--usd", str(tmp_path / ("n" * 300))]
-    )
-    assert result.exit_code == REFUSED and "too long" in result.output.lower(), result.output
+
+@pytest.mark.parametrize(
+    "words, says",
+    [
+        (f"bench applications --trials 1 --case trefoil --out out --usd {LONG}", "too long"),
+        (f"bench closures --out out/{LONG}", "too long"),
+        (f"bench bends --out out/{LONG}.png", "too long"),
+        ("bench knot-force --out /proc/none/x.png", "/proc"),
+        (f"{LAID} --out a/rod.json --table a/rod.json", "path of its own"),
+        (f"{LAID} --out a/rod.json --table b/{LONG}", "too long"),
+        ("bench grasp --counts many", "--against"),
+        ("bench identify --sets . --only nothing", "--hidden"),
+        ("bench loop --effect stiffness --candidate x --out out", "unknown effect"),
+        ("bench robot --method guess --out out", "unknown method"),
+        ("bench robot --patterns . --out out", "no such file"),
+    ],
+)
+def test_what_cannot_be_done_or_written_is_refused_before_the_work(
+    words, says, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    for module, work in (
+        ("wrod.bench.applications", "_run"), ("wrod.bench.loop_run", "_hidden"),
+        ("wrod.bench.robot", "run_case"), ("wrod.bench.identify", "_measured"),
+    ):  # fmt: skip
+        monkeypatch.setattr(f"{module}.{work}", lambda *args: pytest.fail("worked first"))
+    result = CliRunner().invoke(main, words.split())
+    assert result.exit_code == REFUSED and says in result.output.lower(), result.output
     assert list(tmp_path.iterdir()) == []

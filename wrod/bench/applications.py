@@ -1,6 +1,5 @@
 """`wrod bench applications`: cables laid between fixtures, and knots. Restartable."""
 
-import json
 import time
 from itertools import product
 from pathlib import Path
@@ -71,7 +70,7 @@ def command(
     from wrod.errors import RodError
     from wrod.files import row_schemas
     from wrod.files.ledger import Ledger
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
     if first < 0:
@@ -94,8 +93,6 @@ def command(
         cost.Cost(seconds, 2e7 * size, 1e5 * len(pending)), f"{len(pending)} trials", out,
         "ask for fewer --trials or for one --case", force=force, quiet=as_json,
     )  # fmt: skip
-    if usd is not None:  # says now, not after the first trials, if it cannot be made
-        usd.mkdir(parents=True, exist_ok=True)
     written = _run(pending, len(keys), cases, size, ledger, device, usd, as_json)
     seconds = time.perf_counter() - start
     wanted = {(case, method, trial) for trial, case, method in keys}
@@ -114,10 +111,8 @@ def command(
         ],
         "written": [str(path) for path in written],
     }
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
-    click.echo(figures["machine"])
     click.echo(f"{len(pending)} trials on {device} in {seconds:.1f} s")
     click.echo(text)
     for path in written:

@@ -1,6 +1,5 @@
 """`wrod bench bends`: does a pull tell a reef knot from a granny, and what does friction do?"""
 
-import json
 import time
 
 import click
@@ -30,7 +29,7 @@ def command(
     from wrod.arguments import parse_list
     from wrod.bench.bend_shapes import BENDS
     from wrod.errors import RodError
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.catalogue import rod
 
     friction = parse_list(frictions, "--friction", 0.0, 100.0)
@@ -53,10 +52,8 @@ def command(
     if out:
         draw(out, rows, [one.radius for one in pair])
         figures["picture"] = out
-    if as_json:
-        click.echo(json.dumps(figures))
+    if printed_as_json(figures, as_json):
         return
-    click.echo(figures["machine"])
     click.echo(f"{rods}, both hands pull with {load:g} N\n")
     click.echo("| laid as | friction | pull reached [N] | gave [mm] | held | at the end |")
     click.echo("| --- | --- | --- | --- | --- | --- |")

@@ -1,6 +1,5 @@
 """Campaigns of simulated deployments: finished trials are kept, so that a stopped run goes on."""
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -221,10 +220,10 @@ def figures(
 
 def say(told: dict, spent: Spent, as_json: bool) -> None:
     """Print what `figures` returned, for machines or for people."""
-    if as_json:
-        click.echo(json.dumps(told, indent=2))
+    from wrod.machine import printed_as_json
+
+    if printed_as_json(told, as_json):
         return
-    click.echo(told["machine"])
     before = f"plans {told['planning_seconds']:.1f} s"
     if told["compiling_seconds"]:
         before = f"compiling {told['compiling_seconds']:.1f} s, {before}"

@@ -1,6 +1,5 @@
 """`wrod bench controller`: errors over the whole range, and time of a trajectory."""
 
-import json
 import subprocess
 import sys
 import time
@@ -32,7 +31,7 @@ def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_js
     new process with all imports.
     """
     from wrod.controller.controller import SHIPPED, Controller
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
     from wrod.training.score import held_out, score
 
@@ -66,10 +65,8 @@ def command(weights: tuple[Path, ...], count: int, seed: int, device: str, as_js
                 **_cold(cold),
             }
         )
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(device), "seed": seed, "rows": rows}))
+    if printed_as_json({"machine": machine_line(device), "seed": seed, "rows": rows}, as_json):
         return
-    click.echo(machine_line(device))
     click.echo(f"{count} random inputs of the whole range, seed {seed}; lengths in L_gb")
     for row in rows:
         click.echo(

@@ -1,6 +1,5 @@
 """`wrod bench deploy`: what one simulated deployment costs, and how it converges."""
 
-import json
 import time
 
 import click
@@ -39,7 +38,7 @@ def command(
     from wrod.deployment.plan import plan
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.patterns.named import pattern
     from wrod.planning.tail import tail
     from wrod.rods.catalogue import rod
@@ -93,10 +92,8 @@ def command(
             row |= change
         rows[f"convergence in {title}"] = study
     figures = {"machine": machine_line(device), "device": device, "rows": rows}
-    if as_json:
-        click.echo(json.dumps(figures))
+    if printed_as_json(figures, as_json):
         return
-    click.echo(figures["machine"])
     click.echo(f"{material.length} m of {rod_name} along {name}, friction {friction:g}, {device}")
     _say(rows)
 

@@ -56,7 +56,7 @@ def command(
 
     from wrod.grasps.inputs import CLOSURES, whole_range
     from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
@@ -64,6 +64,8 @@ def command(
         counts = counts or ("256,1024" if device == "cpu" else "4096,65536,1048576")
         _compare(against, counts, closures or tuple(CLOSURES), device, patience, as_json)
         return
+    if counts is not None or closures:
+        raise click.UsageError("--counts and --closure are of --against; give it, or drop them")
 
     on_gpu = device != "cpu"
     # 3.75 times as many grasps, some of them of closures that take twice as long, with shapes.
@@ -102,15 +104,13 @@ def command(
         figures["gpu"] = gpu_work(whole_range(count), device)
     else:
         figures["cpu"] = cpu_work(rows[2])
-    if as_json:
-        click.echo(json.dumps(figures))
+    if printed_as_json(figures, as_json):
         return
     _say(figures, threads)
 
 
 def _say(figures: dict, threads: int) -> None:
     """Print the figures for people."""
-    click.echo(figures["machine"])
     click.echo(f"device {figures['device']}, {threads} thread(s); cold starts over the whole range")
     click.echo(
         f"{'grasps':>8} {'edges':>6} {'closure':>13} {'per s':>9} {'cpu ms':>8} "

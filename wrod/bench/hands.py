@@ -1,6 +1,5 @@
 """`wrod bench hands`: real cables clamped in a robot's hand, explained and predicted."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -44,7 +43,7 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     from wrod.errors import DataError
     from wrod.files import write_json
     from wrod.identification.held.measurements import load_held
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
     if folds < 2:
@@ -75,14 +74,12 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
         written.append(out / "hands-prediction.json")
         write_json(written[-1], predictions)
     write_json(written[0], figures)
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     click.echo(_table(figures["cables"]))
     click.echo(hands_swings.table(figures["swings"]))
     if "loops" in figures:
         click.echo(hands_loops.table(figures["loops"], predictions["loops"]))
-    click.echo(figures["machine"])
     for path in written:
         click.echo(f"wrote {path}")
 

@@ -1,6 +1,5 @@
 """`wrod bench identify`: verdicts, parameters, errors and times on sets of measurements."""
 
-import json
 import time
 from pathlib import Path
 
@@ -64,6 +63,9 @@ def command(
     if seeds:
         _hidden(seeds, noises or ("white",), only, out, workers, device, as_json, force)
     else:
+        if noises or only or out is not None or workers > 1:
+            said = "--noise, --only, --out and --workers are of --hidden; drop them beside --sets"
+            raise click.UsageError(said)
         _measured(folder, device, as_json)
 
 
@@ -73,7 +75,7 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
     from wrod.bench.hidden_table import examine_all, lines, summary
     from wrod.errors import DataError
     from wrod.files.ledger import Ledger
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
 
     names = [n for n in cases() if not only or any(text in n for text in only)]
     if not names:
@@ -109,10 +111,10 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
         examine_all(pending, min(workers, max(len(pending), 1)), device, keep, bar.update)
     rows.sort(key=lambda r: wanted.index((r["set"], r["seed"], r["noise"])))
     seconds = time.perf_counter() - start
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(device), "seconds": seconds, "rows": rows}))
+    if printed_as_json(
+        {"machine": machine_line(device), "seconds": seconds, "rows": rows}, as_json
+    ):
         return
-    click.echo(machine_line(device))
     click.echo("\n".join(lines(rows) + [""] + summary(rows)))
     click.echo(f"{len(pending)} sets in {seconds:.0f} s with {workers} processes")
     if out is not None:
@@ -122,7 +124,7 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
 def _measured(folder: Path, device: str, as_json: bool) -> None:
     from wrod.bench.identify_row import row
     from wrod.errors import DataError
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
 
     paths = sorted(folder.glob("*.npz"))
     if not paths:
@@ -132,10 +134,8 @@ def _measured(folder: Path, device: str, as_json: bool) -> None:
         for path in bar:
             bar.set_description(path.stem)
             rows.append(row(path, device))
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(device), "device": device, "rows": rows}))
+    if printed_as_json({"machine": machine_line(device), "device": device, "rows": rows}, as_json):
         return
-    click.echo(machine_line(device))
     click.echo(
         f"{'set':28} {'verdict':17} {'before':>7} {'after':>7} {'/floor':>7} {'wall s':>7} "
         f"{'cpu s':>7}"

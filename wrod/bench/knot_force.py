@@ -1,6 +1,5 @@
 """`wrod bench knot-force`: the force to pull an overhand knot tight, against theory."""
 
-import json
 import time
 
 import click
@@ -29,7 +28,7 @@ def command(
     from wrod.arguments import parse_list
     from wrod.bench.overhand import knot_force, pull, solve_braid
     from wrod.errors import RodError
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
 
     friction = parse_list(frictions, "--friction", 0.0, 100.0)
     if not (5 <= tightest < loosest and loosest >= 20):
@@ -78,10 +77,8 @@ def command(
     if out:
         draw(out, friction, knots, contact, energy)
         figures["picture"] = out
-    if as_json:
-        click.echo(json.dumps(figures))
+    if printed_as_json(figures, as_json):
         return
-    click.echo(figures["machine"])
     click.echo(
         f"{len(friction)} overhand knots of {figures['nodes']} nodes, loop radius {loosest:g} to "
         f"{tightest:g} h: {wall:.0f} s (cpu {cpu:.0f} s); contact force of the braid {contact:.3f} "

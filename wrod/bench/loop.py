@@ -1,11 +1,11 @@
 """`wrod bench loop`: a rod with an unknown effect is measured, understood, and laid better."""
 
-import json
 from pathlib import Path
 
 import click
 
 from wrod.bench.loop_trials import CONTROLLERS, EFFECTS
+from wrod.machine import printed_as_json
 
 
 @click.command(name="loop")
@@ -82,10 +82,8 @@ def command(as_json: bool, **given) -> None:
 
     loop = Loop(quiet=as_json, **given)
     figures = run(loop)
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
-    click.echo(figures["machine"])
     click.echo(markdown(figures["rows"], figures["found"], loop.head))
     click.echo(", ".join(f"{name} {value:.0f} s" for name, value in figures["seconds"].items()))
     for path in figures["written"]:

@@ -24,6 +24,7 @@ from wrod.bench.table3_paper import PATTERNS, read_pattern
 from wrod.deployment.bounds import refuse_long_moves
 from wrod.deployment.simulate import simulate_deployments
 from wrod.files import write_text
+from wrod.identification.effect import effects_asked
 from wrod.machine import machine_line
 from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
@@ -142,6 +143,7 @@ def _settle(loop: Loop, curves: dict) -> None:
     refuse_long_moves(loop.speed, loop.step)
     controllers, believed = len(loop.controllers), rod(loop.rod_name)
     read_roll(loop.roll_text, believed)
+    effects_asked("clamped" if loop.recording is None else "motion", loop.candidates)
     if loop.recording is not None:
         from wrod.identification.entry import identification_cost
 

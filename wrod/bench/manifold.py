@@ -1,6 +1,5 @@
 """`wrod bench manifold`: held grips per second, the boundary for many lengths, stability's cost."""
 
-import json
 import time
 from typing import Any
 
@@ -39,7 +38,7 @@ def command(
     from wrod.grasps.manifold.boundary import DIPS, EMPTY, FOLDS, TOUCHES, boundary
     from wrod.grasps.manifold.grips import equilibrium
     from wrod.grasps.optimal import solve_grasps
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
@@ -94,15 +93,13 @@ def command(
         "solving_cpu_seconds": solving,
         "stability_cpu_seconds": both - solving,
     }
-    if as_json:
-        click.echo(json.dumps(figures))
+    if printed_as_json(figures, as_json):
         return
     _say(figures)
 
 
 def _say(figures: dict[str, Any]) -> None:
     """Print the figures for people."""
-    click.echo(figures["machine"])
     click.echo(
         f"{figures['equilibria']} held grips on {figures['device']}: "
         f"{figures['equilibria_per_second']:.1f} per s, "

@@ -1,6 +1,5 @@
 """`wrod bench perception`: accuracy and time of the centrelines of labelled photographs."""
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
 
     from wrod.errors import DataError, WrodError
     from wrod.files import read_json
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.perception.image import read_image
     from wrod.perception.score import score_paths
     from wrod.perception.trace import trace_centerlines
@@ -80,10 +79,8 @@ def command(images: Path, source: str, repeats: int, as_json: bool) -> None:
         for name in sorted({row["set"] for row in rows})
         if (part := [row for row in rows if row["set"] == name])
     ]
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(), "sets": table, "rows": rows}))
+    if printed_as_json({"machine": machine_line(), "sets": table, "rows": rows}, as_json):
         return
-    click.echo(machine_line())
     click.echo(f"from the {source}, one thread, median CPU time")
     click.echo(f"{'set':>6} {'pictures':>9} {'Dice %':>7} {'count %':>8} {'order %':>8} "
                f"{'offset px':>10} {'ms':>6}")  # fmt: skip

@@ -1,6 +1,5 @@
 """`wrod bench photographs`: real rods laid by a robot, against simulated ones. Restartable."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -54,7 +53,7 @@ def command(
     from wrod.errors import DataError
     from wrod.files import write_json
     from wrod.identification.laid.photographs import load_photographs
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
     if scenarios < 0 or workers < 1:
@@ -89,8 +88,7 @@ def command(
     summary = out / "photographs.json"
     write_json(summary, figures)
     figures["written"] = [str(path) for path in (*written, summary, laid.path)]
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     click.echo(left_out_table(verdicts))
     if not quick:
@@ -100,7 +98,6 @@ def command(
         click.echo(
             f"practice (green VPS, letter L, optimal path): {figures['predictions']['practice']}"
         )
-    click.echo(figures["machine"])
     for path in figures["written"]:
         click.echo(f"wrote {path}")
 

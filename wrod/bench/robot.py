@@ -1,6 +1,5 @@
 """`wrod bench robot`: joint paths for the seven patterns and rods 1 to 3, of one arm or of all."""
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -49,6 +48,7 @@ def command(
 
     from wrod.errors import RobotError
     from wrod.files.ledger import Ledger
+    from wrod.planning.sources import SOURCES
     from wrod.robot.model import ROBOTS
     from wrod.rods.catalogue import rod_names
 
@@ -59,6 +59,10 @@ def command(
     unknown = [name for name in rods.split(",") if name not in rod_names()]
     if unknown:
         raise RobotError(f"unknown rod {unknown[0]!r}; known rods: {', '.join(rod_names())}")
+    if method not in SOURCES:
+        raise RobotError(f"unknown method {method!r}; use one of {', '.join(SOURCES)}")
+    for pattern in PATTERNS:  # one that cannot be read is refused before the others are planned
+        _curve(pattern, patterns)
     cases = [(name, p, r) for name in names for r in rods.split(",") for p in PATTERNS]
     ledger = None
     if out is not None:
@@ -92,14 +96,12 @@ def _fields(row: dict) -> type:
 
 
 def _say(rows: list[dict], finer: bool, as_json: bool) -> None:
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
 
     solved = sum("error" not in row for row in rows)
     whole = sum("error" not in row and not row["no_approach"] for row in rows)
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(), "paths": rows, "solved": solved}))
+    if printed_as_json({"machine": machine_line(), "paths": rows, "solved": solved}, as_json):
         return
-    click.echo(machine_line())
     click.echo(
         f"{'robot':7s} {'pattern':10s} {'rod':10s} {'CPU s':>6s} {'error mm':>9s} {'degrees':>9s}"
         f" {'limit':>6s} {'gap mm':>7s} {'turn':>6s} {'step':>6s} {'beyond':>6s} {'minutes':>8s}"
@@ -163,6 +165,15 @@ def against_finer(path, curve, rod, method: str, trajectory) -> dict:
     }
 
 
+def _curve(pattern: str, folder: Path | None):
+    """The pattern, of a folder of points files if there is one."""
+    import wrod
+
+    if folder is None:
+        return wrod.pattern(pattern)
+    return wrod.Pattern.load(folder / f"{pattern.replace('-', '')}.txt")
+
+
 def run_case(
     pattern: str,
     rod_name: str,
@@ -190,10 +201,7 @@ def run_case(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", WrodWarning)
-            if folder is None:
-                curve = wrod.pattern(pattern)
-            else:
-                curve = wrod.Pattern.load(folder / f"{pattern.replace('-', '')}.txt")
+            curve = _curve(pattern, folder)
             trajectory = with_shapes(wrod.plan(curve, wrod.rod(rod_name), method=method))
         started = time.process_time()
         path = wrod.solve_joint_path(

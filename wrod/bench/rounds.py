@@ -1,6 +1,5 @@
 """`wrod bench rounds`: what a round of time steps costs, on a GPU kernel by kernel."""
 
-import json
 import time
 from collections import Counter
 
@@ -31,7 +30,7 @@ def command(counts: str, knots: int, rounds: int, device: str, as_json: bool) ->
     simulations take them, on a GPU of a graph. A CPU takes a few seconds for ten rods.
     """
     import wrod.kernels  # noqa: F401  # starts Warp quietly
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
@@ -42,10 +41,8 @@ def command(counts: str, knots: int, rounds: int, device: str, as_json: bool) ->
     rows = [_deployments(count, rounds, device) for count in numbers]
     if knots:
         rows.append(_knots(knots, rounds, device))
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(device), "rows": rows}))
+    if printed_as_json({"machine": machine_line(device), "rows": rows}, as_json):
         return
-    click.echo(machine_line(device))
     for row in rows:
         click.echo(
             f"{row['rods']} {row['what']} of {row['nodes']} nodes: {row['round']:.3f} ms a round, "

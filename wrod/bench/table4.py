@@ -1,6 +1,5 @@
 """`wrod bench table4`: the paper's Table 4, times and errors of the controller, measured here."""
 
-import json
 import time
 from pathlib import Path
 
@@ -98,7 +97,7 @@ def command(patterns: Path, weights: Path | None, closure: str, device: str, as_
 
     from wrod.controller.controller import Controller
     from wrod.grasps.optimal import solve_grasps
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.patterns.pattern import Pattern
     from wrod.rods.catalogue import rod
     from wrod.rods.device import resolve_device
@@ -116,10 +115,8 @@ def command(patterns: Path, weights: Path | None, closure: str, device: str, as_
             keys = ("numeric_seconds", "neural_seconds", "position_error", "orientation_error")
             paper = dict(zip(keys, published, strict=True))
             rows.append({"rod": name, "pattern": pattern, **figures, "paper": paper})
-    if as_json:
-        click.echo(json.dumps({"machine": machine_line(device), "rows": rows}))
+    if printed_as_json({"machine": machine_line(device), "rows": rows}, as_json):
         return
-    click.echo(machine_line(device))
     click.echo("each figure beside the paper's; errors are means over the nodes, (largest)")
     click.echo(
         f"{'rod':>10} {'pattern':>8} {'nodes':>5} {'numeric [s]':>16} {'network [ms]':>14} "

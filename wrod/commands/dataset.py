@@ -1,6 +1,5 @@
 """`wrod dataset`: optimal grasps over the whole range, in shards."""
 
-import json
 from pathlib import Path
 
 import click
@@ -49,7 +48,7 @@ def command(
     \b
       torchrun --nproc-per-node 4 --no-python wrod dataset --size 1000000 --out DIR
     """
-    from wrod.machine import machine_line
+    from wrod.machine import machine_line, printed_as_json
     from wrod.planning.roll import read_roll
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
     from wrod.training.store import row_bytes
@@ -91,13 +90,11 @@ def command(
         "machine": machine_line(rank.device(device)),
         "written": [str(out)],
     }
-    if as_json:
-        click.echo(json.dumps(figures))
+    if printed_as_json(figures, as_json):
         return
     click.echo(
         f"{label}: {outcome.samples}, {outcome.solved} solved now in {outcome.seconds:.1f} s "
         f"({figures['per_second']:.0f} per second)"
     )
     click.echo(f"not converged {outcome.unconverged}, unstable {outcome.unstable}; left out")
-    click.echo(figures["machine"])
     click.echo(f"wrote {out}")

@@ -1,6 +1,5 @@
 """`wrod deploy PATTERN`: lay the rod in simulation and measure how well it lies."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from wrod.commands.options import (
     gathered,
     options,
 )
+from wrod.machine import printed_as_json
 
 
 @click.command(name="deploy")
@@ -78,8 +78,7 @@ def command(
         ],
         "written": [str(name) for name in written],
     }
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     for k, d in enumerate(deployments):
         click.echo(

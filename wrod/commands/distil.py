@@ -1,11 +1,11 @@
 """`wrod distil`: from optimised plans of random patterns to a network that corrects plans."""
 
-import json
 from pathlib import Path
 
 import click
 
 from wrod import cost
+from wrod.machine import printed_as_json
 
 
 @click.command(name="distil", short_help="Train a network that corrects plans for a table.")
@@ -62,8 +62,7 @@ def command(
         path = corrector.save(out / "corrections.safetensors")
         figures |= corrector.metadata | {"plans": good}
         figures["written"].append(str(path))
-    if as_json:
-        click.echo(json.dumps(figures))
+    if printed_as_json(figures, as_json):
         return
     click.echo(f"plans {good}, {bad} patterns could not be laid")
     if rank.count == 1:

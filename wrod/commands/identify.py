@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.machine import printed_as_json
 
 # Parameters of an effect that are printed.
 _SHOWN = 8
@@ -40,6 +41,7 @@ def command(
     there.
     """
     from wrod.errors import DataError
+    from wrod.files import checked_path
 
     if template is not None:
         if data is not None:
@@ -48,6 +50,8 @@ def command(
         return
     if data is None:
         raise DataError("no measurements given; name an .npz file, or --template to write one")
+    wanted = "an .npz file of measurements (`wrod identify --template clamped` writes an example)"
+    checked_path(data, wanted)  # before much is loaded
     from wrod.identification import identify, is_motion
     from wrod.identification.entry import identification_cost
 
@@ -93,8 +97,7 @@ def _write_template(kind: str, out: Path, as_json: bool) -> None:
 
     path = write_template(kind, out / f"{kind}.npz")
     fields = {name: list(value.shape) for name, value in read_arrays(path).items()}
-    if as_json:
-        click.echo(json.dumps({"fields": fields, "written": [str(path)]}, indent=2))
+    if printed_as_json({"fields": fields, "written": [str(path)]}, as_json):
         return
     for name, shape in fields.items():
         click.echo(f"{name:16s} {tuple(shape) if shape else 'one number'}")

@@ -1,6 +1,5 @@
 """`wrod laid RODS... --pattern P`: what rods on the table say of the model that laid them."""
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from wrod.commands.options import (
     gathered,
     options,
 )
+from wrod.machine import printed_as_json
 from wrod.rods.model_file import rod_as_json, save_rod
 
 _FIT = (
@@ -157,8 +157,7 @@ def command(
         }
         if written := fit.save(found):
             figures["written"] = written
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     click.echo(
         f"{len(rods)} rods {figures['from_pattern_mm']:.2f} mm from the pattern (RMS), noise floor "

@@ -1,9 +1,10 @@
 """`wrod loop`: the material of a rod from the height of its loop."""
 
-import json
 from pathlib import Path
 
 import click
+
+from wrod.machine import printed_as_json
 
 
 @click.command(name="loop", short_help="Measure a rod: a fold on the table and a ruler.")
@@ -68,8 +69,7 @@ def command(
         "bending_stiffness": rod.bending_stiffness,
         "written": [] if out is None else [str(out)],
     }
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     click.echo(f"loop height             {ratio:.5f} L_gb")
     click.echo(f"gravito-bending length  {rod.gravito_bending_length * 100:.3f} cm")

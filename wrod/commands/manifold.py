@@ -1,11 +1,11 @@
 """`wrod manifold`: the admissible grips of a straight pattern, their optima and stability."""
 
-import json
 from pathlib import Path
 
 import click
 
 from wrod import cost
+from wrod.machine import printed_as_json
 
 
 @click.command(name="manifold", short_help="Map the grips that lay a straight pattern.")
@@ -72,8 +72,7 @@ def command(
         save_map(out / "manifold.npz", manifold),
     ]
     figures = {**_figures(manifold), "written": [str(path) for path in written]}
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     click.echo(_summary(figures))
     for path in written:

@@ -1,11 +1,11 @@
 """`wrod measure`: a rod's stiffness from an overhanging end, or from how it hangs as a loop."""
 
-import json
 from pathlib import Path
 
 import click
 
 from wrod.commands.options import PICTURE, UNITS, PatternOptions, gathered
+from wrod.machine import printed_as_json
 
 
 @click.command(
@@ -78,8 +78,7 @@ def command(
         "warning": found.warning,
         "written": written,
     }
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     click.echo(
         f"gravito-bending length  {100 * found.gravito_bending_length:.3f} "

@@ -190,6 +190,9 @@ class PatternOptions:
         if name in pattern_names() and not path.is_file():
             if units is not None:
                 raise PatternError(f"{name} is built in and has its size in metres; drop --units")
+            if self.given:
+                idle = " and ".join(f"--{option}" for option in self.given)
+                raise PatternError(f"{name} is built in and no drawing; drop {idle}")
             return pattern(name)
         if not path.suffix and not path.exists():
             return pattern(name)

@@ -138,8 +138,8 @@ class _GraspRequest:
         if self.friction_text is None:
             return None
         friction = read_friction(self.friction_text)
-        if self.method != "distilled":
-            plans = 3 if ":" in (self.pace or "") else 1
+        if self.method not in ("distilled", "intuitive"):  # which correct nothing here, or at once
+            plans = (3 if ":" in (self.pace or "") else 1) * (2 if self.spin else 1)
             work = cost.Cost(cost.CORRECTED_PLAN * plans)
             cost.settle(work, "the plan, corrected for its table", None, "", quiet=quiet)
         return friction

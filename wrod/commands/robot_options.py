@@ -166,7 +166,8 @@ class RobotRequest:
     def _refuse_ignored(self) -> None:
         from wrod.errors import RobotError
 
-        if given := self._given():
+        given = ["--robot"] * (self.robot != _DEFAULT_ROBOT) + self._given()
+        if given:
             raise RobotError(f"{', '.join(given)} belong to an arm; drop them or --no-robot")
 
     def solve(self, trajectory, rod, **changes):

@@ -7,6 +7,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -298,6 +299,32 @@ def _remove_empty(folder: Path) -> None:
             os.rmdir(place)
 
 
+def _prepare(places: dict[str, Path], option: click.Parameter, held: contextlib.ExitStack) -> None:
+    """Make the folder of what an option has written, or refuse it before any work; what is empty of
+    it when all is `held` no more is removed."""
+    from wrod.files.writing import refuse_no_file
+
+    place = places[str(option.name)]
+    is_file, real = _is_file(place, option.type), os.path.realpath(place)
+    same = [name for name, one in places.items() if os.path.realpath(one) == real]
+    if is_file and len(same) > 1:
+        both = " and ".join(f"--{name}" for name in same)
+        raise DataError(f"{place}: {both} would both be written there; give each a path of its own")
+    folder = Path(os.path.realpath(place)).parent if is_file else place
+    refuse_unwritable(folder)
+    made = _missing_from(folder)
+    if made is not None:
+        held.callback(_remove_empty, made)  # where nothing was finished nothing is left
+    folder.mkdir(parents=True, exist_ok=True)
+    if is_file:
+        refuse_no_file(place)
+    try:  # some file systems take no file whatever their permissions say
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        error.filename = str(folder)
+        raise
+
+
 def holding_output(command: click.Command) -> click.Command:
     """The command, which now holds its --out against other processes while it runs."""
     run: Callable | None = command.callback
@@ -308,25 +335,21 @@ def holding_output(command: click.Command) -> click.Command:
     @functools.wraps(run)
     def guarded(*args, **kwargs):
         from wrod.files.locking import locked
-        from wrod.files.writing import protect, refuse_no_file
+        from wrod.files.writing import protect
 
         protect(_read_files(command, kwargs))
-        out = kwargs.get("out")
-        if out is None:
+        places = {
+            one.name: Path(kwargs[one.name])
+            for one in command.params
+            if one.name in _WRITTEN and kwargs.get(one.name) is not None
+        }
+        with contextlib.ExitStack() as held:
+            for one in command.params:
+                if one.name in places:
+                    _prepare(places, one, held)
+            if "out" in places:
+                held.enter_context(locked(places["out"], os.environ.get("RANK", "")))
             return run(*args, **kwargs)
-        made = _missing_from(Path(out))
-        if _is_file(Path(out), option.type):
-            refuse_no_file(out)
-            refuse_unwritable(Path(os.path.realpath(out)).parent)
-        else:
-            refuse_unwritable(Path(out))
-            Path(out).mkdir(parents=True, exist_ok=True)  # what is locked
-        try:
-            with locked(out, os.environ.get("RANK", "")):
-                return run(*args, **kwargs)
-        finally:
-            if made is not None:
-                _remove_empty(made)  # where nothing was finished nothing is left
 
     command.callback = guarded
     return command

@@ -1,6 +1,5 @@
 """`wrod show PATTERN`: the pattern as it is read, before anything is planned."""
 
-import json
 from pathlib import Path
 
 import click
@@ -14,6 +13,7 @@ from wrod.commands.options import (
     RodOptions,
     gathered,
 )
+from wrod.machine import printed_as_json
 
 
 @click.command(name="show", short_help="Say what PATTERN is: its length, size and bends.")
@@ -64,8 +64,7 @@ def command(
     }
     if out is not None:
         _draw(out, curve, position, figures)
-    if as_json:
-        click.echo(json.dumps(figures, indent=2))
+    if printed_as_json(figures, as_json):
         return
     width, height = figures["size"]
     click.echo(

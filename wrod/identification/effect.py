@@ -177,13 +177,22 @@ def as_asked(kind: str, of: type, load: Callable, measurements, test, candidates
     m = read(measurements)
     if test is not None:
         m = m.scored_on(read(test))
+    return m, effects_asked(kind, candidates)
+
+
+def effects_asked(kind: str, candidates) -> list[Effect]:
+    """The candidates, which are effects or names of them; all of the kind where they are None.
+
+    Raises:
+        DataError: there is no effect of that name.
+    """
     known = effects(kind)
     chosen = list(known.values() if candidates is None else candidates)
     unknown = [c for c in chosen if not isinstance(c, Effect) and c not in known]
     if unknown:
         names = ", ".join(known)
         raise DataError(f"unknown effect {unknown[0]!r} for {kind} data; known effects: {names}")
-    return m, [c if isinstance(c, Effect) else known[c] for c in chosen]
+    return [c if isinstance(c, Effect) else known[c] for c in chosen]
 
 
 @dataclass(frozen=True)
