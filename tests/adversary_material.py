@@ -194,7 +194,7 @@ def material(folder: Path) -> dict[str, str]:
     path = wrod.plan(wrod.pattern("line"), wrod.rod("green-vps"), "intuitive", spacing=0.02)
     files = path.save(folder / "plan")
     made["plan.npz"] = str(next(file for file in map(Path, files) if file.suffix == ".npz"))
-    made["rod.json"] = str(wrod.rod("green-vps").save(folder / "rod.json"))
+    made["rod.json"] = str(wrod.save_rod(wrod.rod("green-vps"), folder / "rod.json"))
     corners = {str(k): [[x, y], [x + 0.02, y], [x + 0.02, y - 0.02], [x, y - 0.02]]
                for k, (x, y) in enumerate([(0, 0), (0.3, 0), (0.3, 0.2), (0, 0.2)])}  # fmt: skip
     at("layout.json").write_text(json.dumps({"marker_corners_m": corners}))

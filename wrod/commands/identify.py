@@ -54,7 +54,13 @@ def command(
 
     kept = {"steps": out / "steps.jsonl"} if is_motion(data) else {}
     work = identification_cost(data)
-    cost.settle(work, f"{data.name} identified", out, "give less data", quiet=as_json)
+    cost.settle(
+        work,
+        f"{data.name} identified (if no effect explains it several times as long)",
+        out,
+        "give less data",
+        quiet=as_json,
+    )
     bar_format = "{desc}: {elapsed}"
     with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:
 
