@@ -21,7 +21,7 @@ def main(out: str | Path = "out/examples") -> Path:
         line_mass=wrod.Profile((mass, mass, 2 * mass, 2 * mass, mass, mass), knots),
         radius=plain.radius, natural_curvature=(0.0, 1.0),
     )  # fmt: skip
-    path = cable.save(Path(out) / "model.json")
+    path = wrod.save_rod(cable, Path(out) / "model.json")
     assert wrod.load_rod(path) == cable
     s = np.linspace(0.0, cable.length, 90)
     arc = sagging(s, apart=0.75)

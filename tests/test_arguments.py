@@ -417,7 +417,7 @@ CALLS = {
         wrod.identify_motion,
         dict(
             measurements=files()["motion"], test=None, candidates=None, subdivisions=2,
-            device="cpu", progress=None,
+            device="cpu", evidence=False, progress=None,
         ),
     ),
     "fit_laid": lambda: (

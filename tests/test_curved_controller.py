@@ -34,7 +34,7 @@ def one_thread():
 def made(tmp_path_factory):
     """Dataset and training by their commands: the folder of both."""
     folder = tmp_path_factory.mktemp("curved")
-    model = str(CURVED.save(folder / "rod.json"))
+    model = str(wrod.save_rod(CURVED, folder / "rod.json"))
     for args in (
         ["dataset", "--size", "300", "--rod", model, "--roll", "plane",
          "--out", str(folder / "grasps")],

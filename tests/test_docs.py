@@ -101,7 +101,7 @@ def stand_ins(page: Path, folder: Path, shared: Path) -> None:
         shutil.copy(folder / "out" / "template" / "clamped.npz", folder / "measurements.npz")
     if "model.json" in text:
         model = wrod.RodModel.of(wrod.rod("green-vps"))
-        replace(model, natural_curvature=(0.0, 4.0)).save(folder / "model.json")
+        wrod.save_rod(replace(model, natural_curvature=(0.0, 4.0)), folder / "model.json")
 
 
 def run_typed(line: str, folder: Path) -> None:

@@ -1,17 +1,21 @@
 """Deployments that look at what lies and plan the rest anew."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from cli import refused, run
 
 import wrod
-from wrod.deployment.beliefs import Beliefs
+from wrod.deployment.beliefs import Beliefs, beside
 from wrod.deployment.expectation import COARSE
-from wrod.deployment.feedback import Plant, Sight, lay_with_feedback
+from wrod.deployment.feedback import Plant, Sight, _Now, lay_with_feedback
 from wrod.deployment.result import errors_along
 from wrod.deployment.setup import Disturbance
+from wrod.deployment.sight import Seen
 from wrod.deployment.simulate import Trial
 from wrod.deployment.tangents import lay
+from wrod.deployment.together import follow
 from wrod.deployment.way import Way
 from wrod.errors import RodError
 from wrod.solvers.contact import Friction
@@ -60,6 +64,23 @@ def test_a_table_is_another_where_that_is_likelier(bend):
         gained[said] = step[0] / said
     assert gained[0.1] == gained[-0.1] == pytest.approx(0.52, abs=0.01)
     assert gained[1.4] == gained[-1.4] == pytest.approx(0.99, abs=0.01)
+
+
+def test_noise_in_a_bend_is_not_taken_for_a_rod_that_lies_beside(bend):
+    """A picture tells what is across the rod; what it tells of the rest must not be noise."""
+    s = np.linspace(0.0, bend[0].length, 400)
+    laid = SimpleNamespace(arc_length=s, centerline=bend[0].sample(s)[0])
+    at, rng = np.arange(0.0, 0.19, 0.01), np.random.default_rng(0)
+    place, normal = bend[0].sample(at)[0], np.array([-np.sin(0.5), np.cos(0.5)])
+    found = {}
+    for true in (0.0, 1e-3):
+        seen = [
+            Seen(at, place + noise + np.array([*(true * normal), 0.0]), np.full((19, 3), 5e-4), 19)
+            for noise in 5e-4 * rng.standard_normal((200, 19, 3))
+        ]
+        found[true] = np.array([beside(laid, 0.22, one) for one in seen])
+    assert np.sqrt((found[0.0] ** 2).mean(axis=0)).max() < 2e-4
+    assert (found[1e-3] @ normal).mean() == pytest.approx(0.7e-3, abs=0.1e-3)
 
 
 def test_looks_that_never_come_are_refused(bend):
@@ -111,3 +132,18 @@ def test_a_grip_goes_back_and_on_as_it_would_have_gone(bend):
     again, turn = way.back(turn + 0.05, 0.0)
     # Not beyond where it came forwards for the last time.
     assert again.laid_at(turn) == pytest.approx(0.12, abs=2e-3)
+
+
+def test_what_lies_beside_is_made_up_for_by_several_steps(bend):
+    """One step is not enough: what lies answers linearly to a millimetre of the grip alone."""
+    pattern, trajectory = bend
+    way, beliefs = Way(trajectory), Beliefs(pattern, ROD, 0.3, 0.05)
+    seen = Seen(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), 0)
+    now = _Now(beliefs, way, 0.12, seen, horizon=10.0)
+    course = now._corrected(way, 0.12, way.laid_at(0.12), np.array([0.0, 2e-3]))
+    before, after, corrected = follow([course], hold=0.05)[0]
+    assert before[-15:].mean() > 2e-3 and after[-15:].mean() < 0.5 * before[-15:].mean()
+    moved = corrected.path.position - trajectory.position
+    # Nothing of what is gone is changed, and the grip goes on without a step.
+    ahead = way.laid > 0.12
+    assert not moved[~ahead].any() and 0.0 < np.abs(moved[ahead][0]).max() < 5e-4

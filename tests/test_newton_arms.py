@@ -6,6 +6,7 @@ import newton
 import numpy as np
 import pytest
 import warp as wp
+from chosen import DEVICE
 
 import wrod
 from wrod.bench.newton_bodies import Arm
@@ -41,7 +42,7 @@ def test_fixed_joints_collapse_without_the_rods():
     SolverDER.add_rod(builder, points, material)
     builder.collapse_fixed_joints()
     assert builder.body_count == 5
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     solver, state = SolverDER(model), model.state()
     solver.step(state, state, None, None, 0.01)
     fallen = state.body_q.numpy()[:, 2]
@@ -70,7 +71,7 @@ def test_a_box_is_dragged_over_the_floor():
         start="pinned", start_body=box, end="pinned", end_body=hand,
         air_damping=2.0, internal_damping=0.002,
     )  # fmt: skip
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     floor, cable = newton.solvers.SolverXPBD(model, iterations=8), SolverDER(model, bodies="none")
     pipeline = newton.CollisionPipeline(model)
     contacts = pipeline.contacts()
@@ -106,7 +107,7 @@ def test_rods_go_on_where_another_solver_has_moved_bodies(told):
     points = np.linspace(0.0, 0.1, 6)[:, None] * np.array([1.0, 0.0, 0.0])
     material = wrod.RodMaterial(radius=0.0016, gravito_bending_length=0.032, length=0.2)
     SolverDER.add_rod(builder, points, material)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     boxes, cable = newton.solvers.SolverXPBD(model), SolverDER(model, scheme="midpoint")
     state, other, dt = model.state(), model.state(), 0.005
 

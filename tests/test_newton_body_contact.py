@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
+from chosen import DEVICE
 
 import wrod
 from wrod.bench.newton_touching import SIZE, Plugs, acceleration
@@ -86,7 +87,7 @@ def test_what_others_move_feels_a_body():
 
 def test_without_contacts_it_says_so():
     scene = Plugs([(0.0, 0.0, 0.05)])
-    model = scene.builder.finalize(device="cpu")
+    model = scene.builder.finalize(device=DEVICE)
     solver, state = wrod.SolverDER(model), model.state()
     with pytest.warns(WrodWarning, match=r"\('plug'\).*given no contacts.*CollisionPipeline"):
         solver.step(state, state, None, None, 0.01)

@@ -3,6 +3,7 @@
 import newton
 import numpy as np
 import pytest
+from chosen import DEVICE
 from pxr import Usd, UsdGeom
 
 import wrod
@@ -21,14 +22,14 @@ def scene(**options):
         wrod.SolverDER.add_rod(
             builder, points, material, start="clamped", internal_damping=0.01 * (k + 1), **options
         )
-    return builder.finalize(device="cpu")
+    return builder.finalize(device=DEVICE)
 
 
 def read(source):
     builder = newton.ModelBuilder()
     wrod.SolverDER.register_custom_attributes(builder)
     found = wrod.SolverDER.add_usd(builder, source)
-    return found, builder.finalize(device="cpu")
+    return found, builder.finalize(device=DEVICE)
 
 
 def test_there_and_back(tmp_path):

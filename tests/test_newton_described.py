@@ -3,6 +3,7 @@
 import newton
 import numpy as np
 import pytest
+from chosen import DEVICE
 
 import wrod
 from wrod.errors import RodError
@@ -15,7 +16,7 @@ def built(*rods, gravity=0.0, **options):
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, gravity))
     SolverDER.register_custom_attributes(builder)
     indices = [SolverDER.add_newton_rod(builder, rod, **options) for rod in rods]
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     return model, SolverDER(model, scheme="euler"), model.state(), indices
 
 
@@ -94,7 +95,7 @@ def test_branches_hang_from_their_junction():
     rods = SolverDER.add_newton_rod(builder, rod, air_damping=5.0, label="wye")
     assert rods == [0, 1, 2]
     SolverDER.attach(builder, 0, -1, node=6, kind="pinned")
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     solver, state = SolverDER(model, scheme="euler"), model.state()
     q = settle(solver, state, 150)
     arms = q.reshape(3, 7, 3)

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from chosen import DEVICE
 from newton.viewer import ViewerNull
 
 FOLDER = Path(__file__).parents[1] / "examples" / "newton"
@@ -20,7 +21,7 @@ NAMES = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in TOO
 def test_example_meets_its_criteria(name, monkeypatch):
     monkeypatch.syspath_prepend(str(FOLDER))
     module = importlib.import_module(name)
-    example = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device="cpu"))
+    example = module.Example(ViewerNull(num_frames=1), SimpleNamespace(device=DEVICE))
     example.step()
     with pytest.raises((ValueError, TypeError)):
         example.test_final()

@@ -6,6 +6,7 @@ import newton
 import numpy as np
 import pytest
 import warp as wp
+from chosen import DEVICE
 
 import wrod
 from wrod.errors import RodError, WrodWarning
@@ -34,7 +35,7 @@ def test_a_cable_does_not_stretch_without_a_word():
     """A body that another solver moves and that gets no load is named, once; one that does is not,
     nor a kinematic one."""
     builder, bob = with_bob(inertia=INERTIA)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     solver, state = SolverDER(model, bodies="none"), model.state()
     with pytest.warns(WrodWarning, match=r"another solver moves \('bob'\).*add_body_forces"):
         for _ in range(4):
@@ -51,7 +52,7 @@ def test_a_cable_does_not_stretch_without_a_word():
 def test_bodies_are_chosen():
     builder, bob = with_bob(inertia=INERTIA)
     other = builder.add_body(mass=0.01, inertia=INERTIA)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     for chosen, moves in (("free", True), ([bob], True), ("none", False), ([], False)):
         solver, state = SolverDER(model, bodies=chosen), model.state()
         solver.step(state, state, None, None, 0.01)
@@ -67,7 +68,7 @@ def test_forces_of_the_scene_act_on_a_free_body():
     """body_f bears the bob's weight and half of the cable's: it stays where it is, within a part of
     the way that it would have fallen."""
     builder, bob = with_bob(inertia=INERTIA)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     heights = []
     for bears in (True, False):
         solver, state = SolverDER(model), model.state()
@@ -83,7 +84,7 @@ def test_forces_of_the_scene_act_on_a_free_body():
 
 def test_a_state_set_back_does_the_same_again():
     builder, bob = with_bob(inertia=INERTIA)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     solver = SolverDER(model)
     ends = []
     state = model.state()
@@ -102,7 +103,7 @@ def test_replicated_worlds_with_bodies():
     builder = scene()
     places = [wp.transform_identity(), wp.transform((3.0, 0.0, 1.0), wp.quat_identity())]
     builder.replicate(world, copy_count=2, xforms=places)
-    model, alone = builder.finalize(device="cpu"), world.finalize(device="cpu")
+    model, alone = builder.finalize(device=DEVICE), world.finalize(device=DEVICE)
     states = []
     for each in (model, alone):
         solver, state = SolverDER(each), each.state()
@@ -121,7 +122,7 @@ def test_rest_lengths():
     builder = scene()
     length = 0.01 / 1.1
     SolverDER.add_rod(builder, LINE, ROD, start="pinned", end="pinned", rest_length=length)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     solver, state = SolverDER(model, scheme="euler"), model.state()
     for _ in range(5):
         solver.step(state, state, None, None, 0.05)
@@ -144,11 +145,11 @@ def test_refusals():
     SolverDER.attach(builder, 0, -1, node=4, kind="pinned")
     with pytest.raises(RodError, match="node 4 of rod 0 is held already"):
         SolverDER.attach(builder, 0, -1, node=3)
-    model = builder.finalize(device="cpu", requires_grad=True)
+    model = builder.finalize(device=DEVICE, requires_grad=True)
     with pytest.raises(RodError, match="no gradients"):
         SolverDER(model)
     builder, _ = with_bob(inertia=INERTIA)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     with pytest.raises(RodError, match="the first one covers the second"):
         SolverDER(model, rod_contact=0.3, self_contact=0.3)
     builder = scene()
@@ -168,7 +169,7 @@ def test_a_body_clamped_in_the_middle_of_a_cable():
     SolverDER.add_rod(
         builder, up, ROD, start="clamped", end="clamped", end_body=bob, air_damping=5.0
     )
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     solver, state = SolverDER(model, scheme="euler"), model.state()
     for _ in range(150):
         solver.step(state, state, None, None, 0.02)

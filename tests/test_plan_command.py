@@ -46,7 +46,8 @@ def test_json_has_the_figures_of_the_plan(tmp_path):
 
 
 def test_rod_file(tmp_path):
-    path = wrod.RodMaterial(0.002, 0.03, 0.8, density=1000.0).save(tmp_path / "rod.json")
+    rod = wrod.RodMaterial(0.002, 0.03, 0.8, density=1000.0)
+    path = wrod.save_rod(rod, tmp_path / "rod.json")
     result = run("line", "--rod", path, "--method", "intuitive", "--out", tmp_path / "o", "--json")
     assert json.loads(result.stdout)["rod"]["density"] == 1000.0
 
@@ -397,3 +398,12 @@ def test_nobody_waits_for_what_to_expect_of_a_plan_that_was_given_up(monkeypatch
     with pytest.raises(KeyboardInterrupt), plan_expected.expecting(*asked, beside=True):
         assert watched.wait(10.0)
         raise KeyboardInterrupt
+
+
+def test_bench_plan_takes_a_folder_whose_first_pattern_bends(tmp_path):
+    angle = np.linspace(0.0, 6.0, 200)
+    bent = 0.09 * np.column_stack([np.sin(angle), 1.0 - np.cos(angle)])
+    np.savetxt(tmp_path / "circle.txt", bent)
+    words = ["bench", "plan", "--patterns", str(tmp_path), "--method", "intuitive"]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0 and "3 plans" in result.output, result.output

@@ -4,6 +4,7 @@ import newton
 import numpy as np
 import pytest
 import warp as wp
+from chosen import DEVICE
 
 import wrod
 from wrod.bench.newton_bodies import (
@@ -98,7 +99,7 @@ def test_cables_share_a_load():
     its weight (moments about either cable)."""
     builder, bar = bar_on_cables()
     builder.body_com[bar] = wp.vec3(0.1, 0.0, 0.0)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     solver, _ = simulate(model, 200, 0.05, scheme="euler", tolerance=1e-9)
     (group,) = solver._groups
     reaction = group.dynamics.reaction.numpy()[0].copy()
@@ -126,7 +127,7 @@ def test_a_closed_loop_held_by_a_body():
     body = builder.add_body(mass=1e-4, inertia=wp.mat33(*np.diag([1e-8] * 3).ravel()))
     ends = dict(start="clamped", start_body=body, end="clamped", end_body=body)
     SolverDER.add_rod(builder, points, RUBBER, air_damping=20.0, visible=False, **ends)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     _, state = simulate(model, 100, 0.05, scheme="euler")
     q = state.der.node_q.numpy()
     assert np.abs(q[0] - q[-1]).max() < 1e-7
@@ -153,7 +154,7 @@ def test_a_body_held_in_the_middle_of_a_cable():
     )  # fmt: skip
     rod = SolverDER.add_rod(builder, points, NYLON, start="pinned", end="pinned", visible=False)
     SolverDER.attach(builder, rod, body, node=10, kind="pinned")
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     solver, state = simulate(model, 150, 0.05, scheme="euler")
     q = state.der.node_q.numpy()
     reaction = solver._groups[0].dynamics.reaction.numpy()[0]
@@ -194,7 +195,7 @@ def test_cables_pass_through_what_touches_no_rods():
         points = np.zeros((11, 3))
         points[:, k], points[:, 2] = line, 0.002 + 0.01 * k
         SolverDER.add_rod(builder, points, RUBBER, touches_rods=touches, air_damping=5.0)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     _, state = simulate(model, 40, 0.01, scheme="euler", rod_contact=0.3)
     assert state.der.node_q.numpy()[:, 2].max() < 1.1 * RUBBER.radius
 
@@ -224,7 +225,7 @@ def test_a_cable_over_a_cable_holds_two_weights():
         )  # fmt: skip
     ends = dict(start="clamped", start_body=bobs[0], end="clamped", end_body=bobs[1])
     SolverDER.add_rod(builder, hanging, RUBBER, visible=False, air_damping=5.0, **ends)
-    model = builder.finalize(device="cpu")
+    model = builder.finalize(device=DEVICE)
     solver, state = simulate(model, 120, 0.01, scheme="euler", rod_contact=0.5)
     assert not solver.diverged.any()
     (group,) = solver._groups

@@ -51,7 +51,7 @@ def identified_cable(recording: Path, candidates, device, steps: Path):
     from wrod.identification.motion.loading import load_motion
 
     asked: dict[str, Any] = dict(candidates=candidates or None, device=device, steps=steps)
-    return identify(load_motion(recording), **asked)
+    return identify(load_motion(recording), evidence=False, **asked)
 
 
 def own_bend(cable: RodModel | RodMaterial):

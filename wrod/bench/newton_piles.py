@@ -146,7 +146,7 @@ def measure(heap, scene: str, solver: str, frames: int) -> dict:
         heap.step(heap.frame)  # compiles and records
     dynamics = heap.solver._groups[0].dynamics if isinstance(heap, Pile) else None
     times: list[float] = []
-    deepest, rise = 0.0, 0.0
+    deep, deepest, rise = 0.0, 0.0, 0.0
     last = scale = dynamics.energy()[0] if dynamics else 0.0
     before = dynamics.iteration_count.numpy()[0] if dynamics else 0
     while len(times) < frames and sum(times) < _PATIENCE:
@@ -155,7 +155,8 @@ def measure(heap, scene: str, solver: str, frames: int) -> dict:
         heap.step(heap.frame)
         wp.synchronize()
         times.append(time.perf_counter() - start)
-        deepest = max(deepest, deepest_of(heap.lines(), heap.radius))
+        deep = deepest_of(heap.lines(), heap.radius)
+        deepest = max(deepest, deep)
         if dynamics:
             now = dynamics.energy()[0]
             rise, last = max(rise, now - last), now
@@ -164,7 +165,7 @@ def measure(heap, scene: str, solver: str, frames: int) -> dict:
         "seconds_per_simulated_second": float(np.mean(times) / heap.frame),
         "of_the_last_frames": float(np.mean(times[-_LAST:]) / heap.frame),
         "slowest_frame": float(np.max(times) / heap.frame),
-        "deepest_over_radius": deepest,
+        "deepest_over_radius": deepest, "at_the_end": deep,
     }  # fmt: skip
     if dynamics:
         rounds = int(dynamics.iteration_count.numpy()[0] - before)

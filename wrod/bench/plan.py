@@ -19,7 +19,7 @@ from wrod import cost
 @click.option("--device", default="auto", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
 def command(patterns: Path | None, method: str, device: str, as_json: bool) -> None:
-    """Plan every pattern for the paper's rods 1 to 3, at a node every 5 mm."""
+    """Plan every pattern for the paper's rods 1 to 3, at a node every 2.5 mm."""
     import wrod
     from wrod.errors import PatternError
     from wrod.machine import machine_line, printed_as_json
@@ -36,7 +36,7 @@ def command(patterns: Path | None, method: str, device: str, as_json: bool) -> N
     rods = wrod.rod_names()[:3]
     count = len(rods) * len(curves)
     cost.settle(cost.Cost(cost.PLAN * count), f"{count} plans", None, "", quiet=as_json)
-    wrod.plan(curves[0], wrod.rod(rods[0]), method, device=device, spacing=0.1)  # compile
+    wrod.plan(curves[0], wrod.rod(rods[0]), method, device=device)  # compile
     rows: list[dict[str, Any]] = []
     for name in rods:
         for curve in curves:

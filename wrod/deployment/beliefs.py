@@ -28,6 +28,8 @@ _MODEL_ERROR, _MODEL_ERROR_HANGING = 1e-3, 3e-3
 _MEMORY = 0.12
 # Length before the contact over which what lies is compared with what is believed to [m].
 _NEAR, _STEP = 0.1, 1e-3
+# Standard deviation of how far that is beside what is believed though the beliefs are right [m].
+_BESIDE = 3e-4
 
 
 class Beliefs:
@@ -135,5 +137,5 @@ def beside(laid: Laid, s: float, seen: Seen) -> np.ndarray:
     across = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     across /= np.linalg.norm(across, axis=1)[:, None]
     apart = np.einsum("ni,ni->n", across, (seen.place[near] - place)[:, :2])
-    noise = seen.deviation[0, 0] ** 2 / _MODEL_ERROR**2
+    noise = seen.deviation[0, 0] ** 2 / _BESIDE**2
     return np.linalg.solve(across.T @ across + noise * np.eye(2), across.T @ apart)

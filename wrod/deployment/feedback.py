@@ -29,9 +29,18 @@ from wrod.solvers.contact import Friction, FrictionField
 
 # Poses of the grip that a deployment has at least.
 _LEAST_POSES = 3
-# Costs of the corrections, a tenth of those in `optimise`: one rod is laid, not a sample of them;
-# and the largest change of a correction in an iteration [L_gb].
-_SIZE, _ROUGHNESS, _STEP = 2e-4, 2e-4, 0.35
+# Costs of the corrections, a tenth of those in `optimise`: one rod is laid, not a sample of them.
+_SIZE, _ROUGHNESS = 2e-4, 2e-4
+# Largest change of a correction in an iteration [L_gb], at first; what is left of it after a change
+# for the worse and after one that saves less than this part of what its model promised, and what it
+# grows by after one that was cut to it and saves more. One step is not enough on a slippery table,
+# where a rod answers linearly to a millimetre and not to a centimetre.
+_STEP, _SHORTER, _SHORT, _LONGER, _KEPT_PROMISE = 0.35, 0.3, 0.5, 2.0, 0.5
+# So many steps at most, and none that would save less by its model than that part, or than a root
+# mean square of that [m].
+_STEPS, _DONE, _FELT = 5, 0.1, 5e-5
+# Damping of a step, relative to errors of 1 L_gb, that is tried first where it would be too large.
+_DAMPING = 1e-6
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
 HORIZON = 10.0
 # Of a spline that begins at the contact, so many first coefficients are its value and slope there.
@@ -231,33 +240,75 @@ class _Now:
         lgb = beliefs.rod.gravito_bending_length
         last = gone + self.horizon * lgb
         c = way.corrections(pattern, lgb, gone, last)
-        free = np.arange(3 * c.count) >= 3 * _FIXED
-        near = way.until(last)
-        columns = Directions.of_path(c.columns()[free][:, : len(near.laid)])
+        free = slice(3 * _FIXED, None)
+        near = way.until(last).laid
+        columns = Directions.of_path(c.columns()[free, : len(near)])
         along = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
-        there = np.tile(along <= near.laid[-1], 2)
+        there = np.tile(along <= near[-1], 2)
         beyond = np.outer(aside, along > s - _LOOKED_AT).ravel()
+        cost = METRIC_POINTS * lgb**2 * c.cost(_SIZE, _ROUGHNESS)[free, free]
 
-        def errs(laid: Laid) -> np.ndarray:
-            lost = np.inf if laid.diverged else 0.0
-            return (misplacement(pattern, laid)[0] + beyond) * there + lost
+        def moved(values: np.ndarray) -> Way:
+            return Way(c.apply(np.concatenate([np.zeros(3 * _FIXED), values])), way.laid)
 
-        laid = yield from beliefs.lay(near.path, columns)
-        before, rates = errs(laid), misplacement(pattern, laid)[1] * there[:, None]
-        after, values = before, np.zeros(3 * c.count)
-        scale = 1.0 / (METRIC_POINTS * lgb**2)
-        matrix = c.cost(_SIZE, _ROUGHNESS)[np.ix_(free, free)] + scale * rates.T @ rates
-        for size in (1.0, 0.3) if np.isfinite(before).all() else ():
-            step = -np.linalg.solve(matrix, scale * rates.T @ before)
-            trial = np.zeros_like(values)
-            trial[free] = size * step * min(1.0, _STEP / np.abs(step).max(initial=1e-12))
-            path = Way(c.apply(trial), way.laid).until(last).path
-            tried = errs((yield from beliefs.lay(path)))
-            if tried @ tried < after @ after:
-                after, values = tried, trial
+        def at(values: np.ndarray) -> Course[_Point]:
+            laid = yield from beliefs.lay(moved(values).until(last).path, columns)
+            error, rates = misplacement(pattern, laid)
+            lost = laid.diverged or not np.isfinite(rates).all()
+            error = (error + beyond) * there + (np.inf if lost else 0.0)
+            return _Point(values, error, rates * there[:, None], cost)
+
+        first = now = yield from at(np.zeros(columns.path.shape[0]))
+        radius = _STEP
+        for _ in range(_STEPS if np.isfinite(now.value) else 0):
+            step = now.step(radius, _DAMPING * METRIC_POINTS * lgb**2)
+            length, promised = np.abs(step).max(), now.value - now.ahead(step)
+            if not promised > max(_DONE * now.value, METRIC_POINTS * _FELT**2):
                 break
-        lost, left = (np.hypot(*e.reshape(2, -1)) for e in (before, after))
-        return lost, left, Way(c.apply(values), way.laid)
+            tried = yield from at(now.values + step)
+            saved = now.value - tried.value
+            if not saved > 0.0:
+                radius = _SHORTER * length
+                continue
+            now = tried
+            if not saved > _KEPT_PROMISE * promised:
+                radius = _SHORT * length
+            elif length > 0.9 * radius:
+                radius *= _LONGER
+        lost, left = (np.hypot(*one.error.reshape(2, -1)) for one in (first, now))
+        return lost, left, moved(now.values)
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Corrections `values` (n,) [L_gb], errors (m,) that are expected of them [m], the derivatives
+    (m, n) of these, and the matrix (n, n) of what the corrections cost, as squared errors."""
+
+    values: np.ndarray
+    error: np.ndarray
+    rates: np.ndarray
+    cost: np.ndarray
+
+    @property
+    def value(self) -> float:
+        """Squared errors, and what the corrections cost [m^2]."""
+        return float(self.error @ self.error + self.values @ self.cost @ self.values)
+
+    def ahead(self, step: np.ndarray) -> float:
+        """What `value` would be after a step, if errors were linear [m^2]."""
+        error, values = self.error + self.rates @ step, self.values + step
+        return float(error @ error + values @ self.cost @ values)
+
+    def step(self, radius: float, damping: float) -> np.ndarray:
+        """(n,) by which they get least, damped until none of it is larger than `radius`: cut, it
+        would lose what is well determined with what is not."""
+        matrix = self.rates.T @ self.rates + self.cost
+        slope = self.rates.T @ self.error + self.cost @ self.values
+        step = -np.linalg.solve(matrix, slope)
+        while np.abs(step).max() > radius:
+            step = -np.linalg.solve(matrix + damping * np.eye(len(slope)), slope)
+            damping *= 2.0
+        return step
 
 
 def _look(beliefs: Beliefs, path: Trajectory, s: float, misfit: float, back: float | None) -> Look:

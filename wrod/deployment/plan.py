@@ -81,8 +81,7 @@ def plan(
             into the table's plane to the side to which the pattern turns in all, or upwards. In
             the plane the twist changes least; up, less is pushed aside (docs/loop.md).
         spin: by how much the hand turns besides about a rod without sides, which twists it [rad].
-            With `friction`, grasps that know the twist are taken where the table is expected to
-            hold it, as far as it does; without, those of a rod that is not twisted.
+            With `friction`, grasps know the twist as far as the table is expected to hold it.
         controller: what "neural" and "auto" ask, for example one that was trained for this
             naturally curved rod; None is the one that ships, for all straight rods.
         friction: of the table, a coefficient (taken to be known to a tenth) or a range: the path
@@ -99,9 +98,8 @@ def plan(
         remainder, the friction that the laid pattern ("required_friction") and the rod where it
         touches down ("contact_friction") ask for, and the warnings given; with `friction`,
         "distilled", or "optimised" and "expected" (`wrod.deployment.optimise`); with `expect`,
-        "expected" (`wrod.deployment.expectation.expect`). "natural_share" is
-        the smallest share of its natural curvature that a grasp was made with, where a rod that
-        varies along itself has none of its own (`wrod.grasps.relaxed`; 0: `own_or_straight`).
+        "expected" (`wrod.deployment.expectation.expect`). "natural_share" is the smallest share
+        of its natural curvature that a grasp of a varying rod was made with (`grasps.relaxed`).
 
     Raises:
         PatternError: the pattern and its remainder leave less than 1 L_gb of the rod suspended,

@@ -12,6 +12,7 @@ from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import end_to_end, mesh_arrays
 from wrod.rods.material import RodMaterial
 from wrod.rods.state import RodState
+from wrod.solvers import streams
 from wrod.solvers.compiling import compile_steps
 from wrod.solvers.contact import Contact, Friction
 from wrod.solvers.dynamics import Dynamics
@@ -50,6 +51,9 @@ class Hands:
         # Of the held edge in the hand.
         self._offset = np.zeros((scenes, count, 3))
         self._turn = np.tile([0.0, 0.0, 0.0, 1.0], (scenes, count, 1))
+        self._turns = [Rotation.from_quat(self._turn[:, h]) for h in range(count)]
+        # What the hands held where they were last told to go: they go on from there.
+        self._last: tuple[list[Poses], tuple[np.ndarray, np.ndarray]] | None = None
 
     def hold_still(self, nodes: slice | None) -> None:
         """Fix nodes, and the edges between them, in every scene; None lets them go."""
@@ -74,6 +78,8 @@ class Hands:
         self.edge[scene, hand] = edge
         self._offset[scene, hand] = back.apply(middle[scene, edge] - poses.position[scene])
         self._turn[scene, hand] = (back * frame[scene * edges + edge]).as_quat()
+        self._turns[hand] = Rotation.from_quat(self._turn[:, hand])
+        self._last = None
         self._release_degrees()
 
     def open(self, scene: int, hand: int) -> None:
@@ -91,14 +97,20 @@ class Hands:
     def move(self, times: tuple[float, float], first: list[Poses], last: list[Poses]) -> None:
         """From one pose of every hand to another."""
         self._times.assign(times)
-        positions, rotations = [], []
-        for poses in (first, last):
-            for h, p in enumerate(poses):
-                positions.append(p.position + p.rotation.apply(self._offset[:, h]))
-                rotations.append((p.rotation * Rotation.from_quat(self._turn[:, h])).as_quat())
-        for target, keys in ((self._position, positions), (self._rotation, rotations)):
-            keys = np.stack(keys).reshape(2, self.count, *keys[0].shape)
-            target.assign(np.ascontiguousarray(keys.transpose(2, 1, 0, 3)))
+        known = self._last is not None and self._last[0] is first
+        begin = self._last[1] if known else self._held(first)
+        end = self._held(last)
+        self._last = last, end
+        for target, keys in zip(
+            (self._position, self._rotation), zip(begin, end, strict=True), strict=True
+        ):
+            target.assign(np.ascontiguousarray(np.stack(keys, axis=2)))
+
+    def _held(self, poses: list[Poses]) -> tuple[np.ndarray, np.ndarray]:
+        """(scene, hand, 3) and quaternions (scene, hand, 4) of what hands hold at these poses."""
+        positions = [p.position + p.rotation.apply(self._offset[:, h]) for h, p in enumerate(poses)]
+        turns = [(p.rotation * self._turns[h]).as_quat() for h, p in enumerate(poses)]
+        return np.stack(positions, axis=1), np.stack(turns, axis=1)
 
     def load(self, reaction: np.ndarray) -> np.ndarray:
         """(scene, hand) force with which each hand holds its edge against slipping out [N]; a hand
@@ -204,7 +216,7 @@ class Workbench:
 
     def load(self) -> np.ndarray:
         """(scene, hand) force with which each hand holds its rod after the last step [N]."""
-        return self.held.load(self.dynamics.reaction.numpy())
+        return self.held.load(streams.read(self.dynamics.reaction))
 
     def run(
         self,

@@ -10,6 +10,7 @@ from wrod import arguments
 from wrod.errors import RodError
 from wrod.kernels.stepping import pace
 from wrod.rods.batch import RodBatch
+from wrod.solvers import streams
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.condensed import paired_system
@@ -244,7 +245,7 @@ class Dynamics(NewtonSteps):
         taken = 0
         if graph is None:
             self._ask(_ROUNDS)
-        going = graph is not None or self._going.numpy()[1] != 0
+        going = graph is not None or streams.read(self._going)[1] != 0
         while going:
             # Launches are replayed faster than they can be made, but recording costs as much as
             # taking them; the first round has compiled the kernels.
@@ -257,16 +258,17 @@ class Dynamics(NewtonSteps):
             else:
                 wp.capture_launch(graph)
             taken += 1
-            going = self._going.numpy()[1] != 0
+            streams.wait(batch.device)
+            going = streams.read(self._going)[1] != 0
             if progress is not None and (graph is not None or taken % _ROUNDS == 0):
-                progress(self.time.numpy().copy())
+                progress(streams.read(self.time))
         if self.rod_contact is not None:
             self.rod_contact.check_capacity()
         return Progress(
-            self.time.numpy().copy(),
-            self.diverged.numpy() != 0,
-            self.step_count.numpy().copy(),
-            self.iteration_count.numpy().copy(),
+            streams.read(self.time),
+            streams.read(self.diverged) != 0,
+            streams.read(self.step_count),
+            streams.read(self.iteration_count),
         )
 
     def advance_by(self, duration: float, step: float) -> None:

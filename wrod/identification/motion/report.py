@@ -184,6 +184,7 @@ def identify_motion(
     subdivisions: int = 2,
     device: str | None = "cpu",
     steps: str | os.PathLike[str] | None = None,
+    evidence: bool = True,
     progress=None,
 ) -> MotionReport:
     """Find what a straight, uniform rod lacks to move as recorded, and prove it.
@@ -197,6 +198,8 @@ def identify_motion(
         device: "cpu", "cuda:0", "auto".
         steps: file that remembers what has been computed while the work goes on: where it was
             stopped, it goes on from there.
+        evidence: also show on which force what the base model lacks acts, for readers; no effect
+            is chosen by it.
         progress: called with (text,) as the work goes on.
 
     Raises:
@@ -211,14 +214,16 @@ def identify_motion(
         m, subdivisions=subdivisions, device=device, remembered=remembered
     )
     selection = select_motion(laboratory, chosen, progress=progress)
-    if progress:
-        progress("force print")
-    looked_at = np.union1d(m.fit, m.validation)
-    base = Model(selection.model.effects[: len(BASE)])
-    evidence = trace_motion(
-        m, base, selection.base_values, looked_at, int(m.validation[0]), device=laboratory.device
-    )
-    report = _report(laboratory, selection, evidence)
+    prints = None
+    if evidence:
+        if progress:
+            progress("force print")
+        looked_at = np.union1d(m.fit, m.validation)
+        base = Model(selection.model.effects[: len(BASE)])
+        prints = trace_motion(
+            m, base, selection.base_values, looked_at, int(m.validation[0]), device=device
+        )
+    report = _report(laboratory, selection, prints)
     if remembered is not None:
         remembered.forget()
     return report

@@ -1,0 +1,48 @@
+"""Batches that run at the same time on one device."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+import wrod
+from wrod.deployment import simulate
+from wrod.deployment.simulate import simulate_deployments
+from wrod.solvers import streams
+
+needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
+DEVICES = ["cpu", pytest.param("cuda:0", marks=needs_gpu)]
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_jobs_at_once_return_in_order_what_they_return_alone(device):
+    def job(number: int):
+        values = wp.full(4, float(number), dtype=wp.float64, device=device)
+        streams.wait(device)
+        return float(streams.read(values).sum())
+
+    jobs = [lambda k=k: job(k) for k in range(5)]
+    assert streams.run_at_once(jobs, device) == [0.0, 4.0, 8.0, 12.0, 16.0]
+    common = None if device == "cpu" else wp.get_stream(device)
+    with pytest.raises(ValueError, match="the third"):
+        streams.run_at_once([*jobs[:2], _fails, *jobs], device)
+    assert common is None or wp.get_stream(device) == common
+
+
+def _fails():
+    raise ValueError("the third")
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_deployments_shared_out_are_those_of_one_batch(device, letter, monkeypatch):
+    pattern, rod = wrod.pattern("letter-C"), wrod.rod("green-vps")
+    trials = [
+        wrod.Trial(pattern, rod, letter, wrod.Friction(0.6), wrod.Disturbance.random(seed))
+        for seed in range(3)
+    ]
+    how = dict(step=0.02, spacing=0.03, device=device)
+    together = simulate_deployments(trials, **how)
+    monkeypatch.setattr(simulate, "_chunks", lambda count, device, threads: ([[0, 2], [1]], 1))
+    shared_out = simulate_deployments(trials, **how)
+    for one, other in zip(together, shared_out, strict=True):
+        assert one.steps == other.steps
+        np.testing.assert_allclose(one.centerline, other.centerline, rtol=0, atol=1e-12)
