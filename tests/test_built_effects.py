@@ -84,7 +84,7 @@ def test_the_scan_finds_the_kind_and_the_place():
 def test_nothing_is_exchanged_beside_a_profile():
     model = Model((effects()["density"], ProfileEffect("curvature", BASIS)))
     fit = Fit(model, np.zeros(4), np.eye(4), 0.0, 9, 9.0, True)
-    assert exchanged(None, fit, list(effects().values()), None) == (fit, [])
+    assert exchanged(None, fit, list(effects().values())) == (fit, [])
 
 
 def test_a_fit_begins_at_the_base_model_where_no_path_leads_to_its_origin(laboratory, monkeypatch):

@@ -19,7 +19,13 @@ OUTCOMES = (
 )
 
 
-def examine(case: str, seed: int, noise: str = "white", device: str = "cpu") -> dict:
+def examine(
+    case: str,
+    seed: int,
+    noise: str = "white",
+    device: str = "cpu",
+    seconds: float | None = None,
+) -> dict:
     """Make one set, identify it, and compare what is said with what was hidden."""
     from wrod.bench.hidden_sets import NEAR, OTHER_LAWS, UNCOVERED, hidden_set
     from wrod.bench.identify_row import row
@@ -31,7 +37,7 @@ def examine(case: str, seed: int, noise: str = "white", device: str = "cpu") -> 
         data, hidden = hidden_set(case, seed, noise)
         measurements = measurements_from_arrays(data, name=case)
         so_far = "refused"
-        entry = row(measurements, device)
+        entry = row(measurements, device, seconds)
     except DataError as error:
         return key | {"outcome": so_far, "reason": str(error)}
     found = {effect["name"]: effect["parameters"] for effect in entry["effects"]}
@@ -109,10 +115,15 @@ def error_of(found: dict, truth: dict) -> tuple[float | None, float | None]:
 
 
 def examine_all(
-    jobs: Sequence[tuple[str, int, str]], workers: int, device: str, done, progress
+    jobs: Sequence[tuple[str, int, str]],
+    workers: int,
+    device: str,
+    seconds: float | None,
+    done,
+    progress,
 ) -> None:
     """Examine every (case, seed, noise) in processes side by side; `done` gets each row."""
-    for _, row in side_by_side.run(examine, [(*job, device) for job in jobs], workers):
+    for _, row in side_by_side.run(examine, [(*job, device, seconds) for job in jobs], workers):
         done(row)
         progress()
 
@@ -132,6 +143,7 @@ def lines(rows: Sequence[dict]) -> list[str]:
         sigma = "" if r["worst_error"] is None else f"{r['worst_deviations']:.1f}"
         ratio = r["after_mm"] / r["noise_floor_mm"]
         found = " + ".join(effect["name"] for effect in r["effects"]) or "-"
+        found += " (out of time)" if r.get("out_of_time") else ""
         rivals = "; ".join(" ~ ".join(pair["effects"]) for pair in r["confounded"])
         text.append(
             f"{r['set']:38} {r['seed']:>4} {r['noise']:14}  {r['outcome']:12} {r['verdict']:17} "
@@ -173,6 +185,8 @@ def summary(rows: Sequence[dict]) -> list[str]:
             part = [r["outcome"] for r in own if r["noise"] == noise]
             said = ", ".join(f"{o} {part.count(o)}" for o in OUTCOMES if o in part)
             text.append(f"{'':21}     {len(part):3} of them with {noise}: {said}")
+        if late := sum(r.get("out_of_time", False) for r in own):
+            text.append(f"{'':21}     {late:3} of them ran out of time")
         told = [r["print_near"] for r in own if r.get("print_near") is not None]
         if told:
             text.append(f"{'':21}     likeliest print near the truth in {sum(told)} of {len(told)}")

@@ -28,9 +28,19 @@ from wrod import cost
     multiple=True,
     help="Hidden: kind of noise of the markers; may be given again. Default: white.",
 )
-@click.option("--only", multiple=True, help="Hidden: only cases with this text in their name.")
+@click.option(
+    "--only",
+    multiple=True,
+    help="Hidden: only cases with this text in their name, "
+    "in the order of the texts; may be given again.",
+)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Hidden: keep rows.")
 @click.option("--workers", default=1, show_default=True, help="Hidden: processes side by side.")
+@click.option(
+    "--minutes",
+    type=click.FloatRange(min=0, min_open=True),
+    help="For each set: end its search by then with the best verdict so far.",
+)
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
@@ -41,6 +51,7 @@ def command(
     only: tuple[str, ...],
     out: Path | None,
     workers: int,
+    minutes: float | None,
     device: str,
     as_json: bool,
     force: bool,
@@ -60,16 +71,17 @@ def command(
     if workers < 1:
         raise DataError(f"workers is {workers}; give 1 or more")
     device = resolve_device(device)
+    seconds = None if minutes is None else 60.0 * minutes
     if seeds:
-        _hidden(seeds, noises or ("white",), only, out, workers, device, as_json, force)
+        _hidden(seeds, noises or ("white",), only, out, workers, seconds, device, as_json, force)
     else:
         if noises or only or out is not None or workers > 1:
             said = "--noise, --only, --out and --workers are of --hidden; drop them beside --sets"
             raise click.UsageError(said)
-        _measured(folder, device, as_json)
+        _measured(folder, seconds, device, as_json)
 
 
-def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
+def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) -> None:
     from wrod.bench.hidden_noise import NOISES
     from wrod.bench.hidden_sets import cases
     from wrod.bench.hidden_table import examine_all, lines, summary
@@ -77,7 +89,7 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
     from wrod.files.ledger import Ledger
     from wrod.machine import machine_line, printed_as_json
 
-    names = [n for n in cases() if not only or any(text in n for text in only)]
+    names = list(dict.fromkeys(n for text in only or ("",) for n in cases() if text in n))
     if not names:
         raise DataError(
             f"no case is called like {', '.join(only)}; the cases: {', '.join(cases())}"
@@ -98,7 +110,7 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
             ledger.add([row])
             rows.append(row)
 
-    wanted = [(name, seed, noise) for noise in noises for seed in seeds for name in names]
+    wanted = [(name, seed, noise) for noise in noises for name in names for seed in seeds]
     rows += [have[key] for key in wanted if key in have]
     pending = [key for key in wanted if key not in have]
     start = time.perf_counter()
@@ -108,7 +120,7 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
         "ask for fewer with --only or --hidden", force=force, quiet=as_json,
     )  # fmt: skip
     with cost.progress_bar(total=len(wanted), initial=len(rows), unit="set", quiet=as_json) as bar:
-        examine_all(pending, min(workers, max(len(pending), 1)), device, keep, bar.update)
+        examine_all(pending, min(workers, max(len(pending), 1)), device, limit, keep, bar.update)
     rows.sort(key=lambda r: wanted.index((r["set"], r["seed"], r["noise"])))
     seconds = time.perf_counter() - start
     if printed_as_json(
@@ -121,19 +133,22 @@ def _hidden(seeds, noises, only, out, workers, device, as_json, force) -> None:
         click.echo(f"wrote {out / 'rows.jsonl'}")
 
 
-def _measured(folder: Path, device: str, as_json: bool) -> None:
+def _measured(folder: Path, limit: float | None, device: str, as_json: bool) -> None:
     from wrod.bench.identify_row import row
     from wrod.errors import DataError
+    from wrod.identification.entry import identification_cost
     from wrod.machine import machine_line, printed_as_json
 
     paths = sorted(folder.glob("*.npz"))
     if not paths:
         raise DataError(f"{folder}: holds no .npz file of measurements")
+    seconds = sum(identification_cost(path).seconds for path in paths)  # reads them, too
+    cost.settle(cost.Cost(seconds), f"{len(paths)} sets", None, "give fewer", quiet=as_json)
     rows = []
     with cost.progress_bar(paths, unit="set", quiet=as_json) as bar:
         for path in bar:
             bar.set_description(path.stem)
-            rows.append(row(path, device))
+            rows.append(row(path, device, limit))
     if printed_as_json({"machine": machine_line(device), "device": device, "rows": rows}, as_json):
         return
     click.echo(

@@ -3,18 +3,23 @@
 import time
 
 
-def row(data, device: str) -> dict:
-    """One set, a file or measurements: what `wrod identify` says of it, and what that cost."""
+def row(data, device: str, seconds: float | None = None) -> dict:
+    """One set, a file or measurements: what `wrod identify` says of it, and what that cost.
+
+    Args:
+        seconds: after which its search ends, as in `identify_clamped`.
+    """
     from wrod.identification import identify
 
     clock, cpu = time.perf_counter(), time.process_time()
-    report = identify(data, device=device)
+    report = identify(data, device=device, seconds=seconds)
     content = report.to_dict()
     left_out = ("reference", "title")
     return {
         "set": report.measurements.name,
         "verdict": report.verdict,
         "reason": report.reason,
+        "out_of_time": report.out_of_time,
         "before_mm": content["before_mm"],
         "after_mm": content["after_mm"],
         "noise_floor_mm": content["noise_floor_mm"],

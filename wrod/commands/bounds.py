@@ -69,6 +69,8 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "train --batch": (1, 2**20),
     "train --width": (1, 4096),
     "train --sensitivity-weight": (0.0, 1e6),
+    "identify --minutes": (1e-3, 1e5),
+    "bench identify --minutes": (1e-3, 1e5),
     "train --minutes": (1e-3, 1e5),
     "train --rows": (100, 2**30),
     "train --test": (1, 10**6),

@@ -22,6 +22,11 @@ _SHOWN = 8
     "--template",
     help="Write an example file of measurements into OUT instead: clamped or motion.",
 )
+@click.option(
+    "--minutes",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Of a clamped rod: end the search by then with the best verdict so far.",
+)
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report for machines.")
 def command(
@@ -30,6 +35,7 @@ def command(
     out: Path,
     names: tuple[str, ...],
     template: str | None,
+    minutes: float | None,
     device: str,
     as_json: bool,
 ) -> None:
@@ -55,9 +61,17 @@ def command(
     from wrod.identification import identify, is_motion
     from wrod.identification.entry import identification_cost
 
-    kept = {"steps": out / "steps.jsonl"} if is_motion(data) else {}
-    work = identification_cost(data)
-    cost.settle(work, f"{data.name} identified", out, "give less data", quiet=as_json)
+    moves, work = is_motion(data), identification_cost(data)
+    if moves and minutes is not None:
+        raise DataError(
+            f"{data} holds recordings of motion, whose search --minutes does not bound; stop it "
+            "and begin it again with the same --out, and it goes on"
+        )
+    kept: dict[str, Any] = {"steps": out / "steps.jsonl"} if moves else {}
+    if minutes is not None:
+        kept["seconds"] = 60.0 * minutes
+    what = f"{data.name} identified (several times as long if no effect explains it)"
+    cost.settle(work, what, out, "give less data", quiet=as_json)
     bar_format = "{desc}: {elapsed}"
     with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:
 
@@ -72,7 +86,8 @@ def command(
         content = report.to_dict() | {"written": [str(p) for p in written]}
         click.echo(json.dumps(content, indent=2, allow_nan=False))
         return
-    click.echo(f"{report.measurements.name}: {report.verdict}; {report.reason}")
+    verdict = f"{report.verdict} so far" if report.out_of_time else report.verdict
+    click.echo(f"{report.measurements.name}: {verdict}; {report.reason}")
     click.echo(
         f"test error {1e3 * report.before:.2f} mm before, {1e3 * report.after:.2f} mm after, "
         f"noise floor {1e3 * report.noise_floor:.2f} mm"

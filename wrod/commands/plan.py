@@ -134,7 +134,7 @@ class _GraspRequest:
 
     def friction(self, quiet: bool):
         """Of the table, if one is known, and say how long it takes to correct the plan for it: of
-        a range of paces three are tried."""
+        a range of paces three are tried, and rods that may roll take longer."""
         if self.friction_text is None:
             return None
         friction = read_friction(self.friction_text)

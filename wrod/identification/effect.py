@@ -132,8 +132,9 @@ def magnitude_and_angle(
     return (size, float(radial)), (float(np.degrees(np.arctan2(y, x))), float(np.degrees(turning)))
 
 
-def checked_as_identification(data: Callable) -> Callable[[Asks], Asks]:
-    """Decorator that checks what an identification is asked; `data` checks measurements."""
+def checked_as_identification(data: Callable, **more: Callable) -> Callable[[Asks], Asks]:
+    """Decorator that checks what an identification is asked; `data` checks measurements, `more`
+    what only one kind is asked."""
     given = arguments.either(arguments.path, data)
     an_effect = arguments.either(arguments.text, arguments.like("an Effect", "name"))
     return arguments.checked(
@@ -143,6 +144,7 @@ def checked_as_identification(data: Callable) -> Callable[[Asks], Asks]:
         candidates=arguments.optional(arguments.several(an_effect)),
         device=arguments.optional(arguments.text),
         progress=arguments.optional(arguments.callback),
+        **more,
     )
 
 

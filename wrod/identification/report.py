@@ -24,7 +24,8 @@ class FoundEffect:
         parameters: what was found, with standard errors.
         after: test error with the effects up to this one [m].
         others: further errors, by what `to_dict` calls them [m].
-        An error is None where something has no equilibrium with what was fitted.
+        An error is None where something has no equilibrium with what was fitted, or the time was
+        over.
     """
 
     name: str
@@ -56,6 +57,11 @@ class Report:
     noise_floor: float
     effects: tuple[FoundEffect, ...]
     candidates: tuple[dict, ...]
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the time was over before all was tried."""
+        return False
 
     if TYPE_CHECKING:
 

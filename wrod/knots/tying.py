@@ -23,7 +23,7 @@ from wrod.solvers.streams import run_at_once
 
 # On a GPU scenes are shared out to so many streams: those of one wait for each other at every tick
 # of their hands.
-_GROUPS = 3
+_GROUPS = 4
 
 
 @arguments.checked(

@@ -51,6 +51,7 @@ class Hands:
         # Of the held edge in the hand.
         self._offset = np.zeros((scenes, count, 3))
         self._turn = np.tile([0.0, 0.0, 0.0, 1.0], (scenes, count, 1))
+        self._turns = [Rotation.from_quat(self._turn[:, h]) for h in range(count)]
         # What the hands held where they were last told to go: they go on from there.
         self._last: tuple[list[Poses], tuple[np.ndarray, np.ndarray]] | None = None
 
@@ -77,6 +78,7 @@ class Hands:
         self.edge[scene, hand] = edge
         self._offset[scene, hand] = back.apply(middle[scene, edge] - poses.position[scene])
         self._turn[scene, hand] = (back * frame[scene * edges + edge]).as_quat()
+        self._turns[hand] = Rotation.from_quat(self._turn[:, hand])
         self._last = None
         self._release_degrees()
 
@@ -107,10 +109,7 @@ class Hands:
     def _held(self, poses: list[Poses]) -> tuple[np.ndarray, np.ndarray]:
         """(scene, hand, 3) and quaternions (scene, hand, 4) of what hands hold at these poses."""
         positions = [p.position + p.rotation.apply(self._offset[:, h]) for h, p in enumerate(poses)]
-        turns = [
-            (p.rotation * Rotation.from_quat(self._turn[:, h])).as_quat()
-            for h, p in enumerate(poses)
-        ]
+        turns = [(p.rotation * self._turns[h]).as_quat() for h, p in enumerate(poses)]
         return np.stack(positions, axis=1), np.stack(turns, axis=1)
 
     def load(self, reaction: np.ndarray) -> np.ndarray:

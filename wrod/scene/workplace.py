@@ -21,7 +21,7 @@ ROD_COLORS = {
 
 
 @dataclass(frozen=True)
-class Table:
+class TableTop:
     """A rectangular table in a frame of its own.
 
     Attributes:
@@ -44,7 +44,7 @@ class Table:
         return local @ self.pose[:3, :3].T + self.pose[:3, 3]
 
 
-def table_under(contact: np.ndarray, placement: Placement | None, rod_radius: float) -> Table:
+def table_under(contact: np.ndarray, placement: Placement | None, rod_radius: float) -> TableTop:
     """Table with room around the contact points (T, 3) [m], before the robot where there is one.
 
     Its surface lies a rod's radius below the contact points: these are on the rod's centreline.
@@ -53,7 +53,7 @@ def table_under(contact: np.ndarray, placement: Placement | None, rod_radius: fl
     if placement is None:
         low, high = contact[:, :2].min(0) - margin, contact[:, :2].max(0) + margin
         top = float(contact[:, 2].min()) - rod_radius
-        return Table(np.eye(4), low, high, top, top - 0.72)
+        return TableTop(np.eye(4), low, high, top, top - 0.72)
     to_base = placement.base_from_world
     local = contact @ to_base[:3, :3].T + to_base[:3, 3]
     low, high = local[:, :2].min(0) - margin, local[:, :2].max(0) + margin
@@ -61,12 +61,12 @@ def table_under(contact: np.ndarray, placement: Placement | None, rod_radius: fl
     low[0] = min(max(low[0], 0.20), local[:, 0].min() - 0.02)
     low[1], high[1] = min(low[1], -0.35), max(high[1], 0.35)
     top = float(local[:, 2].min()) - rod_radius
-    return Table(
+    return TableTop(
         placement.world_from_base, low, high, top, min(-BASE_HEIGHT, top - TABLE_THICKNESS)
     )
 
 
-def add_table(stage, path: str, table: Table, materials: Materials) -> None:
+def add_table(stage, path: str, table: TableTop, materials: Materials) -> None:
     """The table's top and legs."""
     from pxr import UsdGeom
 

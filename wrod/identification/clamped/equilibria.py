@@ -188,6 +188,7 @@ class ClampedSolver:
     def shape_to(self, setups: Sequence[ClampedSetup], shape: np.ndarray, state=None) -> None:
         """Put the rods' (rod, node, 3) nodes between the clamps somewhere, the clamps to their
         poses, and the twist evenly along them; or leave it as in a saved `state`."""
+        self._assign(setups)
         clamp, grip = end_poses(setups)
         (a, ra), (b, rb) = clamp, grip
         batch = self.batch

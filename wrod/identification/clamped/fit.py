@@ -73,7 +73,6 @@ def fit_models(
     least_gain: float | Sequence[float] = 0.0,
     race: bool = True,
     rival: float = np.inf,
-    progress=None,
 ) -> list[Fit]:
     """Fit every model from its start, all in one batch.
 
@@ -86,9 +85,11 @@ def fit_models(
         race: let a candidate stop early that is far behind the best one of its batch, or whose
             gains are small against what it leaves above the noise.
         rival: chi squared of a model that is already there, for the race.
-        progress: called with 1 whenever a candidate is finished.
+
+    Raises:
+        OutOfTime: the laboratory's clock has run out; it keeps what was fitted.
     """
-    trials = laboratory.measurements.train
+    every, trials = weights is None, laboratory.measurements.train
     if weights is None:
         weights = np.ones((len(models), len(trials)))
     # Launches release the interpreter, so slices of the candidates run side by side; their number
@@ -110,7 +111,7 @@ def fit_models(
         own = ([models[c] for c in group], [starts[c] for c in group])
         best, least = _Best(race, rival), least_gains[group]
         iteration = _Iteration(laboratory, *own, trials, weights[group], best, state, least)
-        return iteration.run(progress)
+        return iteration.run()
 
     fits: dict[int, Fit] = {}
     with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
@@ -120,7 +121,11 @@ def fit_models(
         # The narrow ones are done: theirs is the mark to beat.
         mark = min([rival, *(f.chi_squared for f in fits.values())])
         fits |= dict(zip(wide, run(wide, mark), strict=True))
-    return [fits[c] for c in range(len(models))]
+    found = [fits[c] for c in range(len(models))]
+    if every:
+        laboratory.clock.fits += [f for f in found if np.isfinite(f.chi_squared)]
+    laboratory.clock.check()
+    return found
 
 
 class _Best:
@@ -154,7 +159,7 @@ class _Iteration:
         self.readings = laboratory.effective[trials]
         self.start, self.least_gain = state, least
 
-    def run(self, progress) -> list[Fit]:
+    def run(self) -> list[Fit]:
         count = len(self.models)
         damping = np.full(count, _DAMPING[0])
         costs = np.full(count, np.inf)
@@ -168,7 +173,7 @@ class _Iteration:
         states = [self.start] * count
         solver = None
         for _ in range(_MAX_ITERATIONS):
-            if not active:
+            if not active or self.laboratory.clock.over:
                 break
             if solver is None or solver.candidate_count != len(active):
                 solver = self._solver(active, states)
@@ -219,12 +224,8 @@ class _Iteration:
             for c in done:
                 active.remove(c)
                 results[c] = self._result(c, normal[c], costs[c], bool(converged[c]))
-                if progress:
-                    progress(1)
         for c in active:
             results[c] = self._result(c, normal[c], costs[c], False)
-            if progress:
-                progress(1)
         return results
 
     def _solver(self, active, states) -> ClampedSolver:

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.identification.clamped.branches import from_measured
+from wrod.identification.clamped.clock import Clock
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.layout import COMPLEX_STEP, node_part
 from wrod.identification.clamped.measurements import ClampedMeasurements
@@ -28,12 +30,14 @@ class Laboratory:
         edge_count: edges between the clamps. Predictions are extrapolated to the continuum with a
             mesh of half as many.
         device: Warp device.
+
+    A search sets its `clock`, without an end by default.
     """
 
     def __init__(
         self, measurements: ClampedMeasurements, *, edge_count: int = 90, device: str = "cpu"
     ):
-        self.measurements = measurements
+        self.measurements, self.clock = measurements, Clock()
         self.edge_count, self.device = edge_count, device
         self.trials = np.arange(measurements.trial_count)
         self.base = ClampedSetup.base(measurements, self.trials, edge_count)
@@ -132,12 +136,17 @@ class Laboratory:
     def _lead(
         self, solver: ClampedSolver, base: ClampedSetup, model: Model, values
     ) -> ClampedSetup:
-        """Lead the rods from the base model to another, in steps that keep them on their branch."""
+        """Lead the rods from the base model to another, in steps that keep them on their branch.
+
+        Where no short way leads there, as past a fold, they come from their measured shapes, if
+        that leaves no doubt of the branch (`from_measured`).
+        """
         first = solver.saved()
         # Shorter steps are cheaper than the patience of walks, which may still get past a fold.
         for walk in (False, True):
             setup, done, step = base, 0.0, 0.5
             while done < 1.0 and len(values):
+                self.clock.check()
                 before = solver.saved()
                 setup = model.setup(base, model.grown(values, min(done + step, 1.0)))
                 if solver.solve([setup], walk=walk).all():
@@ -150,6 +159,11 @@ class Laboratory:
             else:
                 return setup
             solver.restore(first)
+            if not walk:
+                setup = model.setup(base, values)
+                if from_measured(solver, [setup], base.measured)[1].all():
+                    return setup
+                solver.restore(first)
         raise DataError(
             f"{self.measurements.name}: no equilibrium with {', '.join(model.names)} at the values "
             "asked for"

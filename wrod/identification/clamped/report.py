@@ -9,6 +9,7 @@ import numpy as np
 
 from wrod import arguments
 from wrod.identification.clamped.branches import Branch
+from wrod.identification.clamped.clock import Clock
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import load_measurements
@@ -70,6 +71,11 @@ class IdentificationReport(Report):
     outliers: np.ndarray
     branches: tuple[Branch, ...]
 
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the time was over before all was tried."""
+        return self.selection.out_of_time
+
     def to_dict(self) -> dict:
         """The content of `report.json`; lengths of errors in mm, everything else SI."""
         s = self.selection
@@ -79,7 +85,8 @@ class IdentificationReport(Report):
                 {"model": list(r.current), "accepted": r.accepted, "reason": r.reason}
                 for r in s.rounds
             ],
-            "cross_validation_mm": [1e3 * v for v in s.cross_validation],
+            "out_of_time": self.out_of_time,
+            "cross_validation_mm": [millimetres(v) for v in s.cross_validation],
             "chi_squared": {
                 "base": s.base_chi_squared,
                 "final": s.fit.chi_squared,
@@ -114,13 +121,17 @@ class IdentificationReport(Report):
         return [*self.written(out, write_page), save_rod(self.material, Path(out) / "rod.json")]
 
 
-@checked_as_identification(arguments.like("measurements", "clamp_position"))
+@checked_as_identification(
+    arguments.like("measurements", "clamp_position"),
+    seconds=arguments.optional(arguments.number(0.0)),
+)
 def identify_clamped(
     measurements: ClampedMeasurements | str | os.PathLike[str],
     *,
     test: ClampedMeasurements | str | os.PathLike[str] | None = None,
     candidates: Sequence[Effect | str] | None = None,
     device: str | None = "cpu",
+    seconds: float | None = None,
     progress=None,
 ) -> IdentificationReport:
     """Find what the base model lacks, and prove it on trials that were not fitted.
@@ -130,19 +141,22 @@ def identify_clamped(
         test: measurements of the same rod to score on; default: the test trials of `measurements`.
         candidates: effects, or names of effects; default: every known one.
         device: "cpu", "cuda:0", "auto".
+        seconds: after which the search for effects ends with the best verdict until then, which
+            says so (`out_of_time`); default: when all is tried.
         progress: called with (text,) as the work goes on.
 
     Raises:
         DataError: the data cannot be right, or an effect is unknown.
     """
     say = progress or (lambda text: None)
-    asked = measurements, test, candidates
+    clock, asked = Clock(seconds), (measurements, test, candidates)
     m, chosen = as_asked("clamped", ClampedMeasurements, load_measurements, *asked)
     say("base model")
     laboratory = Laboratory(m, device=resolve_device(device))
     say("force print")
     prints = trace(laboratory)
     say("effects")
+    laboratory.clock = clock
     selection = select(laboratory, chosen, build=candidates is None)
     say("scores")
     fit = selection.fit
@@ -195,14 +209,20 @@ def _found(laboratory: Laboratory, fit: Fit, selection: Selection) -> tuple[Foun
     if not effects:
         return ()
     ends = np.cumsum([len(p) for p in parts])
-    steps = [
-        fit_models(
-            laboratory, [Model(effects[:k])], [fit.values[: ends[k - 1]]], origin=fit, race=False
-        )[0]
-        for k in range(1, len(effects))
-    ]
-    scored = [*steps, fit, *(alone.get(e.name, fit) for e in effects)]
-    after = laboratory.scores([f.model for f in scored], [f.values for f in scored])
+    after: list[float | None] = [None] * (2 * len(effects))
+    if not selection.out_of_time:
+        steps = [
+            fit_models(
+                laboratory,
+                [Model(effects[:k])],
+                [fit.values[: ends[k - 1]]],
+                origin=fit,
+                race=False,
+            )[0]
+            for k in range(1, len(effects))
+        ]
+        scored = [*steps, fit, *(alone.get(e.name, fit) for e in effects)]
+        after = laboratory.scores([f.model for f in scored], [f.values for f in scored])
     found = []
     for k, (effect, values) in enumerate(zip(effects, parts, strict=True)):
         own = slice(ends[k] - len(values), ends[k])
@@ -225,7 +245,9 @@ def _scores(laboratory: Laboratory, selection: Selection) -> list[dict]:
     fits = selection.ranking
     if not fits:
         return []
-    errors = laboratory.scores([f.model for f in fits], [f.values for f in fits])
+    errors: list[float | None] = [None] * len(fits)
+    if not selection.out_of_time:
+        errors = laboratory.scores([f.model for f in fits], [f.values for f in fits])
     return [
         {
             "name": fit.model.names[0],

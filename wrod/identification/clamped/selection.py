@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.errors import DataError
+from wrod.identification.clamped.clock import Clock, OutOfTime
 from wrod.identification.clamped.described import Described
 from wrod.identification.clamped.fit import Fit, fit_models
 from wrod.identification.clamped.laboratory import Laboratory
@@ -47,6 +48,7 @@ from wrod.identification.clamped.verdict import (
     Selection,
     at_noise_of,
     judge,
+    only_so_far,
 )
 from wrod.identification.effect import Effect
 
@@ -60,25 +62,60 @@ _LIKE_A_LAW = (*_LAWS, "stiffness", "anisotropic_bending")
 _NOISE_PASSES = 3
 
 
-def select(
-    laboratory: Laboratory, candidates: list[Effect], *, build: bool = False, progress=None
-) -> Selection:
+def select(laboratory: Laboratory, candidates: list[Effect], *, build: bool = False) -> Selection:
     """Find the effects that explain the laboratory's train trials.
+
+    When its clock runs out, the best that was fitted until then is judged, and said to be so.
 
     Args:
         build: whether to build effects where the candidates do not reach the noise.
     """
+    try:
+        current, rounds, held_out = _chosen(laboratory, candidates, build)
+        laboratory.clock.extend()
+        final = _polished(laboratory, current)
+        return judge(laboratory, final, base_fit(laboratory), rounds, held_out)
+    except OutOfTime:
+        return _so_far(laboratory)
+    finally:
+        laboratory.clock = Clock()
+
+
+def _so_far(laboratory: Laboratory) -> Selection:
+    """The verdict on the best that was fitted before the time was over."""
+    clock, empty = laboratory.clock, base_fit(laboratory)
+    clock.extend()
+    fits = best_of_each(clock.fits)
+    best = empty
+    for count in range(1, MOST_EFFECTS + 1):
+        own = [f for f in fits if len(f.model.effects) == count]
+        if own and not _too_little(empty, best, own[0]):
+            best = own[0]
+    alone = [f for f in fits if len(f.model.effects) == 1]
+    gains = [empty.bic - f.bic for f in alone]
+    said = f"the time of {clock.seconds:g} s was over"
+    rounds = [Round((), best, alone, gains, best.model.names or None, said)] if alone else []
+    before = held_out_error(laboratory, empty)[0]
+    try:
+        found = judge(laboratory, best, empty, rounds, (before, None))
+    except (DataError, OutOfTime):  # nor may shapes be led to it in time
+        found = judge(laboratory, empty, empty, rounds, (before, None))
+    return only_so_far(found, clock.seconds)
+
+
+def _chosen(laboratory: Laboratory, candidates: list[Effect], build: bool):
+    """(model, rounds, held out) of the whole search."""
     pool, tried_to_build = list(candidates), not build
     for _ in range(_NOISE_PASSES):
-        opening = _opening(laboratory, pool, progress)
+        opening = _opening(laboratory, pool)
         if tried_to_build or opening.reaches_noise:
-            current, rounds, held_out = _search(laboratory, pool, progress, opening)
+            current, rounds, held_out = _search(laboratory, pool, opening)
             if not tried_to_build and not _reaches_noise(laboratory, current):
                 found = current, rounds, held_out
-                current, rounds, held_out = _with_built(laboratory, pool, opening, found, progress)
+                current, rounds, held_out = _with_built(laboratory, pool, opening, found)
                 tried_to_build = True
         else:
-            current, rounds, held_out = _with_built(laboratory, pool, opening, None, progress)
+            current, rounds, held_out = _with_built(laboratory, pool, opening, None)
             tried_to_build = True
         if not _noise_changed(laboratory, current):
             break
@@ -86,8 +123,7 @@ def select(
             # No other weights would leave a smaller error, but the noise may ask for fewer effects.
             current = _weighed_anew(laboratory, current)
             break
-    final = _polished(laboratory, current)
-    return judge(laboratory, final, base_fit(laboratory), rounds, held_out)
+    return current, rounds, held_out
 
 
 @dataclass(frozen=True)
@@ -100,10 +136,10 @@ class _Opening:
     reaches_noise: bool
 
 
-def _opening(laboratory: Laboratory, pool: list[Effect], progress) -> _Opening:
+def _opening(laboratory: Laboratory, pool: list[Effect]) -> _Opening:
     """The first fits, and a law of unknown form in the `pool` where a known one comes nearest."""
     empty = base_fit(laboratory)
-    singles = extensions(laboratory, empty, pool, progress)
+    singles = extensions(laboratory, empty, pool)
     if not singles or _reaches_noise(laboratory, empty):
         return _Opening(singles, [], True)
     near, best = _reaches_noise(laboratory, singles[0]), singles[0].model.names[0]
@@ -111,15 +147,15 @@ def _opening(laboratory: Laboratory, pool: list[Effect], progress) -> _Opening:
     # mends a law's form passes for a second effect.
     if best in (_LAWS if near else _LIKE_A_LAW) and all(e.name != MomentLaw.name for e in pool):
         pool.append(moment_law_of(laboratory))
-        singles = best_of_each([*singles, *extensions(laboratory, empty, pool[-1:], progress)])
+        singles = best_of_each([*singles, *extensions(laboratory, empty, pool[-1:])])
         near = _reaches_noise(laboratory, singles[0])
     if near:
         return _Opening(singles, [], True)
-    pairs = best_of_each(pairs_beside(laboratory, singles[0], pool, progress, joined=True))
+    pairs = best_of_each(pairs_beside(laboratory, singles[0], pool, joined=True))
     return _Opening(singles, pairs, bool(pairs) and _reaches_noise(laboratory, pairs[0]))
 
 
-def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, known, progress):
+def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, known):
     """(model, rounds, held out) with effects that are built from profiles, which join `pool`.
 
     A few numbers at one place that reach the noise by themselves end the search where no known
@@ -134,16 +170,16 @@ def _with_built(laboratory: Laboratory, pool: list[Effect], opening: _Opening, k
     pool += built
     alone, empty = opening.singles, base_fit(laboratory)
     mark = min(f.chi_squared for f in [*alone, *opening.pairs])
-    singles = extensions(laboratory, empty, built, progress, rival=mark)
+    singles = extensions(laboratory, empty, built, rival=mark)
     few = [f for f in singles if isinstance(f.model.effects[0], (Described, MomentLaw))]
     if known is None and few and _reaches_noise(laboratory, few[0]):
-        found = _search(laboratory, built, progress, _Opening(singles, [], True))
+        found = _search(laboratory, built, _Opening(singles, [], True))
         if found[0].model.effects and _reaches_noise(laboratory, found[0]):
             reason = "leaves more than noise, and so does every likely pair"
             first = Round((), alone[0], alone, [empty.bic - f.bic for f in alone], None, reason)
             return found[0], [first, *found[1]], found[2]
     together = _Opening(best_of_each([*alone, *singles]), opening.pairs, False)
-    found = _search(laboratory, pool, progress, together)
+    found = _search(laboratory, pool, together)
     if known and known[0].bic <= found[0].bic + BIC_MARGIN:
         return known
     return found
@@ -169,6 +205,7 @@ def _noise_changed(laboratory: Laboratory, current: Fit) -> bool:
     if noise.near(laboratory.noise):
         return False
     laboratory.set_noise(noise, rates)
+    laboratory.clock.fits.clear()
     return bool(current.model.effects)
 
 
@@ -178,7 +215,7 @@ def _weighed_anew(laboratory: Laboratory, fit: Fit) -> Fit:
     return pruned(laboratory, again)
 
 
-def _search(laboratory: Laboratory, candidates, progress, opening: _Opening | None = None):
+def _search(laboratory: Laboratory, candidates, opening: _Opening | None = None):
     """(model, rounds, (before, after) RMS of markers held out) with the present noise.
 
     A profile stands by itself or joins what is there: nothing joins it.
@@ -197,16 +234,16 @@ def _search(laboratory: Laboratory, candidates, progress, opening: _Opening | No
             fits = opening.singles
         else:
             mark = min((f.chi_squared for f in ready), default=np.inf)
-            fits = extensions(laboratory, current, candidates, progress, rival=mark)
+            fits = extensions(laboratory, current, candidates, rival=mark)
         if len(current.model.effects) == 1:
-            fits += ready or pairs_beside(laboratory, current, candidates, progress)
+            fits += ready or pairs_beside(laboratory, current, candidates)
         if not fits:
             break
         # What begins with a profile would end there.
         few = [f for f in fits if current.model.effects or not has_profile(f.model)]
         best = min(few or fits, key=lambda f: f.bic)
         if len(best.model.effects) > 1 and current.bic - best.bic >= BIC_MARGIN:
-            best, others = exchanged(laboratory, best, candidates, progress)
+            best, others = exchanged(laboratory, best, candidates)
             fits += others
         step, ahead = _judged(laboratory, empty, current, best, best_of_each(fits), held_out)
         rounds.append(step)
@@ -218,7 +255,7 @@ def _search(laboratory: Laboratory, candidates, progress, opening: _Opening | No
             break
     current, held_out = _or_profile(laboratory, empty, current, rounds, held_out)
     current = pruned(laboratory, current)
-    current = leaner(laboratory, current, candidates, rounds, progress)
+    current = leaner(laboratory, current, candidates, rounds)
     if len(current.model.effects) > 1:
         # The one that does most by itself comes first.
         alone = [f.model.names[0] for f in rounds[0].fits]
@@ -229,22 +266,9 @@ def _search(laboratory: Laboratory, candidates, progress, opening: _Opening | No
 
 def _judged(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit, fits, held_out):
     """(step from a model to the best of its extensions, its held-out error): see the module."""
-    excess = max(empty.chi_squared - empty.residual_count, 0.0)
-    fluctuation = np.sqrt(2.0 * empty.residual_count)
     gain = current.bic - best.bic
-    taken = current.chi_squared - best.chi_squared
-    left = current.chi_squared - current.residual_count
-    share = taken / max(excess, fluctuation)
-    # Where much is left to explain, an effect beside a far larger one may be small.
-    more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
-    reason, ahead = "", held_out
-    if gain < BIC_MARGIN:
-        reason = f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
-    elif excess < FLUCTUATION * fluctuation and taken < fluctuation:
-        reason = f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
-    elif share < LEAST_SHARE and not more:
-        reason = f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
-    else:
+    reason, ahead = _too_little(empty, current, best), held_out
+    if not reason:
         try:
             ahead = held_out_error(laboratory, best)
         except DataError:
@@ -254,6 +278,26 @@ def _judged(laboratory: Laboratory, empty: Fit, current: Fit, best: Fit, fits, h
     said = reason or f"BIC falls by {gain:.0f}, held-out error to {1e3 * ahead[0]:.3f} mm"
     gains, accepted = [current.bic - f.bic for f in fits], None if reason else best.model.names
     return Round(current.model.names, best, fits, gains, accepted, said), ahead
+
+
+def _too_little(empty: Fit, current: Fit, best: Fit) -> str:
+    """Why what a model takes of the train trials' squares beyond another is none of its effect's;
+    nothing where it is enough."""
+    excess = max(empty.chi_squared - empty.residual_count, 0.0)
+    fluctuation = np.sqrt(2.0 * empty.residual_count)
+    gain = current.bic - best.bic
+    taken = current.chi_squared - best.chi_squared
+    left = current.chi_squared - current.residual_count
+    share = taken / max(excess, fluctuation)
+    # Where much is left to explain, an effect beside a far larger one may be small.
+    more = left > (AT_NOISE**2 - 1) * current.residual_count and taken > 0.5 * left
+    if gain < BIC_MARGIN:
+        return f"BIC falls by {gain:.1f}, less than {BIC_MARGIN:g}"
+    if excess < FLUCTUATION * fluctuation and taken < fluctuation:
+        return f"takes {taken:.0f} squares, noise alone varies by {fluctuation:.0f}"
+    if share < LEAST_SHARE and not more:
+        return f"takes {100 * share:.2g} % of the excess, less than {100 * LEAST_SHARE:g} %"
+    return ""
 
 
 def _or_profile(laboratory: Laboratory, empty: Fit, current: Fit, rounds: list[Round], held_out):
@@ -273,6 +317,7 @@ def _polished(laboratory: Laboratory, fit: Fit) -> Fit:
         edge_count=int(_FINE * laboratory.edge_count),
         device=laboratory.device,
     )
+    fine.clock = laboratory.clock
     fine.set_noise(laboratory.noise, laboratory.scatter_rates)
     if not fit.model.effects:
         laboratory.adopt(fine)

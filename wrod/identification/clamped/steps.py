@@ -45,9 +45,7 @@ def best_of_each(fits: list[Fit]) -> list[Fit]:
     return sorted(best.values(), key=lambda f: f.bic)
 
 
-def extensions(
-    laboratory, current: Fit, candidates, progress, *, rival: float = np.inf
-) -> list[Fit]:
+def extensions(laboratory, current: Fit, candidates, *, rival: float = np.inf) -> list[Fit]:
     """Every candidate added to the current model that may pay for its parameters, best first.
 
     Args:
@@ -63,7 +61,7 @@ def extensions(
             for start in _starts(laboratory, effect):
                 models.append(current.model.extended(effect))
                 starts.append(np.concatenate([current.values, start]))
-    return best_of_each(_fit(laboratory, models, starts, current, progress, rival=rival))
+    return best_of_each(_fit(laboratory, models, starts, current, rival=rival))
 
 
 def has_profile(model: Model) -> bool:
@@ -76,7 +74,7 @@ def _described(candidates: Sequence[Effect]) -> list[Effect]:
     return [e for e in candidates if not isinstance(e, ProfileEffect)]
 
 
-def pairs_beside(laboratory, current: Fit, candidates, progress, *, joined=False) -> list[Fit]:
+def pairs_beside(laboratory, current: Fit, candidates, *, joined=False) -> list[Fit]:
     """Pairs that are likely by superposition: the best single effect may stand for two others.
 
     Args:
@@ -91,14 +89,14 @@ def pairs_beside(laboratory, current: Fit, candidates, progress, *, joined=False
     chosen = likely_pairs(laboratory, _described(candidates), _PAIRS)
     if joined:
         partners = {e.name: e for model, _ in chosen if first in model.names for e in model.effects}
-        own = extensions(laboratory, current, list(partners.values()), progress)
+        own = extensions(laboratory, current, list(partners.values()))
     chosen = [(model, start) for model, start in chosen if first not in model.names]
     models, starts = [model for model, _ in chosen], [start for _, start in chosen]
     rival = min([current.chi_squared, *(f.chi_squared for f in own)])
-    return own + _fit(laboratory, models, starts, None, progress, rival=rival)
+    return own + _fit(laboratory, models, starts, None, rival=rival)
 
 
-def exchanged(laboratory, best: Fit, candidates, progress) -> tuple[Fit, list[Fit]]:
+def exchanged(laboratory, best: Fit, candidates) -> tuple[Fit, list[Fit]]:
     """Try every other effect in the place of each earlier one: the first choice saw the others'
     work as its own. Once one has changed, the others have to prove themselves beside it. Returns
     every fit on the way as well. What a profile has joined stays."""
@@ -118,9 +116,7 @@ def exchanged(laboratory, best: Fit, candidates, progress) -> tuple[Fit, list[Fi
                     models.append(rest.extended(effect))
                     starts.append(np.concatenate([values, start]))
         origin = replace(best, model=rest, values=values)
-        others = best_of_each(
-            _fit(laboratory, models, starts, origin, progress, rival=best.chi_squared)
-        )
+        others = best_of_each(_fit(laboratory, models, starts, origin, rival=best.chi_squared))
         seen += others
         if others and others[0].bic < best.bic - 1e-6:
             best, tried = others[0], 0
@@ -158,7 +154,7 @@ def pruned(laboratory, current: Fit) -> Fit:
     return current
 
 
-def leaner(laboratory, current: Fit, candidates, rounds: list[Round], progress) -> Fit:
+def leaner(laboratory, current: Fit, candidates, rounds: list[Round]) -> Fit:
     """A pair of fewer parameters in the place of a pair, if it does as well; what was fitted for
     that joins the last step, so that the verdict may name it as confounded."""
     if len(current.model.effects) != 2 or not rounds:
@@ -170,7 +166,7 @@ def leaner(laboratory, current: Fit, candidates, rounds: list[Round], progress) 
         if len(start) < len(current.values) and frozenset(model.names) not in tried
     ][:_LEANER]
     models, starts = [model for model, _ in pairs], [start for _, start in pairs]
-    fits = best_of_each(_fit(laboratory, models, starts, None, progress, rival=current.chi_squared))
+    fits = best_of_each(_fit(laboratory, models, starts, None, rival=current.chi_squared))
     for step in reversed(rounds):
         if any(set(f.model.names) == set(current.model.names) for f in step.fits):
             step.fits += fits
@@ -178,7 +174,7 @@ def leaner(laboratory, current: Fit, candidates, rounds: list[Round], progress) 
     return min([current, *fits], key=lambda f: f.bic)
 
 
-def _fit(laboratory, models, starts, origin, progress, rival: float = np.inf) -> list[Fit]:
+def _fit(laboratory, models, starts, origin, rival: float = np.inf) -> list[Fit]:
     if not models:
         return []
     # Half of what would let it join, for the problem is not linear.
@@ -191,7 +187,6 @@ def _fit(laboratory, models, starts, origin, progress, rival: float = np.inf) ->
         origin=origin,
         least_gain=[0.5 * (BIC_MARGIN + price * (len(v) - paid)) for v in starts],
         rival=rival,
-        progress=progress,
     )
     return [f for f in fits if np.isfinite(f.chi_squared)]
 

@@ -1,7 +1,7 @@
 """The verdict on a chosen model of a clamped rod, and what these data cannot tell apart."""
 
 import copy
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -39,12 +39,14 @@ class Selection:
         verdict: adequate, explained, partly-explained or unexplained.
         fit: the chosen model, polished on a finer mesh.
         rounds: the steps that led there.
-        cross_validation: (before, after) RMS of held-out marker errors [m] of the chosen model.
+        cross_validation: (before, after) RMS of held-out marker errors [m] of the chosen model;
+            None if the time was over.
         confounded: pairs of names that these data cannot tell apart, with the evidence.
         ranking: every effect alone on the base model, best first.
         leading: the chosen model even where the verdict names no effect.
         unseen: (chi squared that the model takes from the test trials, its standard error).
         at_bound: parameters of the model that ended at a bound.
+        out_of_time: whether not all was tried.
     """
 
     verdict: str
@@ -54,10 +56,11 @@ class Selection:
     ranking: list[Fit]
     rounds: list[Round]
     base_chi_squared: float
-    cross_validation: tuple[float, float]
+    cross_validation: tuple[float, float | None]
     unseen: tuple[float, float] = (0.0, 0.0)
     at_bound: tuple[str, ...] = ()
     confounded: list[dict] = field(default_factory=list)
+    out_of_time: bool = False
 
 
 def judge(
@@ -65,7 +68,7 @@ def judge(
     fit: Fit,
     empty: Fit,
     rounds: list[Round],
-    cross_validation: tuple[float, float],
+    cross_validation: tuple[float, float | None],
 ) -> Selection:
     """The verdict on a chosen model.
 
@@ -132,6 +135,15 @@ def judge(
     if named.model.effects:
         selection.confounded = _confounded(laboratory, fit, rounds)
     return selection
+
+
+def only_so_far(selection: Selection, seconds: float) -> Selection:
+    """A judgement when the time was over: no more than a part is explained, for what would have
+    been tried might do as well, and nothing is adequate."""
+    least = {"explained": "partly-explained", "adequate": "unexplained"}
+    reason = f"so far, for {seconds:g} s were not enough to try everything: {selection.reason}"
+    verdict = least.get(selection.verdict, selection.verdict)
+    return replace(selection, verdict=verdict, reason=reason, out_of_time=True)
 
 
 def _doubt(fit: Fit, measurements) -> str:

@@ -1,0 +1,59 @@
+"""A search that its time ends, and rods that no short way leads to a model."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from test_identification import FEW_NAMES, synthetic
+
+from wrod.commands import main
+from wrod.identification import identify
+from wrod.identification.clamped.clock import Clock, OutOfTime
+from wrod.identification.clamped.equilibria import ClampedSolver
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.loading import measurements_from_arrays
+from wrod.identification.effect import Model, effects
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """A set whose rod is bent by nature."""
+
+    def apply(setup):
+        setup.natural_curvature = setup.natural_curvature + np.array([2.0, -3.0])
+
+    return synthetic(apply, trials=8, edge_count=60)
+
+
+def test_the_best_until_then_is_judged_and_explains_a_part_at_most(bent, monkeypatch, tmp_path):
+    ended = []
+
+    def check(clock):
+        if clock.fits and not ended:
+            ended.append(len(clock.fits))
+            raise OutOfTime
+
+    monkeypatch.setattr(Clock, "check", check)
+    report = identify(measurements_from_arrays(bent), candidates=FEW_NAMES, seconds=600.0)
+    assert ended and report.verdict == "partly-explained"
+    assert [e.name for e in report.effects] == ["natural_curvature"]
+    assert report.after < 1.1 * report.noise_floor
+    assert report.reason.startswith("so far, for 600 s were not enough")
+    report.save(tmp_path)
+    assert json.loads((tmp_path / "report.json").read_text())["out_of_time"]
+
+
+def test_a_command_whose_time_is_over_at_once_says_so(bent, tmp_path):
+    np.savez(tmp_path / "bent.npz", **bent)
+    asked = ["identify", str(tmp_path / "bent.npz"), "--minutes", "0.001"]
+    result = CliRunner().invoke(main, [*asked, "--out", str(tmp_path)], catch_exceptions=False)
+    assert "bent: unexplained so far; so far, for 0.06 s" in result.output
+
+
+def test_rods_that_no_short_way_leads_come_from_their_measured_shapes(bent, monkeypatch):
+    laboratory = Laboratory(measurements_from_arrays(bent), edge_count=30)
+    model, values = Model((effects()["natural_curvature"],)), np.array([2.0, -3.0])
+    led = laboratory.predict(model, values)
+    monkeypatch.setattr(ClampedSolver, "solve", lambda self, setups, walk: np.zeros(1, bool))
+    assert laboratory.predict(model, values) == pytest.approx(led, abs=1e-7)
