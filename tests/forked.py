@@ -100,7 +100,7 @@ class Server:
 
     def run(self, function: Callable, arguments: tuple, folder: Path, *, limited=True) -> End:
         """How a call of a module's function ends in a folder; what it returns is the exit code.
-        `limited`: in address space."""
+        `limited`: in memory."""
         pickle.dump((function, arguments, folder, limited), self.process.stdin)
         self.process.stdin.flush()
         return pickle.load(self.process.stdout)
@@ -167,10 +167,10 @@ def _forked(function: Callable, arguments: tuple, folder: Path, limited: bool) -
             os.dup2(writer, 1)
             os.dup2(writer, 2)
             os.chdir(folder)
-            resource.setrlimit(resource.RLIMIT_CPU, (int(SECONDS) + 2, int(SECONDS) + 4))
+            resource.setrlimit(resource.RLIMIT_CPU, (int(SECONDS) + 1, int(SECONDS) + 3))
             if limited:
-                most = _virtual() + 3 * 2**30
-                resource.setrlimit(resource.RLIMIT_AS, (most, most))
+                most = _data() + 3 * 2**30
+                resource.setrlimit(resource.RLIMIT_DATA, (most, most))
             code = function(*arguments)
         except BaseException:
             os.write(1, traceback.format_exc().encode(errors="replace"))
@@ -212,5 +212,6 @@ def _processor(process: int) -> int:
     return sum(used.get(one, 0) for one in of)
 
 
-def _virtual() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+def _data() -> int:
+    """Bytes that are its own; CUDA's libraries reserve addresses by the terabyte besides."""
+    return int(Path("/proc/self/statm").read_text().split()[5]) * os.sysconf("SC_PAGE_SIZE")

@@ -24,6 +24,8 @@ from wrod.files import (
     write_tensors,
 )
 from wrod.files.array_schemas import ARRAYS
+from wrod.files.ledger import Ledger
+from wrod.files.writing import begin, finished
 
 SCENE = {
     "format": "wrod-fixtures-1",
@@ -309,3 +311,27 @@ def test_tensors_have_a_checksum(tmp_path):
     path.write_bytes(content)
     with pytest.raises(DataError, match="damaged"):
         read_tensors(path, "a file")
+
+
+def test_a_refusal_says_that_a_campaign_that_went_on_is_complete(tmp_path):
+    path = tmp_path / "trials.jsonl"
+    Ledger(path, {}, ("k",)).add([{"k": 1}])
+    begin()
+    Ledger(path, {}, ("k",)).add([{"k": 2}])
+    assert finished() == [path]
+
+
+@pytest.mark.parametrize(
+    "row",
+    [{"metrics": {"tip_deflection_error": "x"}}, {"simulated": 0.0}, {"solver": "x"}, {"said": 1}],
+)
+def test_rows_of_other_runs_are_those_of_the_bench(tmp_path, row):
+    from wrod.bench.cosserat import _rows_of
+
+    good = {"experiment": "cantilever", "solver": "wrod", "elements": 8, "seconds": 0.1, "said": ""}
+    path = tmp_path / "rows.json"
+    path.write_text(json.dumps({"rows": [good | {"metrics": {"tip_deflection_error": 1e-3}}]}))
+    assert _rows_of(path)[0]["metrics"] == {"tip_deflection_error": 1e-3}
+    path.write_text(json.dumps({"rows": [good | row]}))
+    with pytest.raises(DataError, match="run that again"):
+        _rows_of(path)

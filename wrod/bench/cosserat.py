@@ -7,9 +7,12 @@ from math import isfinite
 from pathlib import Path
 
 import click
+import msgspec
 
 from wrod import cost
 from wrod.errors import DataError, RodError
+from wrod.files.reading import MAX_JSON, read_text, refuse_depth
+from wrod.files.row_schemas import CosseratRows
 
 _METRICS = {
     "cantilever": "tip_deflection_error",
@@ -71,13 +74,27 @@ def _rows_of(path: Path) -> list[dict]:
     Raises:
         DataError: the file holds something else.
     """
+    what = "what `wrod bench cosserat --json` prints"
+    text = read_text(path, what, limit=MAX_JSON)
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
-        if all(row["experiment"] in _METRICS and row["solver"] in _SOLVERS for row in rows):
-            return rows
-    except (ValueError, TypeError, KeyError):
-        pass
-    raise DataError(f"{path} is not what `wrod bench cosserat --json` prints; run that again")
+        refuse_depth(text.encode("utf-8", "replace"))
+        rows = msgspec.convert(json.loads(text), CosseratRows).rows
+    except (ValueError, RecursionError):  # msgspec's are of the former
+        rows = None
+    known = rows is not None and all(
+        row.experiment in _METRICS
+        and row.solver in _SOLVERS
+        and _is_number(row.metrics.get(_METRICS[row.experiment]))
+        for row in rows
+    )
+    if rows is None or not known:
+        raise DataError(f"{path} is not {what}; run that again")
+    return msgspec.to_builtins(rows)
+
+
+def _is_number(value) -> bool:
+    """Whether an error is one, or not there; one that diverged may be NaN."""
+    return value is None or (isinstance(value, (int, float)) and not abs(value) > 1e300)
 
 
 def _draw(out: Path, rows: list[dict]) -> None:

@@ -53,7 +53,8 @@ def _panel(axes, rows: list[dict], metric: str) -> list[str]:
                 axes.annotate(row["elements"], (x, y), xytext=(4, 3), textcoords="offset points",
                               fontsize=6.5, color=_MUTED)  # fmt: skip
         elif mine:
-            absent.append(f"{solver}: {mine[0]['said']:.60}")
+            said = mine[0]["said"][:60].replace("$", r"\$")  # it would be mathematics
+            absent.append(f"{solver}: {said}")
     axes.set_xscale("log")
     axes.set_yscale("log")
     if axes.has_data():

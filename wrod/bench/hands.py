@@ -52,10 +52,17 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     seconds = cost.HAND if quick else 2 * cost.HAND + cost.FOLD * folds + cost.LOOPS
     cost.settle(cost.Cost(seconds), "all fits", out, "ask for fewer --folds", quiet=as_json)
     out.mkdir(parents=True, exist_ok=True)
+    held = {
+        cable: [load_held(data / "swing" / f"{cable}-{load}-static.npz") for load in LOADS]
+        for cable in CABLES[: 1 if quick else None]
+    }
+    hanging = data / "hanging" if not quick and (data / "hanging").is_dir() else None
+    hands_swings.read_all(data / "swing")  # what cannot be read is refused before the work
+    if hanging is not None:
+        hands_loops.read_all(hanging)
     figures: dict = {"machine": machine_line(device), "cables": {}}
     predictions, statics = {}, {}
-    for cable in CABLES[: 1 if quick else None]:
-        sets = [load_held(data / "swing" / f"{cable}-{load}-static.npz") for load in LOADS]
+    for cable, sets in held.items():
         figures["cables"][cable], fit = _explain(sets, None if quick else folds, device)
         statics[cable] = fit
         if not quick:
@@ -65,8 +72,7 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
         data / "swing", statics, {name: source for name, (source, *_) in OTHERS.items()},
         quick, device,
     )  # fmt: skip
-    hanging = data / "hanging"
-    if hanging.is_dir() and not quick:
+    if hanging is not None:
         figures["loops"], predictions["loops"] = hands_loops.explain(hanging, device)
     written = [out / "hands.json"]
     written += hands_swings.draw(data / "swing", out, statics, predictions["swings"])

@@ -30,12 +30,17 @@ _STRETCHES = 5
 _SOLID = "twist of a solid"
 
 
-def explain(folder: Path, device: str) -> tuple[dict, dict]:
-    """{cable: figures} and {cable: predictions} of CABLE-hanging.npz and poses-3d.npz."""
+def read_all(folder: Path) -> tuple[HeldPoses, dict[str, HangingLoops]]:
+    """The poses, and each cable's loops, of CABLE-hanging.npz and poses-3d.npz."""
     poses = load_poses(folder / "poses-3d.npz")
+    return poses, {cable: load_hanging(folder / f"{cable}-hanging.npz") for cable in CABLES}
+
+
+def explain(folder: Path, device: str) -> tuple[dict, dict]:
+    """{cable: figures} and {cable: predictions} of a folder; see `read_all`."""
+    poses, hung = read_all(folder)
     figures, predictions = {}, {}
-    for cable in CABLES:
-        loops = load_hanging(folder / f"{cable}-hanging.npz")
+    for cable, loops in hung.items():
         fits = [fit_loops(loops, effects, device=device) for effects in _STAGES]
         before, after = fits[0].rms, fits[-1].rms
         left, inside, sigma = _left_out(loops, device)

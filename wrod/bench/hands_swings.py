@@ -18,6 +18,11 @@ _PREDICTS, _RIVAL = ("damping",), ("damping", "friction")
 _EIGHTY = 1.2816
 
 
+def read_all(folder: Path) -> dict[str, HeldSwing]:
+    """Every swing of a folder, by its file's name."""
+    return {path.name: load_swing(path) for path in sorted(folder.glob("*-swing.npz"))}
+
+
 def explain(
     folder: Path, statics: dict[str, HeldFit], others: dict[str, str], quick: bool, device: str
 ) -> tuple[dict, dict]:

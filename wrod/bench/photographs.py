@@ -49,10 +49,10 @@ def command(
     """
     from wrod.bench.photographs_deployments import Deployments
     from wrod.bench.photographs_judge import judge
-    from wrod.bench.photographs_report import left_out_table
+    from wrod.bench.photographs_report import left_out_table, practice_of
     from wrod.errors import DataError
     from wrod.files import write_json
-    from wrod.identification.laid.photographs import load_photographs
+    from wrod.identification.laid.photographs import load_photograph, load_photographs
     from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
@@ -61,6 +61,8 @@ def command(
             f"scenarios is {scenarios} and workers {workers}; give 0 or more, and 1 or more"
         )
     photographs = load_photographs(data)
+    if not quick and practice_of(data).exists():
+        load_photograph(practice_of(data))  # refused before the work
     if quick:
         first = photographs[0].rod
         photographs = [p for p in photographs if p.rod == first][:2]

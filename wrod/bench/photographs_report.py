@@ -151,9 +151,14 @@ def _prediction(photograph, rods, share, camera: OverheadCamera):
     }
 
 
+def practice_of(data: Path) -> Path:
+    """Where the one optimal photograph is that is not held back."""
+    return data / "-".join([*_PRACTICE, "opt.npz"])
+
+
 def _practice(out: Path, data: Path) -> str:
     """The one optimal photograph that is not held back, against its prediction."""
-    path = data / "-".join([*_PRACTICE, "opt.npz"])
+    path = practice_of(data)
     prediction = out / "-".join([*_PRACTICE, "opt.npz"])
     if not path.exists() or not prediction.exists():
         return "no practice photograph"

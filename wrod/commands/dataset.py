@@ -1,5 +1,6 @@
 """`wrod dataset`: optimal grasps over the whole range, in shards."""
 
+import json
 from pathlib import Path
 
 import click
@@ -48,7 +49,7 @@ def command(
     \b
       torchrun --nproc-per-node 4 --no-python wrod dataset --size 1000000 --out DIR
     """
-    from wrod.machine import machine_line, printed_as_json
+    from wrod.machine import machine_line
     from wrod.planning.roll import read_roll
     from wrod.training.dataset import SHARD_SIZE, Rank, generate
     from wrod.training.store import row_bytes
@@ -90,8 +91,10 @@ def command(
         "machine": machine_line(rank.device(device)),
         "written": [str(out)],
     }
-    if printed_as_json(figures, as_json):
+    if as_json:
+        click.echo(json.dumps(figures))  # one line, for ranks share a stream
         return
+    click.echo(figures["machine"])
     click.echo(
         f"{label}: {outcome.samples}, {outcome.solved} solved now in {outcome.seconds:.1f} s "
         f"({figures['per_second']:.0f} per second)"

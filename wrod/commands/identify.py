@@ -70,7 +70,8 @@ def command(
     kept: dict[str, Any] = {"steps": out / "steps.jsonl"} if moves else {}
     if minutes is not None:
         kept["seconds"] = 60.0 * minutes
-    cost.settle(work, f"{data.name} identified", out, "give less data", quiet=as_json)
+    what = f"{data.name} identified (several times as long if no effect explains it)"
+    cost.settle(work, what, out, "give less data", quiet=as_json)
     bar_format = "{desc}: {elapsed}"
     with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:
 

@@ -216,11 +216,20 @@ def interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def hush() -> None:
+    """Let nothing interrupt what is left of a process that ends: to say why."""
+    with contextlib.suppress(ValueError):  # not the main thread
+        for number in (*_ENDINGS, signal.SIGALRM):
+            signal.signal(number, signal.SIG_IGN)
+
+
 def stop(ctx: click.Context, error: BaseException) -> None:
     """Say in one sentence why the command ends, and which of its outputs are whole; then exit."""
     from wrod.files.writing import finished
 
     if _STRUCK:  # a library may have made another error of it
+        if ctx.find_root().obj is not None:  # this process is the command's
+            hush()
         error = KeyboardInterrupt(*_STRUCK[:1])
     if isinstance(error, BrokenPipeError):
         os._exit(1)  # nobody reads any more what would be said

@@ -9,6 +9,7 @@ import msgspec
 from wrod.errors import DataError
 from wrod.files import read_text, write_atomically
 from wrod.files.reading import entry_message, refuse_depth, shown
+from wrod.files.writing import grown
 
 # Of a campaign of a million trials.
 _MOST_BYTES = 2**31
@@ -80,6 +81,7 @@ class Ledger:
             return
         with open(self.path, "a", encoding="utf-8") as file:
             file.writelines(json.dumps(row) + "\n" for row in rows)
+        grown(self.path)
 
     def of(self, keys: Sequence[tuple]) -> list[dict]:
         """The rows of these trials, in the order in which the trials are given."""

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from msgspec import Meta
+from msgspec import Meta, field
 
 from wrod.files.schemas import Count, Name, _Open
 
@@ -98,6 +98,24 @@ class LaidRow(_Open, frozen=True):
     arc_length: list[float]
     nodes: list[list[float]]
     reached: bool
+
+
+class CosseratRow(_Open, frozen=True):
+    """A run of `wrod bench cosserat`."""
+
+    experiment: Name
+    solver: Name
+    elements: Count
+    said: Annotated[str, Meta(max_length=1000)]
+    seconds: Annotated[float, Meta(ge=0.0, le=1e9)]
+    simulated: Annotated[float, Meta(gt=0.0, le=1e9)] = 1.0
+    metrics: Annotated[dict[str, Any], Meta(max_length=1000)] = field(default_factory=dict)
+
+
+class CosseratRows(_Open, frozen=True):
+    """What `wrod bench cosserat --json` prints."""
+
+    rows: Annotated[list[CosseratRow], Meta(max_length=10_000)]
 
 
 class ArmsRow(_Open, frozen=True):

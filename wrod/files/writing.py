@@ -104,6 +104,11 @@ def refuse_no_file(path: str | os.PathLike[str]) -> None:
         raise DataError(f"{path}: is {kind}, and a file is to be written there; choose another")
 
 
+def grown(path: Path) -> None:
+    """Count a file that was whole, and now has more, among what is `finished`."""
+    _FINISHED.append(path)
+
+
 def finished() -> list[Path]:
     """The last files that were written whole since `begin`, in order."""
     return list(dict.fromkeys(_FINISHED))
