@@ -1,5 +1,3 @@
-import sys
-import types
 from dataclasses import replace
 
 import numpy as np
@@ -46,9 +44,7 @@ def grasps(monkeypatch):
     """Put `solve` in the place of the rod solver."""
 
     def put(solve):
-        module = types.ModuleType("wrod.grasps.optimal")
-        module.solve_grasps = solve
-        monkeypatch.setitem(sys.modules, "wrod.grasps.optimal", module)
+        monkeypatch.setattr("wrod.grasps.optimal.solve_grasps", solve)
 
     put(fake_grasps)
     return put

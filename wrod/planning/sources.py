@@ -140,13 +140,13 @@ def _of_varying_rod(inputs: GraspInputs) -> Grasps:
 
 def _numeric(inputs: GraspInputs) -> Grasps:
     """Optimal grasps from the rod solver."""
-    from wrod.grasps.optimal import solve_grasps, solve_twisted
+    from wrod.grasps import optimal
 
     if inputs.rod is not None:
         return _of_varying_rod(inputs)
     asked = inputs.suspended_length, inputs.curvature, inputs.stretch_ratio
     if inputs.twist is not None:
-        return solve_twisted(
+        return optimal.solve_twisted(
             *asked,
             inputs.twist,
             closure=inputs.closure,
@@ -159,7 +159,7 @@ def _numeric(inputs: GraspInputs) -> Grasps:
     own: dict[str, Any] = {}
     if not inputs.is_straight:
         own = {"natural_curvature": inputs.natural_curvature, "poisson": inputs.poisson}
-    return solve_grasps(
+    return optimal.solve_grasps(
         *asked,
         closure=inputs.closure,
         device=inputs.device,
