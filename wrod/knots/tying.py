@@ -6,8 +6,6 @@ carries it over the others, and puts it down. At last both hands pull.
 """
 
 from collections.abc import Callable
-from functools import partial
-from typing import Any
 
 from wrod import arguments
 from wrod.errors import RodError
@@ -17,13 +15,6 @@ from wrod.knots.plan import KnotPlan
 from wrod.knots.pull import pull
 from wrod.knots.trials import Handling, TyingResult
 from wrod.knots.tying_run import TyingRun
-from wrod.rods.device import resolve_device
-from wrod.solvers.compiling import compile_steps
-from wrod.solvers.streams import run_at_once
-
-# On a GPU scenes are shared out to so many streams: those of one wait for each other at every tick
-# of their hands.
-_GROUPS = 4
 
 
 @arguments.checked(
@@ -66,26 +57,10 @@ def tie(
         device: "cpu", "cuda:0", "auto".
         progress: called with what comes next.
     """
-
-    def one(part: list[Handling]) -> list[TyingResult]:
-        run = TyingRun(
-            knot, part, method, friction, rod_friction, speed, hand_speed, step,
-            film_interval, device,
-        )  # fmt: skip
-        return _tie(run, progress or (lambda what: None))
-
-    place = resolve_device(device)
-    compile_steps(place, coupled=True)
-    groups = 1 if place == "cpu" else min(_GROUPS, len(trials))
-    results: list[Any] = [None] * len(trials)
-    jobs = [partial(one, trials[first::groups]) for first in range(groups)]
-    for first, part in enumerate(run_at_once(jobs, place)):
-        results[first::groups] = part
-    return results
-
-
-def _tie(run: TyingRun, progress: Callable[[str], object]) -> list[TyingResult]:
-    knot = run.knot
+    progress = progress or (lambda what: None)
+    run = TyingRun(
+        knot, trials, method, friction, rod_friction, speed, hand_speed, step, film_interval, device
+    )
     for k in range(len(knot.rods)):
         progress(f"lay rod {k + 1}")
         lay(run, k)
