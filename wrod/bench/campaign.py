@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from wrod import cost
-from wrod.deployment.bounds import refuse_long_moves
+from wrod.deployment.bounds import check_release, refuse_long_moves
 from wrod.files.ledger import Ledger
 
 # Points at which laid curves are kept.
@@ -117,6 +117,15 @@ class Common:
     force: bool
 
 
+# The first length that is laid is held [m].
+_HOLD = 0.05
+
+
+def _checked_release(ctx: click.Context, option: click.Parameter, release: float) -> float:
+    check_release(_HOLD, release)  # before plans, that take time
+    return release
+
+
 def options(*, speed: float, step: float, spacing: float) -> Callable:
     """Adds the options that all campaigns have, with these defaults."""
     folder = click.Path(file_okay=False, path_type=Path)
@@ -131,8 +140,9 @@ def options(*, speed: float, step: float, spacing: float) -> Callable:
         ),
         click.option(
             "--release",
-            default=0.05,
+            default=_HOLD,
             show_default=True,
+            callback=_checked_release,
             help="Laid length at which the free end, held for 5 cm, is let go [m].",
         ),
         click.option(

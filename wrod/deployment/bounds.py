@@ -17,6 +17,10 @@ def check_pace(speed: float, spacing: float, hold: float, release: float) -> Non
             raise RodError(f"{name} is {value!r}; give a positive finite number")
     if not (np.isfinite(hold) and hold >= 0):
         raise RodError(f"hold is {hold!r}; give a length in metres, or 0 for a free end")
+    check_release(hold, release)
+
+
+def check_release(hold: float, release: float) -> None:
     if not release >= hold:
         raise RodError(f"release is {release!r} m; give at least the {hold:g} m that are held")
 
