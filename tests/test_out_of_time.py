@@ -39,7 +39,7 @@ def test_the_best_until_then_is_judged_and_explains_a_part_at_most(bent, monkeyp
     assert ended and report.verdict == "partly-explained"
     assert [e.name for e in report.effects] == ["natural_curvature"]
     assert report.after < 1.1 * report.noise_floor
-    assert report.reason.startswith("so far, for 600 s were not enough")
+    assert report.reason.startswith("600 s were not enough")
     report.save(tmp_path)
     assert json.loads((tmp_path / "report.json").read_text())["out_of_time"]
 
@@ -48,7 +48,7 @@ def test_a_command_whose_time_is_over_at_once_says_so(bent, tmp_path):
     np.savez(tmp_path / "bent.npz", **bent)
     asked = ["identify", str(tmp_path / "bent.npz"), "--minutes", "0.001"]
     result = CliRunner().invoke(main, [*asked, "--out", str(tmp_path)], catch_exceptions=False)
-    assert "bent: unexplained so far; so far, for 0.06 s" in result.output
+    assert "bent: unexplained so far; 0.06 s" in result.output
 
 
 def test_rods_that_no_short_way_leads_come_from_their_measured_shapes(bent, monkeypatch):

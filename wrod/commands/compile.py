@@ -53,7 +53,7 @@ _PICTURE, _ALL = "pictures of scenes", "all"  # kernels that are no module's
 @click.command(name="compile", short_help="Compile kernels before they are needed.")
 @options(DEVICE)
 @click.option(
-    "--jobs", type=click.IntRange(min=1), help="Processes at a time; default: one a core."
+    "--jobs", type=click.IntRange(min=1), help="Processes at a time; at most (default) one a core."
 )
 @click.option("--all", "rare", is_flag=True, help="On a CPU also what few commands launch.")
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
@@ -72,7 +72,7 @@ def command(device: str, jobs: int | None, rare: bool, as_json: bool) -> None:
 
     device = resolve_device(device)
     clock = time.perf_counter()
-    jobs = jobs or usable_cores()
+    jobs = min(jobs or usable_cores(), usable_cores())
     work = cost.Cost((cost.KERNELS + rare * cost.RARE_KERNELS) / jobs)
     cost.settle(work, "the kernels, where none is there yet", None, "", quiet=as_json)
     kernels = _wanted(rare) if device == "cpu" else [_ALL]

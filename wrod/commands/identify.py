@@ -1,6 +1,7 @@
 """`wrod identify DATA.npz`: what a rod's model misses, and a better model."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -68,9 +69,11 @@ def command(
             "and begin it again with the same --out, and it goes on"
         )
     kept: dict[str, Any] = {"steps": out / "steps.jsonl"} if moves else {}
+    what = f"{data.name} identified (several times as long if no effect explains it)"
     if minutes is not None:
         kept["seconds"] = 60.0 * minutes
-    what = f"{data.name} identified (several times as long if no effect explains it)"
+        work = replace(work, seconds=min(work.seconds, kept["seconds"]))
+        what = f"{data.name} identified (a search of {minutes:g} min at most)"
     cost.settle(work, what, out, "give less data", quiet=as_json)
     bar_format = "{desc}: {elapsed}"
     with cost.progress_bar(total=4, desc="reading", quiet=as_json, bar_format=bar_format) as bar:

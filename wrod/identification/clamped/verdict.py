@@ -141,7 +141,7 @@ def only_so_far(selection: Selection, seconds: float) -> Selection:
     """A judgement when the time was over: no more than a part is explained, for what would have
     been tried might do as well, and nothing is adequate."""
     least = {"explained": "partly-explained", "adequate": "unexplained"}
-    reason = f"so far, for {seconds:g} s were not enough to try everything: {selection.reason}"
+    reason = f"{seconds:g} s were not enough to try everything: {selection.reason}"
     verdict = least.get(selection.verdict, selection.verdict)
     return replace(selection, verdict=verdict, reason=reason, out_of_time=True)
 
