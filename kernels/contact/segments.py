@@ -29,7 +29,9 @@ EDGE = wp.constant(0)
 SPLINE = wp.constant(4)
 AT_START = wp.constant(1)
 AT_END = wp.constant(2)
-_MOST_TURNS = wp.constant(40)
+_MOST_TURNS = wp.constant(100)
+# Times what was: no more than rounding.
+_ROUNDED = wp.constant(wp.float64(1.0 + 1.0e-14))
 
 
 @wp.struct
@@ -157,34 +159,59 @@ def piece_chord(kind: int) -> wp.vec3d:
 
 
 @wp.func
+def onto_border(x: wp.float64) -> wp.float64:
+    """What rounding leaves beside an end of [0, 1] is at that end: next to it a turn would be cut
+    off at once, and the other coordinate with it."""
+    near = wp.float64(1.0e-14)
+    return wp.where(x < near, ZERO, wp.where(x > ONE - near, ONE, x))
+
+
+@wp.func
+def leaves(x: wp.float64, dx: wp.float64) -> bool:
+    """Whether what is at an end of [0, 1] goes out of it."""
+    return (x <= ZERO and dx < ZERO) or (x >= ONE and dx > ZERO)
+
+
+@wp.func
 def newton_turn(
     s: wp.float64, t: wp.float64, gs: wp.float64, gt: wp.float64, ss: wp.float64, st: wp.float64,
-    tt: wp.float64,
+    tt: wp.float64, straight_ss: wp.float64, straight_tt: wp.float64,
 ) -> wp.vec2d:  # fmt: skip
-    """Where Newton's method goes from (s, t) within the unit square, one edge of it at a time."""
-    held_s = (s <= ZERO and gs > ZERO) or (s >= ONE and gs < ZERO)
-    held_t = (t <= ZERO and gt > ZERO) or (t >= ONE and gt < ZERO)
-    det = ss * tt - st * st
-    ds = -gs / ss
-    dt = -gt / tt
-    if not (held_s or held_t) and det > wp.float64(1.0e-6) * ss * tt:
-        ds = -(gs * tt - gt * st) / det
-        dt = -(gt * ss - gs * st) / det
-    if held_s:
-        ds = ZERO
-    if held_t:
-        dt = ZERO
+    """Where Newton's method goes from (s, t) within the unit square, one edge of it at a time.
+
+    Where its matrix leads to no minimum, that of straight pieces does, which is never indefinite.
+    """
+    a = ss
+    b = tt
+    if a * b - st * st < wp.float64(1.0e-3) * a * b:
+        a = straight_ss
+        b = straight_tt
+    det = a * b - st * st
+    # No more than half of what each would go alone, where they hardly determine each other.
+    ds = -HALF * gs / a
+    dt = -HALF * gt / b
+    if det > wp.float64(1.0e-6) * a * b:
+        ds = -(gs * b - gt * st) / det
+        dt = -(gt * a - gs * st) / det
+    held_s = leaves(s, -gs)
+    held_t = leaves(t, -gt)
+    if not (held_s or held_t):
+        held_s = leaves(s, ds)
+        held_t = leaves(t, dt) and not held_s
+    if held_s or held_t:
+        ds = wp.where(held_s, ZERO, -gs / ss)
+        dt = wp.where(held_t, ZERO, -gt / tt)
     # Where one of them meets its end on the way, the other goes on from there in the next turn.
     way = wp.float64(1.0)
-    if s + ds > ONE and s < ONE:
+    if s + ds > ONE:
         way = wp.min(way, (ONE - s) / ds)
-    if s + ds < ZERO and s > ZERO:
+    if s + ds < ZERO:
         way = wp.min(way, -s / ds)
-    if t + dt > ONE and t < ONE:
+    if t + dt > ONE:
         way = wp.min(way, (ONE - t) / dt)
-    if t + dt < ZERO and t > ZERO:
+    if t + dt < ZERO:
         way = wp.min(way, -t / dt)
-    return wp.vec2d(wp.clamp(s + way * ds, ZERO, ONE), wp.clamp(t + way * dt, ZERO, ONE))
+    return wp.vec2d(onto_border(s + way * ds), onto_border(t + way * dt))
 
 
 @wp.func
@@ -213,11 +240,14 @@ def nearest_of_pieces(
     rho_t = along * rho_second
     bend_p = p * piece_bends(first_kind)
     bend_q = q * piece_bends(second_kind)
-    s = out.s
-    t = out.t
+    s = onto_border(out.s)
+    t = onto_border(out.t)
+    from_here = wp.vec2d(s, t)
+    least = wp.float64(1.0e300)
     change = wp.float64(1.0)
     turn = int(0)
     while change > wp.float64(1.0e-15) and turn < _MOST_TURNS:
+        turn += 1
         out.first_weight = piece_weights(first_kind, s)
         out.second_weight = piece_weights(second_kind, t)
         out.first_slope = piece_slopes(first_kind, s)
@@ -225,26 +255,35 @@ def nearest_of_pieces(
         out.gap = p * out.first_weight - q * out.second_weight
         out.first = p * out.first_slope
         out.second = q * out.second_slope
-        gs = wp.dot(out.gap, out.first) + rho_s * (s - HALF)
-        gt = -wp.dot(out.gap, out.second) + rho_t * (t - HALF)
+        out.s = s
+        out.t = t
+        a = s - HALF
+        b = t - HALF
+        value = wp.dot(out.gap, out.gap) + rho_s * a * a + rho_t * b * b
+        gs = wp.dot(out.gap, out.first) + rho_s * a
+        gt = -wp.dot(out.gap, out.second) + rho_t * b
         ss = wp.dot(out.first, out.first)
         tt = wp.dot(out.second, out.second)
         # What wraps around the other curve may lie all along at the same distance, or less.
         out.ss = wp.max(ss + wp.dot(out.gap, bend_p) + rho_s, wp.float64(0.001) * ss)
         out.tt = wp.max(tt - wp.dot(out.gap, bend_q) + rho_t, wp.float64(0.001) * tt)
-        out.s = s
-        out.t = t
         st = -wp.dot(out.first, out.second)
-        there = newton_turn(s, t, gs, gt, out.ss, st, out.tt)
-        change = wp.abs(there[0] - s) + wp.abs(there[1] - t)
+        there = newton_turn(s, t, gs, gt, out.ss, st, out.tt, ss + rho_s, tt + rho_t)
+        if value > _ROUNDED * least:
+            # Newton's method went too far.
+            there = HALF * (from_here + wp.vec2d(s, t))
+            change = wp.abs(there[0] - from_here[0]) + wp.abs(there[1] - from_here[1])
+        else:
+            least = value
+            from_here = wp.vec2d(s, t)
+            change = wp.abs(there[0] - s) + wp.abs(there[1] - t)
         s = there[0]
         t = there[1]
-        turn += 1
     out.free_s = wp.where(out.s > ZERO and out.s < ONE, ONE, ZERO)
     out.free_t = wp.where(out.t > ZERO and out.t < ONE, ONE, ZERO)
-    a = out.s - HALF
-    b = out.t - HALF
-    small = rho_first * a * a + rho_second * b * b
+    off_s = out.s - HALF
+    off_t = out.t - HALF
+    small = rho_first * off_s * off_s + rho_second * off_t * off_t
     out.distance = wp.sqrt(wp.dot(out.gap, out.gap) + along * small)
     turned = small * ef / (ee * ff)
     out.first_turn = turned * (f - (ef / ee) * e)
