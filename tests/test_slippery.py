@@ -14,7 +14,7 @@ from wrod.commands import main
 def test_summary_is_the_mean_over_trials_and_then_over_cells():
     rows = [
         {"rod": "rope", "pattern": name, "friction": 0.3, "engine": "wrod", "method": method}
-        | {"error_mean": error, "error_robot": 0.5 * error}
+        | {"error_mean": error, "error_robot": 0.5 * error, "curve": [[0.0, 0.01 * error]] * 3}
         for name, method, error in (
             ("line", "a", 1.0), ("line", "b", 2.0), ("line", "a", 3.0), ("sine", "a", 6.0),
             ("sine", "b", 4.0), ("circle", "a", 5.0),
@@ -25,11 +25,13 @@ def test_summary_is_the_mean_over_trials_and_then_over_cells():
         {"a": 2.0, "b": 2.0}, {"a": 6.0, "b": 4.0}, {"a": 5.0},
     ]  # fmt: skip
     assert table[0]["error_robot"] == {"a": 1.0, "b": 1.0}
+    # Of two trials 2 cm apart, each 1 cm beside their mean, which is itself uncertain.
+    assert table[0]["apart"] == {"a": pytest.approx(2.0**0.5)} and not table[1]["apart"]
     bent, others = means(table, lambda rod, pattern: pattern == "circle")
     assert (bent["cells"], bent["error_mean"]) == (1, {"a": 5.0})
     assert (others["cells"], others["error_mean"]) == (2, {"a": 4.0, "b": 3.0})
     lines = told(table, [bent, others])
-    assert lines[0] == "rope, line, friction 0.3: a 2.000 (1.000), b 2.000 (1.000) cm, wrod"
+    assert lines[0] == "rope, line, friction 0.3: a 2.000 (1.000, 1.414), b 2.000 (1.000) cm, wrod"
     assert lines[-2].startswith("mean of 2 that bend by up to 0.4 / L_gb, friction 0.3: a 4.000 (2")
 
 

@@ -8,26 +8,37 @@ import numpy as np
 from wrod import files
 
 KEYS = ("rod", "pattern", "friction", "method", "engine", "trial")
-# From the pattern, and from where the robot, misplaced, has it.
-_ERRORS = ("error_mean", "error_robot")
+# From the pattern, from where the robot, misplaced, has it, and from where trials lie on average,
+# which is what no plan takes away that does not see them.
+_ERRORS = ("error_mean", "error_robot", "apart")
 
 
 def summary(rows: list[dict]) -> list[dict]:
-    """Mean errors [cm] by method of each rod, pattern, friction and engine: from the pattern, and
-    from where the robot, misplaced, has it."""
+    """Mean errors [cm] by method of each rod, pattern, friction and engine: from the pattern, from
+    where the robot, misplaced, has it, and of two trials or more how far "apart" they lie."""
     out: dict[tuple, dict] = {}
     place = (*KEYS[:3], "engine")
     for row in rows:
-        out.setdefault(tuple(row[name] for name in place), {}).setdefault(row["method"], []).append(
-            [row[name] for name in _ERRORS]
-        )
+        cell = out.setdefault(tuple(row[name] for name in place), {})
+        cell.setdefault(row["method"], []).append(row)
     table = []
     for key, cell in out.items():
-        means = {method: np.mean(values, axis=0) for method, values in cell.items()}
         table.append(dict(zip(place, key, strict=True)))
-        for i, name in enumerate(_ERRORS):
-            table[-1][name] = {method: float(mean[i]) for method, mean in means.items()}
+        for name in _ERRORS[:2]:
+            table[-1][name] = {m: float(np.mean([r[name] for r in of])) for m, of in cell.items()}
+        table[-1]["apart"] = {
+            method: _apart(np.array([row["curve"] for row in of]))
+            for method, of in cell.items()
+            if len(of) > 1
+        }
     return table
+
+
+def _apart(curves: np.ndarray) -> float:
+    """Mean distance [cm] of curves (trial, point, 2) [m] from where they would lie on average."""
+    count = len(curves)
+    off = np.linalg.norm(curves - curves.mean(axis=0), axis=2)
+    return float(100.0 * np.sqrt(count / (count - 1.0)) * off.mean())
 
 
 def means(table: list[dict], bends: Callable[[str, str], bool]) -> list[dict]:
@@ -39,23 +50,23 @@ def means(table: list[dict], bends: Callable[[str, str], bool]) -> list[dict]:
         groups.setdefault(place, []).append(cell)
     out = []
     for place, cells in sorted(groups.items(), key=lambda one: (not one[0][0], *one[0][1:])):
-        common = [m for m in cells[0][_ERRORS[0]] if all(m in c[_ERRORS[0]] for c in cells)]
         out.append(dict(zip(("bent", "friction", "engine"), place, strict=True)))
         out[-1]["cells"] = len(cells)
         for name in _ERRORS:
+            common = [m for m in cells[0][name] if all(m in c[name] for c in cells)]
             out[-1][name] = {m: float(np.mean([c[name][m] for c in cells])) for m in common}
     return out
 
 
 def told(table: list[dict], groups: list[dict]) -> list[str]:
-    """Lines for a reader; in brackets errors from where the robot, misplaced, has the pattern."""
+    """Lines for a reader; in brackets the other errors that `summary` knows."""
 
     def errors(one: dict) -> str:
-        by_robot = one["error_robot"]
-        return (
-            ", ".join(f"{m} {e:.3f} ({by_robot[m]:.3f})" for m, e in one["error_mean"].items())
-            + f" cm, {one['engine']}"
-        )
+        def of(method: str) -> str:
+            first, *rest = [f"{one[n][method]:.3f}" for n in _ERRORS if method in one[n]]
+            return f"{method} {first} ({', '.join(rest)})"
+
+        return f"{', '.join(map(of, one['error_mean']))} cm, {one['engine']}"
 
     lines = [
         f"{one['rod']}, {one['pattern']}, friction {one['friction']:g}: {errors(one)}"
@@ -66,12 +77,13 @@ def told(table: list[dict], groups: list[dict]) -> list[str]:
         lines.append(
             f"mean of {one['cells']} {kind} 0.4 / L_gb, friction {one['friction']:g}: {errors(one)}"
         )
-    return [*lines, "(in brackets: from where the robot, misplaced, has the pattern)"]
+    said = "from where the robot, misplaced, has the pattern; how far trials lie from their mean"
+    return [*lines, f"(in brackets: {said})"]
 
 
 def write_csv(path: Path, rows: list[dict]) -> Path:
     """One trial a line."""
-    names = [*KEYS, *_ERRORS, "error_std", "diverged"]
+    names = [*KEYS, *_ERRORS[:2], "error_std", "diverged"]
     head = [f"{n} [cm]" if n.startswith("error") else n for n in names]
     return files.write_csv(path, head, [[row[n] for n in names] for row in rows])
 
