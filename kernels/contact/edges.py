@@ -288,19 +288,10 @@ def find_touching(
     r, i = wp.tid()
     if chosen[r] == 0 or model.radius[r, i] == ZERO:
         return
-    q = node(dof, r, i)
-    e = node(dof, r, i + 1) - q
     for k in range(model.shapes.shape[1]):
-        if within_reach(model.shapes[r, k], q, e, wp.max(model.radius[r, i], ZERO)):
-            near = closest_on_edge(model.shapes[r, k], q, e, SMOOTHING * model.rest_length[r, i])
-            if near.distance < model.radius[r, i]:
-                moved = (ONE - near.s) * (q - node(dof_before, r, i))
-                moved = moved + near.s * (q + e - node(dof_before, r, i + 1))
-                moved = moved - shape_displacement(model.shapes[r, k], q + near.s * e)
-                closing = -wp.dot(moved, near.normal)
-                note_touch(
-                    touching_out, r, model.radius[r, i] - near.distance, closing, model.radius[r, i]
-                )
+        c = edge_touch(model, dof, dof_before, wp.vec3d(), r, k, i)
+        if c.force > ZERO:
+            note_touch(touching_out, r, c.depth, c.closing, model.radius[r, i])
 
 
 @wp.kernel

@@ -374,13 +374,9 @@ def find_touching(
     if chosen[r] == 0:
         return
     for k in range(model.shapes.shape[1]):
-        if model.shapes[r, k].kind == PLANE:
-            q = node(dof, r, i)
-            d = plane_distance(model.shapes[r, k], q)
-            if d[0] < model.radius[r, i]:
-                moved = q - node(dof_before, r, i) - shape_displacement(model.shapes[r, k], q)
-                closing = -wp.dot(moved, wp.vec3d(d[1], d[2], d[3]))
-                note_touch(touching_out, r, model.radius[r, i] - d[0], closing, model.radius[r, i])
+        c = touch(model, dof, dof_before, wp.vec3d(), r, k, i)
+        if c.force > ZERO:
+            note_touch(touching_out, r, c.depth, c.closing, model.radius[r, i])
 
 
 @wp.kernel

@@ -12,7 +12,7 @@ from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
 from wrod.kernels.grasping.closures import CONVERGED, FAILED
 from wrod.kernels.linear.banded import banded_entry
 from wrod.kernels.linear.border import worst_imbalance
-from wrod.kernels.stepping.newton_iteration import largest_safe_fraction
+from wrod.kernels.stepping.newton_iteration import safe_fraction
 
 wp.set_module_options({"enable_backward": False})
 
@@ -108,7 +108,7 @@ def walk_on(
         solution[r, 0, a] = value
     for j in range(3):
         solution[r, 0, n - 3 + j] = change[j]
-    fraction = largest_safe_fraction(dof, solution, r, limit)
+    fraction = safe_fraction(dof, solution, r, limit, 0, 1)
     if fraction < ONE:
         ahead = progress[r] + fraction * (ahead - progress[r])
         increment[r] = ahead - progress[r]
@@ -194,7 +194,7 @@ def walk_grip(
 
     for a in range(n):
         solution[r, 0, a] = wp.where(free[r, a] != 0, -solution[r, 0, a], ZERO)
-    fraction = largest_safe_fraction(dof, solution, r, limit)
+    fraction = safe_fraction(dof, solution, r, limit, 0, 1)
     if fraction < ONE and progress_saved[r] >= ZERO:
         # So long a step may end on another branch: the next iteration goes back.
         waited[r] = patience

@@ -137,6 +137,23 @@ def between(shape: wp.array3d(dtype=wp.float64), r: int, edges: int, i: int) -> 
     return value
 
 
+@wp.func
+def lead_off(
+    r: int,
+    rest: wp.array2d(dtype=wp.float64),
+    curvature: wp.array(dtype=wp.float64),
+    family: wp.array2d(dtype=wp.float64),
+    # Out:
+    shape: wp.array3d(dtype=wp.float64),
+    family_out: wp.array2d(dtype=wp.float64),
+):
+    """Where the contact's curvature leads the first edge on a new mesh, and the same family."""
+    length = wp.length(point(shape, r, 1))
+    put_point(shape, r, 1, length * first_direction(half_turn(curvature[r], rest[r, 0])))
+    for i in range(6):
+        family_out[r, i] = family[r, i]
+
+
 @wp.kernel
 def refine(
     # In:
@@ -144,8 +161,8 @@ def refine(
     count: wp.array(dtype=wp.int32),
     edges: int,
     rest: wp.array2d(dtype=wp.float64),
-    curvature: wp.array(dtype=wp.float64),
     shape: wp.array3d(dtype=wp.float64),
+    curvature: wp.array(dtype=wp.float64),
     thrust: wp.array(dtype=wp.float64),
     family: wp.array2d(dtype=wp.float64),
     # Solved on half the edges as well, or 0:
@@ -180,12 +197,8 @@ def refine(
     if ahead != 0:
         pull += share * (pull - coarse_thrust[r])
     thrust_out[r] = pull
-    for i in range(6):
-        family_out[r, i] = family[r, i]
-    kappa = curvature[r]
-    curvature_out[r] = kappa
-    length = wp.length(point(shape_out, r, 1))
-    put_point(shape_out, r, 1, length * first_direction(half_turn(kappa, rest[r, 0])))
+    curvature_out[r] = curvature[r]
+    lead_off(r, rest, curvature, family, shape_out, family_out)
 
 
 @wp.kernel
@@ -195,8 +208,8 @@ def coarsen(
     count: wp.array(dtype=wp.int32),
     edges: int,
     rest: wp.array2d(dtype=wp.float64),
-    curvature: wp.array(dtype=wp.float64),
     shape: wp.array3d(dtype=wp.float64),
+    curvature: wp.array(dtype=wp.float64),
     thrust: wp.array(dtype=wp.float64),
     family: wp.array2d(dtype=wp.float64),
     # Out:
@@ -213,12 +226,8 @@ def coarsen(
     for i in range(edges // 2 + 1):
         put_point(shape_out, r, i, point(shape, r, 2 * i))
     thrust_out[r] = thrust[r]
-    for i in range(6):
-        family_out[r, i] = family[r, i]
-    kappa = curvature[r]
-    curvature_out[r] = kappa
-    length = wp.length(point(shape_out, r, 1))
-    put_point(shape_out, r, 1, length * first_direction(half_turn(kappa, rest[r, 0])))
+    curvature_out[r] = curvature[r]
+    lead_off(r, rest, curvature, family, shape_out, family_out)
 
 
 @wp.kernel

@@ -42,17 +42,6 @@ def safe_fraction(
 
 
 @wp.func
-def largest_safe_fraction(
-    dof: wp.array2d(dtype=wp.float64),
-    step: wp.array3d(dtype=wp.float64),
-    r: int,
-    limit: wp.float64,
-) -> wp.float64:
-    """The same of all edges, by one thread."""
-    return safe_fraction(dof, step, r, limit, 0, 1)
-
-
-@wp.func
 def largest_safe_fraction_of_lanes(
     dof: wp.array2d(dtype=wp.float64),
     step: wp.array3d(dtype=wp.float64),

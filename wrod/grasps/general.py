@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
 
 import numpy as np
 import warp as wp
@@ -31,50 +30,25 @@ _CPU_CHUNK, _CUDA_CHUNK = 64, 8192
 _INCREMENT, _LONG = 0.5, 4.0
 
 
-@dataclass(frozen=True)
-class RodArrays:
-    """Rods on meshes from contact (node 0) to grip, as `RodBatch` takes them, without its ghosts.
+# Rods on meshes from contact (node 0) to grip, dimensionless, without ghosts: arguments of
+# `RodBatch` by name, and the weight (n, edges + 1) of every node.
+RodArrays = dict[str, np.ndarray]
 
-    Attributes:
-        rest_length, stretching: (n, edges).
-        bending, natural_curvature, softening: (n, edges + 1, 2), in principal directions.
-        twisting, natural_twist, weight: (n, edges + 1).
-    """
 
-    rest_length: np.ndarray
-    stretching: np.ndarray
-    bending: np.ndarray
-    twisting: np.ndarray
-    natural_curvature: np.ndarray
-    natural_twist: np.ndarray
-    softening: np.ndarray
-    weight: np.ndarray
+def _mirrored(rods: RodArrays, rows: np.ndarray) -> RodArrays:
+    """With the chosen rods as in a mirror: their second directors turn round."""
+    sign = np.where(rows, -1.0, 1.0)[:, None]
+    curvature = rods["natural_curvature"] * np.stack([np.ones_like(sign), sign], axis=2)
+    return rods | {"natural_curvature": curvature, "natural_twist": sign * rods["natural_twist"]}
 
-    def __getitem__(self, rows) -> RodArrays:
-        return RodArrays(*(getattr(self, f.name)[rows] for f in fields(self)))
 
-    def mirrored(self, rows: np.ndarray) -> RodArrays:
-        """With the chosen rods as in a mirror: their second directors turn round."""
-        curvature, twist = self.natural_curvature.copy(), self.natural_twist.copy()
-        curvature[rows, :, 1] *= -1.0
-        twist[rows] *= -1.0
-        return RodArrays(
-            self.rest_length,
-            self.stretching,
-            self.bending,
-            self.twisting,
-            curvature,
-            twist,
-            self.softening,
-            self.weight,
-        )
-
-    def departure(self) -> np.ndarray:
-        """(n,) how far each rod is from a straight uniform one of unit stiffness."""
-        size = np.linalg.norm(self.natural_curvature, axis=2).max(axis=1)
-        size = size + np.abs(self.natural_twist).max(axis=1)
-        size += np.abs(np.log(self.bending)).max(axis=(1, 2))
-        return size + np.abs(self.softening[:, :, 0] * (1.0 - self.softening[:, :, 1])).max(axis=1)
+def _departure(rods: RodArrays) -> np.ndarray:
+    """(n,) how far each rod is from a straight uniform one of unit stiffness."""
+    size = np.linalg.norm(rods["natural_curvature"], axis=2).max(axis=1)
+    size = size + np.abs(rods["natural_twist"]).max(axis=1)
+    size += np.abs(np.log(rods["bending_stiffness"])).max(axis=(1, 2))
+    c, kept = np.moveaxis(rods["softening"], 2, 0)
+    return size + np.abs(c * (1.0 - kept)).max(axis=1)
 
 
 def curved_rods(
@@ -91,9 +65,9 @@ def curved_rods(
     natural = np.stack([natural_curvature[:, 1], -natural_curvature[:, 0]], axis=1)
     return RodArrays(
         rest_length=rest,
-        stretching=np.repeat(stretch_ratio[:, None], edges, axis=1),
-        bending=np.ones((n, nodes, 2)),
-        twisting=np.full((n, nodes), 1.0 / (1.0 + poisson)),
+        stretching_stiffness=np.repeat(stretch_ratio[:, None], edges, axis=1),
+        bending_stiffness=np.ones((n, nodes, 2)),
+        twisting_stiffness=np.full((n, nodes), 1.0 / (1.0 + poisson)),
         natural_curvature=np.repeat(natural[:, None], nodes, axis=1),
         natural_twist=np.zeros((n, nodes)),
         softening=np.broadcast_to([0.0, 1.0], (n, nodes, 2)).copy(),
@@ -119,7 +93,7 @@ def solve_general(
     """
     edges = options.edge_count
     right = curvature < 0.0
-    meshes = [rods(count).mirrored(right) for count in (edges // 2, edges)]
+    meshes = [_mirrored(rods(count), right) for count in (edges // 2, edges)]
     roll = np.where(right, -roll, roll)
     on_cpu = options.device == "cpu"
     workers = (options.threads or os.cpu_count() or 1) if on_cpu else 1
@@ -132,7 +106,7 @@ def solve_general(
             length[rows],
             curvature[rows],
             stretch_ratio[rows],
-            [mesh[rows] for mesh in meshes],
+            [{name: value[rows] for name, value in mesh.items()} for mesh in meshes],
             roll[rows],
             options,
         )
@@ -151,27 +125,27 @@ class _GeneralLevel:
     """General rods on one mesh: a straight rod's grasp there, then their own."""
 
     def __init__(self, rods: RodArrays, roll: np.ndarray, device: str, ladder: Ladder):
-        n, edges = rods.rest_length.shape
+        rest = rods["rest_length"]
+        n, edges = rest.shape
         self.rods, self.roll, self.device = rods, roll, device
         self.straight = level = MeshLevel(n, edges, device, ladder.iterations)
         # The straight rod's Newton iteration hardly has to move on the new mesh.
-        put(level.rest, rods.rest_length)
-        length = rods.rest_length.sum(axis=1)
-        put(level.tolerance, tolerance(rods.rest_length, rods.stretching.max(axis=1), 1e-9))
+        put(level.rest, rest)
+        length = rest.sum(axis=1)
+        put(level.tolerance, tolerance(rest, rods["stretching_stiffness"].max(axis=1), 1e-9))
 
         def array(value, dtype=wp.float64):
             return wp.array(np.ascontiguousarray(value), dtype=dtype, device=device)
 
         self.model = model = general_rod.GeneralRod()
         model.rest, model.stretch_ratio = level.rest, ladder.model[0]
-        model.stretching, model.twisting = array(rods.stretching), array(rods.twisting)
-        model.natural_twist, model.weight = array(rods.natural_twist), array(rods.weight)
-        model.bending = array(rods.bending, wp.vec2d)
-        model.natural_curvature = array(rods.natural_curvature, wp.vec2d)
-        model.softening = array(rods.softening, wp.vec2d)
-        self.weight, self.roll_array = array(rods.weight.sum(axis=1)), array(roll)
+        for name, value in rods.items():
+            if value is not rest:
+                kind = wp.vec2d if value.ndim == 3 else wp.float64
+                setattr(model, name.removesuffix("_stiffness"), array(value, kind))
+        self.weight, self.roll_array = array(rods["weight"].sum(axis=1)), array(roll)
         most = _INCREMENT * np.minimum(1.0, _LONG / length)
-        increment = most / np.maximum(rods.departure(), 1e-300)
+        increment = most / np.maximum(_departure(rods), 1e-300)
         # The first step is made larger before it is taken.
         self.increment = array(np.minimum(increment, 1.0) / 2.0)
         self.state = per_rod(device, n, edges + 1, 7)
@@ -233,25 +207,21 @@ class _GeneralLevel:
         """(n,) smallest eigenvalues of the rods as they are held."""
         rods, state = self.rods, self.state.contiguous().numpy()
         shape, director = state[:, :, :3], state[:, :-1, 3:6]
-        rest = rods.rest_length
+        rest = rods["rest_length"]
         half, behind = ghost(self.straight.curvature.numpy(), rest)
         # Turned back about the vertical, as the ghost edge stands to the first.
         c, s = np.cos(2.0 * half), np.sin(2.0 * half)
         x, y, z = director[:, 0].T
         held = np.stack([c * x + s * y, c * y - s * x, z], axis=1)
 
-        def pad(value):
-            return np.concatenate([value[:, :1], value], axis=1)
-
+        padded = {
+            name: np.concatenate([value[:, :1], value], axis=1)
+            for name, value in rods.items()
+            if name != "weight"
+        }
         batch = RodBatch(
             np.concatenate([behind, shape], axis=1),
-            rest_length=pad(rest),
-            stretching_stiffness=pad(rods.stretching),
-            bending_stiffness=pad(rods.bending),
-            twisting_stiffness=pad(rods.twisting),
-            natural_curvature=pad(rods.natural_curvature),
-            natural_twist=pad(rods.natural_twist),
-            softening=pad(rods.softening),
+            **padded,
             director=np.concatenate([held[:, None], director], axis=1),
             device=self.device,
         )
@@ -266,7 +236,7 @@ def _solve_chunk(
     length, curvature, stretch_ratio, meshes, roll, options: GraspOptions
 ) -> dict[str, np.ndarray]:
     device, closure = options.device, options.closure
-    n, edges = meshes[1].rest_length.shape
+    n, edges = meshes[1]["rest_length"].shape
     inputs = [
         wp.array(value, dtype=wp.float64, device=device)
         for value in (length, curvature, stretch_ratio)

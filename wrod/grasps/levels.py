@@ -178,34 +178,14 @@ class MeshLevel:
         other = half if quarter is None else quarter
         work.launch(
             mesh.refine,
-            [
-                half.edges,
-                self.rest,
-                half.curvature,
-                half.shape,
-                half.thrust,
-                half.family,
-                int(quarter is not None),
-                other.shape,
-                other.thrust,
-            ],
+            [half.edges, self.rest, *half.state, int(quarter is not None)]
+            + [other.shape, other.thrust],
             self.state,
         )
 
     def coarsen(self, work: WorkList, double: MeshLevel) -> None:
         """Start from the solution on twice the edges."""
-        work.launch(
-            mesh.coarsen,
-            [
-                double.edges,
-                self.rest,
-                double.curvature,
-                double.shape,
-                double.thrust,
-                double.family,
-            ],
-            self.state,
-        )
+        work.launch(mesh.coarsen, [double.edges, self.rest, *double.state], self.state)
 
     def solve(
         self,

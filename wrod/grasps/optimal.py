@@ -8,7 +8,6 @@ import os
 import queue
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 import warp as wp
@@ -118,7 +117,7 @@ def solve_twisted(
     def rods(edges: int) -> RodArrays:
         straight = curved_rods(length, ratio, np.zeros((len(length), 2)), poisson, edges)
         # Laid and hanging as if it were not twisted, a rod twisted at rest has that moment.
-        return replace(straight, natural_twist=np.repeat(-twist[:, None], edges + 1, axis=1))
+        return straight | {"natural_twist": np.repeat(-twist[:, None], edges + 1, axis=1)}
 
     options = GraspOptions(number, inputs.device, EDGE_COUNT, True, True, True, None, None)
     fields = solve_general(length, kappa, ratio, rods, np.zeros(len(length)), options)

@@ -124,8 +124,7 @@ def solve_rod_grasps(
 
     def rods(edges: int) -> RodArrays:
         arrays = _on_meshes(model, contact, length, edges, lgb, bending)
-        own = arrays.natural_curvature * share[:, None, None]
-        return replace(arrays, natural_curvature=own)
+        return arrays | {"natural_curvature": arrays["natural_curvature"] * share[:, None, None]}
 
     turned = np.broadcast_to(roll + model.principal_angle, length.shape).copy()
     options = GraspOptions(
@@ -214,9 +213,9 @@ def _on_meshes(
     weight[:, 0] *= 0.5
     return RodArrays(
         rest_length=rest,
-        stretching=arrays["stretching_stiffness"][:, 1:] / force,
-        bending=arrays["bending_stiffness"][:, 1:] / bending,
-        twisting=arrays["twisting_stiffness"][:, 1:] / bending,
+        stretching_stiffness=arrays["stretching_stiffness"][:, 1:] / force,
+        bending_stiffness=arrays["bending_stiffness"][:, 1:] / bending,
+        twisting_stiffness=arrays["twisting_stiffness"][:, 1:] / bending,
         natural_curvature=arrays["natural_curvature"][:, 1:] * lgb,
         natural_twist=twist,
         softening=softening,
