@@ -96,10 +96,7 @@ def command(
         f"noise floor {1e3 * report.noise_floor:.2f} mm"
     )
     for effect in report.effects:
-        found = [
-            f"{key} {e.value:.4g} ± {e.stderr:.2g} {e.unit}".rstrip()
-            for key, e in effect.parameters.items()
-        ]
+        found = [f"{key} {e}" for key, e in effect.parameters.items()]
         if len(found) > _SHOWN:
             # The profile of a whole rod is for the report.
             found[1:] = [f"and {len(found) - 1} more in report.json"]

@@ -147,8 +147,7 @@ def command(
         figures |= {
             "verdict": found.verdict,
             "reason": found.reason,
-            "before_mm": 1e3 * found.before,
-            "after_mm": 1e3 * found.after,
+            **found.errors(),
             "alone_mm": {name: 1e3 * value for name, value in found.alone.items()},
             "parameters": {name: asdict(value) for name, value in found.estimates.items()},
             "rod": rod_as_json(found.rod),
@@ -167,6 +166,6 @@ def command(
     if fit.iterations > 0:
         click.echo(f"{found.verdict}: {found.reason}")
         for name, value in found.estimates.items():
-            click.echo(f"  {name}: {value.value:.4g} ± {value.stderr:.2g} {value.unit}".rstrip())
+            click.echo(f"  {name}: {value}")
         for name in figures.get("written", []):
             click.echo(f"wrote {name}")

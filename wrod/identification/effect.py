@@ -42,6 +42,11 @@ class Parameter:
     anywhere: bool = False
 
 
+def unknowns(unit: str, scale: float, *keys: str, **how: Any) -> tuple[Parameter, ...]:
+    """Parameters that differ by their keys alone."""
+    return tuple(Parameter(key, unit, scale, **how) for key in keys)
+
+
 @dataclass(frozen=True)
 class Estimate:
     """A reported quantity with its standard error."""
@@ -49,6 +54,9 @@ class Estimate:
     value: float
     stderr: float
     unit: str
+
+    def __str__(self) -> str:
+        return f"{self.value:.4g} ± {self.stderr:.2g} {self.unit}".rstrip()
 
 
 class Effect:
@@ -64,6 +72,7 @@ class Effect:
         parameters: the unknowns.
         adds: field of the set-up that they are added to; scales: fields that grow by the
             exponential of the only one.
+        polar: what the size and the angle of the first two are called, and the unit of the former.
         stage: effects are applied in this order; those that change the free length come first.
         follows_shape: whether its load depends on the rod's shape (`ClampedSetup.wind`).
         kinds: the measurements that it is tried on: "clamped" (`ClampedSetup`), "motion"
@@ -76,6 +85,7 @@ class Effect:
     parameters: tuple[Parameter, ...]
     adds: str = ""
     scales: tuple[str, ...] = ()
+    polar: tuple[str, str, str] | None = None
     stage: int = 1
     follows_shape: bool = False
     kinds: tuple[str, ...] = ("clamped",)
@@ -87,8 +97,12 @@ class Effect:
     def apply(self, setup: Any, values: np.ndarray) -> None:
         """Change the model in place, a `ClampedSetup` or, of kind "motion", a `MotionSetup`."""
         if self.adds:
-            added = values[0] if len(values) == 1 else np.asarray(values)
-            setattr(setup, self.adds, getattr(setup, self.adds) + added)
+            field, added = getattr(setup, self.adds), np.asarray(values)
+            if len(values) == 1:
+                added = values[0]
+            elif np.size(field) == len(values):
+                added = added.reshape(np.shape(field))
+            setattr(setup, self.adds, field + added)
         for name in self.scales:
             setattr(setup, name, getattr(setup, name) * np.exp(values[0]))
 
@@ -107,14 +121,21 @@ class Effect:
     def describe(
         self, values: np.ndarray, covariance: np.ndarray, measurements: ClampedMeasurements
     ) -> dict[str, Estimate]:
-        """The quantities to report, by default the parameters themselves; of what `scales`, the
-        factor."""
+        """The quantities to report, by default the parameters themselves, after what is `polar` of
+        them; of what `scales`, the factor."""
+        told: dict[str, Estimate] = {}
+        if self.polar:
+            size, angle = magnitude_and_angle(values[0], values[1], covariance[:2, :2])
+            name, direction, unit = self.polar
+            if unit == "deg":
+                size = float(np.degrees(size[0])), float(np.degrees(size[1]))
+            told = {name: Estimate(*size, unit), direction: Estimate(*angle, "deg")}
         errors = np.sqrt(np.diag(covariance))
         if self.scales:
             factor = float(np.exp(values[0]))
             key = self.parameters[0].key.removeprefix("log_")
             return {key: Estimate(factor, factor * float(errors[0]), "")}
-        return {
+        return told | {
             p.key: Estimate(float(v), float(e), p.unit)
             for p, v, e in zip(self.parameters, values, errors, strict=True)
         }

@@ -47,14 +47,43 @@ class FoundEffect:
         }
 
 
-class Report:
-    """A verdict with its evidence, and the rod that was found."""
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What every identification ends with.
+
+    Attributes:
+        verdict: "adequate", "explained", "partly-explained" or "unexplained".
+        reason: the evidence in a sentence.
+        before, after: error of the base model, or the believed one, and of the better one [m].
+        noise_floor: error of a perfect model [m].
+    """
 
     verdict: str
     reason: str
     before: float
     after: float
     noise_floor: float
+
+    def errors(self) -> dict[str, float]:
+        """By what `report.json` calls them."""
+        return {
+            "noise_floor_mm": 1e3 * self.noise_floor,
+            "before_mm": 1e3 * self.before,
+            "after_mm": 1e3 * self.after,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Outcome):
+    """An outcome with its evidence, and the rod that was found.
+
+    Attributes:
+        measurements: what was explained.
+        effects: what was added to the model.
+        candidates: every effect that was tried, as plain figures.
+    """
+
+    measurements: Any
     effects: tuple[FoundEffect, ...]
     candidates: tuple[dict, ...]
 
@@ -88,9 +117,7 @@ class Report:
             "verdict": self.verdict,
             "reason": self.reason,
             "metric": metric,
-            "noise_floor_mm": 1e3 * self.noise_floor,
-            "before_mm": 1e3 * self.before,
-            "after_mm": 1e3 * self.after,
+            **self.errors(),
             "effects": [e.to_dict() for e in self.effects],
             "candidates": list(self.candidates),
             "set_aside": list(self.found.set_aside),

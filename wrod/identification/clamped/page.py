@@ -105,7 +105,7 @@ def effects_table(found: list[tuple[str, dict, float | None]], confounded) -> st
             after = f"{1e3 * error:.2f} mm" if i == 0 and error is not None else ""
             rows.append(
                 f"<tr><td>{first}</td><td>{key.replace('_', ' ')}</td>"
-                f'<td class="n">{estimate.value:.4g} ± {estimate.stderr:.2g} {estimate.unit}</td>'
+                f'<td class="n">{estimate}</td>'
                 f'<td class="n">{after}</td></tr>'
             )
         if folded:

@@ -35,17 +35,12 @@ METRIC = "RMS over test trials and markers of the 3-D distance [mm]"
 _FORMAT = "wrod-identification-1"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class IdentificationReport(Report):
-    """What the measurements say.
+    """What the measurements say: errors on test trials, the effect first that does most by itself,
+    and as candidates every effect tried alone, with BIC gain and test error.
 
     Attributes:
-        verdict: adequate, explained, partly-explained or unexplained.
-        reason: the evidence in a sentence.
-        before, after: test error of the base model and of the better one [m].
-        noise_floor: test error of a perfect model [m].
-        effects: what was added, the one first that does most by itself.
-        candidates: every effect tried alone: its name, BIC gain and test error.
         selection, prints: the whole evidence.
         predicted_before, predicted_after: (T, M, 3) marker positions [m].
         found: the rod with all that was found of it, and what belongs to the set-up instead.
@@ -54,13 +49,6 @@ class IdentificationReport(Report):
     """
 
     measurements: ClampedMeasurements
-    verdict: str
-    reason: str
-    before: float
-    after: float
-    noise_floor: float
-    effects: tuple[FoundEffect, ...]
-    candidates: tuple[dict, ...]
     selection: Selection
     prints: tuple[Print, ...]
     predicted_before: np.ndarray

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
+from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle, unknowns
 
 _AIR_DENSITY = 1.2
 _DRAG_COEFFICIENT = 1.2
@@ -30,7 +30,7 @@ class AirFlow(Effect):
     )
     follows_shape = True
     # The drag on a rod straight across the flow: the load is nearly linear in it.
-    parameters = tuple(Parameter(f"drag_{axis}", "N/m", 0.05) for axis in "xyz")
+    parameters = unknowns("N/m", 0.05, "drag_x", "drag_y", "drag_z")
 
     def starts(self, measurements):
         rod = measurements.material

@@ -3,7 +3,7 @@
 import numpy as np
 
 from wrod.identification.clamped.setup import rotation_of
-from wrod.identification.effect import Effect, Estimate, Parameter
+from wrod.identification.effect import Effect, Estimate, Parameter, unknowns
 from wrod.identification.motion.setup import MotionSetup
 
 
@@ -13,7 +13,7 @@ class CameraOffset(Effect):
     name = "camera_offset"
     title = "camera frame displaced against the robot frame"
     reference = "x -> x + offset"
-    parameters = tuple(Parameter(f"offset_{axis}", "m", 0.02) for axis in "xyz")
+    parameters = unknowns("m", 0.02, "offset_x", "offset_y", "offset_z")
 
     def measure(self, position, frame, values, setup):
         return position + np.asarray(values)
@@ -26,8 +26,8 @@ class CameraRotation(Effect):
     title = "camera frame turned against the robot frame about some point"
     reference = "x -> exp(rotation vector) (x - a) + a + offset, a the mean place of clamp A"
     parameters = (
-        *(Parameter(f"rotation_{axis}", "rad", 0.1) for axis in "xyz"),
-        *(Parameter(f"offset_{axis}", "m", 0.02) for axis in "xyz"),
+        *unknowns("rad", 0.1, "rotation_x", "rotation_y", "rotation_z"),
+        *CameraOffset.parameters,
     )
 
     def measure(self, position, frame, values, setup):
@@ -44,7 +44,7 @@ class CameraScale(Effect):
     reference = "x -> (1 + scale) x + offset; the point that stays is -offset / scale"
     parameters = (
         Parameter("scale", "", 0.1),
-        *(Parameter(f"offset_{axis}", "m", 0.05) for axis in "xyz"),
+        *unknowns("m", 0.05, "offset_x", "offset_y", "offset_z"),
     )
 
     def measure(self, position, frame, values, setup):
@@ -62,11 +62,7 @@ class MarkerOffset(Effect):
     title = "markers displaced in the material frame, all the same way"
     reference = "x -> x + offset_1 m1 + offset_2 m2 + offset_tangent t"
     kinds = ("clamped", "motion")
-    parameters = (
-        Parameter("offset_1", "m", 0.005),
-        Parameter("offset_2", "m", 0.005),
-        Parameter("offset_tangent", "m", 0.005),
-    )
+    parameters = unknowns("m", 0.005, "offset_1", "offset_2", "offset_tangent")
 
     def apply(self, setup, values):
         if isinstance(setup, MotionSetup):

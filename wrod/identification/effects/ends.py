@@ -3,7 +3,7 @@
 import numpy as np
 
 from wrod.identification.clamped.setup import rotation_of
-from wrod.identification.effect import Effect, Estimate, Parameter
+from wrod.identification.effect import Effect, Estimate, Parameter, unknowns
 
 
 class ClampLength(Effect):
@@ -14,10 +14,7 @@ class ClampLength(Effect):
     reference = "Voronoi length of the grip's node: half the free edge and this length"
     kinds = ("motion",)
     adds = "clamp_length"
-    parameters = (
-        Parameter("at_first", "m", 0.02, lower=-0.015),
-        Parameter("at_last", "m", 0.02, lower=-0.015),
-    )
+    parameters = unknowns("m", 0.02, "at_first", "at_last", lower=-0.015)
 
 
 class ClampOffset(Effect):
@@ -26,11 +23,7 @@ class ClampOffset(Effect):
     name = "clamp_offset"
     title = "rod displaced in clamp A, the same way in every trial"
     reference = "displacement in the reported frame (m1, m2, tangent)"
-    parameters = (
-        Parameter("offset_1", "m", 0.01),
-        Parameter("offset_2", "m", 0.01),
-        Parameter("offset_tangent", "m", 0.01),
-    )
+    parameters = unknowns("m", 0.01, "offset_1", "offset_2", "offset_tangent")
 
     def apply(self, setup, values):
         setup.clamp_position = setup.clamp_position + setup.clamp_rotation @ np.asarray(values)
@@ -43,8 +36,7 @@ class ClampRotation(Effect):
     title = "rod turned in clamp A, the same way in every trial"
     reference = "R -> R exp(rotation vector), in the reported frame (m1, m2, tangent)"
     parameters = (
-        Parameter("rotation_1", "rad", 0.2),
-        Parameter("rotation_2", "rad", 0.2),
+        *unknowns("rad", 0.2, "rotation_1", "rotation_2"),
         Parameter("roll", "rad", 0.7),
     )
 
@@ -80,15 +72,8 @@ class GripDirection(Effect):
     title = "rod turned in the grips against the line through their markers"
     reference = "rotation of the held edge about the grip's (m1, m2)"
     kinds = ("motion",)
-    parameters = (
-        Parameter("first_1", "rad", 0.1),
-        Parameter("first_2", "rad", 0.1),
-        Parameter("last_1", "rad", 0.1),
-        Parameter("last_2", "rad", 0.1),
-    )
-
-    def apply(self, setup, values):
-        setup.held_turn = setup.held_turn + np.asarray(values).reshape(2, 2)
+    adds = "held_turn"
+    parameters = unknowns("rad", 0.1, "first_1", "first_2", "last_1", "last_2")
 
 
 class GripOffset(ClampOffset):

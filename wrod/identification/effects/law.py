@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wrod.identification.effect import Effect, Estimate, Parameter
+from wrod.identification.effect import Effect, Estimate, Parameter, unknowns
 
 
 class Softening(Effect):
@@ -61,10 +61,7 @@ class BendTwist(Effect):
         "energy per length sqrt(B C) g . e (tau - tau_0) of the excess curvatures e and the twist "
         "(Dias & Audoly 2014); stable at rest where |g| < 1"
     )
-    parameters = (
-        Parameter("coupling_1", "", 0.5, lower=-0.9, upper=0.9),
-        Parameter("coupling_2", "", 0.5, lower=-0.9, upper=0.9),
-    )
+    parameters = unknowns("", 0.5, "coupling_1", "coupling_2", lower=-0.9, upper=0.9)
 
     def apply(self, setup, values):
         size = np.sqrt(setup.bending[0, 0] * setup.twisting[0])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from wrod.identification.clamped.setup import rotation_of
-from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
+from wrod.identification.effect import Effect, Estimate, Parameter, unknowns
 
 
 class Density(Effect):
@@ -27,7 +27,7 @@ class DensityProfile(Effect):
     name = "density_profile"
     title = "weight per length that changes linearly along the rod"
     reference = "linear line mass, given by its relative change at both ends"
-    parameters = (Parameter("change_at_clamp", "", 0.7), Parameter("change_at_grip", "", 0.7))
+    parameters = unknowns("", 0.7, "change_at_clamp", "change_at_grip")
 
     def apply(self, setup, values):
         fraction = setup.fraction
@@ -42,19 +42,11 @@ class GravityTilt(Effect):
     title = "gravity turned about a horizontal axis"
     reference = "rotation of the gravity vector"
     kinds = ("clamped", "motion")
-    parameters = (Parameter("tilt_x", "rad", 0.15), Parameter("tilt_y", "rad", 0.15))
+    polar = "tilt", "axis_azimuth", "deg"
+    parameters = unknowns("rad", 0.15, "tilt_x", "tilt_y")
 
     def apply(self, setup, values):
         setup.gravity = rotation_of(np.array([values[0], values[1], 0 * values[0]])) @ setup.gravity
-
-    def describe(self, values, covariance, measurements):
-        size, azimuth = magnitude_and_angle(*values, covariance)
-        tilt = Estimate(np.degrees(size[0]).item(), np.degrees(size[1]).item(), "deg")
-        return {
-            "tilt": tilt,
-            "axis_azimuth": Estimate(*azimuth, "deg"),
-            **super().describe(values, covariance, measurements),
-        }
 
 
 class MassGradient(Effect):

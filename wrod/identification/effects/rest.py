@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wrod.identification.effect import Effect, Estimate, Parameter, magnitude_and_angle
+from wrod.identification.effect import Effect, Estimate, Parameter, unknowns
 
 _STATIONS = 10
 
@@ -15,15 +15,8 @@ class NaturalCurvature(Effect):
     reference = "dt/ds = curvature_1 m1 + curvature_2 m2 at rest, t the tangent"
     kinds = ("clamped", "motion")
     adds = "natural_curvature"
-    parameters = (Parameter("curvature_1", "1/m", 20.0), Parameter("curvature_2", "1/m", 20.0))
-
-    def describe(self, values, covariance, measurements):
-        size, angle = magnitude_and_angle(*values, covariance)
-        return {
-            "curvature": Estimate(*size, "1/m"),
-            "direction": Estimate(*angle, "deg"),
-            **super().describe(values, covariance, measurements),
-        }
+    polar = "curvature", "direction", "1/m"
+    parameters = unknowns("1/m", 20.0, "curvature_1", "curvature_2")
 
 
 class NaturalCurvatureProfile(Effect):
@@ -36,10 +29,8 @@ class NaturalCurvatureProfile(Effect):
         "grip"
     )
     kinds = ("motion",)
-    parameters = tuple(
-        Parameter(f"curvature_{axis}_at_{station}", "1/m", 4.0)
-        for station in range(_STATIONS)
-        for axis in (1, 2)
+    parameters = unknowns(
+        "1/m", 4.0, *(f"curvature_{axis}_at_{k}" for k in range(_STATIONS) for axis in (1, 2))
     )
 
     def apply(self, setup, values):
@@ -66,9 +57,9 @@ class NaturalHelix(Effect):
     reference = (
         "as natural_curvature, its dt/ds turned about the tangent by turn_rate times arc length"
     )
+    polar = "curvature", "direction_at_clamp", "1/m"
     parameters = (
-        Parameter("curvature_1", "1/m", 20.0),
-        Parameter("curvature_2", "1/m", 20.0),
+        *NaturalCurvature.parameters,
         Parameter("turn_rate", "rad/m", 40.0, anywhere=True),
     )
 
@@ -82,14 +73,6 @@ class NaturalHelix(Effect):
         c, s = np.cos(angle), np.sin(angle)
         first, second = c * values[0] - s * values[1], s * values[0] + c * values[1]
         setup.natural_curvature = setup.natural_curvature + np.stack([first, second], axis=1)
-
-    def describe(self, values, covariance, measurements):
-        size, angle = magnitude_and_angle(*values[:2], covariance[:2, :2])
-        return {
-            "curvature": Estimate(*size, "1/m"),
-            "direction_at_clamp": Estimate(*angle, "deg"),
-            **super().describe(values, covariance, measurements),
-        }
 
 
 class NaturalTwist(Effect):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wrod.identification.effect import Effect, Estimate, Parameter
+from wrod.identification.effect import Effect, Estimate, Parameter, unknowns
 
 
 class Stiffness(Effect):
@@ -28,10 +28,7 @@ class StiffnessGradient(Effect):
     name = "stiffness_gradient"
     title = "stiffness that changes linearly along the rod"
     reference = "linear profile of every stiffness, given by its relative change at both ends"
-    parameters = (
-        Parameter("change_at_clamp", "", 0.7, lower=-0.95),
-        Parameter("change_at_grip", "", 0.7, lower=-0.95),
-    )
+    parameters = unknowns("", 0.7, "change_at_clamp", "change_at_grip", lower=-0.95)
 
     def apply(self, setup, values):
         def profile(fraction):
@@ -65,11 +62,7 @@ class StiffnessProfile(Effect):
         "grip to grip"
     )
     kinds = ("motion",)
-    parameters = (
-        Parameter("linear", "", 0.5),
-        Parameter("quadratic", "", 0.5),
-        Parameter("cubic", "", 0.5),
-    )
+    parameters = unknowns("", 0.5, "linear", "quadratic", "cubic")
 
     def apply(self, setup, values):
         u = 2.0 * np.clip(setup.fraction, 0.0, 1.0) - 1.0
@@ -87,8 +80,7 @@ class AnisotropicBending(Effect):
     reference = "Bergou et al. 2008, Discrete Elastic Rods, Sec. 4.2 (anisotropic bending)"
     kinds = ("clamped", "motion")
     parameters = (
-        Parameter("log_ratio_1", "", 0.7),
-        Parameter("log_ratio_2", "", 0.7),
+        *unknowns("", 0.7, "log_ratio_1", "log_ratio_2"),
         Parameter("principal_angle", "rad", 2.0, anywhere=True),
     )
 

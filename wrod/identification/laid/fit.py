@@ -17,6 +17,7 @@ from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError
 from wrod.identification.effect import Estimate
 from wrod.identification.laid.measurements import LaidMeasurements
+from wrod.identification.report import Outcome
 from wrod.identification.verdict import CORRELATED, LAID, LAID_ONCE
 from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
@@ -36,9 +37,9 @@ _PRIORS = {"natural_curvature": 20.0, "log_L_gb": 0.5, "log_friction": 0.7}
 _ENOUGH = 1.3
 
 
-@dataclass(frozen=True)
-class LaidFit:
-    """What a set of laid rods says.
+@dataclass(frozen=True, kw_only=True)
+class LaidFit(Outcome):
+    """What a set of laid rods says; errors are RMS distances of the rods from the simulation.
 
     Attributes:
         estimates: by parameter that is needed: curvature of the rod at rest to the left of the
@@ -46,26 +47,16 @@ class LaidFit:
             of the true over the believed friction. Their standard errors are those of the noise;
             what the simulation itself misses is not in them.
         rod: the believed rod with them.
-        before, after: RMS distance of the rods from the simulation with the believed and with the
-            fitted rod [m].
-        noise_floor: that of a perfect prediction [m].
         alone: RMS distance [m] that each parameter alone would leave, to first order.
         correlation: of the two estimates that are told apart worst, 0 for one.
         friction: the table's coefficient, fitted or as given.
-        verdict: "adequate", "explained", "partly-explained" or "unexplained".
-        reason: the evidence in a sentence.
     """
 
     estimates: dict[str, Estimate]
     rod: RodModel | RodMaterial
-    before: float
-    after: float
-    noise_floor: float
     alone: dict[str, float]
     correlation: float
     friction: float
-    verdict: str
-    reason: str
 
 
 @dataclass
@@ -199,17 +190,10 @@ def fit_laid(
         estimates, after = {} if kept is None else {"log_friction": kept}, before
         values[: len(_OF_ROD)] = 0.0
     return LaidFit(
-        estimates,
-        with_parameters(rod, values, roll),
-        before,
-        after,
-        floor,
-        alone,
-        correlation,
-        scaled(law, values[2]).static,
-        verdict,
-        reason,
-    )
+        verdict=verdict, reason=reason, before=before, after=after, noise_floor=floor,
+        estimates=estimates, rod=with_parameters(rod, values, roll), alone=alone,
+        correlation=correlation, friction=scaled(law, values[2]).static,
+    )  # fmt: skip
 
 
 def scaled(law: Friction, log_ratio: float) -> Friction:

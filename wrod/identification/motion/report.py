@@ -50,18 +50,14 @@ _SLENDER = 0.0018 / 0.0801
 _SUBDIVISIONS = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MotionReport(Report):
-    """What recordings of motion say.
+    """What recordings of motion say: errors on test recordings, effects in the order in which they
+    were added, and the candidates of the first round.
 
     Attributes:
-        verdict: adequate, explained, partly-explained or unexplained; reason: the evidence.
-        before, after: test error of the base model and of the better one [m].
-        noise_floor: what the markers' noise leaves of a perfect prediction [m].
         numerical_error: mean |change| of the prediction when the time step is halved [m].
         base: what the base model has fitted.
-        effects: what was added, in order.
-        candidates: every effect in the first round.
         selection, residual, trace: the whole evidence.
         failed: (before, after) (W,) test recordings whose steps did not converge; they are scored
             with the last shape that did.
@@ -69,15 +65,8 @@ class MotionReport(Report):
     """
 
     measurements: MotionMeasurements
-    verdict: str
-    reason: str
-    before: float
-    after: float
-    noise_floor: float
     numerical_error: float
     base: dict[str, dict[str, Estimate]]
-    effects: tuple[FoundEffect, ...]
-    candidates: tuple[dict, ...]
     selection: MotionSelection
     residual: Residual
     trace: MotionTrace | None
