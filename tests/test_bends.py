@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 import wrod
 from wrod.bench.bend_shapes import BENDS, bend
 from wrod.bench.bends import pull_bend
-from wrod.knots.pull import HOLD, SETTLE, keep_up
+from wrod.knots.pull import HOLD, SETTLE, Pair, keep_up
 from wrod.knots.topology import recognise_pair
 from wrod.knots.trials import STILL
 from wrod.knots.workbench import Poses, Workbench
@@ -42,8 +42,8 @@ def test_turned_ends_do_not_hide_a_knot_and_show_no_other(turn):
             assert found.share_of(wrong) == 0.0
 
 
-def straight(friction=0.5):
-    """One straight rod on the table, held near both ends."""
+def straight(friction=0.5, strength=np.inf):
+    """One straight rod on the table, held near both ends, by the second hand with a strength."""
     rod = wrod.RodMaterial(0.003, 0.03, 0.2)
     arc = np.linspace(0.0, 0.2, 34)
     position = np.column_stack([arc, 0 * arc, 0 * arc + rod.radius])
@@ -53,59 +53,44 @@ def straight(friction=0.5):
     )  # fmt: skip
     starts = np.array([position[:2].mean(axis=0), position[-2:].mean(axis=0)])
     for hand, edge in enumerate((0, 32)):
-        table.held.grasp(0, hand, edge, Poses(starts[hand][None], Rotation.identity(1)))
+        poses = Poses(starts[hand][None], Rotation.identity(1))
+        table.held.grasp(0, hand, edge, poses, strength if hand else np.inf)
     return table, starts, rod
 
 
-def pulled(table, starts, load, way=0.05, give=0.002, after=lambda poses: lambda: None):
-    tight = []
-    outcome = keep_up(
-        table,
-        starts,
-        way * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
-        load,
-        give,
-        speed=0.01,
-        hand_pose=lambda hand, place: Poses(place, Rotation.identity(1)),
-        after_tick=after,
-        when_tight=lambda scenes: tight.extend([table.time] * len(scenes)),
-    )
-    return outcome, tight
+def pulled(table, starts, load, way=0.05, give=0.002):
+    pair = Pair(starts, way * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.01)
+    return keep_up(table, pair, load, give)
 
 
 def test_pull_is_reached_and_kept_up():
     table, starts, rod = straight()
     load = 0.06 * rod.stretching_stiffness
-    outcome, tight = pulled(table, starts, load)
+    outcome = pulled(table, starts, load)
     assert outcome.held.all() and outcome.crept[0] < 0.001
     assert outcome.load[0] == pytest.approx(load, rel=0.06)
-    assert table.time - tight[0] == pytest.approx(SETTLE + HOLD, abs=0.05)
-    # The rod is stretched by load / EA between the hands.
-    line = table.positions()[0][0]
-    length = np.linalg.norm(np.diff(line[1:-1], axis=0), axis=1).sum()
-    assert length / (0.2 * 31 / 33) - 1.0 == pytest.approx(0.06, rel=0.05)
+    ended = table.dynamics.time.numpy()[0]
+    assert ended - outcome.tight_at[0] == pytest.approx(SETTLE + HOLD, abs=0.05)
+    # The rod is stretched by load / EA between the hands, and was when they first felt it.
+    for line in (table.positions()[0][0], outcome.tight[0][0]):
+        length = np.linalg.norm(np.diff(line[1:-1], axis=0), axis=1).sum()
+        assert length / (0.2 * 31 / 33) - 1.0 == pytest.approx(0.06, rel=0.05)
 
 
 def test_way_that_ends_before_the_load_is_reached_does_not_count():
     table, starts, rod = straight()
-    outcome, tight = pulled(table, starts, 0.06 * rod.stretching_stiffness, way=0.003)
-    assert not tight and not outcome.held.any()
+    outcome = pulled(table, starts, 0.06 * rod.stretching_stiffness, way=0.003)
+    assert np.isnan(outcome.tight_at).all() and not outcome.held.any()
     assert 0.0 < outcome.strongest[0] < 0.06 * rod.stretching_stiffness
 
 
 def test_rod_that_slips_out_of_a_hand_is_not_held():
-    table, starts, rod = straight()
+    rod = straight()[2]
     load = 0.06 * rod.stretching_stiffness
-
-    def after(poses):
-        def slip():
-            if table.load()[0, 1] > 0.9 * load:
-                table.held.open(0, 1)
-
-        return slip
-
-    outcome, tight = pulled(table, starts, load, after=after)
-    assert not tight and not outcome.held.any()
+    table, starts, _ = straight(strength=0.9 * load)
+    outcome = pulled(table, starts, load)
+    assert np.isnan(outcome.tight_at).all() and not outcome.held.any()
+    assert table.held.edge[0].tolist() == [0, -1]
 
 
 @pytest.mark.slow
@@ -114,3 +99,43 @@ def test_reef_knot_holds_and_without_friction_it_slips():
     assert held["held"] and held["pulled"] == "reef knot"
     slipped = pull_bend("reef knot", PAIR, 0.1, 0.5)
     assert not slipped["held"] and not slipped["tight"] and slipped["pulled"] == "unknot"
+
+
+def pulled_scenes(scale):
+    """Wavy rods of several stiffnesses, by the scale (scene,) of their L_gb, that are pulled
+    straight: the outcome, where they end, and how many rounds that took."""
+    rods = [[wrod.RodMaterial(0.003, 0.03 * s, 0.2)] for s in scale]
+    arc = np.linspace(0.0, 0.2, 34)
+    line = np.column_stack([arc, 0.002 * np.sin(30.0 * arc), 0 * arc + 0.003])
+    position = np.tile(line, (len(rods), 1, 1))
+    table = Workbench(
+        rods, [arc], position, np.array([[0.0, 0.0, 1.0]] * len(rods)),
+        (Friction(0.5), Friction(0.3)), step=0.02,
+    )  # fmt: skip
+    table.dynamics.keeps_recording = False  # rounds are launched, and counted, one by one
+    rounds, arrive = [], table.held.arrive
+    table.held.arrive = lambda *given: (rounds.append(1), arrive(*given))
+    starts = np.array([line[:2].mean(axis=0), line[-2:].mean(axis=0)])
+    upright = Rotation.identity(len(rods))
+    for scene in range(len(rods)):
+        for hand, edge in enumerate((0, 32)):
+            places = Poses(np.tile(starts[hand], (len(rods), 1)), upright)
+            table.held.grasp(scene, hand, edge, places)
+    ways = 0.05 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    misses = np.zeros((len(rods), 2, 1, 3))
+    outcome = keep_up(table, Pair(starts, ways, 0.01, upright, misses), 1.5, 0.002)
+    return outcome, table.batch.positions(), len(rounds)
+
+
+def test_scenes_are_pulled_each_at_its_own_pace():
+    scale = (1.0, 1.3, 0.8)
+    together, ends, rounds = pulled_scenes(scale)
+    assert together.held.all()
+    assert np.ptp(together.tight_at) > 0.1
+    alone = [pulled_scenes([one]) for one in scale]
+    assert rounds == max(count for _, _, count in alone)
+    for scene, (outcome, end, _) in enumerate(alone):
+        assert (end[0] == ends[scene]).all()
+        assert (outcome.tight[0][0] == together.tight[0][scene]).all()
+        for name in ("load", "strongest", "crept", "held", "tight_at"):
+            assert (getattr(outcome, name)[0] == getattr(together, name)[scene]).all()

@@ -74,7 +74,7 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
     from scipy.spatial.transform import Rotation
 
     from wrod.bench.bend_shapes import bend
-    from wrod.knots.pull import CREEP, keep_up
+    from wrod.knots.pull import CREEP, Pair, keep_up
     from wrod.knots.topology import recognise_pair
     from wrod.knots.trials import STILL
     from wrod.knots.workbench import Poses, Workbench
@@ -96,32 +96,19 @@ def pull_bend(name: str, rods: list, friction: float, load: float, **shape) -> d
     starts = np.array([(one[0] + one[1]) / 2 for one in laid])
     seen: dict[str, list] = {"laid": laid}
 
-    def when_tight(scenes) -> None:
-        if len(scenes):
-            seen["tight"] = [one[0] for one in table.positions()]
-
-    def hand(_, place) -> Poses:
-        return Poses(place, Rotation.identity(1))
-
     for h, nodes in enumerate(table.slices):
-        table.held.grasp(0, h, nodes.start, hand(h, starts[h][None]))
-    outcome = keep_up(
-        table,
-        starts,
-        0.6 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
-        load,
-        2.0 * CREEP * min(one.radius for one in rods),
-        speed=0.03,
-        hand_pose=hand,
-        after_tick=lambda poses: lambda: None,
-        when_tight=when_tight,
-    )
+        table.held.grasp(0, h, nodes.start, Poses(starts[h][None], Rotation.identity(1)))
+    pair = Pair(starts, 0.6 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.03)
+    outcome = keep_up(table, pair, load, 2.0 * CREEP * min(one.radius for one in rods))
+    tight = bool(np.isfinite(outcome.tight_at[0]))
+    if tight:
+        seen["tight"] = [one[0] for one in outcome.tight]
     seen["pulled"] = [one[0] for one in table.positions()]
     first, last = recognise_pair(*laid).name, recognise_pair(*seen["pulled"])
     return {
         "laid": first,
         "friction": friction,
-        "tight": "tight" in seen,
+        "tight": tight,
         "pulled": first if last.share_of(first) >= STILL else last.name,
         "strongest": float(outcome.strongest[0]),
         "crept": float(outcome.crept[0]),

@@ -76,13 +76,13 @@ def lay(run: TyingRun, k: int) -> None:
     for scene in range(len(run.trials)):
         bench.held.grasp(scene, 0, last, start[0])
     run.closed[:, 0] = True
-    bench.run(min(s.release_time for s in schedule), follow, run.watch(follow))
+    run.run(min(s.release_time for s in schedule), follow)
     bench.held.hold_still(None)
-    bench.run(min(s.let_go_time for s in schedule), follow, run.watch(follow))
+    run.run(min(s.let_go_time for s in schedule), follow)
     for scene in range(len(run.trials)):
         bench.held.open(scene, 0)
     run.closed[:, 0] = False
-    bench.run(bench.time + 1.0, follow, run.watch(follow))
+    run.run(bench.time + 1.0, follow)
     run.elapsed += bench.time
     run.now = follow(bench.time)
     for scene, result in enumerate(run.results):

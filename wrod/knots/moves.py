@@ -38,20 +38,18 @@ def make(run: TyingRun, moves: Sequence[Move], name: str) -> None:
                 out.append(run.now[hand])
                 continue
             path, turn, _ = ends[hand]
-            out.append(run.hand_pose(hand, path(u), turn * u, starts[hand][2]))
+            out.append(run.hand_pose(hand, path(u), t, turn * u, starts[hand][2]))
         return out
 
     for move in moves:
         run.grasp(move.hand, move.rod, name, poses(begin)[move.hand])
         run.closed[:, move.hand] = True
-    after = run.watch(poses, name)
-    bench.run(begin + duration, poses, after)
-    bench.run(bench.time + 0.2, poses, after)
+    run.run(begin + duration + 0.2, poses, name)
     for move in moves:
         for scene in range(len(run.trials)):
             bench.held.open(scene, move.hand)
         run.closed[:, move.hand] = False
-    bench.run(bench.time + _REST, poses, run.watch(poses))
+    run.run(bench.time + _REST, poses)
     run.now = poses(bench.time)
     run.grasps += len(moves)
 
@@ -68,12 +66,12 @@ def approach(run: TyingRun, places: dict[int, np.ndarray]) -> None:
         x = (t - begin) / duration
         out = list(run.now)
         for hand, (start, path) in paths.items():
-            here = run.hand_pose(hand, path(smoothstep(x)), floor=places[hand][2])
+            here = run.hand_pose(hand, path(smoothstep(x)), t, floor=places[hand][2])
             # Out of the pose in which the rod was laid into the upright one.
             turn = (here.rotation * start.rotation.inv()).as_rotvec()
             left = Rotation.from_rotvec((smoothstep(3.0 * x) - 1.0) * turn)
             out[hand] = Poses(here.position, left * here.rotation)
         return out
 
-    bench.run(begin + duration, poses, run.watch(poses))
+    run.run(begin + duration, poses)
     run.now = poses(bench.time)

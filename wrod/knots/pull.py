@@ -1,13 +1,18 @@
 """Pulling a knot with both hands: does it tighten, and does it hold?"""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+import warp as wp
+from scipy.spatial.transform import Rotation
 
+from wrod.kernels.stepping import hands
 from wrod.knots.moves import approach
 from wrod.knots.tying_run import TyingRun
 from wrod.knots.workbench import TICK, Poses, Workbench
+from wrod.rods.state import node_positions
+from wrod.solvers import streams
 
 # Once the pull is reached the knot comes to rest [s]; then the pull is kept up for so long [s], and
 # the knot may give so far in that time, in diameters of the thinnest rod.
@@ -19,6 +24,37 @@ _KEPT = 0.9
 _BAND, _ABOVE = 0.2, 1.02
 # They rise while they begin, so that neither they nor the rods rub on the table [m].
 _LIFT, _RISE = 0.03, 0.06
+# What is known of a scene when its pull begins.
+_BEGIN = {
+    "way": 0.0, "pace": 0.0, "strongest": 0.0, "lowest": np.inf, "tight_at": np.nan,
+    "tight_way": np.nan,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two hands that pull.
+
+    Attributes:
+        starts, ways: (hand, 3) where they are, and their ways from there [m].
+        speed: of the faster one [m/s].
+        rotation: (scene,) of both.
+        misses: (scene, hand, tick, 3) by how much they are off their places, over and over [m].
+        floor: height below which they do not go [m], (hand,).
+    """
+
+    starts: np.ndarray
+    ways: np.ndarray
+    speed: float
+    rotation: Rotation = field(default_factory=lambda: Rotation.identity(1))
+    misses: np.ndarray = field(default_factory=lambda: np.zeros((1, 2, 1, 3)))
+    floor: tuple[float, float] = (-np.inf, -np.inf)
+
+    def poses(self, tick: int) -> list[Poses]:
+        """Of both where they start."""
+        places = self.starts + self.misses[:, :, tick % self.misses.shape[2]]
+        places[:, :, 2] = np.maximum(places[:, :, 2], self.floor)
+        return [Poses(places[:, h], self.rotation) for h in range(2)]
 
 
 @dataclass(frozen=True)
@@ -30,27 +66,25 @@ class Outcome:
         strongest: (scene,) largest pull that both hands came to [N].
         crept: (scene,) how far both hands together went while the pull was kept up [m].
         held: (scene,) the pull was reached and kept up, and the knot gave no more than allowed.
-        poses: of the hands at the end.
+        tight_at: (scene,) when both hands first pulled with the load [s]; NaN if they never did.
+        tight: (scene, node, 3) of every rod at that time [m].
     """
 
     load: np.ndarray
     strongest: np.ndarray
     crept: np.ndarray
     held: np.ndarray
-    poses: list[Poses]
+    tight_at: np.ndarray
+    tight: list[np.ndarray]
 
 
 def keep_up(
     bench: Workbench,
-    starts: np.ndarray,
-    ways: np.ndarray,
+    pair: Pair,
     load: float,
     give: float,
-    *,
-    speed: float,
-    hand_pose: Callable[[int, np.ndarray], Poses],
-    after_tick: Callable[[Callable[[float], list[Poses]]], Callable[[], None]],
-    when_tight: Callable[[np.ndarray], None],
+    film: Callable[[list[Poses]], object] | None = None,
+    film_ticks: int = 1,
 ) -> Outcome:
     """Pull with two hands that hold their rods; let the knot come to rest for `SETTLE` seconds, and
     keep the pull up for `HOLD` more.
@@ -60,56 +94,67 @@ def keep_up(
 
     Args:
         bench: where the rods are.
-        starts, ways: (hand, 3) where the hands are, and their ways from there [m].
-        load: pull of both hands [N].
-        give: way of both hands together that is allowed while the pull is kept up [m].
-        speed: of the faster hand [m/s].
-        hand_pose: pose of a hand whose place is (scene, 3).
-        after_tick: what is to be called after every tick of hands with these poses over time.
-        when_tight: called with the scenes whose pull has just been reached.
+        pair: the hands, which are where they start.
+        load: pull of both [N].
+        give: way of both together that is allowed while the pull is kept up [m].
+        film: called with the hands' poses after every so many ticks.
     """
-    scenes = len(bench.rods)
-    lengths = np.linalg.norm(ways, axis=1)
-    share, directions = lengths / lengths.max(), ways / lengths[:, None]
-    since, way, pace = bench.time, np.zeros(scenes), np.zeros(scenes)
+    held, batch, pace = bench.held, bench.batch, bench.dynamics.pace
+    lengths = np.linalg.norm(pair.ways, axis=1)
+    share = lengths / lengths.max()
+    carried = np.stack([pair.rotation.apply(held.offset[:, h]) for h in range(2)], axis=1)
+    pull = _pull(pair, carried, load, batch.device)
+    # Until both feel the load they are no slower than where they do.
+    slowest = pair.speed * (_ABOVE - 1.0) / _BAND
+    count = int((lengths.max() / slowest + SETTLE + HOLD) / TICK) + 4
+    times = bench.time + TICK * np.arange(count)
+    tight = wp.clone(batch.state.dof)
 
-    def poses(t: float) -> list[Poses]:
-        """Hands go the same part of their ways at the same time."""
-        gone = way + pace * (t - since)
-        x = np.clip(gone / _RISE, 0.0, 1.0)
-        up = np.outer(_LIFT * x**2 * (3.0 - 2.0 * x), [0.0, 0.0, 1.0])
-        return [
-            hand_pose(h, starts[h] + share[h] * gone[:, None] * directions[h] + up)
-            for h in range(2)
-        ]
+    def feel() -> None:
+        state = [held.course, pace, pull]
+        batch.launch(hands.pull, batch.rod_count, [held.holds, held.felt, *state], [held.position])
+        batch.launch(hands.keep_tight, tight.shape, [*state, batch.state.dof], [tight])
 
-    watch = after_tick(poses)
-    edge = bench.held.edge
-    force, strongest = np.zeros((scenes, 2)), np.zeros(scenes)
-    tight_at, tight_way = np.full(scenes, np.inf), np.full(scenes, np.nan)
-    lowest, kept = np.full(scenes, np.inf), np.zeros(scenes, dtype=bool)
-    done = (edge < 0).any(axis=1)
-    while not done.all():
-        bench.run(bench.time + TICK, poses, watch)
-        way, since = way + pace * (bench.time - since), bench.time
-        now = np.where(edge >= 0, bench.load(), 0.0)
-        both = now.min(axis=1)
-        force[~done] = now[~done]
-        strongest[~done] = np.maximum(strongest, both)[~done]
-        reached = ~done & ~np.isfinite(tight_at) & (both >= load)
-        tight_at[reached] = since
-        when_tight(np.flatnonzero(reached))
-        keeping = ~done & (since - tight_at >= SETTLE)
-        tight_way = np.where(keeping & np.isnan(tight_way), way, tight_way)
-        lowest[keeping] = np.minimum(lowest, both)[keeping]
-        done |= (edge < 0).any(axis=1) | (way >= lengths.max()) | bench.diverged
-        kept |= ~done & (since - tight_at >= SETTLE + HOLD)
-        done |= kept
-        short = (_ABOVE * load - both) / (_BAND * load)
-        pace = np.where(done, 0.0, speed * np.clip(short, -1.0, 1.0))
+    bench.plan(times, [pair.poses(tick) for tick in range(2)], feel)
+    key, waits = 0, np.ones(len(bench.rods), dtype=bool)
+    while key < count - 1 and waits.any():
+        key = count - 1 if film is None else min(key + film_ticks, count - 1)
+        bench.go_to(key)
+        places, waits = held.at_key()
+        if film is not None:
+            film([Poses(places[:, h] - carried[:, h], pair.rotation) for h in range(2)])
+    way, tight_way = streams.read(pull.way), streams.read(pull.tight_way)
     crept = np.nan_to_num(share.sum() * np.abs(way - tight_way))
-    held = kept & (lowest >= _KEPT * load) & (crept <= give)
-    return Outcome(force, strongest, crept, held, poses(bench.time))
+    kept = (streams.read(pull.kept) != 0) & (streams.read(pull.lowest) >= _KEPT * load)
+    nodes = node_positions(streams.read(tight))
+    return Outcome(
+        bench.load(),
+        streams.read(pull.strongest),
+        crept,
+        kept & (crept <= give),
+        streams.read(pull.tight_at),
+        [nodes[:, s] for s in bench.slices],
+    )
+
+
+def _pull(pair: Pair, carried: np.ndarray, load: float, device: str) -> hands.Pull:
+    """A pull that begins, for kernels."""
+    lengths = np.linalg.norm(pair.ways, axis=1)
+
+    def array(values, dtype=wp.float64) -> wp.array:
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+    pull, scenes = hands.Pull(), len(carried)
+    pull.start, pull.floor = array(pair.starts, wp.vec3d), array(pair.floor)
+    pull.direction = array(pair.ways / lengths[:, None], wp.vec3d)
+    pull.share, pull.length, pull.speed = array(lengths / lengths.max()), lengths.max(), pair.speed
+    pull.misses, pull.carried = array(pair.misses, wp.vec3d), array(carried, wp.vec3d)
+    pull.load, pull.settle, pull.hold = load, SETTLE, HOLD
+    pull.above, pull.band, pull.lift, pull.rise = _ABOVE, _BAND, _LIFT, _RISE
+    for name, value in _BEGIN.items():
+        setattr(pull, name, array(np.full(scenes, value)))
+    pull.kept = array(np.zeros(scenes), wp.int32)
+    return pull
 
 
 def pull(run: TyingRun) -> None:
@@ -117,31 +162,27 @@ def pull(run: TyingRun) -> None:
     plan's load, and keep it up."""
     bench, knot = run.bench, run.knot
     tied = [scene for scene, result in enumerate(run.results) if result.is_tied]
-    if not tied:
-        return
     heights = [run.plans[one.rod][1].radius for one in knot.pull]
     starts = np.array([[*one.where, z] for one, z in zip(knot.pull, heights, strict=True)])
     approach(run, dict(enumerate(starts)))
-    for hand, one in enumerate(knot.pull):
-        place = run.hand_pose(hand, starts[hand], floor=heights[hand])
-        run.grasp(hand, one.rod, "pull", place, tied)
-        run.closed[tied, hand] = True
     ways = np.array([[*one.direction, 0.0] for one in knot.pull])
     ways *= ([one.distance for one in knot.pull] / np.linalg.norm(ways, axis=1))[:, None]
+    pair = Pair(starts, ways, 0.5 * run.hand_speed, run.upright, run.misses(), tuple(heights))
+    for hand, (one, poses) in enumerate(zip(knot.pull, pair.poses(0), strict=True)):
+        run.grasp(hand, one.rod, "pull", poses, tied)
+        run.closed[tied, hand] = True
+    held = bench.held.edge
     outcome = keep_up(
         bench,
-        starts,
-        ways,
+        pair,
         knot.load,
         2.0 * CREEP * min(rod.radius for _, rod in knot.rods),
-        speed=0.5 * run.hand_speed,
-        hand_pose=lambda hand, place: run.hand_pose(hand, place, floor=heights[hand]),
-        after_tick=lambda poses: run.watch(poses, "pull"),
-        when_tight=lambda scenes: run.note("tight", scenes),
+        **run.filming(),
     )
+    run.note_slips("pull", held)
+    run.note("tight", np.flatnonzero(np.isfinite(outcome.tight_at)), outcome.tight)
     for scene, result in enumerate(run.results):
         result.load = outcome.load[scene]
         result.strongest = float(outcome.strongest[scene])
         result.crept = float(outcome.crept[scene])
         result.held = bool(outcome.held[scene])
-    run.now = outcome.poses

@@ -1,6 +1,6 @@
 """The state of tying that laying, moves and pulling share, and what watches it."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -56,10 +56,10 @@ class TyingRun:
         self.begun = 0.0  # when the clock of `bench` was started
         # (scene, hand) whether a hand is at work, whatever it has found.
         self.closed = np.zeros((len(trials), 2), dtype=bool)
-        self.home = [Poses(_repeat(place, trials), _upright(trials)) for place in _home(knot)]
+        self.upright = Rotation.from_quat(_repeat(_UPRIGHT.as_quat(), trials))
+        self.home = [Poses(_repeat(place, trials), self.upright) for place in _home(knot)]
         self.now = list(self.home)
         self.grasps = 0
-        self.strength = np.full((len(trials), 2), np.inf)  # of the grasps [N]
         self.film: list[tuple[float, list[np.ndarray], np.ndarray, np.ndarray]] = []
         rng = [np.random.default_rng([trial.seed, 11]) for trial in trials]
         # (scene, hand, tick, 3): a minute of shaking, over and over.
@@ -82,37 +82,71 @@ class TyingRun:
         return np.array([point[0], point[1], rod.radius])
 
     def hand_pose(
-        self, hand: int, position: np.ndarray, yaw: np.ndarray | float = 0.0, floor: float = 0.0
+        self,
+        hand: int,
+        position: np.ndarray,
+        t: float,
+        yaw: np.ndarray | float = 0.0,
+        floor: float = 0.0,
     ) -> Poses:
-        """A hand's true pose for a commanded one, (3,) or (scene, 3); at the height `floor` its
-        fingertips touch the table."""
-        count = len(self.trials)
-        tick = round((self.elapsed + self.bench.time) / TICK) % self.shaking.shape[2]
+        """A hand's true pose at a time for a commanded one, (3,) or (scene, 3); at the height
+        `floor` its fingertips touch the table."""
+        count, tick = len(self.trials), self._tick(t)
         out = np.broadcast_to(position, (count, 3)) + self.shaking[:, hand, tick]
         out += [trial.offset[hand] for trial in self.trials]
         out[:, 2] = np.maximum(out[:, 2], floor)
         yaw = np.broadcast_to(yaw, (count,))
         return Poses(out, Rotation.from_euler("z", yaw[:, None]) * _UPRIGHT)
 
-    def watch(self, poses: Callable[[float], list[Poses]], name: str | None = None):
-        """What happens after every tick: film, and rods slip out of overloaded hands."""
+    def _tick(self, t: float) -> int:
+        return round((self.elapsed + t) / TICK) % self.shaking.shape[2]
 
-        def after() -> None:
-            bench = self.bench
-            if name is not None:
-                self._slip(name)
-            if self.film_interval is None:
-                return
-            now = self.begun + bench.time
-            if self.film and now < self.film[-1][0] + self.film_interval - 1e-9:
-                return
-            hands = np.tile(np.eye(4), (len(self.trials), 2, 1, 1))
-            for h, pose in enumerate(poses(bench.time)):
-                hands[:, h, :3, 3] = pose.position
-                hands[:, h, :3, :3] = pose.rotation.as_matrix()
-            self.film.append((now, bench.positions(), hands, self.closed.copy()))
+    def misses(self) -> np.ndarray:
+        """(scene, hand, tick, 3) by how much hands are off their places from now on [m]."""
+        offset = np.array([trial.offset for trial in self.trials])
+        shaking = np.roll(self.shaking, -self._tick(self.bench.time), axis=2)
+        return shaking + offset[:, :, None]
 
-        return after
+    def run(
+        self, until: float, poses: Callable[[float], list[Poses]], name: str | None = None
+    ) -> None:
+        """Let time pass, the hands moving as `poses(time)` says; what slips out of them is noted
+        under the name."""
+        bench = self.bench
+        held = bench.held.edge
+        while bench.time < until - 1e-9:
+            due = np.inf if self.film_interval is None else self._next_frame()
+            bench.run(min(due, until), poses)
+            if due < until + 1e-9:
+                self.shoot(poses(bench.time))
+        self.note_slips(name, held)
+
+    def _next_frame(self) -> float:
+        """When the next one is due, on the clock of `bench`: at a tick."""
+        now, last = self.begun + self.bench.time, self.film[-1][0] if self.film else -np.inf
+        ticks = (last + self.film_interval - 1e-9 - now) / TICK
+        return self.bench.time + TICK * max(np.ceil(ticks), 1.0)
+
+    def filming(self) -> dict:
+        """What `wrod.knots.pull.keep_up` takes."""
+        if self.film_interval is None:
+            return {}
+        ticks = max(int(np.ceil(self.film_interval / TICK - 1e-9)), 1)
+        return {"film": self.shoot, "film_ticks": ticks}
+
+    def shoot(self, poses: list[Poses]) -> None:
+        """Add a frame to the film."""
+        bench = self.bench
+        hands = np.tile(np.eye(4), (len(self.trials), 2, 1, 1))
+        for h, pose in enumerate(poses):
+            hands[:, h, :3, 3] = pose.position
+            hands[:, h, :3, :3] = pose.rotation.as_matrix()
+        self.film.append((self.begun + bench.time, bench.positions(), hands, self.closed.copy()))
+
+    def note_slips(self, name: str | None, held: np.ndarray) -> None:
+        """Name what slipped out of hands that held these edges (scene, hand)."""
+        for scene, _ in np.argwhere((held >= 0) & (self.bench.held.edge < 0)):
+            self.results[scene].slipped.append(name)
 
     def grasp(
         self, hand: int, rod: int, name: str, poses: Poses, scenes: Iterable[int] | None = None
@@ -133,29 +167,28 @@ class TyingRun:
             if gap[edge] > REACH or tip > height + thick:
                 self.results[scene].missed.append(name)
                 continue
-            self.bench.held.grasp(scene, hand, edge, poses)
-            self.strength[scene, hand] = np.inf
+            strength = np.inf
             if trial.pad_friction:
                 pads = trial.pad_friction[(self.grasps + hand) % len(trial.pad_friction)]
-                self.strength[scene, hand] = holding_force(thick, height, tip, pads)
+                strength = holding_force(thick, height, tip, pads)
+            self.bench.held.grasp(scene, hand, edge, poses, strength)
 
-    def _slip(self, name: str) -> None:
-        overloaded = self.bench.load() > self.strength
-        for scene, hand in np.argwhere(overloaded & (self.bench.held.edge >= 0)):
-            self.bench.held.open(scene, hand)
-            self.results[scene].slipped.append(name)
-
-    def keep(self, stage: str, scenes: Iterable[int] | None = None) -> list[int]:
-        """Keep the rods of some scenes, all by default."""
-        rods = self.bench.positions()
+    def keep(
+        self,
+        stage: str,
+        scenes: Iterable[int] | None = None,
+        rods: Sequence[np.ndarray] | None = None,
+    ) -> list[int]:
+        """Keep the rods (scene, node, 3) of some scenes; by default as all of them lie."""
+        rods = self.bench.positions() if rods is None else rods
         chosen = list(range(len(self.trials)) if scenes is None else scenes)
         for scene in chosen:
             self.results[scene].stages[stage] = [rod[scene] for rod in rods]
         return chosen
 
-    def note(self, stage: str, scenes: Iterable[int] | None = None) -> None:
+    def note(self, stage: str, *which) -> None:
         """Keep them, and recognise their knots."""
-        for scene in self.keep(stage, scenes):
+        for scene in self.keep(stage, *which):
             lines = self.results[scene].stages[stage]
             found = recognise_knot(lines[0]) if len(lines) == 1 else recognise_pair(*lines)
             setattr(self.results[scene], stage, found)
@@ -167,8 +200,9 @@ class TyingRun:
 
     def finished(self) -> list[TyingResult]:
         self.count_steps()
+        times = self.bench.dynamics.time.numpy()
         for scene, result in enumerate(self.results):
-            result.duration = self.begun + self.bench.time
+            result.duration = self.begun + float(times[scene])
             if not self.film:
                 continue
             result.time = np.array([frame[0] for frame in self.film])
@@ -189,10 +223,6 @@ def laying_of(trial: Handling, k: int) -> Disturbance:
 
 def _repeat(point, trials) -> np.ndarray:
     return np.tile(np.asarray(point, dtype=float), (len(trials), 1))
-
-
-def _upright(trials) -> Rotation:
-    return Rotation.from_quat(_repeat(_UPRIGHT.as_quat(), trials))
 
 
 def _home(knot: KnotPlan) -> tuple[np.ndarray, np.ndarray]:

@@ -7,6 +7,8 @@ import numpy as np
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from wrod.kernels.stepping import hands
+from wrod.kernels.stepping.pace import Pace
 from wrod.rods.batch import RodBatch
 from wrod.rods.device import resolve_device
 from wrod.rods.discretisation import end_to_end, mesh_arrays
@@ -33,34 +35,47 @@ class Poses:
 
 
 class Hands:
-    """What the hands hold: at most one edge each (a `wrod.solvers.steps.Motion`)."""
+    """What the hands hold: at most one edge each (a `wrod.solvers.steps.Motion`), and their course
+    from key to key.
+
+    Attributes:
+        holds: (scene, hand) the edge that each holds, or -1.
+        course: of the hands, and how far each scene has come (`wrod.kernels.stepping.hands`).
+        position, rotation: (scene, hand, key) of the held edges at the keys.
+        felt: (scene, hand) force with which each hand held its edge against slipping out, at the
+            last key [N]; a hand that presses it on the table holds it the better.
+    """
 
     def __init__(self, batch: RodBatch, count: int):
         self.batch, self.count = batch, count
         scenes, device = batch.rod_count, batch.device
-        self.edge = np.full((scenes, count), -1)
-        self._movable = batch.free.numpy().copy()
-        self._still = np.zeros_like(self._movable)
         shape = (scenes, count)
-        self._edge = wp.array(self.edge, dtype=wp.int32, device=device)
+        self._movable = batch.free.numpy().copy()
+        self._loose = wp.clone(batch.free)
+        self.holds = wp.full(shape, -1, dtype=wp.int32, device=device)
+        self._strength = wp.full(shape, wp.float64(np.inf), dtype=wp.float64, device=device)
+        self.felt = wp.zeros(shape, dtype=wp.float64, device=device)
         # A hand's point is the middle of its edge.
         self._part = wp.full(shape, wp.float64(0.5), dtype=wp.float64, device=device)
-        self._position = wp.zeros((*shape, 2), dtype=wp.vec3d, device=device)
-        self._rotation = wp.zeros((*shape, 2), dtype=wp.quatd, device=device)
-        self._times = wp.array([0.0, 1.0], dtype=wp.float64, device=device)
+        self.course = hands.Course()
+        for name in ("last", "reached", "arrived"):
+            setattr(self.course, name, wp.zeros(scenes, dtype=wp.int32, device=device))
+        self._key = 0
         # Of the held edge in the hand.
-        self._offset = np.zeros((scenes, count, 3))
+        self.offset = np.zeros((scenes, count, 3))
         self._turn = np.tile([0.0, 0.0, 0.0, 1.0], (scenes, count, 1))
-        self._turns = [Rotation.from_quat(self._turn[:, h]) for h in range(count)]
-        # What the hands held where they were last told to go: they go on from there.
-        self._last: tuple[list[Poses], tuple[np.ndarray, np.ndarray]] | None = None
+
+    @property
+    def edge(self) -> np.ndarray:
+        return self.holds.numpy().copy()
 
     def hold_still(self, nodes: slice | None) -> None:
         """Fix nodes, and the edges between them, in every scene; None lets them go."""
-        self._still[:] = 0
+        loose = self._movable.copy()
         if nodes is not None:
-            self._still[:, 4 * nodes.start : 4 * nodes.stop] = 1
-        self._release_degrees()
+            loose[:, 4 * nodes.start : 4 * nodes.stop] = 0
+        self._loose.assign(loose)
+        self._hold(self.edge)
 
     def edges(self) -> tuple[np.ndarray, Rotation]:
         """Middle (scene, edge, 3) and frame (scene * edge) of every edge now."""
@@ -70,62 +85,93 @@ class Hands:
         middle = (nodes[:, 1:] + nodes[:, :-1]) / 2
         return middle, Rotation.from_matrix(frame.reshape(-1, 3, 3))
 
-    def grasp(self, scene: int, hand: int, edge: int, poses: Poses) -> None:
-        """Close a hand, which is at its pose, on an edge where that is."""
+    def grasp(
+        self, scene: int, hand: int, edge: int, poses: Poses, strength: float = np.inf
+    ) -> None:
+        """Close a hand, which is at its pose, on an edge where that is; what pulls it out with more
+        than `strength` [N] has it."""
         middle, frame = self.edges()
         edges = middle.shape[1]
         back = poses.rotation[scene].inv()
-        self.edge[scene, hand] = edge
-        self._offset[scene, hand] = back.apply(middle[scene, edge] - poses.position[scene])
+        self.offset[scene, hand] = back.apply(middle[scene, edge] - poses.position[scene])
         self._turn[scene, hand] = (back * frame[scene * edges + edge]).as_quat()
-        self._turns[hand] = Rotation.from_quat(self._turn[:, hand])
-        self._last = None
-        self._release_degrees()
+        strengths = self._strength.numpy().copy()
+        strengths[scene, hand] = strength
+        self._strength.assign(strengths)
+        self._change(scene, hand, edge)
 
     def open(self, scene: int, hand: int) -> None:
-        self.edge[scene, hand] = -1
-        self._release_degrees()
+        self._change(scene, hand, -1)
 
-    def _release_degrees(self) -> None:
-        free = self._movable * (1 - self._still)
-        for (scene, _), edge in np.ndenumerate(self.edge):
+    def _change(self, scene: int, hand: int, edge: int) -> None:
+        held = self.edge
+        held[scene, hand] = edge
+        self._hold(held)
+
+    def _hold(self, held: np.ndarray) -> None:
+        free = self._loose.numpy().copy()
+        for (scene, _), edge in np.ndenumerate(held):
             if edge >= 0:
                 free[scene, 4 * edge : 4 * edge + 7] = 0
-        self.batch.free.assign(free.astype(np.int32))
-        self._edge.assign(self.edge.astype(np.int32))
+        self.batch.free.assign(free)
+        self.holds.assign(held)
 
-    def move(self, times: tuple[float, float], first: list[Poses], last: list[Poses]) -> None:
-        """From one pose of every hand to another."""
-        self._times.assign(times)
-        known = self._last is not None and self._last[0] is first
-        begin = self._last[1] if known else self._held(first)
-        end = self._held(last)
-        self._last = last, end
-        for target, keys in zip(
-            (self._position, self._rotation), zip(begin, end, strict=True), strict=True
-        ):
-            target.assign(np.ascontiguousarray(np.stack(keys, axis=2)))
+    def plan(self, times: Sequence[float], poses: Sequence[Sequence[Poses]]) -> bool:
+        """Be told the poses of every hand at the first keys of a course of these times [s], and at
+        all others those of the last; whether what was recorded of an earlier course still holds."""
+        course, device, keys = self.course, self.batch.device, len(times)
+        same = course.times is not None and course.times.shape[0] == keys
+        if not same:
+            course.times = wp.zeros(keys, dtype=wp.float64, device=device)
+            shape = (*self.felt.shape, keys)
+            self.position = wp.zeros(shape, dtype=wp.vec3d, device=device)
+            self.rotation = wp.zeros(shape, dtype=wp.quatd, device=device)
+        turns = [Rotation.from_quat(self._turn[:, h]) for h in range(self.count)]
+        position, rotation = np.zeros((*self.felt.shape, keys, 3)), self.rotation.numpy().copy()
+        for k, there in enumerate(poses):
+            for h, pose in enumerate(there):
+                position[:, h, k:] = self.held_at(h, pose)[:, None]
+                rotation[:, h, k:] = (pose.rotation * turns[h]).as_quat()[:, None]
+        course.times.assign(np.array(times))
+        self.position.assign(position)
+        self.rotation.assign(rotation)
+        course.reached.zero_()
+        self._key = 0
+        return same
 
-    def _held(self, poses: list[Poses]) -> tuple[np.ndarray, np.ndarray]:
-        """(scene, hand, 3) and quaternions (scene, hand, 4) of what hands hold at these poses."""
-        positions = [p.position + p.rotation.apply(self._offset[:, h]) for h, p in enumerate(poses)]
-        turns = [(p.rotation * self._turns[h]).as_quat() for h, p in enumerate(poses)]
-        return np.stack(positions, axis=1), np.stack(turns, axis=1)
+    def held_at(self, hand: int, pose: Poses) -> np.ndarray:
+        """(scene, 3) where what a hand holds is at a pose of it [m]."""
+        return pose.position + pose.rotation.apply(self.offset[:, hand])
 
-    def load(self, reaction: np.ndarray) -> np.ndarray:
-        """(scene, hand) force with which each hand holds its edge against slipping out [N]; a hand
-        that presses it on the table holds it the better. `reaction` (scene, dof) holds it [N]."""
-        out = np.zeros(self.edge.shape)
-        for (scene, hand), e in np.ndenumerate(self.edge):
-            if e >= 0:
-                g = reaction[scene, 4 * e : 4 * e + 7]
-                x, y, z = g[:3] + g[4:7]
-                out[scene, hand] = np.linalg.norm([x, y, max(z, 0.0)])
-        return out
+    def at_key(self) -> tuple[np.ndarray, np.ndarray]:
+        """(scene, hand, 3) where what hands hold is at the key that each scene has reached [m], and
+        (scene,) whether it waits there to go on."""
+        reached = streams.read(self.course.reached)
+        return streams.read(self.position)[
+            np.arange(len(reached)), :, reached
+        ], reached == self._key
+
+    def send(self, key: int, now: np.ndarray) -> np.ndarray:
+        """Let scenes that wait go on to a key; (scene,) times of their next ones, or now [s]."""
+        reached = streams.read(self.course.reached)
+        waits = reached == self._key
+        self.course.last.assign(np.where(waits, key, reached))
+        following, self._key = streams.read(self.course.times)[self._key + 1], key
+        return np.where(waits, following, now)
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
-        poses = (self._edge, self._part, self._times, self._position, self._rotation)
+        poses = (self.holds, self._part, self.course.times, self.position, self.rotation)
         carry_edges(self.batch, poses, running, time, step, start)
+
+    def arrive(self, reaction: wp.array, pace: Pace) -> None:
+        """Feel what is held where scenes have come to a key, by the forces (scene, dof) that hold
+        it, and let them go on to the next."""
+        self.batch.launch(
+            hands.arrive,
+            self.batch.rod_count,
+            [self._loose, self._strength, reaction, self.course, pace, self.holds],
+            [self.felt, self.batch.free],
+        )
 
 
 @dataclass
@@ -193,6 +239,7 @@ class Workbench:
             max_iterations=20,
             keeps_recording=True,
         )
+        self._feel: Callable[[], object] | None = None
         self.diverged = np.zeros(len(self.rods), dtype=bool)
         self.steps = np.zeros(len(self.rods), dtype=int)
 
@@ -215,23 +262,46 @@ class Workbench:
         return [nodes[:, s].copy() for s in self.slices]
 
     def load(self) -> np.ndarray:
-        """(scene, hand) force with which each hand holds its rod after the last step [N]."""
-        return self.held.load(streams.read(self.dynamics.reaction))
+        """(scene, hand) force with which each hand held its rod at the last key [N]."""
+        return streams.read(self.held.felt)
 
-    def run(
+    def run(self, until: float, poses: Callable[[float], Sequence[Poses]]) -> None:
+        """Let time pass, the hands moving as `poses(time)` says; every scene at its own pace."""
+        times = keys_until(self.time, until)
+        if len(times) > 1:
+            self.plan(times, [poses(t) for t in times])
+            self.go_to(len(times) - 1)
+
+    def plan(
         self,
-        until: float,
-        poses: Callable[[float], list[Poses]],
-        after_tick: Callable[[], None] | None = None,
+        times: Sequence[float],
+        poses: Sequence[Sequence[Poses]],
+        feel: Callable[[], object] | None = None,
     ) -> None:
-        """Let time pass, the hands moving as `poses(time)` says."""
-        first = poses(self.time)
-        while self.time < until - 1e-9:
-            now = min(self.time + TICK, until)
-            last = poses(now)
-            self.held.move((self.time, now), first, last)
-            progress = self.dynamics.advance(now, self.step)
-            self.diverged, self.steps = progress.diverged, progress.steps
-            self.time, first = now, last
-            if after_tick is not None:
-                after_tick()
+        """Tell the hands their course (`Hands.plan`); `feel` launches what those hands do that have
+        just come to a key."""
+        if not self.held.plan(times, poses) or feel is not self._feel:
+            self.dynamics.forget_recording()
+        self._feel = feel
+
+    def go_to(self, key: int) -> None:
+        """Let scenes go on to a key of their course."""
+        held, dynamics = self.held, self.dynamics
+
+        def arrive() -> None:
+            held.arrive(dynamics.reaction, dynamics.pace)
+            if self._feel is not None:
+                self._feel()
+
+        until = held.send(key, streams.read(dynamics.time))
+        progress = dynamics.advance(until, self.step, then=arrive)
+        self.diverged, self.steps = progress.diverged, progress.steps
+        self.time = float(streams.read(held.course.times)[key])
+
+
+def keys_until(now: float, until: float) -> list[float]:
+    """Times at which hands that move from now on are told where to be [s]."""
+    times = [now]
+    while times[-1] < until - 1e-9:
+        times.append(min(times[-1] + TICK, until))
+    return times

@@ -212,6 +212,7 @@ class Dynamics(NewtonSteps):
         frames: wp.array | None = None,
         frame_interval: float = 1.0,
         progress: Callable[[np.ndarray], object] | None = None,
+        then: Callable[[], object] | None = None,
     ) -> Progress:
         """Let every rod that has not diverged move on to its time `until`.
 
@@ -222,6 +223,9 @@ class Dynamics(NewtonSteps):
             frames: (rod, frame, dof) array that receives the configurations at the multiples of
                 `frame_interval`.
             progress: called now and then with the (rod,) times.
+            then: launched after every round: kernels that may give rods which are there another
+                time `until` and let them run on, so that none waits for the others; what is
+                recorded may be replayed until `forget_recording` is called.
 
         Raises:
             RodError: the step is not positive.
@@ -237,6 +241,8 @@ class Dynamics(NewtonSteps):
 
         def take_round() -> None:
             self._take_round(step, smallest, frames, frame_interval)
+            if then is not None:
+                then()
             self._ask(_ROUNDS)
 
         array = None if frames is None else frames.ptr
