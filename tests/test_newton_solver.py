@@ -577,8 +577,8 @@ def test_changed_properties_are_taken_up():
 
 @pytest.mark.parametrize("smooth", [False, True])
 def test_smooth_rods_slide_over_rods(smooth):
-    """A stiff rod across two others, without friction, on a slope of 1 %: corners hold it
-    back, and without them it gains g sin(angle) over more than an edge."""
+    """A stiff rod across two others, without friction, on a slope of 1 %, gains g sin(angle) over
+    more than an edge: no corner holds it back."""
     radius, angle, dt, steps = 0.001, 0.01, 2e-3, 200
     builder = newton.ModelBuilder(gravity=(9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle)))
     SolverDER.register_custom_attributes(builder)
@@ -597,4 +597,4 @@ def test_smooth_rods_slide_over_rods(smooth):
     assert not solver.diverged.any()
     gone = state.der.node_q.numpy()[14:, 0].mean()
     free = 0.5 * 9.81 * np.sin(angle) * (dt * steps) ** 2
-    assert gone == pytest.approx(free, rel=0.01) if smooth else gone < 0.9 * free
+    assert gone == pytest.approx(free, rel=0.01)

@@ -100,14 +100,14 @@ def rod_contact(
             if c.slid > ZERO and rubbing.load[r, i, k] > ZERO:
                 overloaded_out[r] = 1
             pressure = -c.force / c.near.distance
+            turn = pressure * c.near.small
             push = pressure * c.near.gap
             kind = m.kind[r, i]
             move = edge_motion(kind, c.near.first, c.near.s, -m.radius[r, i], c.normal)
-            add_edge_force(gradient, kind, r, i, push, pressure * c.near.first_turn, move, c.pull)
+            add_edge_force(gradient, kind, r, i, push, turn * c.near.first_turn, move, c.pull)
             kind = m.kind[r, j]
             move = edge_motion(kind, c.near.second, c.near.t, m.radius[r, j], c.normal)
-            turn = pressure * c.near.second_turn
-            add_edge_force(gradient, kind, r, j, -push, turn, move, -c.pull)
+            add_edge_force(gradient, kind, r, j, -push, turn * c.near.second_turn, move, -c.pull)
 
 
 @wp.kernel

@@ -2,19 +2,20 @@
 
 Between p = q_0 + s (q_1 - q_0) and p' = q_2 + t (q_3 - q_2) the distance is taken as D = sqrt(m),
 
-    m = min over s, t in [0, 1] of |p - p'|^2 + rho (s - 1/2)^2 + rho' (t - 1/2)^2.
+    m = min over s, t in [0, 1] of |p - p'|^2 + c^2 (rho (s - 1/2)^2 + rho' (t - 1/2)^2).
 
 The small terms rho make the minimum unique, so that s and t move continuously and D has a
 continuous gradient while one segment turns past parallel to the other; plain closest points jump
-from end to end there. By the envelope theorem the gradient of m is that of |p - p'|^2 at fixed s
-and t. With rho = 0.01 h^2 (edges of length h) D is up to h^2 / (400 D) too large.
+from end to end there. They are corners where segments meet in line, and make D too large: by up to
+h^2 / (400 D) with rho = 0.01 h^2 for edges of h. So they carry the squared cosine c^2 of the angle
+between the segments: nothing holds what crosses at right angles and slides, nor lets it sink in,
+and parallel ones keep them whole. By the envelope theorem the gradient of m is that at fixed s and
+t.
 
 Edges meet in corners, and a load in the middle of an edge bends a rod less than one at a node: both
 hold what should slide along a rod. Pieces of a quadratic B-spline, whose control points are the
 nodes, meet tangent-continuously, and the second moment of their weights is the same all along. A
-piece reaches from the middle of an edge to that of the next. Between pieces
-the small terms, which are corners where pieces meet, carry the squared cosine of the angle between
-their chords: nothing holds what slides at right angles, and parallel ones are as robust as edges.
+piece reaches from the middle of an edge to that of the next; the angle is that of their chords.
 """
 
 import warp as wp
@@ -38,9 +39,10 @@ _ROUNDED = wp.constant(wp.float64(1.0 + 1.0e-14))
 class Nearest:
     """Closest points: fractions s, t, which of them are free (1) or at an end (0), the vector
     `gap` from the second point to the first, the smoothed distance, and the derivatives `first`,
-    `second` of the points by s and t. Of pieces also the weights of the points' nodes, their
-    derivatives, the diagonal of the matrix of the minimum, and how half the squared distance
-    follows the chords by the small terms."""
+    `second` of the points by s and t. Also the weights of the points' nodes, their derivatives, the
+    diagonal of the matrix of the minimum, the pieces' chords, by what half the squared cosine
+    between them follows each, and what it multiplies: the small terms, and their half derivatives
+    by s and t."""
 
     s: wp.float64
     t: wp.float64
@@ -56,8 +58,49 @@ class Nearest:
     second_slope: wp.vec3d
     ss: wp.float64
     tt: wp.float64
+    first_chord: wp.vec3d
+    second_chord: wp.vec3d
     first_turn: wp.vec3d
     second_turn: wp.vec3d
+    small: wp.float64
+    small_s: wp.float64
+    small_t: wp.float64
+
+
+@wp.func
+def add_small_terms(
+    near: Nearest, e: wp.vec3d, f: wp.vec3d, rho_first: wp.float64, rho_second: wp.float64
+) -> Nearest:
+    """Distance of points that lie `gap` apart, and what it has of the chords e, f."""
+    out = near
+    ee = wp.dot(e, e)
+    ff = wp.dot(f, f)
+    ef = wp.dot(e, f)
+    out.first_chord = e
+    out.second_chord = f
+    out.first_turn = (ef / (ee * ff)) * (f - (ef / ee) * e)
+    out.second_turn = (ef / (ee * ff)) * (e - (ef / ff) * f)
+    out.small_s = rho_first * (near.s - HALF)
+    out.small_t = rho_second * (near.t - HALF)
+    out.small = out.small_s * (near.s - HALF) + out.small_t * (near.t - HALF)
+    along = ef * ef / (ee * ff)
+    out.distance = wp.sqrt(wp.dot(near.gap, near.gap) + along * out.small)
+    return out
+
+
+@wp.func
+def turning(e: wp.vec3d, f: wp.vec3d, other: bool) -> wp.mat33d:
+    """How the derivative of half the squared cosine of e and f by e follows e, or the other."""
+    ee = wp.dot(e, e)
+    ff = wp.dot(f, f)
+    u = wp.dot(e, f) / ee
+    v = wp.dot(e, f) / ff
+    eye = wp.identity(3, dtype=wp.float64)
+    if other:
+        out = wp.outer(f, e) + (u * ee) * eye - TWO * v * wp.outer(f, f)
+        return (out - TWO * u * wp.outer(e, e - v * f)) / (ee * ff)
+    out = wp.outer(f, f) - TWO * u * (wp.outer(f, e) + wp.outer(e, f))
+    return (out + wp.float64(4.0) * u * u * wp.outer(e, e) - (u * u * ee) * eye) / (ee * ff)
 
 
 @wp.func
@@ -73,11 +116,16 @@ def nearest(
     e = q1 - q0
     f = q3 - q2
     c = q0 - q2
-    ee = wp.dot(e, e) + rho_first
+    first = wp.dot(e, e)
+    second = wp.dot(f, f)
     ef = wp.dot(e, f)
-    ff = wp.dot(f, f) + rho_second
-    u = HALF * rho_first - wp.dot(c, e)
-    v = HALF * rho_second + wp.dot(c, f)
+    along = ef * ef / (first * second)
+    rho_s = along * rho_first
+    rho_t = along * rho_second
+    ee = first + rho_s
+    ff = second + rho_t
+    u = HALF * rho_s - wp.dot(c, e)
+    v = HALF * rho_t + wp.dot(c, f)
     det = ee * ff - ef * ef
     s = (u * ff + v * ef) / det
     t = (v * ee + u * ef) / det
@@ -100,9 +148,6 @@ def nearest(
     out.free_s = wp.where(s > ZERO and s < ONE, ONE, ZERO)
     out.free_t = wp.where(t > ZERO and t < ONE, ONE, ZERO)
     out.gap = c + s * e - t * f
-    a = s - HALF
-    b = t - HALF
-    out.distance = wp.sqrt(wp.dot(out.gap, out.gap) + rho_first * a * a + rho_second * b * b)
     out.first = e
     out.second = f
     out.first_weight = wp.vec3d(ONE - s, s, ZERO)
@@ -111,7 +156,7 @@ def nearest(
     out.second_slope = wp.vec3d(-ONE, ONE, ZERO)
     out.ss = ee
     out.tt = ff
-    return out
+    return add_small_terms(out, e, f, rho_first, rho_second)
 
 
 @wp.func
@@ -281,11 +326,4 @@ def nearest_of_pieces(
         t = there[1]
     out.free_s = wp.where(out.s > ZERO and out.s < ONE, ONE, ZERO)
     out.free_t = wp.where(out.t > ZERO and out.t < ONE, ONE, ZERO)
-    off_s = out.s - HALF
-    off_t = out.t - HALF
-    small = rho_first * off_s * off_s + rho_second * off_t * off_t
-    out.distance = wp.sqrt(wp.dot(out.gap, out.gap) + along * small)
-    turned = small * ef / (ee * ff)
-    out.first_turn = turned * (f - (ef / ee) * e)
-    out.second_turn = turned * (e - (ef / ff) * f)
-    return out
+    return add_small_terms(out, e, f, rho_first, rho_second)

@@ -11,8 +11,8 @@ from wrod.kernels.contact.pair_contact import (
     edge_motion,
     pair_contact,
 )
-from wrod.kernels.contact.segments import EDGE, piece_chord, piece_size
-from wrod.kernels.elastic.frames import ONE, ZERO
+from wrod.kernels.contact.segments import EDGE, Nearest, piece_chord, piece_size, turning
+from wrod.kernels.elastic.frames import ONE, TWO, ZERO
 from wrod.kernels.linear.banded import banded_entry
 
 wp.set_module_options({"enable_backward": False})
@@ -100,6 +100,8 @@ class Share:
     y: wp.vec4d
     z: wp.vec4d
     weight: wp.float64
+    chord: wp.float64
+    second_piece: int
 
 
 @wp.func
@@ -124,6 +126,7 @@ def share(c: Pair, pieces: Pieces, r: int, pair: wp.vec3i, k: int) -> Share:
         out.second = with_zero(-m.weight[n] * near.second)
     else:
         sign = -ONE
+        out.second_piece = 1
         n = k - size
         kind = pieces.kind[r, pair[1]]
         m = edge_motion(kind, near.second, near.t, pieces.radius[r, pair[1]], c.normal)
@@ -132,9 +135,11 @@ def share(c: Pair, pieces: Pieces, r: int, pair: wp.vec3i, k: int) -> Share:
         out.second = with_zero(m.weight[n] * near.second - m.slope[n] * near.gap)
     out.weight = sign * m.weight[n]
     chord = piece_chord(kind)
-    out.distance = with_zero((out.weight * near.gap + chord[n] * turn) / near.distance)
-    out.first = near.free_s * out.first
-    out.second = near.free_t * out.second
+    out.chord = chord[n]
+    turn = out.chord * turn
+    out.distance = with_zero((out.weight * near.gap + near.small * turn) / near.distance)
+    out.first = near.free_s * (out.first + with_zero(TWO * near.small_s * turn))
+    out.second = near.free_t * (out.second + with_zero(TWO * near.small_t * turn))
     part = m.slope[n] * m.swing + m.weight[n] * wp.identity(3, dtype=wp.float64)
     spin = wp.vec3d(ZERO, ZERO, ZERO)
     if n == 0:
@@ -148,6 +153,21 @@ def share(c: Pair, pieces: Pieces, r: int, pair: wp.vec3i, k: int) -> Share:
 
 
 @wp.func
+def turning_block(near: Nearest, a: Share, b: Share) -> wp.mat44d:
+    """Second derivative of half the small terms by the chords."""
+    e = near.first_chord
+    f = near.second_chord
+    if a.second_piece != 0:
+        e = near.second_chord
+        f = near.first_chord
+    m = (a.chord * b.chord * near.small) * turning(e, f, a.second_piece != b.second_piece)
+    return wp.mat44d(
+        m[0, 0], m[0, 1], m[0, 2], ZERO, m[1, 0], m[1, 1], m[1, 2], ZERO,
+        m[2, 0], m[2, 1], m[2, 2], ZERO, ZERO, ZERO, ZERO, ZERO,
+    )  # fmt: skip
+
+
+@wp.func
 def pair_block(
     c: Pair, force: wp.float64, a: Share, b: Share, inverse_ss: wp.float64,
     inverse_st: wp.float64, inverse_tt: wp.float64,
@@ -156,7 +176,7 @@ def pair_block(
     from the turning of the normal, and stiffness of the bristle."""
     d = c.near.distance
     w = a.weight * b.weight
-    curving = wp.diag(wp.vec4d(w, w, w, ZERO))
+    curving = wp.diag(wp.vec4d(w, w, w, ZERO)) + turning_block(c.near, a, b)
     curving = curving - wp.outer(a.first, inverse_ss * b.first + inverse_st * b.second)
     curving = curving - wp.outer(a.second, inverse_st * b.first + inverse_tt * b.second)
     out = (c.slope + force / d) * wp.outer(a.distance, b.distance) - (force / d) * curving

@@ -101,9 +101,7 @@ def test_derivatives_of_the_contact_energy(turn, smooth):
         system.solve(ones)
         inverse[:, k] = system.x.numpy()[0, 0]
     shifted = matrix + shift * np.eye(n)
-    # Between pieces of splines the second derivative of what the small terms carry is left out.
-    rounding = 5e-4 if smooth else 1e-6
-    assert np.linalg.inv(inverse) == pytest.approx(shifted, abs=rounding * np.abs(matrix).max())
+    assert np.linalg.inv(inverse) == pytest.approx(shifted, abs=1e-6 * np.abs(matrix).max())
     assert system.negative_pivots.numpy()[0] == (np.linalg.eigvalsh(shifted) < 0).sum()
 
 
