@@ -5,7 +5,7 @@ way between two pieces.
 """
 
 import warp as wp
-from wrod.kernels.contact.planes import damped_force, normal_force
+from wrod.kernels.contact.planes import damped_force
 from wrod.kernels.contact.segments import (
     EDGE,
     SMOOTHING,
@@ -31,12 +31,15 @@ EVERY = wp.constant(2)
 
 @wp.struct
 class PairLaw:
-    """What all pairs of a rod share: stiffness, skin, relaxation time of the normal force, and the
-    coefficients of friction."""
+    """What all pairs of a rod share: stiffness, skin, relaxation time of the normal force, from
+    which depth on, over what way and by how much it hardens, and the coefficients of friction."""
 
     stiffness: wp.float64
     skin: wp.float64
     relaxation: wp.float64
+    hard_depth: wp.float64
+    hard_skin: wp.float64
+    hardening: wp.float64
     static_friction: wp.float64
     kinetic_friction: wp.float64
 
@@ -165,6 +168,17 @@ def relative_motion(
 
 
 @wp.func
+def repulsion(law: PairLaw, depth: wp.float64, closing: wp.float64, dt: wp.float64) -> wp.vec2d:
+    """Normal force of a pair and its slope. What hardens adds as much damping as there is."""
+    out = damped_force(depth, closing, law.relaxation, dt, law.stiffness, law.skin)
+    if law.hardening > ZERO:
+        hard = law.hardening * law.stiffness
+        lag = law.relaxation / law.hardening
+        out += damped_force(depth - law.hard_depth, closing, lag, dt, hard, law.hard_skin)
+    return out
+
+
+@wp.func
 def pair_contact(
     m: Pieces,
     rubbing: Rubbing,
@@ -184,17 +198,14 @@ def pair_contact(
     near = nearest_of_edges(m, dof, r, i, j)
     out.near = near
     p = m.radius[r, i] + m.radius[r, j] - near.distance
-    normal = normal_force(p, law.stiffness, law.skin)
-    out.force = normal[0]
-    out.slope = normal[1]
-    if out.force > ZERO:
+    if p > ZERO:
         # Centrelines that cross have no normal; the step is refused for its depth anyway.
         n = near.gap / wp.max(wp.length(near.gap), wp.float64(1.0e-12))
         out.normal = n
         e1 = first_tangent(wp.normalize(near.first), n)
         e2 = wp.cross(n, e1)
         motion = relative_motion(m, dof, dof_before, near, n, r, i, j)
-        normal = damped_force(p, -wp.dot(motion, n), law.relaxation, dt, law.stiffness, law.skin)
+        normal = repulsion(law, p, -wp.dot(motion, n), dt)
         out.force = normal[0]
         out.slope = normal[1]
         bristle = rubbing.bristle[r, i, k]

@@ -27,7 +27,7 @@ from wrod.kernels.contact.pair_contact import (
     relative_motion,
 )
 from wrod.kernels.contact.planes import note_touch
-from wrod.kernels.contact.segments import piece_size
+from wrod.kernels.contact.segments import Nearest, piece_size
 from wrod.kernels.elastic.frames import ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
@@ -59,6 +59,22 @@ def way_of(
     return out
 
 
+@wp.func
+def meets_fast(
+    m: Pieces,
+    near: Nearest,
+    dt: wp.float64,
+    velocity: wp.array2d(dtype=wp.float64),
+    r: int,
+    i: int,
+    j: int,
+) -> bool:
+    """Whether a pair that was apart comes nearer by more than `FIRST_WAY` in a step."""
+    first = way_of(velocity, m.kind[r, i], near.first_weight, r, i)
+    apart = first - way_of(velocity, m.kind[r, j], near.second_weight, r, j)
+    return -dt * wp.dot(apart, near.gap) > FIRST_WAY * m.radius[r, i] * near.distance
+
+
 @wp.kernel
 def rod_contact(
     # Model:
@@ -71,15 +87,18 @@ def rod_contact(
     partner_count: wp.array2d(dtype=wp.int32),
     partner: wp.array3d(dtype=wp.int32),
     rubbing: Rubbing,
+    velocity: wp.array2d(dtype=wp.float64),
     # State in and out:
     gradient: wp.array2d(dtype=wp.float64),
     # State out:
     depth_out: wp.array3d(dtype=wp.float64),
     overloaded_out: wp.array(dtype=wp.int32),
+    renewed_out: wp.array(dtype=wp.int32),
 ):
     """Subtract the forces of every touching pair from the residual, and note how deep it is.
 
-    While a rod is `sticking`, bristles hold any load: those that held before, or all.
+    While a rod is `sticking`, at the first iteration of a step, bristles hold any load: those that
+    held before, or all; and `renewed` is 2 where a pair meets too fast where the step begins.
     """
     r, i = wp.tid()
     if active[r] == 0:
@@ -97,8 +116,12 @@ def rod_contact(
             rubbing.way[r, i, k] = way
         rubbing.turned[r, i, k] = turned
         if c.force > ZERO:
-            if c.slid > ZERO and rubbing.load[r, i, k] > ZERO:
+            load = rubbing.load[r, i, k]
+            if c.slid > ZERO and load > ZERO:
                 overloaded_out[r] = 1
+            meets = load == ZERO and sticks != SLIPPING
+            if meets and meets_fast(m, c.near, step[r], velocity, r, i, j):
+                wp.atomic_max(renewed_out, r, 2)
             pressure = -c.force / c.near.distance
             turn = pressure * c.near.small
             push = pressure * c.near.gap
@@ -183,8 +206,9 @@ def renew_loads(
     r, i = wp.tid()
     renews = renewals[r] < MOST_RENEWALS
     if converged[r] == 0:
-        nearly = active[r] != 0 and residual[r] <= NEARLY * tolerance[r]
-        if not renews or not nearly or rubbing.sticking[r] != 0:
+        if not renews or active[r] == 0 or rubbing.sticking[r] != 0:
+            return
+        if residual[r] > NEARLY * tolerance[r]:
             return
     for k in range(partner_count[r, i]):
         j = partner[r, i, k]
@@ -192,10 +216,7 @@ def renew_loads(
         if old == ZERO:
             if converged[r] != 0 and depth[r, i, k] > ZERO:
                 near = nearest_of_edges(m, dof, r, i, j)
-                first = way_of(velocity, m.kind[r, i], near.first_weight, r, i)
-                apart = first - way_of(velocity, m.kind[r, j], near.second_weight, r, j)
-                closing = -step[r] * wp.dot(apart, near.gap)
-                if closing > FIRST_WAY * m.radius[r, i] * near.distance:
+                if meets_fast(m, near, step[r], velocity, r, i, j):
                     wp.atomic_max(renewed_out, r, 2)
             continue
         if not renews:

@@ -2,9 +2,22 @@
 
 import warp as wp
 from wrod.kernels.elastic.frames import ONE, ZERO, node
-from wrod.kernels.lanes import count_of_lanes, count_of_lanes_before, largest_of_lanes
+from wrod.kernels.lanes import (
+    count_of_lanes,
+    count_of_lanes_before,
+    largest_of_lanes,
+    sum_of_lanes,
+)
 
 wp.set_module_options({"enable_backward": False})
+
+# Part of the way that nodes may move in a step which they do by their present speed.
+WAY = wp.constant(wp.float64(0.95))
+# Steps are not compared where the square of one is this much larger than that of the last; how much
+# longer and shorter mixing them makes a step at most.
+MOST_GROWTH = wp.constant(wp.float64(2.0))
+LONGEST_MIX = wp.constant(wp.float64(2.0))
+SHORTEST_MIX = wp.constant(wp.float64(0.6))
 
 
 @wp.kernel
@@ -68,24 +81,85 @@ def collect(
 
 
 @wp.kernel
+def bound_steps(
+    # Model:
+    reach: wp.array(dtype=wp.float64),
+    # State in:
+    starting: wp.array(dtype=wp.int32),
+    velocity: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    wanted_step: wp.array(dtype=wp.float64),
+):
+    """Begin no step in which a node would move by more than `reach`."""
+    r, lane = wp.tid()
+    if starting[r] == 0:
+        return
+    fastest = wp.float64(0.0)
+    for v in range(lane, (velocity.shape[1] + 1) // 4, wp.block_dim()):
+        fastest = wp.max(fastest, wp.length(node(velocity, r, v)))
+    fastest = largest_of_lanes(fastest)
+    if lane == 0 and fastest * wanted_step[r] > WAY * reach[r]:
+        wanted_step[r] = WAY * reach[r] / fastest
+
+
+@wp.func
+def size_of(limit: wp.float64, a: int) -> wp.float64:
+    """What squares of changes of a degree of freedom are measured in: angles by radii."""
+    return wp.where(a % 4 == 3, wp.float64(4.0) * limit * limit, ONE)
+
+
+@wp.kernel
 def limit_motion(
     # Model:
     limit: wp.array(dtype=wp.float64),
+    accelerates: int,
     # State in:
     overflow: wp.array(dtype=wp.int32),
     active: wp.array(dtype=wp.int32),
     # State in and out:
     x: wp.array3d(dtype=wp.float64),
+    solved: wp.array2d(dtype=wp.float64),
+    moved: wp.array2d(dtype=wp.float64),
+    sticking: wp.array(dtype=wp.int32),
+    compares: wp.array(dtype=wp.int32),
     # State out:
-    sticking_out: wp.array(dtype=wp.int32),
     shortened_out: wp.array(dtype=wp.float64),
 ):
-    """Shorten a Newton step that moves some node by more than `limit`."""
+    """Mix a Newton step with the last one, and shorten one that moves some node by more than
+    `limit`.
+
+    The mixture is Anderson's of depth one: what two steps have in common, the part of the matrix
+    that is left out, or a bristle that is thrown to and fro, is found by where their difference
+    vanishes.
+    """
     r, lane = wp.tid()
     if active[r] == 0:
         return
-    if lane == 0:
-        sticking_out[r] = 0
+    first = sticking[r] != 0
+    comparable = accelerates != 0 and compares[r] != 0 and not first
+    ratio = wp.float64(0.0)
+    if comparable:
+        along = wp.float64(0.0)
+        across = wp.float64(0.0)
+        now = wp.float64(0.0)
+        before = wp.float64(0.0)
+        for a in range(lane, x.shape[2], wp.block_dim()):
+            w = size_of(limit[r], a)
+            d = x[r, 0, a] - solved[r, a]
+            along += w * x[r, 0, a] * d
+            across += w * d * d
+            now += w * x[r, 0, a] * x[r, 0, a]
+            before += w * solved[r, a] * solved[r, a]
+        along = sum_of_lanes(along)
+        across = sum_of_lanes(across)
+        now = sum_of_lanes(now)
+        before = sum_of_lanes(before)
+        if now < MOST_GROWTH * before and across > ZERO:
+            ratio = wp.clamp(along / across, -LONGEST_MIX, SHORTEST_MIX)
+    for a in range(lane, x.shape[2], wp.block_dim()):
+        d = wp.float64(x[r, 0, a])
+        x[r, 0, a] = d - ratio * (moved[r, a] + d - solved[r, a])
+        solved[r, a] = d
     largest = wp.float64(0.0)
     for v in range(lane, (x.shape[2] + 1) // 4, wp.block_dim()):
         move = wp.vec3d(x[r, 0, 4 * v], x[r, 0, 4 * v + 1], x[r, 0, 4 * v + 2])
@@ -96,9 +170,11 @@ def limit_motion(
         fraction = ZERO  # nothing was solved
     if lane == 0:
         shortened_out[r] = fraction
-    if fraction < ONE:
-        for a in range(lane, x.shape[2], wp.block_dim()):
-            x[r, 0, a] = x[r, 0, a] * fraction
+        compares[r] = wp.where(first, 0, 1)
+        sticking[r] = 0
+    for a in range(lane, x.shape[2], wp.block_dim()):
+        x[r, 0, a] = x[r, 0, a] * fraction
+        moved[r, a] = x[r, 0, a]
 
 
 @wp.kernel
@@ -127,8 +203,10 @@ def refuse_large_steps(
     r, lane = wp.tid()
     if converged[r] == 0:
         if lane == 0 and renewed[r] != 0:
-            renewed[r] = 0
+            if renewed[r] == 2:
+                active[r] = 0  # before more is done for a step that cannot stand
             renewals[r] = renewals[r] + 1
+            renewed[r] = 0
         return
     bad = int(0)
     for i in range(lane, partner_count.shape[1] + 1, wp.block_dim()):

@@ -17,9 +17,10 @@ from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
 
 # Rods against each other: at least this stiff, in EA / radius, or by so many times an edge's weight
-# over the radius, for what falls on soft ones; and in what part of the radius the force rises. As
-# stiff and as gently as tight knots want it, a pile needs nearly twice as many iterations.
-_PAIR_STIFFNESS, _PAIR_WEIGHTS, _PAIR_SKIN = 0.2, 6000.0, 1e-3
+# over the radius, for what falls on soft ones; in what part of the radius the force rises; and by
+# how much those harden that are pressed in deep. As stiff from the start and as gently as tight
+# knots want it, a pile needs nearly twice as many iterations.
+_PAIR_STIFFNESS, _PAIR_WEIGHTS, _PAIR_SKIN, _PAIR_HARDENING = 0.2, 6000.0, 1e-3, 20.0
 # Under its own weight a rod on a shape sinks in by this fraction of its radius.
 _SINKING = 1.0 / 600.0
 _STANDARD_GRAVITY = 9.81
@@ -163,6 +164,7 @@ class RodGroup:
             Friction(friction),
             stiffness=stiffness,
             skin=_PAIR_SKIN,
+            hardening=_PAIR_HARDENING,
             passive=passive,
             smooth=smooth,
         )

@@ -145,6 +145,7 @@ class Dynamics(NewtonSteps):
         columns = 1 if bodies is None else 1 + bodies.columns
         if coupling:
             self.system = paired_system(coupling[0], columns)
+            self.system.accelerates = bodies is None
         else:
             self.system = BandedSystem(batch, columns)
 

@@ -79,6 +79,8 @@ class NewtonSteps(Steps):
     def _begin(self) -> None:
         """Begin a step of the rods that have finished their last."""
         batch = self.batch
+        if self.rod_contact is not None:
+            self.rod_contact.bound_steps(self.starting, self.wanted_step)
         self._per_rod(
             pace.begin_step,
             [self._scheme, wp.float64(self.tolerance), self.rounding]

@@ -23,6 +23,8 @@ _SKIP = float(np.pi)
 _STIFFNESS = 10.0
 # The normal force rises quadratically over this part of the radius.
 _SKIN = 0.05
+# What hardens does so from this depth on, over this way, both over the radius.
+_HARD_DEPTH, _HARD_SKIN = 0.015, 0.01
 
 
 _IS_FRICTION = arguments.like("a wrod.Friction", "static", "kinetic")
@@ -50,6 +52,8 @@ class RodContact:
         restitution: (rod,) speed after an impact over that before; see `Contact`.
         skin: part of the radius over which the normal force rises quadratically. Newton halves the
             depth of what is pressed in that at best, so that loads should reach beyond it.
+        hardening: stiffness of a pair that is deeper than 0.015 radii, over `stiffness` and on top
+            of it: what is soft to what lies on it may stop what falls on it.
         partners: most edges that one edge can be near to and that come after it.
         passive: (rod, node - 1) edges that touch nothing; default: none.
         smooth: without corners along the rods, for rods that cross. Rods that wind around each
@@ -75,6 +79,7 @@ class RodContact:
         stiffness=arguments.optional(arguments.array((), (None,))),
         restitution=arguments.array((), (None,)),
         skin=arguments.number(1e-6, 1.0),
+        hardening=arguments.number(0.0, 1e3),
         partners=arguments.whole(1, 4096),
         passive=arguments.optional(arguments.truths),
     )
@@ -87,6 +92,7 @@ class RodContact:
         stiffness: np.ndarray | float | None = None,
         restitution: np.ndarray | float = 0.0,
         skin: float = _SKIN,
+        hardening: float = 0.0,
         partners: int = 32,
         passive: np.ndarray | None = None,
         smooth: bool = False,
@@ -120,7 +126,13 @@ class RodContact:
         damping = contact_damping(restitution)
         # Two edges that meet move as one of half their mass.
         mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
-        law = _laws(friction, stiffness, damping * np.sqrt(mass / stiffness), skin * mean_radius)
+        law = np.zeros(rods, dtype=pair_contact.PairLaw.numpy_dtype())
+        law["stiffness"], law["relaxation"] = stiffness, damping * np.sqrt(mass / stiffness)
+        law["hardening"], law["skin"] = hardening, skin * mean_radius
+        law["hard_depth"], law["hard_skin"] = _HARD_DEPTH * mean_radius, _HARD_SKIN * mean_radius
+        rows = [friction] * rods if isinstance(friction, Friction) else friction
+        law["static_friction"] = [f.static for f in rows]
+        law["kinetic_friction"] = [f.static if f.kinetic is None else f.kinetic for f in rows]
         self.pieces = pieces = pair_contact.Pieces()
         pieces.law = wp.array(law, dtype=pair_contact.PairLaw, device=device)
         pieces.rest_length = batch.rest_length
@@ -165,6 +177,12 @@ class RodContact:
         rubbing.bristle, rubbing.load = self.bristle, self.held_load
         rubbing.sliding, rubbing.sticking = self.sliding, self.sticking
         rubbing.way, rubbing.turned = way, turned
+
+    def bound_steps(self, starting: wp.array, wanted: wp.array) -> None:
+        """Shorten the `wanted` steps (rod,) that start now to what may stand."""
+        self.batch.launch_lanes(
+            touching.bound_steps, [self.reach, starting, self.velocity], [wanted]
+        )
 
     def prepare(self, starting: wp.array, rejected: wp.array, dof: wp.array) -> None:
         """List the pairs that may touch in a step that starts at `dof`, for the first time or
@@ -216,8 +234,8 @@ class RodContact:
             kernels.rod_contact,
             self.partner_count.shape,
             [self.pieces, self.time_step, active, dof, dof_before]
-            + [self.partner_count, self.partner, self.rubbing],
-            [self.batch.derivatives.gradient, self.depth, self._overloaded],
+            + [self.partner_count, self.partner, self.rubbing, self.velocity],
+            [self.batch.derivatives.gradient, self.depth, self._overloaded, self._renewed],
         )
 
     def restart(self, chosen: wp.array) -> None:
@@ -322,19 +340,6 @@ def _splines(cut: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarra
     following = np.pad(radius, ((0, 0), (0, 1)))[:, 1:]
     both = np.where((radius > 0) & (following > 0) & ~last, 0.5 * (radius + following), 0.0)
     return np.where(alone, radius, both), np.where(last, EDGE, kind).astype(np.int32)
-
-
-def _laws(friction: Friction | list[Friction], stiffness, relaxation, skin) -> list:
-    """The law of each row's pairs."""
-    laws = []
-    rows = [friction] * len(stiffness) if isinstance(friction, Friction) else friction
-    for r, f in enumerate(rows):
-        law = pair_contact.PairLaw()
-        law.stiffness, law.skin, law.relaxation = stiffness[r], skin[r], relaxation[r]
-        law.static_friction = f.static
-        law.kinetic_friction = f.static if f.kinetic is None else f.kinetic
-        laws.append(law)
-    return laws
 
 
 def _passive(value, shape: tuple[int, int]) -> np.ndarray:
