@@ -88,7 +88,9 @@ def _call(words: list[str]) -> int:
 def _shell(words: list[str], around, out: Path) -> int:
     """The call as a process of its own with that around it."""
     call = shlex.join([sys.executable, "-P", "-m", "wrod", *words])
-    changed = around if isinstance(around, dict) else {}
+    changed = dict(around) if isinstance(around, dict) else {}
+    if "PYTHONPATH" in changed:  # the package itself may be found by it
+        changed["PYTHONPATH"] += os.pathsep + os.environ.get("PYTHONPATH", "")
     environment = {**os.environ, **changed, "OUT": str(out)}
     environment = {name: value for name, value in environment.items() if value is not None}
     before, after = "", ""

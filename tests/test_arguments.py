@@ -224,6 +224,8 @@ def files() -> dict[str, str]:
         save_arrays(made[kind], arrays_of(kind) | {"metadata": np.array("{}")})
     scenes = Path(sawyer.__file__).parent
     made |= {"knot": scenes / "knots" / "trefoil.json", "fixtures": scenes / "cable" / "U.json"}
+    made["stage"] = folder / "stage.usda"
+    made["stage"].write_text("#usda 1.0\n")
     made["points"] = folder / "points.csv"
     made["points"].write_text("".join(f"{0.01 * k}, {1e-3 * k * k}\n" for k in range(20)))
     return {kind: str(one) for kind, one in made.items()}
@@ -623,7 +625,108 @@ CALLS = {
         wrod.SolverDER.add_newton_rod,
         dict(builder=builder(), rod=described(), density=1000.0),
     ),
+    "SolverDER.attach": lambda: (
+        wrod.SolverDER.attach, dict(builder=held(), rod=0, body=-1, node=2, kind="clamped"),
+    ),
+    "SolverDER.add_usd": lambda: (
+        wrod.SolverDER.add_usd, dict(builder=builder(), source=files()["stage"]),
+    ),
+    "SolverDER.write_usd": lambda: (
+        wrod.SolverDER.write_usd,
+        dict(model=model(), state=model().state(), path="/proc/none/a.usda"),
+    ),
+    "SolverDER.register_custom_attributes": lambda: (
+        wrod.SolverDER.register_custom_attributes, dict(builder=builder()),
+    ),
+    "SolverDER.step": lambda: (
+        (solver := wrod.SolverDER(model())).step,
+        dict(state_in=solver.model.state(), state_out=solver.model.state(), control=None,
+             contacts=None, dt=1e-3, observables=None, moved=None),
+    ),
+    "SolverDER.reset": lambda: (
+        (solver := wrod.SolverDER(model())).reset,
+        dict(state=solver.model.state(), world_mask=None, flags=None),
+    ),
+    "LayingVectorEnv": lambda: (
+        laying().LayingVectorEnv,
+        dict(num_envs=1, pattern=line(), rod=vps(), plan=path(), friction=(0.2, 0.6),
+             disturbed=True, interval=0.5, reach=0.02, turn=0.2, device="cpu", step=0.01),
+    ),
+    "LayingVectorEnv.reset": lambda: (environment().reset, dict(seed=1, options=None)),
+    "LayingVectorEnv.step": lambda: (environment().step, dict(actions=np.zeros((1, 6)))),
+    "solve_grasps_differentiable": lambda: (
+        differentiable("autograd").solve_grasps_differentiable,
+        dict(suspended_length=torch.tensor([5.0]), curvature=torch.tensor([1.0]),
+             stretch_ratio=torch.tensor(2000.0), device="cpu"),
+    ),
+    "lay_differentiable": lambda: (
+        differentiable("autograd").lay_differentiable,
+        dict(trials=[wrod.Trial(line(), vps(), path())], correction=None,
+             friction=torch.tensor(0.5), gravito_bending_length=None, natural_curvature=None,
+             points=20),
+    ),
+    "move_differentiable": lambda: (
+        differentiable("moving").move_differentiable,
+        dict(batch=free(rods()), position=torch.tensor(batch()["position"]),
+             velocity=torch.zeros((1, 6, 3), dtype=torch.float64), step=0.005, steps=2,
+             radius=0.001, stiffness=None, gravity=None, held=(), path=None, scheme="bdf2",
+             air_damping=0.0),
+    ),
+    "lay_with_feedback": lambda: (
+        feedback().lay_with_feedback,
+        dict(pattern=line(), rod=vps(), trajectory=path(), friction=0.5,
+             plant=feedback().Plant(vps(), wrod.Friction(0.4)), every=0.05, sight=None,
+             known=False, again=True, horizon=10.0, hold=0.05, device="cpu"),
+    ),
+    "Sight": lambda: (
+        feedback().Sight, dict(noise=5e-4, spacing=0.01, hidden=0.03, hanging=1e-3, seed=0),
+    ),
+    "measure_overhang": lambda: (
+        of_identification("ruler").measure_overhang, dict(overhang=0.07, fall=0.03, reading=1e-3),
+    ),
+    "measure_hanging_loop": lambda: (
+        of_identification("hanging_loop").measure_hanging_loop,
+        dict(points=np.column_stack([t := np.linspace(-0.1, 0.1, 40), 20.0 * t**2])),
+    ),
+    "draw_plan": lambda: (
+        importlib.import_module("wrod.planning.picture").draw_plan,
+        dict(path="/proc/none/a.png", pattern=line(), trajectory=path()),
+    ),
+    "with_remainder_of": lambda: (
+        importlib.import_module("wrod.deployment.simulate").with_remainder_of,
+        dict(pattern=line(), trajectory=path()),
+    ),
 }  # fmt: skip
+
+
+def held():
+    made = builder()
+    wrod.SolverDER.add_rod(made, batch()["position"][0], vps())
+    return made
+
+
+def laying():
+    pytest.importorskip("gymnasium")
+    return importlib.import_module("wrod.deployment.environment")
+
+
+def environment():
+    made = laying().LayingVectorEnv(1, line(), vps(), path())
+    made.reset(seed=0)
+    return made
+
+
+def differentiable(name):
+    pytest.importorskip("torch")
+    return importlib.import_module(f"wrod.training.{name}")
+
+
+def feedback():
+    return importlib.import_module("wrod.deployment.feedback")
+
+
+def of_identification(name):
+    return importlib.import_module(f"wrod.identification.{name}")
 
 
 def described():

@@ -85,7 +85,7 @@ def test_noise_in_a_bend_is_not_taken_for_a_rod_that_lies_beside(bend):
 
 def test_looks_that_never_come_are_refused(bend):
     pattern, trajectory = bend
-    with pytest.raises(RodError, match=r"every is 0\.0 m"):
+    with pytest.raises(RodError, match=r"every is 0\.0; it must be"):
         lay_with_feedback(pattern, ROD, trajectory, 0.6, Plant(ROD, Friction(0.6)), every=0.0)
 
 

@@ -11,8 +11,15 @@ from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS, interpolation
 from wrod.deployment.simulate import Trial, with_remainder_of
 from wrod.deployment.tangents import Directions, lay
-from wrod.errors import RodError
+from wrod.errors import GraspError, RodError
 from wrod.grasps.optimal import solve_grasps
+
+
+def tensor(value) -> str | None:
+    """Finite floats in a plain tensor."""
+    good = isinstance(value, torch.Tensor) and value.is_floating_point()
+    good = good and value.layout == torch.strided and not value.is_meta
+    return None if good and bool(value.isfinite().all()) else "must be a tensor of finite floats"
 
 
 class _SolveGrasps(torch.autograd.Function):
@@ -26,13 +33,13 @@ class _SolveGrasps(torch.autograd.Function):
         names = ("position", "rotation", "force")
         lost = ~grasps.converged
 
-        def tensor(name: str) -> torch.Tensor:
+        def found(name: str) -> torch.Tensor:
             value = getattr(grasps, name)
             value[lost] = np.nan
             return torch.from_numpy(value).to(suspended_length)
 
-        ctx.save_for_backward(*(tensor(f"{name}_sensitivity") for name in names))
-        return tuple(tensor(name) for name in names)
+        ctx.save_for_backward(*(found(f"{name}_sensitivity") for name in names))
+        return tuple(found(name) for name in names)
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -44,6 +51,7 @@ class _SolveGrasps(torch.autograd.Function):
         return total[:, 0], total[:, 1], total[:, 2], None
 
 
+@arguments.checked(GraspError, suspended_length=tensor, curvature=tensor, stretch_ratio=tensor)
 def solve_grasps_differentiable(
     suspended_length: torch.Tensor,
     curvature: torch.Tensor,
@@ -64,7 +72,10 @@ def solve_grasps_differentiable(
     Raises:
         GraspError: an input is not finite or outside what can be solved.
     """
-    inputs = torch.broadcast_tensors(suspended_length, curvature, stretch_ratio)
+    try:
+        inputs = torch.broadcast_tensors(suspended_length, curvature, stretch_ratio)
+    except RuntimeError as error:
+        raise GraspError(f"solve_grasps_differentiable: {error}") from None
     return _SolveGrasps.apply(*inputs, device)
 
 
@@ -161,6 +172,9 @@ def _directions(trial: Trial, basis: np.ndarray | None, scalars: Sequence[bool])
         arguments.like("a wrod.Trial", "pattern", "rod", "trajectory", "friction")
     ),
     points=arguments.whole(2, 100_000),
+    **dict.fromkeys(
+        ("correction", "friction", "gravito_bending_length", "natural_curvature"), tensor
+    ),
 )
 def lay_differentiable(
     trials: Sequence[Trial],
@@ -214,10 +228,6 @@ def lay_differentiable(
     for name, value in given.items():
         if value is None:
             continue
-        if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-            raise RodError(f"lay_differentiable: {name} is {value!r:.60}; give a tensor of floats")
-        if not bool(torch.isfinite(value).all()):
-            raise RodError(f"lay_differentiable: {name} has values that are not finite")
         if name == "correction":
             if value.dim() != 3 or value.shape[::2] != (n, 6) or value.shape[1] < 2:
                 raise RodError(

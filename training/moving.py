@@ -15,7 +15,9 @@ from typing import NamedTuple
 
 import torch
 import warp as wp
+from wrod.training.autograd import tensor
 
+from wrod import arguments
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import Derivatives, RodState
@@ -216,6 +218,15 @@ def _multiply(band: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
     return out
 
 
+@arguments.checked(
+    RodError,
+    **dict.fromkeys(("position", "velocity", "stiffness", "gravity", "path"), tensor),
+    step=arguments.number(above=0.0),
+    steps=arguments.whole(1, 10**6),
+    radius=arguments.number(above=0.0),
+    held=arguments.indices,
+    air_damping=arguments.number(0.0),
+)
 def move_differentiable(
     batch: RodBatch,
     position: torch.Tensor,
@@ -263,6 +274,8 @@ def move_differentiable(
     if stiffness is None:
         stiffness = torch.ones((rods, 3), dtype=torch.float64, device=dof.device)
     gravity = wp.to_torch(batch.gravity).clone() if gravity is None else gravity
+    if not all(0 <= i < nodes for i in held):
+        raise RodError(f"held is {arguments.shown(held)}; give nodes from 0 to {nodes - 1}")
     columns = torch.tensor([4 * i + c for i in held for c in range(3)], dtype=torch.long)
     if len(columns) and (wp.to_torch(batch.free)[:, columns] != 0).any():
         raise RodError("held nodes must not be free in the batch; take them out by set_free")
@@ -274,9 +287,9 @@ def move_differentiable(
         path = torch.zeros((rods, steps, len(held), 3), dtype=torch.float64, device=dof.device)
     shapes = ((position, (rods, nodes, 3)), (velocity, (rods, nodes, 3)), (stiffness, (rods, 3)),
               (gravity, (rods, 3)), (path, (rods, steps, len(held), 3)))  # fmt: skip
-    for tensor, shape in shapes:
-        if tuple(tensor.shape) != shape or tensor.dtype != torch.float64:
-            raise RodError(f"a tensor is {tuple(tensor.shape)}; give {shape} in float64")
+    for value, shape in shapes:
+        if tuple(value.shape) != shape or value.dtype != torch.float64:
+            raise RodError(f"a tensor is {tuple(value.shape)}; give {shape} in float64")
     options = dict(scheme=scheme, radius=radius, air_damping=air_damping, tolerance=_TOLERANCE,
                    refuses_saddles=False)  # fmt: skip
     scene = Scene(batch, columns, step, steps, options)

@@ -8,6 +8,7 @@ import click
 import numpy as np
 
 from wrod import cost
+from wrod.commands.options import refuse_idle_options
 
 CABLES = ("black-short", "orange-long")
 LOADS = ("unweighted", "weighted")
@@ -40,14 +41,13 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
     are left out in folds, every FOLDS-th of each set; intervals come from other folds.
     """
     from wrod.bench import hands_loops, hands_swings
-    from wrod.errors import DataError
     from wrod.files import write_json
     from wrod.identification.held.measurements import load_held
     from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
-    if folds < 2:
-        raise DataError(f"folds is {folds}; give 2 or more")
+    if quick:
+        refuse_idle_options("--quick", "folds")
     device = resolve_device(device)
     seconds = cost.HAND if quick else 2 * cost.HAND + cost.FOLD * folds + cost.LOOPS
     cost.settle(cost.Cost(seconds), "all fits", out, "ask for fewer --folds", quiet=as_json)

@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from wrod.commands.options import refuse_idle_options
+
 
 @click.command(name="photographs")
 @click.option(
@@ -50,16 +52,13 @@ def command(
     from wrod.bench.photographs_deployments import Deployments
     from wrod.bench.photographs_judge import judge
     from wrod.bench.photographs_report import left_out_table, practice_of
-    from wrod.errors import DataError
     from wrod.files import write_json
     from wrod.identification.laid.photographs import load_photograph, load_photographs
     from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
-    if scenarios < 0 or workers < 1:
-        raise DataError(
-            f"scenarios is {scenarios} and workers {workers}; give 0 or more, and 1 or more"
-        )
+    if quick:
+        refuse_idle_options("--quick", "scenarios")
     photographs = load_photographs(data)
     if not quick and practice_of(data).exists():
         load_photograph(practice_of(data))  # refused before the work

@@ -5,6 +5,8 @@ from collections import Counter
 
 import click
 
+from wrod import cost
+
 # Simulated seconds after which a batch is looked at, and that it is timed for.
 _AFTER, _TIMED = 4.0, 1.0
 _STEP = 0.01
@@ -30,14 +32,18 @@ def command(counts: str, knots: int, rounds: int, device: str, as_json: bool) ->
     simulations take them, on a GPU of a graph. A CPU takes a few seconds for ten rods.
     """
     import wrod.kernels  # noqa: F401  # starts Warp quietly
+    from wrod.arguments import parse_list
     from wrod.machine import machine_line, printed_as_json
     from wrod.rods.device import resolve_device
 
     device = resolve_device(device)
-    try:
-        numbers = [int(word) for word in counts.split(",")]
-    except ValueError:
-        raise click.BadParameter(f"{counts!r} is no list of counts; give e.g. 1260,10") from None
+    numbers = [int(count) for count in parse_list(counts, "--rods", 1, 100_000, whole=True)][::-1]
+    # Of a plan of each cell, then a length that is laid in five seconds.
+    laid = cost.deployments(sum(numbers), 0.1, speed=0.02, step=_STEP, spacing=5e-4, device=device)
+    knotted = cost.Cost(knots * cost.APPLICATION["trefoil"], 1e7 * knots)
+    work = cost.Cost(laid.seconds + knotted.seconds, laid.memory + knotted.memory)
+    what = f"{sum(numbers)} deployments and {knots} knots"
+    cost.settle(work, what, None, "ask for fewer --rods or --knots", quiet=as_json)
     rows = [_deployments(count, rounds, device) for count in numbers]
     if knots:
         rows.append(_knots(knots, rounds, device))

@@ -66,6 +66,8 @@ class Planned:
         """Refuse options that would do nothing."""
         if self.trajectory is not None:
             refuse_idle_options("--trajectory", "method", "closure")
+        else:
+            refuse_idle_options("a new plan", "another-rod")
         if self.method == "intuitive":
             refuse_idle_options("--method intuitive", "closure")
 

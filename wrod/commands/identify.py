@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from wrod import cost
+from wrod.commands.options import refuse_idle_options
 from wrod.machine import printed_as_json
 
 # Parameters of an effect that are printed.
@@ -53,6 +54,7 @@ def command(
     if template is not None:
         if data is not None:
             raise DataError(f"{data} and --template were both given; give one or the other")
+        refuse_idle_options("--template", "test", "effect", "minutes", "device")
         _write_template(template, out, as_json)
         return
     if data is None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from wrod.commands.options import PICTURE, UNITS, PatternOptions, gathered
+from wrod.commands.options import PICTURE, UNITS, PatternOptions, gathered, refuse_idle_options
 from wrod.machine import printed_as_json
 
 
@@ -60,7 +60,8 @@ def command(
     if overhang is not None and overhang >= length:
         raise DataError(f"--overhang {overhang:g} m is not less than --length {length:g} m")
     if curve is not None:
-        found, way = _of_loop(curve, picture), "hanging loop"
+        refuse_idle_options("a hanging loop", "reading")
+        found, way = _of_loop(curve, picture, length), "hanging loop"
     else:
         found, way = _of_overhang(overhang, fall, reading, picture), "overhanging end"
     rod = RodMaterial(radius, found.gravito_bending_length, length, density=density)
@@ -105,10 +106,16 @@ def _of_overhang(overhang: float | None, fall: float | None, reading: float, pic
     return measure_overhang(overhang, fall, reading)
 
 
-def _of_loop(curve: str, picture: PatternOptions):
+def _of_loop(curve: str, picture: PatternOptions, length: float):
     import numpy as np
 
+    from wrod.errors import DataError
     from wrod.identification.hanging_loop import measure_hanging_loop
 
     loop = picture.read(curve)
+    if loop.length > 1.05 * length:
+        raise DataError(
+            f"{curve}: shows a loop of {loop.length:.3g} m, and the rod is --length {length:g} m; "
+            "check the curve's units and scale"
+        )
     return measure_hanging_loop(loop.sample(np.linspace(0.0, loop.length, 200))[0][:, :2])

@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.commands.options import refuse_idle_options
 
 
 def _size(ctx, param, value: str) -> tuple[int, int]:
@@ -47,9 +48,13 @@ def command(
 
     if not scene.exists():
         raise DataError(f"{scene}: no such file; give a .usdc, .usda or .usd stage")
-    pages = out.suffix.lower() == ".html" or moments
+    page = out.suffix.lower() == ".html"
+    if page:
+        refuse_idle_options("a page", "frames", "size", "moments")
+    elif moments:
+        refuse_idle_options("--moments", "frames", "camera", "hide")
     count = frames if frames is not None else (1 if out.suffix else 24)
-    if not pages:
+    if not (page or moments):
         cost.settle(
             cost.pictures(count, *size), f"{count} pictures of {size[0]} x {size[1]} pixels", out,
             "give a smaller --size or fewer --frames", force=force,
@@ -62,7 +67,7 @@ def command(
 
         if moments:
             written = [draw_moments(scene, out, size=size, progress=progress)]
-        elif out.suffix.lower() == ".html":
+        elif page:
             written = [write_page(scene, out, camera=camera, hidden=hide, progress=progress)]
         else:
             written = render(

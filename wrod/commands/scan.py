@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.options import gathered, parse_numbers, parse_start
+from wrod.commands.options import gathered, parse_numbers, parse_start, refuse_idle_options
 
 _READING = (
     click.option("--mask", is_flag=True, help="The pictures are masks, white on black."),
@@ -48,6 +48,10 @@ class _Reading:
         """
         from wrod.perception.metric import CameraIntrinsics, MarkerLayout
 
+        if (self.markers, self.sheet, self.scale) == (None, None, None):
+            refuse_idle_options("a picture without a scale", "start", "several", "camera")
+        if self.mask:
+            refuse_idle_options("--mask", "kind", "color")
         return {
             "markers": None if self.markers is None else MarkerLayout.load(self.markers),
             "sheet": None if self.sheet is None else parse_numbers(self.sheet, 2, "--sheet", "x"),

@@ -12,6 +12,7 @@ from wrod.commands.options import (
     PatternOptions,
     RodOptions,
     gathered,
+    refuse_idle_options,
 )
 from wrod.machine import printed_as_json
 
@@ -39,6 +40,12 @@ def command(
     """
     import numpy as np
 
+    from wrod.errors import PatternError
+
+    if out is not None and out.suffix.lower() != ".png":
+        raise PatternError(f"{out}: is not a .png file name; the picture is a PNG")
+    if not rod_options.given:
+        refuse_idle_options("a pattern without a rod", "tolerance")
     from wrod.commands.plan_pattern import Shaping, fit, too_long
 
     first = reading.read(pattern)

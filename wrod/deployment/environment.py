@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from wrod import arguments
 from wrod.deployment.assembly import assemble
 from wrod.deployment.grip_path import KEY_INTERVAL
 from wrod.deployment.result import errors_along
@@ -20,7 +21,11 @@ from wrod.deployment.simulate import prepare_trials, with_remainder_of
 from wrod.deployment.trial import Trial
 from wrod.errors import RodError
 from wrod.patterns.curve import smoothstep
+from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
+from wrod.planning.trajectory import Trajectory
+from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction
 
 try:
@@ -72,12 +77,24 @@ class LayingVectorEnv(VectorEnv):
         RodError: Gymnasium is missing, or a number makes no sense.
     """
 
+    @arguments.checked(
+        RodError,
+        num_envs=arguments.whole(1, 100_000),
+        plan=arguments.either(
+            arguments.text, arguments.like("a wrod.Trajectory", "arc_length", "rotation")
+        ),
+        friction=arguments.array((2,)),
+        interval=arguments.number(2 * KEY_INTERVAL, 1e3),
+        reach=arguments.number(0.0, 1.0),
+        turn=arguments.number(0.0, np.pi),
+        step=arguments.number(1e-5, 1.0),
+    )
     def __init__(
         self,
         num_envs: int,
-        pattern,
-        rod,
-        plan="auto",
+        pattern: Pattern,
+        rod: RodModel | RodMaterial,
+        plan: str | Trajectory = "auto",
         *,
         friction: tuple[float, float] = (0.2, 0.6),
         disturbed: bool = True,
@@ -88,11 +105,8 @@ class LayingVectorEnv(VectorEnv):
         step: float = 0.01,
     ):
         low, high = friction
-        if not (num_envs >= 1 and 0 <= low <= high <= 100 and interval >= 2 * KEY_INTERVAL):
-            raise RodError(
-                f"num_envs {num_envs}, friction {low:g} to {high:g}, interval {interval:g} s; give "
-                f"1 or more, a range from 0 on and at least {2 * KEY_INTERVAL:g} s"
-            )
+        if not 0 <= low <= high <= 100:
+            raise RodError(f"friction is {low:g} to {high:g}; give a range from 0 to 100")
         self.num_envs, self.rod, self.device, self.step_size = num_envs, rod, device, step
         self.friction, self.disturbed, self.interval = (low, high), disturbed, interval
         self.scale = np.repeat([reach, turn], 3)
@@ -115,6 +129,7 @@ class LayingVectorEnv(VectorEnv):
         self._episode: _Episode | None = None
         self._over = False
 
+    @arguments.checked(RodError, seed=arguments.whole())
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Begin an episode; returns observations and {"friction": (num_envs,)}."""
         super().reset(seed=seed, options=options)
@@ -153,9 +168,11 @@ class LayingVectorEnv(VectorEnv):
         if self._over:
             observed, info = self.reset()
             return observed, np.zeros(self.num_envs), none, none.copy(), info
-        asked = np.asarray(actions, dtype=float)
+        asked = arguments.floats(actions, "LayingVectorEnv.step: actions", RodError)
         if asked.shape != (self.num_envs, 6):
             raise RodError(f"actions have shape {asked.shape}; give ({self.num_envs}, 6)")
+        if not np.isfinite(asked).all():
+            raise RodError("actions hold a number that is not finite; give -1 to 1")
         wanted = np.clip(asked, -1.0, 1.0) * self.scale
         end = self._episode.setups[0].measure_time
         until = min(self.time + self.interval, end)

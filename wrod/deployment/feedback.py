@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from wrod import arguments
 from wrod.deployment.beliefs import Beliefs, beside
 from wrod.deployment.expectation import misplacement
 from wrod.deployment.result import METRIC_POINTS
@@ -25,6 +26,7 @@ from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
+from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction, FrictionField
 
 # Poses of the grip that a deployment has at least.
@@ -101,9 +103,20 @@ class Followed:
     looks: list[Look]
 
 
+@arguments.checked(
+    RodError,
+    friction=arguments.number(0.0, 100.0),
+    plant=arguments.like("a wrod.deployment.feedback.Plant", "rod", "friction", "disturbance"),
+    every=arguments.number(5e-3, 100.0),
+    sight=arguments.optional(
+        arguments.like("a wrod.deployment.sight.Sight", "noise", "spacing", "hidden", "hanging")
+    ),
+    horizon=arguments.number(2.0, 1e3),
+    hold=arguments.number(0.0, 10.0, above=0.0),
+)
 def lay_with_feedback(
     pattern: Pattern,
-    rod: RodMaterial,
+    rod: RodModel | RodMaterial,
     trajectory: Trajectory,
     friction: float,
     plant: Plant,
@@ -139,7 +152,7 @@ def lay_with_feedback(
         options: of `wrod.deployment.tangents.lay`, for the plant.
 
     Raises:
-        RodError: `every` is not positive.
+        RodError: an argument is not usable.
     """
     course = following(
         pattern, rod, trajectory, friction, plant, every=every, sight=sight, known=known,
@@ -150,7 +163,7 @@ def lay_with_feedback(
 
 def following(
     pattern: Pattern,
-    rod: RodMaterial,
+    rod: RodModel | RodMaterial,
     trajectory: Trajectory,
     friction: float,
     plant: Plant,
@@ -164,8 +177,6 @@ def following(
     **options,
 ) -> Course[Followed]:
     """The deployments of `lay_with_feedback`, and what it returns."""
-    if not every > 0.0:
-        raise RodError(f"every is {every!r} m; give the positive length between two looks")
     sight = sight or Sight()
     rng = np.random.default_rng(sight.seed)
     beliefs = Beliefs(pattern, rod, friction, hold)

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrod import arguments
 from wrod.deployment.tangents import Laid
+from wrod.errors import RodError
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,15 @@ class Sight:
     hidden: float = 0.03
     hanging: float = 1e-3
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        length, infinite = arguments.number(0.0, 100.0), self.hanging == np.inf
+        checks = {"noise": length, "spacing": arguments.number(1e-4, 100.0), "hidden": length,
+                  "hanging": length, "seed": arguments.whole()}  # fmt: skip
+        for name, value in vars(self).items():
+            wrong = None if name == "hanging" and infinite else checks[name](value)
+            if wrong is not None:
+                raise RodError(f"Sight: {name} is {arguments.shown(value)}; it {wrong}")
 
 
 @dataclass(frozen=True)

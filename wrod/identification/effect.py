@@ -200,7 +200,20 @@ def as_asked(kind: str, of: type, load: Callable, measurements, test, candidates
     m = read(measurements)
     if test is not None:
         m = m.scored_on(read(test))
+    _refuse_seen(m)
     return m, effects_asked(kind, candidates)
+
+
+def _refuse_seen(m) -> None:
+    """Raise where what is scored is among what is fitted: such a score proves nothing."""
+    data, scored = m.positions if hasattr(m, "positions") else m.centerline, set(m.test.tolist())
+    seen = {data[k].tobytes() for k in range(len(data)) if k not in scored}
+    for k in sorted(scored):
+        if data[k].tobytes() in seen:
+            raise DataError(
+                f"{m.name}: number {k} of its data is to score on, and the same stands among those "
+                "that are fitted; leave one out"
+            )
 
 
 def effects_asked(kind: str, candidates) -> list[Effect]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicSpline
 
+from wrod import arguments
 from wrod.errors import DataError
 from wrod.grasps.mesh import WEIGHT
 from wrod.identification.ruler import MeasuredLength
@@ -28,6 +29,7 @@ _STRETCH_RATIO = 1e4
 _STEPS = np.array([1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-3])  # of the differences
 
 
+@arguments.checked(DataError, points=arguments.array())
 def measure_hanging_loop(points: np.ndarray) -> MeasuredLength:
     """The gravito-bending length of a rod that hangs as a loop.
 
@@ -45,8 +47,6 @@ def measure_hanging_loop(points: np.ndarray) -> MeasuredLength:
         raise DataError(
             f"the loop has points of shape {points.shape}; give (n, 2) with {_FEWEST} or more"
         )
-    if not np.isfinite(points).all():
-        raise DataError("a point of the loop is not finite; leave it out")
     points = points[:, :2]
     arc = arc_length(points)
     if not (np.diff(arc) > 0).all():
@@ -176,6 +176,8 @@ class _Fit:
     def equilibria(self, rows: np.ndarray):
         """(k, nodes, 2) of hanging rods [m], or None where one is not found."""
         share = np.arange(-1, _EDGES + 2) / _EDGES
+        if rows[:, 1].min() < 0.1:  # a step went astray: no rod between these ends
+            return None
         lengths = rows[:, 1] * self.arc[-1]
         edge = lengths / _EDGES
         inner = self.shape[np.clip(np.arange(-1, _EDGES + 2), 0, _EDGES)]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from wrod import arguments
 from wrod.errors import DataError
 from wrod.grasps.mesh import WEIGHT
 from wrod.rods.batch import RodBatch
@@ -71,6 +72,9 @@ def _falls(lengths: np.ndarray, edges: int) -> np.ndarray:
     return -batch.positions()[:, -1, 2] / lengths
 
 
+@arguments.checked(
+    DataError, **dict.fromkeys(("overhang", "fall", "reading"), arguments.number(0.0, 1e3, above=0))
+)
 def measure_overhang(overhang: float, fall: float, reading: float = 1e-3) -> MeasuredLength:
     """The gravito-bending length of a rod whose end falls, overhanging a table.
 
@@ -82,9 +86,6 @@ def measure_overhang(overhang: float, fall: float, reading: float = 1e-3) -> Mea
     Raises:
         DataError: the readings are not positive, or the end would fall further than it is long.
     """
-    for name, value in (("overhang", overhang), ("fall", fall), ("reading", reading)):
-        if not (np.isfinite(value) and value > 0):
-            raise DataError(f"{name} is {value!r}; give a positive number of metres")
     if fall >= 0.999 * overhang:
         raise DataError(
             f"an end cannot fall {fall:g} m over an overhang of {overhang:g} m; measure the "

@@ -32,6 +32,11 @@ def segment(
     """
     if kind not in ("auto", "rod", "ink"):
         raise PerceptionError(f"kind {kind!r} is unknown; choose auto, rod or ink")
+    if color is not None and not (kind != "ink" and all(0 <= part <= 255 for part in color)):
+        raise PerceptionError(
+            f"color {tuple(color)} with kind {kind!r}: give red, green and blue from 0 to 255, of "
+            "rods; ink is what is darker than its paper"
+        )
     if kind == "auto":
         kind = "ink" if color is None and _is_paper(image, region) else "rod"
     return segment_ink(image, region) if kind == "ink" else segment_rods(image, color, region)
