@@ -661,7 +661,7 @@ CALLS = {
     ),
     "lay_differentiable": lambda: (
         differentiable("autograd").lay_differentiable,
-        dict(trials=[wrod.Trial(line(), vps(), path())], correction=None,
+        dict(trials=[wrod.Trial(line(), vps(), path(), wrod.Friction(0.5))], correction=None,
              friction=torch.tensor(0.5), gravito_bending_length=None, natural_curvature=None,
              points=20),
     ),

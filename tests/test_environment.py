@@ -86,7 +86,7 @@ def test_next_episode_begins_with_the_step_after(arc, plans):
 
 
 def test_senseless_requests_are_refused(arc, plans):
-    with pytest.raises(RodError, match="num_envs 0"):
+    with pytest.raises(RodError, match="num_envs is 0"):
         LayingVectorEnv(0, arc, ROD, plans["numeric"])
     env = LayingVectorEnv(2, arc, ROD, plans["numeric"])
     with pytest.raises(RodError, match="call reset first"):
@@ -94,3 +94,5 @@ def test_senseless_requests_are_refused(arc, plans):
     env.reset(seed=1)
     with pytest.raises(RodError, match=r"actions have shape \(2, 3\); give \(2, 6\)"):
         env.step(np.zeros((2, 3)))
+    with pytest.raises(RodError, match="not finite"):
+        env.step(np.full((2, 6), np.nan))

@@ -321,6 +321,8 @@ _BY_TYPE: dict[str, Check] = {
     "str | PathLike[str]": path,
     "ModelBuilder": like("a newton.ModelBuilder", "has_custom_attribute"),
     "Pattern": like("a wrod.Pattern", "sample", "length", "remainder_length"),
+    "Model": like("a newton.Model", "body_q", "device", "shape_count"),
+    "State": like("a newton.State", "body_q", "body_qd"),
     "RodBatch": like("a wrod.RodBatch", "rod_count", "node_count", "state"),
     "RodModel | RodMaterial": like(
         "a wrod.RodMaterial or wrod.RodModel", "radius", "length", "gravito_bending_length"

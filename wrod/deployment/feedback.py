@@ -26,7 +26,6 @@ from wrod.patterns.pattern import Pattern
 from wrod.planning.tail import Tail
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
-from wrod.rods.model import RodModel
 from wrod.solvers.contact import Friction, FrictionField
 
 # Poses of the grip that a deployment has at least.
@@ -105,6 +104,7 @@ class Followed:
 
 @arguments.checked(
     RodError,
+    rod=arguments.like("a wrod.RodMaterial", "radius", "length", "gravito_bending_length"),
     friction=arguments.number(0.0, 100.0),
     plant=arguments.like("a wrod.deployment.feedback.Plant", "rod", "friction", "disturbance"),
     every=arguments.number(5e-3, 100.0),
@@ -116,7 +116,7 @@ class Followed:
 )
 def lay_with_feedback(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: RodMaterial,
     trajectory: Trajectory,
     friction: float,
     plant: Plant,
@@ -163,7 +163,7 @@ def lay_with_feedback(
 
 def following(
     pattern: Pattern,
-    rod: RodModel | RodMaterial,
+    rod: RodMaterial,
     trajectory: Trajectory,
     friction: float,
     plant: Plant,

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
 from wrod.deployment.fixtures import Fixtures
 from wrod.deployment.result import Deployment, errors_along
+from wrod.errors import RodError
 from wrod.files import write_figure
 from wrod.files.pictures import FAINT, INK, MUTED, dress
 from wrod.patterns.pattern import Pattern
@@ -15,6 +17,10 @@ from wrod.solvers.contact import Cylinder
 PATTERN_COLOR, HELD_COLOR, RELEASED_COLOR = "#0b5fa5", "#d9822b", "#8a5a9e"
 
 
+@arguments.checked(
+    RodError,
+    deployments=arguments.several(arguments.like("a wrod.Deployment", "centerline", "error_mean")),
+)
 def draw_deployments(
     path: str | os.PathLike[str],
     pattern: Pattern,

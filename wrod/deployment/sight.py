@@ -32,11 +32,12 @@ class Sight:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        length, infinite = arguments.number(0.0, 100.0), self.hanging == np.inf
+        length = arguments.number(0.0, 100.0)
+        blind = isinstance(self.hanging, float) and self.hanging == np.inf
         checks = {"noise": length, "spacing": arguments.number(1e-4, 100.0), "hidden": length,
                   "hanging": length, "seed": arguments.whole()}  # fmt: skip
         for name, value in vars(self).items():
-            wrong = None if name == "hanging" and infinite else checks[name](value)
+            wrong = None if name == "hanging" and blind else checks[name](value)
             if wrong is not None:
                 raise RodError(f"Sight: {name} is {arguments.shown(value)}; it {wrong}")
 

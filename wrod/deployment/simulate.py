@@ -216,6 +216,7 @@ def nodes_needed(trials: list[Trial], spacing: float) -> int:
     return max(len(mesh(t.rod, t.trajectory.arc_length[-1], spacing)) for t in trials)
 
 
+@arguments.checked(RodError)
 def with_remainder_of(pattern: Pattern, trajectory: Trajectory) -> Pattern:
     """The pattern with the remainder that the trajectory lays before it."""
     length = trajectory.remainder_length

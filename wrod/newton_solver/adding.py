@@ -1,5 +1,8 @@
 """How rods come into a Newton builder."""
 
+import os
+from pathlib import Path
+
 import newton
 import numpy as np
 
@@ -19,6 +22,7 @@ class RodBuilding:
     """What `SolverDER` says to builders."""
 
     @classmethod
+    @arguments.checked(RodError)
     def register_custom_attributes(cls, builder: newton.ModelBuilder) -> None:
         """Tell a builder what rods are: call it before `add_rod`, and on the builder that a
         scene of rods is added to or replicated in.
@@ -140,6 +144,10 @@ class RodBuilding:
         return add_described(builder, rod, density, RodBuilding.add_rod, **options)
 
     @staticmethod
+    @arguments.checked(
+        RodError,
+        source=arguments.either(arguments.path, arguments.like("a Usd.Stage", "Traverse")),
+    )
     def add_usd(builder: newton.ModelBuilder, source, **options) -> dict[str, list[int]]:
         """Add the cables of a USD stage: linear `BasisCurves` with PhysicsCurvesDeformableSimAPI,
         each with its own physics material, as Newton's importer reads them.
@@ -159,7 +167,8 @@ class RodBuilding:
         return add_curves(builder, source, RodBuilding.add_rod, **options)
 
     @staticmethod
-    def write_usd(model: newton.Model, state: newton.State, path):
+    @arguments.checked(RodError)
+    def write_usd(model: newton.Model, state: newton.State, path: str | os.PathLike[str]):
         """Write all rods as they are in `state` to a USD file that `add_usd` reads, and Newton's
         own importer; what another body than the world holds is free there.
 
@@ -167,7 +176,7 @@ class RodBuilding:
             RodError: A rod varies along itself, is not straight at rest, or has a past, or the
                 path is none of a USD file.
         """
-        return write_curves(model, state, path)
+        return write_curves(model, state, Path(path))
 
     @staticmethod
     @arguments.checked(

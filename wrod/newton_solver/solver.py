@@ -2,7 +2,8 @@
 
 import warnings
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import warp as wp
@@ -32,6 +33,15 @@ _STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
 # Steps after which a body that does not get its rods' forces is spoken of.
 _PATIENCE = 3
 _PASSED_ON = ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd")
+
+
+@contextmanager
+def _in_our_words() -> Iterator[None]:
+    """What Newton refuses is a RodError."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise RodError(str(error)) from None
 
 
 class SolverDER(RodBuilding, SolverBase):
@@ -224,6 +234,7 @@ class SolverDER(RodBuilding, SolverBase):
             out[group.rows] = group.dynamics.diverged.numpy()[:, None] != 0
         return out
 
+    @arguments.checked(RodError, dt=arguments.number(above=0.0))
     def step(
         self,
         state_in: newton.State,
@@ -252,9 +263,8 @@ class SolverDER(RodBuilding, SolverBase):
         Raises:
             RodError: dt is not positive, or a state was made from another model.
         """
-        self.validate_observables(observables, contacts)
-        if not (np.isfinite(dt) and dt > 0):
-            raise RodError(f"dt is {dt!r}; give a positive finite number of seconds")
+        with _in_our_words():
+            self.validate_observables(observables, contacts)
         moved = state_in if moved is None else moved
         for state in (state_in, state_out):
             nodes = getattr(getattr(state, "der", None), "node_q", None)
@@ -381,7 +391,8 @@ class SolverDER(RodBuilding, SolverBase):
             if flags & int(newton.ModelFlags.SHAPE_PROPERTIES):
                 group.refresh_shapes()
 
-    def reset(self, state, world_mask=None, flags=None) -> None:
+    @arguments.checked(RodError)
+    def reset(self, state: newton.State, world_mask=None, flags=None) -> None:
         """Put rods back to where they were when the solver was made, at the same velocities.
 
         Args:
@@ -389,7 +400,8 @@ class SolverDER(RodBuilding, SolverBase):
             world_mask: (world_count + 1,) which worlds, the last for world -1; None for all.
             flags: Not used: all of `state.der` is reset.
         """
-        mask = self._normalize_reset_world_mask(world_mask)
+        with _in_our_words():
+            mask = self._normalize_reset_world_mask(world_mask)
         for group in self._groups:
             if mask is None:
                 chosen = np.ones(len(group.rows), dtype=bool)

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from wrod import arguments
+from wrod.errors import PatternError
 from wrod.files import write_figure
 from wrod.files.pictures import FAINT, INK, MUTED, dress
 from wrod.patterns.pattern import Pattern
@@ -16,6 +18,7 @@ _PATH_COLORS = "viridis"
 _FRAMES, _SHAPES = 10, 6
 
 
+@arguments.checked(PatternError)
 def draw_plan(
     path: str | os.PathLike[str],
     pattern: Pattern,
