@@ -288,11 +288,11 @@ def test_dataset_command_takes_a_model(tmp_path):
     out = tmp_path / "grasps"
     args = ["dataset", "--size", "4", "--rod", str(path), "--length", "0.3", "--out", str(out)]
     assert told(*args, "--device", "cpu", "--json")["unconverged"] == 0
-    assert store.read_manifest(out).rod["length"] == pytest.approx(0.3 / 0.018)
-    assert store.read_manifest(out).rod["natural_curvature"] == pytest.approx([0.09, 0.0])
+    assert store.read_manifest(out).rod.length == pytest.approx(0.3 / 0.018)
+    assert store.read_manifest(out).rod.natural_curvature == pytest.approx([0.09, 0.0])
     args[-1] += "-turned"
     done(*args, "--roll", "up", "--device", "cpu")
-    turned = store.read_manifest(tmp_path / "grasps-turned").rod["natural_curvature"]
+    turned = store.read_manifest(tmp_path / "grasps-turned").rod.natural_curvature
     assert turned == pytest.approx([0.0, 0.09])
     refused("name it with --rod", "dataset", "--size", "4", "--roll", "0", "--out", args[-1])
     for roll in ("nan", "left"):

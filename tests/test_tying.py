@@ -249,8 +249,8 @@ def test_missing_pattern_is_named(tmp_path):
 
 
 def test_moves_have_defaults():
-    move = Move(0, 0.1, (0.0, 0.1))
-    assert (move.hand, move.where) == (0, None)
+    move = Move(rod=0, at=0.1, to=(0.0, 0.1), hand=0)
+    assert (move.turn, move.where) == (0.0, None)
     assert TyingResult(wanted="right trefoil").success is False
     assert TyingResult(diverged=True).why == "diverged"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from wrod.training.sampling import MAX_INDEX, RodInputs, sample
 from wrod import __version__
 from wrod.controller.curved import untwisted
 from wrod.errors import DataError
+from wrod.files import schemas
 from wrod.grasps.inputs import CLOSURES
 from wrod.grasps.optimal import EDGE_COUNT, solve_grasps
 from wrod.grasps.results import Grasps
@@ -134,6 +134,7 @@ def generate(
     one = None if rod is None else RodInputs.of(rod, roll)
     curved = one is not None and not one.is_straight
     manifest = store.Manifest(
+        format=store.FORMAT,
         size=size,
         shard_size=shard_size,
         seed=seed,
@@ -141,8 +142,7 @@ def generate(
         edge_count=edge_count,
         sensitivities=sensitivities and closure == "zero_tension" and not curved,
         solver=__version__,
-        # A list is what the manifest's file gives back.
-        rod=None if one is None else json.loads(json.dumps(asdict(one))),
+        rod=None if one is None else schemas.RodInputs(**asdict(one)),
     )
     store.create(folder, manifest)
     mine = range(rank.index, manifest.shard_count, rank.count)

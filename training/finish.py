@@ -2,9 +2,10 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
+from msgspec import to_builtins
 from wrod.training.dataset import generate, largest_curvature, load
 from wrod.training.loop import Training
 from wrod.training.recipes import recipe
@@ -43,7 +44,7 @@ def finished(
         {
             "closure": manifest.closure,
             "machine": machine_line(device),
-            "dataset": asdict(manifest),
+            "dataset": to_builtins(manifest),
             **metadata,
         }
     )

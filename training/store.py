@@ -9,12 +9,11 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from msgspec import to_builtins
-from wrod.training.sampling import INPUTS, RodInputs
+from msgspec import structs, to_builtins
+from wrod.training.sampling import RodInputs
 
 from wrod.errors import DataError
 from wrod.files import (
@@ -52,39 +51,17 @@ def row_bytes(sensitivities: bool) -> int:
     return sum(np.dtype(kind).itemsize * math.prod(shape) for kind, shape in columns.values())
 
 
-@dataclass(frozen=True)
-class Manifest:
+class Manifest(schemas.Manifest, frozen=True):
     """What a dataset is: everything that its rows follow from.
 
-    Attributes:
-        size: number of samples.
-        shard_size: samples per shard; the last may hold fewer.
-        seed: of the Sobol' sequence.
-        closure: see `wrod.solve_grasps`.
-        edge_count: edges of the finest mesh.
-        sensitivities: whether rows carry the derivatives by the inputs.
-        solver: version that solved them.
-        inputs: names of the input columns.
-        rod: of a dataset of one rod: the content of its `RodInputs`; else None.
+    Its `seed` is that of the Sobol' sequence, `edge_count` of the finest mesh, `solver` the version
+    that solved it; the last shard may hold fewer than `shard_size` samples.
     """
-
-    size: int
-    shard_size: int
-    seed: int
-    closure: str
-    edge_count: int
-    sensitivities: bool
-    solver: str
-    inputs: tuple[str, ...] = INPUTS
-    rod: dict | None = None
 
     @property
     def rod_inputs(self) -> RodInputs | None:
         """The rod that all samples are of, or None."""
-        if self.rod is None:
-            return None
-        rod = RodInputs(**self.rod)
-        return replace(rod, natural_curvature=tuple(rod.natural_curvature))
+        return None if self.rod is None else RodInputs(**structs.asdict(self.rod))
 
     @property
     def shard_count(self) -> int:
@@ -99,7 +76,8 @@ class Manifest:
     @property
     def identity(self) -> str:
         """Name of the family of datasets that this one begins: all but the size counts."""
-        content = {**asdict(self), "size": None}
+        content = to_builtins(self) | {"size": None}
+        del content["format"]
         if self.rod is None:
             del content["rod"]  # datasets of the whole range were there before those of one rod
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
@@ -128,7 +106,7 @@ def create(folder: Path, manifest: Manifest) -> None:
     if path.exists():
         found = read_manifest(folder)
         if found.identity != manifest.identity:
-            new, old = asdict(manifest), asdict(found)
+            new, old = to_builtins(manifest), to_builtins(found)
             other = ", ".join(
                 f"{k} {old[k]!r} (now {new[k]!r})" for k in new if k != "size" and new[k] != old[k]
             )
@@ -142,8 +120,7 @@ def create(folder: Path, manifest: Manifest) -> None:
                     f"ask for at least as many or choose another --out"
                 )
             return
-    content = {"format": FORMAT, **asdict(manifest)}
-    write_json(path, content)
+    write_json(path, to_builtins(manifest))
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -152,11 +129,7 @@ def read_manifest(folder: Path) -> Manifest:
     Raises:
         DataError: there is none, or it is not one of ours.
     """
-    path = Path(folder) / MANIFEST
-    found = read_json(path, schemas.Manifest, "the manifest that `wrod dataset` writes")
-    content = to_builtins(found)
-    del content["format"]
-    return Manifest(**{**content, "inputs": tuple(found.inputs)})
+    return read_json(Path(folder) / MANIFEST, Manifest, "the manifest that `wrod dataset` writes")
 
 
 def shard_path(folder: Path, shard: int) -> Path:

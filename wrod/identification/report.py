@@ -48,7 +48,7 @@ class FoundEffect:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class Finding:
     """What every identification ends with.
 
     Attributes:
@@ -74,8 +74,8 @@ class Outcome:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Outcome):
-    """An outcome with its evidence, and the rod that was found.
+class Report(Finding):
+    """A finding with its evidence, and the rod that was found.
 
     Attributes:
         measurements: what was explained.

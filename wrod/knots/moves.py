@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from wrod.files.schemas import Move
 from wrod.knots.hand_paths import hand_path, path_length
-from wrod.knots.plan import Move
 from wrod.knots.tying_run import TyingRun
 from wrod.knots.workbench import Poses
 from wrod.patterns.curve import smoothstep

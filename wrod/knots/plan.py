@@ -9,8 +9,9 @@ A plan is JSON, in metres, beside the files of its patterns:
               {"rod": 0, "at": 0.8, "where": [x, y], "direction": [1, 1], "distance": 0.1}],
      "load": 0.3}
 
-`at` is the arc length of what is grasped, from the end that is laid first; `to` where it is put;
-`where` the place of the grasp if an earlier move has put the rod there.
+`at` is the arc length of what is grasped, from the end that is laid first; `to` where it is put, on
+a way of height `lift`, let go at `lay_height` radii; `where` the place of the grasp if an earlier
+move has put the rod there, by default the pattern's point at `at`.
 The moves of one step are made at the same time, each by another hand. Pulls grasp the rod at
 `where`; they end at `distance` or when both hands pull with `load` [N].
 """
@@ -21,59 +22,13 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from msgspec.structs import asdict
-
 from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import read_json, schemas
+from wrod.files.schemas import Move, Pull
 from wrod.patterns.pattern import Pattern
 from wrod.rods.catalogue import rod
 from wrod.rods.material import RodMaterial
-
-
-@dataclass(frozen=True)
-class Move:
-    """Pick a rod up at an arc length, carry it over what lies between, put it down.
-
-    Attributes:
-        rod: which one.
-        at: arc length that is grasped [m].
-        to: (2,) where it is put on the table [m].
-        hand: 0 or 1.
-        lift: height of the way [m].
-        turn: of the hand about the vertical, on its way [degrees].
-        lay_height: height at which it is let go, in radii of the rod.
-        where: (2,) place of the grasp [m], where an earlier move put the rod; default: the
-            pattern's point at `at`.
-    """
-
-    rod: int
-    at: float
-    to: tuple[float, float]
-    hand: int = 0
-    lift: float = 0.05
-    turn: float = 0.0
-    lay_height: float = 1.0
-    where: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True)
-class Pull:
-    """Grasp a rod where its end was put, and pull.
-
-    Attributes:
-        rod: which one.
-        at: arc length there, for the record [m].
-        where: (2,) place of the grasp [m].
-        direction: (2,) of the pull.
-        distance: of the pull at most [m].
-    """
-
-    rod: int
-    at: float
-    where: tuple[float, float]
-    direction: tuple[float, float]
-    distance: float
 
 
 @dataclass(frozen=True)
@@ -113,10 +68,9 @@ class KnotPlan:
             (Pattern.load(path.parent / entry.pattern, smoothing=0.0), rod(entry.rod))
             for entry in found.rods
         )
-        steps = tuple(tuple(Move(**asdict(move)) for move in step) for step in found.steps)
-        pull = tuple(Pull(**asdict(entry)) for entry in found.pull)
+        steps = tuple(map(tuple, found.steps))
         names = tuple(entry.rod for entry in found.rods)
-        plan = cls(found.name, found.knot, rods, steps, pull, found.load, names)
+        plan = cls(found.name, found.knot, rods, steps, tuple(found.pull), found.load, names)
         plan._check(path)
         return plan
 

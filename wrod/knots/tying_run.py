@@ -10,8 +10,9 @@ from wrod.deployment.grip_path import smooth_noise
 from wrod.deployment.plan import plan
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.simulate import with_remainder_of
+from wrod.files.schemas import Move
 from wrod.knots.fingers import REACH, holding_force
-from wrod.knots.plan import KnotPlan, Move
+from wrod.knots.plan import KnotPlan
 from wrod.knots.topology import recognise_knot, recognise_pair
 from wrod.knots.trials import Handling, TyingResult
 from wrod.knots.workbench import TICK, Poses, Workbench

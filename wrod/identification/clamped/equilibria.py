@@ -55,12 +55,12 @@ class ClampedSolver:
         self.device = device
         arrays = batch_arrays(setups)
         poses = end_poses(setups)
-        straight = self._straight(setups, arrays.rest_length)
+        straight = self._straight(setups, arrays["rest_length"])
         self.batch = RodBatch(
             straight,
             director=np.repeat(poses[0][1][:, None, :, 0], self.edge_count + 2, axis=1),
             device=device,
-            **vars(arrays),
+            **arrays,
         )
         self._assign_sections(setups)
         prescribe(self.batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
@@ -281,7 +281,7 @@ class ClampedSolver:
         return dof
 
     def _assign(self, setups: Sequence[ClampedSetup]) -> None:
-        arrays = vars(batch_arrays(setups))
+        arrays = batch_arrays(setups)
         self.batch.set_softening(arrays.pop("softening"))
         for name, value in arrays.items():
             array = getattr(self.batch, name)

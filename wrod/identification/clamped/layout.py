@@ -4,8 +4,8 @@ Beyond each clamp stands a ghost edge that carries the clamp's frame, as in
 `wrod.rods.discretisation`.
 """
 
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -18,24 +18,10 @@ COMPLEX_STEP = 1e-30
 _NO_LAYER = 1e-9
 
 
-@dataclass
-class BatchArrays:
-    """A list of setups laid out for the batch: candidate x trial in one leading axis."""
-
-    rest_length: np.ndarray
-    stretching_stiffness: np.ndarray
-    bending_stiffness: np.ndarray
-    twisting_stiffness: np.ndarray
-    natural_curvature: np.ndarray
-    natural_twist: np.ndarray
-    softening: np.ndarray
-    node_mass: np.ndarray
-    gravity: np.ndarray
-
-
-def batch_arrays(setups: Sequence[ClampedSetup]) -> BatchArrays:
-    """Lay setups out for the batch, ghosts included; complex if they are."""
-    rows: dict[str, list] = {name: [] for name in BatchArrays.__dataclass_fields__}
+def batch_arrays(setups: Sequence[ClampedSetup]) -> dict[str, np.ndarray]:
+    """Setups laid out for the batch, as its arguments: candidate x trial in the leading axis,
+    ghosts included; complex if they are."""
+    rows: defaultdict[str, list] = defaultdict(list)
     for s in setups:
         n = len(s.fraction) - 1
         h = s.length / n
@@ -55,7 +41,7 @@ def batch_arrays(setups: Sequence[ClampedSetup]) -> BatchArrays:
         rows["node_mass"].append(np.pad(s.line_mass * h * share + s.node_mass, 1))
         rows["gravity"].append(s.gravity)
     trials = len(setups[0].clamp_position)
-    return BatchArrays(**{name: np.repeat(np.stack(v), trials, axis=0) for name, v in rows.items()})
+    return {name: np.repeat(np.stack(v), trials, axis=0) for name, v in rows.items()}
 
 
 def law_layers(setups: Sequence[ClampedSetup]) -> list[tuple[np.ndarray, np.ndarray]]:

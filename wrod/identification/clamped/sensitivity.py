@@ -121,7 +121,7 @@ class Sensitivity:
         """(rod, dof) derivative of the energy's gradient along the setups' imaginary parts."""
         batch, device = self.batch, self.device
         rate = {}
-        for name, value in vars(batch_arrays(setups)).items():
+        for name, value in batch_arrays(setups).items():
             array = getattr(batch, name)
             value = np.broadcast_to(np.imag(value) / COMPLEX_STEP, full_shape(array))
             rate[name] = wp.array(np.ascontiguousarray(value), dtype=array.dtype, device=device)

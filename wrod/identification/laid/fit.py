@@ -17,7 +17,7 @@ from wrod.deployment.simulate import Trial, simulate_deployments
 from wrod.errors import DataError
 from wrod.identification.effect import Estimate
 from wrod.identification.laid.measurements import LaidMeasurements
-from wrod.identification.report import Outcome
+from wrod.identification.report import Finding
 from wrod.identification.verdict import CORRELATED, LAID, LAID_ONCE
 from wrod.planning.tail import tail
 from wrod.planning.trajectory import Trajectory
@@ -38,7 +38,7 @@ _ENOUGH = 1.3
 
 
 @dataclass(frozen=True, kw_only=True)
-class LaidFit(Outcome):
+class LaidFit(Finding):
     """What a set of laid rods says; errors are RMS distances of the rods from the simulation.
 
     Attributes:
