@@ -89,16 +89,25 @@ def figures_of(deployment, pattern) -> dict:
         deployment: a `Deployment`.
         pattern: with its remainder.
     """
-    s = np.linspace(0.0, pattern.length, _CURVE_POINTS) + pattern.remainder_length
-    laid = [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
     names = ("error_mean", "error_std", "released_error_mean", "released_error_std")
     return {
         **{name: 100.0 * getattr(deployment, name) for name in names},
         "slip": 100.0 * float(deployment.slip.max()),
         "diverged": deployment.diverged,
         "steps": deployment.steps,
-        "curve": np.round(np.column_stack(laid), 5).tolist(),
+        "curve": curve_of(pattern, deployment.arc_length, deployment.centerline),
     }
+
+
+def curve_of(pattern, arc_length, place) -> list[list[float]]:
+    """What a rod laid of a pattern, at 60 points from above [m], to keep."""
+    return np.round(points_of(pattern, arc_length, place, _CURVE_POINTS), 5).tolist()
+
+
+def points_of(pattern, arc_length, place, count: int) -> np.ndarray:
+    """(count, 2) points from above [m] of a rod that lies at `place`, evenly along its pattern."""
+    s = np.linspace(0.0, pattern.length, count) + pattern.remainder_length
+    return np.column_stack([np.interp(s, arc_length, place[:, c]) for c in range(2)])
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ def command(
     as_json: bool,
 ) -> None:
     """Time one deployment and a batch on one thread; halve edges, steps, both, and speed."""
+    from wrod.bench.campaign import points_of
     from wrod.deployment.plan import plan
     from wrod.deployment.setup import Disturbance
     from wrod.deployment.simulate import Trial, simulate_deployments, with_remainder_of
@@ -86,7 +87,7 @@ def command(
                 # Slower and slower the deployment becomes a sequence of equilibria.
                 options["step"] = 0.01 * 2**level
             deployment, row = simulate(**options)
-            laid.append(points(curve, deployment))
+            laid.append(points_of(curve, deployment.arc_length, deployment.centerline, 200))
             study.append(row)
         for row, change in zip(study, changes(laid, study), strict=True):
             row |= change
@@ -133,16 +134,6 @@ def _say(rows: dict[str, list[dict]]) -> None:
                 + _told(row, "change_cm", "order") + _told(row, "error_change_cm", "error_order")
                 + f"  cpu {row['cpu_seconds']:.1f} s"
             )  # fmt: skip
-
-
-def points(curve, deployment):
-    """(200, 2) points of the laid rod at the same arc lengths of its pattern [m]."""
-    import numpy as np
-
-    s = np.linspace(0.0, curve.length, 200) + curve.remainder_length
-    return np.column_stack(
-        [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
-    )
 
 
 def changes(laid: list, study: list[dict]) -> list[dict]:

@@ -113,26 +113,23 @@ def anisotropic_bending(rng, rod):
 
 
 def softening(rng, rod):
-    critical = _between(rng, 0.5, 0.9) / rod.gravito_bending_length
-    kept = _between(rng, 0.2, 0.5)
-
-    def law(e):
-        one = 1.0 + (e / critical) ** 2
-        return e * (kept + (1 - kept) / one), kept + (1 - kept) * (2 - one) / one**2
-
-    truth = {"softening": {("critical_curvature",): (critical,), ("kept_stiffness",): (kept,)}}
-    return Hidden(Experiment(law=law), truth)
+    return _bent_to(rng, rod, "softening", "kept_stiffness", (0.2, 0.5))
 
 
 def stiffening(rng, rod):
+    return _bent_to(rng, rod, "stiffening", "final_stiffness", (1.8, 3.0))
+
+
+def _bent_to(rng, rod, name: str, key: str, range_: tuple[float, float]) -> Hidden:
+    """A stiffness that goes to a share of itself as the rod is bent."""
     critical = _between(rng, 0.5, 0.9) / rod.gravito_bending_length
-    final = _between(rng, 1.8, 3.0)
+    left = _between(rng, *range_)
 
     def law(e):
         one = 1.0 + (e / critical) ** 2
-        return e * (final + (1 - final) / one), final + (1 - final) * (2 - one) / one**2
+        return e * (left + (1 - left) / one), left + (1 - left) * (2 - one) / one**2
 
-    truth = {"stiffening": {("critical_curvature",): (critical,), ("final_stiffness",): (final,)}}
+    truth: dict[str, Truth] = {name: {("critical_curvature",): (critical,), (key,): (left,)}}
     return Hidden(Experiment(law=law), truth)
 
 

@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from wrod import cost
+from wrod.bench.loop_measurements import clamped_experiment
 from wrod.bench.loop_report import draw, markdown, summary, write_csv
 from wrod.bench.loop_trials import (
     EFFECTS,
     Case,
-    identified,
-    identified_cable,
-    network_for,
     own_bend,
     row,
     trials_along,
@@ -24,7 +22,10 @@ from wrod.bench.table3_paper import PATTERNS, read_pattern
 from wrod.deployment.bounds import refuse_long_moves
 from wrod.deployment.simulate import simulate_deployments
 from wrod.files import write_text
+from wrod.identification import identify
+from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.effect import effects_asked
+from wrod.identification.motion.loading import load_motion
 from wrod.machine import machine_line
 from wrod.planning.roll import read_roll
 from wrod.rods.catalogue import rod
@@ -191,10 +192,10 @@ def _hidden(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
     cases, written = {}, []
     for effect in loop.along(loop.effects or EFFECTS, "identify"):
         with loop.timed("identification"):
-            report = identified(
-                true[effect], believed, loop.trials, loop.noise, loop.seed, loop.candidates,
-                loop.device,
-            )  # fmt: skip
+            data = clamped_experiment(
+                true[effect], believed, trials=loop.trials, noise=loop.noise, seed=loop.seed
+            )
+            report = _identified(loop, measurements_from_arrays(data, name="synthetic"))
         written += report.save(loop.out / effect)
         model = with_length(report.model, believed)
         roll, network = read_roll(loop.roll_text, model), None
@@ -209,20 +210,34 @@ def _hidden(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
 def _recorded(loop: Loop) -> tuple[dict[str, Case], list[Path]]:
     """The one case of a recorded cable: what was found in it is the best that is known of it."""
     name = loop.recording.stem
-    steps = loop.out / name / "steps.jsonl"
+    steps = loop.out / name / "steps.jsonl"  # where a run that was stopped goes on from
     with loop.timed("identification"):
-        report = identified_cable(loop.recording, loop.candidates, loop.device, steps)
+        recordings = load_motion(loop.recording)
+        report = _identified(loop, recordings, steps=steps, evidence=False)
     written, model = report.save(loop.out / name), report.model
     roll = read_roll(loop.roll_text, model)
     return {name: Case(model, report.base_rod, report, model, None, roll)}, written
 
 
+def _identified(loop: Loop, measurements, **options: Any) -> Any:
+    """Report of an identification that knows the measurements and the believed rod only."""
+    return identify(measurements, candidates=loop.candidates or None, device=loop.device, **options)
+
+
 def _trained(loop: Loop, model, folder: Path, roll):
+    """A controller trained for a naturally curved rod, written to `folder`; None for a straight
+    rod, which the one that ships knows, and for one that varies, which none does."""
+    if model.is_straight or isinstance(model, RodModel):
+        return None
+    from wrod.training.finish import controller_for
+
     with loop.timed("training"), loop.bar("train") as bar:
-        return network_for(
+        made = controller_for(
             model, folder, roll=roll, grasps=loop.grasps, steps=loop.steps, seed=loop.seed,
             device=loop.device, progress=lambda share: bar.update(100 * share - bar.n),
         )  # fmt: skip
+    made.save(folder / "controller.safetensors")
+    return made
 
 
 def _laid(loop: Loop, cases: dict[str, Case], curves: dict) -> list[dict]:

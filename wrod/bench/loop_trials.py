@@ -1,12 +1,11 @@
 """What `wrod bench loop` lays: every pattern with the old and the new model behind a controller."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from wrod.bench.campaign import figures_of
 from wrod.errors import DataError
 from wrod.rods.law import Softening
 from wrod.rods.material import RodMaterial
@@ -33,27 +32,6 @@ class Case:
     roll: float | str
 
 
-def identified(true, believed, trials, noise, seed, candidates, device):
-    """Report of an identification that knows the measurements and the believed rod only."""
-    from wrod.bench.loop_measurements import clamped_experiment
-    from wrod.identification import identify
-    from wrod.identification.clamped.loading import measurements_from_arrays
-
-    data = clamped_experiment(true, believed, trials=trials, noise=noise, seed=seed)
-    measurements = measurements_from_arrays(data, name="synthetic")
-    return identify(measurements, candidates=candidates or None, device=device)
-
-
-def identified_cable(recording: Path, candidates, device, steps: Path):
-    """Report of an identification of a cable from recordings of it in motion, which goes on from
-    the file of its `steps` where it was stopped."""
-    from wrod.identification import identify
-    from wrod.identification.motion.loading import load_motion
-
-    asked: dict[str, Any] = dict(candidates=candidates or None, device=device, steps=steps)
-    return identify(load_motion(recording), evidence=False, **asked)
-
-
 def own_bend(cable: RodModel | RodMaterial):
     """A pattern that a cable can be laid along which is a few L_gb long: as much as leaves 1.5 L_gb
     hanging, straight for 1.25 L_gb, then bent by up to 0.2 / L_gb, which the friction of so little
@@ -72,31 +50,6 @@ def own_bend(cable: RodModel | RodMaterial):
     ease = rest / 3.0
     parts = [(ease, 0.0, bend), (ease, bend, bend), (ease, bend, 0.0)]
     return Pattern(*strokes(0.0, straight(first), parts), name="bend")
-
-
-def network_for(
-    model: RodModel | RodMaterial,
-    folder: Path,
-    *,
-    roll: float | str,
-    grasps: int,
-    steps: int | None,
-    seed: int,
-    device: str,
-    progress: Callable[[float], object],
-):
-    """A controller trained for a naturally curved rod, written to `folder`; None for a straight
-    rod, which the one that ships knows, and for one that varies, which none does."""
-    if model.is_straight or isinstance(model, RodModel):
-        return None
-    from wrod.training.finish import controller_for
-
-    made = controller_for(
-        model, folder, roll=roll, grasps=grasps, steps=steps, seed=seed, device=device,
-        progress=progress,
-    )  # fmt: skip
-    made.save(folder / "controller.safetensors")
-    return made
 
 
 def trials_along(
@@ -171,22 +124,15 @@ def _expected_best(rivals: dict, model, law, hold: float):
 
 def row(key: tuple[str, str, str, str], trial, deployment) -> dict:
     """Figures [cm] of a deployment, and the laid curve at 60 points [m]."""
-    curve = trial.pattern
-    s = np.linspace(0.0, curve.length, 60) + curve.remainder_length
-    laid = [np.interp(s, deployment.arc_length, deployment.centerline[:, c]) for c in range(2)]
-    names = ("error_mean", "error_std", "released_error_mean", "released_error_std")
     metadata = trial.trajectory.metadata
     return {
         **dict(zip(("effect", "controller", "pattern", "plan"), key, strict=True)),
         "method": metadata["method"],
         "closure": metadata["closure"],
-        **{name: 100.0 * getattr(deployment, name) for name in names},
+        **figures_of(deployment, trial.pattern),
         "contact_friction": metadata["contact_friction"],
         "natural_share": trial.trajectory.natural_share,
         "rivals": metadata.get("rivals", {}),
-        "slip": 100.0 * float(deployment.slip.max()),
-        "diverged": deployment.diverged,
-        "curve": np.round(np.column_stack(laid), 5).tolist(),
     }
 
 

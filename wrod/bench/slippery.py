@@ -348,11 +348,9 @@ def _figures(shelf: Shelf, key: tuple, s: np.ndarray, place: np.ndarray, disturb
 
     led, _ = shelf.course(*key[:2])
     error = 100.0 * errors_along(led, s, place)[1]
-    along = np.linspace(0.0, led.length, 60) + led.remainder_length
-    curve = np.column_stack([np.interp(along, s, place[:, c]) for c in range(2)])
     return {
         "error_mean": float(error.mean()),
         "error_robot": 100.0 * robot_error(led, s, place, disturbance),
         "error_std": float(error.std()),
-        "curve": np.round(curve, 5).tolist(),
+        "curve": campaign.curve_of(led, s, place),
     }
