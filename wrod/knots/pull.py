@@ -115,7 +115,7 @@ def keep_up(
         batch.launch(hands.pull, batch.rod_count, [held.holds, held.felt, *state], [held.position])
         batch.launch(hands.keep_tight, tight.shape, [*state, batch.state.dof], [tight])
 
-    bench.plan(times, [pair.poses(tick) for tick in range(2)], feel)
+    bench.plan(times.tolist(), [pair.poses(tick) for tick in range(2)], feel)
     key, waits = 0, np.ones(len(bench.rods), dtype=bool)
     while key < count - 1 and waits.any():
         key = count - 1 if film is None else min(key + film_ticks, count - 1)

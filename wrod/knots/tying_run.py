@@ -171,7 +171,7 @@ class TyingRun:
             strength = np.inf
             if trial.pad_friction:
                 pads = trial.pad_friction[(self.grasps + hand) % len(trial.pad_friction)]
-                strength = holding_force(thick, height, tip, pads)
+                strength = float(holding_force(thick, height, tip, pads))
             self.bench.held.grasp(scene, hand, edge, poses, strength)
 
     def keep(
