@@ -32,9 +32,10 @@ class _PenalisedSpline:
         self.degree = degree
         design = BSpline.design_matrix(t, self.knots, degree)
         self.factor = linalg.cholesky((design.T @ design).toarray())
-        root = self._penalty_root(order)
+        # Its triangle has the same singular values and right vectors, and a quarter of its rows.
+        root = linalg.qr(self._penalty_root(order), mode="r")[0][: len(self.factor)]
         _, self.singular, vectors = linalg.svd(
-            linalg.solve_triangular(self.factor, root.T, trans="T").T, full_matrices=True
+            linalg.solve_triangular(self.factor, root.T, trans="T").T
         )
         self.singular = np.pad(self.singular, (0, len(self.factor) - len(self.singular)))
         # The polynomials below the penalty's order are free of penalty by definition; their
