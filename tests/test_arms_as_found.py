@@ -72,6 +72,48 @@ def test_xacro_is_expanded(tmp_path, monkeypatch):
     )
 
 
+def test_what_makers_leave_in_their_files_does_not_matter(tmp_path):
+    """No axis of what is fixed, other programs' attributes, and a wrist that carries the gripper's
+    link."""
+    path = own_arm(tmp_path)
+    plain = grasp_poses(load_robot(path), np.linspace(-1.0, 1.0, 6)[None])
+    text = path.read_text().replace("k6", "gripper_link").replace('"a5"', '"wrist_rotate"')
+    text = text.replace("<limit ", '<limit drake:acceleration="2.5" ', 1)
+    text = text.replace(
+        "</robot>",
+        '<link name="tool"/><joint name="to_tool" type="fixed"><parent link="gripper_link"/>'
+        '<child link="tool"/><axis xyz="0 0 0"/></joint></robot>',
+    )
+    path.write_text(text)
+    with pytest.warns(wrod.errors.WrodWarning, match="tool beyond the flange 'gripper_link'"):
+        arm = load_robot(path)
+    np.testing.assert_allclose(grasp_poses(arm, np.linspace(-1.0, 1.0, 6)[None]), plain, atol=1e-12)
+    load_robot(path, tip="tool")
+
+
+def test_packages_without_ros_and_of_another_name(tmp_path):
+    """`$(find ...)` and `package://` lead to the package around the file, whatever its name."""
+    pytest.importorskip("xacro")
+    folder = tmp_path / "handed_on" / "urdf"
+    folder.mkdir(parents=True)
+    text = own_arm(folder).read_text()
+    xacro = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+    inner = text[text.index(">", text.index("<robot")) + 1 : text.rindex("</robot>")]
+    mesh = '<visual><geometry><mesh filename="package://maker/meshes/a.stl"/></geometry></visual>'
+    inner = inner.replace('<link name="k0"/>', f'<link name="k0">{mesh}</link>')
+    assert mesh in inner
+    (folder / "arm_macro.xacro").write_text(f'<robot name="arm" {xacro}>{inner}</robot>')
+    include = '<xacro:include filename="$(find maker)/urdf/arm_macro.xacro"/>'
+    for name in ("arm.xacro", "expands.urdf"):
+        (folder / name).write_text(f'<robot name="arm" {xacro}>{include}</robot>')
+        with pytest.raises(RobotError, match=r"a\.stl' is missing"):
+            read_urdf(folder / name)
+    (tmp_path / "handed_on" / "meshes").mkdir()
+    (tmp_path / "handed_on" / "meshes" / "a.stl").write_bytes(b"")
+    for name in ("arm.xacro", "expands.urdf"):
+        assert read_urdf(folder / name).flange() == "k6"
+
+
 def test_pairs_of_an_srdf_are_not_checked(tmp_path):
     path = own_arm(tmp_path)
     text = path.read_text()

@@ -52,24 +52,26 @@ def parse_markup(
     deepest: int = 24,
     entities: bool = False,
 ) -> ElementTree.Element:
-    """As `read_markup`, of what a file holds or expands to."""
+    """As `read_markup`, of what a file holds or expands to. Names keep their prefixes, which need
+    not be declared: robots' files are written without."""
     if not content.strip():
         raise error(f"{path}: is empty; give {what}")
-    parser = expat.ParserCreate()
-    _bound(parser, deepest, entities)
+    parser, builder = expat.ParserCreate(), ElementTree.TreeBuilder()
+    _bound(parser, builder, deepest, entities)
     try:
         parser.Parse(content, True)
-        return ElementTree.fromstring(content)
+        return builder.close()
     except _Refused as reason:
         raise error(f"{path}, line {parser.CurrentLineNumber}: {reason}; give {what}") from None
-    except (expat.ExpatError, ElementTree.ParseError, ValueError, LookupError) as reason:
+    except (expat.ExpatError, ValueError, LookupError) as reason:
         raise error(
             f"{path}: not readable as XML ({shown(reason, 200)}); correct the file or give {what}"
         ) from None
 
 
-def _bound(parser, deepest: int, entities: bool) -> None:
-    """Let the parser stop at what no file of ours has, before it costs anything."""
+def _bound(parser, builder: ElementTree.TreeBuilder, deepest: int, entities: bool) -> None:
+    """Let the parser build the tree, and stop at what no file of ours has, before it costs
+    anything."""
     depth = count = 0
 
     def start(name: str, attributes: dict) -> None:
@@ -79,10 +81,12 @@ def _bound(parser, deepest: int, entities: bool) -> None:
             raise _Refused(
                 f"has more than {MAX_ELEMENTS} elements, or more than {deepest} in each other"
             )
+        builder.start(name, attributes)
 
     def end(name: str) -> None:
         nonlocal depth
         depth -= 1
+        builder.end(name)
 
     def entity(name, parameter, value, base, system, public, notation) -> None:
         short = value is not None and "&" not in value and len(value) <= _LONGEST_ENTITY
@@ -91,4 +95,5 @@ def _bound(parser, deepest: int, entities: bool) -> None:
 
     parser.StartElementHandler = start
     parser.EndElementHandler = end
+    parser.CharacterDataHandler = builder.data
     parser.EntityDeclHandler = entity

@@ -17,7 +17,6 @@ from wrod.files.reading import shown
 MOST_NUMBERS, MOST_STROKES, LONGEST = 100_000, 2_000, 200.0
 _LONG_ATTRIBUTE, _DEEPEST_BLOCK = 10_000, 50
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
-_HREF = ("href", "{http://www.w3.org/1999/xlink}href")
 
 
 def check_svg(path: Path) -> None:
@@ -27,7 +26,7 @@ def check_svg(path: Path) -> None:
         PatternError: names the element.
     """
     root = read_markup(path, "an SVG drawing", error=PatternError, deepest=100, entities=True)
-    if root.tag.rpartition("}")[2] != "svg":
+    if _local(root.tag) != "svg":
         raise PatternError(f"{path}: its root element is <{root.tag}>, not <svg>; give a drawing")
     numbers = 0
     for element in root.iter():
@@ -36,7 +35,7 @@ def check_svg(path: Path) -> None:
                 numbers += len(_NUMBER.findall(value))
             elif name in ("transform", "style", "viewBox") and len(value) > _LONG_ATTRIBUTE:
                 raise PatternError(
-                    f"{path}: a <{element.tag.rpartition('}')[2]}> has a {name} of {len(value)} "
+                    f"{path}: a <{_local(element.tag)}> has a {name} of {len(value)} "
                     "letters; simplify the drawing"
                 )
     if numbers > MOST_NUMBERS:
@@ -45,6 +44,11 @@ def check_svg(path: Path) -> None:
             "the drawing"
         )
     _check_uses(root, path)
+
+
+def _local(name: str) -> str:
+    """A name without the prefix of its namespace."""
+    return name.rpartition(":")[2]
 
 
 def _check_uses(root: ElementTree.Element, path: Path) -> None:
@@ -57,8 +61,8 @@ def _check_uses(root: ElementTree.Element, path: Path) -> None:
     while stack:
         element, counted = stack.pop()
         below = list(element)
-        if element.tag.rpartition("}")[2] == "use":
-            name = next((element.get(h) for h in _HREF if element.get(h)), "")
+        if _local(element.tag) == "use":
+            name = next((v for k, v in element.attrib.items() if _local(k) == "href" and v), "")
             target = named.get(name.removeprefix("#"))
             below += [] if target is None else [target]
         if counted:

@@ -13,6 +13,7 @@ from pathlib import Path
 from wrod.errors import RobotError
 from wrod.files import checked_path
 from wrod.files.reading import MIB, shown
+from wrod.robot.packages import folders_of
 
 _SECONDS, _WALL, _MEMORY, _LONGEST = 10, 30.0, 1024 * MIB, 16 * MIB
 # What an expression needs no part of, and from which every builtin can be reached.
@@ -74,6 +75,7 @@ def _main(path: str) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     resource.setrlimit(resource.RLIMIT_FSIZE, (_LONGEST, _LONGEST))
     import xacro
+    from xacro import substitution_args
 
     evaluate = xacro.safe_eval
 
@@ -82,6 +84,10 @@ def _main(path: str) -> None:
         return evaluate(expression, *scope)
 
     xacro.safe_eval = guarded
+    # xacro asks an installation of ROS, which need not be here.
+    substitution_args._eval_find = lambda package: str(
+        next(folder for folder in folders_of(package, Path(path)) if folder.is_dir())
+    )
     try:
         sys.stdout.write(xacro.process_file(path).toxml())
     except MemoryError:

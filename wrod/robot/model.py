@@ -244,7 +244,8 @@ def _build(urdf: UrdfFile, gripper_length: float, acceleration: float, jerk: flo
     for element in [e for e in bare if e.tag not in ("link", "joint")]:
         bare.remove(element)
     for joint in bare.findall("joint"):
-        for element in [e for e in joint if e.tag in ("dynamics", "safety_controller")]:
+        unread = ("dynamics", "safety_controller", *(["axis"] * (joint.get("type") == "fixed")))
+        for element in [e for e in joint if e.tag in unread]:
             joint.remove(element)
     try:
         tree = pk.build_chain_from_urdf(ElementTree.tostring(bare))

@@ -12,6 +12,7 @@ from wrod.errors import RobotError
 from wrod.files.markup import parse_markup, read_markup
 from wrod.files.reading import shown
 from wrod.robot.expansion import expanded
+from wrod.robot.packages import folders_of
 from wrod.robot.urdf_checks import check_urdf
 
 # Usual names of the link that a gripper is screwed to, whole or as the end of one.
@@ -25,10 +26,12 @@ _FINGERS = ("gripper", "finger", "jaw", "knuckle", "thumb")
 
 
 def _is_finger(joint: ElementTree.Element) -> bool:
-    """Whether a joint moves a part of a gripper: it follows another joint, or is called so."""
+    """Whether a joint moves a part of a gripper: it follows another joint, or is called so. A wrist
+    moves all of the gripper."""
     child = joint.find("child").get("link", "")
     names = f"{joint.get('name', '')} {child}".lower()
-    return joint.find("mimic") is not None or any(word in names for word in _FINGERS)
+    called = any(word in names for word in _FINGERS) and "wrist" not in names
+    return called or joint.find("mimic") is not None
 
 
 @dataclass(frozen=True)
@@ -196,8 +199,8 @@ class UrdfFile:
         return LinkShape(link, shape.tag, size, pose, color)
 
     def mesh_path(self, name: str) -> Path:
-        """File that a mesh name means: relative to the URDF, or `package://` of a package that is
-        a folder above it, beside one, or on ROS_PACKAGE_PATH or AMENT_PREFIX_PATH.
+        """File that a mesh name means: relative to the URDF, or `package://` of a package, see
+        `folders_of`.
 
         Raises:
             RobotError: there is no such file.
@@ -205,9 +208,7 @@ class UrdfFile:
         hint = "put it there or remove the mesh from the file"
         if name.startswith(("package://", "model://")):
             package, _, rest = name.partition("://")[2].partition("/")
-            folders = list(self.path.resolve().parents)
-            candidates = [p / rest for p in folders if p.name == package]
-            candidates += [p / package / rest for p in folders + package_folders()]
+            candidates = [folder / rest for folder in folders_of(package, self.path)]
             hint = (
                 f"put the package {package!r:.80} beside the URDF or name its parent folder in "
                 "ROS_PACKAGE_PATH"
@@ -227,15 +228,8 @@ class UrdfFile:
         )
 
 
-def package_folders() -> list[Path]:
-    """Folders that hold ROS packages, from the environment."""
-    found = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    ament = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return [Path(p) for p in found if p] + [Path(p) / "share" for p in ament if p]
-
-
 def read_urdf(path: str | os.PathLike[str]) -> UrdfFile:
-    """Parse a URDF and check that it is whole.
+    """Parse a URDF and check that it is whole; one that holds xacro's elements is expanded first.
 
     Raises:
         RobotError: the file is missing, not XML, not a robot, names a link that it does not
@@ -243,10 +237,12 @@ def read_urdf(path: str | os.PathLike[str]) -> UrdfFile:
     """
     path = Path(path)
     what = "a URDF file"
-    if path.suffix == ".xacro":
+    root = None if path.suffix == ".xacro" else read_markup(path, what, error=RobotError)
+    if root is None or any(element.tag.startswith("xacro:") for element in root):
         root = parse_markup(expanded(path), path, what, error=RobotError)
-    else:
-        root = read_markup(path, what, error=RobotError)
+    for element in root.iter():  # other programs' own, whose prefixes are seldom declared
+        for name in [name for name in element.attrib if ":" in name]:
+            del element.attrib[name]
     check_urdf(root, path)
     urdf = UrdfFile(path, root)
     for mesh in root.iter("mesh"):

@@ -32,7 +32,7 @@ def check_urdf(root: ElementTree.Element, path: Path) -> None:
         where = f"{path}: joint {joint.get('name')!r:.80}"
         _check_origin(joint, where)
         axis = joint.find("axis")
-        if axis is not None:
+        if axis is not None and joint.get("type") in MOVING:
             vector = numbers(axis.get("xyz", "1 0 0"), 3, f"{where}: axis")
             if np.linalg.norm(vector) < 1e-6:
                 raise RobotError(f"{where}: its axis is {vector}; {_REMEDY}")
@@ -218,11 +218,17 @@ def chain_limits(path, joints, tip: str) -> tuple:
         if joint.get("type") == "continuous":
             limits.append((-np.inf, np.inf))
         elif limit is None or limit.get("lower") is None or limit.get("upper") is None:
-            raise RobotError(f"{path}: joint {name!r:.80} has no position limits")
+            raise RobotError(
+                f"{path}: joint {name!r:.80} has no position limits; add them to the file, as "
+                '<limit lower="..." upper="..." velocity="..."/>'
+            )
         else:
             limits.append((float(limit.get("lower")), float(limit.get("upper"))))
         if limit is None or not float(limit.get("velocity", 0)) > 0:
-            raise RobotError(f"{path}: joint {name!r:.80} has no velocity limit")
+            raise RobotError(
+                f"{path}: joint {name!r:.80} has no velocity limit; add it to its <limit>, as "
+                'velocity="..." in rad/s'
+            )
         velocity.append(float(limit.get("velocity")))
     lower, upper = np.array(limits).T
     return tuple(joint.get("name") for joint in chain), lower, upper, np.array(velocity)
