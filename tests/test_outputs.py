@@ -108,6 +108,9 @@ def test_a_format_for_another_arm_is_refused_and_nothing_written(ur, tmp_path):
         export(ur, tmp_path, ["karel"])
     assert not list(tmp_path.iterdir())
     assert "urscript" in suited(ur) and "libfranka" not in suited(ur)
+    assert "libfranka" in suited(a_path("panda")) and "libfranka" not in suited(a_path("iiwa"))
+    named = dataclasses.replace(ur, names=tuple(f"joint_a{k}" for k in range(1, 7)))  # a KUKA
+    assert "urscript" not in suited(named)
     assert set(suited(ur)) <= set(FORMATS)
 
 

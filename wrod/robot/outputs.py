@@ -76,8 +76,9 @@ def suited(path: JointPath) -> list[str]:
 
     names = ["ros-yaml", "ros-json", "poses", "phases"]
     names += ["mcap"] * (find_spec("mcap") is not None)
-    names += ["urscript"] * (len(path.names) == 6)
-    names += ["libfranka"] * (len(path.names) == 7)
+    # Joints bear the makers' names in all descriptions, with prefixes.
+    names += ["urscript"] * path.names[-1].endswith("wrist_3_joint")
+    names += ["libfranka"] * any(arm in path.names[0] for arm in ("panda", "fr3", "fer", "franka"))
     names += ["intera"] * (path.names[0] == "right_j0")
     return names
 
