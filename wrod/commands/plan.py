@@ -90,6 +90,10 @@ _GRASPS = (
 )
 
 
+# Length that is laid, and of the rod, [m] of the plan that `cost.CORRECTED_PLAN` is of.
+_CORRECTED = 0.54, 0.885
+
+
 @dataclass(frozen=True)
 class _GraspRequest:
     """How grasps are found; see `_GRASPS`."""
@@ -132,17 +136,26 @@ class _GraspRequest:
             else read_range(self.pace, "pace", "0.04 or 0.02:0.08"),
         }
 
-    def friction(self, quiet: bool):
-        """Of the table, if one is known, and say how long it takes to correct the plan for it: of
-        a range of paces three are tried, and rods that may roll take longer."""
-        if self.friction_text is None:
-            return None
-        friction = read_friction(self.friction_text)
-        if self.method not in ("distilled", "intuitive"):  # which correct nothing here, or at once
-            plans = (3 if ":" in (self.pace or "") else 1) * (2 if self.spin else 1)
-            work = cost.Cost(cost.CORRECTED_PLAN * plans)
-            cost.settle(work, "the plan, corrected for its table", None, "", quiet=quiet)
-        return friction
+    def friction(self):
+        """Of the table, if one is known."""
+        return None if self.friction_text is None else read_friction(self.friction_text)
+
+    def begin(self, curve, rod, friction, device: str | None, quiet: bool) -> None:
+        """Begin to compile what the rod solver needs, while the rest is planned, and say how long
+        it takes to correct the plan for its table: of a range of paces three are tried, and rods
+        that may roll take longer, as do long patterns and long rods."""
+        from wrod.grasps.levels import compile_grasps_ahead
+        from wrod.rods.device import resolve_device
+
+        if self.shapes:
+            compile_grasps_ahead(resolve_device(device))
+        if friction is None or self.method in ("distilled", "intuitive"):  # corrected at once
+            return
+        plans = (3 if ":" in (self.pace or "") else 1) * (2 if self.spin else 1)
+        laid = curve.length + curve.remainder_length
+        size = laid * rod.length / (_CORRECTED[0] * _CORRECTED[1])
+        work = cost.Cost(cost.CORRECTED_PLAN * plans * size)
+        cost.settle(work, "the plan, corrected for its table", None, "", quiet=quiet)
 
     def expecting(
         self, curve, rod, trajectory, friction, device: str | None, quiet: bool, beside: bool
@@ -155,14 +168,6 @@ class _GraspRequest:
         from wrod.commands.plan_expected import expecting
 
         return expecting(curve, rod, trajectory, friction, device, quiet, beside=beside)
-
-    def compile_ahead(self, device: str | None) -> None:
-        """Begin to compile what the rod solver needs, while the rest is read and planned."""
-        from wrod.grasps.levels import compile_grasps_ahead
-        from wrod.rods.device import resolve_device
-
-        if self.shapes:
-            compile_grasps_ahead(resolve_device(device))
 
 
 @click.command(name="plan")
@@ -202,7 +207,7 @@ def command(
     request = request.check()
     draw_beside(not request.no_robot)
     rod, drawn = rod_options.read(), reading.read(pattern)
-    friction = grasps.friction(as_json)
+    friction = grasps.friction()
 
     def planned(wanted: Shaping, friction=None, led=None, spin=None, tried=False):
         """Pattern, rod and trajectory of a shaping; `led` is the remainder, `spin` [degrees], where
@@ -218,7 +223,7 @@ def command(
                 said = fitting(request, shorter(whole, fitted.rod, shaping), planned, error)
                 raise PatternError(f"{error}; {said}") from None
             raise PatternError(f"{error} ({remedy})" if remedy else str(error)) from None
-        grasps.compile_ahead(chosen)
+        grasps.begin(curve, fitted.rod, friction, chosen, as_json)
         # The curve has the remainder that it is to have; `plan` would add one to a curve without.
         turned = how["spin"] if spin is None else math.radians(spin)
         trajectory = solve_grasps_of(

@@ -168,6 +168,8 @@ def _followed(request, trajectory, rod, softer):
     Raises:
         UnreachedError: none was found.
     """
+    import click
+
     from wrod.robot.solve import UnreachedError
 
     try:
@@ -177,6 +179,11 @@ def _followed(request, trajectory, rod, softer):
             raise
         start = softer(0.0)
         path = request.solve(start, rod)
+        click.echo(
+            "wrod: the arm cannot follow all of the correction; correcting within what it can do, "
+            "which takes as long again",
+            err=True,
+        )
         for how in (path, _SHARE):
             less = softer(how)
             try:
