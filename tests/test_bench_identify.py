@@ -6,7 +6,7 @@ from click.testing import CliRunner
 
 from wrod.bench.continuous_rod import excess_of
 from wrod.bench.hidden_sets import TRIALS, cases, hidden_set
-from wrod.bench.hidden_table import error_of, lines, outcome, summary
+from wrod.bench.hidden_table import error_of, lines, located, outcome, summary
 from wrod.commands import main
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
@@ -82,6 +82,24 @@ def test_errors_are_those_of_vectors_and_directions_repeat():
     assert worst == pytest.approx(np.radians(2.0))
     assert deviations == pytest.approx(2.0)
     assert error_of({}, truth) == (None, None)
+
+
+def test_built_effects_are_judged_by_place_and_size():
+    def estimates(**values):
+        return {key: {"value": value} for key, value in values.items()}
+
+    sleeve = {
+        "truth": {"stretch": [[["extra_mass"], [0.02]], [["start", "stop"], [0.1, 0.2]]]},
+        "effects": [
+            {"name": "stretch", "parameters": estimates(extra_mass=0.021, start=0.1, stop=0.197)}
+        ],
+    }
+    magnet = {
+        "truth": {"attraction": [[["x", "y", "z"], [0.4, 0.0, 0.2]]]},
+        "effects": [{"name": "attraction", "parameters": estimates(x=0.403, y=0.004, z=0.2)}],
+    }
+    assert located(sleeve) == pytest.approx((0.003, 0.05))
+    assert located(magnet) == pytest.approx((0.005, 0.0))
 
 
 def test_curvatures_of_a_softening_law_carry_the_moment():

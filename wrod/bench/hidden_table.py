@@ -7,6 +7,8 @@ from wrod import side_by_side
 
 # A direction is right within the same 5 %, of a radian.
 WITHIN = 0.05
+# Parameters of built effects that say where they are [m].
+_PLACES = {"arc_length", "start", "stop", "x", "y", "z"}
 OUTCOMES = (
     "right",
     "near",
@@ -114,6 +116,20 @@ def error_of(found: dict, truth: dict) -> tuple[float | None, float | None]:
     return (max(errors), max(deviations)) if errors else (None, None)
 
 
+def located(row: dict) -> tuple[float, float]:
+    """(error [m] of the worst place, relative error of the worst size) of a built effect."""
+    found = {effect["name"]: effect["parameters"] for effect in row["effects"]}
+    places, sizes = [0.0], [0.0]
+    for name, own in row["truth"].items():
+        for keys, values in own:
+            away = [found[name][key]["value"] - v for key, v in zip(keys, values, strict=True)]
+            if set(keys) <= _PLACES:
+                places += [math.hypot(*away)] if "x" in keys else map(abs, away)
+            else:
+                sizes.append(math.hypot(*away) / math.hypot(*values))
+    return max(places), max(sizes)
+
+
 def examine_all(
     jobs: Sequence[tuple[str, int, str]],
     workers: int,
@@ -191,6 +207,11 @@ def summary(rows: Sequence[dict]) -> list[str]:
         if told:
             text.append(f"{'':21}     likeliest print near the truth in {sum(told)} of {len(told)}")
         named = [r for r in own if r["outcome"] == "right" and r["worst_error"] is not None]
+        for name in BUILT:
+            if off := [located(r) for r in named if r["set"] == name]:
+                place, size = map(max, zip(*off, strict=True))
+                said = f"places within {1e3 * place:.1f} mm, sizes within {100 * size:.1f} %"
+                text.append(f"{'':21}     {name}, {len(off)} right: {said}")
         if named:
             close = sum(r["worst_error"] <= WITHIN for r in named)
             ratios = [r["after_mm"] / r["noise_floor_mm"] for r in named]
