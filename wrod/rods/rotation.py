@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+_AGAINST = 1e-12 - 1.0
+
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     """(n, 3) rotation vectors [rad], no longer than pi, of (n, 3, 3) matrices."""
@@ -36,8 +38,7 @@ def transport(v: np.ndarray, t: np.ndarray, u: np.ndarray) -> np.ndarray:
     is -t."""
     axis = np.cross(t, u)
     cosine = np.sum(t * u, axis=-1, keepdims=True)
-    fold = 1.0 + cosine
-    along = np.sum(axis * v, axis=-1, keepdims=True) / np.where(np.real(fold) > 1e-12, fold, 1e-12)
+    along = np.sum(axis * v, axis=-1, keepdims=True) / _fold(cosine)
     return cosine * v + np.cross(axis, v) + along * axis
 
 
@@ -49,10 +50,24 @@ def angle_about(t: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def carried(v: np.ndarray, t: np.ndarray) -> np.ndarray:
     """(..., edge, 3) vectors (..., 3) across the first edge carried on without twist, by the unit
     tangents (..., edge, 3) of all edges; analytic."""
-    out = [transport(v, t[..., 0, :], t[..., 0, :])]
-    for k in range(1, t.shape[-2]):
-        out.append(transport(out[-1], t[..., k - 1, :], t[..., k, :]))
+    before, after = t[..., :-1, :, None], t[..., 1:, :, None]
+    axis = np.cross(before, after, axis=-2)
+    cosine = np.sum(before * after, axis=-2, keepdims=True)
+    turn = cosine * np.eye(3) + after * _row(before) - before * _row(after)
+    turn = turn + axis * _row(axis) / _fold(cosine)
+    out = [v]
+    for k in range(turn.shape[-3]):  # one after the other, and little to do for each
+        out.append((turn[..., k, :, :] @ out[-1][..., None])[..., 0])
     return np.stack(out, axis=-2)
+
+
+def _fold(cosine: np.ndarray) -> np.ndarray:
+    """1 + cosine, away from zero, where unit vectors point against each other."""
+    return np.where(np.real(cosine) > _AGAINST, 1.0 + cosine, 1.0 + _AGAINST)
+
+
+def _row(column: np.ndarray) -> np.ndarray:
+    return np.swapaxes(column, -1, -2)
 
 
 def node_frames(m1: np.ndarray, t: np.ndarray) -> np.ndarray:
