@@ -104,3 +104,17 @@ def test_layers_belong_to_drawings(tmp_path):
     path.write_text("0 0\n0.1 0\n0.2 0.01\n0.3 0.03\n")
     with pytest.raises(PatternError, match="belong to SVG and DXF"):
         wrod.Pattern.load(path, layer="cable")
+
+
+def test_dxf_of_space_is_refused_and_what_is_invisible_is_left_out(tmp_path):
+    document, path = ezdxf.new(), tmp_path / "a.dxf"
+    document.header["$INSUNITS"] = 4
+    space = document.modelspace()
+    space.add_line((0, 0, 7), (300, 50, 7))
+    hidden = space.add_line((0, 0, 0), (300, 50, 900), dxfattribs={"invisible": 1})
+    document.saveas(path)
+    assert wrod.Pattern.load(path).length == pytest.approx(0.3041, abs=1e-4)
+    hidden.dxf.invisible = 0
+    document.saveas(path)
+    with pytest.raises(PatternError, match=r"rises by 0\.9 m"):
+        wrod.Pattern.load(path)

@@ -201,3 +201,19 @@ def test_decimal_commas_between_commas_are_refused(tmp_path):
     path.write_text("\n".join(f"0,{int(1e4 * x)},0,{int(1e4 * y + 500)}" for x, y in POINTS))
     with pytest.raises(PatternError, match=r"p\.csv, line 1: .*decimal commas"):
         wrod.Pattern.load(path)
+
+
+def test_points_that_no_smooth_curve_follows_are_said_to_be_missed():
+    k = np.arange(200)
+    zigzag = wrod.Pattern.from_points(np.column_stack([1e-3 * k, 0.05 * (k % 2)]))
+    assert zigzag.departure()[0] > 0.02
+    apart = np.concatenate([POINTS, POINTS + [5.0, 0.0]])
+    with pytest.raises(PatternError, match=f"point {len(POINTS) + 1}: is .* from the point before"):
+        wrod.Pattern.from_points(apart)
+
+
+@pytest.mark.parametrize("names", ["r,theta", "lat lon"])
+def test_columns_that_are_no_coordinates_are_refused(tmp_path, names):
+    path = write(tmp_path / "p.csv", POINTS, f"{names}\n")
+    with pytest.raises(PatternError, match="names other columns than x and y"):
+        wrod.Pattern.load(path)

@@ -209,8 +209,10 @@ def _dxf(path: Path, units: str | None, layer: str | None) -> list[np.ndarray]:
         check_dxf(document, path)
         for entity in disassemble.recursive_decompose(document.modelspace()):
             on = entity.dxf.layer
-            if (layer is not None and on != layer) or (
-                layer is None and on in names and (names[on].is_off() or names[on].is_frozen())
+            if (
+                entity.dxf.get("invisible")
+                or (layer is not None and on != layer)
+                or (layer is None and on in names and (names[on].is_off() or names[on].is_frozen()))
             ):
                 continue
             try:
@@ -229,6 +231,12 @@ def _dxf_points(sub, scale: float, path: Path) -> np.ndarray:
     from ezdxf.path import Command
 
     points = [np.array([[sub.start.x, sub.start.y]]) * scale]
+    heights = [point.z * scale for point in sub.control_vertices()]
+    if max(heights) - min(heights) > 1e-3 * sum(np.ptp([*sub.control_vertices()], axis=0) * scale):
+        raise PatternError(
+            f"{path}: a stroke rises by {max(heights) - min(heights):.3g} m; a pattern lies in one "
+            "horizontal plane"
+        )
     start = sub.start
     for command in sub.commands():
         if command.type == Command.LINE_TO:

@@ -20,6 +20,8 @@ _UNIT_WORDS = {
 _DECLARED = re.compile(r"\bunits?\b\s*(?:[:=]|\bin\b|[\[(])\s*[\[(\"']?\s*([A-Za-zµμ]+)", re.I)
 _COLUMN = re.compile(r"^\s*[\"']?([xyz])(?:[\s_\[(]+([A-Za-zµμ]+)[\])]*)?[\"']?\s*$", re.I)
 _SPLIT = re.compile(r"[,;\s]+")
+# Names of columns that are no coordinates on a table.
+_OTHER_AXES = {"rho", "theta", "phi", "lat", "latitude", "lon", "lng", "longitude"}
 # A drawn metre has a point every 50 micrometres then; smoothing takes a second for so many.
 _MAX_POINTS = 20_000
 _MAX_BYTES = 16 * 2**20
@@ -99,6 +101,12 @@ def _read_text(path: Path) -> RawPoints:
             units = _declared_units(content, path, number) or units
             columns = _columns(content) or columns
             named = columns is not None
+            words = set(_SPLIT.split(content.lower()))
+            if not named and content[0] not in "#%" and _OTHER_AXES & words:
+                raise PatternError(
+                    f"{path}, line {number}: {content[:60]!r} names other columns than x and y; "
+                    "give coordinates on the table"
+                )
             continue
         cells = _cells(content)
         try:

@@ -159,6 +159,13 @@ class Pattern:
             heading, origin, noise = heading_with_corners(points[:, :2], corners, smoothing)
         else:
             heading, origin, noise = fit_heading(points[:, :2], smoothing)
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        far = int(steps.argmax())
+        if heading.x[-1] > 100.0 * steps.sum() and steps[far] > 20.0 * np.median(steps):
+            raise PatternError(
+                f"{raw.where(far + 1)}: is {steps[far]:.3g} m from the point before it, where "
+                f"others are {np.median(steps):.3g} m apart; give points between the two"
+            )
         return cls(
             heading,
             origin,
@@ -311,12 +318,16 @@ class Pattern:
         )
 
     def departure(self) -> tuple[float, float]:
-        """How far the curve leaves the straight lines between the points that it was made from
-        [m], and at which arc length [m]; zeros for a closed form."""
+        """How far the curve leaves the straight lines between the points that it was made from, or
+        a point the curve [m], and at which arc length [m]; zeros for a closed form."""
         if self.points is None:
             return 0.0, 0.0
         s = np.linspace(0.0, self.length, 1500)
-        far, place = distance_from_lines(self.points[:, :2], self.sample(s)[0][:, :2])
+        points, curve = self.points[:, :2], self.sample(s)[0][:, :2]
+        far, place = distance_from_lines(points, curve)
+        missed, point = distance_from_lines(curve, points)
+        if missed > far:  # taken for noise
+            far, place = missed, int(((curve - points[point]) ** 2).sum(axis=1).argmin())
         return far, float(s[place])
 
     @arguments.checked(PatternError)
