@@ -1,4 +1,5 @@
-"""Options that would do nothing beside others are refused, by name and before any work."""
+"""Options that would do nothing, and what this machine has too little of, are refused before any
+work."""
 
 import pytest
 from cli import refused
@@ -31,3 +32,20 @@ def test_an_option_that_does_nothing_is_refused(words, says, tmp_path):
     given = words.format(file=file, out=out, folder=tmp_path).split()
     refused(says, *given)
     assert sorted(tmp_path.iterdir()) == [file]
+
+
+def test_fewer_addresses_than_scenes_need_are_refused(tmp_path, monkeypatch):
+    import resource
+
+    unlimited = resource.RLIM_INFINITY
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (2**30, unlimited))
+    for words in ("render x.usda", "plan line --rod rope", "bench newton"):
+        refused("may have 1 GiB (ulimit -v)", *words.split(), "--out", tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_controllers_test_is_part_of_its_cost(tmp_path, monkeypatch):
+    monkeypatch.setattr("wrod.machine.available_memory", lambda: 10.0 * 2**30)
+    words = ["train", "--generate", 100, "--steps", 1, "--width", 8, "--batch", 8]
+    refused("10 GiB of memory are free", *words, "--test", 10**6, "--out", tmp_path / "a")
+    assert not list(tmp_path.iterdir())

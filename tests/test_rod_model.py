@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -242,3 +243,11 @@ def test_energy_does_not_depend_on_the_description(name):
         other = wrod.RodBatch.of(model.turned(roll), s, shape[None], director=back)
     energy = [b.evaluate(order=1).energy.numpy()[0] for b in (batch, other)]
     assert energy[1] == pytest.approx(energy[0], rel=1e-10)
+
+
+def test_knots_far_beyond_the_rod_are_spoken_of(tmp_path):
+    mass = wrod.Profile((0.01, 0.02), (0.0, 885.0))
+    path = wrod.save_rod(replace(wrod.RodModel.of(wrod.rod("green-vps")), line_mass=mass),
+                         tmp_path / "rod.json")  # fmt: skip
+    with pytest.warns(WrodWarning, match="knots in millimetres"):
+        wrod.load_rod(path)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import click
 
+from wrod.commands.running import refuse_few_addresses
+
 _DEFAULT_ROBOT = "sawyer"
 
 ROBOT = (
@@ -114,6 +116,7 @@ class RobotRequest:
                     raise RobotError(f"{said}, or plan with --no-robot")
                 warnings.warn(f"{said}; planned without an arm", WrodWarning, stacklevel=2)
                 return replace(self, no_robot=True)
+        refuse_few_addresses()
         if self.view and find_spec("viser") is None:
             raise SceneError("--view needs Viser; install wrod[view]")
         for name in ("table_height", "gripper_length", "speed"):

@@ -5,6 +5,7 @@ import errno
 import functools
 import os
 import re
+import resource
 import signal
 import sys
 import tempfile
@@ -27,6 +28,8 @@ _ENDINGS = {
 _MOST_SAID = 2000  # letters
 # How Python and Warp say that a limit of the process was met.
 _LIMITED = ("can't start new thread", "Failed to load the shared library", "failed to map segment")
+# Bytes of addresses that OpenUSD's threads and libraries take.
+_ADDRESSES = 4 * 2**30
 # The signals that asked the running command to end.
 _STRUCK: list[int] = []
 # Options that name what is written.
@@ -123,10 +126,27 @@ def equipped(command: click.Command, path: str) -> click.Command:
         for module in needed:
             if find_spec(module) is None:
                 raise DataError(_missing(module))
+        if {"newton", "pxr"} & set(needed):
+            refuse_few_addresses()
         return run(*args, **kwargs)
 
     command.callback = guarded
     return command
+
+
+def refuse_few_addresses() -> None:
+    """Refuse a limit of addresses within which OpenUSD crashes, or waits for ever for threads that
+    it did not get.
+
+    Raises:
+        DataError: `ulimit -v` is below that.
+    """
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < _ADDRESSES:
+        raise DataError(
+            f"scenes need {_ADDRESSES >> 30} GiB of addresses, and this process may have "
+            f"{limit / 2**30:.3g} GiB (ulimit -v); raise that limit"
+        )
 
 
 def refuse_variables() -> None:

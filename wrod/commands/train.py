@@ -79,9 +79,9 @@ def command(
     recipe = _recipe("default" if rod is None else "curved", **settings)
     device = resolve_device(device)
     cost.settle(
-        _cost(recipe, generate, rows, minutes, device),
+        _cost(recipe, generate, rows, minutes, test, device),
         f"{recipe.steps} steps of {recipe.batch} grasps", out,
-        "give fewer --steps, a smaller --batch or --width, or --minutes", force=force,
+        "give fewer --steps or --test, a smaller --batch or --width, or --minutes", force=force,
         quiet=as_json,
     )  # fmt: skip
     refine = 0
@@ -147,8 +147,10 @@ def _recipe(usual: str, name: str | None, **changes):
     return recipe
 
 
-def _cost(recipe, generate: int | None, rows: int | None, minutes: float | None, device: str):
-    """Of the training, and of the grasps that are solved for it."""
+def _cost(
+    recipe, generate: int | None, rows: int | None, minutes: float | None, test: int, device: str
+):
+    """Of the training, and of the grasps that are solved for it and for its test."""
     from dataclasses import replace
 
     from wrod.training.store import row_bytes
@@ -159,6 +161,9 @@ def _cost(recipe, generate: int | None, rows: int | None, minutes: float | None,
     )
     if minutes is not None:
         whole = replace(whole, seconds=min(whole.seconds, 60.0 * minutes))
+    tested = cost.grasps(test, 0, test, sensitivities=False, device=device, ranks=1)
+    memory, seconds = max(whole.memory, tested.memory), whole.seconds + tested.seconds
+    whole = replace(whole, seconds=seconds, memory=memory)
     if generate is None:
         return whole
     solved = cost.grasps(

@@ -270,11 +270,16 @@ class RodModel(RodTransformations):
         return all(c == _NONE for c in self.natural_curvature)
 
     @property
-    def varies(self) -> bool:
-        """Whether any property changes along the rod."""
+    def varying(self) -> list[Profile]:
+        """The properties that change along the rod."""
         profiles = (*self.bending_stiffness, *self.natural_curvature, self.twisting_stiffness,
                     self.stretching_stiffness, self.line_mass, self.natural_twist)  # fmt: skip
-        return not all(p.is_constant for p in profiles)
+        return [p for p in profiles if not p.is_constant]
+
+    @property
+    def varies(self) -> bool:
+        """Whether any property changes along the rod."""
+        return bool(self.varying)
 
     @property
     def has_sides(self) -> bool:

@@ -23,6 +23,8 @@ MATERIAL_FORMAT = "wrod-rod-1"
 # A uniform rod, and a list of effects of which its numbers carry the first three.
 _OLD_FORMAT = "wrod-rod-model-1"
 _CARRIED = ("stiffness", "density", "natural_curvature")
+# A knot so many lengths of the rod away is a mistake; pieces of rods keep some that are beyond.
+_FAR_KNOTS = 100.0
 _WHAT = "a rod file, as `wrod loop --out` or `wrod identify` writes it"
 
 
@@ -141,6 +143,12 @@ def _new(path, content: dict, instead: dict) -> RodModel:
     aside = [name for name in aside if isinstance(name, str)] if isinstance(aside, list) else []
     said = [f"{', '.join(aside)!s:.200} set aside, as it belongs to the measurement"] * bool(aside)
     said += _assumed(content, assumed, instead)
+    last = max((p.knots[-1] for p in model.varying), default=0.0)
+    if last > _FAR_KNOTS * model.length:
+        said.append(
+            f"its profiles go on to {last:.4g} m on a rod of {model.length:g} m (knots in "
+            "millimetres?)"
+        )
     if "length" in instead:
         longest = model.length
         model = with_length(model, instead.pop("length"))
