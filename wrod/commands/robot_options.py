@@ -171,7 +171,7 @@ class RobotRequest:
 
         given = ["--robot"] * (self.robot != _DEFAULT_ROBOT) + self._given()
         if given:
-            raise RobotError(f"{', '.join(given)} belong to an arm; drop them or --no-robot")
+            raise RobotError(f"--no-robot and {', '.join(given)} exclude each other; drop either")
 
     def solve(self, trajectory, rod, **changes):
         """The joint path of a trajectory.
