@@ -125,6 +125,30 @@ def test_courses_that_are_laid_together_lie_as_they_do_alone(bend):
         np.testing.assert_allclose(laid.tangent, alone.tangent, atol=1e-9)
 
 
+def test_a_plan_has_its_own_mesh_in_any_company(bend, monkeypatch):
+    pattern, trajectory = bend
+    counts = []
+
+    def laid(trials, directions, *, node_count, **_):
+        counts.append((len(trials), node_count))
+        nothing = np.zeros((node_count, 3))
+        s, n = np.linspace(0.0, 0.4, node_count), len(directions[0])
+        return [Laid(s, nothing, np.zeros((n, *nothing.shape)), nothing[:, 0], False, 1)] * len(
+            trials
+        )
+
+    monkeypatch.setattr(together, "lay", laid)
+    longer = replace(ROD, length=1.2 * ROD.length)
+
+    def asked(rod, judge):
+        return next(course(Task(pattern, rod, trajectory, 0.3), judge=judge))
+
+    for judge in (True, False):
+        _laid({k: asked(rod, judge) for k, rod in enumerate((ROD, ROD, longer))}, {})
+    (one, larger), (few, own), (every, most) = sorted(counts)
+    assert (one, few, every) == (2, 4, 6) and own < larger == most
+
+
 def test_courses_out_of_step_wait_for_each_other(bend, monkeypatch):
     """One that lays a rod more than the others does not make them be laid apart ever after."""
     pattern, trajectory = bend

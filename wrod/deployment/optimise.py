@@ -29,7 +29,7 @@ from wrod.deployment.expectation import (
     misplacement,
 )
 from wrod.deployment.result import METRIC_POINTS
-from wrod.deployment.simulate import Trial
+from wrod.deployment.simulate import Trial, nodes_needed
 from wrod.deployment.spread import Spread
 from wrod.deployment.tangents import Directions
 from wrod.deployment.together import Asked, Course, follow
@@ -185,7 +185,7 @@ def course(
     if samples is None:
         samples = 4 if spread.friction[1] > _WIDE * spread.friction[0] else 2
     corrections = Corrections(task.pattern, trajectory, lgb, hold)
-    problem = _Problem(task, corrections, spread, samples)
+    problem = _Problem(task, corrections, spread, samples, judge)
     states, ahead = yield from _descend(problem, judge)
     tried = [_Tried(one.values, one.errors.mean(), (0, one.measure)) for one in states]
     if judge:
@@ -246,10 +246,16 @@ def _chosen(tried: list[_Tried]) -> _Tried:
 
 
 class _Problem:
-    """The squared errors of a sample of rods, and what corrections cost, near some corrections."""
+    """The squared errors of a sample of rods, and what corrections cost, near some corrections.
 
-    def __init__(self, task: Task, corrections: Corrections, spread: Spread, samples: int):
-        self.task, self.corrections = task, corrections
+    With `alone` its meshes are its own, and a plan does not depend on which others are made with
+    it; without, more plans fit into a batch.
+    """
+
+    def __init__(
+        self, task: Task, corrections: Corrections, spread: Spread, samples: int, alone: bool
+    ):
+        self.task, self.corrections, self.alone = task, corrections, alone
         self.spread, self.samples = spread, samples
         self.cost = corrections.cost(_SIZE, _ROUGHNESS)
 
@@ -258,7 +264,7 @@ class _Problem:
         task, corrections = self.task, self.corrections
         asked = self._sample(values)
         more = {"tolerance": _TOLERANCE, "speed": task.pace}
-        laid = yield replace(asked, how={**asked.how, **more})
+        laid = yield self._meshed(asked.trials, asked.directions, asked.how | more)
         parts = [misplacement(task.pattern, one) for one in laid]
         errors = np.array([np.hypot(*e.reshape(2, -1)).mean() for e, _ in parts])
         errors[[one.diverged for one in laid]] = np.inf
@@ -291,7 +297,7 @@ class _Problem:
         unseen = Unseen.of(task.pattern, task.rod, self.spread)
         each = [self._sample(x).trials + unseen.laid_by(corrections.apply(x)) for x in points]
         how = edged(FINE, FINE_EDGE * corrections.lgb) | {"speed": task.pace}
-        laid = yield Asked([trial for one in each for trial in one], None, how)
+        laid = yield self._meshed([trial for one in each for trial in one], None, how)
         out = []
         for x in points:
             own, rest = laid[: self.samples], laid[self.samples : len(each[0])]
@@ -304,6 +310,10 @@ class _Problem:
                 measure += corrections.lgb * float(np.sqrt(_LIMIT * excess @ excess))
             out.append(_Tried(x, float(np.mean(errors)), (told["diverged"], measure), told))
         return out
+
+    def _meshed(self, trials: list[Trial], directions, how: dict[str, Any]) -> Asked:
+        own = {"node_count": nodes_needed(trials, how["spacing"])} if self.alone else {}
+        return Asked(trials, directions, how | own)
 
     def _sample(self, values: np.ndarray) -> Asked:
         return sample_of(self.task, self.corrections, self.spread, values, self.samples)

@@ -28,7 +28,8 @@ class Asked:
     Attributes:
         trials: what to lay.
         directions: of each trial, all with the same number of columns; None: no derivatives.
-        how: options of `lay`: spacing [m] and others.
+        how: options of `lay`: spacing [m] and others. Rods with a `node_count` are laid with those
+            that have the same alone; of others a batch has the largest that any of them needs.
     """
 
     trials: list[Trial]
@@ -102,7 +103,9 @@ def _laid(asked: dict[int, Asked], options: dict[str, Any]) -> dict[int, list[La
             every = [d for one in ones for d in one.directions or ()]
             most = max(map(len, every))
             directions = [_padded(d, most) for d in every]
-        nodes = max(nodes_needed(one.trials, one.how.get("spacing", _SPACING)) for one in ones)
+        nodes = how.pop("node_count", None) or max(
+            nodes_needed(one.trials, one.how.get("spacing", _SPACING)) for one in ones
+        )
         released = [one.how.get("release") for one in ones for _ in one.trials]
         given = {**options, **how}
         laid = lay(trials, directions, node_count=nodes, release=released, **given)
