@@ -377,3 +377,16 @@ def parse_list(
             f"{option} is {text!r:.80}; give {kind} from {low:g} to {high:g} with commas between"
         )
     return found
+
+
+def refuse_idle_options(beside: str, *names: str) -> None:
+    """Refuse options, named as `names` without dashes, that were given and would do nothing."""
+    import click
+    from click.core import ParameterSource
+
+    context = click.get_current_context()
+    known = {opt: str(param.name) for param in context.command.params for opt in param.opts}
+    for name in names:
+        option = f"--{name}"
+        if context.get_parameter_source(known[option]) == ParameterSource.COMMANDLINE:
+            raise DataError(f"{option} does nothing beside {beside}; leave it out")

@@ -8,7 +8,7 @@ import click
 import numpy as np
 
 from wrod import cost
-from wrod.commands.options import refuse_idle_options
+from wrod.arguments import refuse_idle_options
 
 CABLES = ("black-short", "orange-long")
 LOADS = ("unweighted", "weighted")

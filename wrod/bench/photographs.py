@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from wrod.commands.options import refuse_idle_options
+from wrod.arguments import refuse_idle_options
 
 
 @click.command(name="photographs")

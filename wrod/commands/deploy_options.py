@@ -6,7 +6,8 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.options import METHOD, refuse_idle_options
+from wrod.arguments import refuse_idle_options
+from wrod.commands.options import METHOD
 
 # How far a trajectory's contacts may be from the pattern [m], and its rod from the one laid.
 _SAME_PATTERN, _SAME_ROD = 2e-3, 0.01

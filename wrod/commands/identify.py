@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from wrod import cost
-from wrod.commands.options import refuse_idle_options
+from wrod.arguments import refuse_idle_options
 from wrod.machine import printed_as_json
 
 # Parameters of an effect that are printed.

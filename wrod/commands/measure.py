@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-from wrod.commands.options import PICTURE, UNITS, PatternOptions, gathered, refuse_idle_options
+from wrod.arguments import refuse_idle_options
+from wrod.commands.options import PICTURE, UNITS, PatternOptions, gathered
 from wrod.machine import printed_as_json
 
 

@@ -233,17 +233,3 @@ def _scanned(path: Path, units: str | None, given: dict):
     if "start" in given:
         given["start"] = parse_start(given["start"])
     return scan(path, **given)
-
-
-def refuse_idle_options(beside: str, *names: str) -> None:
-    """Refuse options, named as `names` without dashes, that were given and would do nothing."""
-    from click.core import ParameterSource
-
-    from wrod.errors import RodError
-
-    context = click.get_current_context()
-    known = {opt: str(param.name) for param in context.command.params for opt in param.opts}
-    for name in names:
-        option = f"--{name}"
-        if context.get_parameter_source(known[option]) == ParameterSource.COMMANDLINE:
-            raise RodError(f"{option} does nothing beside {beside}; leave it out")

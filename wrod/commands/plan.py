@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from wrod import cost
+from wrod.arguments import refuse_idle_options
 from wrod.commands.options import (
     DEVICE,
     DRAWING,
@@ -21,7 +22,6 @@ from wrod.commands.options import (
     RodOptions,
     gathered,
     options,
-    refuse_idle_options,
 )
 from wrod.commands.plan_pattern import SHAPE, Shaping, fit, shorter, too_long
 from wrod.commands.plan_steps import (

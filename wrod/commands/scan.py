@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from wrod import cost
-from wrod.commands.options import gathered, parse_numbers, parse_start, refuse_idle_options
+from wrod.arguments import refuse_idle_options
+from wrod.commands.options import gathered, parse_numbers, parse_start
 
 _READING = (
     click.option("--mask", is_flag=True, help="The pictures are masks, white on black."),

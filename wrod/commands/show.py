@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from wrod.arguments import refuse_idle_options
 from wrod.commands.options import (
     DRAWING,
     PICTURE,
@@ -12,7 +13,6 @@ from wrod.commands.options import (
     PatternOptions,
     RodOptions,
     gathered,
-    refuse_idle_options,
 )
 from wrod.machine import printed_as_json
 
