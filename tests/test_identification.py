@@ -365,7 +365,7 @@ BAD = {
         (0, [19, 20]), d["centerline"][0, [20, 19]]
     ),
     "marker 7; it is mistaken": lambda d: d["centerline"].__setitem__(
-        (3, 7), d["centerline"][3, 7] + [0.0, 0.2, 0.0]
+        (3, [7, 16]), d["centerline"][3, [7, 16]] + [[0.0, 0.2, 0.0], [0.0, 0.0, 0.15]]
     ),
     "trial 1 the first marker is at the gripper": lambda d: d["centerline"].__setitem__(
         1, d["centerline"][1, ::-1]
@@ -392,6 +392,14 @@ BAD = {
     "centerline has 1 trial; at least 2": only_first_trial,
     "train_idx has 1 trial; at least 2": lambda d: d.__setitem__("train_idx", np.array([0])),
 }
+
+
+def test_one_mistaken_marker_of_a_trial_is_not_seen(plain):
+    data = {key: np.array(value) for key, value in plain.items()}
+    data["centerline"][3, 7, 1] += 0.2
+    data["centerline"][0, 2] = np.nan
+    seen = np.isfinite(measurements_from_arrays(data).centerline).all(axis=2)
+    assert sorted(map(tuple, np.argwhere(~seen))) == [(0, 2), (3, 7)]
 
 
 @pytest.mark.parametrize("sentence", BAD)

@@ -29,13 +29,14 @@ def check_rod(rod: RodMaterial, noise: float, where: str) -> None:
         )
 
 
-def check_geometry(m: ClampedMeasurements, where: str) -> None:
-    """Poses and markers of every trial.
+def checked_geometry(m: ClampedMeasurements, where: str) -> ClampedMeasurements:
+    """Poses and markers of every trial; a marker that is too far from the others of its trial, the
+    only one there, is one that was not seen.
 
     Raises:
         DataError: the sentence names the field, the trial and the markers.
     """
-    m = replace(m, centerline=_filled(m.centerline, m.arc_length))
+    given, m = m, replace(m, centerline=_filled(m.centerline, m.arc_length))
     length, s = m.material.length, m.arc_length
     steps = np.diff(s)
     if len(s) < 3 or not (steps > 0).all():
@@ -52,8 +53,10 @@ def check_geometry(m: ClampedMeasurements, where: str) -> None:
         )
     _check_scale(m, where)
     _check_ends(m, where)
-    _check_order(m, where)
-    _check_directions(m, where)
+    mistaken = _mistaken(m, where)
+    m.centerline[mistaken] = np.nan
+    _check_directions(replace(m, centerline=_filled(m.centerline, m.arc_length)), where)
+    return replace(given, centerline=np.where(mistaken[..., None], np.nan, given.centerline))
 
 
 def _filled(centerline: np.ndarray, arc_length: np.ndarray) -> np.ndarray:
@@ -144,27 +147,35 @@ def _check_directions(m: ClampedMeasurements, where: str) -> None:
         )
 
 
-def _check_order(m: ClampedMeasurements, where: str) -> None:
-    """No two markers can be further apart than the rod between them is long."""
+def _mistaken(m: ClampedMeasurements, where: str) -> np.ndarray:
+    """(T, M) the marker of a trial without which no two are further apart than the rod between them
+    is long.
+
+    Raises:
+        DataError: two markers are swapped, or more than one is mistaken.
+    """
     excess = _excess(m, m.centerline)
-    if (excess <= 0).all():
-        return
-    trial = int(np.argmax(excess.max(axis=(1, 2))))
+    found = np.zeros(excess.shape[:2], dtype=bool)
     first, second = np.triu_indices(len(m.arc_length), 1)
-    swapped = np.repeat(m.centerline[trial][None], len(first), axis=0)
     pair = np.arange(len(first))
-    swapped[pair, first] = m.centerline[trial, second]
-    swapped[pair, second] = m.centerline[trial, first]
-    best = int(np.argmin(np.linalg.norm(np.diff(swapped, axis=1), axis=2).sum(axis=1)))
-    if (_excess(m, swapped[best : best + 1]) <= 0).all():
-        raise DataError(
-            f"{where}: in trial {trial} markers {first[best]} and {second[best]} are swapped"
-        )
-    worst = int(np.argmax(np.maximum(excess[trial], 0.0).sum(axis=1)))
-    raise DataError(
-        f"{where}: in trial {trial} markers are further apart than the rod between them, most of "
-        f"all marker {worst}; it is mistaken or several are swapped"
-    )
+    for trial in np.flatnonzero((excess > 0).any(axis=(1, 2))):
+        swapped = np.repeat(m.centerline[trial][None], len(first), axis=0)
+        swapped[pair, first] = m.centerline[trial, second]
+        swapped[pair, second] = m.centerline[trial, first]
+        best = int(np.argmin(np.linalg.norm(np.diff(swapped, axis=1), axis=2).sum(axis=1)))
+        if (_excess(m, swapped[best : best + 1]) <= 0).all():
+            raise DataError(
+                f"{where}: in trial {trial} markers {first[best]} and {second[best]} are swapped"
+            )
+        worst = int(np.argmax(np.maximum(excess[trial], 0.0).sum(axis=1)))
+        rest = np.delete(np.delete(excess[trial], worst, axis=0), worst, axis=1)
+        if (rest > 0).any():
+            raise DataError(
+                f"{where}: in trial {trial} markers are further apart than the rod between them, "
+                f"most of all marker {worst}; it is mistaken or several are swapped"
+            )
+        found[trial, worst] = True
+    return found
 
 
 def _excess(m: ClampedMeasurements, centerline: np.ndarray) -> np.ndarray:

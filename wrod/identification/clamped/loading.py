@@ -9,7 +9,7 @@ import numpy as np
 from wrod import arguments
 from wrod.errors import DataError
 from wrod.files import check_arrays, read_fields
-from wrod.identification.clamped.checks import check_geometry, check_rod
+from wrod.identification.clamped.checks import check_rod, checked_geometry
 from wrod.identification.clamped.measurements import ClampedMeasurements
 from wrod.rods.material import RodMaterial
 
@@ -61,8 +61,7 @@ def _checked(data: dict, name: str, where: str) -> ClampedMeasurements:
     measurements = ClampedMeasurements(
         name=name, material=material, train=train, test=test, noise=noise, **measured
     )
-    check_geometry(measurements, where)
-    return measurements
+    return checked_geometry(measurements, where)
 
 
 def _check_seen(centerline: np.ndarray, where: str) -> None:
