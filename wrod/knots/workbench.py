@@ -117,8 +117,8 @@ class Hands:
         self.holds.assign(held)
 
     def plan(self, times: Sequence[float], poses: Sequence[Sequence[Poses]]) -> bool:
-        """Be told the poses of every hand at the first keys of a course of these times [s], and at
-        all others those of the last; whether what was recorded of an earlier course still holds."""
+        """Be told the poses of every hand at the first keys of a course of these times [s], after
+        which only places are to change; whether what was recorded of an earlier course holds."""
         course, device, keys = self.course, self.batch.device, len(times)
         same = course.times is not None and course.times.shape[0] == keys
         if not same:
@@ -130,8 +130,9 @@ class Hands:
         position, rotation = np.zeros((*self.felt.shape, keys, 3)), self.rotation.numpy().copy()
         for k, there in enumerate(poses):
             for h, pose in enumerate(there):
-                position[:, h, k:] = self.held_at(h, pose)[:, None]
-                rotation[:, h, k:] = (pose.rotation * turns[h]).as_quat()[:, None]
+                position[:, h, k] = pose.position + pose.rotation.apply(self.offset[:, h])
+                rotation[:, h, k] = (pose.rotation * turns[h]).as_quat()
+        rotation[:, :, len(poses) :] = rotation[:, :, len(poses) - 1, None]
         course.times.assign(np.array(times))
         self.position.assign(position)
         self.rotation.assign(rotation)
@@ -139,17 +140,12 @@ class Hands:
         self._key = 0
         return same
 
-    def held_at(self, hand: int, pose: Poses) -> np.ndarray:
-        """(scene, 3) where what a hand holds is at a pose of it [m]."""
-        return pose.position + pose.rotation.apply(self.offset[:, hand])
-
     def at_key(self) -> tuple[np.ndarray, np.ndarray]:
         """(scene, hand, 3) where what hands hold is at the key that each scene has reached [m], and
         (scene,) whether it waits there to go on."""
         reached = streams.read(self.course.reached)
-        return streams.read(self.position)[
-            np.arange(len(reached)), :, reached
-        ], reached == self._key
+        places = streams.read(self.position)[np.arange(len(reached)), :, reached]
+        return places, reached == self._key
 
     def send(self, key: int, now: np.ndarray) -> np.ndarray:
         """Let scenes that wait go on to a key; (scene,) times of their next ones, or now [s]."""
