@@ -2,13 +2,14 @@
 
 Between p = q_0 + s (q_1 - q_0) and p' = q_2 + t (q_3 - q_2) the distance is taken as D = sqrt(m),
 
-    m = min over s, t in [0, 1] of |p - p'|^2 + c^2 (rho (s - 1/2)^2 + rho' (t - 1/2)^2).
+    m = min over s, t in [0, 1] of |p - p'|^2 + c^32 (rho (s - 1/2)^2 + rho' (t - 1/2)^2).
 
 The small terms rho make the minimum unique, so that s and t move continuously and D has a
 continuous gradient while one segment turns past parallel to the other; plain closest points jump
 from end to end there. They are corners where segments meet in line, and make D too large: by up to
-h^2 / (400 D) with rho = 0.01 h^2 for edges of h. So they carry the squared cosine c^2 of the angle
-between the segments: nothing holds what crosses at right angles and slides, nor lets it sink in,
+h^2 / (400 D) with rho = 0.01 h^2 for edges of h. So they fade with the angle between the segments,
+by the 32nd power of the square c of its cosine (to a half at 0.15, a hundredth at 0.37), where
+closest points are unique without them: nothing holds what crosses and slides, nor lets it sink in,
 and parallel ones keep them whole. By the envelope theorem the gradient of m is that at fixed s and
 t.
 
@@ -24,6 +25,7 @@ from wrod.kernels.elastic.frames import HALF, ONE, TWO, ZERO
 wp.set_module_options({"enable_backward": False})
 
 SMOOTHING = wp.constant(wp.float64(0.01))
+POWER = wp.constant(wp.float64(32.0))
 
 # Kinds of pieces: an edge, or three nodes of a spline, of which the first or last may end it.
 EDGE = wp.constant(0)
@@ -40,8 +42,8 @@ class Nearest:
     """Closest points: fractions s, t, which of them are free (1) or at an end (0), the vector
     `gap` from the second point to the first, the smoothed distance, and the derivatives `first`,
     `second` of the points by s and t. Also the weights of the points' nodes, their derivatives, the
-    diagonal of the matrix of the minimum, the pieces' chords, by what half the squared cosine
-    between them follows each, and what it multiplies: the small terms, and their half derivatives
+    diagonal of the matrix of the minimum, the pieces' chords, by what half the share of
+    their angle follows each, and what it multiplies: the small terms, and their half derivatives
     by s and t."""
 
     s: wp.float64
@@ -68,39 +70,73 @@ class Nearest:
 
 
 @wp.func
+def half_slope(e: wp.vec3d, f: wp.vec3d) -> wp.vec3d:
+    """Half the derivative by e of the squared cosine c between e and f."""
+    ef = wp.dot(e, f)
+    ee = wp.dot(e, e)
+    return (ef / (ee * wp.dot(f, f))) * (f - (ef / ee) * e)
+
+
+@wp.func
+def squared_cosine(e: wp.vec3d, f: wp.vec3d) -> wp.float64:
+    ef = wp.dot(e, f)
+    return ef * ef / (wp.dot(e, e) * wp.dot(f, f))
+
+
+@wp.func
+def eighth_power(c: wp.float64) -> wp.float64:
+    c2 = c * c
+    return c2 * c2 * c2 * c2
+
+
+@wp.func
+def share_of_angle(e: wp.vec3d, f: wp.vec3d) -> wp.float64:
+    """c^32: what pieces at an angle keep of the small terms."""
+    c8 = eighth_power(squared_cosine(e, f))
+    return c8 * c8 * c8 * c8
+
+
+@wp.func
 def add_small_terms(
     near: Nearest, e: wp.vec3d, f: wp.vec3d, rho_first: wp.float64, rho_second: wp.float64
 ) -> Nearest:
     """Distance of points that lie `gap` apart, and what it has of the chords e, f."""
     out = near
-    ee = wp.dot(e, e)
-    ff = wp.dot(f, f)
-    ef = wp.dot(e, f)
+    c = squared_cosine(e, f)
+    c8 = eighth_power(c)
+    rate = POWER * c8 * c8 * c8 * c * c * c * c * c * c * c
     out.first_chord = e
     out.second_chord = f
-    out.first_turn = (ef / (ee * ff)) * (f - (ef / ee) * e)
-    out.second_turn = (ef / (ee * ff)) * (e - (ef / ff) * f)
+    out.first_turn = rate * half_slope(e, f)
+    out.second_turn = rate * half_slope(f, e)
     out.small_s = rho_first * (near.s - HALF)
     out.small_t = rho_second * (near.t - HALF)
     out.small = out.small_s * (near.s - HALF) + out.small_t * (near.t - HALF)
-    along = ef * ef / (ee * ff)
-    out.distance = wp.sqrt(wp.dot(near.gap, near.gap) + along * out.small)
+    out.distance = wp.sqrt(wp.dot(near.gap, near.gap) + share_of_angle(e, f) * out.small)
     return out
 
 
 @wp.func
 def turning(e: wp.vec3d, f: wp.vec3d, other: bool) -> wp.mat33d:
-    """How the derivative of half the squared cosine of e and f by e follows e, or the other."""
+    """How the derivative of half the share by e follows e, or the other."""
     ee = wp.dot(e, e)
     ff = wp.dot(f, f)
     u = wp.dot(e, f) / ee
     v = wp.dot(e, f) / ff
+    c = u * v
+    c8 = eighth_power(c)
+    rate = POWER * c8 * c8 * c8 * c * c * c * c * c * c
+    g = half_slope(e, f)
     eye = wp.identity(3, dtype=wp.float64)
     if other:
         out = wp.outer(f, e) + (u * ee) * eye - TWO * v * wp.outer(f, f)
-        return (out - TWO * u * wp.outer(e, e - v * f)) / (ee * ff)
-    out = wp.outer(f, f) - TWO * u * (wp.outer(f, e) + wp.outer(e, f))
-    return (out + wp.float64(4.0) * u * u * wp.outer(e, e) - (u * u * ee) * eye) / (ee * ff)
+        out = (out - TWO * u * wp.outer(e, e - v * f)) / (ee * ff)
+        bend = wp.outer(g, half_slope(f, e))
+    else:
+        out = wp.outer(f, f) - TWO * u * (wp.outer(f, e) + wp.outer(e, f))
+        out = (out + wp.float64(4.0) * u * u * wp.outer(e, e) - (u * u * ee) * eye) / (ee * ff)
+        bend = wp.outer(g, g)
+    return rate * (c * out + TWO * (POWER - ONE) * bend)
 
 
 @wp.func
@@ -119,7 +155,7 @@ def nearest(
     first = wp.dot(e, e)
     second = wp.dot(f, f)
     ef = wp.dot(e, f)
-    along = ef * ef / (first * second)
+    along = share_of_angle(e, f)
     rho_s = along * rho_first
     rho_t = along * rho_second
     ee = first + rho_s
@@ -277,10 +313,7 @@ def nearest_of_pieces(
     )  # fmt: skip
     e = p * piece_chord(first_kind)
     f = q * piece_chord(second_kind)
-    ee = wp.dot(e, e)
-    ff = wp.dot(f, f)
-    ef = wp.dot(e, f)
-    along = ef * ef / (ee * ff)
+    along = share_of_angle(e, f)
     rho_s = along * rho_first
     rho_t = along * rho_second
     bend_p = p * piece_bends(first_kind)

@@ -47,7 +47,7 @@ def smoothed(x, nodes, kind, rho):
     """The squared distance with its small terms at x (..., 2), and its gradient (..., 2)."""
     ends = np.array([0.0, 1.0])
     e, f = (np.diff(basis(k, ends)[0] @ q, axis=0)[0] for k, q in zip(kind, nodes, strict=True))
-    along = (e @ f) ** 2 / ((e @ e) * (f @ f))
+    along = ((e @ f) ** 2 / ((e @ e) * (f @ f))) ** 32
     at = [basis(k, y) for k, y in zip(kind, x, strict=True)]
     gap, first, second = at[0][0] @ nodes[0] - at[1][0] @ nodes[1], at[0][1], at[1][1]
     small = along * rho * (x - 0.5)
