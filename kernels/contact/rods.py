@@ -43,9 +43,9 @@ MOST_RENEWALS = wp.constant(2)
 NEARLY = wp.constant(wp.float64(100.0))
 
 
-# Part of the radius by which a pair that meets in a step would have come nearer in it at most: in a
-# longer one implicit Euler stops what should bounce.
-FIRST_WAY = wp.constant(wp.float64(0.25))
+# Part of the way that nodes may go in a step by which a pair that meets in it would have come
+# nearer at most: in a longer one implicit Euler stops what should bounce.
+FIRST_WAY = wp.constant(wp.float64(0.5))
 
 
 @wp.func
@@ -64,6 +64,7 @@ def meets_fast(
     m: Pieces,
     near: Nearest,
     dt: wp.float64,
+    reach: wp.float64,
     velocity: wp.array2d(dtype=wp.float64),
     r: int,
     i: int,
@@ -72,13 +73,14 @@ def meets_fast(
     """Whether a pair that was apart comes nearer by more than `FIRST_WAY` in a step."""
     first = way_of(velocity, m.kind[r, i], near.first_weight, r, i)
     apart = first - way_of(velocity, m.kind[r, j], near.second_weight, r, j)
-    return -dt * wp.dot(apart, near.gap) > FIRST_WAY * m.radius[r, i] * near.distance
+    return -dt * wp.dot(apart, near.gap) > FIRST_WAY * reach * near.distance
 
 
 @wp.kernel
 def rod_contact(
     # Model:
     m: Pieces,
+    reach: wp.array(dtype=wp.float64),
     # State in:
     step: wp.array(dtype=wp.float64),
     active: wp.array(dtype=wp.int32),
@@ -120,7 +122,7 @@ def rod_contact(
             if c.slid > ZERO and load > ZERO:
                 overloaded_out[r] = 1
             meets = load == ZERO and sticks != SLIPPING
-            if meets and meets_fast(m, c.near, step[r], velocity, r, i, j):
+            if meets and meets_fast(m, c.near, step[r], reach[r], velocity, r, i, j):
                 wp.atomic_max(renewed_out, r, 2)
             pressure = -c.force / c.near.distance
             turn = pressure * c.near.small
@@ -182,6 +184,7 @@ def hold_loads(
 def renew_loads(
     # Model:
     m: Pieces,
+    reach: wp.array(dtype=wp.float64),
     # State in:
     step: wp.array(dtype=wp.float64),
     converged: wp.array(dtype=wp.int32),
@@ -216,7 +219,7 @@ def renew_loads(
         if old == ZERO:
             if converged[r] != 0 and depth[r, i, k] > ZERO:
                 near = nearest_of_edges(m, dof, r, i, j)
-                if meets_fast(m, near, step[r], velocity, r, i, j):
+                if meets_fast(m, near, step[r], reach[r], velocity, r, i, j):
                     wp.atomic_max(renewed_out, r, 2)
             continue
         if not renews:

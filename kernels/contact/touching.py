@@ -16,7 +16,7 @@ WAY = wp.constant(wp.float64(0.95))
 # Steps are not compared where the square of one is this much larger than that of the last; how much
 # longer and shorter mixing them makes a step at most.
 MOST_GROWTH = wp.constant(wp.float64(2.0))
-LONGEST_MIX = wp.constant(wp.float64(2.0))
+LONGEST_MIX = wp.constant(wp.float64(1.0))
 SHORTEST_MIX = wp.constant(wp.float64(0.6))
 
 

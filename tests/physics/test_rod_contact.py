@@ -34,7 +34,7 @@ def hold(batch, nodes):
     prescribe(batch, clamped_nodes=nodes, clamped_angles=nodes[:-1])
 
 
-def rough_pair(turn, seed, smooth):
+def rough_pair(turn, seed, smooth, hardening=0.0):
     """Two wavy rods inside each other's thickness, turned against each other by `turn` [rad]."""
     rng = np.random.default_rng(seed)
     x = np.linspace(0, 1, 8)
@@ -48,32 +48,39 @@ def rough_pair(turn, seed, smooth):
         twisting_stiffness=1e-2,
     )
     batch.cut([7])
-    contact = RodContact(batch, 0.09, Friction(0.0), stiffness=3.0, smooth=smooth)
+    contact = RodContact(
+        batch, 0.09, Friction(0.0), stiffness=3.0, smooth=smooth, hardening=hardening
+    )
     contact.prepare(batch.every_rod, batch.every_rod, batch.state.dof)
     contact.held_load.fill_(1e9)  # nothing of the matrix is left out for the sake of Newton
     contact.reach.fill_(1e9)
     return batch, contact
 
 
+def spring(depth, stiffness, skin):
+    """Energy of a normal force that rises over a skin."""
+    p = np.maximum(depth, 0.0)
+    deep = stiffness * (p**2 / 2 - skin * p / 2 + skin**2 / 6)
+    return np.where(p < skin, stiffness * p**3 / (6 * skin), deep).sum()
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.05, 0.3, np.pi / 2])
-@pytest.mark.parametrize("smooth", [False, True])
-def test_derivatives_of_the_contact_energy(turn, smooth):
+@pytest.mark.parametrize("smooth, hardening", [(False, 0.0), (True, 0.0), (False, 7.0)])
+def test_derivatives_of_the_contact_energy(turn, smooth, hardening):
     """Forces against differences of the energy, the matrix against differences of the forces, for
     rods that cross and rods that lie along each other."""
-    batch, contact = rough_pair(turn, 3, smooth)
+    batch, contact = rough_pair(turn, 3, smooth, hardening)
     ones, gradient = batch.every_rod, batch.derivatives.gradient
     before = wp.clone(batch.state.dof)
     x = before.numpy().copy()
-    law = contact.pieces.law.numpy()[0]
-    stiffness, skin = law["stiffness"], law["skin"]
 
     def evaluate(dof):
         batch.state.dof.assign(dof)
         gradient.zero_()
         contact.add(ones, batch.state.dof, before)
-        p = np.maximum(contact.depth.numpy().copy(), 0.0)
-        deep = stiffness * (p**2 / 2 - skin * p / 2 + skin**2 / 6)
-        energy = np.where(p < skin, stiffness * p**3 / (6 * skin), deep).sum()
+        depth = contact.depth.numpy().copy()
+        energy = spring(depth, 3.0, 0.05 * 0.09)
+        energy += spring(depth - 0.015 * 0.09, 3.0 * hardening, 0.01 * 0.09)
         return energy, gradient.numpy()[0].copy()
 
     n, step = x.shape[1], 1e-6
@@ -103,6 +110,16 @@ def test_derivatives_of_the_contact_energy(turn, smooth):
     shifted = matrix + shift * np.eye(n)
     assert np.linalg.inv(inverse) == pytest.approx(shifted, abs=1e-6 * np.abs(matrix).max())
     assert system.negative_pivots.numpy()[0] == (np.linalg.eigvalsh(shifted) < 0).sum()
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_long_edges_that_cross_touch_at_their_own_distance(smooth):
+    """Edges of 20 radii that cross anywhere along them are as deep as they are."""
+    depth = 0.1 * RADIUS
+    above = line(1, 4, 60 * RADIUS, (3 * RADIUS, 2 * RADIUS, 2 * RADIUS - depth))
+    batch = scene(line(0, 4, 60 * RADIUS), above)
+    contact = RodContact(batch, RADIUS, Friction(0.3), smooth=smooth)
+    assert contact.depth.numpy().max() == pytest.approx(depth, rel=1e-9)
 
 
 def test_rods_of_one_row_do_not_feel_each_other_apart():

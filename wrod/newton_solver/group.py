@@ -21,6 +21,8 @@ from wrod.solvers.rod_contact import RodContact
 # how much those harden that are pressed in deep. As stiff from the start and as gently as tight
 # knots want it, a pile needs nearly twice as many iterations.
 _PAIR_STIFFNESS, _PAIR_WEIGHTS, _PAIR_SKIN, _PAIR_HARDENING = 0.2, 6000.0, 1e-3, 20.0
+# How far nodes may go in a step over the radius, and how many edges one may be near to: for heaps.
+_WAY, _PARTNERS = 1.25, 64
 # Under its own weight a rod on a shape sinks in by this fraction of its radius.
 _SINKING = 1.0 / 600.0
 _STANDARD_GRAVITY = 9.81
@@ -165,6 +167,8 @@ class RodGroup:
             stiffness=stiffness,
             skin=_PAIR_SKIN,
             hardening=_PAIR_HARDENING,
+            way=_WAY,
+            partners=_PARTNERS,
             passive=passive,
             smooth=smooth,
         )

@@ -38,9 +38,9 @@ class RodContact:
     the inside of a bend of radius R with edges of h. Pairs whose nearer ends are closer than pi
     radii along the rod are left out: a rod cannot touch itself within half a turn of its tightest
     bend. Friction acts between the surfaces, which roll on each other where the rods are free to
-    spin. A step of `Dynamics` in which a node moves by more than half a radius is refused and
-    halved, so that nothing tunnels, and so is one in which edges meet that come nearer by more than
-    a quarter, so that they bounce. Posts and boxes are touched through
+    spin. A step of `Dynamics` in which a node goes farther than `way` is refused and halved, so
+    that nothing tunnels, and so is one in which edges meet that come nearer by more than half of
+    that, so that they bounce. Posts and boxes are touched through
     `wrod.solvers.contact.Contact`.
 
     Args:
@@ -58,6 +58,8 @@ class RodContact:
         passive: (rod, node - 1) edges that touch nothing; default: none.
         smooth: without corners along the rods, for rods that cross. Rods that wind around each
             other want edges: pieces of splines may touch in two places, and know one.
+        way: how far a node may go in a step over the radius. Pairs are half a radius deep at most
+            where steps end, so that they cannot have crossed on less than three radii between them.
 
     Attributes:
         time_step: (rod,) duration of the present step; see `Contact`.
@@ -82,6 +84,7 @@ class RodContact:
         hardening=arguments.number(0.0, 1e3),
         partners=arguments.whole(1, 4096),
         passive=arguments.optional(arguments.truths),
+        way=arguments.number(1e-3, 1.25),
     )
     def __init__(
         self,
@@ -96,6 +99,7 @@ class RodContact:
         partners: int = 32,
         passive: np.ndarray | None = None,
         smooth: bool = False,
+        way: float = 0.5,
     ):
         self.batch, device = batch, batch.device
         rods, nodes = batch.rod_count, batch.node_count
@@ -144,7 +148,7 @@ class RodContact:
         pieces.kind = wp.array(piece, dtype=wp.int32, device=device)
         self._splines = int(smooth)
         self.cut = wp.array(cut.astype(np.int32), dtype=wp.int32, device=device)
-        self.reach = floats(0.5 * np.where(cut, np.inf, radius).min(axis=1))
+        self.reach = floats(way * np.where(cut, np.inf, radius).min(axis=1))
         self._largest_radius = floats(np.where(cut, 0.0, radius).max(axis=1))
         self._arc = floats(arc)
         groups = -(-edges // int(contact_pairs.GROUP))
@@ -233,7 +237,7 @@ class RodContact:
         self.batch.launch(
             kernels.rod_contact,
             self.partner_count.shape,
-            [self.pieces, self.time_step, active, dof, dof_before]
+            [self.pieces, self.reach, self.time_step, active, dof, dof_before]
             + [self.partner_count, self.partner, self.rubbing, self.velocity],
             [self.batch.derivatives.gradient, self.depth, self._overloaded, self._renewed],
         )
@@ -252,7 +256,7 @@ class RodContact:
         self.batch.launch(
             kernels.renew_loads,
             self.partner_count.shape,
-            [self.pieces, self.time_step, converged, active, *self.balance]
+            [self.pieces, self.reach, self.time_step, converged, active, *self.balance]
             + [self._renewals, dof, dof_before, self.velocity]
             + [self.partner_count, self.partner, self.depth],
             [self.rubbing, self._renewed],
