@@ -251,3 +251,9 @@ def test_knots_far_beyond_the_rod_are_spoken_of(tmp_path):
                          tmp_path / "rod.json")  # fmt: skip
     with pytest.warns(WrodWarning, match="knots in millimetres"):
         wrod.load_rod(path)
+
+
+def test_a_rod_twisted_more_than_any_is_refused(tmp_path):
+    twisted = replace(wrod.RodModel.of(wrod.rod("green-vps")), natural_twist=1e9)
+    with pytest.raises(RodError, match="natural_twist is 1e\\+09 rad/m"):
+        wrod.load_rod(wrod.save_rod(twisted, tmp_path / "rod.json"))

@@ -130,7 +130,7 @@ def test_command_measures_both_ways_and_writes_the_rod(loop, tmp_path):
         (lambda: measure_overhang(0.1, -0.01), "fall is -0.01"),
         (lambda: measure_overhang(0.1, 1e-4), "none that a stiffness follows from"),
         (lambda: measure_hanging_loop(np.zeros((3, 2))), "20 or more"),
-        (lambda: measure_hanging_loop(np.full((30, 2), np.nan)), "not finite"),
+        (lambda: measure_hanging_loop(np.full((30, 2), np.nan)), "must hold finite numbers"),
         (lambda: measure_hanging_loop(np.zeros((30, 2))), "same point twice"),
     ],
 )

@@ -106,10 +106,11 @@ def _write(out: Path, laying: Laying, deployments: list, path, curve, rod, fixtu
         kept = [replace(d, frames=None, hand=None) for d in deployments]
     written = [d.save(out / name) for d, name in zip(kept, names, strict=True)]
     written.append(draw_deployments(out / "deployment.png", curve, kept, title, fixtures))
-    if laying.paged:
+    seen = deployments[0]
+    if laying.paged and seen.frames is not None and len(seen.frames) > 1:
         from wrod.scene.page import write_laying_page
 
-        page, seen = out / "deployment.html", deployments[0]
+        page = out / "deployment.html"
         written.append(write_laying_page(page, seen, path, curve, rod, laying.interval))
     return written
 

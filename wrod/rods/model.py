@@ -177,6 +177,12 @@ class RodModel(RodTransformations):
         """
         curvature = math.hypot(*(max(map(abs, c.values)) for c in self.natural_curvature))
         refuse_lumps(self.radius, self.gravito_bending_length, self.length, curvature)
+        twist = max(map(abs, self.natural_twist.values))
+        if twist * self.radius > 2.0 * math.pi:
+            raise RodError(
+                f"rod natural_twist is {twist:g} rad/m with a radius of {self.radius:g} m, more "
+                "than a turn for each; check both numbers and their units"
+            )
 
     def not_uniform(self) -> tuple[str, ...]:
         """What a `RodMaterial` cannot carry of this rod, by the names of the fields."""
