@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cli import refused
 from click.testing import CliRunner
 
 from wrod.bench.continuous_rod import excess_of
@@ -11,6 +12,7 @@ from wrod.commands import main
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.effect import Model, effects
+from wrod.identification.template import write_template
 
 
 def entry(*names, verdict="explained", rivals=()):
@@ -189,3 +191,8 @@ def test_table_and_its_summary():
 def test_bad_questions_are_refused(arguments):
     result = CliRunner().invoke(main, ["bench", "identify", *arguments])
     assert result.exit_code == 2
+
+
+def test_recordings_of_motion_are_no_sets(tmp_path):
+    write_template("motion", tmp_path / "a.npz")
+    refused("holds recordings of motion", "bench", "identify", "--sets", tmp_path)

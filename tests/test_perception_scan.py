@@ -341,3 +341,11 @@ def test_published_photographs_have_the_right_strands(shared):
             assert np.mean([score[key] for score in scores]) == 1.0
         assert np.mean([score["dice"] for score in scores]) >= least
         assert np.mean([score["offset_px"] for score in scores]) <= 0.22
+
+
+def test_a_very_wide_picture_is_read():
+    """OpenCV's median counts no more pixels than 255 across."""
+    image = np.full((16, 36_000), 255, np.uint8)
+    image[0, 0] = 250  # no mask of two values
+    with pytest.raises(PerceptionError, match="the picture is blank"):
+        read_scan(image)

@@ -12,6 +12,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from wrod.errors import DataError
+from wrod.machine import usable_cores
 
 
 def run(
@@ -22,8 +23,8 @@ def run(
     Args:
         function: of a module, so that other processes can import it.
         jobs: its arguments.
-        workers: processes; with 1 everything runs in this one. They end with this process, and
-            with the caller's loop, however it ends.
+        workers: processes, at most two a core; with 1 everything runs in this one. They end with
+            this process, and with the caller's loop, however it ends.
 
     Raises:
         DataError: a worker was killed, or none can be begun.
@@ -37,7 +38,7 @@ def run(
     # A fresh interpreter for each worker: Warp's threads do not survive a fork.
     context = get_context("spawn")
     watched, kept = context.Pipe(duplex=False)
-    count = min(workers, max(len(jobs), 1))
+    count = min(workers, max(len(jobs), 1), 2 * usable_cores())  # more would only take memory
     try:
         begun = ProcessPoolExecutor(
             count, mp_context=context, initializer=_watch, initargs=(watched,)

@@ -194,7 +194,8 @@ def command(
         for p in paths
         if (p.stem, k) not in have
     ]
-    seconds = sum(identification_cost(job[0]).seconds for job in jobs) / workers
+    each = {str(p): identification_cost(p).seconds for p in paths}
+    seconds = sum(each[job[0]] for job in jobs) / workers
     cost.settle(cost.Cost(seconds), f"{len(jobs)} folds", out, "ask for fewer", quiet=as_json)
     ended = side_by_side.run(fold_row, jobs, workers)
     for _, row in tqdm(ended, total=len(jobs), disable=None, file=sys.stderr):

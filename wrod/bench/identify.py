@@ -137,12 +137,15 @@ def _measured(folder: Path, limit: float | None, device: str, as_json: bool) -> 
     from wrod.bench.identify_row import row
     from wrod.errors import DataError
     from wrod.identification.entry import identification_cost
+    from wrod.identification.motion.loading import is_motion
     from wrod.machine import machine_line, printed_as_json
 
     paths = sorted(folder.glob("*.npz"))
     if not paths:
         raise DataError(f"{folder}: holds no .npz file of measurements")
     seconds = sum(identification_cost(path).seconds for path in paths)  # reads them, too
+    for path in filter(is_motion, paths):
+        raise DataError(f"{path}: holds recordings of motion; use `wrod bench cables` for those")
     cost.settle(cost.Cost(seconds), f"{len(paths)} sets", None, "give fewer", quiet=as_json)
     rows = []
     with cost.progress_bar(paths, unit="set", quiet=as_json) as bar:

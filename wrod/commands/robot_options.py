@@ -142,7 +142,7 @@ class RobotRequest:
                     "--placement has the table's height in it; drop --table-height or --placement"
                 )
         if self.obstacles is not None:
-            Obstacles.load(self.obstacles)
+            Obstacles.load(self.obstacles).capsules()  # reads their meshes
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # said again when the arm is loaded
             describe_robot(

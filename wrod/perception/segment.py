@@ -92,7 +92,8 @@ def segment_ink(
     # The paper's own brightness: strokes are closed over. Light varies slowly but for the edges of
     # shadows, which a closing and a median leave where they are, as a blur would not.
     small = cv2.resize(image, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
-    size = max(int(0.02 * max(height, width)) // 2 * 2 + 1, 5)
+    # OpenCV's median looks at 255 pixels across at most.
+    size = min(max(int(0.02 * max(height, width)) // 2 * 2 + 1, 5), 255)
     paper = cv2.morphologyEx(
         small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     )

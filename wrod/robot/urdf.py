@@ -241,7 +241,7 @@ def read_urdf(path: str | os.PathLike[str]) -> UrdfFile:
     if root is None or any(element.tag.startswith("xacro:") for element in root):
         root = parse_markup(expanded(path), path, what, error=RobotError)
     for element in root.iter():  # other programs' own, whose prefixes are seldom declared
-        for name in [name for name in element.attrib if ":" in name]:
+        for name in [name for name in element.attrib if ":" in name or name == "xmlns"]:
             del element.attrib[name]
     check_urdf(root, path)
     urdf = UrdfFile(path, root)

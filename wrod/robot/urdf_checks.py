@@ -70,6 +70,10 @@ def _check_tree(root: ElementTree.Element, path: Path) -> None:
             raise RobotError(f"{path}: has two {kind}s of the name {shown(twice[0])!r}; {_REMEDY}")
     known, parent = set(links), {}
     for joint, name in zip(joints, names, strict=True):
+        if joint.get("type") == "planar":
+            raise RobotError(
+                f"{path}: joint {name!r:.80} is planar, which no arm here has; make it fixed"
+            )
         if joint.get("type") not in _KINDS:
             raise RobotError(
                 f"{path}: joint {name!r:.80} is of type {joint.get('type')!r:.80}; URDF knows "
