@@ -132,7 +132,7 @@ class LayingVectorEnv(VectorEnv):
     @arguments.checked(RodError, seed=arguments.whole())
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Begin an episode; returns observations and {"friction": (num_envs,)}."""
-        super().reset(seed=seed, options=options)
+        super().reset(seed=None if seed is None else int(seed), options=options)
         rng = self.np_random
         self.mu = rng.uniform(*self.friction, self.num_envs)
         seeds = rng.integers(0, 2**31, self.num_envs)
