@@ -102,8 +102,7 @@ class RodContact:
         way: float = 0.5,
     ):
         self.batch, device = batch, batch.device
-        rods, nodes = batch.rod_count, batch.node_count
-        edges = nodes - 1
+        rods, nodes, edges = batch.rod_count, batch.node_count, batch.node_count - 1
         cut = np.zeros((rods, edges), dtype=bool)
         cut[:, list(batch.cut_edges)] = True
         radius = _per_edge(radius, rods, edges)
@@ -127,16 +126,10 @@ class RodContact:
             return wp.zeros((rods, *shape), dtype=dtype, device=device)
 
         restitution = arguments.spread(restitution, (rods,), "RodContact: restitution", RodError)
-        damping = contact_damping(restitution)
         # Two edges that meet move as one of half their mass.
-        mass = 0.5 * batch.node_mass.numpy().mean(axis=1)
-        law = np.zeros(rods, dtype=pair_contact.PairLaw.numpy_dtype())
-        law["stiffness"], law["relaxation"] = stiffness, damping * np.sqrt(mass / stiffness)
-        law["hardening"], law["skin"] = hardening, skin * mean_radius
-        law["hard_depth"], law["hard_skin"] = _HARD_DEPTH * mean_radius, _HARD_SKIN * mean_radius
-        rows = [friction] * rods if isinstance(friction, Friction) else friction
-        law["static_friction"] = [f.static for f in rows]
-        law["kinetic_friction"] = [f.static if f.kinetic is None else f.kinetic for f in rows]
+        time = np.sqrt(0.5 * batch.node_mass.numpy().mean(axis=1) / stiffness)
+        law = _laws(friction, mean_radius, stiffness, skin, hardening)
+        law["relaxation"] = contact_damping(restitution) * time
         self.pieces = pieces = pair_contact.Pieces()
         pieces.law = wp.array(law, dtype=pair_contact.PairLaw, device=device)
         pieces.rest_length = batch.rest_length
@@ -147,7 +140,6 @@ class RodContact:
         pieces.radius = self.edge_radius
         pieces.kind = wp.array(piece, dtype=wp.int32, device=device)
         self._splines = int(smooth)
-        self.cut = wp.array(cut.astype(np.int32), dtype=wp.int32, device=device)
         self.reach = floats(way * np.where(cut, np.inf, radius).min(axis=1))
         self._largest_radius = floats(np.where(cut, 0.0, radius).max(axis=1))
         self._arc = floats(arc)
@@ -344,6 +336,17 @@ def _splines(cut: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarra
     following = np.pad(radius, ((0, 0), (0, 1)))[:, 1:]
     both = np.where((radius > 0) & (following > 0) & ~last, 0.5 * (radius + following), 0.0)
     return np.where(alone, radius, both), np.where(last, EDGE, kind).astype(np.int32)
+
+
+def _laws(friction, radius, stiffness, skin: float, hardening: float) -> np.ndarray:
+    """(rod,) laws of pairs, all but their damping."""
+    law = np.zeros(len(radius), dtype=pair_contact.PairLaw.numpy_dtype())
+    law["stiffness"], law["skin"], law["hardening"] = stiffness, skin * radius, hardening
+    law["hard_depth"], law["hard_skin"] = _HARD_DEPTH * radius, _HARD_SKIN * radius
+    rows = [friction] * len(radius) if isinstance(friction, Friction) else friction
+    law["static_friction"] = [f.static for f in rows]
+    law["kinetic_friction"] = [f.static if f.kinetic is None else f.kinetic for f in rows]
+    return law
 
 
 def _passive(value, shape: tuple[int, int]) -> np.ndarray:
