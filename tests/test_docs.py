@@ -87,7 +87,7 @@ def stand_ins(page: Path, folder: Path, shared: Path) -> None:
     for cell in blocks(page, "json"):
         if isinstance(json.loads(cell), list):
             (folder / "cell.json").write_text(cell)
-    if "--sheet" in text:
+    if any("--sheet" in line for line in typed(page)):
         from PIL import Image
         from test_perception_scan import HEIGHT, WIDTH, drawing, wave
 
