@@ -125,6 +125,14 @@ def lines(found: dict) -> list[str]:
     return [*out, f"  {'fit to whole recordings':<26}{found['last_fit_mm']:>7.2f} mm"]
 
 
+def _work(paths, jobs, workers: int) -> cost.Cost:
+    """Of identifying folds; every file is read once."""
+    from wrod.identification.entry import identification_cost
+
+    each = {str(p): identification_cost(p).seconds for p in paths}
+    return cost.Cost(sum(each[job[0]] for job in jobs) / workers)
+
+
 @click.command(name="cables")
 @click.option(
     "--data",
@@ -163,7 +171,6 @@ def command(
 
     from wrod.errors import DataError
     from wrod.files import write_text
-    from wrod.identification.entry import identification_cost
     from wrod.identification.motion.loading import is_motion, load_motion
     from wrod.machine import machine_line
     from wrod.rods.device import resolve_device
@@ -194,9 +201,8 @@ def command(
         for p in paths
         if (p.stem, k) not in have
     ]
-    each = {str(p): identification_cost(p).seconds for p in paths}
-    seconds = sum(each[job[0]] for job in jobs) / workers
-    cost.settle(cost.Cost(seconds), f"{len(jobs)} folds", out, "ask for fewer", quiet=as_json)
+    work = _work(paths, jobs, workers)
+    cost.settle(work, f"{len(jobs)} folds", out, "ask for fewer", quiet=as_json)
     ended = side_by_side.run(fold_row, jobs, workers)
     for _, row in tqdm(ended, total=len(jobs), disable=None, file=sys.stderr):
         rows.append(row)
