@@ -140,7 +140,7 @@ def test_what_lies_beside_is_made_up_for_by_several_steps(bend):
     way, beliefs = Way(trajectory), Beliefs(pattern, ROD, 0.3, 0.05)
     seen = Seen(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), 0)
     now = _Now(beliefs, way, 0.12, seen, horizon=10.0)
-    course = now._corrected(way, 0.12, way.laid_at(0.12), np.array([0.0, 2e-3]))
+    course = now._corrected(way, 0.12, np.array([0.0, 2e-3]))
     before, after, corrected = follow([course], hold=0.05)[0]
     assert before[-15:].mean() > 2e-3 and after[-15:].mean() < 0.5 * before[-15:].mean()
     moved = corrected.path.position - trajectory.position

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wrod.deployment.expectation import COARSE
+from wrod.deployment.expectation import FINE
 from wrod.deployment.setup import Disturbance
 from wrod.deployment.sight import Seen, interpolated
 from wrod.deployment.simulate import Trial
@@ -77,7 +77,7 @@ class Beliefs:
 
     def lay(self, path: Trajectory, columns: Directions | None = None, **options) -> Course[Laid]:
         """What is believed to lie at the end of a path."""
-        given = {"friction_field": self.field, **COARSE, **options}
+        given = {"friction_field": self.field, **FINE, **options}
         directions = None if columns is None else [columns]
         (laid,) = yield Asked([self.trial(path)], directions, given)
         return laid

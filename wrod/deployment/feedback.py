@@ -39,7 +39,7 @@ _SIZE, _ROUGHNESS = 2e-4, 2e-4
 _STEP, _SHORTER, _SHORT, _LONGER, _KEPT_PROMISE = 0.35, 0.3, 0.5, 2.0, 0.5
 # So many steps at most, and none that would save less by its model than that part, or than a root
 # mean square of that [m].
-_STEPS, _DONE, _FELT = 5, 0.1, 5e-5
+_STEPS, _DONE, _FELT = 10, 0.1, 5e-5
 # Damping of a step, relative to errors of 1 L_gb, that is tried first where it would be too large.
 _DAMPING = 1e-6
 # How far beyond the contact the path is corrected after a look: others follow [L_gb].
@@ -47,10 +47,11 @@ HORIZON = 10.0
 # Of a spline that begins at the contact, so many first coefficients are its value and slope there.
 _FIXED = 2
 # What lies is laid anew where it errs by more than this on average over so much rod before the
-# contact, from where it begins to err by a share of that on, and a little before [m]; if the mean
-# error of all is less by so much then [m]; so many times at most.
-_WRONG, _LOOKED_AT, _BEGINS, _BEFORE = 4e-4, 0.1, 0.5, 0.02
-_GAIN, _MOST_TIMES = 5e-5, 8
+# contact, from where it begins to err by a share of that on, and from that much before, so that the
+# grip is where it belongs when the contact comes there [m]; if the mean error of all is less by so
+# much then [m]; so many times at most.
+_WRONG, _LOOKED_AT, _BEGINS, _BEFORE = 4e-4, 0.1, 0.5, 0.05
+_GAIN, _MOST_TIMES = 2e-5, 8
 
 
 @dataclass(frozen=True)
@@ -228,29 +229,28 @@ class _Now:
         at = self.way.laid_at(self.gone)
         laid = yield from beliefs.lay(self.way.until(self.gone).path)
         aside = beside(laid, at, self.seen)
-        before, after, way = yield from self._corrected(self.way, self.gone, at, aside)
+        before, after, way = yield from self._corrected(self.way, self.gone, aside)
         s = np.linspace(0.0, pattern.length, METRIC_POINTS) + pattern.remainder_length
         lately = (s > at - _LOOKED_AT) & (s <= at)
         if not again or not lately.any() or before[lately].mean() < _WRONG:
             return way, self.gone, None
         begins = float(s[lately & (before > _BEGINS * _WRONG)][0]) - _BEFORE
         back, turn = self.way.back(self.gone, max(begins, beliefs.hold + _BEFORE))
-        to = back.laid_at(turn)
-        _, better, back = yield from self._corrected(back, turn, to, aside)
+        _, better, back = yield from self._corrected(back, turn, aside)
         if not (after - better)[s <= at].sum() > _GAIN * METRIC_POINTS:
             return way, self.gone, None
-        return back, turn, to
+        return back, turn, back.laid_at(turn)
 
     def _corrected(
-        self, way: Way, gone: float, s: float, aside: np.ndarray
+        self, way: Way, turn: float, aside: np.ndarray
     ) -> Course[tuple[np.ndarray, np.ndarray, Way]]:
         """(50,) error that is expected along the pattern before and after [m], and the way
-        corrected beyond `gone`, where `s` is laid, at first without a step or a kink. What lies
-        near or beyond there comes to lie by `aside` (2,) beside what is believed [m]."""
+        corrected from now on, at first without a step or a kink, which lays rod from `turn` on.
+        What lies near or beyond there comes to lie by `aside` (2,) beside what is believed [m]."""
         beliefs, pattern = self.beliefs, self.beliefs.pattern
         lgb = beliefs.rod.gravito_bending_length
-        last = gone + self.horizon * lgb
-        c = way.corrections(pattern, lgb, gone, last)
+        last, s = turn + self.horizon * lgb, way.laid_at(turn)
+        c = way.corrections(pattern, lgb, self.gone, last)
         free = slice(3 * _FIXED, None)
         near = way.until(last).laid
         columns = Directions.of_path(c.columns()[free, : len(near)])
