@@ -139,9 +139,7 @@ class LocalLoad(Described):
 
     def apply(self, setup, values):
         window = _window(setup, values[3], values[3] + np.exp(values[4]))
-        cell = setup.length / (len(setup.fraction) - 1) * np.ones(len(setup.fraction))
-        cell[[0, -1]] *= 0.5
-        setup.force = setup.force + (window * cell)[:, None] * np.asarray(values[:3])
+        setup.push(window[:, None] * np.asarray(values[:3]))
 
     def describe(self, values, covariance, measurements):
         own = super().describe(values, covariance, measurements)
@@ -172,10 +170,7 @@ class Attraction(Described):
     def apply(self, setup, values):
         away = np.asarray(values[1:4]) - setup.measured
         square = np.sum(away * away, axis=2, keepdims=True) + np.exp(2.0 * values[4])
-        cell = setup.length / (len(setup.fraction) - 1) * np.ones(len(setup.fraction))
-        cell[[0, -1]] *= 0.5
-        pull = values[0] * self.distance**2 * away / (square * np.sqrt(square))
-        setup.force = setup.force + cell[:, None] * pull
+        setup.push(values[0] * self.distance**2 * away / (square * np.sqrt(square)))
 
     def describe(self, values, covariance, measurements):
         own = super().describe(values, covariance, measurements)

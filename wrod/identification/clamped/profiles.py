@@ -17,6 +17,7 @@ from wrod.identification.clamped.described import (
     LocalLoad,
     Stretch,
 )
+from wrod.identification.clamped.trace import hats
 from wrod.identification.effect import Effect, Estimate, Model, Parameter
 
 KNOTS = 21
@@ -27,11 +28,6 @@ _AMPLITUDES = np.logspace(-3, 3, 25)
 # are those of which the data say less than the prior does.
 _LEAST = 0.01
 _PLACES = 3
-
-
-def hats(fraction: np.ndarray) -> np.ndarray:
-    """(n, KNOTS) linear interpolation between equidistant knots."""
-    return np.maximum(1.0 - np.abs(fraction[:, None] * (KNOTS - 1) - np.arange(KNOTS)), 0.0)
 
 
 def _curvature(setup, profile):
@@ -50,9 +46,7 @@ def _weight(setup, profile):
 
 
 def _force(setup, profile):
-    cell = setup.length / (len(setup.fraction) - 1) * np.ones(len(setup.fraction))
-    cell[[0, -1]] *= 0.5
-    setup.force = setup.force + cell[:, None] * profile
+    setup.push(profile)
 
 
 @dataclass(frozen=True)
@@ -90,7 +84,7 @@ class ProfileEffect(Effect):
 
     def profile(self, fraction, values):
         """(n, width) values along the rod."""
-        return hats(fraction) @ (self.basis @ np.asarray(values))
+        return hats(fraction, KNOTS) @ (self.basis @ np.asarray(values))
 
     def apply(self, setup, values):
         KINDS[self.kind].apply(setup, self.profile(setup.fraction, values))
@@ -138,7 +132,7 @@ class _Everything(Effect):
         )
 
     def apply(self, setup, values):
-        first, weights = 0, hats(setup.fraction)
+        first, weights = 0, hats(setup.fraction, KNOTS)
         for own in KINDS.values():
             count = own.width * KNOTS
             part = np.asarray(values[first : first + count]).reshape(own.width, KNOTS)

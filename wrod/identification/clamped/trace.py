@@ -79,53 +79,45 @@ class Print:
         }
 
 
-class Profile(Effect):
-    """A profile of `width` components, linear between knots."""
+def hats(fraction: np.ndarray, knots: int = KNOTS) -> np.ndarray:
+    """(n, knots) linear interpolation between equidistant knots at places along the rod."""
+    return np.maximum(1.0 - np.abs(fraction[:, None] * (knots - 1) - np.arange(knots)), 0.0)
 
-    width = 3
+
+class Profile(Effect):
+    """A profile of `width` components between knots that changes one array of the setup.
+
+    Args:
+        array: which one.
+        relative: whether it says how much of the array it adds.
+    """
+
     reference = ""
 
-    def __init__(self, scale: float):
+    def __init__(self, array: str, scale: float, width: int = 1, relative: bool = False):
+        self.array, self.width, self.relative = array, width, relative
         self.parameters = tuple(
-            Parameter(f"{c}_{k}", "", scale) for k in range(KNOTS) for c in range(self.width)
+            Parameter(f"{c}_{k}", "", scale) for k in range(KNOTS) for c in range(width)
         )
 
-    def profile(self, setup, values) -> np.ndarray:
-        places = np.linspace(0.0, 1.0, KNOTS)
-        hats = np.maximum(1.0 - np.abs(setup.fraction[:, None] - places) * (KNOTS - 1), 0.0)
-        return hats @ np.reshape(values, (KNOTS, self.width))
+    def apply(self, setup, values):
+        old = getattr(setup, self.array)
+        change = hats(setup.fraction) @ np.reshape(values, (KNOTS, self.width))
+        if old.ndim == 1:
+            change = change[:, 0]
+        setattr(setup, self.array, old + (old * change if self.relative else change))
 
 
 class _Force(Profile):
     """Force per length, along the columns of a frame in each trial and node."""
 
     def __init__(self, scale, frame):
-        super().__init__(scale)
+        super().__init__("force", scale, 3)
         self.frame = frame
 
     def apply(self, setup, values):
-        cell = np.gradient(setup.fraction) * setup.length
-        cell[[0, -1]] *= 0.5
-        force = self.profile(setup, values) * cell[:, None]
-        setup.force = setup.force + np.einsum("tnij,nj->tni", self.frame, force)
-
-
-class _Curvature(Profile):
-    """A moment fixed in the material: a curvature dt/ds at rest along m1 and m2."""
-
-    width = 2
-
-    def apply(self, setup, values):
-        setup.natural_curvature = setup.natural_curvature + self.profile(setup, values)
-
-
-class _Stiffness(Profile):
-    """A moment that follows the curvature."""
-
-    width = 1
-
-    def apply(self, setup, values):
-        setup.bending = setup.bending * (1.0 + self.profile(setup, values))
+        force = hats(setup.fraction) @ np.reshape(values, (KNOTS, 3))
+        setup.push(np.einsum("tnij,nj->tni", self.frame, force))
 
 
 def trace(laboratory: Laboratory) -> list[Print]:
@@ -207,7 +199,7 @@ def _plans(frames: np.ndarray, weight: float) -> list[tuple]:
             "moment that turns with the material, as a curvature dt/ds at rest",
             "1/m",
             ("natural_curvature", "natural_helix"),
-            Model((_Curvature(1.0),)),
+            Model((Profile("natural_curvature", 1.0, 2),)),
             own[:2],
         ),
         (
@@ -215,7 +207,7 @@ def _plans(frames: np.ndarray, weight: float) -> list[tuple]:
             "moment that follows the curvature, as a relative change of bending stiffness",
             "",
             ("stiffness", "stiffness_gradient", "anisotropic_bending", "softening"),
-            Model((_Stiffness(0.1),)),
+            Model((Profile("bending", 0.1, relative=True),)),
             ("stiffness",),
         ),
         *(

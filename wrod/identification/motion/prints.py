@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
-from wrod.identification.clamped.trace import KNOTS, Print, Profile, infer, smooth_prior
+from wrod.identification.clamped.trace import KNOTS, Print, Profile, hats, infer, smooth_prior
 from wrod.identification.effect import Effect, Model, Parameter, effects
 from wrod.identification.motion.inverse import InverseMotion, rates_about
 
@@ -46,33 +46,6 @@ class _Curvature(Effect):
     def apply(self, setup, values):
         own = self.hats @ np.reshape(values, (-1, 2))
         setup.natural_curvature = setup.natural_curvature + own
-
-
-class _Twist(Profile):
-    """A twist at rest."""
-
-    width = 1
-
-    def apply(self, setup, values):
-        setup.natural_twist = setup.natural_twist + self.profile(setup, values)[:, 0]
-
-
-class _Stiffness(Profile):
-    """A moment that follows the curvature."""
-
-    width = 1
-
-    def apply(self, setup, values):
-        setup.bending = setup.bending * (1.0 + self.profile(setup, values))
-
-
-class _Viscosity(Profile):
-    """A moment that follows the rate of bending and twisting."""
-
-    width = 1
-
-    def apply(self, setup, values):
-        setup.viscous_time = setup.viscous_time + self.profile(setup, values)
 
 
 @dataclass
@@ -172,10 +145,8 @@ def find_prints(
 
 def _hypotheses(seen: InverseMotion, arc_length: np.ndarray) -> list[_Hypothesis]:
     setup, known = seen.setup, effects("motion")
-    knots = np.linspace(0.0, 1.0, KNOTS)
-    even = knots * arc_length[-1]
-    hats = np.maximum(1.0 - np.abs(setup.fraction[:, None] - knots) * (KNOTS - 1), 0.0)
-    mass = setup.node_length[:, None] * hats
+    even = np.linspace(0.0, arc_length[-1], KNOTS)
+    mass = setup.node_length[:, None] * hats(setup.fraction)
     frames, pull = seen.frames, setup.gravity - seen.acceleration
     weight = np.linalg.norm(setup.gravity)
     lab = np.broadcast_to(weight * np.eye(3), frames.shape)
@@ -221,7 +192,7 @@ def _hypotheses(seen: InverseMotion, arc_length: np.ndarray) -> list[_Hypothesis
         _Hypothesis(
             "moment_with_strain_rate", "moment that follows the rate of bending, as a viscous time",
             "s", ("internal_damping",), ("viscous time",), 0.03,
-            (-np.max(setup.viscous_time), 1.0), of(_Viscosity(0.03)), even,
+            (-np.max(setup.viscous_time), 1.0), of(Profile("viscous_time", 0.03)), even,
         ),
         _Hypothesis(
             "moment_in_material", "moment that turns with the material, as a curvature at rest",
@@ -231,12 +202,13 @@ def _hypotheses(seen: InverseMotion, arc_length: np.ndarray) -> list[_Hypothesis
         _Hypothesis(
             "twist_in_material", "twisting moment that turns with the material, as a twist at rest",
             "rad/m", ("natural_twist", "grip_roll"), ("twist",), 3.0,
-            (-20.0, 20.0), of(_Twist(3.0)), even,
+            (-20.0, 20.0), of(Profile("natural_twist", 3.0)), even,
         ),
         _Hypothesis(
             "moment_with_curvature", "moment that follows the curvature, as a relative change of "
             "stiffness", "", ("stiffness", "stiffness_profile", "anisotropic_bending",
-            "clamp_length"), ("stiffness",), 0.1, (-0.5, 1.0), of(_Stiffness(0.1)), even,
+            "clamp_length"), ("stiffness",), 0.1, (-0.5, 1.0),
+            of(Profile("bending", 0.1, relative=True)), even,
         ),
         _Hypothesis(
             "grips", "rod turned in the grips", "rad", ("grip_direction", "grip_roll"),
