@@ -5,6 +5,8 @@ The command line turns every `WrodError` into that sentence and exit code 2; the
 
 import os
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 # Beginnings of the names of environment variables that are not the library's own name.
 _PREFIXES = {"numpy": ("NUMPY", "NPY"), "matplotlib": ("MPL",), "cv2": ("OPENCV",)}
@@ -69,3 +71,12 @@ class OutOfRangeWarning(WrodWarning):
 
 class StabilityWarning(WrodWarning):
     """A plan comes close to an elastic instability."""
+
+
+@contextmanager
+def retold_as(error: type[WrodError]) -> Iterator[None]:
+    """What a library refuses within, by a TypeError or a ValueError, is an `error`."""
+    try:
+        yield
+    except (TypeError, ValueError) as refused:
+        raise error(str(refused)) from None

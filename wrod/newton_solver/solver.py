@@ -2,15 +2,14 @@
 
 import warnings
 import weakref
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
 
 import wrod.kernels  # noqa: F401  # before Newton: starts Warp quietly
 from wrod import arguments
-from wrod.errors import RodError, WrodWarning
+from wrod.errors import RodError, WrodWarning, retold_as
 
 try:
     import newton
@@ -33,15 +32,6 @@ _STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
 # Steps after which a body that does not get its rods' forces is spoken of.
 _PATIENCE = 3
 _PASSED_ON = ("body_q", "body_qd", "joint_q", "joint_qd", "particle_q", "particle_qd")
-
-
-@contextmanager
-def _in_our_words() -> Iterator[None]:
-    """What Newton refuses is a RodError."""
-    try:
-        yield
-    except (TypeError, ValueError) as error:
-        raise RodError(str(error)) from None
 
 
 class SolverDER(RodBuilding, SolverBase):
@@ -263,7 +253,7 @@ class SolverDER(RodBuilding, SolverBase):
         Raises:
             RodError: dt is not positive, or a state was made from another model.
         """
-        with _in_our_words():
+        with retold_as(RodError):
             self.validate_observables(observables, contacts)
         moved = state_in if moved is None else moved
         for state in (state_in, state_out):
@@ -400,7 +390,7 @@ class SolverDER(RodBuilding, SolverBase):
             world_mask: (world_count + 1,) which worlds, the last for world -1; None for all.
             flags: Not used: all of `state.der` is reset.
         """
-        with _in_our_words():
+        with retold_as(RodError):
             mask = self._normalize_reset_world_mask(world_mask)
         for group in self._groups:
             if mask is None:
