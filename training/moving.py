@@ -1,16 +1,10 @@
-"""The motion of rods as a differentiable function of torch tensors, by the adjoint of its steps.
-
-A step solves r(y_n, y_(n-1), ..., v_(n-1), ...; p) = 0. Backwards, with what the loss wants of y_n,
-
-    A_n w = dL/dy_n,    dL/dp -= w . dr/dp,    dL/dy_(n-1) -= w . dr/dy_(n-1), ...,
-
-A_n the matrix of the step: one solution a step, whatever is differentiated by. What turning frames
-do to the inertia of an edge's spin is left out: of the square of radius over length.
-"""
+"""The motion of rods as a differentiable function of torch tensors, by the adjoint of its steps
+(`wrod.solvers.adjoint`)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import torch
@@ -20,9 +14,10 @@ from wrod.training.autograd import tensor
 from wrod import arguments
 from wrod.errors import RodError
 from wrod.rods.batch import RodBatch
-from wrod.rods.state import Derivatives, RodState
-from wrod.solvers.banded import BandedSystem
+from wrod.rods.state import RodState
+from wrod.solvers.adjoint import StepAdjoint, require_differentiable
 from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.trace import Trace
 
 # Of `RodBatch.elastic_model`: what is scaled for stretching, bending and twisting.
 _STRETCHING, _BENDING, _TWISTING = 1, 2, 6
@@ -51,47 +46,51 @@ class _Path:
         dof[:, self.scene.columns] = self.path[:, self.now].reshape(len(dof), -1)
 
 
-class _Move(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, position, velocity, stiffness, gravity, path, scene):
-        batch = scene.batch
-        now = [*batch.elastic_model, batch.gravity]
-        before = [wp.clone(a) for a in now]
-        state = RodState.zeros(batch.rod_count, batch.node_count, batch.device)
-        state.assign(batch.state)
-        try:
-            return _forward(ctx, position, velocity, stiffness, gravity, path, scene)
-        finally:
-            for array, values in zip(now, before, strict=True):
-                wp.copy(array, values)
-            batch.state.assign(state)
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx, gradient):
-        return *_backward(ctx, gradient), None
-
-
-def _forward(ctx, position, velocity, stiffness, gravity, path, scene: Scene) -> torch.Tensor:
-    batch = scene.batch
-    rods, nodes = batch.rod_count, batch.node_count
+@contextmanager
+def _changed(batch: RodBatch, stiffness: torch.Tensor, gravity: torch.Tensor) -> Iterator[None]:
+    """The rods with their stiffnesses scaled, under that gravity; then as they were."""
+    now = [*batch.elastic_model, batch.gravity]
+    before = [wp.clone(a) for a in now]
+    state = RodState.zeros(batch.rod_count, batch.node_count, batch.device)
+    state.assign(batch.state)
     wp.to_torch(batch.gravity)[:] = gravity
     for part, place in enumerate((_STRETCHING, _BENDING, _TWISTING)):
         values = wp.to_torch(batch.elastic_model[place])
         values *= stiffness[:, part].reshape(-1, *(1,) * (values.ndim - 1))
-    frames = wp.to_torch(batch.state.tangent).clone()
-    dof = wp.to_torch(batch.state.dof)
-    for c in range(3):
-        dof[:, c::4] = position[:, :, c]
+    try:
+        yield
+    finally:
+        for array, values in zip(now, before, strict=True):
+            wp.copy(array, values)
+        batch.state.assign(state)
+
+
+class _Move(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, position, velocity, stiffness, gravity, path, scene):
+        ctx.scene = scene
+        ctx.save_for_backward(position, stiffness, gravity)
+        with _changed(scene.batch, stiffness, gravity):
+            return _forward(ctx, position, velocity, path, scene)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, gradient):
+        _, stiffness, gravity = ctx.saved_tensors
+        with _changed(ctx.scene.batch, stiffness, gravity):
+            return *_backward(ctx, gradient), None
+
+
+def _forward(ctx, position, velocity, path, scene: Scene) -> torch.Tensor:
+    batch = scene.batch
+    ctx.frames = wp.to_torch(batch.state.tangent).clone()
+    _positions(wp.to_torch(batch.state.dof))[:] = position
     batch.transport_frames(batch.state, batch.state, batch.every_rod)
     motion = _Path(scene, path) if len(scene.columns) else None
-    dynamics = Dynamics(batch, motion=motion, **scene.options)
-    speed = torch.zeros((rods, nodes, 4), dtype=torch.float64, device=dof.device)
-    speed[:, :, :3] = velocity
-    wp.to_torch(dynamics.velocity)[:] = speed.reshape(rods, -1)[:, :-1]
-    ctx.turned = _holonomy(frames, position)
-    mass, air = wp.to_torch(dynamics.mass), wp.to_torch(dynamics.air_damping)[:, None]
-    at = Derivatives.zeros(rods, batch.dof_count, batch.device)
+    dynamics = ctx.dynamics = Dynamics(batch, motion=motion, **scene.options)
+    require_differentiable(dynamics)
+    dynamics.follower = trace = Trace(dynamics, room=1)
+    _positions(wp.to_torch(dynamics.velocity))[:] = velocity
     places, ctx.records = [position.clone()], []
     for n in range(scene.steps):
         if motion is not None:
@@ -101,19 +100,49 @@ def _forward(ctx, position, velocity, stiffness, gravity, path, scene: Scene) ->
             raise RodError(
                 f"step {n} of rod {int(done.steps.argmin())} had to be cut; take shorter"
             )
-        rates = wp.to_torch(dynamics.coefficient).clone() / scene.step
-        batch.evaluate(order=2, out=at)
-        matrix = wp.clone(at.hessian)
-        rate = rates[:, :1]
-        wp.to_torch(matrix)[:, :, 0] += mass * rate * (rate + air)
-        forces = _parts(batch, at) if ctx.needs_input_grad[2] else ()
-        places.append(_positions(wp.to_torch(batch.state.dof)))
-        ctx.records.append((rates, matrix, forces, *_turns(places[-2], places[-1])))
-    ctx.save_for_backward(stiffness, mass.clone(), air.clone())
-    ctx.free = wp.to_torch(batch.free).clone() != 0
-    ctx.scene = scene
-    ctx.weighing = wp.to_torch(batch.node_mass) * wp.to_torch(batch.load_factor)[:, None]
+        ctx.records.append(trace.take())
+        places.append(_positions(wp.to_torch(batch.state.dof)).clone())
     return torch.stack(places, dim=1)
+
+
+def _positions(dof: torch.Tensor) -> torch.Tensor:
+    """(rod, node, 3) view of the nodes' part of (rod, dof)."""
+    rods, nodes = len(dof), (dof.shape[1] + 1) // 4
+    return dof.as_strided((rods, nodes, 3), (dof.stride(0), 4, 1))
+
+
+def _backward(ctx, gradient: torch.Tensor) -> tuple:
+    scene: Scene = ctx.scene
+    batch, columns = scene.batch, scene.columns
+    position, stiffness, _ = ctx.saved_tensors
+    moved = torch.zeros((batch.rod_count, batch.dof_count), dtype=torch.int32)
+    moved[:, columns] = 1
+    adjoint = StepAdjoint(ctx.dynamics, moved.numpy())
+    wanted = wp.to_torch(adjoint.now.dof)
+    held = wp.to_torch(adjoint.held)
+    by_path = gradient.new_zeros((batch.rod_count, scene.steps, len(columns)))
+    for n in reversed(range(scene.steps)):
+        _positions(wanted)[:] += gradient[:, n + 1]
+        adjoint.go_back(ctx.records[n])
+        by_path[:, n] = held[:, columns]
+    adjoint.settle(batch.every_rod)
+    by_position = _positions(wanted) + gradient[:, 0]
+    # The frames, too, come from where they were before.
+    turned = _holonomy(ctx.frames, position)
+    turned *= (wanted[:, 3::4] + wp.to_torch(adjoint.now.turn))[:, :, None]
+    by_position[:, 1:] += turned
+    by_position[:, :-1] -= turned
+    by_velocity = _positions(wp.to_torch(adjoint.now.velocity)).clone()
+    model = adjoint.model
+    parts = []
+    for wants, place in (
+        (model.stretching, _STRETCHING), (model.bending, _BENDING), (model.twisting, _TWISTING),
+    ):  # fmt: skip
+        scaled = wp.to_torch(batch.elastic_model[place])
+        parts.append((wp.to_torch(wants) * scaled).flatten(1).sum(dim=1))
+    by_stiffness = torch.stack(parts, dim=1) / stiffness
+    by_gravity = wp.to_torch(model.gravity).clone()
+    return by_position, by_velocity, by_stiffness, by_gravity, by_path
 
 
 def _holonomy(before: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
@@ -124,98 +153,6 @@ def _holonomy(before: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
     tangent = edge / length
     cosine = (before * tangent).sum(dim=2, keepdim=True)
     return -torch.linalg.cross(before, tangent) / (1.0 + cosine) / length
-
-
-def _turns(before: torch.Tensor, after: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """`_holonomy` of the edges of a step, by their last node at its end and at its start."""
-    old, new = (torch.nn.functional.normalize(torch.diff(q, dim=1), dim=2) for q in (before, after))
-    return _holonomy(old, after), -_holonomy(new, before)
-
-
-def _add_turned(dof: torch.Tensor, turns: torch.Tensor, by_angle: torch.Tensor) -> None:
-    """Add what the loss wants of nodes (rod, dof) because of how frames turn with their edges."""
-    by_node = by_angle[:, :, None] * turns
-    for c in range(3):
-        dof[:, c + 4 :: 4] += by_node[:, :, c]
-        dof[:, c:-3:4] -= by_node[:, :, c]
-
-
-def _parts(batch: RodBatch, at: Derivatives) -> list[torch.Tensor]:
-    """(rod, dof) forces of stretching, bending and twisting."""
-
-    def without(*places: int) -> list:
-        model = batch.elastic_model
-        return [wp.zeros_like(a) if k in places else a for k, a in enumerate(model)]
-
-    whole = _elastic(batch, batch.elastic_model, at)
-    stretching = whole - _elastic(batch, without(_STRETCHING), at)
-    twisting = whole - _elastic(batch, without(_TWISTING), at)
-    return [stretching, whole - stretching - twisting, twisting]
-
-
-def _elastic(batch: RodBatch, model: list, at: Derivatives) -> torch.Tensor:
-    """(rod, dof) elastic forces of a model, without loads."""
-    batch.evaluate(order=1, out=at, model=model)
-    out = wp.to_torch(at.gradient).clone()
-    load = wp.to_torch(batch.node_mass)[:, :, None] * wp.to_torch(batch.gravity)[:, None]
-    load = wp.to_torch(batch.load_factor)[:, None, None] * (load + wp.to_torch(batch.point_load))
-    for c in range(3):
-        out[:, c::4] += load[:, :, c]
-    return out
-
-
-def _positions(dof: torch.Tensor) -> torch.Tensor:
-    return torch.stack([dof[:, c::4] for c in range(3)], dim=2)
-
-
-def _backward(ctx, gradient: torch.Tensor) -> tuple:
-    scene: Scene = ctx.scene
-    batch, columns = scene.batch, scene.columns
-    stiffness, mass, air = ctx.saved_tensors
-    rods, count = gradient.shape[:2]
-    wanted = torch.zeros((count, rods, batch.dof_count), dtype=torch.float64, device=mass.device)
-    for c in range(3):
-        wanted[:, :, c::4] = gradient[..., c].transpose(0, 1)
-    speeds = torch.zeros_like(wanted)
-    system = BandedSystem(batch)
-    by_stiffness, by_gravity = torch.zeros_like(stiffness), mass.new_zeros((rods, 3))
-    by_path = mass.new_zeros((rods, count - 1, len(columns)))
-    for n in range(count - 1, 0, -1):
-        rates, matrix, forces, *turns = ctx.records[n - 1]
-        ago = [rates[:, k : k + 1] for k in range(3)]
-        for k in range(min(3, n + 1)):
-            wanted[n - k] += ago[k] * speeds[n]
-        wp.to_torch(system.x)[:, 0] = wanted[n] * ctx.free
-        system.factorise(matrix, batch.every_rod)
-        system.solve(batch.every_rod)
-        w = wp.to_torch(system.x)[:, 0] * ctx.free
-        # What is not free stays where it was, but for what goes along the path; its frames turn.
-        rest = (wanted[n] - _multiply(wp.to_torch(matrix), w)) * ~ctx.free
-        by_angle = rest[:, 3::4].clone()
-        _add_turned(rest, turns[0], by_angle)
-        by_path[:, n - 1] = rest[:, columns]
-        rest[:, columns] = 0.0
-        wanted[n - 1] += rest
-        _add_turned(wanted[n - 1], turns[1], by_angle)
-        pushed = mass * w
-        for k in range(1, min(3, n + 1)):
-            wanted[n - k] -= ago[k] * (ago[0] + air) * pushed
-            speeds[n - k] -= ago[k] * pushed
-        for part, force in enumerate(forces):
-            by_stiffness[:, part] -= (w * force).sum(dim=1) / stiffness[:, part]
-        by_gravity += (ctx.weighing[:, :, None] * _positions(w)).sum(dim=1)
-    _add_turned(wanted[0], ctx.turned, wanted[0, :, 3::4].clone())
-    at_start = _positions(wanted[0]), _positions(speeds[0])
-    return *at_start, by_stiffness, by_gravity, by_path
-
-
-def _multiply(band: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
-    """Matrix of which `band` (rod, dof, 11) is the lower part, times x (rod, dof)."""
-    out = band[:, :, 0] * x
-    for k in range(1, band.shape[2]):
-        out[:, k:] += band[:, k:, k] * x[:, :-k]
-        out[:, :-k] += band[:, k:, k] * x[:, k:]
-    return out
 
 
 @arguments.checked(
@@ -266,10 +203,6 @@ def move_differentiable(
             between free nodes, shapes do not fit, or a step did not converge.
     """
     rods, nodes = batch.rod_count, batch.node_count
-    if scheme not in ("euler", "bdf2"):
-        raise RodError(f"gradients of scheme {scheme!r} are not there; use euler or bdf2")
-    if batch.energies or batch.layers or batch.inelastic is not None:
-        raise RodError("gradients of motion know the linear and the softening law only")
     dof = wp.to_torch(batch.state.dof)
     if stiffness is None:
         stiffness = torch.ones((rods, 3), dtype=torch.float64, device=dof.device)

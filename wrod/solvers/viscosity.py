@@ -62,15 +62,29 @@ class Viscosity:
         """Let the rest shape of the rods that start a step flow as their history says."""
         if not self.exists:
             return
-        batch, state = self.batch, self.batch.state
-        rest, stretching, bending, _, curvature, softening, twisting, twist = batch.elastic_model
+        state = self.batch.state
         self._launch(
             kernels.measure_strains,
-            batch.node_count,
+            self.batch.node_count,
             [starting, state.dof, state.director, state.reference_twist],
             [self.strain],
         )
-        history = [starting, coefficient, step, self.strain, self.strain_older]
+        self.flow(starting, coefficient, step, self.strain, self.strain_older)
+
+    def flow(
+        self,
+        starting: wp.array,
+        coefficient: wp.array,
+        step: wp.array,
+        strain: wp.array,
+        strain_older: wp.array,
+    ) -> None:
+        """The same for a history of strains (rod, node)."""
+        if not self.exists:
+            return
+        batch = self.batch
+        rest, stretching, bending, _, curvature, softening, twisting, twist = batch.elastic_model
+        history = [starting, coefficient, step, strain, strain_older]
         self._launch(
             kernels.flow_stretching,
             batch.node_count - 1,

@@ -1,0 +1,363 @@
+"""The adjoint of an implicit step: what a loss wants of its end, wanted of its starts instead.
+
+A step solves r(y_n, y_(n-1), y_(n-2), v_(n-1), v_(n-2); p) = 0 on what is free. Backwards,
+
+    A_n^T w = dL/dy_n,    dL/dp -= w . dr/dp,    dL/dy_(n-1) -= w . dr/dy_(n-1), ...,
+
+A_n the matrix of the step: one solution, whatever is differentiated by.
+
+Edges are differentiated by the turn phi of their frames about them, from frames that the step's end
+carries along. Forces know nothing else; but inertia is of the angles theta = phi - psi to reference
+frames, and those turn by psi as they are carried in time along edges that move,
+
+    dpsi_n = dpsi_(n-1) + b . de_n + a . de_(n-1),    b = -(t_(n-1) x t_n) / ((1 + cos) |e_n|),
+
+which makes A_n unsymmetric, by the edges' inertia about themselves. So does that a frame which goes
+along two turns of its edge, d and then d', turns by t . (d x d') / (2 |e|^2) against one that goes
+along both at once, where inertia leaves a moment about the edge.
+"""
+
+import warp as wp
+from wrod.kernels.elastic.assembly import HALF_BANDWIDTH
+from wrod.kernels.elastic.frames import ONE, TWO, ZERO, edge, node
+from wrod.kernels.linear.banded_lu import ALONE, BAND, substitute_lanes
+from wrod.kernels.stepping.dynamics import difference, drag_matrix, rate
+from wrod.kernels.stepping.trace import OneStep, Wanted
+
+wp.set_module_options({"enable_backward": False})
+
+SIX = wp.constant(wp.float64(6.0))
+
+
+@wp.func
+def holonomy(before: wp.vec3d, after: wp.vec3d, length: wp.float64) -> wp.vec3d:
+    """By how much a frame turns that is carried from one tangent to another, by the last node of
+    the second's edge."""
+    return (-ONE / ((ONE + wp.dot(before, after)) * length)) * wp.cross(before, after)
+
+
+@wp.kernel
+def measure_turns(
+    # State in:
+    step: OneStep,
+    # Out:
+    by_end_out: wp.array2d(dtype=wp.vec3d),
+    by_start_out: wp.array2d(dtype=wp.vec3d),
+):
+    """b and a of each edge."""
+    r, i = wp.tid()
+    if step.active[r] == 0:
+        return
+    t = step.tangent_before[r, i]
+    u = step.tangent[r, i]
+    by_end_out[r, i] = holonomy(t, u, wp.length(edge(step.dof, r, i)))
+    by_start_out[r, i] = -holonomy(u, t, wp.length(edge(step.dof_before, r, i)))
+
+
+@wp.func
+def turned(by: wp.array2d(dtype=wp.vec3d), turn: wp.array2d(dtype=wp.float64), r: int, i: int):
+    """What is wanted of node i because of how far frames are wanted to turn."""
+    out = wp.vec3d(ZERO, ZERO, ZERO)
+    if i > 0:
+        out += turn[r, i - 1] * by[r, i - 1]
+    if i < by.shape[1]:
+        out -= turn[r, i] * by[r, i]
+    return out
+
+
+@wp.kernel
+def want_turns(
+    # State in:
+    step: OneStep,
+    # State in and out:
+    now: Wanted,
+):
+    """An edge's spin knows its angle, which is less the more its reference frame has turned."""
+    r, i = wp.tid()
+    if step.active[r] != 0:
+        spin = (step.coefficient[r][0] / step.span[r]) * now.velocity[r, 4 * i + 3]
+        now.turn[r, i] = now.turn[r, i] - spin
+
+
+@wp.kernel
+def load_wanted(
+    # Model:
+    free: wp.array2d(dtype=wp.int32),
+    # State in:
+    step: OneStep,
+    now: Wanted,
+    by_end: wp.array2d(dtype=wp.vec3d),
+    # Out:
+    wanted_out: wp.array2d(dtype=wp.float64),
+    x_out: wp.array3d(dtype=ALONE),
+):
+    """dL/dy_n, velocities told by differences. Launched over (rod, node)."""
+    r, i = wp.tid()
+    if step.active[r] == 0:
+        return
+    rate_now = step.coefficient[r][0] / step.span[r]
+    from_turns = turned(by_end, now.turn, r, i)
+    for k in range(4):
+        a = 4 * i + k
+        if a < free.shape[1]:
+            value = now.dof[r, a] + rate_now * now.velocity[r, a]
+            if k < 3:
+                value += from_turns[k]
+            wanted_out[r, a] = value
+            x_out[r, 0, a] = ALONE(wp.where(free[r, a] != 0, value, ZERO))
+
+
+@wp.func
+def entry(
+    hessian: wp.array3d(dtype=wp.float64),
+    spin_inertia: wp.array2d(dtype=wp.float64),
+    moment: wp.array2d(dtype=wp.vec3d),
+    by_end: wp.array2d(dtype=wp.vec3d),
+    r: int,
+    a: int,
+    b: int,
+) -> wp.float64:
+    """A_n^T[a, b]; see `weigh_spins`."""
+    value = hessian[r, wp.max(a, b), wp.abs(a - b)]
+    if a % 4 < 3 and b % 4 < 3 and wp.abs(a / 4 - b / 4) < 2:
+        around = wp.vec3d(ZERO, ZERO, ZERO)
+        i = wp.min(a, b) / 4
+        if a / 4 != b / 4:
+            around -= moment[r, i]
+        else:
+            if i > 0:
+                around += moment[r, i - 1]
+            if i < moment.shape[1]:
+                around += moment[r, i]
+        value += wp.skew(around)[a % 4, b % 4]
+    if a % 4 < 3 and b % 4 == 3:
+        e = b / 4
+        if a / 4 == e:
+            value += spin_inertia[r, e] * by_end[r, e][a % 4]
+        elif a / 4 == e + 1:
+            value -= spin_inertia[r, e] * by_end[r, e][a % 4]
+    return value
+
+
+@wp.kernel
+def weigh_spins(
+    # Model:
+    mass: wp.array2d(dtype=wp.float64),
+    air_damping: wp.array(dtype=wp.float64),
+    # State in:
+    step: OneStep,
+    # Out:
+    spin_inertia_out: wp.array2d(dtype=wp.float64),
+    moment_out: wp.array2d(dtype=wp.vec3d),
+):
+    """The edges' inertia about themselves on the matrix's diagonal, and their moment of inertia
+    over 2 |e|^2, along the edge."""
+    r, i = wp.tid()
+    if step.active[r] == 0:
+        return
+    k = 4 * i + 3
+    c = step.coefficient[r]
+    dt = step.span[r]
+    rate_now = c[0] / dt
+    air = air_damping[r]
+    spin_inertia_out[r, i] = mass[r, k] * rate_now * (rate_now + air)
+    spin = difference(c, dt, step.dof[r, k], step.dof_before[r, k], step.dof_older[r, k])
+    faster = difference(c, dt, spin, step.velocity[r, k], step.velocity_older[r, k])
+    e = edge(step.dof, r, i)
+    moment_out[r, i] = (mass[r, k] * (faster + air * spin) / (TWO * wp.length_sq(e))) * (
+        step.tangent[r, i]
+    )
+
+
+@wp.kernel
+def assemble(
+    # In:
+    active: wp.array(dtype=wp.int32),
+    free: wp.array2d(dtype=wp.int32),
+    hessian: wp.array3d(dtype=wp.float64),
+    spin_inertia: wp.array2d(dtype=wp.float64),
+    moment: wp.array2d(dtype=wp.vec3d),
+    by_end: wp.array2d(dtype=wp.vec3d),
+    # Out:
+    factor_out: wp.array3d(dtype=wp.float64),
+):
+    """The matrix, where `banded_lu.factorise` takes it from; rows that are not free are those of
+    the identity. Launched over (rod, dof)."""
+    r, a = wp.tid()
+    if active[r] == 0:
+        return
+    n = hessian.shape[1]
+    for k in range(BAND):
+        b = a + k - HALF_BANDWIDTH
+        value = wp.float64(0.0)
+        if free[r, a] == 0:
+            value = wp.where(b == a, ONE, ZERO)
+        elif b >= 0 and b < n:
+            value = entry(hessian, spin_inertia, moment, by_end, r, a, b)
+        factor_out[r, a, k] = value
+
+
+@wp.kernel
+def solve(
+    # In:
+    active: wp.array(dtype=wp.int32),
+    factor: wp.array3d(dtype=wp.float64),
+    # In and out:
+    x: wp.array3d(dtype=ALONE),
+):
+    """Launched over (rod, lane) in blocks of a warp."""
+    r, _lane = wp.tid()
+    if active[r] != 0:
+        substitute_lanes(factor, r, 0, x)
+
+
+@wp.func
+def solved(x: wp.array3d(dtype=ALONE), r: int, i: int) -> wp.vec3d:
+    return wp.vec3d(x[r, 0, 4 * i][0], x[r, 0, 4 * i + 1][0], x[r, 0, 4 * i + 2][0])
+
+
+@wp.kernel
+def want_held(
+    # Model:
+    free: wp.array2d(dtype=wp.int32),
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    hessian: wp.array3d(dtype=wp.float64),
+    spin_inertia: wp.array2d(dtype=wp.float64),
+    moment: wp.array2d(dtype=wp.vec3d),
+    by_end: wp.array2d(dtype=wp.vec3d),
+    wanted: wp.array2d(dtype=wp.float64),
+    x: wp.array3d(dtype=ALONE),
+    # Out:
+    held_out: wp.array2d(dtype=wp.float64),
+):
+    """What is wanted of what is not free. Launched over (rod, dof)."""
+    r, a = wp.tid()
+    value = ZERO
+    if active[r] != 0 and free[r, a] == 0:
+        value = wanted[r, a]
+        n = hessian.shape[1]
+        for b in range(wp.max(a - HALF_BANDWIDTH, 0), wp.min(a + HALF_BANDWIDTH + 1, n)):
+            value -= entry(hessian, spin_inertia, moment, by_end, r, a, b) * x[r, 0, b][0]
+    held_out[r, a] = value
+
+
+@wp.kernel
+def want_turns_before(
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    spin_inertia: wp.array2d(dtype=wp.float64),
+    x: wp.array3d(dtype=ALONE),
+    # State in and out:
+    now: Wanted,
+):
+    """What the step itself wants of how far reference frames have turned in all, on top."""
+    r, i = wp.tid()
+    if active[r] != 0:
+        now.turn[r, i] = now.turn[r, i] + spin_inertia[r, i] * x[r, 0, 4 * i + 3][0]
+
+
+@wp.kernel
+def want_before(
+    # Model:
+    mass: wp.array2d(dtype=wp.float64),
+    edge_mass: wp.array2d(dtype=wp.float64),
+    air_damping: wp.array(dtype=wp.float64),
+    drag: wp.array2d(dtype=wp.vec2d),
+    # State in:
+    step: OneStep,
+    now: Wanted,
+    by_start: wp.array2d(dtype=wp.vec3d),
+    x: wp.array3d(dtype=ALONE),
+    # State in and out:
+    before: Wanted,
+    older: Wanted,
+):
+    """Through differences of configurations and velocities, and through frames that were carried
+    along, to the starts of the step. Launched over (rod, node); `edge_mass` and `drag` may have no
+    columns."""
+    r, i = wp.tid()
+    if step.active[r] == 0:
+        return
+    c = step.coefficient[r]
+    dt = step.span[r]
+    w = solved(x, r, i)
+    less = wp.vec3d(ZERO, ZERO, ZERO)
+    if edge_mass.shape[1] > 0:
+        if i > 0:
+            less += (edge_mass[r, i - 1] / SIX) * (w - solved(x, r, i - 1))
+        if i < edge_mass.shape[1]:
+            less += (edge_mass[r, i] / SIX) * (w - solved(x, r, i + 1))
+    dragged = wp.vec3d(ZERO, ZERO, ZERO)
+    if drag.shape[1] > 0:
+        v = rate(c, dt, node(step.dof, r, i), node(step.dof_before, r, i),
+                 node(step.dof_older, r, i))  # fmt: skip
+        dragged = drag_matrix(v, drag[r, i][0], drag[r, i][1]) * w
+    from_turns = turned(by_start, now.turn, r, i)
+    for k in range(4):
+        a = 4 * i + k
+        if a < mass.shape[1]:
+            pushed = mass[r, a] * x[r, 0, a][0]
+            slowed = air_damping[r] * pushed
+            if k < 3:
+                pushed -= less[k]
+                slowed += dragged[k]
+            # dL/dv_n, with what the step itself wants of it.
+            velocity = now.velocity[r, a] - (c[0] / dt) * pushed - slowed
+            first = (c[1] / dt) * velocity
+            second = (c[2] / dt) * velocity
+            if k < 3:
+                before.dof[r, a] = before.dof[r, a] + first + from_turns[k]
+            else:
+                before.dof[r, a] = before.dof[r, a] + first
+                before.turn[r, i] = before.turn[r, i] + now.turn[r, i] - first
+                older.turn[r, i] = older.turn[r, i] - second
+            older.dof[r, a] = older.dof[r, a] + second
+            before.velocity[r, a] = before.velocity[r, a] - (c[1] / dt) * pushed
+            older.velocity[r, a] = older.velocity[r, a] - (c[2] / dt) * pushed
+
+
+@wp.kernel
+def want_still(
+    # Model:
+    free: wp.array2d(dtype=wp.int32),
+    moved: wp.array2d(dtype=wp.int32),
+    # State in:
+    active: wp.array(dtype=wp.int32),
+    by_end: wp.array2d(dtype=wp.vec3d),
+    by_start: wp.array2d(dtype=wp.vec3d),
+    held: wp.array2d(dtype=wp.float64),
+    # State in and out:
+    before: Wanted,
+    # Out:
+    held_out: wp.array2d(dtype=wp.float64),
+):
+    """What is neither free nor moved stays where it was: nodes, and angles to reference frames,
+    which turn with the edges. Launched over (rod, node)."""
+    r, i = wp.tid()
+    if active[r] == 0:
+        return
+    end = wp.vec3d(ZERO, ZERO, ZERO)
+    start = wp.vec3d(ZERO, ZERO, ZERO)
+    for n in range(2):
+        e = i - 1 + n
+        if e >= 0 and e < by_end.shape[1]:
+            a = 4 * e + 3
+            if free[r, a] == 0 and moved[r, a] == 0:
+                sign = wp.where(n == 0, ONE, -ONE)
+                end += (sign * held[r, a]) * by_end[r, e]
+                start += (sign * held[r, a]) * by_start[r, e]
+    for k in range(4):
+        a = 4 * i + k
+        if a < free.shape[1]:
+            value = wp.float64(0.0)
+            if free[r, a] == 0:
+                value = held[r, a]
+                if k < 3:
+                    value += end[k]
+            if moved[r, a] == 0:
+                before.dof[r, a] = before.dof[r, a] + value
+                value = ZERO
+            if k < 3:
+                before.dof[r, a] = before.dof[r, a] + start[k]
+            held_out[r, a] = value

@@ -1,0 +1,304 @@
+"""The adjoint of a batch's time steps: see `wrod.kernels.stepping.adjoint`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrod.errors import RodError
+from wrod.kernels.linear import banded_lu
+from wrod.kernels.stepping import adjoint as kernels
+from wrod.kernels.stepping import dynamics as inertia
+from wrod.kernels.stepping import model_adjoint
+from wrod.kernels.stepping.pace import Pace
+from wrod.kernels.stepping.trace import OneStep, Wanted, go_back, recall_step
+from wrod.rods.batch import RodBatch
+from wrod.rods.state import Derivatives, RodState
+from wrod.solvers.dynamics import Dynamics
+from wrod.solvers.steps import SCHEMES
+from wrod.solvers.trace import Record, filled, step_arrays
+from wrod.solvers.viscosity import Viscosity
+
+
+def require_differentiable(dynamics: Dynamics) -> None:
+    """See that steps have an adjoint.
+
+    Raises:
+        RodError: they are of the midpoint rule, rods have laws of their own or a past, or hold
+            bodies that move with them.
+    """
+    batch = dynamics.batch
+    if SCHEMES[dynamics._scheme] == "midpoint":
+        raise RodError("gradients of scheme 'midpoint' are not there; use euler or bdf2")
+    if batch.energies or batch.layers or batch.inelastic is not None:
+        raise RodError("gradients of motion know the linear and the softening law only")
+    if dynamics.bodies is not None:
+        raise RodError(
+            "gradients of motion do not know bodies that move with the rods that they hold; let "
+            "them be kinematic"
+        )
+
+
+def make_wanted(batch: RodBatch, viscous: bool) -> Any:
+    """`Wanted` of nothing yet."""
+    shape, edges = (batch.rod_count, batch.dof_count), batch.node_count - 1
+
+    def zeros(columns, dtype: type = wp.float64):
+        return wp.zeros((shape[0], columns), dtype=dtype, device=batch.device)
+
+    out = Wanted()
+    out.dof, out.velocity, out.turn = zeros(shape[1]), zeros(shape[1]), zeros(edges)
+    out.strain = zeros(batch.node_count if viscous else 0, wp.vec4d)
+    return out
+
+
+class StepAdjoint:
+    """Goes through steps backwards.
+
+    Set what is wanted of the end in `now` (and what is known of earlier times in `before` and
+    `older`), call `go_back` for a record, and find there what is wanted of its start. What is left
+    of a start at which motion began anew is all in `now`, once `settle` has been called.
+
+    Args:
+        dynamics: that has taken the steps.
+        moved: (rod, dof) what is not free but moved by `Dynamics.motion`; what is neither stays.
+        air_of_mass: (rod, node) air damping that goes with the nodes' mass; default: of the rod.
+
+    Attributes:
+        now, before, older: `wrod.kernels.stepping.trace.Wanted` at the end of a step, at its
+            start, and a step earlier; edges are differentiated by the turn of their frames.
+        model: `wrod.kernels.stepping.model_adjoint.WantedModel`, summed up until `clear`.
+        held: (rod, dof) what is wanted of what is moved, at the end of the step gone through last.
+        step: that step, `wrod.kernels.stepping.trace.OneStep`.
+
+    Raises:
+        RodError: see `require_differentiable`.
+    """
+
+    def __init__(
+        self, dynamics: Dynamics, moved: np.ndarray, air_of_mass: np.ndarray | None = None
+    ):
+        require_differentiable(dynamics)
+        batch = self.batch = dynamics.batch
+        self.dynamics, device = dynamics, batch.device
+        rods, nodes, dofs = batch.rod_count, batch.node_count, batch.dof_count
+        viscous = dynamics.viscosity.exists
+        self.viscosity = Viscosity(batch, dynamics.viscosity.time.numpy() if viscous else 0.0)
+
+        def floats(*shape, dtype: type = wp.float64):
+            return wp.zeros((rods, *shape), dtype=dtype, device=device)
+
+        self.now, self.before, self.older = (make_wanted(batch, viscous) for _ in range(3))
+        self._levels = (self.now, self.before, self.older)
+        arrays = step_arrays(batch, viscous)
+        arrays["active"] = wp.zeros(rods, dtype=wp.int32, device=device)
+        self.step = filled(OneStep(), arrays)
+        self._state = RodState(
+            arrays["dof"], arrays["tangent"], arrays["director"], arrays["twist"]
+        )
+        self._pace = Pace()
+        for name in ("active", "coefficient", "span"):
+            setattr(self._pace, name, arrays[name])
+        self._at = Derivatives.zeros(rods, dofs, device)
+        self._by_end, self._by_start, self._moment = (
+            floats(nodes - 1, dtype=wp.vec3d) for _ in range(3)
+        )
+        self._spin_inertia, self._wanted = floats(nodes - 1), floats(dofs)
+        self._unsymmetric = self._spin_inertia, self._moment, self._by_end
+        self._factor = floats(dofs, banded_lu.BAND)
+        self._x = wp.zeros((rods, 1, dofs), dtype=banded_lu.ALONE, device=device)
+        self._held, self.held = floats(dofs), floats(dofs)
+        self.moved = wp.array(np.asarray(moved, dtype=np.int32), dtype=wp.int32, device=device)
+        none = floats(0)
+        self._edge_mass = none if dynamics.edge_mass is None else dynamics.edge_mass
+        self._viscous_time = self.viscosity.time if viscous else floats(0, dtype=wp.vec4d)
+        self._drag = floats(0, dtype=wp.vec2d) if dynamics.drag is None else dynamics.drag
+        self._prepare_model(air_of_mass)
+
+    def _prepare_model(self, air_of_mass: np.ndarray | None) -> None:
+        batch, dynamics = self.batch, self.dynamics
+        rods, nodes, device = batch.rod_count, batch.node_count, batch.device
+        model = self.model = model_adjoint.WantedModel()
+        for name, shape, dtype in (
+            ("stretching", (rods, nodes - 1), wp.float64), ("bending", (rods, nodes), wp.vec2d),
+            ("natural_curvature", (rods, nodes), wp.vec2d),
+            ("twisting", (rods, nodes), wp.float64), ("natural_twist", (rods, nodes), wp.float64),
+            ("node_mass", (rods, nodes), wp.float64), ("gravity", (rods,), wp.vec3d),
+        ):  # fmt: skip
+            setattr(model, name, wp.zeros(shape, dtype=dtype, device=device))
+        if air_of_mass is None:
+            air_of_mass = np.repeat(dynamics.air_damping.numpy()[:, None], nodes, axis=1)
+        self._air_of_mass = wp.array(air_of_mass, dtype=wp.float64, device=device)
+        # An edge's inertia goes with the mass of its piece of the row.
+        ends = np.array([*batch.cut_edges, nodes - 1])
+        piece = np.searchsorted(ends, np.arange(nodes))
+        total = np.stack([batch.node_mass.numpy()[:, piece == k].sum(axis=1)
+                          for k in range(len(ends))], axis=1)  # fmt: skip
+        share = dynamics.mass.numpy()[:, 3::4] / np.maximum(total[:, piece[:-1]], 1e-300)
+        self._piece = wp.array(piece, dtype=wp.int32, device=device)
+        self._spin_share = wp.array(share, dtype=wp.float64, device=device)
+        self._spins = wp.zeros(total.shape, dtype=wp.float64, device=device)
+
+    def clear(self) -> None:
+        """Want nothing any more."""
+        for level in self._levels:
+            for name in Wanted.vars:
+                getattr(level, name).zero_()
+        for name in model_adjoint.WantedModel.vars:
+            getattr(self.model, name).zero_()
+
+    def go_back(self, record: Record, held=None) -> None:
+        """Go from the end of a record to its start.
+
+        Args:
+            held: called after every step with the adjoint: `step` and `held` are of that step.
+        """
+        batch = self.batch
+        shape = (batch.rod_count, batch.dof_count)
+        for back in range(record.most):
+            batch.launch(recall_step, shape, [record.steps, record.count, back], [self.step])
+            self._settle(self.step.active, self._state)
+            self._factorise()
+            self._solve()
+            self._want_model(record)
+            self._want_before()
+            if held is not None:
+                held(self)
+            batch.launch(go_back, shape, [self.step.active], list(self._levels))
+
+    def settle(self, chosen: wp.array) -> None:
+        """Let what is wanted of strains at the start of the rods that are not 0 in `chosen` (rod,)
+        be wanted of their configuration there; `step` must be the first of all."""
+        step = self.step
+        start = RodState(step.dof_before, step.tangent_before, step.director_before, step.twist)
+        self._settle(chosen, start)
+
+    def _settle(self, chosen: wp.array, state: RodState) -> None:
+        if self.viscosity.exists:
+            batch = self.batch
+            batch.launch(
+                model_adjoint.want_strained,
+                (batch.rod_count, batch.node_count),
+                [chosen, state.dof, state.director],
+                [self.now],
+            )
+
+    def _factorise(self) -> None:
+        """A_n^T of the step, as `Dynamics` puts A_n together."""
+        batch, dynamics, step, at = self.batch, self.dynamics, self.step, self._at
+        rods, nodes, dofs = batch.rod_count, batch.node_count, batch.dof_count
+        self.viscosity.flow(
+            step.active, step.coefficient, step.span, step.strain, step.strain_older
+        )
+        batch.evaluate(
+            order=2, state=self._state, out=at, active=step.active, model=self.viscosity.model,
+            energy=False,
+        )  # fmt: skip
+        history = [step.dof, step.dof_before, step.dof_older]
+        speeds = [step.velocity, step.velocity_older]
+        batch.launch(
+            inertia.add_inertia,
+            (rods, dofs),
+            [dynamics.mass, dynamics.air_damping, self._pace, *history, *speeds],
+            [at.gradient, at.hessian],
+        )
+        if dynamics.edge_mass is not None:
+            batch.launch(
+                inertia.add_edge_inertia,
+                dynamics.edge_mass.shape,
+                [dynamics.edge_mass, self._pace, *history, *speeds],
+                [at.gradient, at.hessian],
+            )
+        if dynamics.drag is not None:
+            batch.launch(
+                inertia.add_drag,
+                (rods, nodes),
+                [dynamics.drag, self._pace, *history],
+                [at.gradient, at.hessian],
+            )
+        edges = (rods, nodes - 1)
+        batch.launch(kernels.measure_turns, edges, [step], [self._by_end, self._by_start])
+        batch.launch(
+            kernels.weigh_spins, edges, [dynamics.mass, dynamics.air_damping, step],
+            [self._spin_inertia, self._moment],
+        )  # fmt: skip
+        batch.launch(
+            kernels.assemble,
+            (rods, dofs),
+            [step.active, batch.free, at.hessian, *self._unsymmetric],
+            [self._factor],
+        )
+        batch.launch_lanes(banded_lu.factorise, [step.active], [self._factor])
+
+    def _solve(self) -> None:
+        batch, step, now = self.batch, self.step, self.now
+        rods, nodes, dofs = batch.rod_count, batch.node_count, batch.dof_count
+        batch.launch(kernels.want_turns, (rods, nodes - 1), [step], [now])
+        batch.launch(
+            kernels.load_wanted,
+            (rods, nodes),
+            [batch.free, step, now, self._by_end],
+            [self._wanted, self._x],
+        )
+        batch.launch_lanes(kernels.solve, [step.active, self._factor], [self._x])
+        batch.launch(
+            kernels.want_held,
+            (rods, dofs),
+            [batch.free, step.active, self._at.hessian, *self._unsymmetric]
+            + [self._wanted, self._x],
+            [self._held],
+        )
+        batch.launch(
+            kernels.want_turns_before,
+            (rods, nodes - 1),
+            [step.active, self._spin_inertia, self._x],
+            [now],
+        )
+
+    def _want_before(self) -> None:
+        batch, dynamics, step = self.batch, self.dynamics, self.step
+        shape = (batch.rod_count, batch.node_count)
+        batch.launch(
+            kernels.want_before,
+            shape,
+            [dynamics.mass, self._edge_mass, dynamics.air_damping, self._drag]
+            + [step, self.now, self._by_start, self._x],
+            [self.before, self.older],
+        )
+        batch.launch(
+            kernels.want_still,
+            shape,
+            [batch.free, self.moved, step.active, self._by_end, self._by_start, self._held],
+            [self.before, self.held],
+        )
+
+    def _want_model(self, record: Record) -> None:
+        batch, step = self.batch, self.step
+        rods, nodes = batch.rod_count, batch.node_count
+        rod = model_adjoint.Elastic()
+        rod.rest_length, rod.stretching = batch.rest_length, batch.stretching_stiffness
+        rod.bending, rod.natural_curvature = batch.bending_stiffness, batch.natural_curvature
+        rod.softening, rod.twisting = batch.softening, batch.twisting_stiffness
+        rod.natural_twist = batch.natural_twist
+        rod.viscous_time = self._viscous_time
+        outputs = [self.before, self.older, self.model]
+        for kernel, count in (
+            (model_adjoint.want_stretching, nodes - 1), (model_adjoint.want_bending, nodes - 2),
+        ):  # fmt: skip
+            batch.launch(kernel, (rods, count), [rod, step, self._x], outputs)
+        self._spins.zero_()
+        batch.launch(
+            model_adjoint.want_masses,
+            (rods, nodes),
+            [self._air_of_mass, self.dynamics.air_damping, batch.node_mass, batch.load_factor]
+            + [record.gravity, self._spin_share, self._piece, step, self._x],
+            [self._spins, self.model],
+        )
+        batch.launch(
+            model_adjoint.share_spins,
+            (rods, nodes),
+            [self._piece, self._spins],
+            [self.model.node_mass],
+        )

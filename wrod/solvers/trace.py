@@ -1,0 +1,131 @@
+"""What steps were made of: kept while they are taken, for their adjoint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrod.errors import RodError
+from wrod.kernels.stepping import trace as kernels
+
+if TYPE_CHECKING:
+    from wrod.rods.batch import RodBatch
+    from wrod.solvers.dynamics import Dynamics
+    from wrod.solvers.newton_steps import NewtonSteps
+
+
+def step_arrays(batch: RodBatch, viscous: bool, steps: tuple[int, ...] = ()) -> dict[str, wp.array]:
+    """Arrays of `kernels.Kept` (`steps` of them) or of `kernels.OneStep`, by name."""
+    rods, nodes = batch.rod_count, batch.node_count
+    kinds: dict[str, tuple[Any, tuple[int, ...]]] = {
+        "coefficient": (wp.vec3d, ()), "span": (wp.float64, ()), "left": (wp.float64, ()),
+        "twist": (wp.float64, (nodes,)),
+    }  # fmt: skip
+    for name in ("dof", "dof_before", "dof_older", "velocity", "velocity_older"):
+        kinds[name] = wp.float64, (batch.dof_count,)
+    for name in ("tangent", "director", "tangent_before", "director_before"):
+        kinds[name] = wp.vec3d, (nodes - 1,)
+    for name in ("strain", "strain_older"):
+        kinds[name] = wp.vec4d, (nodes if viscous else 0,)
+    return {
+        name: wp.zeros((*steps, rods, *shape), dtype=dtype, device=batch.device)
+        for name, (dtype, shape) in kinds.items()
+    }
+
+
+def filled(struct: Any, arrays: dict[str, wp.array]) -> Any:
+    """A Warp struct of these arrays."""
+    for name, array in arrays.items():
+        setattr(struct, name, array)
+    return struct
+
+
+@dataclass(frozen=True)
+class Record:
+    """Steps that a `Trace` has kept.
+
+    Attributes:
+        steps: `wrod.kernels.stepping.trace.Kept`.
+        count: (rod,) steps of each, on the device; `most` is the largest.
+        gravity: (rod,) that they were taken under.
+    """
+
+    steps: Any
+    count: wp.array
+    most: int
+    gravity: wp.array
+
+
+class Trace:
+    """Keeps what steps are made of (a `wrod.solvers.newton_steps.Follower`), by kernels alone.
+
+    33 numbers a node and step, 41 of a viscous material.
+
+    Args:
+        dynamics: whose steps; its `follower` is to be this.
+        room: steps of a rod that are kept between two calls of `take`.
+    """
+
+    def __init__(self, dynamics: Dynamics, room: int):
+        batch = self.batch = dynamics.batch
+        self.room, viscosity = room, dynamics.viscosity
+        self.count = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
+        self._touched = wp.zeros(batch.rod_count, dtype=wp.int32, device=batch.device)
+        self._arrays = step_arrays(batch, viscosity.exists, (room,))
+        self._kept = filled(kernels.Kept(), self._arrays)
+        state, start = batch.state, dynamics.start
+        now = {
+            "dof": state.dof, "tangent": state.tangent, "director": state.director,
+            "twist": state.reference_twist, "dof_before": start.dof,
+            "tangent_before": start.tangent, "director_before": start.director,
+            "dof_older": dynamics.dof_older, "velocity": dynamics.velocity,
+            "velocity_older": dynamics.velocity_older,
+        }  # fmt: skip
+        if viscosity.exists:
+            now |= {"strain": viscosity.strain, "strain_older": viscosity.strain_older}
+        self._now = filled(kernels.OneStep(), now)
+
+    def follow(self, dynamics: NewtonSteps) -> None:
+        """Keep the accepted steps."""
+        batch = self.batch
+        for contact in dynamics.contacts:
+            contact.find_touching(
+                dynamics.accepted, batch.state.dof, dynamics.start.dof, self._touched
+            )
+        dim = (batch.rod_count, batch.dof_count)
+        batch.launch(
+            kernels.keep_step, dim, [dynamics.pace, self.count, self._now], [self._kept]
+        )  # fmt: skip
+        dynamics._per_rod(kernels.count_step, [dynamics.accepted], [self.count])
+
+    def take(self) -> Record:
+        """What was kept since it was asked last; waits for the device.
+
+        Raises:
+            RodError: a rod has taken more steps than there is room for, or touched something.
+        """
+        device_count = wp.clone(self.count)
+        count, touched = device_count.numpy(), self._touched.numpy().copy()
+        self.count.zero_()
+        self._touched.zero_()
+        most = int(count.max())
+        if most > self.room:
+            raise RodError(
+                f"row {int(count.argmax())} took {most} time steps where gradients have room for "
+                f"{self.room}; take a shorter step"
+            )
+        if touched.any():
+            raise RodError(
+                f"row {int(np.flatnonzero(touched)[0])} of rods touches something in this step; "
+                "gradients through contact are not there"
+            )
+        # Rods that were cut out have taken none.
+        kept = {
+            name: wp.clone(a[: max(most, 1)]) if a.size else a for name, a in self._arrays.items()
+        }
+        return Record(
+            filled(kernels.Kept(), kept), device_count, most, wp.clone(self.batch.gravity)
+        )
