@@ -145,9 +145,6 @@ def test_refusals():
     SolverDER.attach(builder, 0, -1, node=4, kind="pinned")
     with pytest.raises(RodError, match="node 4 of rod 0 is held already"):
         SolverDER.attach(builder, 0, -1, node=3)
-    model = builder.finalize(device=DEVICE, requires_grad=True)
-    with pytest.raises(RodError, match="no gradients"):
-        SolverDER(model)
     builder, _ = with_bob(inertia=INERTIA)
     model = builder.finalize(device=DEVICE)
     with pytest.raises(RodError, match="the first one covers the second"):

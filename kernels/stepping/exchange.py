@@ -154,6 +154,13 @@ def write_state(
         written_director_out[r, b] = d
 
 
+@wp.func
+def capsule_turn(z: wp.vec3d, director: wp.vec3d) -> wp.quatd:
+    """Rotation of a body on an edge, x along the director and z along the edge."""
+    x = wp.normalize(director - wp.dot(director, z) * z)
+    return wp.quat_from_matrix(wp.matrix_from_cols(x, wp.cross(z, x), z))
+
+
 @wp.kernel
 def place_capsules(
     # Model:
@@ -165,8 +172,7 @@ def place_capsules(
     # State out:
     body_q_out: wp.array(dtype=wp.transform),
 ):
-    """Put a body at the middle of every edge that has one, x along the director and z along the
-    edge."""
+    """Put a body at the middle of every edge that has one."""
     r, b = wp.tid()
     if body[r, b] < 0:
         return
@@ -174,9 +180,7 @@ def place_capsules(
     q = node_q[p.node]
     u = node_q[p.node + 1]
     z = wp.normalize(u - q)
-    d = edge_director[p.edge]
-    x = wp.normalize(d - wp.dot(d, z) * z)
-    turn = wp.quat_from_matrix(wp.matrix_from_cols(x, wp.cross(z, x), z))
+    turn = capsule_turn(z, edge_director[p.edge])
     middle = wp.float64(0.5) * (q + u)
     body_q_out[body[r, b]] = wp.transform(
         wp.vec3(float(middle[0]), float(middle[1]), float(middle[2])),

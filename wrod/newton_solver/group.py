@@ -10,6 +10,7 @@ from wrod.newton_solver.holds import Holds
 from wrod.newton_solver.layout import Layout
 from wrod.newton_solver.owned import find_owned
 from wrod.newton_solver.shapes import ModelShapes
+from wrod.newton_solver.tapes import off_tape
 from wrod.rods.state import RodState
 from wrod.solvers.bodies import Bodies
 from wrod.solvers.contact import Contact, Friction
@@ -277,7 +278,8 @@ class RodGroup:
                 values = getattr(state, name).numpy().copy()
                 values[at] = getattr(self.model, name).numpy()[at]
                 getattr(state, name).assign(values)
-        self.dynamics.restart(wp.array(chosen, dtype=wp.int32, device=self.device))
+        with off_tape():
+            self.dynamics.restart(wp.array(chosen, dtype=wp.int32, device=self.device))
 
     def write(self, state_out: State) -> None:
         """Give out what rods and their bodies do now, and put the rods' capsules there."""

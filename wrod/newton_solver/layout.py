@@ -137,7 +137,7 @@ class Layout:
             rest_length=rest,
             stretching_stiffness=der.edge_stretching_stiffness.numpy()[edges],
             **of_free_part(
-                np.where(self._in_clamp(), 0.5, 1.0),
+                self.free_share,
                 **{name: getattr(der, f"node_{name}").numpy()[n] for name in _OF_NODES},
             ),
             node_mass=np.where(self.ghost, 0.0, der.node_mass.numpy()[n]),
@@ -159,11 +159,13 @@ class Layout:
                     "or let one run the other way"
                 )
 
-    def _in_clamp(self) -> np.ndarray:
-        """(row, node) whether a node is the one that a clamp at an end holds."""
-        out = np.zeros(self.ghost.shape, dtype=bool)
+    @property
+    def free_share(self) -> np.ndarray:
+        """(row, node) share of a node's cell that bends and twists: half of it where a clamp at an
+        end holds the node."""
+        out = np.ones(self.ghost.shape)
         for row, i in zip(*np.nonzero(self.ghost), strict=True):
-            out[row, i - self.places["ghost"][row, i]] = True
+            out[row, i - self.places["ghost"][row, i]] = 0.5
         return out
 
     def hold_records(self, slots: list[dict[int, int]]) -> np.ndarray:

@@ -19,13 +19,15 @@ except ImportError as error:
 from newton.solvers import SolverBase
 
 from wrod.kernels.stepping.carrying import add_wrenches
-from wrod.newton_solver import attributes
+from wrod.newton_solver import attributes, notes
 from wrod.newton_solver.adding import RodBuilding
 from wrod.newton_solver.body_contact import colliding_bodies
+from wrod.newton_solver.gradients import Gradients, leave_gradients
 from wrod.newton_solver.group import RodGroup
 from wrod.newton_solver.holds import Holds, free_bodies
 from wrod.newton_solver.rows import find_rows
 from wrod.newton_solver.shapes import ModelShapes
+from wrod.newton_solver.tapes import off_tape
 from wrod.solvers.dynamics import SCHEMES
 
 _STATE = ("node_q", "node_qd", "node_contact_f", "edge_director", "edge_spin")
@@ -55,6 +57,12 @@ class SolverDER(RodBuilding, SolverBase):
     has at the end of the step. A state that is not the one this solver wrote last is taken up as it
     is (the rod then starts anew from it, with one step of first order), so states may be changed,
     copied and set back at will.
+
+    Of a model that was finalized with `requires_grad=True`, steps on a `wp.Tape` have gradients,
+    by the adjoint of the steps as they are taken: by `state.der`, by `body_q` of kinematic bodies
+    that hold rods, by `gravity`, and in `model.der` by stretching, bending and twisting stiffness,
+    natural curvature and twist, and the nodes' masses (not for "consistent" inertia); other
+    properties have no `grad`. Rods must touch nothing; what has no gradients is refused.
 
     Example
     -------
@@ -132,15 +140,12 @@ class SolverDER(RodBuilding, SolverBase):
                 the free ones.
 
         Raises:
-            RodError: The model has no rods, requires gradients, or an option is none.
+            RodError: The model has no rods, or an option is none.
         """
         super().__init__(model=model)
         der = attributes.require(model)
         if model.requires_grad:
-            raise RodError(
-                "SolverDER gives no gradients to a wp.Tape; finalize the model with "
-                "requires_grad=False, and see wrod.training.moving.move_differentiable"
-            )
+            leave_gradients(model, consistent=inertia == "consistent")
         if scheme not in SCHEMES:
             raise RodError(f"unknown scheme {scheme!r}; use one of {', '.join(SCHEMES)}")
         given = {"max_step": max_step, "contact_stiffness": contact_stiffness}
@@ -163,7 +168,7 @@ class SolverDER(RodBuilding, SolverBase):
         self._own = self._choose_bodies(bodies)
         self._initial = {name: wp.clone(getattr(der, name)) for name in _STATE}
         self._mourned = np.zeros(self.rod_count, dtype=bool)
-        self._poses = wp.clone(model.body_q), wp.clone(model.body_q)
+        self._poses = tuple(wp.clone(model.body_q, requires_grad=False) for _ in range(2))
         self._force, self._torque = (
             wp.zeros(model.body_count, dtype=wp.vec3d, device=model.device) for _ in range(2)
         )
@@ -187,6 +192,7 @@ class SolverDER(RodBuilding, SolverBase):
                 )
         return own & np.isin(np.arange(len(own)), chosen)
 
+    @off_tape()
     def _build(self) -> None:
         model = self.model
         shapes = ModelShapes(model, self._own)
@@ -207,6 +213,7 @@ class SolverDER(RodBuilding, SolverBase):
             )
             for rows in find_rows(model, self._holds, self._own, colliding, self._rods_meet)
         ]
+        self._gradients = Gradients(model, self._groups)
         held = [b for b in self._holds.bodies if not self._own[b]]
         moved = model.body_flags.numpy()[held] & int(newton.BodyFlags.DYNAMIC) != 0
         massive = model.body_mass.numpy()[held] > 0
@@ -251,7 +258,9 @@ class SolverDER(RodBuilding, SolverBase):
                 solvers do not carry rods over into the states that they write.
 
         Raises:
-            RodError: dt is not positive, or a state was made from another model.
+            RodError: dt is not positive, a state was made from another model, or, while a tape is
+                recorded, the step has no gradients: scheme "midpoint", rods with a past, that
+                touch something, or that hold bodies which this solver moves.
         """
         with retold_as(RodError):
             self.validate_observables(observables, contacts)
@@ -265,16 +274,30 @@ class SolverDER(RodBuilding, SolverBase):
                 source = getattr(moved, name, None)
                 if source is not None and len(source):
                     wp.copy(getattr(state_out, name), source)
-        self._note_falling(contacts)
+        if contacts is None and len(self._colliding) and not self._fell:
+            self._fell = True
+            notes.nothing_holds(self.model, self._colliding)
+        with off_tape() as tape:
+            self._advance(state_in, state_out, moved, contacts, dt, tape)
+        if self._follows_old_rods(state_in, state_out):
+            notes.rods_of_long_ago()
+        self._steps += 1
+        if self._others and self._steps == _PATIENCE and not self._loads_taken:
+            notes.nobody_feels(self.model, self._others)
+
+    def _advance(self, state_in, state_out, moved, contacts, dt: float, tape) -> None:
+        """`step`, of which nothing is recorded but what goes back through it."""
         parts = 1 if self.max_step is None else int(np.ceil(dt / self.max_step * (1 - 1e-9)))
         before, after = self._poses
         wp.copy(after, moved.body_q)
         device = self.model.device
         if device.is_cuda and not device.is_capturing:
             self._listen()  # What earlier steps have told by now.
+        put = self._gradients.listen(tape, parts, state_in, state_out, moved)
         for group in self._groups:
             group.step(state_in, contacts, dt, dt / parts)
-        self._note_old_rods(state_in, state_out)
+        if put is not None:
+            put(after)
         wp.copy(before, after)
         self._force.zero_()
         self._torque.zero_()
@@ -283,44 +306,15 @@ class SolverDER(RodBuilding, SolverBase):
             group.add_loads(self._force, self._torque)
         if device.is_cpu and not device.is_capturing:
             self._listen()
-        self._steps += 1
-        if self._others and self._steps == _PATIENCE and not self._loads_taken:
-            names = ", ".join(repr(self.model.body_label[b]) for b in self._others[:3])
-            warnings.warn(
-                f"rods pull at bodies that another solver moves ({names}), which does not feel "
-                "them; call add_body_forces(state) on the state that it steps from",
-                WrodWarning,
-                stacklevel=2,
-            )
 
-    def _note_falling(self, contacts: newton.Contacts | None) -> None:
-        """Speak of bodies that nothing holds up, once."""
-        if contacts is None and len(self._colliding) and not self._fell:
-            self._fell = True
-            names = ", ".join(repr(self.model.body_label[b]) for b in self._colliding[:3])
-            warnings.warn(
-                f"this solver moves bodies with shapes ({names}) and was given no contacts: they "
-                "fall through everything. Give step the contacts of a newton.CollisionPipeline, "
-                "or make them shapes without collision",
-                WrodWarning,
-                stacklevel=3,
-            )
-
-    def _note_old_rods(self, state_in: newton.State, state_out: newton.State) -> None:
-        """Speak of a loop that, after another solver's step, goes on from rods of long ago."""
+    def _follows_old_rods(self, state_in: newton.State, state_out: newton.State) -> bool:
+        """Whether, early in a loop after another solver's step, rods went on from long ago."""
         last = self._last_out() if self._last_out is not None else None
         self._last_out = weakref.ref(state_out)
         early = self._steps < _PATIENCE and not self.model.device.is_capturing
         if not early or not self._is_shared or last is None or last is state_in:
-            return
-        if any(group.changed.numpy().any() for group in self._groups):
-            warnings.warn(
-                "the rods of state_in are not those of the last step, which went into another "
-                "state; other solvers do not carry rods over. Where one has written bodies into "
-                "`other`, call step(state, other, control, contacts, dt, moved=other)",
-                WrodWarning,
-                stacklevel=3,
-            )
+            return False
+        return any(group.changed.numpy().any() for group in self._groups)
 
     def penetration(self) -> np.ndarray:
         """(rod_count,) how deep at most a rod, or one that shares its steps, is in another [m]; 0
@@ -342,7 +336,11 @@ class SolverDER(RodBuilding, SolverBase):
 
         Args:
             state: The state that the other solver steps from.
+
+        Raises:
+            RodError: A tape is recorded, on which these loads have no gradients.
         """
+        self._gradients.refuse("loads of rods on bodies that others move")
         self._loads_taken = True
         wp.launch(
             add_wrenches,
@@ -368,6 +366,7 @@ class SolverDER(RodBuilding, SolverBase):
                 stacklevel=3,
             )
 
+    @off_tape()
     def notify_model_changed(self, flags: newton.ModelFlags | int) -> None:
         """Take up changed gravity (MODEL_PROPERTIES), shapes (SHAPE_PROPERTIES), or attributes
         of the rods (`SolverDER.ROD_PROPERTIES`, which starts the rods anew)."""

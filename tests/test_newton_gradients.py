@@ -1,0 +1,292 @@
+"""Gradients of `SolverDER` on a `wp.Tape`, against differences, and what is refused."""
+
+import contextlib
+
+import newton
+import numpy as np
+import pytest
+import warp as wp
+from chosen import DEVICE
+from scipy.spatial.transform import Rotation
+
+import wrod
+from wrod.errors import RodError
+from wrod.newton_solver.gradients import PROPERTIES
+
+SolverDER = wrod.SolverDER
+STATE = ("node_q", "node_qd", "edge_director", "edge_spin")
+STEPS = 6
+f64, vec3d = wp.float64, wp.vec3d
+
+
+@wp.kernel
+def measure(
+    weight: wp.array(dtype=vec3d),
+    q: wp.array(dtype=vec3d),
+    v: wp.array(dtype=vec3d),
+    director: wp.array(dtype=vec3d),
+    spin: wp.array(dtype=f64),
+    poses: wp.array(dtype=wp.transform),
+    capsule: int,
+    loss: wp.array(dtype=f64),
+):
+    i = wp.tid()
+    w = weight[i]
+    x = wp.dot(w, q[i]) + f64(0.05) * wp.dot(w, v[i]) + f64(9.0) * wp.dot(q[i], q[i])
+    if i < spin.shape[0]:
+        x += f64(0.2) * wp.dot(w, director[i]) + f64(0.003) * spin[i]
+    if i == 0:  # in single precision, so that differences must not see it
+        p = poses[capsule]
+        x += f64(0.01) * (f64(p[0]) + f64(2.0) * f64(p[2]) + f64(3.0) * f64(p[3]) - f64(p[5]))
+    wp.atomic_add(loss, 0, x)
+
+
+@wp.kernel
+def put(pose: wp.array(dtype=wp.transform), hand: int, poses: wp.array(dtype=wp.transform)):
+    poses[hand] = pose[0]
+
+
+class Scene:
+    """Two worlds of rods with a preferred bend, the first held by a hand that moves."""
+
+    def __init__(self, ends=("clamped", "free"), internal=0.01, dt=0.01, states=2, **options):
+        self.dt, self.states = dt, states
+        self.options = {"tolerance": 1e-13, "max_iterations": 60} | options
+        material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.3)
+        s = np.linspace(0.0, 0.3, 9)
+        line = np.stack([s, 0.01 * np.sin(9.0 * s), 0.02 * np.cos(7.0 * s)], axis=1)
+        builder = newton.ModelBuilder(gravity=(0.0, 0.0, -9.8125))
+        SolverDER.register_custom_attributes(builder)
+        builder.begin_world()
+        self.hand = builder.add_link(is_kinematic=True)
+        SolverDER.add_rod(
+            builder, line, material, start=ends[0], start_body=self.hand, end=ends[1],
+            internal_damping=internal, air_damping=0.3,
+        )  # fmt: skip
+        builder.end_world()
+        builder.begin_world()
+        SolverDER.add_rod(
+            builder, line[:, [1, 0, 2]] * 1.1, material, start="clamped", air_damping=0.6,
+            internal_damping=internal, visible=False,
+        )  # fmt: skip
+        builder.end_world()
+        model = self.model = builder.finalize(device=DEVICE, requires_grad=True)
+        self.capsule = int(model.der.rod_body.numpy()[0]) + 4
+        rng = np.random.default_rng(2)
+        der = model.der
+        curvature = rng.normal(size=der.node_natural_curvature.numpy().shape)
+        der.node_natural_curvature.assign(curvature)
+        self.start = {
+            "node_q": der.node_q.numpy() + 0.003 * rng.normal(size=(18, 3)),
+            "node_qd": 0.3 * rng.normal(size=(18, 3)),
+            "edge_director": der.edge_director.numpy() + 0.2 * rng.normal(size=(16, 3)),
+            "edge_spin": 3.0 * rng.normal(size=16),
+        }
+        n = np.arange(STEPS)[:, None]
+        turn = Rotation.from_rotvec(n * [0.03, 0.05, -0.04] + [0.0, 0.3, 0.0]).as_quat()
+        poses = np.concatenate([n * [0.01, 0.005, 0.003], turn], axis=1)
+        self.poses = np.round(poses * 2**20) / 2**20  # so that steps of them are exact
+        self.weight = rng.normal(size=(18, 3))
+
+    def run(self, tape=None, warm=0, capsule=True, **changed):
+        """Loss, first state and poses; the first `warm` steps are not on the tape."""
+        model, start = self.model, self.start | changed
+        given = np.asarray(changed.get("poses", self.poses), dtype=np.float32)
+        poses = [
+            wp.array(p[None], dtype=wp.transform, device=DEVICE, requires_grad=True) for p in given
+        ]
+        solver = SolverDER(model, **self.options)
+        states = [model.state() for _ in range(self.states)]
+        for name in STATE:
+            getattr(states[0].der, name).assign(start[name])
+        weight = wp.array(self.weight, dtype=vec3d, device=DEVICE)
+        loss = wp.zeros(1, dtype=f64, device=DEVICE, requires_grad=True)
+
+        def step(k):
+            one, other = states[k % len(states)], states[(k + 1) % len(states)]
+            wp.launch(put, 1, [poses[k], self.hand], [one.body_q], device=DEVICE)
+            solver.step(one, other, None, None, self.dt)
+            return other
+
+        for k in range(warm):
+            step(k)
+        with contextlib.nullcontext() if tape is None else tape:
+            for k in range(warm, STEPS):
+                end = step(k)
+            arrays = [getattr(end.der, name) for name in STATE]
+            arrays += [end.body_q, self.capsule]
+            wp.launch(measure, len(weight), [weight, *arrays], [loss], device=DEVICE)
+        value = float(loss.numpy()[0])
+        if capsule:  # that part of the loss, in double precision
+            value += self._of_capsule(end) - self._of_capsule(end, single=True)
+        return value, loss, states[0], poses
+
+    def _of_capsule(self, state, single=False):
+        if single:
+            p = state.body_q.numpy()[self.capsule].astype(float)
+            return 0.01 * (p[0] + 2.0 * p[2] + 3.0 * p[3] - p[5])
+        q, d = state.der.node_q.numpy()[4:6], state.der.edge_director.numpy()[4]
+        t = (q[1] - q[0]) / np.linalg.norm(q[1] - q[0])
+        turn = Rotation.from_matrix(np.column_stack([d, np.cross(t, d), t])).as_quat()
+        turn *= np.sign(turn @ state.body_q.numpy()[self.capsule, 3:])
+        middle = q.mean(axis=0)
+        return 0.01 * (middle[0] + 2.0 * middle[2] + 3.0 * turn[0] - turn[2])
+
+    def gradients(self, **options):
+        tape = wp.Tape()
+        _, loss, state, poses = self.run(tape, **options)
+        tape.backward(loss)
+        der = self.model.der
+        out = {name: getattr(state.der, name).grad.numpy() for name in STATE}
+        out |= {name: getattr(der, name).grad for name in PROPERTIES}
+        out = {
+            k: v if isinstance(v, np.ndarray) or v is None else v.numpy() for k, v in out.items()
+        }
+        out["gravity"] = self.model.gravity.grad.numpy()
+        out["poses"] = np.concatenate([p.grad.numpy() for p in poses])
+        return {k: v.astype(float) for k, v in out.items() if v is not None}
+
+    def difference(self, name, way, size, **options):
+        """Along a way, of fourth order."""
+
+        def at(k):
+            if name in self.start or name == "poses":
+                value = self.poses if name == "poses" else self.start[name]
+                return self.run(**{name: value + k * size * way}, **options)[0]
+            array = getattr(self.model if name == "gravity" else self.model.der, name)
+            value = array.numpy().copy()
+            array.assign((value + k * size * way).astype(value.dtype))
+            found = self.run(**options)[0]
+            array.assign(value)
+            return found
+
+        return (8.0 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12.0 * size)
+
+
+def compare(scene, names, rel=1e-6, **options):
+    found = scene.gradients(**options)
+    rng = np.random.default_rng(1)
+    for name in names:
+        if name not in found:
+            continue
+        shape = found[name].shape
+        way, size = rng.normal(size=shape), 1e-4
+        if name in ("poses", "gravity"):  # of single precision
+            way, size = rng.integers(-2, 3, size=shape).astype(float), 2.0**-16
+        if name == "poses":
+            way[: options.get("warm", 0)] = 0.0
+        elif name in PROPERTIES and "natural" not in name:
+            way *= getattr(scene.model.der, name).numpy()
+        if name == "gravity":
+            size = 2.0**-7
+        expected = scene.difference(name, way, size, **options)
+        parts = found[name] * way
+        single = 1e-7 * np.abs(parts).sum() if name in ("poses", "gravity") else 0.0
+        assert parts.sum() == pytest.approx(expected, rel=rel, abs=3e-10 + single), name
+
+
+EVERY = (*STATE, *PROPERTIES, "gravity", "poses")
+
+
+@pytest.mark.parametrize(
+    ("options", "states"),
+    [
+        ({}, 2),
+        ({"scheme": "euler", "internal": 0.0}, STEPS + 1),
+        ({"max_step": 0.004}, 1),
+        ({"inertia": "consistent", "ends": ("pinned", "clamped")}, 2),
+    ],
+)
+def test_gradients_against_differences(options, states):
+    """Of a loss on all that the last state holds, by all that the first held, by every property,
+    gravity of each world and every pose of the hand, within 1e-6; with states that alternate, one
+    that is its own successor (and substeps), and one for each step."""
+    compare(Scene(states=states, **options), EVERY)
+
+
+def test_motion_that_goes_on_from_before_the_tape():
+    """What was before the tape counts as given."""
+    compare(Scene(), ("poses",), warm=2)
+
+
+def test_tapes_may_be_used_again():
+    """A second tape, and the first one after `zero`, say the same; `retain_grad` keeps what is
+    wanted of states on the way."""
+    scene = Scene(states=STEPS + 1)
+    first = scene.gradients()
+    tape = wp.Tape()
+    _, loss, state, poses = scene.run(tape)
+    for _ in range(2):
+        tape.zero()
+        scene.model.gravity.grad.zero_()
+        tape.backward(loss)
+    for name in STATE:
+        found = getattr(state.der, name).grad.numpy()
+        np.testing.assert_allclose(found, first[name], rtol=1e-9, atol=1e-12)
+    found = np.concatenate([p.grad.numpy() for p in poses])
+    np.testing.assert_allclose(found, first["poses"], rtol=1e-5, atol=1e-6)
+
+
+def cable(builder, height=1.0, **options):
+    points = np.linspace(0.0, 0.2, 6)[:, None] * [1.0, 0.0, 0.0] + [0.0, 0.0, height]
+    material = wrod.RodMaterial(radius=0.004, gravito_bending_length=0.08, length=0.2)
+    return SolverDER.add_rod(builder, points, material, visible=False, **options)
+
+
+def taped_step(builder, dt=0.01, count=1, **options):
+    model = builder.finalize(device=DEVICE, requires_grad=True)
+    solver, state = SolverDER(model, **options), model.state()
+    with wp.Tape():
+        for _ in range(count):
+            solver.step(state, state, None, None, dt)
+    return model
+
+
+def make():
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    return builder
+
+
+def test_what_has_no_gradients_has_none():
+    builder = make()
+    cable(builder)
+    model = taped_step(builder)
+    for name in ("edge_rest_length", "node_softening", "rod_radius", "rod_air_damping"):
+        assert getattr(model.der, name).grad is None
+    assert all(getattr(model.der, name).grad is not None for name in PROPERTIES)
+
+
+def test_what_has_no_gradients_is_refused():
+    """By the step, when a tape is recorded; without one it is taken."""
+    builder = make()
+    cable(builder, height=0.006)
+    builder.add_ground_plane()
+    with pytest.raises(RodError, match="touches something"):
+        taped_step(builder, count=20)
+    builder = make()
+    cable(builder)
+    with pytest.raises(RodError, match="midpoint"):
+        taped_step(builder, scheme="midpoint")
+    model = builder.finalize(device=DEVICE, requires_grad=True)
+    solver, state = SolverDER(model, scheme="midpoint"), model.state(requires_grad=False)
+    solver.step(state, state, None, None, 0.01)
+    with wp.Tape(), pytest.raises(RodError, match="a state has no gradients"):
+        SolverDER(model).step(state, state, None, None, 0.01)
+    with wp.Tape(), pytest.raises(RodError, match="loads of rods"):
+        solver.add_body_forces(state)
+    builder = make()
+    body = builder.add_body(mass=0.1, inertia=wp.mat33(np.eye(3) * 1e-4))
+    cable(builder, start="pinned", start_body=body)
+    with pytest.raises(RodError, match="kinematic"):
+        taped_step(builder)
+
+
+def test_a_tape_without_gradients_records_nothing():
+    builder = make()
+    cable(builder)
+    model = builder.finalize(device=DEVICE)
+    solver, state, tape = SolverDER(model), model.state(), wp.Tape()
+    with tape:
+        solver.step(state, state, None, None, 0.01)
+    assert tape.launches == []

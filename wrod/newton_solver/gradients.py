@@ -1,0 +1,313 @@
+"""Gradients of a simulator's steps on a `wp.Tape`."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import newton
+import numpy as np
+import warp as wp
+
+from wrod.errors import RodError
+from wrod.kernels.stepping import exchange_adjoint as kernels
+from wrod.kernels.stepping.trace import Wanted
+from wrod.newton_solver.group import RodGroup
+from wrod.newton_solver.tapes import off_tape, recorded
+from wrod.rods.discretisation import of_free_part
+from wrod.solvers.adjoint import StepAdjoint, require_differentiable
+from wrod.solvers.trace import Record, Trace
+
+# Properties with a gradient, in the order in which `want_properties` takes them.
+PROPERTIES = (
+    "edge_stretching_stiffness", "node_bending_stiffness", "node_twisting_stiffness",
+    "node_natural_curvature", "node_natural_twist", "node_mass",
+)  # fmt: skip
+_STATE = ("node_q", "node_qd", "edge_director", "edge_spin")
+# Steps of a rod that are kept beside those that it should take: where some have to be cut.
+_SPARE = 6
+
+
+def leave_gradients(model: newton.Model, consistent: bool) -> None:
+    """Take the gradients of properties away that a tape gives none for."""
+    der = model.der
+    kept = {*PROPERTIES, *_STATE} - ({"node_mass"} if consistent else set())
+    for name, value in vars(der).items():
+        if isinstance(value, wp.array) and name not in kept:
+            value.requires_grad = False
+
+
+def _numbers(array: wp.array | None, columns: int, device) -> wp.array:
+    """An array of vectors of single precision as one of numbers."""
+    if array is None or array.size == 0:
+        return wp.zeros((0, columns), dtype=wp.float32, device=device)
+    return wp.array(
+        ptr=array.ptr, dtype=wp.float32, shape=(array.size, columns), device=array.device
+    )
+
+
+@dataclass(eq=False)
+class Ends:
+    """Arrays that a step has read or written: of `_STATE`, and the bodies' poses."""
+
+    rods: tuple[wp.array, ...]
+    body_q: wp.array | None
+
+    @classmethod
+    def of(cls, state: newton.State, poses: newton.State | None = None) -> Ends:
+        rods = tuple(getattr(state.der, name) for name in _STATE)
+        if any(a.grad is None for a in rods):
+            raise RodError(
+                "a state has no gradients; make it by model.state() of a model that was finalized "
+                "with requires_grad=True"
+            )
+        return cls(rods, (state if poses is None else poses).body_q)
+
+    def gradients(self) -> list[wp.array]:
+        return [a.grad for a in self.rods]
+
+    def arrays(self) -> list[wp.array]:
+        every = [*self.rods, self.body_q]
+        return [a for a in every if a is not None and a.grad is not None and a.size]
+
+
+@dataclass(eq=False)
+class Taken:
+    """A step of a group.
+
+    Attributes:
+        record: the time steps of the rods in it.
+        changed: (row,) which began anew from the state.
+        rotation: (row, hold) of what is held, at its start.
+        director: (edge,) directors that were read.
+        poses: (body,) at its end.
+        duration: how long it was [s].
+        previous: the step before on the same tape.
+        wanted: what later steps want of what no state holds, at its end and before.
+    """
+
+    record: Record
+    changed: wp.array
+    rotation: wp.array
+    director: wp.array
+    poses: wp.array
+    duration: float
+    previous: Taken | None
+    tape: weakref.ref
+    wanted: tuple[Any, Any] | None = None
+
+
+class GroupGradients:
+    """Keeps the steps of a group, and goes back through them."""
+
+    def __init__(self, group: RodGroup):
+        self.group = group
+        self._trace: Trace | None = None
+        self._adjoint: StepAdjoint | None = None
+        self._last: weakref.ref | None = None
+
+    def listen(self, parts: int) -> None:
+        """Keep the steps from now on, `parts` of each rod.
+
+        Raises:
+            RodError: they have no adjoint.
+        """
+        dynamics = self.group.dynamics
+        require_differentiable(dynamics)
+        if self._trace is None or self._trace.room < parts + _SPARE:
+            self._trace = Trace(dynamics, 2 * parts + _SPARE)
+        if dynamics.follower is not self._trace:
+            dynamics.follower = self._trace
+            dynamics.forget_recording()
+
+    def rest(self) -> None:
+        """Keep nothing any more."""
+        dynamics = self.group.dynamics
+        if dynamics.follower is not None:
+            dynamics.follower = None
+            dynamics.forget_recording()
+        self._last = None
+
+    def take(self, tape: wp.Tape, director: wp.array, poses: wp.array) -> Taken:
+        """The step that was just taken."""
+        group = self.group
+        assert self._trace is not None
+        last = self._last() if self._last is not None else None
+        if last is not None and last.tape() is not tape:
+            last = None
+        record = self._trace.take()
+        taken = Taken(
+            record,
+            wp.clone(group.changed),
+            wp.clone(group.held_rotation),
+            director,
+            poses,
+            group.duration,
+            last,
+            weakref.ref(tape),
+        )
+        self._last = weakref.ref(taken)
+        return taken
+
+    def _prepare(self) -> StepAdjoint:
+        group = self.group
+        if self._adjoint is None:
+            layout, device = group.layout, group.device
+            moved = group.batch.free.numpy() == 0
+            air = layout.node_values("air_damping")
+            self._adjoint = StepAdjoint(group.dynamics, moved, air)
+            self._anchor = wp.zeros_like(self._adjoint.held)
+            one = np.ones(layout.ghost.shape)
+            share = of_free_part(layout.free_share, twisting_stiffness=one, natural_twist=one)
+            self._shares = [
+                wp.array(share[name], dtype=wp.float64, device=device)
+                for name in ("twisting_stiffness", "natural_twist")
+            ]
+            worlds = np.where(group.worlds < 0, len(group.model.gravity) - 1, group.worlds)
+            worlds = np.minimum(worlds, len(group.model.gravity) - 1)
+            self._world = wp.array(worlds, dtype=wp.int32, device=device)
+        return self._adjoint
+
+    def read(self, taken: Taken, ends: Ends) -> None:
+        """Take up what is wanted of the arrays that the step wrote."""
+        group, adjoint, record = self.group, self._prepare(), taken.record
+        adjoint.clear()
+        self._anchor.zero_()
+        if taken.wanted is not None:
+            for level, wanted in zip((adjoint.now, adjoint.before), taken.wanted, strict=True):
+                for name in Wanted.vars:
+                    wp.copy(getattr(level, name), getattr(wanted, name))
+            taken.wanted = None
+        body_q = ends.body_q
+        retained = body_q is not None and body_q.retain_grad
+        by_poses = None if body_q is None else body_q.grad
+        by_poses = wp.clone(by_poses) if retained and by_poses is not None else by_poses
+        capsules = group.capsules if by_poses is not None else wp.full_like(group.capsules, -1)
+        group.batch.launch(
+            kernels.want_written,
+            group.place.shape,
+            [group.place, capsules, record.steps, record.count, *ends.gradients()],
+            [_numbers(by_poses, 7, group.device), adjoint.now],
+        )
+
+    def go_back(self, taken: Taken, ends: Ends) -> None:
+        """Add what is wanted of the arrays that the step read."""
+        group, adjoint = self.group, self._prepare()
+        by_poses = _numbers(None if ends.body_q is None else ends.body_q.grad, 7, group.device)
+        hold = group.hold
+        if by_poses.shape[0] == 0 and (hold.numpy()["body"] >= 0).any():
+            raise RodError("the bodies that hold rods have no gradients: body_q requires none")
+
+        def held(adjoint: StepAdjoint) -> None:
+            group.batch.launch(
+                kernels.want_poses,
+                hold.shape,
+                [hold, wp.float64(taken.duration), adjoint.step, taken.changed, taken.poses]
+                + [taken.rotation, adjoint.held],
+                [self._anchor, by_poses],
+            )
+
+        adjoint.go_back(taken.record, held)
+        adjoint.settle(taken.changed)
+        by_q, by_qd, by_director, by_spin = ends.gradients()
+        batch, now, step = group.batch, adjoint.now, adjoint.step
+        shape = group.place.shape
+        batch.launch(kernels.want_anchored, self._anchor.shape, [self._anchor], [now])
+        batch.launch(
+            kernels.want_frames_read,
+            (shape[0], shape[1] - 1),
+            [group.place, taken.changed, step, taken.director],
+            [now, by_director, by_spin],
+        )
+        batch.launch(
+            kernels.want_ghosts_read,
+            shape,
+            [group.place, batch.rest_length, taken.changed, step],
+            [now],
+        )
+        batch.launch(kernels.want_nodes_read, shape, [group.place], [now, by_q, by_qd])
+        if taken.previous is not None:
+            taken.previous.wanted = _copies(now), _copies(adjoint.before)
+        self._want_properties(adjoint)
+
+    def _want_properties(self, adjoint: StepAdjoint) -> None:
+        group, model = self.group, self.group.model
+        outputs = [getattr(model.der, name).grad for name in PROPERTIES]
+        if outputs[-1] is None:
+            outputs[-1] = wp.zeros(0, dtype=wp.float64, device=group.device)
+        group.batch.launch(
+            kernels.want_properties,
+            group.place.shape,
+            [group.place, self._world, *self._shares, adjoint.model],
+            [*outputs, _numbers(model.gravity.grad, 3, group.device)],
+        )
+
+
+def _copies(level) -> Any:
+    out = Wanted()
+    for name in Wanted.vars:
+        setattr(out, name, wp.clone(getattr(level, name)))
+    return out
+
+
+class Gradients:
+    """Puts the steps of a solver on tapes."""
+
+    def __init__(self, model: newton.Model, groups: list[RodGroup]):
+        self.model = model
+        self._groups = [GroupGradients(group) for group in groups]
+
+    def refuse(self, what: str) -> None:
+        """Refuse what has no gradients while a tape is recorded that wants them.
+
+        Raises:
+            RodError: one is.
+        """
+        if self.model.requires_grad and recorded() is not None:
+            raise RodError(f"{what} have no gradients on a wp.Tape; call it outside the tape")
+
+    def listen(
+        self, tape: wp.Tape | None, parts: int, state_in, state_out, moved
+    ) -> Callable[[wp.array], None] | None:
+        """What puts the step that comes now on the tape, if there is one, given the bodies' poses
+        at its end; without one nothing is kept.
+
+        Raises:
+            RodError: the step has no adjoint, or a state no gradients. What is returned raises it,
+                too, if the step has touched something.
+        """
+        if tape is None or not self.model.requires_grad:
+            for group in self._groups:
+                group.rest()
+            return None
+        if self.model.device.is_capturing:
+            raise RodError("a step in a graph has no gradients; step outside the graph")
+        before, after = Ends.of(state_in, moved), Ends.of(state_out)
+        for group in self._groups:
+            group.listen(parts)
+        director = wp.clone(state_in.der.edge_director, requires_grad=False)
+
+        def put(poses: wp.array) -> None:
+            kept = wp.clone(poses)
+            self._put(tape, before, after, [g.take(tape, director, kept) for g in self._groups])
+
+        return put
+
+    def _put(self, tape: wp.Tape, before: Ends, after: Ends, taken: list[Taken]) -> None:
+        steps = list(zip(self._groups, taken, strict=True))
+
+        def backward() -> None:
+            with off_tape():
+                for group, step in steps:
+                    group.read(step, after)
+                for array in after.rods:
+                    if not array.retain_grad:
+                        array.grad.zero_()
+                for group, step in steps:
+                    group.go_back(step, before)
+
+        properties = [getattr(self.model.der, name) for name in PROPERTIES]
+        arrays = [*before.arrays(), *after.arrays(), self.model.gravity]
+        tape.record_func(backward, [*arrays, *(a for a in properties if a.grad is not None)])
