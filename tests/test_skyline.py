@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 from wrod.kernels.lanes import TEAM, lanes
-from wrod.kernels.linear import skyline, skyline_lanes, skyline_order
+from wrod.kernels.linear import skyline, skyline_lanes, skyline_order, skyline_window
 
 needs_gpu = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 WAYS = [
@@ -56,7 +56,7 @@ class System:
         self.most = max(1, *(len(p) for p in pairs))
         self.capacity = nodes * (nodes + 1) // 2 if capacity is None else capacity
         self.coupled = self.array(np.ones(RODS), wp.int32)
-        self.overflow = self.array(np.zeros(RODS), wp.int32)
+        self.overflow, self.reach = (self.array(np.zeros(RODS), wp.int32) for _ in range(2))
         table = np.zeros((RODS, self.most, 3))
         for r, chosen in enumerate(pairs):
             table[r, : len(chosen), :2] = chosen
@@ -77,7 +77,7 @@ class System:
                 self.capacity,
                 *scratch,
             ],
-            [self.rank, self.order, self.first, self.last, self.row, self.overflow],
+            [self.rank, self.order, self.first, self.last, self.row, self.reach, self.overflow],
         )
 
     def array(self, values, dtype):
@@ -97,8 +97,8 @@ class System:
             block_dim=count,
         )
 
-    def factorise(self, matrices, free):
-        """Prescribed rows and columns are those of the identity; (rod,) negative pivots."""
+    def fill(self, matrices, free):
+        """Store matrices; prescribed rows and columns are those of the identity."""
         rank, first, row = (a.numpy() for a in (self.rank, self.first, self.row))
         block = np.zeros((RODS, self.capacity, 4, 4))
         for r, (m, f) in enumerate(zip(matrices, free, strict=True)):
@@ -111,13 +111,32 @@ class System:
                 block[r, row[r, p] + columns] = padded[order[p], order[columns]]
         self.block = self.array(block.reshape(RODS, -1, 4), wp.vec4d)
         self.free = self.array(free, wp.int32)
+
+    def eliminate(self, right):
+        """(rod,) negative pivots, or -1, and solutions."""
         negative = wp.full(RODS, -1, dtype=wp.int32, device=self.device)
-        inputs = [self.coupled, self.overflow, *self.profile]
+        x = self.array(right, wp.float64)
+        profile = [self.free, self.order, self.first, self.last, self.row]
+        inputs = [self.coupled, self.overflow, self.reach, *profile, self.zeros(wp.float64, 4)]
+        self.launch(skyline_window.eliminate, inputs, [self.block, x, negative])
+        return negative.numpy().copy(), x.numpy().copy()
+
+    def factorise(self, matrices, free):
+        """(rod,) negative pivots."""
+        self.fill(matrices, free)
+        negative = wp.full(RODS, -1, dtype=wp.int32, device=self.device)
+        inputs = [*self.chosen, *self.profile]
         if self.kernels is skyline_lanes:
             widths = (4, skyline_lanes.STRIDE, skyline_lanes.STRIDE)
             inputs += [self.zeros(wp.float64, width) for width in widths]
         self.launch(self.kernels.factorise, inputs, [self.stored, negative])
         return negative.numpy().copy()
+
+    @property
+    def chosen(self):
+        """Which rods: all, of any reach."""
+        by_lanes = self.kernels is skyline_lanes
+        return [self.coupled, self.overflow, *([self.reach, 0] if by_lanes else [])]
 
     @property
     def profile(self):
@@ -145,7 +164,7 @@ class System:
         x = self.array(right, wp.float64)
         by_lanes = self.kernels is skyline_lanes
         y = self.zeros(wp.float64, 4) if by_lanes else self.zeros(wp.vec4d)
-        chosen = [self.coupled, self.overflow, self.free, self.order]
+        chosen = [*self.chosen, self.free, self.order]
         self.launch(self.kernels.solve, [*chosen, *self.profile, self.stored, y], [x])
         return x.numpy().copy()
 
@@ -224,9 +243,35 @@ def test_order_goes_by_the_distance_from_the_end(kernels, device, nodes, count):
         assert (system.first.numpy()[r] == first).all()
         last = [np.flatnonzero(first <= b).max() for b in range(nodes)]
         assert (system.last.numpy()[r] == last).all()
+        assert system.reach.numpy()[r] == (last - np.arange(nodes)).max()
         # Rows of blocks follow each other without a gap.
         ends = np.cumsum(np.arange(nodes) - first + 1)
         assert (system.row.numpy()[r] + np.arange(nodes) + 1 == ends).all()
+
+
+@pytest.mark.parametrize(("nodes", "count"), [*SIZES, (133, 3), (411, 4)])
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=needs_gpu)])
+def test_a_window_finds_what_lanes_find_who_do_not_reach_too_far(device, nodes, count):
+    matrices, pairs, free, right = problem(nodes, count, seed=3)
+    signs = np.random.default_rng(nodes).choice([-1.0, 1.0], (RODS, 4 * nodes - 1))
+    diagonal = np.arange(4 * nodes - 1)
+    matrices[:, diagonal, diagonal] += signs * np.abs(matrices).sum(axis=2)
+    lanes_system = System(skyline_lanes, device, nodes, pairs)
+    lanes_negative = lanes_system.factorise(matrices, free)
+    lanes_x = lanes_system.solve(right)
+    system = System(skyline_lanes, device, nodes, pairs)
+    system.fill(matrices, free)
+    before, near = system.factor(), system.reach.numpy() <= skyline_window.REACH
+    negative, x = system.eliminate(right)
+    assert near.any() or count > 9
+    assert (negative[near] == lanes_negative[near]).all()
+    assert (negative[~near] == -1).all() and (x[~near] == right[~near]).all()
+    factor, expected = system.factor(), lanes_system.factor()
+    for r in range(RODS):
+        scale = np.abs(expected[r]).max()
+        assert np.abs(factor[r] - (expected[r] if near[r] else before[r])).max() < 1e-12 * scale
+        if near[r]:
+            assert np.abs(x[r] - lanes_x[r]).max() < 1e-12 * np.abs(lanes_x[r]).max()
 
 
 @pytest.mark.parametrize(("kernels", "device"), WAYS)

@@ -308,6 +308,8 @@ def factorise(
     # State in:
     coupled: wp.array(dtype=wp.int32),
     overflow: wp.array(dtype=wp.int32),
+    reach: wp.array(dtype=wp.int32),
+    least_reach: int,
     first: wp.array2d(dtype=wp.int32),
     last: wp.array2d(dtype=wp.int32),
     row: wp.array2d(dtype=wp.int32),
@@ -320,9 +322,10 @@ def factorise(
     # State out:
     negative_pivots_out: wp.array(dtype=wp.int32),
 ):
-    """L D L^T in place; what is above the pivots of diagonal blocks stays as it was."""
+    """L D L^T in place; what is above the pivots of diagonal blocks stays as it was. Of rods of
+    which some column reaches `least_reach` rows down."""
     r, _lane = wp.tid()
-    if coupled[r] != 0 and overflow[r] == 0:
+    if coupled[r] != 0 and overflow[r] == 0 and reach[r] >= least_reach:
         factorise_rod(first, last, row, size, product, column, r, block, negative_pivots_out)
 
 
@@ -331,6 +334,8 @@ def solve(
     # State in:
     coupled: wp.array(dtype=wp.int32),
     overflow: wp.array(dtype=wp.int32),
+    reach: wp.array(dtype=wp.int32),
+    least_reach: int,
     free: wp.array2d(dtype=wp.int32),
     order: wp.array2d(dtype=wp.int32),
     first: wp.array2d(dtype=wp.int32),
@@ -342,7 +347,7 @@ def solve(
     # State in and out:
     x: wp.array3d(dtype=wp.float64),
 ):
-    """`skyline.solve`."""
+    """`skyline.solve`, of the same rods."""
     r, _lane = wp.tid()
-    if coupled[r] != 0 and overflow[r] == 0:
+    if coupled[r] != 0 and overflow[r] == 0 and reach[r] >= least_reach:
         solve_rod(free, order, first, last, row, block, y, r, x)

@@ -7,7 +7,13 @@ a row close to the diagonal even in a knot: its width is that of a few strands.
 
 import warp as wp
 from wrod.kernels.contact.segments import piece_size
-from wrod.kernels.lanes import any_lane, wait_for_lanes
+from wrod.kernels.lanes import (
+    any_lane,
+    count_of_lanes,
+    count_of_lanes_before,
+    largest_of_lanes,
+    wait_for_lanes,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,11 +43,13 @@ def renumber(
     first_out: wp.array2d(dtype=wp.int32),
     last_out: wp.array2d(dtype=wp.int32),
     row_out: wp.array2d(dtype=wp.int32),
+    reach_out: wp.array(dtype=wp.int32),
     overflow_out: wp.array(dtype=wp.int32),
 ):
     """Order the nodes of rods whose contacts have changed.
 
-    Row p starts at column `first`; the last row that reaches column p is `last`.
+    Row p starts at column `first`; the last row that reaches column p, or one before it, is `last`,
+    no column farther than `reach` below its diagonal.
     """
     r, lane = wp.tid()
     if coupled[r] == 0 or changed[r] == 0:
@@ -82,8 +90,8 @@ def renumber(
                     going = int(1)
         going = any_lane(going)
         turn += 1
-    if lane == 0:
-        # Farthest first, and among equals the last along the rod: counting sort.
+    # Farthest first, and among equals the last along the rod: a counting sort, or many lanes count.
+    if wp.block_dim() == 1:
         for v in range(n):
             tally[r, distance[r, v]] = tally[r, distance[r, v]] + 1
         before = int(0)
@@ -96,6 +104,16 @@ def renumber(
             v = n - 1 - w
             p = tally[r, distance[r, v]]
             tally[r, distance[r, v]] = p + 1
+            rank_out[r, v] = p
+            order_out[r, p] = v
+    else:
+        for v in range(lane, n, wp.block_dim()):
+            far = distance[r, v]
+            p = int(0)
+            for w in range(n):
+                d = distance[r, w]
+                if d > far or (d == far and w > v):
+                    p += 1
             rank_out[r, v] = p
             order_out[r, p] = v
     wait_for_lanes()
@@ -121,14 +139,35 @@ def renumber(
     for p in range(lane, n, wp.block_dim()):
         wp.atomic_max(last_out, r, first_out[r, p], p)
     wait_for_lanes()
-    if lane > 0:
-        return
     size = int(0)
+    for start in range(0, n, wp.block_dim()):
+        p = start + lane
+        mine = int(0)
+        if p < n:
+            mine = p - first_out[r, p] + 1
+        before = size + count_of_lanes_before(mine)
+        size += count_of_lanes(mine)
+        if p < n:
+            row_out[r, p] = before - first_out[r, p]
+    # Running maxima; many lanes look twice as far back every turn.
+    jump = int(1)
+    while jump < n and wp.block_dim() > 1:
+        for p in range(lane, n, wp.block_dim()):
+            tally[r, p] = wp.max(last_out[r, p], last_out[r, wp.max(p - jump, 0)])
+        wait_for_lanes()
+        for p in range(lane, n, wp.block_dim()):
+            last_out[r, p] = tally[r, p]
+        wait_for_lanes()
+        jump *= 2
     reach = int(0)
-    for p in range(n):
-        row_out[r, p] = size - first_out[r, p]
-        size += p - first_out[r, p] + 1
-        reach = wp.max(reach, last_out[r, p])
-        last_out[r, p] = reach
-    if size > capacity:
-        overflow_out[r] = 1
+    for p in range(lane, n, wp.block_dim()):
+        last = int(last_out[r, p])
+        if wp.block_dim() == 1:
+            last = wp.max(last, last_out[r, wp.max(p - 1, 0)])
+            last_out[r, p] = last
+        reach = wp.max(reach, last - p)
+    reach = int(largest_of_lanes(wp.float64(reach)))
+    if lane == 0:
+        reach_out[r] = reach
+        if size > capacity:
+            overflow_out[r] = 1

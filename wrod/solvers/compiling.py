@@ -29,7 +29,12 @@ _STEPS = {
 _LAYING = {_WIDE: ("stepping.grip",)}
 _COUPLED = {
     WARP: ("contact.touching",),
-    TEAM: ("linear.skyline_order", "linear.skyline_lanes", "linear.coupling"),
+    TEAM: (
+        "linear.skyline_order",
+        "linear.skyline_window",
+        "linear.skyline_lanes",
+        "linear.coupling",
+    ),
     _WIDE: ("contact.rods", "contact.pairs", "stepping.hands"),
 }
 

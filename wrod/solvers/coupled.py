@@ -4,7 +4,13 @@ import warp as wp
 
 from wrod.kernels.contact import touching
 from wrod.kernels.lanes import TEAM, lanes
-from wrod.kernels.linear import coupling, skyline, skyline_lanes, skyline_order
+from wrod.kernels.linear import (
+    coupling,
+    skyline,
+    skyline_lanes,
+    skyline_order,
+    skyline_window,
+)
 from wrod.solvers.banded import BandedSystem
 from wrod.solvers.rod_contact import RodContact
 
@@ -106,6 +112,7 @@ class CoupledSystem(PairedSystem):
         self._distance, self._tally, self._rank, self._order, self._first, self._last, self._row = (
             wp.zeros((rods, nodes), dtype=wp.int32, device=device) for _ in range(7)
         )
+        self._reach = wp.zeros(rods, dtype=wp.int32, device=device)
         self._block = wp.zeros((rods, self._capacity), dtype=wp.mat44d, device=device)
         if lanes(device) == 1:
             self._y = wp.zeros((rods, nodes), dtype=wp.vec4d, device=device)
@@ -125,17 +132,32 @@ class CoupledSystem(PairedSystem):
         self._collect(active)
         wp.copy(self.x[:, 0], gradient)
         BandedSystem.eliminate(self, gradient, hessian, self.banded)
-        self._factorise_coupled(hessian)
-        self._solve_coupled(1)
+        self._assemble(hessian)
+        if self._on_gpu:
+            inputs = [*self._chosen, self._reach, self.batch.free, *self._profile, self._y]
+            outputs = [self._lines, self.x, self.negative_pivots]
+            self._together(skyline_window.eliminate, inputs, outputs)
+        self._factorise_coupled(skyline_window.REACH + 1)
+        self._solve_coupled(1, skyline_window.REACH + 1)
 
     def factorise(self, hessian: wp.array, active: wp.array) -> None:
         self._collect(active)
         super().factorise(hessian, self.banded)
-        self._factorise_coupled(hessian)
+        self._assemble(hessian)
+        self._factorise_coupled()
 
-    def _factorise_coupled(self, hessian: wp.array) -> None:
+    @property
+    def _chosen(self) -> list:
+        return [self.coupled, self.contact.overflow]
+
+    @property
+    def _profile(self) -> list:
+        """Where the blocks of rods are, in which order."""
+        return [self._order, self._first, self._last, self._row]
+
+    def _assemble(self, hessian: wp.array) -> None:
+        """Order the nodes, and fill the blocks of rods in contact."""
         batch, contact = self.batch, self.contact
-        overflow = contact.overflow
         self._together(
             skyline_order.renumber,
             [
@@ -148,45 +170,47 @@ class CoupledSystem(PairedSystem):
                 self._distance,
                 self._tally,
             ],
-            [self._rank, self._order, self._first, self._last, self._row, overflow],
+            [self._rank, self._order, self._first, self._last, self._row]
+            + [self._reach, contact.overflow],
         )
-        chosen = [self.coupled, overflow, batch.free]
         profile = [self._rank, self._order, self._first, self._row]
         wp.launch(
             coupling.fill_band,
             dim=(batch.rod_count, batch.node_count, 5),
-            inputs=[*chosen, hessian, self.shift, *profile],
+            inputs=[*self._chosen, batch.free, hessian, self.shift, *profile],
             outputs=[self._block],
             device=batch.device,
             block_dim=lanes(batch.device, TEAM),
         )
         self._together(
             coupling.add_pairs,
-            [self.contact.pieces, *chosen, *self._pairs, self._rank, self._row],
+            [contact.pieces, *self._chosen, batch.free, *self._pairs, self._rank, self._row],
             [self._block],
         )
-        chosen = [self.coupled, overflow]
-        if lanes(batch.device) == 1:
-            inputs = [*chosen, self._first, self._row]
+
+    def _factorise_coupled(self, least_reach: int = 0) -> None:
+        """On a GPU only of rods of which some column reaches so far."""
+        if not self._on_gpu:
+            inputs = [*self._chosen, self._first, self._row]
             self._together(skyline.factorise, inputs, [self._block, self.negative_pivots])
-        else:
-            scratch = [self._size, self._product, self._column]
-            inputs = [*chosen, self._first, self._last, self._row, *scratch]
-            self._together(skyline_lanes.factorise, inputs, [self._lines, self.negative_pivots])
+            return
+        inputs = [*self._chosen, self._reach, least_reach, *self._profile[1:]]
+        inputs += [self._size, self._product, self._column]
+        self._together(skyline_lanes.factorise, inputs, [self._lines, self.negative_pivots])
 
     def solve(self, active: wp.array, columns: int | None = None) -> None:
         """Overwrite the first (default: all) right-hand sides in `x` with their solutions."""
         super().solve(self.banded, columns)
         self._solve_coupled(columns or self.x.shape[1])
 
-    def _solve_coupled(self, columns: int) -> None:
-        batch, contact = self.batch, self.contact
-        chosen = [self.coupled, contact.overflow, batch.free, self._order]
-        on_cpu = lanes(batch.device) == 1
-        if on_cpu:
-            inputs = [*chosen, self._first, self._row, self._block, self._y]
+    def _solve_coupled(self, columns: int, least_reach: int = 0) -> None:
+        free, kernel = self.batch.free, skyline.solve
+        if self._on_gpu:
+            kernel = skyline_lanes.solve
+            inputs = [*self._chosen, self._reach, least_reach, free, *self._profile]
+            inputs += [self._lines, self._y]
         else:
-            inputs = [*chosen, self._first, self._last, self._row, self._lines, self._y]
-        kernel = skyline.solve if on_cpu else skyline_lanes.solve
+            inputs = [*self._chosen, free, self._order, self._first, self._row]
+            inputs += [self._block, self._y]
         for j in range(columns):
             self._together(kernel, inputs, [self.x[:, j : j + 1]])
