@@ -1,3 +1,4 @@
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -6,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import wrod
 from wrod.errors import (
+    DataError,
     GraspError,
     OutOfRangeWarning,
     PatternError,
@@ -298,6 +300,30 @@ def test_trajectory_files_carry_units_and_read_back(tmp_path):
     again = Trajectory.load(npz_path)
     np.testing.assert_array_equal(again.rotation, plan.rotation)
     assert again.metadata == plan.metadata and again.shape is None
+
+
+@pytest.mark.parametrize("rows", [[0], [40], [-1], range(40, 60), range(50, 109)])
+@pytest.mark.parametrize("by", [[0.5, 0.0, 0.0], [0.0, 0.0, -0.2]])
+def test_a_file_whose_grip_jumps_is_refused(tmp_path, rows, by):
+    plan = wrod.plan(wrod.pattern("letter-U"), ROD, "neural", spacing=0.005)
+    _, path = plan.save(tmp_path / "t")
+    wrong = dict(np.load(path))
+    wrong["position"][list(rows)] += by
+    np.savez(path, **wrong)
+    first = max(rows[0] % len(plan), 1)
+    with pytest.raises(DataError, match=rf"position: contact node {first}: the grip jumps there"):
+        Trajectory.load(path)
+
+
+def test_the_sharpest_of_our_plans_do_not_jump(tmp_path):
+    """The cable is so stiff that it lays the A with its grip swinging by 0.36 m in 2 cm of rod."""
+    letter = wrod.pattern("letter-A")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        plan = wrod.plan(letter, wrod.rod("cable"), "neural", spacing=0.02)
+    way = np.linalg.norm(np.diff(plan.position, axis=0), axis=1)
+    assert way.max() > 0.1
+    assert len(Trajectory.load(plan.save(tmp_path / "t")[1])) == len(plan)
 
 
 def test_neural_plans_get_the_shapes_of_the_solver(recwarn):

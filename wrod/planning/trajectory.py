@@ -19,6 +19,11 @@ _FORMAT = "wrod-trajectory-1"
 _ARRAYS = (
     "arc_length", "contact", "position", "rotation", "force", "roll", "shape", "twist"
 )  # fmt: skip
+# A grip jumps where it goes so many times as far for the rod that it lays as two poses before and
+# after; plans of sharp bends, and of few poses, come to 6. None of what is shorter is a jump [m], and
+# a grip that hardly moves beside it counts as one that goes as far as the contact. Fewer ways than
+# that from pose to pose say nothing of what is usual.
+_JUMP, _NO_JUMP, _USUAL, _FEWEST = 10.0, 0.05, 1.0, 6
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,7 @@ class Trajectory:
         """Read a trajectory's NPZ file.
 
         Raises:
-            DataError: the file is missing, truncated or not a trajectory.
+            DataError: the file is missing, truncated or not a trajectory, or its grip jumps.
         """
         data = read_fields(path, "Trajectory")
         label, what = data.pop("metadata", "{}"), "the metadata of a trajectory"
@@ -143,4 +148,24 @@ class Trajectory:
             _ = loaded.rod
         except RodError as reason:
             raise DataError(f"{path}: metadata: rod: {reason}; plan it again") from None
+        _refuse_jumps(loaded, path)
         return loaded
+
+
+def _refuse_jumps(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
+    """Refuse a grip that goes much farther from a pose to the next than paths do there."""
+    way = np.linalg.norm(np.diff(trajectory.position, axis=0), axis=1)
+    rate = way / np.diff(trajectory.arc_length)
+    if len(rate) < _FEWEST:
+        return
+    # A wrong pose has a jump before it and one behind.
+    beside = np.pad(rate, 2)
+    usual = np.maximum(np.maximum(beside[:-4], beside[4:]), _USUAL)
+    wrong = np.flatnonzero((rate > _JUMP * usual) & (way > _NO_JUMP))
+    if len(wrong):
+        k = int(wrong[0])
+        raise DataError(
+            f"{path}: position: contact node {k + 1}: the grip jumps there, by {way[k]:.3g} m while "
+            f"{1e3 * (trajectory.arc_length[k + 1] - trajectory.arc_length[k]):.3g} mm of rod are "
+            "laid; plan it again"
+        )
