@@ -12,6 +12,7 @@ from wrod.controller.corrector import Corrector, Course
 from wrod.errors import DataError, OutOfRangeWarning
 
 plans = pytest.importorskip("wrod.training.plans")
+plan_files = pytest.importorskip("wrod.training.plan_files")
 pytest.importorskip("torch")
 
 
@@ -26,12 +27,13 @@ def synthetic(index, seed=0):
     moved = np.column_stack([slides * ahead**2, slides * ahead, -0.1 * ahead**2])
     count = moved.size
     matrix, static = np.eye(count) / len(moved), float(np.mean(moved**2) * 3)
-    around = plans.Bowl(0.0, np.zeros(count), matrix)
-    near_static = plans.Bowl(static, -matrix @ moved.ravel(), matrix)
-    basis = np.eye(len(moved))
-    return plans.Sample(
-        laid, curvature, basis, moved, 26.0, 2000.0, friction, 0.1, 0.02, around, near_static
+    bowls = (
+        plan_files.Bowl(static, -matrix @ moved.ravel(), matrix),
+        plan_files.Bowl(0.0, np.zeros(count), matrix),
     )
+    anchors = np.stack([np.zeros_like(moved), moved])
+    basis = np.eye(len(moved))
+    return plan_files.Sample(laid, curvature, basis, anchors, bowls, 26.0, 2000.0, friction)
 
 
 def test_random_patterns_leave_some_rod_and_bend_within_reason():
@@ -58,16 +60,13 @@ def test_plans_are_shared_by_ranks_and_kept(tmp_path, monkeypatch):
     monkeypatch.setattr(plans, "solve", solve)
     assert plans.generate(tmp_path, 6, rank=plans.Rank(1, 2, 1, 2)) == (2, 1)
     assert plans.generate(tmp_path, 6) == (5, 1) and sorted(asked) == [0, 1, 2, 3, 4, 5]
-    found = plans.load(tmp_path)
+    found = plan_files.load(tmp_path)
     assert len(found) == 5
     for one, index in zip(found, (0, 1, 2, 4, 5), strict=True):
         wanted = synthetic(index)
         assert one.correction == pytest.approx(wanted.correction, abs=1e-6)
         assert one.friction == wanted.friction
-        for found_bowl, bowl in (
-            (one.around, wanted.around),
-            (one.near_static, wanted.near_static),
-        ):
+        for found_bowl, bowl in zip(one.bowls, wanted.bowls, strict=True):
             half = {"rel": 5e-4, "abs": 1e-7}
             assert found_bowl.value == pytest.approx(bowl.value, **half)
             assert found_bowl.slope == pytest.approx(bowl.slope, **half)
@@ -76,7 +75,7 @@ def test_plans_are_shared_by_ranks_and_kept(tmp_path, monkeypatch):
         plans.generate(tmp_path, 6, seed=1)
     (tmp_path / "plan-000002.npz").write_bytes(b"PK")
     with pytest.raises(DataError, match="is not readable"):
-        plans.load(tmp_path)
+        plan_files.load(tmp_path)
 
 
 def test_a_network_learns_what_plans_do_and_mirrors_it(tmp_path):
@@ -136,16 +135,15 @@ def test_the_network_learns_what_lies_and_not_what_the_corrections_are():
     samples = []
     for index in range(32):
         one = synthetic(index)
-        matters = np.kron(np.eye(len(one.values)), np.diag([0.0, 1.0, 0.0])) / len(one.values)
-        values = one.values + rng.standard_normal(one.values.shape) * [1.0, 0.0, 1.0]
-        none = np.zeros(values.size)
-        static = -matters @ values.ravel()
-        samples.append(
-            replace(
-                one, values=values, around=plans.Bowl(0.0, none, matters),
-                near_static=plans.Bowl(float(-static @ values.ravel()), static, matters),
-            )
-        )  # fmt: skip
+        wanted = one.anchors[1]
+        matters = np.kron(np.eye(len(wanted)), np.diag([0.0, 1.0, 0.0])) / len(wanted)
+        values = wanted + rng.standard_normal(wanted.shape) * [1.0, 0.0, 1.0]
+        slope = -matters @ values.ravel()
+        bowls = (
+            plan_files.Bowl(float(-slope @ values.ravel()), slope, matters),
+            plan_files.Bowl(0.0, np.zeros(values.size), matters),
+        )
+        samples.append(replace(one, anchors=np.stack([0.0 * values, values]), bowls=bowls))
     corrector = distil(samples, steps=250)
     assert corrector.metadata["error"] < 0.5 * corrector.metadata["static"]
     fresh = synthetic(1000)

@@ -2,30 +2,32 @@
 
 Many corrections lay a rod alike, and others do harm that are as small. What counts is therefore not
 how far the network is from an optimised plan's corrections but what would lie: every plan brings
-Gauss and Newton's model of its error along, around its corrections and around none.
+Gauss and Newton's models of its error along, around no corrections, its own, and those of networks
+that were tried before.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
 import torch
-from wrod.training.plans import Bowl, Sample
+from wrod.training.plan_files import Sample
 
 from wrod.controller.corrector import FEATURES, OUTPUTS, Corrector, Course, formula
 from wrod.errors import DataError
 
-_WIDTH, _DEPTH, _BATCH, _RATE, _DECAY = 48, 2, 32, 3e-3, 0.05
+_WIDTH, _DEPTH, _BATCH, _RATE, _DECAY = 64, 2, 64, 3e-3, 0.05
 # Plans that leave a larger error than this do not lie, and teach nothing [L_gb].
-_LAID = 0.1
-# Cost of the mean squared distance from the optimised corrections, of which the models of the error
-# know only what is near, and of what no optimised plan could do: kinks between knots.
-_APART, _KINKS = 3e-3, 0.1
-# Error below which a plan counts as well laid [L_gb].
-_ENOUGH = 0.02
+_LAID = 0.15
+# Cost of the mean squared distance from corrections that were tried, near which alone the models of
+# the error hold.
+_APART = 3e-3
+# Distance [L_gb] within which such corrections count alike, and error below which a plan counts as
+# well laid [L_gb].
+_NEAR, _ENOUGH = 0.02, 0.02
 # Every so many plans one is held out, and every so many steps it is looked at.
 _HELD_OUT, _LOOK = 8, 50
 
@@ -40,7 +42,7 @@ def course_of(sample: Sample) -> Course:
 def distil(
     samples: list[Sample],
     *,
-    steps: int = 500,
+    steps: int = 2000,
     seed: int = 0,
     progress: Callable[[], object] | None = None,
 ) -> Corrector:
@@ -55,19 +57,21 @@ def distil(
 
     Returns:
         The corrector. `metadata` says the mean error of what lies [L_gb] by the models of the plans
-        held out: "static" without corrections, "error" by the network's, "optimised" by the plans'.
+        held out: "static" without corrections, "error" by the network's, "optimised" by the plans',
+        "before" by those of the last network that laid them (None: none did).
 
     Raises:
-        DataError: fewer than eight plans are left without those that err by more than 0.1 L_gb.
+        DataError: fewer than eight plans are left without those that err by more than 0.15 L_gb.
     """
-    samples = [sample for sample in samples if sample.optimised < _LAID]
+    samples = [sample for sample in samples if sample.errors[1] < _LAID]
     if len(samples) < _HELD_OUT:
         raise DataError(
             f"{len(samples)} of the plans lay their patterns; optimise more, for {_HELD_OUT} are "
             "the least to learn from"
         )
     generator = torch.Generator().manual_seed(seed)
-    held = _Table.of(samples[_HELD_OUT - 1 :: _HELD_OUT])
+    apart = samples[_HELD_OUT - 1 :: _HELD_OUT]
+    held = _Table.of(apart)
     rest = _Table.of([one for i, one in enumerate(samples) if (i + 1) % _HELD_OUT])
     weights = _first(rest, generator)
     learnt = [value for name, value in weights.items() if name != "scale"]
@@ -95,15 +99,18 @@ def distil(
         name: [min(f[name] for f in figures), max(f[name] for f in figures)] for name in figures[0]
     }
     limits["curvature"][0] = 0.0
+    errors = [sample.errors for sample in apart]
+    before = [one[-1] for one in errors if len(one) > 2]
     metadata = {
         "range": limits,
         "plans": len(samples),
         "held_out": len(held),
         "steps": steps,
         "seed": seed,
-        "static": float(held.near_static.value.sqrt().mean()),
+        "static": float(np.mean([one[0] for one in errors])),
         "error": best[0],
-        "optimised": float(held.around.value.sqrt().mean()),
+        "optimised": float(np.mean([one[1] for one in errors])),
+        "before": float(np.mean(before)) if before else None,
     }
     return Corrector(best[1], metadata)
 
@@ -111,37 +118,14 @@ def distil(
 def _first(table: _Table, generator: torch.Generator) -> dict[str, torch.Tensor]:
     """Weights to start from, whose corrections are small."""
     sizes = [FEATURES, *[_WIDTH] * _DEPTH, OUTPUTS]
-    wanted = (table.basis @ table.values)[table.there]
+    wanted = (table.basis @ table.anchors[:, 1])[table.there]
     weights = {"scale": wanted.std(dim=0)}
     for layer, (fan_in, fan_out) in enumerate(pairwise(sizes)):
-        noise = torch.randn(fan_out, fan_in, generator=generator, dtype=torch.float64)
+        noise = torch.randn(fan_out, fan_in, generator=generator)
         size = fan_in**-0.5 * (0.1 if fan_out == OUTPUTS else 1.0)
         weights[f"weight.{layer}"] = (size * noise).requires_grad_()
-        weights[f"bias.{layer}"] = torch.zeros(fan_out, dtype=torch.float64).requires_grad_()
+        weights[f"bias.{layer}"] = torch.zeros(fan_out).requires_grad_()
     return weights
-
-
-@dataclass(frozen=True)
-class _Bowls:
-    """`Bowl` of each plan: value (plan,), slope (plan, 3 n), matrix (plan, 3 n, 3 n)."""
-
-    value: torch.Tensor
-    slope: torch.Tensor
-    matrix: torch.Tensor
-
-    @classmethod
-    def of(cls, bowls: list[Bowl]) -> _Bowls:
-        slope, matrix = _padded([b.slope for b in bowls]), _padded([b.matrix for b in bowls])
-        return cls(torch.tensor([b.value for b in bowls], dtype=torch.float64), slope, matrix)
-
-    def __getitem__(self, chosen: torch.Tensor) -> _Bowls:
-        return _Bowls(self.value[chosen], self.slope[chosen], self.matrix[chosen])
-
-    def at(self, apart: torch.Tensor) -> torch.Tensor:
-        """(plan,) mean squared error of coefficients that differ by (plan, n, 3) [L_gb^2]."""
-        flat = apart.flatten(1)
-        half = torch.einsum("pij,pj->pi", self.matrix, flat)
-        return (self.value + ((2.0 * self.slope + half) * flat).sum(dim=1)).clamp(min=0.0)
 
 
 @dataclass(frozen=True)
@@ -149,16 +133,21 @@ class _Table:
     """Plans side by side, padded with nothing to the longest.
 
     features (plan, T, FEATURES), there (plan, T) whether there is a pose, basis (plan, T, n),
-    inverse (plan, n, T) its pseudo-inverse, values (plan, n, 3), and the models of their errors.
+    inverse (plan, n, T) its pseudo-inverse, size (plan,) number of coefficients; anchors
+    (plan, A, n, 3), tried (plan, A) whether there is one, and the models of the errors near them:
+    value (plan, A), slope (plan, A, 3 n), matrix (plan, A, 3 n, 3 n).
     """
 
     features: torch.Tensor
     there: torch.Tensor
     basis: torch.Tensor
     inverse: torch.Tensor
-    values: torch.Tensor
-    around: _Bowls
-    near_static: _Bowls
+    size: torch.Tensor
+    anchors: torch.Tensor
+    tried: torch.Tensor
+    value: torch.Tensor
+    slope: torch.Tensor
+    matrix: torch.Tensor
 
     @classmethod
     def of(cls, samples: list[Sample]) -> _Table:
@@ -167,45 +156,41 @@ class _Table:
             _padded([np.ones(len(s.laid)) for s in samples]) > 0.0,
             _padded([s.basis for s in samples]),
             _padded([np.linalg.pinv(s.basis) for s in samples]),
-            _padded([s.values for s in samples]),
-            _Bowls.of([s.around for s in samples]),
-            _Bowls.of([s.near_static for s in samples]),
+            torch.tensor([s.anchors[0].size for s in samples], dtype=torch.float32),
+            _padded([s.anchors for s in samples]),
+            _padded([np.ones(len(s.bowls)) for s in samples]) > 0.0,
+            _padded([np.array([b.value for b in s.bowls]) for s in samples]),
+            _padded([np.stack([b.slope for b in s.bowls]) for s in samples]),
+            _padded([np.stack([b.matrix for b in s.bowls]) for s in samples]),
         )
 
     def __len__(self) -> int:
         return len(self.features)
 
     def __getitem__(self, chosen: torch.Tensor) -> _Table:
-        return _Table(
-            self.features[chosen],
-            self.there[chosen],
-            self.basis[chosen],
-            self.inverse[chosen],
-            self.values[chosen],
-            self.around[chosen],
-            self.near_static[chosen],
-        )
+        return _Table(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def laid(self, weights: dict) -> tuple[torch.Tensor, torch.Tensor]:
         """(plan,) mean squared error of what lies by the network's corrections [L_gb^2], and what
-        else they cost. Of the two models of the error each counts the more the nearer it is."""
+        else they cost. Of the models of the error each counts the more the nearer it is."""
         moved = formula(torch, weights, self.features[self.there])
         corrections = torch.zeros(*self.there.shape, OUTPUTS, dtype=moved.dtype)
         corrections[self.there] = moved
         values = self.inverse @ corrections
-        kinks = ((corrections - self.basis @ values) ** 2).sum(dim=(1, 2))
-        apart = values - self.values
-        far, size = (apart**2).sum(dim=(1, 2)), (values**2).sum(dim=(1, 2))
-        share = size / (size + far + 1e-12)
-        error = share * self.around.at(apart) + (1.0 - share) * self.near_static.at(values)
-        poses = self.there.sum(dim=1)
-        return error, _APART * far / self.values.shape[1] + _KINKS * kinks / poses
+        apart = (values[:, None] - self.anchors).flatten(2)
+        far = (apart**2).sum(dim=2) / self.size[:, None]
+        shares = self.tried / (far.detach() + _NEAR**2) ** 2
+        shares = shares / shares.sum(dim=1, keepdim=True)
+        half = torch.einsum("paij,paj->pai", self.matrix, apart)
+        errors = self.value + ((2.0 * self.slope + half) * apart).sum(dim=2)
+        error = (shares * errors.clamp(min=0.0)).sum(dim=1)
+        return error, _APART * (shares * far).sum(dim=1)
 
 
 def _padded(parts: list[np.ndarray]) -> torch.Tensor:
     """Arrays side by side, with zeros at the ends of those that are shorter."""
     shape = np.max([part.shape for part in parts], axis=0)
-    out = np.zeros((len(parts), *shape))
+    out = np.zeros((len(parts), *shape), dtype=np.float32)
     for row, part in zip(out, parts, strict=True):
         row[tuple(slice(n) for n in part.shape)] = part
     return torch.from_numpy(out)

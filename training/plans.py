@@ -1,18 +1,22 @@
 """Optimised plans at scale: random smooth patterns, the corrections of the grip's path that lay
-them on tables of all sorts, one small file a plan, split over ranks."""
+them on tables of all sorts, and what lies by a network's; split over ranks."""
 
 import os
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from wrod.training.dataset import Rank
+from wrod.training.plan_files import Bowl, Sample, claim, read, store
 
+from wrod.controller.corrector import Corrector
+from wrod.controller.corrector import Course as Asked
 from wrod.deployment.corrections import Corrections
+from wrod.deployment.distilled import asked
 from wrod.deployment.expectation import TOLERANCE, misplacement
 from wrod.deployment.optimise import Task, course, sample_of
 from wrod.deployment.plan import plan
@@ -20,13 +24,11 @@ from wrod.deployment.result import METRIC_POINTS
 from wrod.deployment.spread import Spread
 from wrod.deployment.together import Course, follow
 from wrod.errors import DataError, WrodError, WrodWarning
-from wrod.files import read_fields, read_json, schemas, write_json, write_npz, write_text
 from wrod.patterns.pattern import Pattern
 from wrod.planning.remainder import prepare
 from wrod.rods.device import resolve_device
 from wrod.rods.material import TABLE_2, RodMaterial
 
-_FORMAT = "wrod-plans-3"
 # Least and largest friction coefficient of the tables, and length of the patterns [L_gb].
 FRICTION = (0.15, 0.8)
 _LENGTH = (9.0, 24.0)
@@ -37,73 +39,8 @@ _SPARE = 3.0
 _NODES, _SPACING, _HOLD = 600, 0.005, 0.05
 # One rod a plan: a network gains more from many patterns than from rods that differ by little.
 _SAMPLES = 1
-# Plans that a GPU optimises together.
+# Plans that a GPU works on together.
 _TOGETHER = 64
-
-_ARRAYS = ("laid", "curvature", "values")
-# Kept in half precision, which no training notices: a plan takes 10 kB.
-_HALVED, _BOWLS = ("basis",), ("around", "near_static")
-# Models of the error with larger entries than this are those of rods that sprang off.
-_LARGEST = 1e3
-
-
-@dataclass(frozen=True)
-class Bowl:
-    """Gauss and Newton's model of the mean squared error of what lies [L_gb^2], for coefficients
-    that differ by d (3 n,): `value` + 2 `slope` . d + d . `matrix` d.
-
-    Attributes:
-        value: [L_gb^2].
-        slope: (3 n,) [L_gb].
-        matrix: (3 n, 3 n) [-].
-    """
-
-    value: float
-    slope: np.ndarray
-    matrix: np.ndarray
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether it is that of a rod that was laid."""
-        parts = (np.atleast_1d(self.value), self.slope, self.matrix)
-        return all(bool((np.abs(part) < _LARGEST).all()) for part in parts)
-
-
-@dataclass(frozen=True)
-class Sample:
-    """One optimised plan, dimensionless.
-
-    Attributes:
-        laid: (T,) laid length [L_gb].
-        curvature: (T,) signed, of the pattern at the contacts [1/L_gb].
-        basis: (T, n) cubic splines over the laid length [-].
-        values: (n, 3) coefficients of the correction of the grip's position (forward, left, up) in
-            the contact's frame [L_gb].
-        length: of the rod [L_gb].
-        stretch_ratio: k_s [-].
-        friction: of the table [-].
-        static, optimised: mean error of the plan without and with the corrections, of the rod
-            that was optimised for [L_gb].
-        around: the mean squared error of this rod near the corrections.
-        near_static: the same near none.
-    """
-
-    laid: np.ndarray
-    curvature: np.ndarray
-    basis: np.ndarray
-    values: np.ndarray
-    length: float
-    stretch_ratio: float
-    friction: float
-    static: float
-    optimised: float
-    around: Bowl
-    near_static: Bowl
-
-    @property
-    def correction(self) -> np.ndarray:
-        """(T, 3) of the grip's position [L_gb]."""
-        return self.basis @ self.values
 
 
 def random_pattern(rng: np.random.Generator, held: RodMaterial) -> Pattern:
@@ -138,16 +75,15 @@ def random_pattern(rng: np.random.Generator, held: RodMaterial) -> Pattern:
     return Pattern(course, np.zeros(2), name="random")
 
 
-def solve(index: int, seed: int) -> Course[Sample | None]:
-    """What is laid for the sample of that index, and the sample: a rod, a pattern, a table, and
-    the plan that is optimised for it; None where the pattern cannot be laid."""
+def task_of(index: int, seed: int) -> Task | None:
+    """The rod, the pattern and the table of that index, and the plan that does not know the table;
+    None where the pattern cannot be laid."""
     rng = np.random.default_rng([seed, index])
     rods = list(TABLE_2.values())
     held = rods[rng.integers(len(rods))]
     held = replace(held, length=held.length * rng.uniform(0.8, 1.2))
     pattern = random_pattern(rng, held)
     friction = float(np.exp(rng.uniform(*np.log(FRICTION))))
-    lgb = held.gravito_bending_length
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", WrodWarning)
@@ -155,30 +91,58 @@ def solve(index: int, seed: int) -> Course[Sample | None]:
             start = plan(led, held, spacing=_SPACING, remainder=False, device="cpu")
     except WrodError:
         return None
-    task = Task(led, held, start, friction)
-    best = yield from course(task, judge=False, samples=_SAMPLES, hold=_HOLD)
-    corrections = Corrections(led, start, lgb, _HOLD)
-    moved = np.einsum("tij,ti->tj", corrections.frame, best.position - start.position)
-    values = np.linalg.lstsq(corrections.basis, moved / lgb, rcond=None)[0]
-    around = static = yield from _bowl(task, corrections, np.zeros_like(values))
-    if moved.any():
-        around = yield from _bowl(task, corrections, values)
-    errors = best.optimised["errors"]
-    if not (np.isfinite(errors).all() and around.is_usable and static.is_usable):
+    return Task(led, held, start, friction)
+
+
+def solve(index: int, seed: int) -> Course[Sample | None]:
+    """What is laid for the sample of that index, and the sample: its task, and the plan that is
+    optimised for it; None where the pattern cannot be laid."""
+    task = task_of(index, seed)
+    if task is None:
         return None
+    held, start = task.rod, task.trajectory
+    best = yield from course(task, judge=False, samples=_SAMPLES, hold=_HOLD)
+    lgb = held.gravito_bending_length
+    corrections = Corrections(task.pattern, start, lgb, _HOLD)
+    moved = (best.position - start.position) / lgb
+    values = corrections.nearest(np.einsum("tij,ti->tj", corrections.frame, moved))
+    anchors = np.stack([np.zeros_like(values), values])
+    bowls = []
+    for one in anchors:
+        bowls.append((yield from _bowl(task, corrections, one)))
+    if not all(bowl.is_usable for bowl in bowls):
+        return None
+    what = _asked(task)
     return Sample(
-        start.arc_length / lgb,
-        led.sample(start.pattern_arc_length)[2] * lgb,
+        what.laid,
+        what.curvature,
         corrections.basis,
-        values,
-        held.length / lgb,
-        held.stretch_ratio,
-        friction,
-        errors[0] / lgb,
-        (min(errors) if moved.any() else errors[0]) / lgb,
-        around,
-        static,
+        anchors,
+        tuple(bowls),
+        what.rod_length,
+        what.stretch_ratio,
+        what.friction,
     )
+
+
+def visit(index: int, seed: int, sample: Sample, corrector: Corrector) -> Course[Sample]:
+    """What is laid by a network's corrections, and the sample with what came of it; as it was where
+    the rod sprang off."""
+    task = task_of(index, seed)
+    if task is None:
+        return sample
+    corrections = Corrections(task.pattern, task.trajectory, task.rod.gravito_bending_length, _HOLD)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", WrodWarning)
+        values = corrections.nearest(corrector.predict(_asked(task)))
+    bowl = yield from _bowl(task, corrections, values)
+    return sample.laid_by(values, bowl) if bowl.is_usable else sample
+
+
+def _asked(task: Task) -> Asked:
+    """What a network is asked about a task."""
+    low, high = Spread.of(task.friction).friction
+    return asked(task.pattern, task.rod, task.trajectory, 0.5 * (low + high))
 
 
 def _bowl(task: Task, corrections: Corrections, values: np.ndarray) -> Course[Bowl]:
@@ -220,88 +184,78 @@ def generate(
         Plans that this rank has, and those of its part that could not be laid.
 
     Raises:
-        DataError: the folder holds plans of another seed.
+        DataError: size is not positive, or the folder holds plans of another seed.
     """
     if size < 1:
         raise DataError(f"size is {size}; give a positive number of plans")
-    folder, device = Path(folder), resolve_device(device)
-    rank = rank or Rank.from_environment()
-    _claim(folder, seed)
-    paths = {
-        index: folder / f"plan-{index:06d}.npz" for index in range(rank.index, size, rank.count)
-    }
+    folder = Path(folder)
+    claim(folder, seed)
+    paths = _share(folder, size, rank)
     missing = [index for index, path in paths.items() if not path.exists()]
-    together = 1 if device == "cpu" else _TOGETHER
-    told = progress or (lambda: None)
-    for _ in range(len(paths) - len(missing)):
-        told()
-    for first in range(0, len(missing), together):
-        chosen = missing[first : first + together]
-        courses = [solve(index, seed) for index in chosen]
-        solved = follow(courses, hold=_HOLD, tolerance=TOLERANCE, device=device)
-        for index, one in zip(chosen, solved, strict=True):
-            _store(paths[index], one)
-            told()
-    good = sum(path.stat().st_size > 0 for path in paths.values())
+    _follow(missing, lambda index: solve(index, seed), paths, device, progress, len(paths))
+    good = sum(map(_is_laid, paths.values()))
     return good, len(paths) - good
 
 
-def load(folder: str | os.PathLike[str]) -> list[Sample]:
-    """All plans of a folder, by index.
+def visit_all(
+    folder: str | os.PathLike[str],
+    size: int,
+    corrector: Corrector,
+    round_: int,
+    *,
+    seed: int = 0,
+    rank: Rank | None = None,
+    device: str | None = "cpu",
+    progress: Callable[[], object] | None = None,
+) -> None:
+    """Lay the first `size` patterns by a network's corrections, and keep with the plans what came
+    of it, from which the next network learns what this one did not know.
 
-    Raises:
-        DataError: there are none, or one is damaged.
+    Args:
+        folder, size, seed, rank, device, progress: as for `generate`, which made the plans.
+        corrector: the network.
+        round_: its number, from 1 on: plans that were laid by so many networks are left.
     """
-    out = []
-    for path in sorted(Path(folder).glob("plan-*.npz")):
-        if not path.stat().st_size:
-            continue
-        found = read_fields(path, "OptimisedPlan")
-        count = found["values"].size
-        if len(found["around"]) != 1 + count + count * (count + 1) // 2:
-            raise DataError(f"{path}: around and values do not fit together; delete the file")
-        bowls = [_unpacked(found[name]) for name in _BOWLS]
-        figures = map(float, found["figures"])
-        laid, curvature, values, basis = (found[name] for name in (*_ARRAYS, *_HALVED))
-        out.append(Sample(laid, curvature, basis, values, *figures, *bowls))
-    if not out:
-        raise DataError(f"{folder}: holds no optimised plan; let `wrod distil` make some")
-    return out
+    paths = {i: p for i, p in _share(Path(folder), size, rank).items() if _is_laid(p)}
+    samples = {index: read(path) for index, path in paths.items()}
+    missing = [index for index, one in samples.items() if len(one.bowls) < 2 + round_]
+    _follow(
+        missing,
+        lambda index: visit(index, seed, samples[index], corrector),
+        paths, device, progress, len(paths),
+    )  # fmt: skip
 
 
-def _claim(folder: Path, seed: int) -> None:
-    path = folder / "plans.json"
-    folder.mkdir(parents=True, exist_ok=True)
-    if not path.exists():
-        write_json(path, {"format": _FORMAT, "seed": seed})
-    if read_json(path, schemas.Plans, "the label of optimised plans").seed != seed:
-        raise DataError(f"{folder}: holds plans of another seed; choose another --out")
+def _share(folder: Path, size: int, rank: Rank | None) -> dict[int, Path]:
+    """The files of a rank's plans."""
+    rank = rank or Rank.from_environment()
+    return {
+        index: folder / f"plan-{index:06d}.npz" for index in range(rank.index, size, rank.count)
+    }
 
 
-def _store(path: Path, one: Sample | None) -> None:
-    """Write a plan, or an empty file where the pattern cannot be laid."""
-    if one is None:
-        write_text(path, "")
-        return
-    arrays = {name: getattr(one, name).astype(np.float32) for name in _ARRAYS}
-    halves = {name: getattr(one, name) for name in _HALVED}
-    halves |= {name: _packed(getattr(one, name)) for name in _BOWLS}
-    arrays |= {name: values.astype(np.float16) for name, values in halves.items()}
-    figures = [
-        one.length, one.stretch_ratio, one.friction, one.static, one.optimised,
-    ]  # fmt: skip
-    write_npz(path, **arrays, figures=figures)
+def _is_laid(path: Path) -> bool:
+    """Whether a plan is there, and its pattern could be laid."""
+    return path.exists() and path.stat().st_size > 0
 
 
-def _packed(bowl: Bowl) -> np.ndarray:
-    """Value, slope and the matrix's upper triangle in a row."""
-    upper = bowl.matrix[np.triu_indices(len(bowl.slope))]
-    return np.concatenate([[bowl.value], bowl.slope, upper])
-
-
-def _unpacked(row: np.ndarray) -> Bowl:
-    n = int(np.sqrt(2.0 * len(row) + 0.25) - 1.5)
-    matrix = np.zeros((n, n))
-    matrix[np.triu_indices(n)] = row[1 + n :]
-    matrix = matrix + np.triu(matrix, 1).T
-    return Bowl(float(row[0]), row[1 : 1 + n], matrix)
+def _follow(
+    missing: list[int],
+    make: Callable[[int], Course[Sample | None]],
+    paths: dict[int, Path],
+    device: str | None,
+    progress: Callable[[], object] | None,
+    count: int,
+) -> None:
+    """Make the plans that are missing of `count`, and write each lot as it ends."""
+    device, told = resolve_device(device), progress or (lambda: None)
+    together = 1 if device == "cpu" else _TOGETHER
+    for _ in range(count - len(missing)):
+        told()
+    for first in range(0, len(missing), together):
+        chosen = missing[first : first + together]
+        courses = [make(index) for index in chosen]
+        solved = follow(courses, hold=_HOLD, tolerance=TOLERANCE, device=device)
+        for index, one in zip(chosen, solved, strict=True):
+            store(paths[index], one)
+            told()

@@ -7,6 +7,9 @@ import click
 from wrod import cost
 from wrod.machine import printed_as_json
 
+# What laying a rod once takes of the time of a plan, in which it is laid five times.
+_LAID_ONCE = 0.2
+
 
 @click.command(name="distil", short_help="Train a network that corrects plans for a table.")
 @click.option(
@@ -14,29 +17,38 @@ from wrod.machine import printed_as_json
 )
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), required=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--steps", type=click.IntRange(min=1), default=500, show_default=True)
+@click.option("--steps", type=click.IntRange(min=1), default=3000, show_default=True,
+              help="Of each training.")  # fmt: skip
+@click.option(
+    "--rounds", type=click.IntRange(min=0), default=2, show_default=True,
+    help="Times that a network lays all patterns, and the next learns from that.",
+)  # fmt: skip
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda:0 or auto.")
 @cost.force_option
 @click.option("--json", "as_json", is_flag=True, help="Print figures for machines.")
 def command(
-    size: int, out: Path, seed: int, steps: int, device: str, force: bool, as_json: bool
-) -> None:
+    size: int, out: Path, seed: int, steps: int, rounds: int, device: str, force: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Optimise plans of random patterns for random tables, and train a network on them.
 
-    `wrod plan --friction 0.3 --method distilled` asks the network instead of optimising. Plans are
-    kept in OUT/plans: the same command goes on where a killed one was. Every process that torchrun
-    starts takes its share of them, and the same command without it trains on all. A GPU optimises
-    64 at a time.
+    `wrod plan --friction 0.3 --method distilled` asks the network instead of optimising. It learns
+    what would lie, by models of the errors near corrections that were tried; so its own are tried
+    on all patterns, and a network is trained anew, for some rounds. Plans are kept in OUT/plans:
+    the same command goes on where a killed one was. Every process that torchrun starts optimises
+    its share of them, and the same command without it trains on all. A GPU works on 64 at a time.
 
     \b
       torchrun --nproc-per-node 32 --no-python wrod distil --size 400 --out DIR
     """
     from wrod.training.dataset import Rank
-    from wrod.training.plans import generate, load
+    from wrod.training.plans import generate
 
     rank = Rank.from_environment()
+    visits = 0 if rank.count > 1 else rounds
+    work = cost.CORRECTED_PLAN * size / rank.count * (1.0 + _LAID_ONCE * visits)
     cost.settle(
-        cost.Cost(cost.CORRECTED_PLAN * size / rank.count, 1e9, 3e4 * size),
+        cost.Cost(work, 1e9, 3e4 * size),
         f"{size} optimised plans", out, "ask for fewer", force=force, quiet=as_json,
     )  # fmt: skip
     with cost.progress_bar(
@@ -53,12 +65,7 @@ def command(
         )
     figures: dict = {"plans": good, "not_laid": bad, "written": [str(out / "plans")]}
     if rank.count == 1:
-        from wrod.training.distil import distil
-
-        with cost.progress_bar(unit="step", desc="steps", total=steps, quiet=as_json) as bar:
-            corrector = distil(
-                load(out / "plans"), steps=steps, seed=seed, progress=lambda: bar.update(1)
-            )
+        corrector = _trained(out / "plans", size, seed, steps, rounds, device, as_json)
         path = corrector.save(out / "corrections.safetensors")
         figures |= corrector.metadata | {"plans": good}
         figures["written"].append(str(path))
@@ -66,10 +73,31 @@ def command(
         return
     click.echo(f"plans {good}, {bad} patterns could not be laid")
     if rank.count == 1:
+        before = figures["before"]
+        laid = "" if before is None else f", {before:.3f} where the network before laid them"
         click.echo(
             f"{figures['held_out']} plans held out err by {figures['static']:.3f} L_gb without "
-            f"corrections, {figures['error']:.3f} by the network's, {figures['optimised']:.3f} by "
-            "their own"
+            f"corrections, {figures['error']:.3f} by the network's as far as their models tell"
+            f"{laid}, {figures['optimised']:.3f} by their own"
         )
     for one in figures["written"]:
         click.echo(f"wrote {one}")
+
+
+def _trained(plans: Path, size: int, seed: int, steps: int, rounds: int, device: str, quiet: bool):
+    """The last of the networks, each of which learns from what the one before laid, too."""
+    from wrod.training.distil import distil
+    from wrod.training.plan_files import load
+    from wrod.training.plans import visit_all
+
+    for k in range(1, rounds + 2):
+        samples = load(plans)
+        with cost.progress_bar(unit="step", desc="steps", total=steps, quiet=quiet) as bar:
+            corrector = distil(samples, steps=steps, seed=seed, progress=lambda: bar.update(1))
+        if k <= rounds:
+            with cost.progress_bar(unit="plan", desc="laid", total=size, quiet=quiet) as bar:
+                visit_all(
+                    plans, size, corrector, k, seed=seed, device=device,
+                    progress=lambda: bar.update(1),
+                )  # fmt: skip
+    return corrector

@@ -45,6 +45,11 @@ class Corrections:
         """(T, 3) displacement [m] in the world frame, of values (3 count,) [L_gb]."""
         return self.lgb * np.einsum("tij,tk,kj->ti", self.frame, self.basis, values.reshape(-1, 3))
 
+    def nearest(self, moves: np.ndarray) -> np.ndarray:
+        """(count, 3) values [L_gb] that come nearest to (T, 3) in the frame of the contact [L_gb]:
+        these are as smooth as corrections are."""
+        return np.linalg.lstsq(self.basis, moves, rcond=None)[0]
+
     def columns(self) -> np.ndarray:
         """(3 count, T, 6) displacement of the poses by each value [m/L_gb]."""
         rates = self.lgb * np.einsum("tij,tk->kjti", self.frame, self.basis)

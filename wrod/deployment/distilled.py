@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from wrod.controller.corrector import Corrector, Course
-from wrod.deployment.corrections import moved
+from wrod.deployment.corrections import Corrections
 from wrod.errors import GraspError
 from wrod.patterns.pattern import Pattern
 from wrod.planning.trajectory import Trajectory
 from wrod.rods.material import RodMaterial
 from wrod.rods.model import RodModel
+
+# Length of the free end that is held at first [m], before which no correction changes.
+_HOLD = 0.05
 
 
 def distilled(
@@ -45,19 +48,26 @@ def distilled(
             "the distilled corrections know straight uniform rods only; let friction optimise the "
             "plan (method 'auto')"
         )
-    corrector, lgb = corrector or Corrector.load(), rod.gravito_bending_length
+    corrector = corrector or Corrector.load()
+    corrections = Corrections(pattern, trajectory, rod.gravito_bending_length, _HOLD)
+    values = corrections.nearest(corrector.predict(asked(pattern, rod, trajectory, friction)))
+    corrected = corrections.apply(values)
+    largest = float(np.abs(corrections.displacement(values)).max())
+    said = {"friction": friction, "largest_correction": largest}
+    return replace(corrected, metadata={**corrected.metadata, "distilled": said})
+
+
+def asked(
+    pattern: Pattern, rod: RodModel | RodMaterial, trajectory: Trajectory, friction: float
+) -> Course:
+    """What a corrector is asked about a trajectory."""
+    lgb = rod.gravito_bending_length
     on = np.clip(trajectory.pattern_arc_length, -pattern.remainder_length, pattern.length)
-    _, tangent, curvature = pattern.sample(on)
-    course = Course(
+    curvature = pattern.sample(on)[2]
+    return Course(
         trajectory.arc_length / lgb,
         curvature * lgb,
         rod.length / lgb,
         float(rod.stretch_ratio),
         friction,
     )
-    up = np.broadcast_to([0.0, 0.0, 1.0], tangent.shape)
-    frame = np.stack([tangent, np.cross(up, tangent), up], axis=-1)
-    move = lgb * np.einsum("tij,tj->ti", frame, corrector.predict(course))
-    corrected = moved(trajectory, move)
-    said = {"friction": friction, "largest_correction": float(np.abs(move).max())}
-    return replace(corrected, metadata={**corrected.metadata, "distilled": said})

@@ -298,13 +298,14 @@ ARRAYS = {
             "laid": Field(("T",), "L_gb", order="rising"),
             "curvature": Field(("T",), "1/L_gb"),
             "basis": Field(("T", "P"), about="splines over the laid length"),
-            "values": Field(("P", 3), "L_gb", about="their coefficients"),
-            "around": Field(("B",), about="value, slope, matrix's upper triangle of the error"),
-            "near_static": Field(("B",), about="the same without corrections"),
-            "figures": Field((5,), about="length, k_s, friction, error before and after"),
+            "anchors": Field(
+                ("A", "P", 3), "L_gb", about="their coefficients: none, optimised, networks'"
+            ),
+            "bowls": Field(("A", "B"), about="value, slope, matrix's upper triangle of the error"),
+            "figures": Field((3,), about="length, k_s, friction"),
         },
-        least={"T": 2},
-        axes={"T": "contact node"},
+        least={"T": 2, "A": 2, "P": 1},
+        axes={"T": "contact node", "A": "corrections"},
     ),
     "Prediction": ArrayFile(
         "What `wrod bench photographs` predicts of an optimal photograph.",

@@ -164,7 +164,7 @@ class RodInputs(_File, frozen=True):
 class Plans(_File, frozen=True):
     """What the optimised plans of a folder are (`plans/plans.json` of `wrod distil`)."""
 
-    format: Literal["wrod-plans-3"]
+    format: Literal["wrod-plans-4"]
     seed: Annotated[int, Meta(ge=0, le=2**53)]
 
 
