@@ -8,6 +8,7 @@ from click.testing import CliRunner
 from wrod.bench.continuous_rod import excess_of
 from wrod.bench.hidden_sets import TRIALS, cases, hidden_set
 from wrod.bench.hidden_table import error_of, lines, located, outcome, summary
+from wrod.bench.identify import _called
 from wrod.commands import main
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
@@ -191,6 +192,12 @@ def test_table_and_its_summary():
 def test_bad_questions_are_refused(arguments):
     result = CliRunner().invoke(main, ["bench", "identify", *arguments])
     assert result.exit_code == 2
+
+
+def test_a_case_is_asked_for_by_its_whole_name():
+    names = list(cases())
+    assert _called("natural_curvature", names) == ["natural_curvature"]
+    assert _called("none", names) == ["none 1", "none 2", "none 3"]
 
 
 def test_recordings_of_motion_are_no_sets(tmp_path):

@@ -62,19 +62,21 @@ def command(data: Path, out: Path, folds: int, quick: bool, device: str, as_json
         hands_loops.read_all(hanging)
     figures: dict = {"machine": machine_line(device), "cables": {}}
     predictions, statics = {}, {}
+    written = [out / "hands.json"]
     for cable, sets in held.items():
         figures["cables"][cable], fit = _explain(sets, None if quick else folds, device)
         statics[cable] = fit
         if not quick:
             spread = figures["cables"][cable]["left_out"]["sigma_mm"]
             predictions |= _predict(cable, sets, fit, spread, device)
+        write_json(written[0], figures)  # what is known so far, should the rest be cut off
     figures["swings"], predictions["swings"] = hands_swings.explain(
         data / "swing", statics, {name: source for name, (source, *_) in OTHERS.items()},
         quick, device,
     )  # fmt: skip
+    write_json(written[0], figures)
     if hanging is not None:
         figures["loops"], predictions["loops"] = hands_loops.explain(hanging, device)
-    written = [out / "hands.json"]
     written += hands_swings.draw(data / "swing", out, statics, predictions["swings"])
     if not quick:
         written.append(out / "hands-prediction.json")

@@ -1,6 +1,7 @@
 """`wrod bench identify`: verdicts, parameters, errors and times on sets of measurements."""
 
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import click
@@ -31,7 +32,7 @@ from wrod import cost
 @click.option(
     "--only",
     multiple=True,
-    help="Hidden: only cases with this text in their name, "
+    help="Hidden: only the case of this name, or else all with this text in theirs, "
     "in the order of the texts; may be given again.",
 )
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Hidden: keep rows.")
@@ -89,7 +90,7 @@ def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) ->
     from wrod.files.ledger import Ledger
     from wrod.machine import machine_line, printed_as_json
 
-    names = list(dict.fromkeys(n for text in only or ("",) for n in cases() if text in n))
+    names = list(dict.fromkeys(n for text in only or ("",) for n in _called(text, cases())))
     if not names:
         raise DataError(
             f"no case is called like {', '.join(only)}; the cases: {', '.join(cases())}"
@@ -131,6 +132,11 @@ def _hidden(seeds, noises, only, out, workers, limit, device, as_json, force) ->
     click.echo(f"{len(pending)} sets in {seconds:.0f} s with {workers} processes")
     if out is not None:
         click.echo(f"wrote {out / 'rows.jsonl'}")
+
+
+def _called(text: str, names: Iterable[str]) -> list[str]:
+    """The name that is this text, else those that hold it."""
+    return [n for n in names if n == text] or [n for n in names if text in n]
 
 
 def _measured(folder: Path, limit: float | None, device: str, as_json: bool) -> None:
