@@ -62,6 +62,10 @@ def test_what_has_no_plug_in_may_be_explained_by_its_like():
     assert outcome(entry("clamp_rotation"), set(), True, akin=akin) == "near"
     assert outcome(entry("clamp_rotation", "density"), set(), True, akin=akin) == "wrong"
     assert outcome(entry(verdict="adequate"), set(), True, akin=akin) == "wrong"
+    changing = entry() | {"scatter": [{"name": "clamp_rotation", "value": 2.0, "unit": "deg"}]}
+    assert outcome(changing, set(), True, akin=akin) == "near"
+    assert outcome(changing, set(), True, akin=("density",)) == "wrong"
+    assert outcome(changing, set(), False) == "right"
 
 
 def test_a_law_of_its_own_is_right_only_for_a_law_outside_the_list():

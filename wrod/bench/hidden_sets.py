@@ -84,9 +84,11 @@ OTHER_LAWS = (hidden_in.softening_by_tanh.__name__, hidden_in.softening_by_yield
 UNCOVERED: dict[str, Callable] = {
     f.__name__: f for f in (hidden_in.sticking_roll, hidden_in.shaking_camera, *STRANGE)
 }
-# What says of them as much as can be said: effects, prints.
+# What says of them as much as can be said: effects, or what is another one in each trial; prints.
 NEAR: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    f.__name__: near for f, near in STRANGE.items()
+    hidden_in.sticking_roll.__name__: (("grip_rotation",), ()),
+    hidden_in.shaking_camera.__name__: (("camera_offset",), ()),
+    **{f.__name__: near for f, near in STRANGE.items()},
 }
 
 

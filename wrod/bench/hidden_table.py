@@ -71,17 +71,20 @@ def outcome(
 
     right: exactly the hidden names; for what no plug-in covers, no verdict of `explained`; for a
         law of bending that is none of the known ones, a law of its own as well as the nearest.
-    near: what no plug-in covers is `explained` by effects that are `akin` to it.
+    near: what no plug-in covers is `explained` by effects, or by what is another one in each trial,
+        that are `akin` to it.
     confounded: a name is wrong, but the report says that the data do not tell it from the true one.
     incomplete: only true names, not all. unexplained: no name, though there is one.
     wrong: a name that is not hidden. false alarm: a name for a rod without an effect.
     """
     found = {effect["name"] for effect in entry["effects"]}
+    changing = {one["name"] for one in entry.get("scatter", ())}
     if other_law and "moment_law" in found:
         found = (found - {"moment_law"}) | hidden
     if uncovered:
         if entry["verdict"] not in ("explained", "adequate"):
             return "right"
+        found |= changing
         return "near" if found and found <= set(akin) else "wrong"
     if found == hidden:
         return "right" if entry["verdict"] in ("explained", "adequate") else "incomplete"
@@ -159,6 +162,10 @@ def lines(rows: Sequence[dict]) -> list[str]:
         sigma = "" if r["worst_error"] is None else f"{r['worst_deviations']:.1f}"
         ratio = r["after_mm"] / r["noise_floor_mm"]
         found = " + ".join(effect["name"] for effect in r["effects"]) or "-"
+        found += "".join(
+            f", scatter of {one['name']} {one['value']:.2g} {one['unit']}"
+            for one in r.get("scatter", ())
+        )
         found += " (out of time)" if r.get("out_of_time") else ""
         rivals = "; ".join(" ~ ".join(pair["effects"]) for pair in r["confounded"])
         text.append(

@@ -28,6 +28,7 @@ def row(data, device: str, seconds: float | None = None) -> dict:
             {key: value for key, value in effect.items() if key not in left_out}
             for effect in content["effects"]
         ],
+        "scatter": content["scatter"],
         "confounded": content["confounded"],
         "selection": content["selection"],
         "seconds": time.perf_counter() - clock,

@@ -103,6 +103,9 @@ def command(
             # The profile of a whole rod is for the report.
             found[1:] = [f"and {len(found) - 1} more in report.json"]
         click.echo(f"  {effect.name}: {', '.join(found)}")
+    if report.selection.scatter:
+        for name, size in report.selection.scatter.sizes.items():
+            click.echo(f"  another {name} in each trial: {size}")
     for pair in report.selection.confounded:
         click.echo(f"  {' and '.join(pair['effects'])} are confounded: {pair['evidence']}")
     click.echo("wrote " + ", ".join(str(p) for p in written))

@@ -172,6 +172,17 @@ def scatter_rates(laboratory, model: Model, values: np.ndarray) -> tuple[np.ndar
 
 def estimate(laboratory, model: Model, values: np.ndarray) -> tuple[NoiseModel, np.ndarray]:
     """The noise of the train trials given a fitted model, and (T, R, 15) rates of `SCATTER`."""
+    likelihood, scatter = _likelihood(laboratory, model, values)
+    return likelihood.best(), scatter / laboratory.deviation[..., None]
+
+
+def scatter_errors(laboratory, model: Model, values: np.ndarray, noise: NoiseModel) -> np.ndarray:
+    """Standard errors of the scatters that `estimate` has found beside a model [m] or [rad]."""
+    return _likelihood(laboratory, model, values)[0].scatter_errors(noise)
+
+
+def _likelihood(laboratory, model, values) -> tuple[_Restricted, np.ndarray]:
+    """The likelihood of the noise beside a model, and (T, R, 15) rates of `SCATTER`."""
     trials = laboratory.measurements.train
     deviation = laboratory.deviation[trials]
     own, scatter = scatter_rates(laboratory, model, values)
@@ -184,7 +195,7 @@ def estimate(laboratory, model: Model, values: np.ndarray) -> tuple[NoiseModel, 
         own[trials] / deviation[..., None] * priors,
         scatter[trials] / deviation[..., None],
     )
-    return likelihood.best(), scatter / laboratory.deviation[..., None]
+    return likelihood, scatter
 
 
 class _Restricted:
@@ -239,6 +250,29 @@ class _Restricted:
                     )  # fmt: skip
                     found.append((self.value(size, share, length, own) + price, noise))
         return min(found, key=lambda f: f[0])[1]
+
+    def scatter_errors(self, noise: NoiseModel) -> np.ndarray:
+        """Standard errors of a noise's scatters [m] or [rad]: the curvature of the likelihood in
+        their logarithms."""
+        units = np.array([_SCALES[u] for u in SCATTER.values()])
+        size, seen = np.array(noise.scatter) / units, np.flatnonzero(noise.scatter)
+        along = noise.size, noise.share, noise.length or 1.0
+
+        def value(*moves):
+            moved = size.copy()
+            for k, step in moves:
+                moved[k] *= np.exp(step)
+            return self.value(*along, moved)
+
+        # A scatter is known to a few per cent at best; the likelihood's own digits end far below.
+        h, curvature = 0.05, np.empty((len(seen), len(seen)))
+        for i, a in enumerate(seen):
+            for j, b in enumerate(seen):
+                corners = [s * t * value((a, s * h), (b, t * h)) for s in (1, -1) for t in (1, -1)]
+                curvature[i, j] = sum(corners) / (4.0 * h * h)
+        errors = np.zeros(len(size))
+        errors[seen] = np.sqrt(np.maximum(np.diag(np.linalg.inv(0.5 * curvature)), 0.0))
+        return errors * size * units
 
     def _needed(self, along: tuple[float, float, float], scatter: np.ndarray) -> np.ndarray:
         """The scatters without those that are not worth their price."""

@@ -55,6 +55,9 @@ def _page(report) -> str:
         ("noise floor", report.noise_floor),
     ]
     found = [(e.title, e.parameters, e.after) for e in report.effects]
+    if report.selection.scatter:
+        sizes = {n.replace("_", " "): e for n, e in report.selection.scatter.sizes.items()}
+        found.append(("another one in each trial", sizes, None))
     return page(
         report,
         [numbers_of(numbers), effects_table(found, report.selection.confounded)],

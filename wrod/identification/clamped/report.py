@@ -97,6 +97,7 @@ class IdentificationReport(Report):
                 for t, b in enumerate(self.branches)
                 if b.negative or b.found > 1 or b.start == "saddle"
             ],
+            "scatter": s.scatter.to_dict() if s.scatter else [],
             "unseen_trials": {"chi_squared_taken": s.unseen[0], "stderr": s.unseen[1]},
             "parameters_at_a_bound": list(s.at_bound),
             "prints": [p.to_dict() for p in self.prints],
@@ -164,7 +165,7 @@ def identify_clamped(
         predicted_before=before,
         predicted_after=after,
         found=_found_rod(m, laboratory, fit),
-        noise=laboratory.noise,
+        noise=selection.scatter.noise if selection.scatter else laboratory.noise,
         missing=laboratory.missing,
         outliers=laboratory.outliers,
         branches=tuple(laboratory.branches),

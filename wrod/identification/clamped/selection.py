@@ -28,6 +28,7 @@ from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.moment_law import MomentLaw, moment_law_of
 from wrod.identification.clamped.noise import estimate
 from wrod.identification.clamped.profiles import built_effects
+from wrod.identification.clamped.scatter import only_scatter
 from wrod.identification.clamped.steps import (
     FLUCTUATION,
     base_fit,
@@ -191,12 +192,15 @@ def _reaches_noise(laboratory: Laboratory, fit: Fit) -> bool:
 
 
 def _at_noise(laboratory: Laboratory, fit: Fit) -> bool:
-    m = laboratory.measurements
+    m, found = laboratory.measurements, (fit.model, fit.values)
     try:
-        rms = laboratory.rms(laboratory.predict(fit.model, fit.values), m.train)
+        rms = laboratory.rms(laboratory.predict(*found), m.train)
+        if rms <= at_noise_of(laboratory) * m.noise_floor:
+            return True
+        # Of the many numbers of a profile some would be a print's.
+        return not has_profile(fit.model) and bool(only_scatter(laboratory, *found, m.train))
     except DataError:  # a trial that is not fitted has no equilibrium with it
         return False
-    return rms <= at_noise_of(laboratory) * m.noise_floor
 
 
 def _noise_changed(laboratory: Laboratory, current: Fit) -> bool:

@@ -120,21 +120,37 @@ class _Force(Profile):
         setup.push(np.einsum("tnij,nj->tni", self.frame, force))
 
 
-def trace(laboratory: Laboratory) -> list[Print]:
-    """Every print of the train trials' residual, the most telling first."""
+def trace(
+    laboratory: Laboratory, model: Model | None = None, values: np.ndarray | None = None
+) -> list[Print]:
+    """Every print of what a model leaves of the train trials, the most telling first.
+
+    Args:
+        model, values: by default the base model. What its own parameters could still take is no
+            print's.
+    """
     m = laboratory.measurements
+    beside, values = model or Model(), np.zeros(0) if values is None else values
     trials = m.train
-    residual = laboratory.target[trials] - laboratory.observe(Model(), np.zeros(0), trials=trials)
+    residual = laboratory.target[trials] - laboratory.observe(beside, values, trials=trials)
     residual = laboratory.whiten(residual, trials).ravel()
-    solver, _ = laboratory.solver_at(Model(), np.zeros(0))
+    solver, _ = laboratory.solver_at(beside, values)
+    if len(values):
+        _, rates = laboratory.jacobian(beside, values)
+        own = np.linalg.qr(laboratory.whiten(rates[trials], trials).reshape(-1, len(values)))[0]
+        residual = residual - own @ (own.T @ residual)
     prints = []
     directors, tangents = solver.batch.material_directors(), solver.batch.state.tangent.numpy()
     frames = node_frames(directors[:, :, 0], tangents)[:, 1:-1]
-    for name, title, unit, points_to, model, components in _plans(frames, m.material.weight):
-        scale = np.array([p.scale for p in model.parameters])
-        _, rates = laboratory.jacobian(model, np.zeros(len(scale)))
-        jacobian = laboratory.whiten(rates[trials] * scale, trials).reshape(-1, len(scale))
-        profile = isinstance(model.effects[0], Profile)
+    for name, title, unit, points_to, probe, components in _plans(frames, m.material.weight):
+        scale = np.array([p.scale for p in probe.parameters])
+        together = Model((*beside.effects, *probe.effects))
+        _, rates = laboratory.jacobian(together, np.append(values, np.zeros(len(scale))))
+        rates = rates[trials][..., len(values) :] * scale
+        jacobian = laboratory.whiten(rates, trials).reshape(-1, len(scale))
+        if len(values):
+            jacobian = jacobian - own @ (own.T @ jacobian)
+        profile = isinstance(probe.effects[0], Profile)
         prior = smooth_prior(len(components)) if profile else np.eye(len(scale))
         evidence, _, share, value, stderr = infer(jacobian, residual, prior)
         drift = _drift(trials, jacobian @ value, residual)

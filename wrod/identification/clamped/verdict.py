@@ -7,6 +7,7 @@ import numpy as np
 
 from wrod.identification.clamped.fit import Fit
 from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.scatter import Scatter, only_scatter
 from wrod.identification.clamped.setup import ClampedSetup
 from wrod.identification.effect import Effect, Model
 from wrod.identification.verdict import CLAMPED, CORRELATED
@@ -47,6 +48,7 @@ class Selection:
         unseen: (chi squared that the model takes from the test trials, its standard error).
         at_bound: parameters of the model that ended at a bound.
         out_of_time: whether not all was tried.
+        scatter: what else is off anew in each trial, where that is all that is left.
     """
 
     verdict: str
@@ -61,6 +63,7 @@ class Selection:
     at_bound: tuple[str, ...] = ()
     confounded: list[dict] = field(default_factory=list)
     out_of_time: bool = False
+    scatter: Scatter | None = None
 
 
 def judge(
@@ -78,48 +81,37 @@ def judge(
         cross_validation: (before, after) RMS of held-out marker errors [m].
     """
     m = laboratory.measurements
-    floor = m.noise_floor
-    before = laboratory.rms(laboratory.predict(Model(), np.zeros(0)), m.test)
-    after = laboratory.rms(laboratory.predict(fit.model, fit.values), m.test)
-    share = CLAMPED.share(before, after, floor)
+    before = laboratory.rms(laboratory.predict(Model(), np.zeros(0)), m.test) / m.noise_floor
+    after = laboratory.rms(laboratory.predict(fit.model, fit.values), m.test) / m.noise_floor
     unseen = _unseen_gain(laboratory, fit)
     proven = unseen[0] >= max(UNSEEN_GAIN, UNSEEN_ERRORS * unseen[1])
-    at_noise, at_bound = at_noise_of(laboratory), fit.model.at_bound(fit.values)
-    if before <= at_noise * floor and not proven:
-        verdict = "adequate"
-        reason = f"the base model's test error is {before / floor:.2f} times the noise floor"
-    elif fit.model.effects and not proven:
+    told, left = (fit, after) if proven else (empty, before)
+    scatter, at_noise = None, left <= at_noise_of(laboratory)
+    if not at_noise:
+        scatter = only_scatter(laboratory, told.model, told.values, m.test)
+    if proven:
+        verdict, reason = _word_of_effects(
+            CLAMPED.share(before, after, 1.0), before, after, at_noise or bool(scatter),
+            fit.model.at_bound(fit.values),
+        )  # fmt: skip
+    elif at_noise or scatter:
+        verdict = "adequate" if at_noise else "explained"
+        reason = f"the base model's test error is {before:.2f} times the noise floor"
+    elif fit.model.effects:
         verdict = "unexplained"
         reason = (
             f"{' and '.join(fit.model.names)} helps trials that it was fitted to, not unseen ones; "
-            f"{before / floor:.2f} times the noise floor stays"
-        )
-    elif fit.model.effects and after <= at_noise * floor and not at_bound:
-        verdict = "explained"
-        reason = f"what is left on test trials is {after / floor:.2f} times the noise floor"
-    elif fit.model.effects and after <= at_noise * floor:
-        verdict = "partly-explained"
-        reason = (
-            f"what is left on test trials is {after / floor:.2f} times the noise floor, but "
-            f"{', '.join(at_bound)} ended at a bound: the effect stands for another one"
-        )
-    elif fit.model.effects and share >= CLAMPED.takes:
-        verdict = "partly-explained"
-        reason = (
-            f"{100 * share:.0f} % of the excess error is gone, but {after / floor:.2f} times the "
-            "noise floor is left: the effects named may stand for one that is not known here"
+            f"{before:.2f} times the noise floor stays"
         )
     else:
-        verdict = "unexplained"
-        reason = (
-            f"no effect, nor any few together, takes {100 * CLAMPED.takes:.0f} % of the excess "
-            f"error; {before / floor:.2f} times the noise floor stays"
-        )
-    if verdict == "explained" and (doubt := _doubt(fit, m)):
+        verdict, reason = _word_of_effects(0.0, before, before, False, ())
+    if scatter:
+        reason += f", {scatter.ratio:.2f} times what is to be expected where {scatter}"
+    if verdict == "explained" and told.model.effects and (doubt := _doubt(fit, m)):
         verdict, reason = "partly-explained", f"{reason}, but {doubt}"
-    if verdict != "explained" and laboratory.noise.described():
+    if not scatter and verdict != "explained" and laboratory.noise.described():
         reason += f"; the noise is not what was declared: {laboratory.noise.described()}"
-    named = fit if verdict in ("explained", "partly-explained") else empty
+    named = told if verdict in ("explained", "partly-explained") else empty
     selection = Selection(
         verdict,
         reason,
@@ -130,11 +122,39 @@ def judge(
         empty.chi_squared,
         cross_validation,
         unseen,
-        at_bound,
+        fit.model.at_bound(fit.values),
+        scatter=scatter,
     )
     if named.model.effects:
         selection.confounded = _confounded(laboratory, fit, rounds)
     return selection
+
+
+def _word_of_effects(
+    share: float, before: float, after: float, at_noise: bool, at_bound: tuple[str, ...]
+) -> tuple[str, str]:
+    """(verdict, reason) where effects are proven, or where nothing helps.
+
+    Args:
+        share: of the excess that is gone; before, after: test errors over the noise floor.
+        at_noise: whether what is left is noise; at_bound: parameters that ended at a bound.
+    """
+    left = f"what is left on test trials is {after:.2f} times the noise floor"
+    if at_noise and not at_bound:
+        return "explained", left
+    if at_noise:
+        return "partly-explained", (
+            f"{left}, but {', '.join(at_bound)} ended at a bound: the effect stands for another one"
+        )
+    if share >= CLAMPED.takes:
+        return "partly-explained", (
+            f"{100 * share:.0f} % of the excess error is gone, but {after:.2f} times the noise "
+            "floor is left: the effects named may stand for one that is not known here"
+        )
+    return "unexplained", (
+        f"no effect, nor any few together, takes {100 * CLAMPED.takes:.0f} % of the excess "
+        f"error; {before:.2f} times the noise floor stays"
+    )
 
 
 def only_so_far(selection: Selection, seconds: float) -> Selection:

@@ -1,0 +1,84 @@
+"""Poses and cameras that are off anew in each trial: whether they are all that a model leaves.
+
+Poses that are reported half a millimetre off, another way in every trial, leave more than the
+markers' noise, and no effect of a rod takes that away, for an effect is the same in every trial.
+`noise` tells how much each end and the cameras scatter. That alone would excuse too much: given six
+numbers for each end and trial, whatever a rod misses seems to be less. So scatter counts as what is
+left only where the readings of unseen trials are then as far off as noise lets them be, and where
+no print, which is the same in every trial, has any evidence beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrod.identification.clamped.laboratory import Laboratory
+from wrod.identification.clamped.noise import SCATTER, NoiseModel, estimate, scatter_errors
+from wrod.identification.clamped.trace import trace
+from wrod.identification.effect import Estimate, Model
+from wrod.identification.verdict import CLAMPED
+
+# Evidence of a print from which it is one [nats]; twice that is what an effect lowers the
+# information criterion by to join.
+SEEN = 5.0
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """What changes from trial to trial, where a model leaves nothing else.
+
+    Attributes:
+        noise: the readings' noise with it.
+        sizes: by `SCATTER`, of each coordinate.
+        ratio: root of the squares of the trials asked for over what such noise leaves.
+    """
+
+    noise: NoiseModel
+    sizes: dict[str, Estimate]
+    ratio: float
+
+    def __str__(self) -> str:
+        return "; ".join(
+            f"{name.replace('_', ' ')} changes by {size} from trial to trial"
+            for name, size in self.sizes.items()
+        )
+
+    def to_dict(self) -> list[dict]:
+        """As `report.json` has it."""
+        return [
+            {"name": name, "value": e.value, "stderr": e.stderr, "unit": e.unit}
+            for name, e in self.sizes.items()
+        ]
+
+
+def only_scatter(
+    laboratory: Laboratory, model: Model, values: np.ndarray, trials: np.ndarray
+) -> Scatter | None:
+    """The scatter that is all that a model leaves in `trials`; None where it is not.
+
+    It is estimated from the train trials.
+    """
+    before = laboratory.noise, laboratory.scatter_rates
+    noise, rates = estimate(laboratory, model, values)
+    # What is not said by poses and cameras alone, large noise along the rod say, is a misfit.
+    if not any(noise.scatter) or not CLAMPED.is_noise(noise.size, 1.0):
+        return None
+    try:
+        laboratory.set_noise(noise, rates)
+        squares = laboratory.misfit(model, values, trials).sum() / laboratory.read[trials].sum()
+        if not CLAMPED.is_noise(np.sqrt(squares), 1.0):
+            return None
+        if (trace(laboratory, model, values)[0].evidence or 0.0) > SEEN:
+            return None
+    finally:
+        laboratory.set_noise(*before)
+    errors = scatter_errors(laboratory, model, values, noise)
+    sizes = {}
+    for (name, unit), size, error in zip(SCATTER.items(), noise.scatter, errors, strict=True):
+        if size > 0.0:
+            shown = 1e3 if unit == "m" else 180.0 / np.pi
+            of = "mm" if unit == "m" else "deg"
+            sizes[name] = Estimate(float(shown * size), float(shown * error), of)
+    return Scatter(noise, sizes, float(np.sqrt(squares)))
