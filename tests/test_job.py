@@ -211,21 +211,21 @@ def test_a_pattern_that_turns_further_than_the_hand_is_told_so():
 
 
 def test_hand_leaves_the_rod_aside_where_it_cannot_go_back(job, monkeypatch):
-    from wrod.robot import transfer
+    from wrod.robot import transit
     from wrod.robot.arm import Arm
     from wrod.robot.collision import CollisionModel
-    from wrod.robot.holds import Hand
+    from wrod.robot.transfers import Hand
 
     model = CollisionModel(job.robot)
     arm = Arm(job.robot, model, Hand.of(model), job.placement)
-    straight = transfer._straight
+    straight = transit._straight
     monkeypatch.setattr(
-        transfer, "_straight", lambda a, q, d, far: None if d[2] < 0 else straight(a, q, d, far)
+        transit, "_straight", lambda a, q, d, far: None if d[2] < 0 else straight(a, q, d, far)
     )
-    leg = transfer.retreat(arm, job.node_positions[0])
+    leg = transit.retreat(arm, job.node_positions[0])
     poses = arm.grasps(leg.knots)
     moved = (poses[-1, :3, 3] - poses[0, :3, 3]) @ poses[0, :3, :3]
-    np.testing.assert_allclose(np.abs(moved), [transfer._ASIDE, 0.0, 0.0], atol=1e-4)
+    np.testing.assert_allclose(np.abs(moved), [transit._ASIDE, 0.0, 0.0], atol=1e-4)
     np.testing.assert_allclose(poses[-1, :3, :3], poses[0, :3, :3], atol=1e-4)
 
 

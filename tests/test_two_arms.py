@@ -12,10 +12,10 @@ from wrod.errors import RobotError
 from wrod.robot.arm import Arm
 from wrod.robot.capsules import capsules_of
 from wrod.robot.collision import CollisionModel
-from wrod.robot.hold_path import Follower, follow
-from wrod.robot.holds import Hand, HandFilm, find_grasps, find_holds
 from wrod.robot.model import load_robot
 from wrod.robot.placement import Placement
+from wrod.robot.transfer_path import Follower, follow
+from wrod.robot.transfers import Hand, HandFilm, find_grasps, find_transfers
 from wrod.robot.two_arms import solve_two_arms
 from wrod.scene.brought import with_waiting
 from wrod.scene.moments import moments
@@ -67,19 +67,19 @@ def test_both_arms_reach_every_frame_of_every_hold(run):
     stage, frame = open_stage(run.scene.path), run.scene.arms.frame
     closed = run.film.closed
     film = HandFilm(run.film.time, run.film.hands, closed, tuple(run.film.rods))
-    holds = find_holds(film)
-    assert {hold.hand for hold in holds} == set(range(closed.shape[1]))
-    for hold in holds:
-        first, last = (int(np.searchsorted(frame, k)) for k in (hold.first, hold.last))
+    transfers = find_transfers(film)
+    assert {transfer.hand for transfer in transfers} == set(range(closed.shape[1]))
+    for transfer in transfers:
+        first, last = (int(np.searchsorted(frame, k)) for k in (transfer.first, transfer.last))
         codes = np.unique(np.linspace(first, last, 12).astype(int))
-        grasp = world_poses(stage, hold.hand, "grasp", codes)
-        held = np.linalg.inv(run.film.hands[frame[codes], hold.hand]) @ grasp
+        grasp = world_poses(stage, transfer.hand, "grasp", codes)
+        held = np.linalg.inv(run.film.hands[frame[codes], transfer.hand]) @ grasp
         assert np.linalg.norm(held[:, :3, 3] - held[0, :3, 3], axis=1).max() < 2e-4
         turn = Rotation.from_matrix(held[0, :3, :3].T @ held[:, :3, :3]).magnitude()
         assert np.degrees(turn.max()) < 0.2
         point = np.linalg.inv(held[0])[:3, 3]  # the held point in the grasp's frame
         assert abs(point[1]) < 1e-6 and abs(point[0]) < 0.0065 and 0.0 <= point[2] < 0.013
-        tangent = held[0, :3, :3].T @ hold.rod[:, 0]
+        tangent = held[0, :3, :3].T @ transfer.rod[:, 0]
         assert abs(tangent[1]) < 1e-3  # the pads close across the rod
 
 
@@ -218,13 +218,13 @@ def test_too_fast_a_hand_is_refused():
     model = CollisionModel(robot)
     hand = Hand.of(model)
     arm = Arm(robot, model, hand, Placement(0.6, 0.0, -0.25))
-    hold = find_holds(two_hands(LINE, LINE + [0.0, 0.25, 0.0]))[0]
-    grasps = find_grasps(hold, hand)
+    transfer = find_transfers(two_hands(LINE, LINE + [0.0, 0.25, 0.0]))[0]
+    grasps = find_grasps(transfer, hand)
     before = np.zeros(7)
-    path = follow(Follower(arm, hold, grasps, np.full(11, 0.4), before))
+    path = follow(Follower(arm, transfer, grasps, np.full(11, 0.4), before))
     assert len(path.positions) == 12
     with pytest.raises(RobotError, match="as fast as it can"):
-        follow(Follower(arm, hold, grasps, np.full(11, 0.004), before))
+        follow(Follower(arm, transfer, grasps, np.full(11, 0.004), before))
 
 
 @pytest.mark.parametrize(

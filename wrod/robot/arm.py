@@ -3,10 +3,10 @@
 import numpy as np
 
 from wrod.robot.collision import CollisionModel, between
-from wrod.robot.holds import Hand
 from wrod.robot.kinematics import grasp_poses
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement
+from wrod.robot.transfers import Hand
 
 LINK_ROOM = 0.005  # [m] between links of one arm, and above the table
 ARM_ROOM = 0.02  # [m] between the arms

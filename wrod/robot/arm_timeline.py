@@ -4,9 +4,9 @@ import numpy as np
 
 from wrod.errors import RobotError
 from wrod.robot.arm import ARM_ROOM, Arm, gap_between
-from wrod.robot.hold_path import HoldPath
-from wrod.robot.holds import HandFilm
-from wrod.robot.transfer import Way, find_way
+from wrod.robot.transfer_path import TransferPath
+from wrod.robot.transfers import HandFilm
+from wrod.robot.transit import Way, find_way
 
 _CHECK = 0.05  # [s] between the points at which both arms are compared
 _PAUSE = 0.2  # [s]
@@ -18,11 +18,11 @@ class ArmTimeline:
     Args:
         film: of the hands.
         arms: both.
-        paths: their joint paths over all holds.
+        paths: their joint paths over all transfers.
         waiting: joint positions (n,) where each arm waits [rad].
     """
 
-    def __init__(self, film: HandFilm, arms: list[Arm], paths: list[HoldPath], waiting):
+    def __init__(self, film: HandFilm, arms: list[Arm], paths: list[TransferPath], waiting):
         self.film, self.arms, self.paths, self.waiting = film, arms, paths, waiting
         self.interval = float(np.median(np.diff(film.time)))
         self._time: list[float] = []
@@ -55,11 +55,11 @@ class ArmTimeline:
         self._frame.append(int(frame))
         self._positions.append(np.stack(both))
 
-    def _work(self, hand: int, frame: int | None) -> HoldPath | None:
+    def _work(self, hand: int, frame: int | None) -> TransferPath | None:
         """What a hand is at in a frame."""
         for path in self.paths:
-            hold = path.hold
-            if frame is not None and hold.hand == hand and hold.first <= frame <= hold.last:
+            one = path.transfer
+            if frame is not None and one.hand == hand and one.first <= frame <= one.last:
                 return path
         return None
 
@@ -67,7 +67,7 @@ class ArmTimeline:
         """Joint positions of both arms; one whose hand is not at work waits."""
         work = [self._work(hand, frame) for hand in range(2)]
         return [
-            wait if path is None else path.positions[frame - path.hold.first]
+            wait if path is None else path.positions[frame - path.transfer.first]
             for path, wait in zip(work, self.waiting, strict=True)
         ]
 

@@ -17,14 +17,14 @@ from scipy.spatial.transform import Rotation
 from wrod.errors import RobotError
 from wrod.robot.arm import ARM_ROOM, LINK_ROOM, Arm, gap_between
 from wrod.robot.attempt import Task, hanging_rod
-from wrod.robot.holds import Hand
 from wrod.robot.joint_path import JointPath
 from wrod.robot.kinematics import refine, solve_poses
 from wrod.robot.placement import contact_in_base, reach
 from wrod.robot.stand import stands, stays
 from wrod.robot.tail import LaidTail, tails
 from wrod.robot.timing import schedule
-from wrod.robot.transfer import Leg, Way, find_way
+from wrod.robot.transfers import Hand
+from wrod.robot.transit import Leg, Way, find_way
 
 # Where the hand may wait: distance from the arm's axis and height over the base as shares of the
 # arm's reach, bearing off the pattern [degrees].

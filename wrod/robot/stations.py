@@ -6,11 +6,11 @@ import numpy as np
 
 from wrod.errors import RobotError
 from wrod.robot.grip import Grip
-from wrod.robot.hold_path import coarse_frames
-from wrod.robot.holds import Grasp, Hold
 from wrod.robot.model import Robot
 from wrod.robot.placement import Placement, candidates
 from wrod.robot.search import Branch, follow_targets
+from wrod.robot.transfer_path import coarse_frames
+from wrod.robot.transfers import Grasp, Transfer
 
 _EACH = 3  # placements of each table height and turn that are looked at
 _FRAMES, _SEEDS, _GRASPS = 80, 4, 3
@@ -21,21 +21,24 @@ _PAIRS = 8
 
 
 def pairs_of_stations(
-    robot: Robot, holds: list[list[Hold]], grasps: dict[int, list[Grasp]], ground: np.ndarray
+    robot: Robot,
+    transfers: list[list[Transfer]],
+    grasps: dict[int, list[Grasp]],
+    ground: np.ndarray,
 ) -> list[tuple[Placement, Placement]]:
     """Pairs of placements, on one floor and facing each other, the easiest for the arms first.
 
     Args:
         robot: both arms.
-        holds: of each hand.
-        grasps: of each hold, by its `id`.
+        transfers: of each hand.
+        grasps: of each transfer, by its `id`.
         ground: (n, 3) points of the table that must lie before the arms [m].
 
     Raises:
         RobotError: no pair reaches everything.
     """
     middle = (ground[:, :2].min(0) + ground[:, :2].max(0)) / 2
-    ranked = [_stations(robot, mine, grasps, ground) for mine in holds]
+    ranked = [_stations(robot, mine, grasps, ground) for mine in transfers]
     pairs = []
     for cost, first in ranked[0]:
         for price, second in ranked[1]:
@@ -72,9 +75,9 @@ class _Everything:
     position: np.ndarray
 
 
-def _stations(robot, holds, grasps, ground) -> list[tuple[float, Placement]]:
-    """Placements of one arm with the cost of its worst hold."""
-    ways = [hold.poses[:, :3, 3] for hold in holds] or [ground + [0.0, 0.0, 0.2]]
+def _stations(robot, transfers, grasps, ground) -> list[tuple[float, Placement]]:
+    """Placements of one arm with the cost of its worst transfer."""
+    ways = [transfer.poses[:, :3, 3] for transfer in transfers] or [ground + [0.0, 0.0, 0.2]]
     everything = _Everything(ground * [1, 1, 0], np.concatenate(ways))
     kept: dict[tuple[float, float], list[Placement]] = {}
     for placement in candidates(everything, robot, 1000):
@@ -85,12 +88,12 @@ def _stations(robot, holds, grasps, ground) -> list[tuple[float, Placement]]:
     if not places:
         return []
     cost = np.zeros(len(places))
-    for hold in holds:
-        frames = coarse_frames(hold)
+    for transfer in transfers:
+        frames = coarse_frames(transfer)
         frames = frames[np.unique(np.linspace(0, len(frames) - 1, _FRAMES).astype(int))]
-        choices = grasps[id(hold)][:_GRASPS]
+        choices = grasps[id(transfer)][:_GRASPS]
         targets = np.stack(
-            [p.base_from_world @ g.targets(hold, frames) for p in places for g in choices]
+            [p.base_from_world @ g.targets(transfer, frames) for p in places for g in choices]
         )
         best = np.full(len(places), np.inf)
         for way, positions, miss, excess in follow_targets(robot, targets, _SEEDS):

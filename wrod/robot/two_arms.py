@@ -9,13 +9,13 @@ from wrod.errors import RobotError
 from wrod.robot.arm import ARM_ROOM, Arm, gap_between, with_middles
 from wrod.robot.arm_timeline import ArmTimeline
 from wrod.robot.collision import CollisionModel
-from wrod.robot.hold_path import Follower, HoldPath, follow, follow_both
-from wrod.robot.holds import Grasp, Hand, HandFilm, Hold, find_grasps, find_holds
 from wrod.robot.kinematics import one_torch_thread
 from wrod.robot.model import Robot, load_robot
 from wrod.robot.placement import Placement
 from wrod.robot.stations import pairs_of_stations
-from wrod.robot.transfer import park
+from wrod.robot.transfer_path import Follower, TransferPath, follow, follow_both
+from wrod.robot.transfers import Grasp, Hand, HandFilm, Transfer, find_grasps, find_transfers
+from wrod.robot.transit import park
 
 _HANDS_APART = 0.03  # [m] between two hands at work
 
@@ -96,34 +96,36 @@ def solve_two_arms(
         arm = load_robot(robot)
         model = CollisionModel(arm)
         hand = Hand.of(model)
-        holds = find_holds(film)
-        grasps = _apart(holds, {id(hold): find_grasps(hold, hand) for hold in holds}, hand)
+        transfers = find_transfers(film)
+        grasps = _apart(transfers, {id(t): find_grasps(t, hand) for t in transfers}, hand)
         problem: RobotError | None = None
-        for pair in _pairs(arm, holds, grasps, ground, placements):
+        for pair in _pairs(arm, transfers, grasps, ground, placements):
             arms = [Arm(arm, model, hand, place) for place in pair]
             try:
-                return _solve(film, arms, holds, grasps, ground)
+                return _solve(film, arms, transfers, grasps, ground)
             except RobotError as error:
                 problem = problem or error
         raise problem
 
 
-def _pairs(robot, holds, grasps, ground, first):
+def _pairs(robot, transfers, grasps, ground, first):
     if first is not None:
         yield first
-    mine = [[hold for hold in holds if hold.hand == k] for k in range(2)]
+    mine = [[t for t in transfers if t.hand == k] for k in range(2)]
     yield from pairs_of_stations(robot, mine, grasps, ground)
 
 
-def _apart(holds: list[Hold], grasps: dict[int, list[Grasp]], hand: Hand) -> dict[int, list[Grasp]]:
+def _apart(
+    transfers: list[Transfer], grasps: dict[int, list[Grasp]], hand: Hand
+) -> dict[int, list[Grasp]]:
     """Of hands at work at the same time, the grasps of least slant that keep them apart.
 
     Raises:
         RobotError: none do.
     """
     out = dict(grasps)
-    for k, one in enumerate(holds):
-        for other in holds[k + 1 :]:
+    for k, one in enumerate(transfers):
+        for other in transfers[k + 1 :]:
             common = range(max(one.first, other.first), min(one.last, other.last) + 1)
             if one.hand == other.hand or not common:
                 continue
@@ -152,10 +154,12 @@ def _like(grasps: list[Grasp], wanted: Grasp) -> list[Grasp]:
     ]
 
 
-def _hand_gap(hand: Hand, one: Hold, a: Grasp, other: Hold, b: Grasp, frames: np.ndarray) -> float:
+def _hand_gap(
+    hand: Hand, one: Transfer, a: Grasp, other: Transfer, b: Grasp, frames: np.ndarray
+) -> float:
     sides = []
-    for hold, grasp in ((one, a), (other, b)):
-        poses = grasp.targets(hold, frames - hold.first)
+    for transfer, grasp in ((one, a), (other, b)):
+        poses = grasp.targets(transfer, frames - transfer.first)
         rotation, origin = poses[:, None, :3, :3], poses[:, None, :3, 3]
         sides.append(
             [(rotation @ p[None, :, :, None])[..., 0] + origin for p in (hand.start, hand.end)]
@@ -164,49 +168,52 @@ def _hand_gap(hand: Hand, one: Hold, a: Grasp, other: Hold, b: Grasp, frames: np
     return float(gap_between(*sides).min())
 
 
-def _solve(film: HandFilm, arms: list[Arm], holds, grasps, ground: np.ndarray) -> ArmFilm:
+def _solve(film: HandFilm, arms: list[Arm], transfers, grasps, ground: np.ndarray) -> ArmFilm:
     middle = (ground.min(0) + ground.max(0)) / 2 * [1, 1, 0]
     waiting = [park(arm, middle) for arm in arms]
     resting = [arm.capsules(q[None]) for arm, q in zip(arms, waiting, strict=True)]
     steps = np.diff(film.time)
-    paths: list[HoldPath] = []
+    paths: list[TransferPath] = []
 
-    def follower(hold: Hold) -> Follower:
-        done = [path for path in paths if path.hold.hand == hold.hand]
+    def follower(transfer: Transfer) -> Follower:
+        done = [path for path in paths if path.transfer.hand == transfer.hand]
         side = Follower(
-            arms[hold.hand],
-            hold,
-            grasps[id(hold)],
-            steps[hold.first : hold.last],
-            done[-1].positions[-1] if done else waiting[hold.hand],
+            arms[transfer.hand],
+            transfer,
+            grasps[id(transfer)],
+            steps[transfer.first : transfer.last],
+            done[-1].positions[-1] if done else waiting[transfer.hand],
         )
         side.other = beside(side)
         return side
 
-    def beside(side: Follower, path: HoldPath | None = None):
-        """The other arm's capsules beside a hold: at work where that is known, else waiting."""
-        hold, known = side.hold, paths if path is None else [*paths, path]
-        start, end, radius = resting[1 - hold.hand]
-        count = hold.last - hold.first + 1
+    def beside(side: Follower, path: TransferPath | None = None):
+        """The other arm's capsules beside a transfer: at work where that is known, else waiting."""
+        transfer, known = side.transfer, paths if path is None else [*paths, path]
+        start, end, radius = resting[1 - transfer.hand]
+        count = transfer.last - transfer.first + 1
         start, end = np.repeat(start, count, axis=0), np.repeat(end, count, axis=0)
         for work in known:
-            first, last = max(work.hold.first, hold.first), min(work.hold.last, hold.last)
-            if work.hold.hand == hold.hand or last < first:
+            done = work.transfer
+            first, last = max(done.first, transfer.first), min(done.last, transfer.last)
+            if done.hand == transfer.hand or last < first:
                 continue
-            there = slice(first - work.hold.first, last + 1 - work.hold.first)
-            here = slice(first - hold.first, last + 1 - hold.first)
-            start[here], end[here], _ = arms[work.hold.hand].capsules(work.positions[there])
+            there = slice(first - done.first, last + 1 - done.first)
+            here = slice(first - transfer.first, last + 1 - transfer.first)
+            start[here], end[here], _ = arms[done.hand].capsules(work.positions[there])
         return start, end, radius
 
-    left = list(holds)
+    left = list(transfers)
     while left:
-        hold = left.pop(0)
-        partner = next((h for h in left if h.hand != hold.hand and h.first <= hold.last), None)
+        transfer = left.pop(0)
+        partner = next(
+            (t for t in left if t.hand != transfer.hand and t.first <= transfer.last), None
+        )
         if partner is None:
-            paths.append(follow(follower(hold)))
+            paths.append(follow(follower(transfer)))
         else:
             left = [h for h in left if h is not partner]
-            paths += follow_both(follower(hold), follower(partner), beside)
+            paths += follow_both(follower(transfer), follower(partner), beside)
     return measured(film, arms, *ArmTimeline(film, arms, paths, waiting).run())
 
 

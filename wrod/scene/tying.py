@@ -10,8 +10,8 @@ import numpy as np
 from wrod.deployment.fixtures import Fixtures
 from wrod.errors import RobotError, SceneError
 from wrod.files import write_atomically
-from wrod.robot.holds import HandFilm, Hold, find_holds
 from wrod.robot.placement import Placement
+from wrod.robot.transfers import HandFilm, Transfer, find_transfers
 from wrod.robot.two_arms import ArmFilm, solve_two_arms
 from wrod.scene.arm import add_arm
 from wrod.scene.brought import waiting_line, with_waiting
@@ -112,7 +112,7 @@ def export_scene(
     ]
     stage = new_stage(0.0, max(len(frame) - 1.0, 0.0))
     across = _fill(stage, clock, time[frame], shown, names, radii, drawn, ground, arms, fixtures)
-    moments = {} if arms is None else _moments(find_holds(film), arms)
+    moments = {} if arms is None else _moments(find_transfers(film), arms)
     _add_close(stage, np.concatenate(drawn), across, shown, radii, moments)
     prim = stage.GetPrimAtPath(_ROOT)
     told = {k: v for k, v in (facts or {}).items() if v is not None}
@@ -130,14 +130,14 @@ def export_scene(
 _ROOT = "/World/Deployment_000"
 
 
-def _moments(holds: list[Hold], arms: ArmFilm) -> dict[str, float]:
+def _moments(transfers: list[Transfer], arms: ArmFilm) -> dict[str, float]:
     """Time codes worth a picture: laying, and what follows it."""
 
     def code(frame: float) -> float:
         return float(np.searchsorted(arms.frame, round(frame)))
 
-    laying = [hold for hold in holds if hold.end]
-    moves = [hold for hold in holds if not hold.end]
+    laying = [t for t in transfers if t.end]
+    moves = [t for t in transfers if not t.end]
     end = float(len(arms.frame) - 1)
     if not moves:
         if not laying:
@@ -146,7 +146,7 @@ def _moments(holds: list[Hold], arms: ArmFilm) -> dict[str, float]:
         thirds = {f"laying_{k}": code(first + k * (last - first) / 3) for k in (1, 2)}
         return {**thirds, "laid": code(last), "end": end}
     # The last of them pull.
-    tied = [hold for hold in moves if hold.first < moves[-1].first] or moves
+    tied = [t for t in moves if t.first < moves[-1].first] or moves
     return {
         "laying": code((laying[-1].first + laying[-1].last) / 2 if laying else 0),
         "move": code((tied[-1].first + tied[-1].last) / 2),

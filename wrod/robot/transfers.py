@@ -1,5 +1,8 @@
-"""What a film of hands asks of the arms: stretches over which a hand is at work, and the ways in
-which a gripper can hold the rod meanwhile."""
+"""What a film of hands asks of the arms: transfers, over which a hand is at work, and the ways in
+which a gripper can hold the rod meanwhile.
+
+What an arm does between them is its transit (Alami, Simeon and Laumond, A geometrical approach to
+planning manipulation tasks, 1989)."""
 
 from __future__ import annotations
 
@@ -55,7 +58,7 @@ class HandFilm:
 
 
 @dataclass(frozen=True)
-class Hold:
+class Transfer:
     """A stretch of frames over which one hand is at work.
 
     Attributes:
@@ -142,21 +145,21 @@ class Grasp:
     grip: Grip
     slant: float
 
-    def targets(self, hold: Hold, frames=slice(None)) -> np.ndarray:
+    def targets(self, transfer: Transfer, frames=slice(None)) -> np.ndarray:
         """(n, 4, 4) grasp poses in the table's frame [m]."""
-        return hold.poses[frames] @ self.pose
+        return transfer.poses[frames] @ self.pose
 
 
-def find_holds(film: HandFilm) -> list[Hold]:
+def find_transfers(film: HandFilm) -> list[Transfer]:
     """Stretches over which a hand is at work, in the order in which they begin."""
-    holds = []
+    transfers = []
     for hand in range(film.hands.shape[1]):
         edges = np.flatnonzero(np.diff(np.r_[False, film.closed[:, hand], False].astype(int)))
         for first, stop in edges.reshape(-1, 2):
             poses = film.hands[first:stop, hand]
             rod, end = _held_rod(film, int(first), poses[0])
-            holds.append(Hold(hand, int(first), int(stop) - 1, poses, rod, end))
-    return sorted(holds, key=lambda hold: (hold.first, hold.hand))
+            transfers.append(Transfer(hand, int(first), int(stop) - 1, poses, rod, end))
+    return sorted(transfers, key=lambda t: (t.first, t.hand))
 
 
 def _held_rod(film: HandFilm, frame: int, pose: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -177,16 +180,18 @@ def _held_rod(film: HandFilm, frame: int, pose: np.ndarray) -> tuple[np.ndarray,
     return pose[:3, :3].T @ frame_of_rod, False
 
 
-def find_grasps(hold: Hold, hand: Hand) -> list[Grasp]:
+def find_grasps(transfer: Transfer, hand: Hand) -> list[Grasp]:
     """Ways to hold the rod that keep hand and fingers above the table, the simplest first.
 
     Raises:
         RobotError: there is none.
     """
     found: list[tuple[float, float, Grasp]] = []
-    if hold.end:
+    if transfer.end:
         for angle, roll in product(_END_ANGLES, _END_ROLLS):
-            grasp, low = _lowered(hold, hand, Grip(math.radians(angle), math.radians(roll)), 0.0)
+            grasp, low = _lowered(
+                transfer, hand, Grip(math.radians(angle), math.radians(roll)), 0.0
+            )
             found.append((low, angle, grasp))
         best = {}
         for low, angle, grasp in found:  # of each angle the roll that stays highest
@@ -197,11 +202,11 @@ def find_grasps(hold: Hold, hand: Hand) -> list[Grasp]:
         # Half a turn about the fingers is the same grasp for the rod, and another for the arm.
         for slant, back in product(_SLANTS, (False, True)):
             angle = math.pi / 2 + math.radians(slant) * (-1 if back else 1)
-            turned = hold
+            turned = transfer
             if back:
-                turned = Hold(
-                    hold.hand, hold.first, hold.last, hold.poses,
-                    hold.rod * [-1.0, -1.0, 1.0], False,
+                turned = Transfer(
+                    transfer.hand, transfer.first, transfer.last, transfer.poses,
+                    transfer.rod * [-1.0, -1.0, 1.0], False,
                 )  # fmt: skip
             grasp, low = _lowered(turned, hand, Grip(angle, math.pi), math.radians(slant))
             found.append((low, abs(slant), grasp))
@@ -209,25 +214,25 @@ def find_grasps(hold: Hold, hand: Hand) -> list[Grasp]:
     if not good:
         low = max(item[0] for item in found) + _HAND_ROOM
         raise RobotError(
-            f"hand {hold.hand} cannot hold the rod at frames {hold.first} to {hold.last}: the "
-            f"gripper would be {-1e3 * low:.1f} mm inside the table however it is turned; grasp "
-            "higher or use a slimmer gripper"
+            f"hand {transfer.hand} cannot hold the rod at frames {transfer.first} to "
+            f"{transfer.last}: the gripper would be {-1e3 * low:.1f} mm inside the table however "
+            "it is turned; grasp higher or use a slimmer gripper"
         )
     return [grasp for _, _, grasp in sorted(good, key=lambda item: item[1])]
 
 
-def _lowered(hold: Hold, hand: Hand, grip: Grip, slant: float) -> tuple[Grasp, float]:
+def _lowered(transfer: Transfer, hand: Hand, grip: Grip, slant: float) -> tuple[Grasp, float]:
     """A grasp with the rod as near the fingers' ends as the table asks, and the hand's room."""
     pose = np.eye(4)
-    pose[:3, :3] = hold.rod @ grip.rotation
+    pose[:3, :3] = transfer.rod @ grip.rotation
     options = sorted(product(_DOWN, _ASIDE), key=lambda o: math.hypot(*o))
     best, best_tip = None, -math.inf
     for down, aside in options:
         pose[:3, 3] = -pose[:3, :3] @ [aside, 0.0, down]
-        tip = hand.lowest(hold.poses @ pose)[1]
+        tip = hand.lowest(transfer.poses @ pose)[1]
         if tip > best_tip:
             best, best_tip = pose.copy(), tip
         if tip >= _TIP_ROOM:
             break
-    room, _ = hand.lowest(hold.poses @ best)
+    room, _ = hand.lowest(transfer.poses @ best)
     return Grasp(best, grip, slant), room - _HAND_ROOM

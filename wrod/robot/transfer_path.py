@@ -1,4 +1,4 @@
-"""How an arm follows a hand over a hold, alone or beside another arm."""
+"""How an arm follows a hand over a transfer, alone or beside another arm."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from wrod.errors import RobotError
 from wrod.robot.arm import Arm, gap_between, with_middles
 from wrod.robot.grip import TURN_LENGTH
-from wrod.robot.holds import Grasp, Hold
 from wrod.robot.kinematics import refine
 from wrod.robot.redundancy import Surroundings, improve
 from wrod.robot.search import Branch, follow_targets
+from wrod.robot.transfers import Grasp, Transfer
 
 LIMIT_MARGIN = 0.02  # [rad]
 _REACHED = 1e-4  # [m], a turn of one radian counting as `TURN_LENGTH`
@@ -24,12 +24,12 @@ _RANKED = 12  # branches of each of two arms that are paired
 _SEEDS = 16
 _PAIR_ROOM = 0.08  # [m] wanted between the branches of two arms before they are improved
 _PAIR_FRAMES = 10
-_FAR = 0.05  # cost of a radian between two holds
+_FAR = 0.05  # cost of a radian between two transfers
 
 
-def coarse_frames(hold: Hold) -> np.ndarray:
-    """Frames of a hold that are about `_COARSE` of travel apart; both ends are among them."""
-    travel = hold_travel(hold)
+def coarse_frames(transfer: Transfer) -> np.ndarray:
+    """Frames of a transfer that are about `_COARSE` of travel apart; both ends are among them."""
+    travel = transfer_travel(transfer)
     if travel[-1] < 1e-4:
         return np.array([0, len(travel) - 1]) if len(travel) > 1 else np.array([0])
     count = max(8, int(np.ceil(travel[-1] / _COARSE)))
@@ -39,21 +39,21 @@ def coarse_frames(hold: Hold) -> np.ndarray:
     return frames[np.r_[True, np.diff(travel[frames]) > 1e-9]]
 
 
-def hold_travel(hold: Hold) -> np.ndarray:
+def transfer_travel(transfer: Transfer) -> np.ndarray:
     """(frame,) way of the hand since the first frame, a radian counting `TURN_LENGTH` [m]."""
-    turns = Rotation.from_matrix(hold.poses[:, :3, :3])
+    turns = Rotation.from_matrix(transfer.poses[:, :3, :3])
     turn = (turns[:-1].inv() * turns[1:]).magnitude()
     step = np.hypot(
-        np.linalg.norm(np.diff(hold.poses[:, :3, 3], axis=0), axis=1), TURN_LENGTH * turn
+        np.linalg.norm(np.diff(transfer.poses[:, :3, 3], axis=0), axis=1), TURN_LENGTH * turn
     )
     return np.concatenate([[0.0], np.cumsum(np.where(step < 1e-6, 0.0, step))])
 
 
 @dataclass(frozen=True)
-class HoldPath:
-    """Joint positions (frame, n) [rad] of an arm over the frames of a hold."""
+class TransferPath:
+    """Joint positions (frame, n) [rad] of an arm over the frames of a transfer."""
 
-    hold: Hold
+    transfer: Transfer
     grasp: Grasp
     positions: np.ndarray
 
@@ -63,23 +63,25 @@ class Follower:
 
     Args:
         arm: which follows.
-        hold: what.
+        transfer: what.
         grasps: the ways to hold the rod, the best first.
         interval: (frame - 1,) seconds between the frames.
         before: (n,) where the arm comes from: branches near that are preferred [rad].
         other: the other arm's capsules at these frames as far as they are known, else None.
     """
 
-    def __init__(self, arm: Arm, hold: Hold, grasps: list[Grasp], interval, before, other=None):
-        self.arm, self.hold, self.grasps = arm, hold, grasps
+    def __init__(
+        self, arm: Arm, transfer: Transfer, grasps: list[Grasp], interval, before, other=None
+    ):
+        self.arm, self.transfer, self.grasps = arm, transfer, grasps
         self.interval, self.before, self.other = interval, before, other
-        self.frames = coarse_frames(hold)
-        self.travel = hold_travel(hold)
+        self.frames = coarse_frames(transfer)
+        self.travel = transfer_travel(transfer)
 
     def branches(self, count: int) -> list[tuple[float, Grasp, np.ndarray]]:
         """Cost, grasp and coarse joint positions of different branches, the best first."""
         to_base = self.arm.placement.base_from_world
-        targets = np.stack([to_base @ g.targets(self.hold, self.frames) for g in self.grasps])
+        targets = np.stack([to_base @ g.targets(self.transfer, self.frames) for g in self.grasps])
         found = []
         for choice, positions, miss, excess in follow_targets(self.arm.robot, targets, _SEEDS):
             grasp = self.grasps[choice]
@@ -97,10 +99,10 @@ class Follower:
                 break
         return kept
 
-    def path(self, grasp: Grasp, coarse: np.ndarray, improved: bool = True) -> HoldPath:
+    def path(self, grasp: Grasp, coarse: np.ndarray, improved: bool = True) -> TransferPath:
         """A branch at every frame, its elbow improved or as it is."""
         arm, frames = self.arm, self.frames
-        goals = arm.placement.base_from_world @ grasp.targets(self.hold)
+        goals = arm.placement.base_from_world @ grasp.targets(self.transfer)
         if improved and len(frames) > 2:
             near = None if self.other is None else arm.in_base(_at(self.other, frames))
             around = Surroundings(
@@ -110,21 +112,21 @@ class Follower:
         start = np.repeat(coarse[:1], len(self.travel), axis=0)
         if len(frames) > 2:
             start = CubicSpline(self.travel[frames], coarse)(self.travel)
-        return HoldPath(self.hold, grasp, refine(arm.robot, start, goals)[0])
+        return TransferPath(self.transfer, grasp, refine(arm.robot, start, goals)[0])
 
-    def check(self, path: HoldPath) -> tuple[float, str | None]:
+    def check(self, path: TransferPath) -> tuple[float, str | None]:
         """By how much a path fails, 0 if it does not, and how."""
         return _check(self.arm, path, self.interval, self.other)
 
     def refusal(self, what: str) -> RobotError:
+        over = self.transfer
         return RobotError(
-            f"an arm at {self.arm.placement} cannot follow hand {self.hold.hand} over frames "
-            f"{self.hold.first} to {self.hold.last}: {what}; move the pattern or give the arms "
-            "other places"
+            f"an arm at {self.arm.placement} cannot follow hand {over.hand} over frames "
+            f"{over.first} to {over.last}: {what}; move the pattern or give the arms other places"
         )
 
 
-def follow(one: Follower) -> HoldPath:
+def follow(one: Follower) -> TransferPath:
     """Follow a hand.
 
     Raises:
@@ -141,8 +143,8 @@ def follow(one: Follower) -> HoldPath:
 
 
 def follow_both(
-    one: Follower, two: Follower, beside: Callable[[Follower, HoldPath], object]
-) -> tuple[HoldPath, HoldPath]:
+    one: Follower, two: Follower, beside: Callable[[Follower, TransferPath], object]
+) -> tuple[TransferPath, TransferPath]:
     """Follow two hands that are at work at the same time.
 
     Args:
@@ -152,15 +154,15 @@ def follow_both(
     Raises:
         RobotError: they cannot; names what fails on the best try.
     """
-    first = max(one.hold.first, two.hold.first)
-    last = min(one.hold.last, two.hold.last)
+    first = max(one.transfer.first, two.transfer.first)
+    last = min(one.transfer.last, two.transfer.last)
     common = np.unique(np.linspace(first, last, _PAIR_FRAMES).astype(int))
     sides = []
     for side in (one, two):
         ranked = []
         for cost, grasp, coarse in side.branches(_RANKED):
             rough = side.path(grasp, coarse, improved=False)
-            capsules = side.arm.capsules(rough.positions[common - side.hold.first])
+            capsules = side.arm.capsules(rough.positions[common - side.transfer.first])
             ranked.append((cost, grasp, coarse, rough, capsules))
         sides.append(ranked)
     pairs = []
@@ -187,26 +189,26 @@ def _at(other, frames):
     return None if other is None else (other[0][frames], other[1][frames], other[2])
 
 
-def _check(arm: Arm, path: HoldPath, interval: np.ndarray, other) -> tuple[float, str | None]:
+def _check(arm: Arm, path: TransferPath, interval: np.ndarray, other) -> tuple[float, str | None]:
     """By how much a path fails, and how; a miss counts most."""
     q, robot = path.positions, arm.robot
     reached = arm.grasps(q)
-    wanted = path.grasp.targets(path.hold)
+    wanted = path.grasp.targets(path.transfer)
     off = np.linalg.norm(reached[:, :3, 3] - wanted[:, :3, 3], axis=1)
     turn = Rotation.from_matrix(reached[:, :3, :3].mT @ wanted[:, :3, :3]).magnitude()
     miss = np.hypot(off, TURN_LENGTH * turn)
     if miss.max() > _REACHED:
         k = int(miss.argmax())
         return 100.0 + miss[k], (
-            f"the grasp is out of reach at frame {path.hold.first + k}: the nearest pose found is "
-            f"{1e3 * off[k]:.1f} mm and {np.degrees(turn[k]):.1f} degrees away"
+            f"the grasp is out of reach at frame {path.transfer.first + k}: the nearest pose found "
+            f"is {1e3 * off[k]:.1f} mm and {np.degrees(turn[k]):.1f} degrees away"
         )
     room = np.minimum(q - robot.lower, robot.upper - q)
     if room.min() < LIMIT_MARGIN:
         k, joint = np.unravel_index(room.argmin(), room.shape)
         return 10.0 - room.min(), (
             f"joint {robot.joint_names[joint]} comes within {room.min():.3f} rad of its limit at "
-            f"frame {path.hold.first + k}"
+            f"frame {path.transfer.first + k}"
         )
     if len(q) > 1:
         load = np.abs(np.diff(q, axis=0)) / (robot.velocity * interval[:, None])
@@ -214,9 +216,9 @@ def _check(arm: Arm, path: HoldPath, interval: np.ndarray, other) -> tuple[float
             k, joint = np.unravel_index(load.argmax(), load.shape)
             return 5.0 + load.max(), (
                 f"joint {robot.joint_names[joint]} would have to turn {load.max():.1f} times as "
-                f"fast as it can after frame {path.hold.first + k}"
+                f"fast as it can after frame {path.transfer.first + k}"
             )
     short, what = arm.problem(*with_middles(q, other))
     if what is not None:
-        what += f" between frames {path.hold.first} and {path.hold.last}"
+        what += f" between frames {path.transfer.first} and {path.transfer.last}"
     return short, what
