@@ -54,7 +54,7 @@ def test_every_file_is_in_the_wheel(unpacked):
     """A folder that pyproject.toml does not list is missed by no checkout, and by every user."""
     for folder, package in FOLDERS.items():
         there = unpacked / package.replace(".", "/")
-        for suffix in ("py", "safetensors", "json", "csv", "urdf"):
+        for suffix in ("py", "pyi", "safetensors", "json", "csv", "urdf"):
             for file in (ROOT / folder).rglob(f"*.{suffix}"):
                 assert (there / file.relative_to(ROOT / folder)).exists(), file
     assert (unpacked / "wrod_start.py").exists()

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from wrod import arguments
 from wrod.deployment.result import METRIC_POINTS
@@ -190,6 +189,8 @@ def _smooth(curve: np.ndarray) -> np.ndarray:
 
     Local cubics (Savitzky and Golay 1964) leave a bend of a rod where it is.
     """
+    from scipy.signal import savgol_filter  # loads half of SciPy
+
     along = arc_length(curve)
     count = max(int(np.ceil(along[-1] / _SPACING)) + 1, _WINDOW)
     at = np.linspace(0.0, along[-1], count)

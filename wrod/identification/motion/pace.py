@@ -1,7 +1,7 @@
 """Whether recordings move at the pace that their rod's own weight sets."""
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from wrod.errors import DataError
 from wrod.identification.effect import Model, effects
@@ -70,5 +70,5 @@ def pace(measurements: MotionMeasurements, *, device: str = "cpu") -> tuple[floa
     own = np.stack([left[seen.recording == r].sum(axis=0) for r in names])
     scatter = own.T @ own * len(names) / (len(names) - 1)
     error = np.sqrt((inverse @ scatter @ inverse)[0, 0])
-    sure = student_t.ppf(_SURE, len(names) - 1)
+    sure = stdtrit(len(names) - 1, _SURE)
     return float(1.0 - shares[0] / size[0]), float(sure * error / size[0])
