@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrod.identification.held.measurements import HeldCable
+from wrod.identification.held.mesh import cable_model, held_batch
 from wrod.rods.batch import RodBatch
+from wrod.rods.law import BendingLaw, Linear
+from wrod.rods.model import RodModel
 from wrod.rods.state import node_positions
-from wrod.solvers.statics import EquilibriumSolver, prescribe
+from wrod.solvers.statics import EquilibriumSolver
 
 _EDGES = 30
-# A cable in the hand hardly stretches: EA over B / L^2.
-_STRETCH = 3e4
 # Increments in which the loads are put on, so that a cable stays on gravity's side.
 _TURNS = 12
 
@@ -24,21 +25,12 @@ class CableModel:
     Attributes:
         stiffness: bending stiffness B of the straight cable [N m^2].
         curvature: natural curvature in the plane, positive towards +x of the hand [1/m].
-        softening: c [m^2] and kept share r of the moment B e (r + (1 - r) / (1 + c e^2)) that
-            belongs to a curvature e beyond the natural one; c = 0 is linear.
-        kept: r.
         tilt: turn of the clamp from the hand's axis, towards +x [rad].
-        scale: of the markers' distances, seen over true [-].
-        mass_ratio: weight of the cable and what hangs on it, true over told [-].
     """
 
     stiffness: float
     curvature: float = 0.0
-    softening: float = 0.0
-    kept: float = 0.3
     tilt: float = 0.0
-    scale: float = 1.0
-    mass_ratio: float = 1.0
 
 
 def markers(
@@ -63,8 +55,7 @@ def markers(
         )
         batch.gravity.assign(pull)
         good &= solver.solve(ramp_loads=k == 1, tolerance=1e-7).converged
-    scale = np.array([model.scale for *_, model in cases])[:, None, None]
-    return scale * marked(node_positions(batch.state.dof.numpy())), good
+    return marked(node_positions(batch.state.dof.numpy())), good
 
 
 def marked(nodes: np.ndarray) -> np.ndarray:
@@ -85,41 +76,34 @@ def batch_of(
     cases: Sequence[tuple[HeldCable, float, CableModel]],
     *,
     position: np.ndarray | None = None,
-    inelastic: np.ndarray | float = 0.0,
+    laws: Sequence[BendingLaw] | None = None,
     device: str = "cpu",
 ) -> RodBatch:
     """The cables as rods clamped at their first edge, without gravity.
 
     Args:
         cases: see `markers`; the angle does not matter.
-        position: (case, node, 3) first shapes [m], edges of the mesh's lengths; default: straight.
-        inelastic: (case, 1, 4) law of bending that remembers, see `RodBatch`.
+        position: (case, node, 3) first shapes [m]; default: straight.
+        laws: of bending, one a case; default: linear.
     """
-    rods = len(cases)
-    mass, straight, stretching = [], [], []
-    for cable, _, model in cases:
-        s = mesh(cable.length)
-        straight.append(s[:, None] * [np.sin(model.tilt), 0.0, -np.cos(model.tilt)])
-        half = 0.5 * cable.cable_mass * model.mass_ratio / cable.length * np.diff(s)
-        mass.append(np.append(half, cable.tip_mass) + np.append(0.0, half))
-        stretching.append(_STRETCH * model.stiffness / cable.length**2)
-    bend = np.array([model.stiffness for *_, model in cases])[:, None]
-    curvature = np.zeros((rods, 1, 2))
-    # First director across the plane (+y), second in it towards +x.
-    curvature[:, 0, 1] = [model.curvature for *_, model in cases]
-    softening = np.array([(model.softening, model.kept) for *_, model in cases])
-    batch = RodBatch(
-        np.array(straight) if position is None else position,
-        stretching_stiffness=np.array(stretching)[:, None],
-        bending_stiffness=bend,
-        twisting_stiffness=bend,
-        natural_curvature=curvature,
-        softening=softening[:, None, :],
-        inelastic=inelastic,
-        node_mass=np.array(mass),
-        gravity=np.zeros((rods, 3)),
-        director=np.array([0.0, 1.0, 0.0]),
-        device=device,
-    )
-    prescribe(batch, clamped_nodes=(0, 1), clamped_angles=(0,))
-    return batch
+    known: dict[tuple, RodModel] = {}
+    rods = []
+    for (cable, _, model), law in zip(cases, laws or [Linear()] * len(cases), strict=True):
+        key = (id(cable), model, law)
+        if key not in known:
+            known[key] = cable_model(
+                cable.length,
+                model.stiffness,
+                cable.cable_mass / cable.length,
+                curvature=model.curvature,
+                law=law,
+                tip_mass=cable.tip_mass,
+                gravity=cable.gravity,
+            )
+        rods.append(known[key])
+    s = np.array([mesh(cable.length) for cable, *_ in cases])
+    if position is None:
+        tilt = np.array([model.tilt for *_, model in cases])
+        down = np.column_stack([np.sin(tilt), np.zeros(len(tilt)), -np.cos(tilt)])
+        position = s[:, :, None] * down[:, None]
+    return held_batch(rods, s, position, both=False, gravity=np.zeros(3), device=device)

@@ -13,13 +13,14 @@ from scipy.optimize import least_squares
 
 from wrod.errors import DataError
 from wrod.identification.held.measurements import HangingLoops
-from wrod.rods.batch import RodBatch
+from wrod.identification.held.mesh import between_ends, cable_model, held_batch
+from wrod.rods.law import Linear, Softening
 from wrod.rods.state import node_positions
-from wrod.solvers.statics import EquilibriumSolver, prescribe
+from wrod.solvers.statics import EquilibriumSolver
 
 _EDGES = 74
-# A cable hardly stretches: EA over its weight, and over B / L^2.
-_STRETCH = (3e3, 3e4)
+# A cable hardly stretches: EA over its weight.
+_STRETCH = 3e3
 _STEPS = {"stiffness": 0.02, "softening": 0.1, "right": 0.02, "left": 0.02}
 # Scale of the unknowns, for the fit's steps.
 _SCALES = {"stiffness": 0.3, "softening": 1.0, "right": 0.2, "left": 0.2}
@@ -93,8 +94,7 @@ class TwistedLoops:
     ):
         count = len(models)
         self.length, h = loops.length, loops.length / _EDGES
-        # Nodes half an edge beside the exits: the clamped edges have the exits in their middle.
-        self.arc_length = h * (np.arange(_EDGES + 2) - 0.5)
+        self.arc_length = between_ends(loops.length, _EDGES)
         inner = np.clip(self.arc_length, 0.0, loops.length)
         place = CubicSpline(loops.arc_length, loops.shape[0])(inner)
         position = np.zeros((count, _EDGES + 2, 3))
@@ -104,24 +104,19 @@ class TwistedLoops:
         exits = np.asarray(exits, dtype=float)
         for node, at in ((0, -out), (1, out), (-2, exits - back), (-1, exits + back)):
             position[:, node, 0], position[:, node, 2] = at[:, 0], at[:, 1]
-        bend = np.array([m.stiffness for m in models])[:, None]
-        line = loops.mass_per_length * h
-        self.batch = RodBatch(
-            position,
-            rest_length=np.full((count, _EDGES + 1), h),
-            stretching_stiffness=np.maximum(
-                _STRETCH[0] * loops.mass_per_length * loops.gravity * loops.length,
-                _STRETCH[1] * bend / loops.length**2,
-            ),
-            bending_stiffness=bend,
-            twisting_stiffness=bend * np.array([m.twist_ratio for m in models])[:, None],
-            softening=np.array([[[m.softening, m.kept]] for m in models]),
-            node_mass=np.full((count, _EDGES + 2), line),
-            gravity=np.tile([0.0, 0.0, -loops.gravity], (count, 1)),
-            director=np.array([0.0, 1.0, 0.0]),
-            device=device,
-        )
-        prescribe(self.batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
+        rods = [
+            cable_model(
+                loops.length,
+                m.stiffness,
+                loops.mass_per_length,
+                twist_ratio=m.twist_ratio,
+                stretching=_STRETCH * loops.mass_per_length * loops.gravity * loops.length,
+                law=Softening(m.softening**-0.5, m.kept) if m.softening > 0.0 else Linear(),
+                gravity=loops.gravity,
+            )
+            for m in models
+        ]
+        self.batch = held_batch(rods, self.arc_length, position, both=True, device=device)
         self.solver = EquilibriumSolver(self.batch)
 
     def solve(self, turn: np.ndarray | float = 0.0):

@@ -7,14 +7,12 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from wrod.identification.held.measurements import HeldPoses
-from wrod.rods.batch import RodBatch
+from wrod.identification.held.mesh import between_ends, cable_model, held_batch
 from wrod.rods.rotation import angle_about, transport
 from wrod.rods.state import node_positions
-from wrod.solvers.statics import EquilibriumSolver, prescribe
+from wrod.solvers.statics import EquilibriumSolver
 
 _EDGES = 40
-# A cable hardly stretches: EA over B / L^2.
-_STRETCH = 3e4
 _WAYPOINTS = 24
 
 
@@ -40,22 +38,14 @@ def pose_shapes(
     count, length = len(cases), poses.length
     cable, pose = np.array([c[:2] for c in cases], dtype=int).T
     bend, ratio, sense = np.array([c[2:] for c in cases], dtype=float).T
-    h = length / _EDGES
-    # Nodes half an edge beside the ends: the clamped edges have them in their middle.
-    s = h * (np.arange(_EDGES + 2) - 0.5)
+    h, s = length / _EDGES, between_ends(length, _EDGES)
     straight = np.zeros((count, len(s), 3))
     straight[:, :, 0] = length - s
-    batch = RodBatch(
-        straight,
-        stretching_stiffness=(_STRETCH * bend / length**2)[:, None],
-        bending_stiffness=bend[:, None],
-        twisting_stiffness=(bend * ratio)[:, None],
-        node_mass=(poses.mass_per_length[cable] * h)[:, None],
-        gravity=np.tile([0.0, 0.0, -9.81], (count, 1)),
-        director=np.array([0.0, 1.0, 0.0]),
-        device=device,
-    )
-    prescribe(batch, clamped_nodes=(0, 1, -2, -1), clamped_angles=(0, -1))
+    rods = [
+        cable_model(length, *numbers[:2], twist_ratio=numbers[2])
+        for numbers in zip(bend, poses.mass_per_length[cable], ratio, strict=True)
+    ]
+    batch = held_batch(rods, s, straight, both=True, device=device)
     solver = EquilibriumSolver(batch)
     good = np.ones(count, dtype=bool)
     for step in range(_WAYPOINTS + 1):

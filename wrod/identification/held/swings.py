@@ -17,7 +17,7 @@ from wrod.errors import DataError
 from wrod.identification.held.equilibria import CableModel, batch_of, marked, mesh
 from wrod.identification.held.fit import HeldFit
 from wrod.identification.held.measurements import HeldSwing
-from wrod.rods.law import Dahl
+from wrod.rods.law import BendingLaw, Dahl, Linear
 from wrod.rods.state import node_positions
 from wrod.solvers.dynamics import Dynamics
 
@@ -91,7 +91,8 @@ def predict_swings(
         DataError: fewer than three frames, or frames that are not equally far apart in time.
     """
     interval = _interval([swing for swing, _ in cases])
-    position, velocity, law = [], [], []
+    position, velocity = [], []
+    laws: list[BendingLaw] = []
     for swing, model in cases:
         here, moves = _first(swing, model, interval)
         position.append(here)
@@ -99,13 +100,11 @@ def predict_swings(
         rubs = model.friction > 0.0 and model.kept < 1.0
         # Slipped, the moment is B r e + B (1 - r) k_s.
         slip = model.friction * model.kept / (1.0 - model.kept) if rubs else 1.0
-        law.append(Dahl(slip, model.kept).inelastic if rubs else (0.0, 0.0, 0.0, 1.0))
+        laws.append(Dahl(slip, model.kept) if rubs else Linear())
     held = [
         (s.cable, 0.0, replace(m.cable, stiffness=m.cable.stiffness / m.kept)) for s, m in cases
     ]
-    batch = batch_of(
-        held, position=np.array(position), inelastic=np.array(law)[:, None], device=device
-    )
+    batch = batch_of(held, position=np.array(position), laws=laws, device=device)
     # The hand is at rest: its mean angle is free of the markers' noise.
     angle = np.array([swing.cable.angle.mean() for swing, _ in cases])
     size = np.array([swing.cable.gravity for swing, _ in cases])[:, None]
