@@ -77,6 +77,22 @@ def test_pull_is_reached_and_kept_up():
         assert length / (0.2 * 31 / 33) - 1.0 == pytest.approx(0.06, rel=0.05)
 
 
+def test_pull_that_is_over_stays_over_where_it_is_filmed():
+    """Filmed at every tick, hands come to a rest at the tick where the pull ends."""
+    ends = []
+    for filmed in (False, True):
+        table, starts, rod = straight()
+        pair = Pair(starts, 0.05 * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.01)
+        frames: list = []
+        load = 0.06 * rod.stretching_stiffness
+        outcome = keep_up(table, pair, load, 0.002, frames.append if filmed else None)
+        ends.append((table.positions()[0], outcome.load, outcome.crept, outcome.tight_at))
+        assert outcome.held.all() and not table.diverged.any()
+    assert len(frames) > 25
+    for plain, seen in zip(*ends, strict=True):
+        assert (plain == seen).all()
+
+
 def test_way_that_ends_before_the_load_is_reached_does_not_count():
     table, starts, rod = straight()
     outcome = pulled(table, starts, 0.06 * rod.stretching_stiffness, way=0.003)

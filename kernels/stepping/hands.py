@@ -199,7 +199,7 @@ def pull(
         pulling.kept[r] = 1
         ends = True
     if ends:
-        course.last[r] = k
+        course.last[r] = -1  # whatever key is named next
         pace.running[r] = 0
         pace.starting[r] = 0
         return

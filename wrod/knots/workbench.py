@@ -137,21 +137,28 @@ class Hands:
         self.position.assign(position)
         self.rotation.assign(rotation)
         course.reached.zero_()
+        course.last.zero_()
         self._key = 0
         return same
 
     def at_key(self) -> tuple[np.ndarray, np.ndarray]:
         """(scene, hand, 3) where what hands hold is at the key that each scene has reached [m], and
         (scene,) whether it waits there to go on."""
-        reached = streams.read(self.course.reached)
+        reached, waits = self._waiting()
         places = streams.read(self.position)[np.arange(len(reached)), :, reached]
-        return places, reached == self._key
+        return places, waits
+
+    def _waiting(self) -> tuple[np.ndarray, np.ndarray]:
+        """(scene,) the key that each has reached, and whether it waits there: scenes that diverged
+        come to no other, and those that have ended wait for none."""
+        reached = streams.read(self.course.reached)
+        return reached, (reached == self._key) & (streams.read(self.course.last) == self._key)
 
     def send(self, key: int, now: np.ndarray) -> np.ndarray:
         """Let scenes that wait go on to a key; (scene,) times of their next ones, or now [s]."""
-        reached = streams.read(self.course.reached)
-        waits = reached == self._key
-        self.course.last.assign(np.where(waits, key, reached))
+        _, waits = self._waiting()
+        last = streams.read(self.course.last)
+        self.course.last.assign(np.where(waits, key, last))
         following, self._key = streams.read(self.course.times)[self._key + 1], key
         return np.where(waits, following, now)
 
