@@ -13,7 +13,7 @@ parallel (compare `wrod.kernels.contact.segments`); it makes D at most 0.00125 h
 """
 
 import warp as wp
-from wrod.kernels.contact.planes import NOTHING, PLANE, Shape
+from wrod.kernels.contact.shapes import NOTHING, PLANE, Shape
 from wrod.kernels.contact.solids import Surface, extent, solid_surface
 from wrod.kernels.elastic.frames import HALF, ONE, ZERO
 

@@ -11,13 +11,13 @@ from wrod.kernels.contact.closest import SMOOTHING, Closest, closest_on_edge, wi
 from wrod.kernels.contact.planes import (
     Touchable,
     coefficient,
+    damped_force,
     normal_force,
     note_touch,
-    present_force,
     return_mapping,
-    shape_displacement,
 )
 from wrod.kernels.contact.rolling import held_turn
+from wrod.kernels.contact.shapes import shape_displacement, shape_turn
 from wrod.kernels.elastic.assembly import (
     add_block,
     add_column,
@@ -27,32 +27,41 @@ from wrod.kernels.elastic.assembly import (
     add_row,
     add_vector,
 )
-from wrod.kernels.elastic.frames import ONE, ZERO, node
+from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
-
-# Of an edge, as `SMOOTHING`, where distances are to be exact: this only breaks ties.
-SHARP = wp.constant(wp.float64(1.0e-9))
-# What begins deeper than this part of its radius is let out slowly.
-DEEP = wp.constant(wp.float64(0.5))
 
 
 @wp.struct
 class EdgeTouch:
-    """What a fixture does to an edge: closest point, normal force at rest and its slope, depth and
-    by how much it has grown in this step, stretch of the
-    bristle before return mapping, the edge itself, the direction in which its surface moves when it
-    spins (radius times n x t), and c."""
+    """What a fixture does to an edge: closest point, normal force at rest, depth and by how much it
+    has grown in this step, stiffness, stretch of the bristle before return mapping, the edge
+    itself, the direction in which its surface moves when it spins (radius times n x t), and c."""
 
     near: Closest
     depth: wp.float64
     closing: wp.float64
     force: wp.float64
-    slope: wp.float64
+    stiffness: wp.float64
     bristle: wp.vec3d
     edge: wp.vec3d
     spin: wp.vec3d
     smoothing: wp.float64
+
+
+@wp.func
+def may_touch(m: Touchable, r: int, k: int, i: int) -> bool:
+    if m.apart.shape[2] == 0:
+        return True
+    return m.apart[r, k, i] == wp.int8(0)
+
+
+@wp.func
+def edge_stiffness(m: Touchable, r: int, k: int, i: int) -> wp.float64:
+    """At least so much that what an edge is to bear goes in by two skins beyond half the first."""
+    if m.burden.shape[1] == 0:
+        return m.stiffness[r, i]
+    return wp.max(m.stiffness[r, i], HALF * m.burden[r, k] / m.skin[r, i])
 
 
 @wp.func
@@ -73,14 +82,13 @@ def edge_touch(
     e = node(dof, r, i + 1) - q
     out.edge = e
     out.smoothing = SMOOTHING * m.rest_length[r, i]
-    if not within_reach(shape, q, e, wp.max(radius, ZERO)):
+    if not (may_touch(m, r, k, i) and within_reach(shape, q, e, wp.max(radius, ZERO))):
         return out
     near = closest_on_edge(shape, q, e, out.smoothing)
     out.near = near
     out.depth = radius - near.distance
-    law = normal_force(out.depth, m.stiffness[r, i], m.skin[r, i])
-    out.force = law[0]
-    out.slope = law[1]
+    out.stiffness = edge_stiffness(m, r, k, i)
+    out.force = normal_force(out.depth, out.stiffness, m.skin[r, i])[0]
     if out.force > ZERO:
         n = near.normal
         out.spin = (m.rolling[r] * radius) * wp.cross(n, wp.normalize(e))
@@ -91,6 +99,89 @@ def edge_touch(
         b = bristle_before + moved + spun * out.spin
         out.bristle = b - wp.dot(b, n) * n
         out.closing = -wp.dot(moved, n)
+    return out
+
+
+@wp.struct
+class EdgeHold:
+    """How a fixture holds an edge that it touches: normal force and its slope, the bristle's pull,
+    its stiffness and by how much it slides; torque about the edge of what keeps its roll, and its
+    stiffness."""
+
+    force: wp.float64
+    slope: wp.float64
+    pull: wp.vec3d
+    tangential: wp.mat33d
+    slides: wp.float64
+    torque: wp.float64
+    turning: wp.float64
+
+
+@wp.func
+def hold_edge(
+    m: Touchable,
+    c: EdgeTouch,
+    sliding: int,
+    turned: wp.float64,
+    spun: wp.float64,
+    dt: wp.float64,
+    r: int,
+    k: int,
+    i: int,
+) -> EdgeHold:
+    """`spun` is by how much the edge has turned in this step, `turned` its bristle before."""
+    out = EdgeHold()
+    # What is stiffer comes to rest sooner.
+    relaxation = m.relaxation[r, i] * wp.sqrt(m.stiffness[r, i] / c.stiffness)
+    law = damped_force(c.depth, c.closing, relaxation, dt, c.stiffness, m.skin[r, i])
+    out.force = law[0]
+    out.slope = law[1]
+    limit = coefficient(m, sliding, r, k) * law[0]
+    held = return_mapping(c.bristle, c.near.normal, c.stiffness, limit)
+    out.pull = held.pull
+    out.tangential = held.tangential
+    out.slides = held.slides
+    if m.roll_friction[r, k] >= ZERO:
+        arm = wp.abs(m.radius[r, i])
+        turn = turned + spun - shape_turn(m.shapes[r, k], wp.normalize(c.edge))
+        roll = held_turn(turn, c.stiffness * arm * arm, m.roll_friction[r, k] * law[0] * arm)
+        out.torque = roll[0]
+        out.turning = roll[1]
+    return out
+
+
+@wp.struct
+class EdgeBlocks:
+    """Residual and stiffness of a touch by the nodes at the edge's head and tail; `mixed` has rows
+    of the tail."""
+
+    at_head: wp.vec3d
+    at_tail: wp.vec3d
+    head: wp.mat33d
+    mixed: wp.mat33d
+    tail: wp.mat33d
+
+
+@wp.func
+def edge_blocks(c: EdgeTouch, held: EdgeHold) -> EdgeBlocks:
+    out = EdgeBlocks()
+    n = c.near.normal
+    tail = c.near.s
+    head = ONE - tail
+    total = held.pull - held.force * n
+    out.at_head = head * total
+    out.at_tail = tail * total
+    # D'' = J^T d'' J - v v^T / D_ss with J = ((1 - s) 1, s 1) and v = J^T d'' e + (-n, n).
+    block = held.tangential + held.slope * wp.outer(n, n) - held.force * c.near.bend
+    bent = c.near.bend * c.edge
+    v = head * bent - n
+    w = tail * bent + n
+    share = ZERO
+    if c.near.free > ZERO:
+        share = held.force / (wp.dot(c.edge, bent) + c.smoothing)
+    out.head = head * head * block + share * wp.outer(v, v)
+    out.mixed = tail * head * block + share * wp.outer(w, v)
+    out.tail = tail * tail * block + share * wp.outer(w, w)
     return out
 
 
@@ -121,52 +212,21 @@ def edge_contact(
     for k in range(model.shapes.shape[1]):
         c = edge_touch(model, dof, dof_before, bristle[r, k, i], r, k, i)
         if c.force > ZERO:
-            mu = coefficient(model, sliding[r, k, i], r, k)
-            law = present_force(model, c.depth, c.closing, step[r], r, i)
-            c.force = law[0]
-            c.slope = law[1]
-            held = return_mapping(c.bristle, c.near.normal, model.stiffness[r, i], mu * c.force)
-            add_edge(gradient, hessian, r, i, c, held.pull, held.tangential)
+            a = 4 * i
+            spun = dof[r, a + 3] - dof_before[r, a + 3]
+            was = turned[r, k, i]
+            held = hold_edge(model, c, sliding[r, k, i], was, spun, step[r], r, k, i)
+            b = edge_blocks(c, held)
+            add_vector(gradient, r, a, b.at_head)
+            add_vector(gradient, r, a + 4, b.at_tail)
+            add_diagonal_block(hessian, r, a, b.head)
+            add_block(hessian, r, a + 4, a, b.mixed)
+            add_diagonal_block(hessian, r, a + 4, b.tail)
             if model.rolling[r] > ZERO:
                 add_edge_spin(gradient, hessian, r, i, c, held.pull, held.tangential)
             if model.roll_friction[r, k] >= ZERO:
-                a = 4 * i + 3
-                arm = wp.abs(model.radius[r, i])
-                turn = turned[r, k, i] + dof[r, a] - dof_before[r, a]
-                limit = model.roll_friction[r, k] * c.force * arm
-                roll = held_turn(turn, model.stiffness[r, i] * arm * arm, limit)
-                add_component(gradient, r, a, roll[0])
-                add_entry(hessian, r, a, 0, roll[1])
-
-
-@wp.func
-def add_edge(
-    gradient: wp.array2d(dtype=wp.float64),
-    hessian: wp.array3d(dtype=wp.float64),
-    r: int,
-    i: int,
-    c: EdgeTouch,
-    pull: wp.vec3d,
-    tangential: wp.mat33d,
-):
-    a = 4 * i
-    n = c.near.normal
-    tail = c.near.s
-    head = ONE - tail
-    total = pull - c.force * n
-    add_vector(gradient, r, a, head * total)
-    add_vector(gradient, r, a + 4, tail * total)
-    # D'' = J^T d'' J - v v^T / D_ss with J = ((1 - s) 1, s 1) and v = J^T d'' e + (-n, n).
-    block = tangential + c.slope * wp.outer(n, n) - c.force * c.near.bend
-    bent = c.near.bend * c.edge
-    v = head * bent - n
-    w = tail * bent + n
-    share = ZERO
-    if c.near.free > ZERO:
-        share = c.force / (wp.dot(c.edge, bent) + c.smoothing)
-    add_diagonal_block(hessian, r, a, head * head * block + share * wp.outer(v, v))
-    add_block(hessian, r, a + 4, a, tail * head * block + share * wp.outer(w, v))
-    add_diagonal_block(hessian, r, a + 4, tail * tail * block + share * wp.outer(w, w))
+                add_component(gradient, r, a + 3, held.torque)
+                add_entry(hessian, r, a + 3, 0, held.turning)
 
 
 @wp.func
@@ -186,91 +246,6 @@ def add_edge_spin(
     add_entry(hessian, r, a + 3, 0, wp.dot(coupling, c.spin))
     add_row(hessian, r, a + 3, a, (ONE - c.near.s) * coupling)
     add_column(hessian, r, a + 4, a + 3, c.near.s * coupling)
-
-
-@wp.kernel
-def hide(
-    # State in:
-    chosen: wp.array(dtype=wp.int32),
-    dof: wp.array2d(dtype=wp.float64),
-    # State in and out:
-    model: Touchable,
-    hidden: wp.array2d(dtype=wp.float64),
-):
-    """Edges of the chosen rods that lie deep inside a shape begin as thin as they just touch it, of
-    a radius below 0 even: all at once, contact would throw them out."""
-    r, i = wp.tid()
-    radius = model.radius[r, i] + hidden[r, i]
-    if chosen[r] == 0 or radius == ZERO:
-        return
-    q = node(dof, r, i)
-    e = node(dof, r, i + 1) - q
-    deepest = wp.float64(0.0)
-    for k in range(model.shapes.shape[1]):
-        if within_reach(model.shapes[r, k], q, e, radius):
-            c = closest_on_edge(model.shapes[r, k], q, e, SHARP * wp.length(e))
-            deepest = wp.max(deepest, radius - c.distance)
-    hidden[r, i] = wp.where(deepest > DEEP * radius, deepest, ZERO)
-    model.radius[r, i] = radius - hidden[r, i]
-
-
-@wp.kernel
-def swell(
-    # Model:
-    speed: wp.array2d(dtype=wp.float64),
-    # State in:
-    step: wp.array(dtype=wp.float64),
-    accepted: wp.array(dtype=wp.int32),
-    # State in and out:
-    model: Touchable,
-    hidden: wp.array2d(dtype=wp.float64),
-):
-    """Let hidden radii grow."""
-    r, i = wp.tid()
-    if accepted[r] == 0 or hidden[r, i] == ZERO:
-        return
-    grown = wp.min(hidden[r, i], speed[r, i] * step[r])
-    hidden[r, i] = hidden[r, i] - grown
-    model.radius[r, i] = model.radius[r, i] + grown
-
-
-@wp.kernel
-def refuse_tunnelling(
-    # Model:
-    model: Touchable,
-    # State in:
-    hidden: wp.array2d(dtype=wp.float64),
-    dof: wp.array2d(dtype=wp.float64),
-    dof_before: wp.array2d(dtype=wp.float64),
-    # State in and out:
-    converged: wp.array(dtype=wp.int32),
-):
-    """Nothing tunnels: a step stands only if no centreline can have met a fixture on the way.
-
-    An edge whose nodes move by m, from a distance D to a distance D', was nowhere nearer than
-    (D + D' - m) / 2. One that began inside may come out, and sink deeper, but not pass to the other
-    side. Fixtures that move themselves are left to who moves them.
-    """
-    r, i = wp.tid()
-    if converged[r] == 0 or model.radius[r, i] == ZERO:
-        return
-    q = node(dof, r, i)
-    p = node(dof, r, i + 1)
-    q_before = node(dof_before, r, i)
-    p_before = node(dof_before, r, i + 1)
-    way = wp.max(wp.length(q - q_before), wp.length(p - p_before))
-    c = SHARP * model.rest_length[r, i]
-    for k in range(model.shapes.shape[1]):
-        shape = model.shapes[r, k]
-        if shape.moves == 0 and within_reach(shape, q_before, p_before - q_before, way):
-            before = closest_on_edge(shape, q_before, p_before - q_before, c)
-            after = closest_on_edge(shape, q, p - q, c)
-            inside = before.distance <= ZERO or hidden[r, i] > ZERO
-            met = before.distance + after.distance <= way
-            if inside:
-                met = wp.dot(before.normal, after.normal) < ZERO
-            if met:
-                converged[r] = 0
 
 
 @wp.kernel
@@ -331,50 +306,27 @@ def settle_edges(
         return
     for k in range(model.shapes.shape[1]):
         c = edge_touch(model, dof, dof_before, bristle[r, k, i], r, k, i)
-        mu = coefficient(model, sliding[r, k, i], r, k)
+        slid = sliding[r, k, i]
         sliding[r, k, i] = 0
         b = wp.vec3d(ZERO, ZERO, ZERO)
         turn = wp.float64(0.0)
         if c.force > ZERO:
-            law = present_force(model, c.depth, c.closing, step[r], r, i)
-            held = return_mapping(c.bristle, c.near.normal, model.stiffness[r, i], mu * law[0])
+            spun = dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
+            held = hold_edge(model, c, slid, turned[r, k, i], spun, step[r], r, k, i)
             if held.slides > ZERO:
                 sliding[r, k, i] = 1
                 wp.atomic_add(slip, r, i, (ONE - c.near.s) * held.slides)
                 wp.atomic_add(slip, r, i + 1, c.near.s * held.slides)
-            b = held.pull / model.stiffness[r, i]
+            b = held.pull / c.stiffness
             if model.roll_friction[r, k] >= ZERO:
                 arm = wp.abs(model.radius[r, i])
-                k_r = model.stiffness[r, i] * arm * arm
-                turn = turned[r, k, i] + dof[r, 4 * i + 3] - dof_before[r, 4 * i + 3]
-                limit = model.roll_friction[r, k] * law[0] * arm
-                turn = held_turn(turn, k_r, limit)[0] / k_r
-            total = law[0] * c.near.normal - held.pull
+                turn = held.torque / (c.stiffness * arm * arm)
+            total = held.force * c.near.normal - held.pull
             wp.atomic_add(force, r, i, (ONE - c.near.s) * total)
             wp.atomic_add(force, r, i + 1, c.near.s * total)
             wp.atomic_add(push, r, k, -total)
-            wp.atomic_add(moment, r, k, -wp.cross(node(dof, r, i) + c.near.s * c.edge, total))
+            turning = held.torque * wp.normalize(c.edge)
+            point = node(dof, r, i) + c.near.s * c.edge
+            wp.atomic_add(moment, r, k, turning - wp.cross(point, total))
         bristle[r, k, i] = b
         turned[r, k, i] = turn
-
-
-@wp.kernel
-def measure_depth(
-    # Model:
-    model: Touchable,
-    # State in:
-    hidden: wp.array2d(dtype=wp.float64),
-    dof: wp.array2d(dtype=wp.float64),
-    # State out:
-    depth_out: wp.array(dtype=wp.float64),
-):
-    """Deepest penetration of each rod into any fixture, in `depth_out` where it is deeper."""
-    r, i = wp.tid()
-    if model.radius[r, i] == ZERO:
-        return
-    q = node(dof, r, i)
-    e = node(dof, r, i + 1) - q
-    for k in range(model.shapes.shape[1]):
-        if within_reach(model.shapes[r, k], q, e, model.radius[r, i] + hidden[r, i]):
-            c = closest_on_edge(model.shapes[r, k], q, e, SHARP * wp.length(e))
-            wp.atomic_max(depth_out, r, model.radius[r, i] + hidden[r, i] - c.distance)

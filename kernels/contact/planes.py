@@ -14,6 +14,7 @@ kinetic one: within a step the law is fixed, and Newton converges.
 """
 
 import warp as wp
+from wrod.kernels.contact.shapes import PLANE, Shape, shape_displacement
 from wrod.kernels.elastic.assembly import (
     add_column,
     add_component,
@@ -26,29 +27,9 @@ from wrod.kernels.elastic.frames import HALF, ONE, ZERO, node
 
 wp.set_module_options({"enable_backward": False})
 
-NOTHING = wp.constant(-1)
-PLANE = wp.constant(0)
 # Way on which a rod meets something in a step of which two-step differences may still reach over
 # it, over the radius: what they throw back then is lost in the contact's own give.
 IMPACT_WAY = wp.constant(wp.float64(0.1))
-
-
-@wp.struct
-class Shape:
-    """An obstacle in its own frame: the half-space z < 0, a solid of
-    `wrod.kernels.contact.solids` with its sizes, or nothing, which fills a row. A box has half
-    sizes `size`; cylinder, capsule and cone, about z, have radius size[0] and half height size[1];
-    a mesh lies within size[0] of its origin. One that moves has come from the pose before in this
-    step."""
-
-    kind: int
-    position: wp.vec3d
-    rotation: wp.quatd
-    size: wp.vec3d
-    mesh: wp.uint64
-    moves: int
-    position_before: wp.vec3d
-    rotation_before: wp.quatd
 
 
 @wp.struct
@@ -56,7 +37,9 @@ class Touchable:
     """What pieces of rods, nodes or edges, may touch, and how: (rod, shape) shapes, coefficients of
     friction, and those that keep the roll (below 0 where it is free); (rod, piece) radius (an edge
     of radius 0 touches nothing), stiffness, skin, relaxation time; (rod,) 1 where friction turns
-    the rod; and how friction varies over x and y, see `friction_factor`."""
+    the rod; and how friction varies over x and y, see `friction_factor`. Where shapes move with the
+    rods: (rod, shape) weight that one edge is to bear, and (rod, shape, edge) 1 where an edge does
+    not touch a shape; otherwise empty."""
 
     shapes: wp.array2d(dtype=Shape)
     static_friction: wp.array2d(dtype=wp.float64)
@@ -70,6 +53,8 @@ class Touchable:
     rolling: wp.array(dtype=wp.float64)
     field: wp.array2d(dtype=wp.float64)
     place: wp.vec4d
+    burden: wp.array2d(dtype=wp.float64)
+    apart: wp.array3d(dtype=wp.int8)
 
 
 @wp.func
@@ -77,15 +62,6 @@ def plane_distance(shape: Shape, q: wp.vec3d) -> wp.vec4d:
     """Signed distance from a plane and its outward normal, in the world frame."""
     n = wp.quat_rotate(shape.rotation, wp.vec3d(ZERO, ZERO, ONE))
     return wp.vec4d(wp.dot(q - shape.position, n), n[0], n[1], n[2])
-
-
-@wp.func
-def shape_displacement(shape: Shape, q: wp.vec3d) -> wp.vec3d:
-    """How far the shape has carried its point that is at q now."""
-    if shape.moves == 0:
-        return wp.vec3d(ZERO, ZERO, ZERO)
-    p = wp.quat_rotate_inv(shape.rotation, q - shape.position)
-    return q - shape.position_before - wp.quat_rotate(shape.rotation_before, p)
 
 
 @wp.func

@@ -85,6 +85,12 @@ def turn_to(after: wp.quatd, before: wp.quatd) -> wp.vec3d:
 
 
 @wp.func
+def turned_on(now: wp.quatd, before: wp.quatd) -> wp.quatd:
+    """What has turned from `before` to `now`, after as much again."""
+    return turned_by(turn_to(now, before), now)
+
+
+@wp.func
 def inertia_of(b: Body, q: wp.quatd) -> wp.mat33d:
     turn = wp.quat_to_matrix(q)
     return turn * b.inertia * wp.transpose(turn)
@@ -295,9 +301,8 @@ def finish_bodies(
         if span[r] < step[r]:
             v = TWO * v - before.velocity[r, s]
             m = TWO * m - before.momentum[r, s]
-            turn = turn_to(now.turn[r, s], before.turn[r, s])
             now.place[r, s] = TWO * now.place[r, s] - before.place[r, s]
-            now.turn[r, s] = turned_by(turn, now.turn[r, s])
+            now.turn[r, s] = turned_on(now.turn[r, s], before.turn[r, s])
         older.place[r, s] = before.place[r, s]
         older.turn[r, s] = before.turn[r, s]
         older.velocity[r, s] = before.velocity[r, s]

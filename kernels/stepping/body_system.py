@@ -5,12 +5,13 @@ angles, is a function of them. With V the motion of all degrees of freedom under
 a body (a turn phi moves a point at x + d by phi x d and an angle by phi . t), K the rods' matrix
 and g their residual, a Newton step of the free part (f) and of the bodies solves
 
-    K_ff x + C_f xi = g_f,    C_f^T x + (V^T C + D) xi = r + V^T g,    C = K V,
+    K_ff x + C_f xi = g_f,    C_f^T x + (V^T C + T^T V + D) xi = r + V^T g,    C = K V + T,
 
-where r is the residual of the bodies alone, with what they do to each other where they touch, and D
-its derivative. The rods are eliminated: one right-hand side for each motion of a body, and a small
-dense system for xi is left (a Schur complement). Forces between rod and body are equal and opposite
-to the last bit.
+where r is the residual of the bodies alone, with what they do to each other and to rods where they
+touch, D its derivative, and T that of g by motions of the bodies whose shapes rods touch
+(`wrod.kernels.stepping.body_shapes`). The rods are eliminated: one right-hand side for each motion
+of a body, and a small dense system for xi is left (a Schur complement). Forces between rod and body
+are equal and opposite to the last bit.
 """
 
 import warp as wp
@@ -92,11 +93,12 @@ def condense(
     residual: wp.array3d(dtype=wp.float64),
     matrix: wp.array3d(dtype=wp.float64),
     press: wp.array3d(dtype=wp.float64),
+    touch: wp.array3d(dtype=wp.float64),
     # Out:
     small_out: wp.array3d(dtype=wp.float64),
 ):
     """The bodies' system, its right-hand side in the last column: `press` is the part of D that
-    contact makes. Launched over (row, motion, motion + 1)."""
+    contact makes, `touch` is T or empty. Launched over (row, motion, motion + 1)."""
     r, j, k = wp.tid()
     if active[r] == 0:
         return
@@ -107,6 +109,8 @@ def condense(
             value -= column[r, j, a] * solution[r, wp.where(k == n, 0, k + 1), a]
         elif k < n:
             value += motion[r, j, a] * column[r, k, a]
+            if touch.shape[2] > 0:
+                value += touch[r, j, a] * motion[r, k, a]
     if k == n:
         value += residual[r, j // 6, j % 6]
     else:

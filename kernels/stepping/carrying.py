@@ -5,7 +5,7 @@ meets them on the way.
 """
 
 import warp as wp
-from wrod.kernels.contact.planes import Shape
+from wrod.kernels.contact.shapes import BY_OTHERS, Shape
 from wrod.kernels.elastic.frames import ONE, ZERO, angle_towards, node, rotate
 from wrod.kernels.stepping.bodies import Hold
 
@@ -102,7 +102,7 @@ def carry_shapes(
     left = wp.clamp((until[r] - time[r] - step[r]) / duration, ZERO, ONE)
     end = on_the_way(before, after, left)
     out = shape_out[r, k]
-    out.moves = 1
+    out.moves = BY_OTHERS
     out.position_before = start.position + wp.quat_rotate(start.rotation, place[r, k])
     out.rotation_before = start.rotation * turn[r, k]
     out.position = end.position + wp.quat_rotate(end.rotation, place[r, k])

@@ -29,6 +29,7 @@ _LONG = (
 # nature or bodies of Newton's.
 _RARE = (
     "grasping.iteration:solve_general",
+    "contact.depths",
     "contact.edges",
     "linear.coupling",
     "contact.rods",
@@ -44,6 +45,7 @@ _RARE = (
     "stepping.body_exchange",
     "stepping.body_contact",
     "stepping.body_meetings",
+    "stepping.body_shapes",
     "stepping.carrying",
     "stepping.exchange",
 )

@@ -104,7 +104,7 @@ class BodyContact:
     def _motion(self) -> list:
         return [self.bodies.now, self.bodies.before, self._here, self._was] if self._size else []
 
-    def carry(self, duration: float, times: list, poses: list) -> None:
+    def follow(self, duration: float, times: list, poses: list) -> None:
         """Put bodies that others move to where they are in a step: arguments of `carry_others`."""
         if self._size:
             inputs = [wp.float64(duration), self._meeting, *times, *poses]
@@ -114,8 +114,6 @@ class BodyContact:
         """Add forces and stiffness to those of the bodies."""
         if self._size:
             bodies = self.bodies
-            bodies.push.zero_()
-            bodies.press.zero_()
             self._launch(
                 kernels.push_bodies,
                 [bodies.body, self._meeting, active, self.time_step, *self._motion()]

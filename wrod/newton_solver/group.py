@@ -9,11 +9,12 @@ from wrod.newton_solver.body_contact import BodyContact
 from wrod.newton_solver.holds import Holds
 from wrod.newton_solver.layout import Layout
 from wrod.newton_solver.owned import find_owned
-from wrod.newton_solver.shapes import ModelShapes
+from wrod.newton_solver.shape_contact import ShapeContact
+from wrod.newton_solver.shapes import ModelShapes, RodPlaces
 from wrod.newton_solver.tapes import off_tape
 from wrod.rods.state import RodState
 from wrod.solvers.bodies import Bodies
-from wrod.solvers.contact import Contact, Friction
+from wrod.solvers.contact import Friction
 from wrod.solvers.dynamics import Dynamics
 from wrod.solvers.rod_contact import RodContact
 
@@ -24,8 +25,6 @@ from wrod.solvers.rod_contact import RodContact
 _PAIR_STIFFNESS, _PAIR_WEIGHTS, _PAIR_SKIN, _PAIR_HARDENING = 0.2, 6000.0, 1e-3, 20.0
 # How far nodes may go in a step over the radius, and how many edges one may be near to: for heaps.
 _WAY, _PARTNERS = 1.25, 64
-# Under its own weight a rod on a shape sinks in by this fraction of its radius.
-_SINKING = 1.0 / 600.0
 _STANDARD_GRAVITY = 9.81
 
 
@@ -59,7 +58,7 @@ class RodGroup:
         rods: dict,
         options: dict,
     ):
-        self.model, self.rows, self.shapes = model, rows, shapes
+        self.model, self.rows = model, rows
         self.device = device = str(model.device)
         self.worlds = model.der.rod_world.numpy()[rows[:, 0]]
         self.layout = layout = Layout(model, rows, holds)
@@ -71,7 +70,13 @@ class RodGroup:
         self.batch.set_free(layout.free(records))
         self.hold = wp.array(records, dtype=carrying.Hold, device=device)
         self.bodies = None if owned is None else Bodies(self.batch, owned, records)
-        self.contact = self._make_contact(contact_stiffness) if len(shapes.rows) else None
+        self.shape_contact = None
+        if len(shapes.rows):
+            self.shape_contact = ShapeContact(
+                shapes, RodPlaces(self.worlds, slots), layout, self.batch, self.bodies, records,
+                contact_stiffness,
+            )  # fmt: skip
+        self.contact = None if self.shape_contact is None else self.shape_contact.contact
         self.rod_contact = self._make_rod_contact(records, **rods)
         self.body_contact = None
         if owned is not None and colliding[owned["index"][owned["mass"] > 0]].any():
@@ -124,28 +129,6 @@ class RodGroup:
             out["internal_damping"] = np.repeat(internal[:, :, None], 4, axis=2)
         return out
 
-    def _make_contact(self, stiffness: float | np.ndarray | None) -> Contact:
-        layout, batch = self.layout, self.batch
-        radius = layout.node_values("radius")
-        if stiffness is None:
-            stiffness = layout.line_density() * _STANDARD_GRAVITY / (_SINKING * radius)
-        shapes, friction = self.shapes.of(self.worlds)
-        carrier, place, turn = self.shapes.carriers(self.worlds)
-        self.carrier = wp.array(carrier, dtype=wp.int32, device=self.device)
-        self.shape_place = wp.array(place, dtype=wp.vec3d, device=self.device)
-        self.shape_turn = wp.array(turn, dtype=wp.quatd, device=self.device)
-        self._shapes_move = bool((carrier >= 0).any())
-        curved = (batch.natural_curvature.numpy() != 0).any(axis=(1, 2))
-        return Contact(
-            batch,
-            radius,
-            np.asarray(stiffness),
-            friction,
-            shapes,
-            keeps_roll=curved,
-            passive=layout.ghost,
-        )
-
     def _make_rod_contact(
         self, holds: np.ndarray, friction: float | None, stiffness: float | None, smooth: bool
     ) -> RodContact | None:
@@ -178,11 +161,8 @@ class RodGroup:
         self.batch.gravity.assign(self._gravity())
 
     def refresh_shapes(self) -> None:
-        if self.contact is not None:
-            self.contact.set_shapes(*self.shapes.of(self.worlds))
-            _, place, turn = self.shapes.carriers(self.worlds)
-            self.shape_place.assign(place)
-            self.shape_turn.assign(turn)
+        if self.shape_contact is not None:
+            self.shape_contact.refresh()
         if self.body_contact is not None:
             self.body_contact.refresh()
 
@@ -273,7 +253,8 @@ class RodGroup:
                 at = int(first[rod])
                 wp.copy(getattr(state.der, name), source, at, at, int(counts[rod]) - (not of_nodes))
         if self.bodies is not None:
-            at = np.unique(self.bodies.body.numpy()["index"][chosen])
+            records = self.bodies.body.numpy()[chosen]
+            at = np.unique(records["index"][records["mass"] > 0])
             for name in ("body_q", "body_qd"):
                 values = getattr(state, name).numpy().copy()
                 values[at] = getattr(self.model, name).numpy()[at]
@@ -331,37 +312,24 @@ class RodGroup:
             outputs=[force, torque],
             device=self.device,
         )
-        if self.contact is not None and self._shapes_move:
-            wp.launch(
-                carrying.measure_pushes,
-                dim=self.carrier.shape,
-                inputs=[self.carrier, self.model.body_com, *self.contact.pushes, self.body_before],
-                outputs=[force, torque],
-                device=self.device,
-            )
-
+        if self.shape_contact is not None:
+            self.shape_contact.add_loads(self.model.body_com, self.body_before, force, torque)
         if self.body_contact is not None:
             self.body_contact.add_loads(self.body_before, force, torque)
 
     def prescribe(self, running: wp.array, time: wp.array, step: wp.array, start: RodState):
         """Carry what is held, and shapes, to where their bodies are at the end of the step."""
-        if self.body_contact is not None:
-            self.body_contact.carry(
-                self.duration,
-                [running, self.changed, self.dynamics.until, time, step],
-                [self.body_before, self.body_q],
-            )
+        times = [running, self.changed, self.dynamics.until, time, step]
+        for contact in (self.body_contact, self.shape_contact):
+            if contact is not None:
+                contact.follow(self.duration, times, [self.body_before, self.body_q])
         wp.launch(
             carrying.carry_held,
             dim=self.hold.shape,
             inputs=[
                 self.hold,
                 wp.float64(self.duration),
-                running,
-                self.changed,
-                self.dynamics.until,
-                time,
-                step,
+                *times,
                 self.body_q,
                 self.held_position,
                 self.held_rotation,
@@ -371,23 +339,3 @@ class RodGroup:
             outputs=[self.batch.state.dof],
             device=self.device,
         )
-        if self.contact is not None and self._shapes_move:
-            wp.launch(
-                carrying.carry_shapes,
-                dim=self.carrier.shape,
-                inputs=[
-                    self.carrier,
-                    self.shape_place,
-                    self.shape_turn,
-                    wp.float64(self.duration),
-                    running,
-                    self.changed,
-                    self.dynamics.until,
-                    time,
-                    step,
-                    self.body_before,
-                    self.body_q,
-                ],
-                outputs=[self.contact.table],
-                device=self.device,
-            )

@@ -14,6 +14,9 @@ from wrod.rods.discretisation import of_free_part
 _OF_NODES = ("bending_stiffness", "twisting_stiffness", "natural_curvature", "natural_twist",
              "softening", "inelastic")  # fmt: skip
 
+# What is deeper in a shape by so many radii where it is held begins inside it.
+_INSIDE = 0.5
+
 
 class Layout:
     """Rows of rods, end to end with cut edges between them; every row has as many rods, with as
@@ -94,20 +97,42 @@ class Layout:
     def near_clamps(self, holds: np.ndarray, radius: np.ndarray) -> np.ndarray:
         """(row, edge) edges inside clamps, and those of rods that a body holds together with others
         which are nearer to it along the rod than half a turn of their tightest bend."""
-        rest = self.model.der.edge_rest_length.numpy()
         out = self.ghost[:, :-1] | self.ghost[:, 1:]
+        inside = np.zeros(out.shape[1], dtype=bool)
         for row, records in enumerate(holds):
             records = records[records["kind"] > 0]
             bodies, counts = np.unique(records["body"], return_counts=True)
             for h in records[np.isin(records["body"], bodies[(counts > 1) & (bodies >= 0)])]:
-                for way in (-1, 1):
-                    edge, walked = h["node"] - (way < 0), 0.0
-                    while 0 <= edge < out.shape[1] and self.places["owns"][row, edge]:
-                        if walked > np.pi * radius[row, edge]:
-                            break
-                        out[row, edge] = True
-                        walked += rest[self.places["edge"][row, edge]]
-                        edge += way
+                out[row, self._beside(row, int(h["node"]), inside, radius[row])] = True
+        return out
+
+    def beside_holds(
+        self, holds: np.ndarray, slot: np.ndarray, depth: np.ndarray, radius: np.ndarray
+    ) -> np.ndarray:
+        """(row, shape, edge) edges that do not touch a shape on the body in `slot` (row, shape)
+        since it holds them: those that begin inside, at the hold (`depth` over the radius), and
+        those nearer to there along the rod than half a turn of their tightest bend."""
+        out = np.zeros(depth.shape, dtype=bool)
+        for row, records in enumerate(holds):
+            for h in records[(records["kind"] > 0) & (records["slot"] >= 0)]:
+                for k in np.flatnonzero(slot[row] == h["slot"]):
+                    inside = depth[row, k] > _INSIDE
+                    out[row, k, self._beside(row, int(h["node"]), inside, radius[row])] = True
+        return out
+
+    def _beside(self, row: int, node: int, inside: np.ndarray, radius: np.ndarray) -> list[int]:
+        """Edges on both sides of a node: those `inside` (edge,), and so many more that they reach
+        half a turn of the tightest bend further."""
+        rest, out = self.model.der.edge_rest_length.numpy(), []
+        for way in (-1, 1):
+            edge, walked, left = node - (way < 0), 0.0, False
+            while 0 <= edge < len(radius) and self.places["owns"][row, edge]:
+                left |= not inside[edge]
+                if walked > np.pi * radius[edge]:
+                    break
+                out.append(edge)
+                walked += left * rest[self.places["edge"][row, edge]]
+                edge += way
         return out
 
     def make_batch(self, gravity: np.ndarray) -> RodBatch:

@@ -20,7 +20,7 @@ def nothing_holds(model: newton.Model, bodies) -> None:
     """Bodies that the solver moves would touch something, and it was given no contacts."""
     _say(
         f"this solver moves bodies with shapes ({_named(model, bodies)}) and was given no "
-        "contacts: they fall through everything. Give step the contacts of a "
+        "contacts: they fall through everything but rods. Give step the contacts of a "
         "newton.CollisionPipeline, or make them shapes without collision"
     )
 

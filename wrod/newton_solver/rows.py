@@ -5,6 +5,7 @@ from newton import Model
 
 from wrod.newton_solver.attributes import CLAMPED
 from wrod.newton_solver.holds import Holds
+from wrod.newton_solver.owned import loose_bodies
 
 
 def find_rows(
@@ -15,8 +16,9 @@ def find_rows(
     Args:
         model: the Newton model.
         holds: what holds its rods.
-        own: (body,) whether a body moves with the rods that it holds.
-        colliding: (body,) which of those may touch each other; those of a world share a row.
+        own: (body,) whether a body moves with rods.
+        colliding: (body,) which of those have shapes that rods and other bodies touch: all rods of
+            a world with such a body share a row.
         touching: whether rods touch each other: then those of a world share a row.
     """
     der = model.der
@@ -32,9 +34,14 @@ def find_rows(
     by_world: dict[int, int] = {}
     by_collision: dict[int, int] = {}
     worlds, joins = der.rod_world.numpy(), der.rod_touches_rods.numpy() != 0
+    shared = set(loose_bodies(model, holds, own).values())
     for rod in range(count):
-        partners = [by_body.setdefault(h.body, rod) for h in holds.of(rod) if own[h.body]]
         if any(colliding[h.body] for h in holds.of(rod) if h.body >= 0):
+            shared.add(int(worlds[rod]))
+    for rod in range(count):
+        held_by = [h.body for h in holds.of(rod) if h.body >= 0 and own[h.body]]
+        partners = [by_body.setdefault(body, rod) for body in held_by]
+        if int(worlds[rod]) in shared:
             partners.append(by_collision.setdefault(int(worlds[rod]), rod))
         if touching and joins[rod]:
             partners.append(by_world.setdefault(int(worlds[rod]), rod))

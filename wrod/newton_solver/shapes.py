@@ -1,6 +1,7 @@
 """The shapes of a Newton model that rods touch, as `wrod.solvers.solids` knows them."""
 
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 from newton import GeoType, Model, ShapeFlags
@@ -36,17 +37,45 @@ _SOLIDS = (
 
 # A plane with ends is a sheet as thick as this fraction of its shorter side.
 _THINNESS = 1e-3
+_STANDARD_GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class RodPlaces:
+    """Rows of rods: their worlds (row,), and by row the slots of the bodies that move with them."""
+
+    worlds: np.ndarray
+    slots: list[dict[int, int]]
+
+
+@dataclass(frozen=True)
+class Carriers:
+    """What carries shapes.
+
+    Attributes:
+        body: (row, shape) bodies that others move, -1 for none.
+        slot: (row, shape) slots of bodies that move with the rods, -1 for none.
+        place, turn: (row, shape, 3) and (row, shape, 4) places and quaternions on these bodies.
+        burden: (row, shape) weight on Earth of the bodies that move with the rods [N].
+    """
+
+    body: np.ndarray
+    slot: np.ndarray
+    place: np.ndarray
+    turn: np.ndarray
+    burden: np.ndarray
 
 
 class ModelShapes:
     """Planes and solids that collide with shapes, with the friction of their `mu`.
 
-    A shape of world -1 touches the rods of every world, any other those of its own. A shape that
-    no rod can touch is named in a warning.
+    A shape of world -1 touches the rods of every world, any other those of its own; one on a body
+    that moves with rods those that share its steps. A shape that no rod can touch is named in a
+    warning.
 
     Args:
         model: the Newton model.
-        own: (body,) bodies that move with the rods that they hold, whose shapes rods pass through.
+        own: (body,) bodies that move with rods.
 
     Attributes:
         rows: indices of the shapes into the model's.
@@ -61,9 +90,13 @@ class ModelShapes:
         body = self._read("body")
         owned = np.zeros(len(kinds), dtype=bool)
         owned[body >= 0] = own[body[body >= 0]]
-        known = (planes | np.isin(kinds, [int(k) for k in _SOLIDS])) & ~owned
+        # Newton's detection knows bodies by their groups; those without one touch nothing at all.
+        collide &= ~owned | (self._read("collision_group") != 0)
+        half_space = planes & ~sides.any(axis=1)
+        known = (planes | np.isin(kinds, [int(k) for k in _SOLIDS])) & ~(owned & half_space)
         self.rows = np.flatnonzero(collide & known)
         self._worlds = self._read("world")[self.rows]
+        self._owner = np.where(owned, body, -1)[self.rows]
         self._meshes: dict[int, Mesh] = {}
         unknown = np.flatnonzero(collide & ~known)
         if len(unknown):
@@ -73,33 +106,39 @@ class ModelShapes:
             warnings.warn(
                 f"rods pass through {len(unknown)} shapes: {', '.join(names)}"
                 f"{' and others' if len(unknown) > 3 else ''}; they touch no planes that end on "
-                "two sides alone, and nothing on free bodies that hold rods and move with them",
+                "two sides alone, nor endless ones on bodies that move with rods",
                 WrodWarning,
                 stacklevel=4,
             )
 
-    def of(self, worlds: np.ndarray) -> tuple[list[list], list[list[Friction]]]:
-        """Shapes and frictions for the rods of these worlds (rod,), in the units of the model."""
+    def of(self, rods: RodPlaces) -> tuple[list[list], list[list[Friction]]]:
+        """Shapes and frictions for the rods of these rows, in the units of the model."""
         described = self._describe()
         friction = [Friction(float(mu)) for mu in self._read("material_mu")[self.rows]]
-        chosen = [self._touched(world) for world in worlds]
+        chosen = self._touched(rods)
         return [[described[k] for k in row] for row in chosen], [
             [friction[k] for k in row] for row in chosen
         ]
 
-    def carriers(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Bodies (rod, shape) that carry the shapes, -1 for none, and the shapes' places
-        (rod, shape, 3) and quaternions (rod, shape, 4) on them."""
-        chosen = [self._touched(world) for world in worlds]
-        shape = (len(worlds), max(map(len, chosen)))
-        body = np.full(shape, -1, dtype=np.int32)
-        pose = np.zeros((*shape, 7))
+    def carriers(self, rods: RodPlaces) -> Carriers:
+        """What carries the shapes that rods touch."""
+        chosen = self._touched(rods)
+        shape = (len(chosen), max(map(len, chosen)))
+        body, slot = np.full((2, *shape), -1, dtype=np.int32)
+        burden, pose = np.zeros(shape), np.zeros((*shape, 7))
         pose[..., 6] = 1.0
         bodies, poses = self._read("body")[self.rows], self._read("transform")[self.rows]
+        weight = _STANDARD_GRAVITY * self.model.body_mass.numpy()
         for r, row in enumerate(chosen):
-            body[r, : len(row)] = bodies[row]
             pose[r, : len(row)] = poses[row]
-        return body, pose[..., :3], pose[..., 3:]
+            for k, one in enumerate(row):
+                owner = int(self._owner[one])
+                if owner < 0:
+                    body[r, k] = bodies[one]
+                else:
+                    slot[r, k] = rods.slots[r][owner]
+                    burden[r, k] = weight[owner]
+        return Carriers(body, slot, pose[..., :3], pose[..., 3:], burden)
 
     def _read(self, name: str) -> np.ndarray:
         """One of the model's arrays of shapes; of no shapes too."""
@@ -107,8 +146,15 @@ class ModelShapes:
         array = getattr(self.model, f"shape_{name}")
         return array.numpy() if self.model.shape_count else np.zeros((0, *width), dtype=np.int32)
 
-    def _touched(self, world: int) -> np.ndarray:
-        return np.flatnonzero((self._worlds == -1) | (self._worlds == world))
+    def _touched(self, rods: RodPlaces) -> list[np.ndarray]:
+        """Indices into `rows` of what the rods of each row touch."""
+        out = []
+        for world, slots in zip(rods.worlds, rods.slots, strict=True):
+            near = (self._worlds == -1) | (self._worlds == world)
+            out.append(
+                np.flatnonzero(np.where(self._owner < 0, near, np.isin(self._owner, list(slots))))
+            )
+        return out
 
     def _describe(self) -> list[Shape]:
         """The shapes where the model has them."""

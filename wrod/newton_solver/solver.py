@@ -24,7 +24,8 @@ from wrod.newton_solver.adding import RodBuilding
 from wrod.newton_solver.body_contact import colliding_bodies
 from wrod.newton_solver.gradients import Gradients, leave_gradients
 from wrod.newton_solver.group import RodGroup
-from wrod.newton_solver.holds import Holds, free_bodies
+from wrod.newton_solver.holds import Holds
+from wrod.newton_solver.owned import choose_bodies
 from wrod.newton_solver.rows import find_rows
 from wrod.newton_solver.shapes import ModelShapes
 from wrod.newton_solver.tapes import off_tape
@@ -136,8 +137,8 @@ class SolverDER(RodBuilding, SolverBase):
                 radius if more. Tight knots want fifty times the first.
             smooth_rods: Rods touch without corners along them, as what crosses and slides wants;
                 what winds around itself or others wants edges.
-            bodies: Which of the bodies that hold rods this solver moves: "free", "none" or some of
-                the free ones.
+            bodies: Which bodies this solver moves: "free", all free ones that hold rods, "none", or
+                some of the free ones that hold rods or have shapes that collide.
 
         Raises:
             RodError: The model has no rods, or an option is none.
@@ -165,7 +166,7 @@ class SolverDER(RodBuilding, SolverBase):
         self._rods_meet = rod_contact is not None
         self._bodies = bodies
         self._holds = Holds(model)
-        self._own = self._choose_bodies(bodies)
+        self._own = choose_bodies(model, self._holds, bodies)
         self._initial = {name: wp.clone(getattr(der, name)) for name in _STATE}
         self._mourned = np.zeros(self.rod_count, dtype=bool)
         self._poses = tuple(wp.clone(model.body_q, requires_grad=False) for _ in range(2))
@@ -175,22 +176,6 @@ class SolverDER(RodBuilding, SolverBase):
         self._loads_taken, self._fell, self._steps = False, False, 0
         self._last_out: weakref.ref | None = None
         self._build()
-
-    def _choose_bodies(self, chosen) -> np.ndarray:
-        """(body,) which bodies this solver moves."""
-        own = np.zeros(self.model.body_count, dtype=bool)
-        own[self._holds.bodies] = free_bodies(self.model)[self._holds.bodies]
-        if isinstance(chosen, str):
-            if chosen not in ("free", "none"):
-                raise RodError(f"bodies is {chosen!r}; use free, none or indices of bodies")
-            return own & (chosen == "free")
-        for body in chosen:
-            if not (0 <= body < len(own) and own[body]):
-                raise RodError(
-                    f"bodies holds {body!r}, which is no free body that holds a rod; those are "
-                    f"{np.flatnonzero(own).tolist()}"
-                )
-        return own & np.isin(np.arange(len(own)), chosen)
 
     @off_tape()
     def _build(self) -> None:

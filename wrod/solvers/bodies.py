@@ -5,7 +5,7 @@ import warp as wp
 
 from wrod.kernels.linear.banded import multiply
 from wrod.kernels.stepping import bodies as kernels
-from wrod.kernels.stepping import body_exchange, body_system
+from wrod.kernels.stepping import body_exchange, body_shapes, body_system
 from wrod.rods.batch import RodBatch
 from wrod.rods.state import RodState
 from wrod.solvers.steps import Steps
@@ -32,6 +32,8 @@ class Bodies:
         carried: (row, dof) whether a degree of freedom moves: it is free, or held by a body.
         push, press: (row, slot, 7) and (row, motion, motion) what contact adds to the residual of
             each body, with how hard it is pressed, and its derivative by the motions of all.
+        touch: (row, motion, dof) derivative of the rods' residual by the motions of bodies whose
+            shapes they touch, or None where they touch none (`meet_rods`).
     """
 
     def __init__(self, batch: RodBatch, body: np.ndarray, hold: np.ndarray):
@@ -61,6 +63,9 @@ class Bodies:
         self._motion, self._column = floats(motions, dofs), floats(motions, dofs)
         self._residual, self._matrix = floats(shape[1], 6), floats(shape[1], 36)
         self.push, self.press = floats(shape[1], 7), floats(motions, motions)
+        self.touch: wp.array | None = None
+        # Time to where forces are, and of the whole step: what takes the steps says it.
+        self.spans: tuple[wp.array | None, wp.array | None] = (None, None)
         self._small, self._step = floats(motions, motions + 1), floats(motions)
         self._fraction = wp.ones(shape[0], dtype=wp.float64, device=device)
         self.carried = wp.array(self._carried(hold), dtype=wp.int32, device=device)
@@ -79,15 +84,26 @@ class Bodies:
                         out[row, 4 * h["edge"] + 3] = 1
         return out
 
-    def begin(self, starting: wp.array, span: wp.array, start: RodState) -> None:
+    def meet_rods(self) -> None:
+        """Make room for rods that touch shapes of these bodies."""
+        self.touch = wp.zeros_like(self._column)
+
+    def clear_contact(self) -> None:
+        """Nothing touches: before contacts add what they do."""
+        for array in (self.push, self.press, self.touch):
+            if array is not None:
+                array.zero_()
+
+    def begin(self, steps: Steps) -> None:
         """Predict where bodies are at the end of a step, and put there what they hold."""
+        self.spans = steps.span, steps.step
         self.batch.launch(
             kernels.predict_bodies,
             self.body.shape,
-            [self.body, starting, span, self.before],
+            [self.body, steps.starting, steps.span, self.before],
             [self.now],
         )
-        self.put(starting, start)
+        self.put(steps.starting, steps.start)
 
     def put(self, chosen: wp.array, start: RodState) -> None:
         """Put what the bodies of the chosen rows hold to where they are."""
@@ -153,6 +169,9 @@ class Bodies:
         )
         if steps.rod_contact is not None:
             steps.system.multiply_pairs(active, self._motion, self._column)
+        if self.touch is not None:
+            inputs = [active, self.touch]
+            self.batch.launch(body_shapes.add_touch, self.touch.shape, inputs, [self._column])
         self.batch.launch(
             body_system.load_bodies, x.shape, [active, out.gradient, self._column], [x]
         )
@@ -164,7 +183,7 @@ class Bodies:
             body_system.condense,
             self._small.shape,
             [active, free, self._motion, self._column, x, self._residual, self._matrix]
-            + [self.press],
+            + [self.press, self.touch],
             [self._small],
         )
         self.batch.launch(

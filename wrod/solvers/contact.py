@@ -10,7 +10,9 @@ from wrod.errors import RodError
 from wrod.kernels.contact import linearised
 from wrod.kernels.contact import planes as kernels
 from wrod.kernels.contact import rolling as rolls
+from wrod.kernels.contact.shapes import NOTHING, Shape
 from wrod.rods.batch import RodBatch
+from wrod.solvers.carried_shapes import CarriedShapes
 from wrod.solvers.edge_contact import EdgeContact
 from wrod.solvers.friction import Friction, FrictionField, contact_damping
 from wrod.solvers.solids import (
@@ -202,8 +204,8 @@ class Contact:
                 f"{len(friction)}; give one for all or one for every rod"
             )
         width = max(len(row) for row in shapes)
-        nothing = kernels.Shape()
-        nothing.kind = int(kernels.NOTHING)
+        nothing = Shape()
+        nothing.kind = int(NOTHING)
         table = []
         static, kinetic = np.zeros((2, rods, width))
         rolling, roll = np.zeros(rods), np.zeros((rods, width))
@@ -225,9 +227,9 @@ class Contact:
             ]
             roll[r, : len(row)] = [law.static if law.roll is None else law.roll for law in laws]
             rolling[r] = any(law.rolling for law in laws)
-        shaped = wp.empty((rods, width), dtype=kernels.Shape, device=self.batch.device)
+        shaped = wp.empty((rods, width), dtype=Shape, device=self.batch.device)
         if table:
-            wp.copy(shaped.flatten(), wp.array(table, dtype=kernels.Shape, device="cpu"))
+            wp.copy(shaped.flatten(), wp.array(table, dtype=Shape, device="cpu"))
         return shaped, static, kinetic, rolling, roll
 
     def _kept(self, roll: np.ndarray, rolling: np.ndarray) -> np.ndarray:
@@ -238,7 +240,7 @@ class Contact:
 
     @property
     def table(self) -> wp.array:
-        """(rod, shape) `wrod.kernels.contact.planes.Shape`, for kernels that move them."""
+        """(rod, shape) `wrod.kernels.contact.shapes.Shape`, for kernels that move them."""
         return self._model.shapes
 
     @property
@@ -270,6 +272,12 @@ class Contact:
         self._model.rolling.assign(rolling)
         self._model.roll_friction.assign(self._kept(roll, rolling))
         self._note_fixtures()
+
+    def carry(self, carried: CarriedShapes, burden: np.ndarray, apart: np.ndarray) -> None:
+        """Let solids move with bodies: `burden` (rod, shape) is the weight that one edge is to bear
+        sunk in by a fortieth of the radius [force], `apart` (rod, shape, edge) what does not touch.
+        """
+        self._edges.carry(carried, burden, apart)
 
     def add(self, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         """Add forces and stiffness at `dof` to the batch's gradient and Hessian."""

@@ -3,9 +3,11 @@
 import numpy as np
 import warp as wp
 
+from wrod.kernels.contact import depths
 from wrod.kernels.contact import edges as kernels
 from wrod.kernels.contact.planes import Touchable
 from wrod.rods.batch import RodBatch
+from wrod.solvers.carried_shapes import CarriedShapes
 
 _EMERGING = 0.01
 
@@ -24,6 +26,7 @@ class EdgeContact:
     Attributes:
         push, moment: (rod, shape) force on each shape at the end of the last step, and its moment
             about the origin.
+        carried: shapes that move with the rods, or None.
     """
 
     def __init__(self, batch: RodBatch, radius, stiffness, skin, nodes, damping):
@@ -58,28 +61,46 @@ class EdgeContact:
         self.push = wp.zeros(table, dtype=wp.vec3d, device=device)
         self.moment = wp.zeros(table, dtype=wp.vec3d, device=device)
         self.turned = wp.zeros(shape, dtype=wp.float64, device=device)
+        self.carried: CarriedShapes | None = None
 
     def _launch(self, kernel, inputs, outputs) -> None:
         batch = self.batch
         dim = (batch.rod_count, batch.node_count - 1)
         batch.launch(kernel, dim, inputs, outputs)
 
+    def carry(self, carried: CarriedShapes, burden: np.ndarray, apart: np.ndarray) -> None:
+        """Let shapes move with bodies: see `Contact.carry`."""
+        device = self.batch.device
+        self.carried = carried
+        self._model.burden = wp.array(burden, dtype=wp.float64, device=device)
+        self._model.apart = wp.array(apart.astype(np.int8), dtype=wp.int8, device=device)
+
     def add(self, step: wp.array, active: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         out, old = self.batch.derivatives, [self.bristle, self.sliding, self.turned]
+        if self.carried is not None:
+            self.carried.place(self._model.shapes, active)
         inputs = [self._model, step, active, dof, dof_before, *old]
         self._launch(kernels.edge_contact, inputs, [out.gradient, out.hessian])
+        if self.carried is not None:
+            self.carried.push(self._model, inputs[1:])
 
     def refuse(self, converged: wp.array, dof: wp.array, dof_before: wp.array) -> None:
         inputs = [self._model, self._hidden, dof, dof_before]
-        self._launch(kernels.refuse_tunnelling, inputs, [converged])
+        self._launch(depths.refuse_tunnelling, inputs, [converged])
 
     def restart(self, chosen: wp.array, dof: wp.array) -> None:
         """Hide what lies deep inside shapes; it comes out as the chosen rods move on."""
-        self._launch(kernels.hide, [chosen, dof], [self._model, self._hidden])
+        if self.carried is not None:
+            self.carried.place(self._model.shapes, chosen)
+        self._launch(depths.hide, [chosen, dof], [self._model, self._hidden])
 
     def find_touching(self, chosen, dof, dof_before, touching: wp.array) -> None:
+        if self.carried is not None:
+            self.carried.place(self._model.shapes, chosen, at_end=True)
         inputs = [self._model, chosen, dof, dof_before]
         self._launch(kernels.find_touching, inputs, [touching])
+        if self.carried is not None:
+            self.carried.place(self._model.shapes, chosen)
 
     def settle(self, step, accepted, dof, dof_before, slip: wp.array, force: wp.array) -> None:
         inputs = [self._model, step, accepted, dof, dof_before]
@@ -87,10 +108,10 @@ class EdgeContact:
         self.batch.launch(kernels.clear_pushes, self.push.shape, [accepted], pushes)
         outputs = [self.bristle, self.sliding, self.turned, slip, force, *pushes]
         self._launch(kernels.settle_edges, inputs, outputs)
-        self._launch(kernels.swell, [self._speed, step, accepted], [self._model, self._hidden])
+        self._launch(depths.swell, [self._speed, step, accepted], [self._model, self._hidden])
 
     def penetration(self, dof: wp.array) -> np.ndarray:
         """(rod,) deepest penetration into any fixture [length]."""
         depth = wp.zeros(self.batch.rod_count, dtype=wp.float64, device=self.batch.device)
-        self._launch(kernels.measure_depth, [self._model, self._hidden, dof], [depth])
+        self._launch(depths.measure_depth, [self._model, self._hidden, dof], [depth])
         return depth.numpy().copy()

@@ -94,7 +94,7 @@ class NewtonSteps(Steps):
         if self.motion is not None:
             self.motion.prescribe(self.starting, self.time, self.span, self.start)
         if self.bodies is not None:
-            self.bodies.begin(self.starting, self.span, self.start)
+            self.bodies.begin(self)
         self._per_dof(
             kernels.predict,
             [self.pace, batch.free, self.velocity, self.velocity_older, wp.float64(self._growth)],
@@ -136,6 +136,8 @@ class NewtonSteps(Steps):
                 [self.drag, self.pace, dof, start.dof, self.dof_older],
                 [out.gradient, out.hessian],
             )
+        if self.bodies is not None:
+            self.bodies.clear_contact()
         for contact in self.contacts:
             contact.add(self.active, dof, start.dof)
         batch.launch_lanes(

@@ -10,7 +10,7 @@ import warp as wp
 
 from wrod import arguments
 from wrod.errors import RodError
-from wrod.kernels.contact import planes as kernels
+from wrod.kernels.contact import shapes as kernels
 from wrod.kernels.contact import solids
 
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)

@@ -1,0 +1,185 @@
+"""Scenes of `wrod bench newton --bodies`: rods that touch shapes on free bodies."""
+
+from collections.abc import Iterator
+
+import newton
+import numpy as np
+import warp as wp
+
+from wrod.newton_solver import SolverDER
+from wrod.rods.material import RodMaterial
+
+CABLE = RodMaterial(radius=0.003, gravito_bending_length=0.1, length=0.6, density=1200.0)
+BAR = RodMaterial.from_youngs_modulus(1e11, radius=0.004, length=0.6, density=1200.0)
+BOX = (0.03, 0.06, 0.02)  # half sizes [m]
+_G = 9.81
+_STEP = 1.0 / 240.0
+
+
+class Scene:
+    """Rods and bodies in one world; bodies that hold none are moved by the solver too.
+
+    Attributes:
+        builder, model, solver, state: Newton's; the last three from `begin` on.
+    """
+
+    def __init__(self, gravity=(0.0, 0.0, -_G), mu: float = 0.5, density: float = 500.0):
+        self.cfg = newton.ModelBuilder.ShapeConfig(density=density, mu=mu)
+        self.builder = newton.ModelBuilder(gravity=tuple(gravity))
+        SolverDER.register_custom_attributes(self.builder)
+        self._bodies: list[int] = []
+
+    def box(self, at, half=BOX, turn=None) -> int:
+        """A body with a box."""
+        body = self._body(at, turn)
+        hx, hy, hz = half
+        self.builder.add_shape_box(body, hx=hx, hy=hy, hz=hz, cfg=self.cfg)
+        return body
+
+    def ball(self, at, radius: float = 0.02) -> int:
+        """A body with a ball."""
+        body = self._body(at, None)
+        self.builder.add_shape_sphere(body, radius=radius, cfg=self.cfg)
+        return body
+
+    def _body(self, at, turn) -> int:
+        turn = wp.quat_identity() if turn is None else turn
+        self._bodies.append(self.builder.add_body(xform=wp.transform(at, turn), label="laid"))
+        return self._bodies[-1]
+
+    def rod(self, points, material: RodMaterial = CABLE, **options) -> int:
+        given = {"internal_damping": 0.01, "visible": False} | options
+        return SolverDER.add_rod(self.builder, points, material, **given)
+
+    def begin(self, device: str = "cpu", **options) -> None:
+        self.model = self.builder.finalize(device=device)
+        self.solver = SolverDER(self.model, **({"bodies": self._bodies} | options))
+        self.state = self.model.state()
+
+    def throw(self, body: int, velocity) -> None:
+        """Give a body a velocity [m/s]."""
+        motion = self.state.body_qd.numpy().copy()
+        motion[body, :3] = velocity
+        self.state.body_qd.assign(motion)
+
+    def run(self, steps: int, dt: float = _STEP, body: int = 0) -> np.ndarray:
+        """(step, 3) places of a body after every step. Bodies touch nothing but rods."""
+        out = []
+        for _ in range(steps):
+            contacts = newton.Contacts(0, 0, device=self.model.device)
+            self.solver.step(self.state, self.state, None, contacts, dt)
+            out.append(self.state.body_q.numpy()[body, :3].copy())
+        return np.array(out)
+
+    def pressed(self) -> np.ndarray:
+        """(3,) sum of the forces on the rods [N]."""
+        return self.state.der.node_contact_f.numpy().sum(axis=0)
+
+    def weight(self, body: int) -> float:
+        return _G * float(self.model.body_mass.numpy()[body])
+
+    def momentum(self) -> np.ndarray:
+        """(6,) of all rods and bodies: linear, and angular about the origin, in float64."""
+        (group,) = self.solver._groups
+        bodies, rods = group.bodies, group.dynamics
+        mass = bodies.body.numpy()[0]["mass"][:, None]
+        at, velocity = bodies.place.numpy()[0], bodies.velocity.numpy()[0]
+        node_mass = group.batch.node_mass.numpy()[0][:, None]
+        nodes, rates = group.batch.positions()[0], rods.velocities()[0]
+        linear = (mass * velocity).sum(axis=0) + (node_mass * rates).sum(axis=0)
+        angular = bodies.momentum.numpy()[0].sum(axis=0)
+        angular = angular + np.cross(at, mass * velocity).sum(axis=0)
+        angular = angular + np.cross(nodes, node_mass * rates).sum(axis=0)
+        return np.concatenate([linear, angular])
+
+
+def along(axis: int, length: float, edges: int, at=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """(node, 3) points of a straight rod along an axis, its middle in a place."""
+    points = np.tile(np.asarray(at, dtype=float), (edges + 1, 1))
+    points[:, axis] += np.linspace(-0.5 * length, 0.5 * length, edges + 1)
+    return points
+
+
+def on_cables(density: float = 500.0, **options) -> tuple[Scene, int]:
+    """A box lies down on two cables that are clamped at both ends."""
+    scene = Scene(density=density)
+    for y in (-0.04, 0.04):
+        scene.rod(along(0, 0.6, 30, (0.0, y, 0.0)), start="clamped", end="clamped", air_damping=5)
+    box = scene.box((0.0, 0.0, 0.0231))
+    scene.begin(**({"scheme": "euler", "tolerance": 1e-9} | options))
+    return scene, box
+
+
+def borne(density: float) -> tuple[float, float, Scene]:
+    """Force on the cables of a box at rest, and its weight [N]."""
+    scene, box = on_cables(density)
+    scene.run(150, 0.05)
+    return -float(scene.pressed()[2]), scene.weight(box), scene
+
+
+def slide(angle: float, mu: float = 0.5) -> float:
+    """Acceleration of a box on two stiff bars down a slope [m/s^2]."""
+    scene = Scene((_G * np.sin(angle), 0.0, -_G * np.cos(angle)), mu)
+    for y in (-0.04, 0.04):
+        scene.rod(along(0, 0.6, 30, (0.0, y, 0.0)), BAR, start="clamped", end="clamped")
+    box = scene.box((-0.1, 0.0, 0.024))
+    scene.begin()
+    steps = 96
+    x, t = scene.run(steps, body=box)[:, 0], _STEP * np.arange(1, steps + 1)
+    return 2.0 * float(np.polyfit(t[steps // 2 :], x[steps // 2 :], 2)[0])
+
+
+def collision(scheme: str = "bdf2", **options) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Momentum (6,) of all before and after a ball has hit a cable afloat, beside its middle, and
+    the ball's velocity and spin (6,) then."""
+    scene = Scene((0.0, 0.0, 0.0), mu=0.3)
+    scene.rod(along(1, 0.6, 30), air_damping=0.0)
+    ball = scene.ball((-0.03, 0.05, 0.002))
+    scene.begin(scheme=scheme, **({"tolerance": 1e-12} | options))
+    scene.throw(ball, (1.0, 0.0, 0.0))
+    scene.run(1, body=ball)
+    before = scene.momentum()
+    scene.run(60, body=ball)
+    return before, scene.momentum(), scene.state.body_qd.numpy()[ball].copy()
+
+
+def over_its_block() -> tuple[float, float, float]:
+    """A block hangs on one cable and holds another, which hangs down over its edge: force at the
+    top and the weight of all [N]; the force with which the block bears its own cable [N]."""
+    scene = Scene()
+    block = scene.box((0.0, 0.0, 0.0), (0.02, 0.02, 0.02))
+    scene.rod(along(2, 0.2, 10, (0.0, 0.0, 0.12)), start="pinned", start_body=block,
+              end="clamped", air_damping=5.0)  # fmt: skip
+    over = along(0, 0.3, 30, (0.15, 0.0, 0.0231))
+    held = scene.rod(over, start="clamped", start_body=block, air_damping=5.0)
+    scene.begin(scheme="euler", tolerance=1e-9)
+    scene.run(200, 0.05, block)
+    der = scene.model.der
+    reaction = scene.solver._groups[0].dynamics.reaction.numpy()[0]
+    top = float(reaction.reshape(-1)[: 4 * 12].reshape(-1, 4)[-2:, 2].sum())
+    whole = scene.weight(block) + _G * float(der.node_mass.numpy().sum())
+    first, count = der.rod_first_node.numpy()[held], der.rod_node_count.numpy()[held]
+    pressing = scene.state.der.node_contact_f.numpy()[first : first + count]
+    return top, whole, float(pressing[:, 2].sum())
+
+
+def measure() -> Iterator[tuple[str, str, str]]:
+    """(what, found, expected) of one scene after the other, as text."""
+    for density in (0.5, 500.0, 50000.0):
+        found, expected, scene = borne(density)
+        deep = float(scene.solver._groups[0].contact.penetration()[0]) / CABLE.radius
+        what = f"force of a box of {expected / _G:.2g} kg on two cables [N]"
+        yield what, f"{found:.7g}", f"{expected:.7g}"
+        yield "the same: depth over the radius", f"{deep:.4f}", "0"
+    for scheme in ("euler", "bdf2", "midpoint"):
+        before, after, _ = collision(scheme)
+        error = np.abs(after[:3] - before[:3]).max() / before[0]
+        yield f"momentum of a ball that hits a cable, {scheme}", f"{error:.1e}", "0"
+    for angle in (0.4, 0.6):
+        found = slide(angle)
+        expected = max(0.0, _G * (np.sin(angle) - 0.5 * np.cos(angle)))
+        what = f"box on two bars, slope {angle} rad, mu 0.5: acceleration [m/s^2]"
+        yield what, f"{found:.5f}", f"{expected:.5f}"
+    top, whole, _ = over_its_block()
+    what = "force at the top of a block with a cable over its edge [N]"
+    yield what, f"{top:.7g}", f"{whole:.7g}"

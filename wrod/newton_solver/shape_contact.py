@@ -1,0 +1,108 @@
+"""Contact of a group's rods with the shapes of a Newton model."""
+
+import numpy as np
+import warp as wp
+
+from wrod.kernels.stepping import carrying
+from wrod.newton_solver.layout import Layout
+from wrod.newton_solver.shapes import Carriers, ModelShapes, RodPlaces
+from wrod.rods.batch import RodBatch
+from wrod.solvers.bodies import Bodies
+from wrod.solvers.carried_shapes import CarriedShapes
+from wrod.solvers.contact import Contact
+
+# Under its own weight a rod on a shape sinks in by this fraction of its radius.
+_SINKING = 1.0 / 600.0
+_STANDARD_GRAVITY = 9.81
+
+
+class ShapeContact:
+    """What rods touch, wherever its bodies are.
+
+    Args:
+        shapes: those of the model.
+        rods: the worlds of the rows, and which bodies move with them.
+        layout: of the rods in the batch.
+        batch: the rods.
+        bodies: those that move with them, or None.
+        holds: (row, hold) records of what holds the rods.
+        stiffness: normal and tangential stiffness per length of rod [N/m^2], or None.
+
+    Attributes:
+        contact: of the rods with these shapes.
+    """
+
+    def __init__(
+        self,
+        shapes: ModelShapes,
+        rods: RodPlaces,
+        layout: Layout,
+        batch: RodBatch,
+        bodies: Bodies | None,
+        holds: np.ndarray,
+        stiffness: float | None,
+    ):
+        self._shapes, self._rods, self._device = shapes, rods, batch.device
+        radius = layout.node_values("radius")
+        firm = np.asarray(stiffness, dtype=float)
+        if stiffness is None:
+            firm = layout.line_density() * _STANDARD_GRAVITY / (_SINKING * radius)
+        table, friction = shapes.of(rods)
+        curved = (batch.natural_curvature.numpy() != 0).any(axis=(1, 2))
+        self.contact = Contact(
+            batch, radius, firm, friction, table, keeps_roll=curved, passive=layout.ghost
+        )
+        carriers = shapes.carriers(rods)
+        self._body = wp.array(carriers.body, dtype=wp.int32, device=self._device)
+        self._place = wp.array(carriers.place, dtype=wp.vec3d, device=self._device)
+        self._turn = wp.array(carriers.turn, dtype=wp.quatd, device=self._device)
+        self._others_move = bool((carriers.body >= 0).any())
+        self._carried: CarriedShapes | None = None
+        if bodies is not None and (carriers.slot >= 0).any():
+            self._carry(bodies, carriers, layout, holds, radius)
+
+    def _carry(
+        self, bodies: Bodies, carriers: Carriers, layout: Layout, holds, radius: np.ndarray
+    ) -> None:
+        """Let shapes move with the bodies that move with the rods."""
+        self._carried = carried = CarriedShapes(
+            bodies, carriers.slot, carriers.place, carriers.turn
+        )
+        radius = 0.5 * (radius[:, 1:] + radius[:, :-1])
+        deep = carried.overlaps(self.contact.table, radius)
+        apart = layout.beside_holds(holds, carriers.slot, deep, radius)
+        self.contact.carry(carried, carriers.burden, apart)
+
+    def refresh(self) -> None:
+        """Take up shapes that were changed."""
+        self.contact.set_shapes(*self._shapes.of(self._rods))
+        carriers = self._shapes.carriers(self._rods)
+        self._place.assign(carriers.place)
+        self._turn.assign(carriers.turn)
+        if self._carried is not None:
+            self._carried.move(carriers.place, carriers.turn)
+
+    def follow(self, duration: float, times: list, poses: list) -> None:
+        """Put shapes to where others have moved their bodies: arguments of `carry_shapes`."""
+        if self._others_move:
+            where = [self._body, self._place, self._turn, wp.float64(duration)]
+            wp.launch(
+                carrying.carry_shapes,
+                dim=self._body.shape,
+                inputs=[*where, *times, *poses],
+                outputs=[self.contact.table],
+                device=self._device,
+            )
+
+    def add_loads(
+        self, body_com: wp.array, body_q: wp.array, force: wp.array, torque: wp.array
+    ) -> None:
+        """Add what rods did at the end of the last step to bodies that others move."""
+        if self._others_move:
+            wp.launch(
+                carrying.measure_pushes,
+                dim=self._body.shape,
+                inputs=[self._body, body_com, *self.contact.pushes, body_q],
+                outputs=[force, torque],
+                device=self._device,
+            )

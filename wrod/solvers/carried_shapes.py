@@ -1,0 +1,66 @@
+"""Shapes that rods touch on bodies that move with the rods."""
+
+import numpy as np
+import warp as wp
+
+from wrod.kernels.contact.planes import Touchable
+from wrod.kernels.stepping import body_shapes as kernels
+from wrod.solvers.bodies import Bodies
+
+
+class CarriedShapes:
+    """Where shapes are that free bodies carry, and what rods do to these bodies, in their steps.
+
+    Args:
+        bodies: of the same batch as the contact.
+        slot: (row, shape) the place in its row of the body that carries a shape; -1: of none.
+        place, turn: (row, shape, 3) and (row, shape, 4) where it is in the body's frame, as a
+            quaternion xyzw.
+    """
+
+    def __init__(self, bodies: Bodies, slot: np.ndarray, place: np.ndarray, turn: np.ndarray):
+        self.bodies, self.batch = bodies, bodies.batch
+        device = self.batch.device
+        self._carried = carried = kernels.Carried()
+        carried.slot = wp.array(slot, dtype=wp.int32, device=device)
+        carried.place = wp.array(place, dtype=wp.vec3d, device=device)
+        carried.turn = wp.array(turn, dtype=wp.quatd, device=device)
+        bodies.meet_rods()
+
+    def move(self, place: np.ndarray, turn: np.ndarray) -> None:
+        """Put shapes elsewhere on their bodies."""
+        self._carried.place.assign(place)
+        self._carried.turn.assign(turn)
+
+    def place(self, shapes: wp.array, chosen: wp.array, at_end: bool = False) -> None:
+        """Put the shapes of the chosen rows to where Newton's method has their bodies, or, where
+        forces are of the middle of a step, to where they are `at_end`."""
+        bodies = self.bodies
+        self.batch.launch(
+            kernels.place_shapes,
+            shapes.shape,
+            [bodies.body, self._carried, chosen, bodies.now, bodies.before, *bodies.spans]
+            + [int(at_end)],
+            [shapes],
+        )
+
+    def push(self, model: Touchable, touching: list) -> None:
+        """Add forces and stiffness: arguments of `push_carriers`."""
+        bodies = self.bodies
+        self.batch.launch(
+            kernels.push_carriers,
+            (self.batch.rod_count, self.batch.node_count - 1),
+            [model, self._carried, *touching, bodies.now],
+            [bodies.push, bodies.press, bodies.touch],
+        )
+
+    def overlaps(self, shapes: wp.array, radius: np.ndarray) -> np.ndarray:
+        """(row, shape, edge) how deep edges of these radii (row, edge) are in carried shapes now,
+        over the radius."""
+        device, dof = self.batch.device, self.batch.state.dof
+        size = (*shapes.shape, radius.shape[1])
+        depth = wp.zeros(size, dtype=wp.float64, device=device)
+        thick = wp.array(np.ascontiguousarray(radius), dtype=wp.float64, device=device)
+        inputs = [shapes, self._carried, thick, dof]
+        self.batch.launch(kernels.measure_overlaps, size, inputs, [depth])
+        return depth.numpy()
