@@ -123,9 +123,12 @@ def judge_step(
         pace.iteration[r] = pace.iteration[r] + 1
         pace.iteration_count[r] = pace.iteration_count[r] + 1
         return
+    stands = pace.converged[r] != 0 and (refuses_saddles == 0 or negative_pivots[r] == 0)
+    # What is judged is not looked at again: contact might take a rod up that waits for others.
     pace.active[r] = 0
+    pace.converged[r] = 0
     dt = pace.step[r]
-    if pace.converged[r] != 0 and (refuses_saddles == 0 or negative_pivots[r] == 0):
+    if stands:
         halfway = pace.span[r] < dt
         two_step = pace.coefficient[r][2] != ZERO
         if (halfway and pace.touching[r] != NOTHING) or (two_step and pace.touching[r] == IMPACT):

@@ -186,6 +186,38 @@ def test_cables_lie_on_each_other():
     assert total[2] == pytest.approx(3 * pile.material.weight * 0.2, rel=0.02)
 
 
+def heaps(scales):
+    """Worlds of four cables that fall on each other, of L_gb scaled: (frame, world, node, 3)."""
+    builder = newton.ModelBuilder()
+    SolverDER.register_custom_attributes(builder)
+    builder.add_ground_plane()
+    arc = np.linspace(-0.1, 0.1, 21)[:, None]
+    for scale in scales:
+        world = newton.ModelBuilder()
+        SolverDER.register_custom_attributes(world)
+        ways = [1.0, 0.12, 0.0], [-0.05, 1.0, 0.0], [1.0, -0.2, 0.0], [0.17, 1.0, 0.0]
+        for k, way in enumerate(ways):
+            rod = wrod.RodMaterial(0.003, 0.04 * scale, 0.2)
+            points = arc * way + [0.004 * k, -0.01 * k, 0.006 + 0.009 * k]
+            SolverDER.add_rod(world, points, rod, internal_damping=0.005, visible=False)
+        builder.add_world(world)
+    model = builder.finalize(device="cpu")
+    solver, state, out = SolverDER(model, rod_contact=0.3), model.state(), []
+    for _ in range(8):
+        solver.step(state, state, None, None, 1 / 60)
+        out.append(state.der.node_q.numpy().reshape(len(scales), -1, 3).copy())
+    assert state.der.node_contact_f.numpy().any()
+    return np.array(out)
+
+
+def test_heaps_beside_others_do_what_they_do_alone():
+    """To the last bit, however many steps the others take."""
+    scales = (1.0, 1.3, 0.8)
+    together = heaps(scales)
+    for world, scale in enumerate(scales):
+        assert (together[:, world] == heaps([scale])[:, 0]).all()
+
+
 def test_cables_pass_through_what_touches_no_rods():
     builder = newton.ModelBuilder()
     SolverDER.register_custom_attributes(builder)

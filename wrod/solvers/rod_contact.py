@@ -117,7 +117,8 @@ class RodContact:
         rest = batch.rest_length.numpy()
         arc = np.zeros((rods, nodes))
         # Rods are strangers to each other: as far apart as can be along the row.
-        arc[:, 1:] = np.cumsum(np.where(cut, 1e3 * (rest.sum() + radius.sum()), rest), axis=1)
+        far = 1e3 * (rest.sum(axis=1) + radius.sum(axis=1))[:, None]
+        arc[:, 1:] = np.cumsum(np.where(cut, far, rest), axis=1)
 
         def floats(values):
             return wp.array(np.ascontiguousarray(values), dtype=wp.float64, device=device)
