@@ -78,6 +78,61 @@ def test_plans_are_shared_by_ranks_and_kept(tmp_path, monkeypatch):
         plan_files.load(tmp_path)
 
 
+def constant(forward):
+    """A corrector that moves the grip forward by so much everywhere [L_gb]."""
+    parameters = {
+        "scale": np.ones(3),
+        "weight.0": np.zeros((3, wrod.controller.corrector.FEATURES)),
+    }
+    parameters["bias.0"] = np.array([forward, 0.0, 0.0])
+    names = ("friction", "curvature", "rod_length", "stretch_ratio")
+    limits = {name: [0.0, 1e9] for name in names}
+    return Corrector(parameters, {"range": limits})
+
+
+def test_what_a_network_lays_is_kept_once_a_round(tmp_path, monkeypatch):
+    made = {index: synthetic(index) for index in range(6) if index != 3}
+    for index in range(6):
+        plan_files.store(tmp_path / f"plan-{index:06d}.npz", made.get(index))
+    asked = []
+
+    def visit(index, seed, sample, corrector):
+        asked.append(index)
+        yield from ()
+        return sample.laid_by(0.5 * sample.anchors[1], sample.bowls[0])
+
+    monkeypatch.setattr(plans, "visit", visit)
+    ours = plans.Rank(1, 2, 1, 2)
+    plans.visit_all(tmp_path, 6, constant(0.0), 1, rank=ours)
+    assert sorted(asked) == [1, 5]
+    plans.visit_all(tmp_path, 6, constant(0.0), 1)
+    assert sorted(asked) == [0, 1, 2, 4, 5]
+    plans.visit_all(tmp_path, 6, constant(0.0), 2, rank=ours)
+    found = plan_files.load(tmp_path)
+    assert [len(one.bowls) for one in found] == [3, 4, 3, 3, 4]
+    assert found[0].anchors[2] == pytest.approx(0.5 * made[0].anchors[1], abs=1e-6)
+
+
+def test_models_of_the_error_say_what_a_network_lays():
+    """By a grip that is 0.1 mm ahead or behind all the way, more of which the rod answers to with
+    sliding; where it is not, what lies is what lay."""
+    from wrod.deployment.together import follow
+
+    how = {"hold": 0.05, "tolerance": 1e-5}
+    (one,) = follow([plans.solve(0, 0)], **how)
+    assert one.errors[1] < 0.5 * one.errors[0]
+    values = {}
+    for forward in (0.0, 0.001, -0.001):
+        (laid,) = follow([plans.visit(0, 0, one, constant(forward))], **how)
+        moved = np.broadcast_to([forward, 0.0, 0.0], laid.anchors[2].shape)
+        assert laid.anchors[2] == pytest.approx(moved, abs=1e-12)
+        values[forward] = laid.bowls[2].value
+    static, moved = one.bowls[0], np.tile([0.001, 0.0, 0.0], len(one.anchors[0]))
+    assert values[0.0] == pytest.approx(static.value, rel=1e-9)
+    rise = 0.5 * (values[0.001] - values[-0.001])
+    assert rise == pytest.approx(2.0 * static.slope @ moved, rel=0.1)
+
+
 def test_a_network_learns_what_plans_do_and_mirrors_it(tmp_path):
     from wrod.training.distil import course_of, distil
 

@@ -20,7 +20,7 @@ APPLICATION = {"S cable": 25.0, "U cable": 15.0, "trefoil": 8.0, "reef": 68.0}
 EQUILIBRIUM, BOUNDARY = 4e-3, 0.8
 IDENTIFIED_SET, TRACED_PIXEL, DRAWN_RAY = 30.0, 2e-6, 1e-6
 # A plan that is corrected for its table, and a deployment that looks on and plans anew.
-CORRECTED_PLAN, LOOKING_ON = 15.0, 100.0
+CORRECTED_PLAN, LOOKING_ON = 15.0, 300.0
 # A recording of motion identified, a joint path with approach and retreat, a plan, a bend pulled,
 # an overhand knot that is tightened by a loop radius of one h.
 RECORDING, JOINT_PATH, PLAN, BEND, KNOT_STEP = 7.0, 12.0, 0.5, 90.0, 0.6

@@ -158,7 +158,8 @@ def command(
 
 def _effort(keys: list[tuple]) -> float:
     """Processor time of corrected plans, and of looking on [s]."""
-    plans = len({(*key[:3], _CORRECTED[key[3]]) for key in keys if key[3] in _CORRECTED})
+    made = {(*key[:3], _CORRECTED.get(key[3])) for key in keys}
+    plans = sum(method in _OPTIMISED for *_, method in made)
     looking = sum(key[3] == "feedback" for key in keys)
     return cost.CORRECTED_PLAN * plans + cost.LOOKING_ON * looking
 
