@@ -20,9 +20,9 @@ _ARRAYS = (
     "arc_length", "contact", "position", "rotation", "force", "roll", "shape", "twist"
 )  # fmt: skip
 # A grip jumps where it goes so many times as far for the rod that it lays as two poses before and
-# after; plans of sharp bends, and of few poses, come to 6. None of what is shorter is a jump [m], and
-# a grip that hardly moves beside it counts as one that goes as far as the contact. Fewer ways than
-# that from pose to pose say nothing of what is usual.
+# after; plans of sharp bends, and of few poses, come to 6. None of what is shorter is a jump [m],
+# and a grip that hardly moves beside it counts as one that goes as far as the contact. Fewer ways
+# than that from pose to pose say nothing of what is usual.
 _JUMP, _NO_JUMP, _USUAL, _FEWEST = 10.0, 0.05, 1.0, 6
 
 
@@ -164,8 +164,8 @@ def _refuse_jumps(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
     wrong = np.flatnonzero((rate > _JUMP * usual) & (way > _NO_JUMP))
     if len(wrong):
         k = int(wrong[0])
+        laid = trajectory.arc_length[k + 1] - trajectory.arc_length[k]
         raise DataError(
-            f"{path}: position: contact node {k + 1}: the grip jumps there, by {way[k]:.3g} m while "
-            f"{1e3 * (trajectory.arc_length[k + 1] - trajectory.arc_length[k]):.3g} mm of rod are "
-            "laid; plan it again"
+            f"{path}: position: contact node {k + 1}: the grip jumps there, by {way[k]:.3g} m "
+            f"while {1e3 * laid:.3g} mm of rod are laid; plan it again"
         )
