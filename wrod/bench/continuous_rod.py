@@ -18,6 +18,7 @@ import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.spatial.transform import Rotation
 
+from wrod.bench.continuous_stability import conjugate_points
 from wrod.errors import DataError
 from wrod.identification.clamped.equilibria import ClampedSolver
 from wrod.identification.clamped.loading import measurements_from_arrays
@@ -190,7 +191,8 @@ def _curvature_of(rod: RodMaterial, experiment: Experiment, found) -> np.ndarray
 
 
 def _solve(rod, experiment: Experiment, share: float, a, ra, b, rb, guess, tolerance=1e-6):
-    """One trial with a share of the effect; (s, y) of the guess on the unit interval."""
+    """(solution, right-hand side) of one trial with a share of the effect; (s, y) of the guess on
+    the unit interval."""
     length = length_of(rod, experiment, share)
     k_b, k_s = rod.bending_stiffness, rod.stretching_stiffness * experiment.stretching**share
     k_t = rod.twisting_stiffness * experiment.twisting**share
@@ -238,7 +240,7 @@ def _solve(rod, experiment: Experiment, share: float, a, ra, b, rb, guess, toler
     found = solve_bvp(rhs, ends, *guess, tol=tolerance, max_nodes=4000)
     if not found.success:
         raise DataError(f"collocation finds no equilibrium of the clamped rod: {found.message}")
-    return found
+    return found, rhs
 
 
 def _first_guesses(measurements):
@@ -298,7 +300,7 @@ def measured(
             where a rod does not follow.
 
     Raises:
-        DataError: a trial finds no equilibrium.
+        DataError: a trial finds no equilibrium, or an unstable one (what holds it being rigid).
     """
     trials = len(data["clamp_position"])
     line = (
@@ -331,7 +333,7 @@ def measured(
             tolerance = 1e-6 if ahead == 1.0 else 1e-4
             try:
                 # On the way a rough solution keeps to the branch as well.
-                found = _solve(rod, own, ahead, a, ra, b, rb, guess, tolerance)
+                found, rhs = _solve(rod, own, ahead, a, ra, b, rb, guess, tolerance)
             except DataError:
                 step *= 0.5
                 if step < _SMALLEST_STEP:
@@ -339,6 +341,8 @@ def measured(
                 continue
             settled += share == 1.0
             guess, share = (found.x, found.y), ahead
+        if not gives and conjugate_points(rhs, found.sol):
+            raise DataError(f"trial {i} comes to an equilibrium that no rod keeps")
         if experiment.each:
             past = length_of(rod, own) * found.x, _curvature_of(rod, own, found)
         length = length_of(rod, own)
