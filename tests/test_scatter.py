@@ -1,12 +1,15 @@
 """What is another one in each trial: named where it is all that is left, and for nothing else."""
 
+import json
 from functools import cache
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from test_clamped_noise import ARC, READINGS, TRIALS, columns
 
 from wrod.bench.hidden_sets import hidden_set
+from wrod.commands import main
 from wrod.identification.clamped.laboratory import Laboratory
 from wrod.identification.clamped.loading import measurements_from_arrays
 from wrod.identification.clamped.noise import NoiseModel, _Restricted
@@ -36,6 +39,22 @@ def test_poses_that_are_off_in_each_trial_are_named_with_their_size():
     assert 0.8 < found.ratio < 1.1
     assert lab.noise.white  # it asks, and changes nothing
     assert "clamp offset changes by" in str(found)
+
+
+@pytest.mark.slow
+def test_an_identification_ends_with_it(tmp_path):
+    """No effect of a rod is named, and what is wrong is."""
+    data, _ = hidden_set("none 1", 101, "pose")
+    path = tmp_path / "poses.npz"
+    np.savez(path, **data)
+    result = CliRunner().invoke(main, ["identify", str(path), "--out", str(tmp_path / "out")])
+    assert "poses: explained" in result.output
+    assert "grip_offset scatters from trial to trial by 0.5" in result.output
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["effects"] == []
+    assert {one["name"] for one in report["scatter"]} >= {"clamp_offset", "grip_offset"}
+    assert report["noise"]["scatter"]["grip_offset"] == pytest.approx(5e-4, rel=0.3)
+    assert "off anew in each trial" in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_a_rod_that_changes_does_not_pass_for_it():

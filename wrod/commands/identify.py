@@ -105,7 +105,7 @@ def command(
         click.echo(f"  {effect.name}: {', '.join(found)}")
     if report.selection.scatter:
         for name, size in report.selection.scatter.sizes.items():
-            click.echo(f"  another {name} in each trial: {size}")
+            click.echo(f"  {name} scatters from trial to trial by {size} in each direction")
     for pair in report.selection.confounded:
         click.echo(f"  {' and '.join(pair['effects'])} are confounded: {pair['evidence']}")
     click.echo("wrote " + ", ".join(str(p) for p in written))

@@ -57,7 +57,7 @@ def _page(report) -> str:
     found = [(e.title, e.parameters, e.after) for e in report.effects]
     if report.selection.scatter:
         sizes = {n.replace("_", " "): e for n, e in report.selection.scatter.sizes.items()}
-        found.append(("another one in each trial", sizes, None))
+        found.append(("off anew in each trial, in each direction", sizes, None))
     return page(
         report,
         [numbers_of(numbers), effects_table(found, report.selection.confounded)],
