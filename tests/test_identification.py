@@ -4,10 +4,12 @@ import copy
 import itertools
 import json
 import re
+from functools import cache
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.interpolate import CubicSpline
 
 from wrod.commands import main
 from wrod.errors import DataError
@@ -43,8 +45,8 @@ def reported_poses(trials: int, seed: int) -> dict[str, np.ndarray]:
     }
 
 
-def synthetic(apply=None, *, trials=12, seed=0, edge_count=150, noise=NOISE, measure=None):
-    """Arrays of a set whose rod has an effect, made on a finer mesh than any fit uses."""
+def unmeasured(trials: int, seed: int, noise: float = NOISE) -> dict[str, np.ndarray]:
+    """Arrays of a set whose markers are on a line between the clamps."""
     data = reported_poses(trials, seed) | {
         "arc_length": np.linspace(0.0, ROD.length, 21),
         "train_idx": np.arange(trials - 4),
@@ -57,17 +59,28 @@ def synthetic(apply=None, *, trials=12, seed=0, edge_count=150, noise=NOISE, mea
         "gravity": ROD.gravity,
         "noise_std": noise,
     }
-    line = (
-        data["clamp_position"][:, None]
-        + data["arc_length"][:, None]
-        / ROD.length
-        * (data["grip_position"] - data["clamp_position"])[:, None]
+    start, end = data["clamp_position"][:, None], data["grip_position"][:, None]
+    return data | {"centerline": start + data["arc_length"][:, None] / ROD.length * (end - start)}
+
+
+@cache
+def hanging(trials: int, seed: int) -> CubicSpline:
+    """(trial, share, 3) where the base model hangs, on a coarse mesh."""
+    setup = ClampedSetup.base(
+        measurements_from_arrays(unmeasured(trials, seed)), np.arange(trials), 30
     )
-    measurements = measurements_from_arrays(data | {"centerline": line})
-    setup = ClampedSetup.base(measurements, np.arange(trials), edge_count)
+    nodes = ClampedSolver([setup]).batch.positions()[:, 1:-1]
+    return CubicSpline(np.linspace(0.0, 1.0, 31), nodes, axis=1)
+
+
+def synthetic(apply=None, *, trials=12, seed=0, edge_count=150, noise=NOISE, measure=None):
+    """Arrays of a set whose rod has an effect, made on a finer mesh than any fit uses."""
+    data = unmeasured(trials, seed, noise)
+    setup = ClampedSetup.base(measurements_from_arrays(data), np.arange(trials), edge_count)
     if apply:
         apply(setup)
-    solver = ClampedSolver([setup])
+    shape = hanging(trials, seed)(np.linspace(0.0, 1.0, edge_count + 1))
+    solver = ClampedSolver([setup], shape=shape)
     seen = solver.predict([setup])
     rng = np.random.default_rng(seed + 1)
     position = np.real(seen.position[0])
