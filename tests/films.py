@@ -8,7 +8,7 @@ import wrod
 from wrod.bench.applications_trials import cable_scene, knot_plan
 from wrod.deployment.setup import prepare_deployment
 from wrod.deployment.simulate import with_remainder_of
-from wrod.knots.hand_paths import hand_path, path_length
+from wrod.knots.moves import hand_path, path_length
 from wrod.patterns.curve import smoothstep
 from wrod.planning.tail import tail
 

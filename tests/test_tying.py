@@ -12,8 +12,8 @@ import wrod
 from wrod.bench.applications_report import markdown, table
 from wrod.errors import DataError, PatternError
 from wrod.knots.fingers import GRIP_FORCE, PAD_FRICTION, holding_force
-from wrod.knots.hand_paths import hand_path
 from wrod.knots.laying import _over, _refined
+from wrod.knots.moves import hand_path
 from wrod.knots.plan import KnotPlan, Move
 from wrod.knots.topology import diagram, recognise_knot
 from wrod.knots.trials import Handling, TyingResult

@@ -1,15 +1,14 @@
-"""Pick-and-place moves of a knot."""
+"""Pick-and-place moves of a knot, and the ways of hands from place to place."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from wrod.files.schemas import Move
-from wrod.knots.hand_paths import hand_path, path_length
 from wrod.knots.tying_run import TyingRun
 from wrod.knots.workbench import Poses
-from wrod.patterns.curve import smoothstep
+from wrod.patterns.curve import arc_length, smoothstep
 
 _REST = 0.6  # [s]
 # Fastest over mean speed of the smooth way of a hand.
@@ -75,3 +74,27 @@ def approach(run: TyingRun, places: dict[int, np.ndarray]) -> None:
 
     run.run(begin + duration, poses)
     run.now = poses(bench.time)
+
+
+def hand_path(first: np.ndarray, last: np.ndarray, lift: float) -> Callable[[float], np.ndarray]:
+    """A way over everything between two places on the table: up, across, down, rounded.
+
+    Args:
+        first, last: (3,) places [m].
+        lift: height above them [m].
+
+    Returns:
+        The place (3,) at u, 0 to 1.
+    """
+
+    def at(u: float) -> np.ndarray:
+        across = smoothstep((u - 0.15) / 0.7)
+        rise = min(smoothstep(u / 0.4), smoothstep((1.0 - u) / 0.4))
+        return first + across * (last - first) + np.array([0.0, 0.0, lift * rise])
+
+    return at
+
+
+def path_length(path: Callable[[float], np.ndarray]) -> float:
+    """Length of a way [m]."""
+    return float(arc_length(np.array([path(u) for u in np.linspace(0.0, 1.0, 60)]))[-1])

@@ -2,6 +2,7 @@
 
 import numpy as np
 from newton import Model
+from scipy.cluster.hierarchy import DisjointSet
 
 from wrod.newton_solver.attributes import CLAMPED
 from wrod.newton_solver.holds import Holds
@@ -23,13 +24,7 @@ def find_rows(
     """
     der = model.der
     count = len(holds.ends)
-    leader = list(range(count))
-
-    def find(rod: int) -> int:
-        while leader[rod] != rod:
-            rod = leader[rod]
-        return rod
-
+    joined = DisjointSet(range(count))
     by_body: dict[int, int] = {}
     by_world: dict[int, int] = {}
     by_collision: dict[int, int] = {}
@@ -46,14 +41,10 @@ def find_rows(
         if touching and joins[rod]:
             partners.append(by_world.setdefault(int(worlds[rod]), rod))
         for partner in partners:
-            a, b = sorted((find(partner), find(rod)))
-            leader[b] = a
-    rows: dict[int, list[int]] = {}
-    for rod in range(count):
-        rows.setdefault(find(rod), []).append(rod)
+            joined.merge(partner, rod)
     nodes, clamped = der.rod_node_count.numpy(), holds.ends == CLAMPED
     alike: dict[tuple, list[list[int]]] = {}
-    for rods in rows.values():
+    for rods in map(sorted, joined.subsets()):
         kind = tuple((int(nodes[r]), *map(bool, clamped[r])) for r in rods)
         alike.setdefault(kind, []).append(rods)
     return [np.array(group) for group in alike.values()]
