@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import sys
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,9 +71,17 @@ def read(folder: Path) -> House:
     return house
 
 
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Everything below a node but expressions, in which nothing is imported or defined."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, (ast.stmt, ast.excepthandler, ast.match_case)):
+            yield child
+            yield from _statements(child)
+
+
 def _imported(tree: ast.Module, known) -> set[str]:
     out = set()
-    for node in ast.walk(tree):
+    for node in _statements(tree):
         if isinstance(node, ast.Import):
             out |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
@@ -83,7 +92,7 @@ def _imported(tree: ast.Module, known) -> set[str]:
 
 
 def _measure(module: str, tree: ast.Module, house: House) -> None:
-    for node in ast.walk(tree):
+    for node in _statements(tree):
         if not isinstance(node, ast.FunctionDef) or module.startswith(KERNELS):
             continue
         a = node.args
